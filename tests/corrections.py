@@ -32,10 +32,22 @@ def read_back(result: Result, cell: Cell = CELL, robot: RobotModel = ROBOT) -> P
     return correction.read(result.documents, robot, cell, main.stem, registry.dialect_of_file(main).name)
 
 
+def krl_files(source: str, data: str | None = None) -> dict[str, str]:
+    """Return the files of a KRL program: part.src, and part.dat if there is one."""
+    return {"part.src": source} | ({} if data is None else {"part.dat": data})
+
+
+def process_files(
+    files: Mapping[str, str | bytes], cell: Cell = CELL, robot: RobotModel = ROBOT, **options: object
+) -> Result:
+    """Read a program and correct it, see `read_files` and `correction.process`."""
+    return correction.process(read_files(files, cell, robot), robot, cell, **options)
+
+
 def correct_files(
     files: Mapping[str, str | bytes], cell: Cell = CELL, robot: RobotModel = ROBOT, **options: object
 ) -> Result:
-    """Read a program and correct it, see `read_files` and `correction.process`; fail if an issue stops it."""
-    result = correction.process(read_files(files, cell, robot), robot, cell, **options)
+    """Read a program and correct it, see `process_files`; fail if an issue stops it."""
+    result = process_files(files, cell, robot, **options)
     assert not result.failed, result.issues
     return result

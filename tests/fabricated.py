@@ -16,7 +16,7 @@ from postproc.robot import RobotModel
 from tests.kr270 import ROBOT
 
 
-def program(count: int = 100) -> Program:
+def zigzag_program(count: int = 100) -> Program:
     """A zigzag of `count` moves, every 25th rapid; motion i stands on line i + 3."""
     index = np.arange(count)
     way = np.zeros((count, 6))
@@ -45,7 +45,7 @@ def program(count: int = 100) -> Program:
 
 def result(count: int = 100, mode: Mode = "convert") -> Result:
     """A result with smooth deviations; one target per motion."""
-    made = program(count)
+    made = zigzag_program(count)
     rapid = made.motions.rapid
     phase = np.linspace(0.0, 12.0, count)
     before = np.where(rapid, 0.0, 1e-3 * (1.0 + 0.5 * np.sin(phase)))

@@ -37,7 +37,7 @@ from tests.oracle.whole_arm import WholeArm, slopes, twist
 from tests.test_pinocchio import any_urdf
 
 KUKA = (FOLDER / "robot.urdf").read_text(encoding="utf-8")
-TOOL = frames.pose_from_xyzabc([230.0, -120.0, 350.0, 10.0, -20.0, 30.0])
+FAR_OFFSET_TOOL = frames.pose_from_xyzabc([230.0, -120.0, 350.0, 10.0, -20.0, 30.0])
 PAYLOAD = (60.0, (0.1, -0.2, 0.15))
 NO_PAYLOAD = (0.0, (0.0, 0.0, 0.0))
 GRAVITIES = [Gravity(reference, in_gears) for reference in ("calibrated", "rigid") for in_gears in (False, True)]
@@ -117,36 +117,36 @@ ARMS = pytest.mark.parametrize("seed", [0, 1, 7])
 @ARMS
 def test_the_loaded_equilibrium_and_the_command_that_undoes_it_are_those_of_the_oracle(seed, gravity):
     model, arm, q, wrench = arms(seed, gravity)
-    state = elastostatics.deflect(model, q, TOOL, wrench)
+    state = elastostatics.deflect(model, q, FAR_OFFSET_TOOL, wrench)
     x = (elastostatics.coordinates(model, q) + state.theta).T
-    there = kinematics.posture(model.loaded, x, kinematics.components(TOOL), weigh=True)
+    there = kinematics.posture(model.loaded, x, kinematics.components(FAR_OFFSET_TOOL), weigh=True)
     load = np.einsum("ikn,ni->kn", there.jacobian(), wrench)
     springs = springs_at_target(model, x, load, balance.static_torque(model, x, there))
     for row in range(len(q)):
-        theta, pose = arm.equilibrium(q[row], TOOL, wrench[row])
-        assert np.linalg.norm(pose[:3, 3] - arm.given(q[row], TOOL, wrench[row])[1](0.0)[0][:3, 3]) > 5e-4
+        theta, pose = arm.equilibrium(q[row], FAR_OFFSET_TOOL, wrench[row])
+        assert np.linalg.norm(pose[:3, 3] - arm.given(q[row], FAR_OFFSET_TOOL, wrench[row])[1](0.0)[0][:3, 3]) > 5e-4
         np.testing.assert_allclose(state.theta[row], theta, rtol=0, atol=3e-9)  # rad, m
         np.testing.assert_allclose(state.pose[row], pose, rtol=0, atol=3e-9)
         np.testing.assert_allclose(state.twist[row], twist(state.rest[row], pose), rtol=0, atol=1e-8)
         np.testing.assert_allclose(springs[:, row], theta, rtol=0, atol=1e-8)
-    target = np.array([arm.nominal(row, TOOL) for row in q])
-    found = elastostatics.compensate(model, target, q, TOOL, wrench)
+    target = np.array([arm.nominal(row, FAR_OFFSET_TOOL) for row in q])
+    found = elastostatics.compensate(model, target, q, FAR_OFFSET_TOOL, wrench)
     for row in range(len(q)):
-        theta, pose = arm.equilibrium(found.q[row], TOOL, wrench[row])
+        theta, pose = arm.equilibrium(found.q[row], FAR_OFFSET_TOOL, wrench[row])
         np.testing.assert_allclose(pose, target[row], rtol=0, atol=2e-8)
         np.testing.assert_allclose(found.theta[row], theta, rtol=0, atol=2e-8)
-        np.testing.assert_allclose(found.pose[row], arm.nominal(found.q[row], TOOL), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.pose[row], arm.nominal(found.q[row], FAR_OFFSET_TOOL), rtol=0, atol=1e-12)
 
 
 @STATES
 @ARMS
 def test_linear_deflection_compliance_and_stiffness_are_those_by_differences_of_the_oracle(seed, gravity):
     model, arm, q, wrench = arms(seed, gravity)
-    linear = elastostatics.linear_deflection(model, q, TOOL, wrench)
-    compliance = elastostatics.tangent_compliance(model, q, TOOL, wrench)
-    stiffness = elastostatics.cartesian_stiffness(model, q, TOOL, wrench)
+    linear = elastostatics.linear_deflection(model, q, FAR_OFFSET_TOOL, wrench)
+    compliance = elastostatics.tangent_compliance(model, q, FAR_OFFSET_TOOL, wrench)
+    stiffness = elastostatics.cartesian_stiffness(model, q, FAR_OFFSET_TOOL, wrench)
     for row in range(len(q)):
-        given, tcp = arm.given(q[row], TOOL, wrench[row])
+        given, tcp = arm.given(q[row], FAR_OFFSET_TOOL, wrench[row])
         zero = np.zeros(len(arm.linear))
         by_theta = slopes(given, zero, 1e-7)
         by_force = slopes(lambda force, given=given, zero=zero: given(zero, force), wrench[row], 1e-2)
@@ -183,15 +183,15 @@ def test_what_the_tool_moves_with_each_parameter_is_that_by_differences_of_the_o
     q, wrench = q[:2], wrench[:2]
     x0 = elastostatics.coordinates(model, q).T
     held = balance.balanced_torque(model, x0)
-    theta, _ = equilibrium.solve_equilibrium(model, x0, kinematics.components(TOOL), wrench.T)
-    state = balance.Balance.at(model, x0 + theta, held, kinematics.components(TOOL), wrench.T)
+    theta, _ = equilibrium.solve_equilibrium(model, x0, kinematics.components(FAR_OFFSET_TOOL), wrench.T)
+    state = balance.Balance.at(model, x0 + theta, held, kinematics.components(FAR_OFFSET_TOOL), wrench.T)
     np.testing.assert_allclose(state.theta, theta, rtol=0, atol=2e-8)
     reach = state.spring_jacobian()
     for name in [*all_names(model), "size"]:
         parameter = robot.CompensatorSize() if name == "size" else parameters.parameter_of_name(name)
         found = balance.twist_by_parameter(state, reach, parameter, x0)
         step = step_of(name)
-        expected = np.array([arm.by_parameter(name, step, q[n], TOOL, wrench[n]) for n in range(len(q))])
+        expected = np.array([arm.by_parameter(name, step, q[n], FAR_OFFSET_TOOL, wrench[n]) for n in range(len(q))])
         for rows in (slice(0, 3), slice(3, 6)):
             scale = np.abs(expected[:, rows]).max()
             rounding = 1e-13 / step
@@ -241,14 +241,14 @@ def test_sensitivity_of_the_bound_is_that_of_the_deflection_at_first_order(paylo
     names = all_names(model)
     model = replace(model, covariance=robot.Covariance.of(names, np.eye(len(names))))
     small = wrench * 1e-6  # torques of some mN·m: what gears that stiffen add to them is below the tolerance
-    found = elastostatics.sensitivity(model, q, TOOL, small)
+    found = elastostatics.sensitivity(model, q, FAR_OFFSET_TOOL, small)
     order = [parameters.parameter_of_name(name) for name in names]
     found = found @ parameters.file_slopes(order, {each: model.value(each) for each in order})  # by linear values
     slope = np.zeros_like(found)
     for column, name in enumerate(names):
         step = step_of(name)
         for n in range(len(q)):
-            one, other = (at_first_order(arm.changed(name, h), q[n], TOOL, small[n]) for h in (-step, step))
+            one, other = (at_first_order(arm.changed(name, h), q[n], FAR_OFFSET_TOOL, small[n]) for h in (-step, step))
             slope[n, :, column] = (other - one) / (2 * step)
     usual = np.array([parameter.usual for parameter in order])
     scale = np.abs(slope).max(axis=(0, 1))
@@ -269,10 +269,10 @@ def test_softness_is_how_far_a_unit_of_force_or_moment_along_an_axis_moves_the_t
     q = q[row]
 
     def away(load):
-        loaded, rest = (arm.equilibrium(q, TOOL, wrench)[1][:3, 3] for wrench in (load, np.zeros(6)))
+        loaded, rest = (arm.equilibrium(q, FAR_OFFSET_TOOL, wrench)[1][:3, 3] for wrench in (load, np.zeros(6)))
         return np.linalg.norm(loaded - rest)
 
-    by_force, by_moment = elastostatics.largest_compliance(model, q, TOOL)
+    by_force, by_moment = elastostatics.largest_compliance(model, q, FAR_OFFSET_TOOL)
     moved = [away(unit) for unit in np.eye(6)]
     assert by_force == pytest.approx(max(moved[:3]), rel=1e-3)
     assert by_moment == pytest.approx(max(moved[3:]), rel=1e-2)
@@ -280,13 +280,13 @@ def test_softness_is_how_far_a_unit_of_force_or_moment_along_an_axis_moves_the_t
 
 def test_the_tip_that_the_solver_returns_is_that_of_the_deflections_it_returns():
     model, _, q, wrench = arms(7, GRAVITIES[1])
-    x0, tool = balance.elastic_coordinates(model, q.T), kinematics.components(TOOL)
+    x0, tool = balance.elastic_coordinates(model, q.T), kinematics.components(FAR_OFFSET_TOOL)
     theta, tip = equilibrium.solve_equilibrium(model, x0, tool, wrench.T)
     reached = kinematics.posture(model.loaded, x0 + theta, tool).point
     np.testing.assert_allclose(tip, reached, rtol=0, atol=1e-13)
     again, _ = equilibrium.solve_equilibrium(model, x0, tool, wrench.T, guess=theta)
     np.testing.assert_allclose(again, theta, rtol=0, atol=1e-9)
-    state = elastostatics.deflect(model, q, TOOL, wrench)
+    state = elastostatics.deflect(model, q, FAR_OFFSET_TOOL, wrench)
     np.testing.assert_allclose(state.pose[:, :3, 3].T, tip, rtol=0, atol=1e-12)
 
 
@@ -295,14 +295,14 @@ def test_errors_name_the_rows_that_have_no_equilibrium(monkeypatch):
     heavy = wrench.copy()
     heavy[1] *= 100.0
     with pytest.raises(NotConvergedError, match="too large for the springs") as found:
-        elastostatics.deflect(model, q, TOOL, heavy)
+        elastostatics.deflect(model, q, FAR_OFFSET_TOOL, heavy)
     assert found.value.rows == (1,)
     spoilt = wrench.copy()
     spoilt[2, 4] = np.nan
     with pytest.raises(
         NotConvergedError, match="not found: check the payload, the forces and the robot model"
     ) as found:
-        elastostatics.deflect(model, q, TOOL, spoilt)
+        elastostatics.deflect(model, q, FAR_OFFSET_TOOL, spoilt)
     assert found.value.rows == (2,)
     x = balance.elastic_coordinates(model, q.T)
     load = np.zeros_like(x)
@@ -314,7 +314,7 @@ def test_errors_name_the_rows_that_have_no_equilibrium(monkeypatch):
     still = wrench * [[1.0], [0.0], [1.0]]
     model, _, q, _ = arms(0, GRAVITIES[0], payload=NO_PAYLOAD)
     with pytest.raises(NotConvergedError, match="not found") as found:
-        elastostatics.deflect(model, q, TOOL, still)  # row 1 has no load: it does not move
+        elastostatics.deflect(model, q, FAR_OFFSET_TOOL, still)  # row 1 has no load: it does not move
     assert found.value.rows == (0, 2)
     load = np.zeros_like(x)
     load[3, [0, 2]] = 500.0
@@ -325,10 +325,10 @@ def test_errors_name_the_rows_that_have_no_equilibrium(monkeypatch):
 
 def test_targets_out_of_reach_or_at_singular_poses_are_named():
     model, arm, q, wrench = arms(0, GRAVITIES[0])
-    target = np.array([arm.nominal(row, TOOL) for row in q])
+    target = np.array([arm.nominal(row, FAR_OFFSET_TOOL) for row in q])
     target[1, :3, 3] += [0.0, 8.0, 0.0]
     with pytest.raises(NotConvergedError, match="no loaded equilibrium") as found:
-        elastostatics.compensate(model, target, q, TOOL, wrench)
+        elastostatics.compensate(model, target, q, FAR_OFFSET_TOOL, wrench)
     assert found.value.rows == (1,)
 
 
@@ -356,10 +356,12 @@ def test_links_that_hardly_deflect_do_not_end_the_search_before_the_tool_is_at_i
     file = replace(file, links=stiff)
     model, arm = robot.assemble("stiff links", file, urdf.read(KUKA, "any.urdf")), WholeArm(KUKA, file)
     _, _, q, wrench = arms(0, GRAVITIES[0])
-    target = np.array([arm.nominal(row, TOOL) for row in q])
-    found = elastostatics.compensate(model, target, q, TOOL, wrench)
+    target = np.array([arm.nominal(row, FAR_OFFSET_TOOL) for row in q])
+    found = elastostatics.compensate(model, target, q, FAR_OFFSET_TOOL, wrench)
     for row in range(len(q)):
-        np.testing.assert_allclose(arm.equilibrium(found.q[row], TOOL, wrench[row])[1], target[row], rtol=0, atol=2e-8)
+        np.testing.assert_allclose(
+            arm.equilibrium(found.q[row], FAR_OFFSET_TOOL, wrench[row])[1], target[row], rtol=0, atol=2e-8
+        )
 
 
 @pytest.mark.parametrize("gravity", GRAVITIES[:2], ids=str)
@@ -376,25 +378,27 @@ def test_a_compensator_stiffer_than_its_joint_is_solved(gravity):
     x = balance.coordinates(model, q).T
     factor = balance.compensator_factor(model, x, np.repeat(model.steady[:, None], len(q), axis=1))
     assert (factor > 2.0).sum() == 2
-    state = elastostatics.deflect(model, q, TOOL, wrench)
-    target = np.array([arm.nominal(row, TOOL) for row in q])
-    found = elastostatics.compensate(model, target, q, TOOL, wrench)
+    state = elastostatics.deflect(model, q, FAR_OFFSET_TOOL, wrench)
+    target = np.array([arm.nominal(row, FAR_OFFSET_TOOL) for row in q])
+    found = elastostatics.compensate(model, target, q, FAR_OFFSET_TOOL, wrench)
     for row in range(len(q)):
-        theta, pose = arm.equilibrium(q[row], TOOL, wrench[row])
+        theta, pose = arm.equilibrium(q[row], FAR_OFFSET_TOOL, wrench[row])
         np.testing.assert_allclose(state.theta[row], theta, rtol=0, atol=3e-9)  # rad, m
         np.testing.assert_allclose(state.pose[row], pose, rtol=0, atol=3e-9)
-        np.testing.assert_allclose(arm.equilibrium(found.q[row], TOOL, wrench[row])[1], target[row], rtol=0, atol=2e-8)
+        np.testing.assert_allclose(
+            arm.equilibrium(found.q[row], FAR_OFFSET_TOOL, wrench[row])[1], target[row], rtol=0, atol=2e-8
+        )
 
 
 @pytest.mark.parametrize(("seed", "most"), [(0, 4), (1, 4), (7, 4)])
 def test_commands_converge_in_a_few_steps_to_the_last_digits(seed, most, monkeypatch):
     model, arm, q, wrench = arms(seed, GRAVITIES[1])
-    target, rounds, solve = np.array([arm.nominal(row, TOOL) for row in q]), [], equilibrium._newton
+    target, rounds, solve = np.array([arm.nominal(row, FAR_OFFSET_TOOL) for row in q]), [], equilibrium._newton
     monkeypatch.setattr(equilibrium, "_newton", lambda *given: (rounds.append(1), solve(*given))[1])
-    found = elastostatics.compensate(model, target, q, TOOL, wrench)
+    found = elastostatics.compensate(model, target, q, FAR_OFFSET_TOOL, wrench)
     assert len(rounds) <= most
     x = balance.elastic_coordinates(model, found.q.T) + found.theta.T
-    reached = kinematics.tcp(model.loaded, x.T, TOOL)[0]
+    reached = kinematics.tcp(model.loaded, x.T, FAR_OFFSET_TOOL)[0]
     np.testing.assert_allclose(reached, target, rtol=0, atol=2e-10)
 
 
@@ -439,8 +443,8 @@ def test_the_bound_adds_parameters_forces_tool_discrepancy_and_geometry_as_covar
         "geometry": (replace(bare, geometry_error=everywhere), None, None),
     }
     everything = (replace(model, covariance=some, discrepancy=off, geometry_error=everywhere), spread, series)
-    sensitivity = elastostatics.sensitivity(sources["parameters"][0], q, TOOL, wrench)
-    compliance = elastostatics.linear_compliance(model, q, TOOL, wrench)[:, :3]
+    sensitivity = elastostatics.sensitivity(sources["parameters"][0], q, FAR_OFFSET_TOOL, wrench)
+    compliance = elastostatics.linear_compliance(model, q, FAR_OFFSET_TOOL, wrench)[:, :3]
     force = np.linalg.norm(wrench, axis=1)
     isotropic = 2.7954835**-2 * np.eye(3)
     by_parameters = np.einsum("nip,pr,njr->nij", sensitivity, factor @ factor.T, sensitivity)
@@ -453,10 +457,10 @@ def test_the_bound_adds_parameters_forces_tool_discrepancy_and_geometry_as_covar
         "geometry": np.tile(by_geometry, (3, 1, 1)),
     }  # fmt: skip
     for name, source in sources.items():
-        found = elastostatics.position_bound(source[0], q, TOOL, wrench, *source[1:])
+        found = elastostatics.position_bound(source[0], q, FAR_OFFSET_TOOL, wrench, *source[1:])
         np.testing.assert_allclose(found, [length_95(one) for one in expected[name]], rtol=0.02, err_msg=name)
     whole = by_parameters + by_force[1] + by_discrepancy + by_geometry
-    found = elastostatics.position_bound(everything[0], q, TOOL, wrench, *everything[1:])
+    found = elastostatics.position_bound(everything[0], q, FAR_OFFSET_TOOL, wrench, *everything[1:])
     np.testing.assert_allclose(found, [length_95(one) for one in whole], rtol=0.02)
 
 
@@ -489,18 +493,20 @@ def test_the_bound_of_each_source_alone_is_that_of_its_covariance(name, series):
 
     def bound(size):
         changed, forces = given(size)
-        return elastostatics.position_bound(changed, q, TOOL, wrench, forces, own, turning)[0]
+        return elastostatics.position_bound(changed, q, FAR_OFFSET_TOOL, wrench, forces, own, turning)[0]
 
     nothing = dict.fromkeys(SOURCES, 0.0)
     changed, forces = given(nothing | {name: 1.0})
-    reach = kinematics.tcp(changed.loaded, elastostatics.coordinates(changed, q), TOOL)[1][0, :3]
+    reach = kinematics.tcp(changed.loaded, elastostatics.coordinates(changed, q), FAR_OFFSET_TOOL)[1][0, :3]
     flanks = np.array([value * reach[:, changed.row(term)] for term, value in changed.terms])
     covariance = flanks.T @ flanks
     if name in ("A3", "compensator"):
-        by_parameter = elastostatics.sensitivity(changed, q, TOOL, wrench)[0]
+        by_parameter = elastostatics.sensitivity(changed, q, FAR_OFFSET_TOOL, wrench)[0]
         covariance = by_parameter @ changed.covariance.matrix @ by_parameter.T
     if name == "forces":
-        compliance = elastostatics.linear_compliance(changed, q, TOOL, wrench)[0] + (0.0 if own is None else own[0])
+        compliance = elastostatics.linear_compliance(changed, q, FAR_OFFSET_TOOL, wrench)[0] + (
+            0.0 if own is None else own[0]
+        )
         covariance = compliance[:3] @ forces[0] @ forces[0].T @ compliance[:3].T
     if name in ("discrepancy", "geometry"):
         force = np.linalg.norm(wrench)
@@ -520,10 +526,10 @@ def test_the_bound_counts_the_flanks_of_gears_by_how_far_their_torque_is_from_tu
     turning = np.zeros((3, 6), dtype=bool)
     turning[1, [0, 4]] = True
     model = replace(model, covariance=robot.Covariance.of([], np.zeros((0, 0))))
-    found = elastostatics.position_bound(model, q, TOOL, wrench, turning=turning)
+    found = elastostatics.position_bound(model, q, FAR_OFFSET_TOOL, wrench, turning=turning)
     expected = []
     for n in range(3):
-        tcp, loaded, bare = arm.loads(TOOL)
+        tcp, loaded, bare = arm.loads(FAR_OFFSET_TOOL)
         x = arm.held_by_motors(q[n])
         jacobian, rest = tcp(x)[1], 0.0 * x if arm.rigid else bare(x)
         torque = jacobian.T @ wrench[n] - loaded(x) + rest
@@ -541,18 +547,20 @@ def test_the_bound_counts_the_flanks_of_gears_by_how_far_their_torque_is_from_tu
 
 def test_sensitivity_without_parameters_is_empty_and_with_a_spring_that_is_none_an_error():
     model, _, q, wrench = arms(0, GRAVITIES[0])
-    assert elastostatics.sensitivity(replace(model, covariance=None), q, TOOL, wrench).shape == (3, 3, 0)
+    assert elastostatics.sensitivity(replace(model, covariance=None), q, FAR_OFFSET_TOOL, wrench).shape == (3, 3, 0)
     slack = replace(
         model, compensator=replace(model.compensator, stiffness=0.0), covariance=robot.Covariance.of(["s_0"], np.eye(1))
     )
     with pytest.raises(ModelError, match="no spring"):
-        elastostatics.sensitivity(slack, q, TOOL, wrench)
+        elastostatics.sensitivity(slack, q, FAR_OFFSET_TOOL, wrench)
 
 
 def test_a_parameter_that_the_robot_does_not_have_is_an_error():
     model, _, q, wrench = arms(0, GRAVITIES[0])
     x = balance.elastic_coordinates(model, q.T)
-    state = balance.Balance.at(model, x, balance.balanced_torque(model, x), kinematics.components(TOOL), wrench.T)
+    state = balance.Balance.at(
+        model, x, balance.balanced_torque(model, x), kinematics.components(FAR_OFFSET_TOOL), wrench.T
+    )
     for lacks, name in ((replace(state, robot=replace(model, compensator=None)), "K_c"), (state, "A4.X")):
         with pytest.raises(ModelError, match="which the model does not have"):
             balance.twist_by_parameter(lacks, state.spring_jacobian(), parameters.parameter_of_name(name), x)
@@ -566,11 +574,11 @@ def test_a_soft_arm_is_solved_as_exactly_as_a_stiff_one(compliance):
     model, arm = robot.assemble("soft", file, urdf.read(KUKA, "soft.urdf")), WholeArm(KUKA, file)
     _, _, q, wrench = arms(0, GRAVITIES[0])
     wrench *= 0.3
-    theta = elastostatics.deflect(model, q, TOOL, wrench).theta
-    expected = np.array([arm.equilibrium(q[row], TOOL, wrench[row])[0] for row in range(len(q))])
+    theta = elastostatics.deflect(model, q, FAR_OFFSET_TOOL, wrench).theta
+    expected = np.array([arm.equilibrium(q[row], FAR_OFFSET_TOOL, wrench[row])[0] for row in range(len(q))])
     np.testing.assert_allclose(theta, expected, rtol=0, atol=5e-10)  # rad; deflections of 10 to 20 mrad
     x = (elastostatics.coordinates(model, q) + expected).T
-    there = kinematics.posture(model.loaded, x, kinematics.components(TOOL), weigh=True)
+    there = kinematics.posture(model.loaded, x, kinematics.components(FAR_OFFSET_TOOL), weigh=True)
     load = np.einsum("ikn,ni->kn", there.jacobian(), wrench)
     springs = springs_at_target(model, x, load, balance.static_torque(model, x, there))
     np.testing.assert_allclose(springs.T, expected, rtol=0, atol=3e-9)

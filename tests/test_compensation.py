@@ -10,9 +10,9 @@ import pytest
 from postproc import elastostatics, frames, kinematics, robot
 from postproc.elastostatics import compensate
 from postproc.errors import NotConvergedError
+from tests.kr270 import TOOL
 from tests.oracle.arm import Arm
 
-TOOL = frames.pose_from_xyzabc([0.0, 0.0, 350.0, 0.0, 0.0, 0.0])
 START = np.radians([5.0, -70.0, 105.0, 20.0, 50.0, 30.0])
 
 

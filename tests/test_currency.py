@@ -14,7 +14,7 @@ from postproc.jobs.runs import convert_all
 from tests.places import ROOT
 
 PROGRAM = "G17 G21 G90 G54\nT1 M6\nS9000 M3\nG0 X-20 Y10 Z10\nG0 Z-2\nG1 X40 F600\nG0 Z30\nM30\n"
-CELL = """robot = "../model"
+CELL_WITH_MESH = """robot = "../model"
 config_dat = "config.dat"
 [base]
 X = 1500
@@ -63,18 +63,18 @@ def made(folder):
     results = folder / "corrected"
     results.mkdir(parents=True)
     shutil.copytree(robot.shipped_models()["kuka_kr270"], folder / "model")
-    contents = {"cell.toml": CELL, "part.process.toml": PROCESS, "material.toml": MATERIAL}
+    contents = {"cell.toml": CELL_WITH_MESH, "part.process.toml": PROCESS, "material.toml": MATERIAL}
     contents["config.dat"] = "DEFDAT $CONFIG PUBLIC\nDECL FRAME BASE_DATA[16]\nENDDAT\n"
     for name, text in contents.items():
         (results / name).write_text(text)
     for name in ("table.stl", "stock.stl"):
         shutil.copy(ROOT / "samples" / "plate.blank.stl", results / name)
     (folder / "part.nc").write_text(PROGRAM)
-    convert(folder)
+    convert_shop(folder)
     return folder
 
 
-def convert(folder, forces="part.process.toml"):
+def convert_shop(folder, forces="part.process.toml"):
     results = folder / "corrected"
     jobs = find_jobs([str(folder / "part.nc")], forces=forces and results / forces, output=results)
     (outcome,) = convert_all(jobs, Settings(cell=results / "cell.toml"))
@@ -122,7 +122,7 @@ def test_without_one_of_its_files_a_result_is_not_current(folder, name):
 
 def test_a_process_that_is_new_or_gone_counts(folder):
     assert changes(folder, forces=None) != ()
-    convert(folder, forces=None)
+    convert_shop(folder, forces=None)
     assert changes(folder, forces=None) == ()
     assert changes(folder) != ()
 
@@ -170,17 +170,19 @@ LIN DEPTH
 CUT()
 END
 """
-DATA = "DEFDAT part\nDECL FRAME DEPTH={X 0,Y 0,Z 0,A 180,B 0,C 180}\nENDDAT\n"
+DEPTH_DAT = "DEFDAT part\nDECL FRAME DEPTH={X 0,Y 0,Z 0,A 180,B 0,C 180}\nENDDAT\n"
 
 
 @pytest.mark.parametrize("name", ["part.src", "part.dat", "CUT.src"])
 def test_data_and_subprograms_of_a_krl_program_count(tmp_path, name):
     folder, results = tmp_path, tmp_path / "corrected"
     results.mkdir()
-    for file, text in {"part.src": MAIN, "part.dat": DATA, "CUT.src": SUBPROGRAM}.items():
+    for file, text in {"part.src": MAIN, "part.dat": DEPTH_DAT, "CUT.src": SUBPROGRAM}.items():
         (folder / file).write_text(text)
     cell = results / "cell.toml"
-    cell.write_text(CELL.replace("../model", "kuka_kr270").replace('config_dat = "config.dat"\n', "").split("[coll")[0])
+    cell.write_text(
+        CELL_WITH_MESH.replace("../model", "kuka_kr270").replace('config_dat = "config.dat"\n', "").split("[coll")[0]
+    )
     (outcome,) = convert_all(find_jobs([str(folder / "part.src")], output=results), Settings(cell=cell))
     assert outcome.summary is not None, (outcome.message, outcome.issues)
 

@@ -9,25 +9,26 @@ from pathlib import Path
 import pytest
 
 from tests import commands
+from tests.dialects.gcode_reading import AT_Z10
 from tests.places import CELL_FILE
 
-HEAD = "G21 G90 G17\nG0 X0 Y0 Z10\nG1 Z-1 F600\n"
+PLUNGE = AT_Z10 + "G1 Z-1 F600\n"
 
 
 @pytest.fixture(autouse=True)
 def input_files(work_folder):
     cell(20)
-    program(60)
+    write_zigzag(60)
 
 
 def cell(limit: int) -> None:
     Path("cell.toml").write_text(CELL_FILE.read_text().replace("[output]", f"[output]\nlines_per_file = {limit}"))
 
 
-def program(count: int, name: str = "part.nc", forces: bool = True) -> None:
+def write_zigzag(count: int, name: str = "part.nc", forces: bool = True) -> None:
     force = "(FORCE FX=100 FY=-150 FZ=80)\n" if forces else ""
     lines = "".join(f"G1 X{0.1 * n:.1f} Y{n % 7 * 0.1:.1f}\n" for n in range(count))
-    Path(name).write_text(HEAD + force + lines + "G0 Z10\nM2\n")
+    Path(name).write_text(PLUNGE + force + lines + "G0 Z10\nM2\n")
 
 
 run = partial(commands.run, cell="cell.toml")
@@ -142,7 +143,7 @@ def test_a_nominal_program_in_files_is_corrected_in_its_files():
 
 
 def test_without_forces_the_files_come_back_byte_for_byte():
-    program(60, forces=False)
+    write_zigzag(60, forces=False)
     run("convert", "part.nc", "--nominal", "-o", "out")
     run("convert", "out/partMain.src", "-o", "again")
     for name in sources():
@@ -152,7 +153,7 @@ def test_without_forces_the_files_come_back_byte_for_byte():
 def test_parts_of_an_earlier_run_go():
     run("convert", "part.nc", "-o", "out")
     before = sources()
-    program(20)
+    write_zigzag(20)
     run("convert", "part.nc", "-o", "out")
     assert {"partMain.src", "part1.src"} <= sources() < before
     cell(0)
@@ -168,7 +169,7 @@ def test_a_part_that_was_changed_is_not_removed():
     last = max(Path("out").glob("part[0-9].src"))
     last.write_text("mine")
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
-    program(5)
+    write_zigzag(5)
     assert last.name in run("convert", "part.nc", "-o", "out", code=1).stderr
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
     run("convert", "part.nc", "-o", "out", "--overwrite")
@@ -184,7 +185,7 @@ def test_a_file_of_somebody_else_in_the_way_is_kept():
 
 def test_what_an_earlier_run_wrote_is_set_aside_whole():
     run("convert", "part.nc", "-o", "out")
-    Path("part.nc").write_text(HEAD + "G1 X1e9\n")
+    Path("part.nc").write_text(PLUNGE + "G1 X1e9\n")
     run("convert", "part.nc", "-o", "out", code=1)
     assert not sources()
     assert Path("out/partMain.src.old").exists()
@@ -192,13 +193,13 @@ def test_what_an_earlier_run_wrote_is_set_aside_whole():
 
 def test_another_program_of_the_run_is_not_replaced():
     cell(45)
-    program(5, "part2.nc")
+    write_zigzag(5, "part2.nc")
     done = run("convert", "part.nc", "part2.nc", "-o", "out", code=1)
     assert "part.nc also writes part2.src" in done.stderr
     assert "also written in this run" in done.stderr
     text = Path("out/part2.src").read_text()
     assert "part=2" not in text
-    program(5)
+    write_zigzag(5)
     run("convert", "part.nc", "part2.nc", "-o", "short")
     assert sources("short") == {"part.src", "part2.src"}
 

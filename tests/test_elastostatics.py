@@ -10,10 +10,9 @@ from postproc import elastostatics, frames, kinematics, robot
 from postproc.elastostatics import balance
 from postproc.elastostatics.equilibrium import springs_at_target
 from postproc.errors import NotConvergedError
-from tests.kr270 import FOLDER, ROBOT
+from tests.kr270 import FOLDER, ROBOT, TURNED_TOOL
 from tests.oracle.arm import Arm
 
-TOOL = frames.pose_from_xyzabc([30.0, -20.0, 350.0, 10.0, -20.0, 30.0])
 ROBOTS = sorted(robot.shipped_models())
 
 
@@ -35,10 +34,10 @@ def test_deflection_equals_the_energy_oracle_at_2700_N_and_300_Nm(pair):
     q = rng.uniform(model.lower, model.upper, (12, 6))
     scale = 1.0 if model.name == "kuka_kr270" else 0.2
     wrench = loads(rng, len(q), 2700.0 * scale, 300.0 * scale)
-    state = elastostatics.deflect(model, q, TOOL, wrench)
+    state = elastostatics.deflect(model, q, TURNED_TOOL, wrench)
     for row in range(len(q)):
-        tip = arm.loaded_tcp(q[row], TOOL, wrench[row])
-        expected = tip[:3, 3] - arm.tcp(q[row], TOOL)[:3, 3]
+        tip = arm.loaded_tcp(q[row], TURNED_TOOL, wrench[row])
+        expected = tip[:3, 3] - arm.tcp(q[row], TURNED_TOOL)[:3, 3]
         assert np.linalg.norm(state.twist[row, :3] - expected) <= 1e-6 * np.linalg.norm(expected)
         np.testing.assert_allclose(state.pose[row], tip, atol=1e-8)
 
@@ -55,9 +54,9 @@ def test_payload_and_rigid_reference_equal_the_oracle(pair):
     loaded = replace(model, subtract_reference=False).with_payload(60.0, centre)
     arm = dataclasses.replace(arm, rigid=True, payload=(60.0, centre))
     wrench = loads(rng, len(q), 200.0, 20.0)
-    state = elastostatics.deflect(loaded, q, TOOL, wrench)
+    state = elastostatics.deflect(loaded, q, TURNED_TOOL, wrench)
     for row in range(len(q)):
-        np.testing.assert_allclose(state.pose[row], arm.loaded_tcp(q[row], TOOL, wrench[row]), atol=2e-9)
+        np.testing.assert_allclose(state.pose[row], arm.loaded_tcp(q[row], TURNED_TOOL, wrench[row]), atol=2e-9)
 
 
 def test_springs_at_a_known_actual_pose_invert_the_deflection(pair):
@@ -65,9 +64,9 @@ def test_springs_at_a_known_actual_pose_invert_the_deflection(pair):
     rng = np.random.default_rng(3)
     q = rng.uniform(model.lower, model.upper, (200, 6))
     wrench = loads(rng, len(q), 500.0, 50.0)
-    state = elastostatics.deflect(model, q, TOOL, wrench)
+    state = elastostatics.deflect(model, q, TURNED_TOOL, wrench)
     x = (q + state.theta).T
-    stands = kinematics.posture(model.loaded, x, kinematics.components(TOOL), weigh=True)
+    stands = kinematics.posture(model.loaded, x, kinematics.components(TURNED_TOOL), weigh=True)
     load = np.einsum("ikn,ni->kn", stands.jacobian(), wrench)
     found = springs_at_target(model, x, load, balance.static_torque(model, x, stands))
     np.testing.assert_allclose(found, state.theta.T, atol=1e-8)  # rad: what is asked of the correction
@@ -81,8 +80,8 @@ def test_linear_model_is_the_limit_for_small_loads_and_differs_with_the_square_o
     gap = []
     small = 100.0 * min(1.0, 2e-6 / float(model.compliance[0]))  # N; a load that hardly bends a small arm either
     for size in (small, 2.0 * small):
-        state = elastostatics.deflect(model, q, TOOL, size * direction)
-        linear = elastostatics.linear_deflection(model, q, TOOL, size * direction)
+        state = elastostatics.deflect(model, q, TURNED_TOOL, size * direction)
+        linear = elastostatics.linear_deflection(model, q, TURNED_TOOL, size * direction)
         gap.append(np.linalg.norm((linear - state.twist)[:, :3], axis=1) / size**2)
         assert np.median(gap[-1] * size**2 / np.linalg.norm(state.twist[:, :3], axis=1)) < 2e-3
     np.testing.assert_allclose(np.median(gap[1] / gap[0]), 1.0, atol=0.05)
@@ -93,14 +92,14 @@ def test_cartesian_stiffness_is_the_inverse_of_finite_differences_of_the_equilib
     rng = np.random.default_rng(5)
     q = rng.uniform(model.lower, model.upper, (5, 6))
     wrench = np.zeros((5, 6))
-    stiffness = elastostatics.cartesian_stiffness(model, q, TOOL, wrench)
-    compliance = elastostatics.tangent_compliance(model, q, TOOL, wrench)
+    stiffness = elastostatics.cartesian_stiffness(model, q, TURNED_TOOL, wrench)
+    compliance = elastostatics.tangent_compliance(model, q, TURNED_TOOL, wrench)
     np.testing.assert_allclose(stiffness @ compliance, np.tile(np.eye(6), (5, 1, 1)), atol=1e-8)
     for column, step in enumerate((200.0, 200.0, 200.0, 40.0, 40.0, 40.0)):
         change = np.zeros((5, 6))
         change[:, column] = step
-        plus = elastostatics.deflect(model, q, TOOL, change).twist
-        minus = elastostatics.deflect(model, q, TOOL, -change).twist
+        plus = elastostatics.deflect(model, q, TURNED_TOOL, change).twist
+        minus = elastostatics.deflect(model, q, TURNED_TOOL, -change).twist
         slope = (plus - minus) / (2 * step)
         scale = np.abs(compliance[:, :, column]).max(axis=1, keepdims=True)
         np.testing.assert_allclose(slope / scale, compliance[:, :, column] / scale, atol=2e-4)
@@ -130,9 +129,9 @@ def test_a_load_beyond_the_springs_is_an_error_and_not_a_number(pair):
     model, _ = pair
     q = np.radians([[0.0, -70.0, 110.0, 0.0, 50.0, 0.0]])
     with pytest.raises(NotConvergedError):
-        elastostatics.deflect(model, q, TOOL, np.array([[np.nan, 0, 0, 0, 0, 0]]))
+        elastostatics.deflect(model, q, TURNED_TOOL, np.array([[np.nan, 0, 0, 0, 0, 0]]))
     with pytest.raises(NotConvergedError):
-        elastostatics.deflect(model, q, TOOL, np.array([[0.0, 0, -5e7, 0, 0, 0]]))
+        elastostatics.deflect(model, q, TURNED_TOOL, np.array([[0.0, 0, -5e7, 0, 0, 0]]))
 
 
 def test_the_compliance_of_a_robot_without_masses_needs_no_pinocchio(monkeypatch):
@@ -142,11 +141,11 @@ def test_the_compliance_of_a_robot_without_masses_needs_no_pinocchio(monkeypatch
     chain = replace(whole.nominal, mass=np.zeros(6))
     light = replace(whole, nominal=chain, actual=chain, loaded=chain, compensator=None)
     q = np.radians([[10.0, -70.0, 105.0, 20.0, 50.0, 30.0]])
-    linear = [arm.gradient(lambda x, k=k: arm.tcp(x, TOOL)[k, 3], q[0]) for k in range(3)]
+    linear = [arm.gradient(lambda x, k=k: arm.tcp(x, TURNED_TOOL)[k, 3], q[0]) for k in range(3)]
     jacobian = np.array([*linear, *(arm.moment_torque(q[0], axis) for axis in np.eye(3))])
-    found = elastostatics.tangent_compliance(light, q, TOOL, np.zeros((1, 6)))[0]
+    found = elastostatics.tangent_compliance(light, q, TURNED_TOOL, np.zeros((1, 6)))[0]
     np.testing.assert_allclose(found, jacobian @ np.diag(1.0 / arm.stiffness) @ jacobian.T, rtol=1e-9, atol=1e-15)
-    rigid = elastostatics.deflect(replace(light, subtract_reference=False), q, TOOL, np.zeros((1, 6)))
+    rigid = elastostatics.deflect(replace(light, subtract_reference=False), q, TURNED_TOOL, np.zeros((1, 6)))
     assert not rigid.theta.any()
 
 
@@ -157,7 +156,7 @@ def test_the_linear_compliance_is_the_exact_one_but_for_the_torques_that_change_
     random = np.random.default_rng(5)
     q = random.uniform(np.maximum(model.lower, -1.5), np.minimum(model.upper, 1.5), (50, 6))
     wrench = np.concatenate([random.normal(0.0, 300.0, (50, 3)), random.normal(0.0, 20.0, (50, 3))], axis=1)
-    linear = elastostatics.linear_compliance(model, q, TOOL, wrench)[:, :3]
-    exact = elastostatics.tangent_compliance(model, q, TOOL, wrench)[:, :3]
+    linear = elastostatics.linear_compliance(model, q, TURNED_TOOL, wrench)[:, :3]
+    exact = elastostatics.tangent_compliance(model, q, TURNED_TOOL, wrench)[:, :3]
     difference = np.linalg.norm(linear - exact, axis=(1, 2)) / np.linalg.norm(exact, axis=(1, 2))
     assert 0.0 < difference.max() < 0.005  # of the compliance

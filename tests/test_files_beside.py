@@ -27,7 +27,7 @@ def input_files(work_folder):
     Path("in").mkdir()
 
 
-def program(name: str, *lines: str, force: int = 200, to: float = 50) -> None:
+def write_cut(name: str, *lines: str, force: int = 200, to: float = 50) -> None:
     cut = f";FORCE FX={force} FY=100 FZ=-100", "LIN {X 0,Y 0,Z 10,A 0,B 0,C 180}", f"LIN {{X {to}}}", "END", ""
     Path(f"in/{name}.src").write_text(f"DEF {name}( )\n{START}" + "\n".join([*lines, *cut]))
 
@@ -41,7 +41,7 @@ def names(folder: str = "out") -> set[str]:
 
 def needs(name: str = "one") -> dict[str, bytes]:
     """A program, and the files beside it that it needs; others stand there too."""
-    program(name, "frames( )", "LIN AWAY", '$MSG_T.MSG[]="other( )" ;other( )')
+    write_cut(name, "frames( )", "LIN AWAY", '$MSG_T.MSG[]="other( )" ;other( )')
     files = {
         "frames.src": FRAMES,
         "more.SRC": MORE,
@@ -100,7 +100,7 @@ def test_a_second_conversion_replaces_and_removes_what_the_first_wrote():
     Path("in/more.SRC").write_bytes(MORE.replace(b"1500", b"1501"))
     run("convert", "in/one.src", "-o", "out")
     assert b"1501" in Path("out/more.SRC").read_bytes()
-    program("one", "LIN AWAY")
+    write_cut("one", "LIN AWAY")
     run("convert", "in/one.src", "-o", "out")
     assert names() == {"one.src", "points.dat"}
 
@@ -126,7 +126,7 @@ def test_programs_of_one_folder_share_them(jobs):
     needs("two")
     run("convert", "in/one.src", "in/two.src", "-o", "out", "--jobs", jobs)
     assert names() == {"one.src", "two.src", *files}
-    program("two")
+    write_cut("two")
     run("convert", "in/two.src", "-o", "out")
     assert names() == {"one.src", "two.src", *files}  # the other one needs them still
     needs("two")
@@ -156,8 +156,8 @@ END
 @pytest.mark.parametrize("jobs", [None, "1", "2"])
 def test_one_program_needs_as_it_is_what_is_corrected_for_another(order, jobs):
     """The routines that move nothing are the same in both."""
-    program("cuts", "Ready( )", ";FORCE FX=300 FY=0 FZ=0", "Across( )")
-    program("sets", "Ready( )")
+    write_cut("cuts", "Ready( )", ";FORCE FX=300 FY=0 FZ=0", "Across( )")
+    write_cut("sets", "Ready( )")
     Path("in/lib.src").write_text(LIBRARY)
     Path("in/lib.dat").write_text("DEFDAT lib\nDECL POS PX={X 20,Y 20,Z 0,A 0,B 0,C 180}\nENDDAT\n")
     if jobs is None:
@@ -176,7 +176,7 @@ def test_one_program_needs_as_it_is_what_is_corrected_for_another(order, jobs):
 
 def test_what_is_not_followed_is_not_left_to_what_was_corrected_for_another():
     Path("in/sub.src").write_text("DEF sub()\nLIN {X 20,Y 20,Z 0,A 0,B 0,C 180}\nPTP $POS_ACT\nEND\n")
-    program("cuts", ";FORCE FX=300 FY=0 FZ=0", "sub( )")
+    write_cut("cuts", ";FORCE FX=300 FY=0 FZ=0", "sub( )")
     run("convert", "in/cuts.src", "-o", "out")
     corrected = Path("out/sub.src").read_bytes()
     assert corrected != Path("in/sub.src").read_bytes()
@@ -198,12 +198,12 @@ def test_what_is_not_followed_is_not_left_to_what_was_corrected_for_another():
 @pytest.mark.parametrize("order", [("other", "one"), ("one", "other")])
 @pytest.mark.parametrize("together", [True, False])
 def test_the_data_of_another_program_are_left_to_it(order, together):
-    program("other", "LIN P1")
+    write_cut("other", "LIN P1")
     data = POINTS.replace("points", "other").replace("ENDDAT", "DECL POS P1={X 1,Y 2,Z 3,A 0,B 0,C 180}\nENDDAT")
     Path("in/other.dat").write_text(data)
     text = Path("in/other.src").read_text().replace("LIN P1", "LIN {X 0,Y 0,Z 20,A 0,B 0,C 180}\n;FORCE FX=200\nLIN P1")
     Path("in/other.src").write_text(text)
-    program("one", "LIN AWAY")
+    write_cut("one", "LIN AWAY")
     for names_ in [order] if together else [(name,) for name in order]:
         run("convert", *(f"in/{name}.src" for name in names_), "-o", "out")
     assert names() == {"one.src", "other.src", "other.dat"}
@@ -214,7 +214,7 @@ def test_the_data_of_another_program_are_left_to_it(order, together):
 
 def test_what_a_corrected_subprogram_and_a_data_list_need_is_written_too():
     files = needs("unused")
-    program("one", "Across( )")
+    write_cut("one", "Across( )")
     Path("in/lib.src").write_text(LIBRARY.replace("LIN PX", "frames( )\nLIN {X 20,Y 20,Z 0,A 0,B 0,C 180} ;points( )"))
     Path("in/one.dat").write_text("DEFDAT one\nIMPORT REAL FAR IS /R1/bystander..FAR\nENDDAT\n")
     run("convert", "in/one.src", "-o", "out")
@@ -237,7 +237,7 @@ def test_a_global_point_that_only_a_subprogram_names_is_known(through):
     Path("in/points.dat").write_text(POINTS)
     Path("in/first.src").write_text("DEF first( )\nsub( )\nEND\n")
     Path("in/sub.src").write_text("DEF sub( )\nLIN AWAY\nEND\n")
-    program("one", through)
+    write_cut("one", through)
     run("convert", "in/one.src", "-o", "out")
     assert Path("out/points.dat").read_text() == POINTS
     rows = Path("out/one.targets.csv").read_text().splitlines()

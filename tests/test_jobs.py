@@ -17,7 +17,7 @@ from tests.places import CELL_FILE
 @pytest.fixture
 def computed(monkeypatch):
     """Replace the computation: every program gives a made-up result."""
-    monkeypatch.setattr("postproc.correction.read", lambda *_: fabricated.program())
+    monkeypatch.setattr("postproc.correction.read", lambda *_: fabricated.zigzag_program())
     monkeypatch.setattr("postproc.correction.process", lambda *_, **__: fabricated.result())
 
 
@@ -263,7 +263,7 @@ def test_a_subprogram_of_a_folder_is_skipped_and_said_to_be_one(work_folder, com
     def read(documents, *_):
         if documents[0].name == "sub.nc":
             raise SubprogramError("this is a subprogram, O<sub>", file="sub.nc")
-        return fabricated.program()
+        return fabricated.zigzag_program()
 
     monkeypatch.setattr("postproc.correction.read", read)
     _touch("p/part.nc", "p/sub.nc")

@@ -10,10 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from postproc import frames, kinematics, robot
 from postproc.errors import ModelError, PostprocError
-from tests.kr270 import FOLDER, ROBOT
+from tests.kr270 import FOLDER, ROBOT, TURNED_TOOL
 from tests.oracle.arm import Arm
 
-TOOL = frames.pose_from_xyzabc([30.0, -20.0, 350.0, 10.0, -20.0, 30.0])
 STEP = 1e-6
 OFFSET_AND_FOREARM = {
     "abb_irb6700_200_260": (-200, 1142.5),
@@ -49,17 +48,17 @@ def test_forward_after_inverse_returns_20_000_random_poses(model):
 def test_forward_kinematics_equals_the_oracle_read_from_the_urdf(model):
     arm = Arm.load(robot.find(model.name))
     q = np.random.default_rng(2).uniform(model.lower, model.upper, (20, 6))
-    pose, _ = kinematics.tcp(model.nominal, q, TOOL)
-    np.testing.assert_allclose(pose, [arm.tcp(row, TOOL) for row in q], atol=1e-12)
+    pose, _ = kinematics.tcp(model.nominal, q, TURNED_TOOL)
+    np.testing.assert_allclose(pose, [arm.tcp(row, TURNED_TOOL) for row in q], atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [0, 64, 65, 67])
 def test_many_configurations_at_once_are_each_what_they_are_alone(model, count):
     q = np.random.default_rng(6).uniform(model.lower, model.upper, (count, 6))
-    together = (*kinematics.tcp(model.loaded, q, TOOL), kinematics.gravity_torque(model.loaded, q))
+    together = (*kinematics.tcp(model.loaded, q, TURNED_TOOL), kinematics.gravity_torque(model.loaded, q))
     for row in range(count):
         one = q[row : row + 1]
-        alone = (*kinematics.tcp(model.loaded, one, TOOL), kinematics.gravity_torque(model.loaded, one))
+        alone = (*kinematics.tcp(model.loaded, one, TURNED_TOOL), kinematics.gravity_torque(model.loaded, one))
         for one, all_ in zip(alone, together, strict=True):
             np.testing.assert_allclose(one[0], all_[row], rtol=1e-12, atol=1e-9)
     assert [len(part) for part in together] == [count] * 3
@@ -80,21 +79,21 @@ def test_positive_a1_turns_clockwise_seen_from_above_and_positive_a2_lowers_the_
 
 def test_jacobian_equals_central_differences_of_the_pose(model):
     q = np.random.default_rng(3).uniform(model.lower, model.upper, (50, 6))
-    _, jacobian = kinematics.tcp(model.nominal, q, TOOL)
+    _, jacobian = kinematics.tcp(model.nominal, q, TURNED_TOOL)
     for joint in range(6):
         change = np.eye(6)[joint] * STEP
-        plus, minus = (kinematics.tcp(model.nominal, q + sign * change, TOOL)[0] for sign in (1, -1))
+        plus, minus = (kinematics.tcp(model.nominal, q + sign * change, TURNED_TOOL)[0] for sign in (1, -1))
         np.testing.assert_allclose(frames.twist_between(minus, plus) / (2 * STEP), jacobian[:, :, joint], atol=1e-8)
 
 
 def test_load_stiffness_equals_differences_of_the_joint_torques_of_a_dead_load(model):
     rng = np.random.default_rng(4)
     q, wrench = rng.uniform(model.lower, model.upper, (50, 6)), rng.normal(size=(50, 6))
-    _, jacobian = kinematics.tcp(model.nominal, q, TOOL)
+    _, jacobian = kinematics.tcp(model.nominal, q, TURNED_TOOL)
     hessian = kinematics.load_stiffness(jacobian, wrench)
     for joint in range(6):
         change = np.eye(6)[joint] * STEP
-        plus, minus = (kinematics.tcp(model.nominal, q + sign * change, TOOL)[1] for sign in (1, -1))
+        plus, minus = (kinematics.tcp(model.nominal, q + sign * change, TURNED_TOOL)[1] for sign in (1, -1))
         slope = np.einsum("nij,ni->nj", (plus - minus) / (2 * STEP), wrench)
         np.testing.assert_allclose(slope, hessian[:, :, joint], atol=1e-8)
 
@@ -301,10 +300,10 @@ def test_margins_of_poses_with_tools_of_their_own_and_of_few_and_many_rows():
 def test_load_stiffness_of_a_force_or_moment_along_one_axis_alone(axis):
     q = np.random.default_rng(10).uniform(ROBOT.lower, ROBOT.upper, (3, 6))
     wrench = np.tile(np.eye(6)[axis], (3, 1))
-    hessian = kinematics.load_stiffness(kinematics.tcp(ROBOT.nominal, q, TOOL)[1], wrench)
+    hessian = kinematics.load_stiffness(kinematics.tcp(ROBOT.nominal, q, TURNED_TOOL)[1], wrench)
     for joint in range(6):
         change = np.eye(6)[joint] * STEP
-        plus, minus = (kinematics.tcp(ROBOT.nominal, q + sign * change, TOOL)[1] for sign in (1, -1))
+        plus, minus = (kinematics.tcp(ROBOT.nominal, q + sign * change, TURNED_TOOL)[1] for sign in (1, -1))
         np.testing.assert_allclose((plus - minus)[:, axis] / (2 * STEP), hessian[:, :, joint], atol=1e-8)
 
 

@@ -52,7 +52,7 @@ run = partial(commands.run, cell="cell.toml")
 @pytest.fixture(autouse=True)
 def input_files(work_folder):
     cell()
-    Path("job.nc").write_text(program())
+    Path("job.nc").write_text(job_with_tools())
 
 
 def cell(limit: float = LIMIT, *, divided: bool = True, **lines: str) -> None:
@@ -70,7 +70,7 @@ def operation(number: int, moves: int = 30, force: str = "(FORCE FX=100 FY=-150 
     return f"(OPERATION {number})\nG0 X{x} Y0\nZ5\n{force}G1 Z-1 F300\nF900\n{cuts}{arc}G0 Z50\n"
 
 
-def program(count: int = 7, force: str = "(FORCE FX=100 FY=-150 FZ=80)\n") -> str:
+def job_with_tools(count: int = 7, force: str = "(FORCE FX=100 FY=-150 FZ=80)\n") -> str:
     """Tools, work offsets, a home position, and the spindle at two speeds, between operations."""
     between = {
         2: "M9\nM5\nT2 M6\nS9000 M3\nG4 P2.5\nG0 X20 Y0\n",
@@ -170,7 +170,7 @@ def test_each_kind_of_event_is_switched_off_or_leaves_nothing_on():
 
 
 def test_what_the_program_switches_where_a_module_begins_is_not_switched_on_before():
-    Path("job.nc").write_text(program(3))
+    Path("job.nc").write_text(job_with_tools(3))
     third = converted()[2].read_text()
     begin = third.index("PTP {A1")
     assert third.index("$OUT[1]=FALSE", begin) < third.index("HALT", begin) < third.index("$OUT[1]=TRUE", begin)
@@ -229,7 +229,7 @@ def test_a_program_that_fits_is_written_as_before():
 
 
 def test_an_operation_that_is_too_large_is_refused_with_line_and_size():
-    text = program(2).replace("M9\nM5\nM30\n", "") + operation(2, 200) + "M30\n"
+    text = job_with_tools(2).replace("M9\nM5\nM30\n", "") + operation(2, 200) + "M30\n"
     Path("job.nc").write_text(text)
     told = run("convert", "job.nc", "-o", "out", code=1).stderr
     begin, end = (text[: text.rindex(block)].count("\n") + 1 for block in ("G0 X20 Y0", "G0 Z50"))
@@ -283,7 +283,7 @@ def test_lines_of_the_targets_count_on_from_module_to_module():
 def test_predict_finds_the_forces_of_each_module(in_file):
     options = []
     if in_file:
-        text = program(force="")
+        text = job_with_tools(force="")
         cuts = [n for n, line in enumerate(text.splitlines(), 1) if line.startswith(("G1 ", "G2 ", "G3 "))]
         Path("job.nc").write_text(text)
         table = "".join(f"{line},{100 + 40 * (n % 3)},-150,80,BASE\n" for n, line in enumerate(cuts))
@@ -316,7 +316,7 @@ def test_a_module_is_neither_corrected_again_nor_compared():
 def test_modules_of_an_earlier_run_go():
     run("convert", "job.nc", "-o", "out")
     before = sources()
-    Path("job.nc").write_text(program(3))
+    Path("job.nc").write_text(job_with_tools(3))
     run("convert", "job.nc", "-o", "out")
     assert sources() == before[: len(sources())] != before
     cell(divided=False)
@@ -347,7 +347,7 @@ def test_a_module_that_was_changed_is_not_replaced():
     run("convert", "job.nc", "-o", "out")
     sources()[-1].write_text("mine")
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
-    Path("job.nc").write_text(program(3))
+    Path("job.nc").write_text(job_with_tools(3))
     assert sources()[-1].name in run("convert", "job.nc", "-o", "out", code=1).stderr
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
     run("convert", "job.nc", "-o", "out", "--overwrite")
@@ -355,13 +355,13 @@ def test_a_module_that_was_changed_is_not_replaced():
 
 
 def test_names_that_clash():
-    Path("job_2.nc").write_text(program(1))
+    Path("job_2.nc").write_text(job_with_tools(1))
     done = run("convert", "job.nc", "job_2.nc", "-o", "out", code=1)
     assert "job.nc also writes job_2.src" in done.stderr
     assert sources() == [Path("out/job_2.src")]
     assert "module" not in Path("out/job_2.src").read_text().splitlines()[4]
     for name in ("abcdefghijklmnopqrstuvw1", "abcdefghijklmnopqrstuvw2"):
-        Path(f"{name}.nc").write_text(program())
+        Path(f"{name}.nc").write_text(job_with_tools())
     both = ["abcdefghijklmnopqrstuvw1.nc", "abcdefghijklmnopqrstuvw2.nc"]
     told = run("convert", *both, "-o", "long", "--overwrite", code=1).stderr
     assert "long/abcdefghijklmnopqrstuv_1.src: this file was written for abcdefghijklmnopqrstuvw1" in told

@@ -8,15 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from postproc import files, frames, kinematics, robot
+from postproc import files, kinematics, robot
 from postproc.errors import ModelError
 from postproc.robot import LINK_AXES, Displacement, LinkSprings, ModelFile, urdf
+from tests.kr270 import OFFSET_TOOL
 from tests.oracle.pinocchio_arm import JOINTS, Arm
 
 FOLDERS = robot.shipped_models()
 URDF = {name: (folder / "robot.urdf").read_text(encoding="utf-8") for name, folder in FOLDERS.items()}
 CONTENT = {name: files.read_toml(folder / "model.toml", ModelFile, ModelError) for name, folder in FOLDERS.items()}
-TOOL = frames.pose_from_xyzabc([130.0, -20.0, 350.0, 10.0, -20.0, 30.0])
 SEEDS = st.integers(0, 2**32 - 1)
 MANY = settings(max_examples=30, deadline=None)
 
@@ -50,7 +50,7 @@ def any_urdf(rng):
     return "".join(text) + "</robot>"
 
 
-def assert_equal(chain, arm, q, tool=TOOL):
+def assert_equal(chain, arm, q, tool=OFFSET_TOOL):
     pose, jacobian = kinematics.tcp(chain, q, tool)
     expected_pose, expected_jacobian = arm.tcp(q, tool)
     np.testing.assert_allclose(pose, expected_pose, rtol=0, atol=1e-12)
@@ -128,8 +128,8 @@ def test_the_stiffness_of_load_and_weights_equals_pinocchios_hessian(seed, name)
     rng = np.random.default_rng(seed)
     model, arm, q = changed(rng, name)
     wrench = rng.normal(size=(len(q), 6)) * [500, 500, 500, 50, 50, 50]
-    expected = arm.load_stiffness(q, TOOL, wrench)
-    _, jacobian = kinematics.tcp(model.loaded, q, TOOL)
+    expected = arm.load_stiffness(q, OFFSET_TOOL, wrench)
+    _, jacobian = kinematics.tcp(model.loaded, q, OFFSET_TOOL)
     np.testing.assert_allclose(kinematics.load_stiffness(jacobian, wrench), expected, rtol=0, atol=1e-9)
 
 

@@ -23,11 +23,11 @@ START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20
 def input_files(work_folder):
     Path("cell.toml").write_text(CELL_FILE.read_text())
     for name, force in (("one", 200), ("two", -300), ("three", 200)):
-        program(name, force)
+        write_caller(name, force)
     Path("sub.src").write_text("DEF sub()\nLIN {X 20,Y 20,Z 0,A 0,B 0,C 180}\nEND\n")
 
 
-def program(name: str, force: int) -> None:
+def write_caller(name: str, force: int) -> None:
     Path(f"{name}.src").write_text(
         f"DEF {name}( )\n{START};FORCE FX={force} FY=100 FZ=-100\nLIN {{X 0,Y 0,Z 10,A 0,B 0,C 180}}\nsub()\n"
         "LIN {X 50,Y 0,Z 10,A 0,B 0,C 180}\nEND\n"
@@ -92,10 +92,10 @@ def test_a_subprogram_that_cannot_have_another_name_is_not_replaced(more, sub, t
 def test_in_one_run_the_first_has_the_file_and_the_second_a_copy(jobs, before):
     if before:  # alike then, so that both use it
         for name in ("one", "two"):
-            program(name, 150)
+            write_caller(name, 150)
         run("convert", "one.src", "two.src", "-o", "out")
         for name, force in (("one", 200), ("two", -300)):
-            program(name, force)
+            write_caller(name, force)
     run("convert", "one.src", "two.src", "-o", "out", "--jobs", jobs, "--overwrite")
     assert {path.name for path in Path("out").glob("*.src*")} == {"one.src", "two.src", "sub.src", "sub_two.src"}
     assert not [path for path in Path("out").iterdir() if ".old" in path.name or path.name.startswith(".")]
@@ -264,9 +264,9 @@ def test_a_shared_file_that_was_changed_leaves_what_is_there():
 
 @pytest.mark.parametrize("force", [";FORCE FX=200 FY=0 FZ=0\n", ""])
 def test_a_routine_of_another_file_that_cannot_be_followed_is_refused_under_force(force):
-    program("one", 0)
+    write_caller("one", 0)
     if not force:
-        program("one", 200)
+        write_caller("one", 200)
     Path("sub.src").write_text(f"DEF sub()\n{force}LIN {{X 20,Y 20,Z 0,A 0,B 0,C 180}}\nLIN $POS_ACT:{{X 9}}\nEND\n")
     told = run("convert", "one.src", "-o", "out", code=1).stderr
     assert f"sub.src:{3 + bool(force)}: " in told
@@ -373,7 +373,7 @@ G_CODE = "G90 G21 G17\nG0 X0 Y0 Z20\n(FORCE FX=200 FY=0 FZ=0)\nG1 X50 F1000\nM30
 @pytest.mark.parametrize("force", [200, 0])
 def test_g_code_does_not_replace_the_subprogram_of_its_name_that_another_program_calls(more, force):
     if not force:  # the subprogram is copied, not corrected
-        program("one", 0)
+        write_caller("one", 0)
         Path("one.src").write_text(Path("one.src").read_text().replace(";FORCE FX=0 FY=100 FZ=-100", ""))
     run("convert", "one.src", "-o", "out")
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}

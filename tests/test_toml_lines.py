@@ -8,7 +8,7 @@ from postproc import cell
 from postproc.errors import CellError
 from postproc.files.toml_lines import line_of
 
-HEAD = 'robot = "kuka_kr270"\n[base]\nX = 1500  # [gcode]\n[tool]\nZ = 350\n'
+CELL_LINES = 'robot = "kuka_kr270"\n[base]\nX = 1500  # [gcode]\n[tool]\nZ = 350\n'
 
 
 @pytest.mark.parametrize(
@@ -26,7 +26,7 @@ HEAD = 'robot = "kuka_kr270"\n[base]\nX = 1500  # [gcode]\n[tool]\nZ = 350\n'
 )
 def test_the_line_of_a_wrong_key_or_value_is_named(tmp_path, text, line):
     path = tmp_path / "cell.toml"
-    path.write_text(HEAD.replace("[base]", f"{text}\n[base]") if line is None else HEAD + text)
+    path.write_text(CELL_LINES.replace("[base]", f"{text}\n[base]") if line is None else CELL_LINES + text)
     with pytest.raises(CellError) as caught:
         cell.load(path)
     assert caught.value.line == (2 if line is None else line)

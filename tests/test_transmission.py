@@ -12,12 +12,11 @@ from postproc.errors import ModelError
 from postproc.robot import LinkSprings
 from postproc.robot.model_file import TransmissionEntry
 from tests.commands import invoke
-from tests.kr270 import CONTENT, FOLDER
+from tests.kr270 import CONTENT, FOLDER, OFFSET_TOOL
 from tests.oracle.pinocchio_arm import Arm
 
 URDF = (FOLDER / "robot.urdf").read_text(encoding="utf-8")
 NOMINAL = robot.load(FOLDER).nominal
-TOOL = frames.pose_from_xyzabc([130.0, -20.0, 350.0, 10.0, -20.0, 30.0])
 KEYS = ("sin_urad", "cos_urad", "sin2_urad", "cos2_urad")
 
 
@@ -52,11 +51,13 @@ def test_the_arm_stands_where_pinocchio_puts_it_and_the_command_is_found_back(si
     x = elastostatics.coordinates(model, q)
     np.testing.assert_allclose(x, stands(amplitude, q), atol=1e-14)
     np.testing.assert_allclose(elastostatics.balance.joint_angles(model, x.T).T, q, atol=1e-13)
-    pose = elastostatics.deflect(model, q, TOOL, np.zeros((30, 6))).pose
-    np.testing.assert_allclose(pose, arm.tcp(stands(amplitude, q), TOOL)[0], atol=1e-12)
+    pose = elastostatics.deflect(model, q, OFFSET_TOOL, np.zeros((30, 6))).pose
+    np.testing.assert_allclose(pose, arm.tcp(stands(amplitude, q), OFFSET_TOOL)[0], atol=1e-12)
     assert model.geometry_is_nominal == (size == 0.0)
     # the controller knows nothing of it
-    np.testing.assert_array_equal(kinematics.tcp(model.nominal, q, TOOL)[0], kinematics.tcp(NOMINAL, q, TOOL)[0])
+    np.testing.assert_array_equal(
+        kinematics.tcp(model.nominal, q, OFFSET_TOOL)[0], kinematics.tcp(NOMINAL, q, OFFSET_TOOL)[0]
+    )
 
 
 @pytest.mark.parametrize("links", [{}, {"A2": LinkSprings(source="test", Y_um_per_N=0.05, RX_urad_per_Nm=0.2)}])
@@ -67,13 +68,16 @@ def test_a_loaded_tool_stands_at_its_target_as_pinocchio_puts_it(links, referenc
     model = with_waves(amplitude, links=links, gravity=msgspec.structs.replace(CONTENT.gravity, reference=reference))
     arm = Arm(URDF, springs=[(spring.link, spring.axis) for spring in model.link_springs])
     q = np.radians([5.0, -70.0, 105.0, 20.0, 50.0, 30.0]) + rng.uniform(-0.2, 0.2, (20, 6))
-    target, wrench = kinematics.tcp(model.nominal, q, TOOL)[0], rng.normal(size=(20, 6)) * [400, 400, 400, 30, 30, 30]
-    found = compensate(model, target, q, TOOL, wrench)
+    target, wrench = (
+        kinematics.tcp(model.nominal, q, OFFSET_TOOL)[0],
+        rng.normal(size=(20, 6)) * [400, 400, 400, 30, 30, 30],
+    )
+    found = compensate(model, target, q, OFFSET_TOOL, wrench)
     x = found.theta.copy()
     x[:, arm.actuated] += stands(amplitude, found.q)
-    np.testing.assert_allclose(arm.tcp(x, TOOL)[0], target, atol=1e-9)
-    np.testing.assert_allclose(found.pose, kinematics.tcp(NOMINAL, found.q, TOOL)[0], atol=1e-12)
-    loaded = elastostatics.deflect(model, found.q, TOOL, wrench)
+    np.testing.assert_allclose(arm.tcp(x, OFFSET_TOOL)[0], target, atol=1e-9)
+    np.testing.assert_allclose(found.pose, kinematics.tcp(NOMINAL, found.q, OFFSET_TOOL)[0], atol=1e-12)
+    loaded = elastostatics.deflect(model, found.q, OFFSET_TOOL, wrench)
     np.testing.assert_allclose(loaded.pose, target, atol=2e-8)
     np.testing.assert_allclose(loaded.theta, found.theta, atol=2e-8)
 

@@ -9,7 +9,7 @@ from postproc import robot
 from postproc.jobs.cell_picture import cell_picture
 from tests.oracle.arm import Arm, abc
 
-CELL = """robot = "{name}"
+CELL_OF_ROBOT = """robot = "{name}"
 [base]
 X = 1500
 Y = -200
@@ -27,7 +27,7 @@ START = "[start]\njoints = [20, -80, 95, 15, 60, -30]\n"
 @pytest.mark.parametrize(("start", "angles"), [(START, (20, -80, 95, 15, 60, -30)), ("", (0, -90, 100, 0, 80, 0))])
 def test_tip_and_base_are_where_the_controller_has_them(tmp_path, name, start, angles):
     path = tmp_path / "cell.toml"
-    path.write_text(CELL.format(name=name) + start)
+    path.write_text(CELL_OF_ROBOT.format(name=name) + start)
     picture = cell_picture(path)
     arm = Arm.load(robot.shipped_models()[name])
     tip = arm.nominal_tcp(np.radians(angles), abc(40, 0, 350, 0, 30, 0))[:3, 3] * 1000

@@ -18,7 +18,7 @@ from tests.places import ROOT
 
 DEMO = ROOT / "samples" / "demo"
 NAME = "readings/experiment.toml"
-CELL = """# Cell of the shop.
+SHOP_CELL = """# Cell of the shop.
 robot = "kuka_kr270"   # until it is measured
 [base]
 X = 1500
@@ -33,7 +33,7 @@ def window(tmp_path):
     """A window on a folder with a cell and the readings of the demo."""
     folder = tmp_path / "shop"
     (folder / "corrected").mkdir(parents=True)
-    (folder / "corrected" / "cell.toml").write_text(CELL)
+    (folder / "corrected" / "cell.toml").write_text(SHOP_CELL)
     (folder / "readings").mkdir()
     for name in ("experiment.toml", "measurements.csv", "validation.csv"):
         shutil.copy(DEMO / name, folder / "readings")
@@ -68,7 +68,7 @@ def test_a_model_that_may_not_be_used_is_not_taken(window):
     shutil.copytree(ROOT / "robot_models" / "kuka_kr270", folder)
     form = urlencode({"name": NAME}).encode()
     assert ask(window, "POST", "/use-model", form)[0] == 400, "nobody knows where it comes from"
-    assert window.workspace.cell.read_text() == CELL
+    assert window.workspace.cell.read_text() == SHOP_CELL
 
 
 def test_a_step_of_unknown_length_is_read(capsys):
@@ -99,4 +99,4 @@ def test_identify_a_model_and_use_it(browser, window):
         page.get_by_role("button", name="Use this model in the cell").click()
         page.get_by_text("The cell uses this model.").wait_for()
         looked_at(page, "55-used")
-    assert window.workspace.cell.read_text() == CELL.replace("kuka_kr270", "../models/readings")
+    assert window.workspace.cell.read_text() == SHOP_CELL.replace("kuka_kr270", "../models/readings")

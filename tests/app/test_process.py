@@ -18,7 +18,7 @@ from tests.app.test_access import ask
 from tests.app.test_window import looked_at, opened
 from tests.machining.test_rapid_tools import BOTH, module
 from tests.pages.browser import needs_chromium
-from tests.test_currency import CELL, PROCESS, PROGRAM
+from tests.test_currency import CELL_WITH_MESH, PROCESS, PROGRAM
 
 FUSION = "(T1 D=12. CR=0. - ZMIN=-2. - flat end mill 3 flutes)\n" + PROGRAM
 STATED = {"material.name": "al_7075_hss"}
@@ -102,7 +102,7 @@ def window(tmp_path, program):
     (folder / "corrected").mkdir(parents=True)
     shutil.copy(program, folder)
     cell = (
-        CELL.partition("[collision]")[0]
+        CELL_WITH_MESH.partition("[collision]")[0]
         .replace('"../model"', '"kuka_kr270"')
         .replace('config_dat = "config.dat"\n', "")
     )

@@ -10,7 +10,7 @@ import pytest
 from postproc.app.server import Window
 from tests.app.conftest import answering
 from tests.app.test_access import ask
-from tests.app.test_models import CELL
+from tests.app.test_models import SHOP_CELL
 from tests.app.test_window import looked_at, opened
 from tests.pages.browser import needs_chromium
 from tests.testpart import trial
@@ -35,7 +35,7 @@ def window(tmp_path):
     folder = tmp_path / "shop"
     (folder / "corrected").mkdir(parents=True)
     (folder / "corrected" / "cell.toml").write_text(
-        CELL.replace("Z = 700", "Y = -200\nZ = 700") + "[start]\njoints = [0, -70, 110, 0, 50, 0]\n"
+        SHOP_CELL.replace("Z = 700", "Y = -200\nZ = 700") + "[start]\njoints = [0, -70, 110, 0, 50, 0]\n"
     )
     (folder / "corrected" / "process.toml").write_text(PROCESS)
     with Window(folder, 0) as served, answering(served):

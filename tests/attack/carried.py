@@ -10,32 +10,21 @@ import re
 import tempfile
 import time
 from collections import Counter
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from postproc import cell as cells
 from postproc import correction, forces, report
-from postproc import robot as robots
-from postproc.dialects.text import decode
 from postproc.errors import PostprocError
-from tests.corrections import read_back
-from tests.places import SAMPLES
+from tests.cells import sample
+from tests.corrections import read_back, read_files
 
-DATA = (
+START_DAT = (
     "DEFDAT part\nDECL E6POS XS={X 0,Y 0,Z 50,A 180,B 0,C 180}\nDECL E6POS XT={X 10,Y 5,Z 30,A 180,B 0,C 180}\n"
     "DECL FRAME FR={X 3,Y -2,Z 1,A 2,B 0,C 0}\nENDDAT\n"
 )
 RAPID = ("PTP XS", "SPTP XT", "PTP XT C_PTP")
 MICROMETRE = 1e-6
-
-
-@cache
-def setup(name):
-    """A cell of the samples and its robot."""
-    cell = cells.load(SAMPLES / name)
-    return cell, robots.load(robots.find(cell.robot))
 
 
 class Writer:
@@ -114,10 +103,6 @@ class Writer:
         return f"X {spot[0]:.4f},Y {spot[1]:.4f},Z {spot[2]:.4f}"
 
 
-def read(files, dialect, cell, robot):
-    return correction.read([decode(n, t.encode()) for n, t in files.items()], robot, cell, "part", dialect)
-
-
 def csv_of(writer, program, folder):
     """A CSV file of forces for some lines of a program, or None."""
     lines = np.unique(program.motions.line[~program.motions.rapid])
@@ -144,12 +129,12 @@ def try_program(seed):
     """
     writer = Writer(seed)
     dialect = writer.pick("gcode", "krl")
-    cell, robot = setup("cell_kr270.toml" if dialect == "krl" else writer.pick("cell_kr270.toml", "cell_kr16.toml"))
-    files = {"part.nc": writer.gcode()} if dialect == "gcode" else {"part.src": writer.krl(), "part.dat": DATA}
+    cell, robot = sample("cell_kr270.toml" if dialect == "krl" else writer.pick("cell_kr270.toml", "cell_kr16.toml"))
+    files = {"part.nc": writer.gcode()} if dialect == "gcode" else {"part.src": writer.krl(), "part.dat": START_DAT}
     text = next(iter(files.values()))
     with tempfile.TemporaryDirectory() as folder:
         try:
-            program = read(files, dialect, cell, robot)
+            program = read_files(files, cell, robot)
             result = correction.process(program, robot, cell, csv_of(writer, program, folder))
         except PostprocError:
             return "refused"

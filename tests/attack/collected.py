@@ -54,7 +54,7 @@ SHOP = replace(
 )
 START_MM = (forward(SHOP.start_joints) @ SHOP.tool.pose())[:3, 3] * 1e3
 """Where moves at feed begin if X, Y, Z are not known."""
-_TOOL = re.compile(r"(?i)T0*(\d{1,5})(?!\d)")
+_TOOL_WORD = re.compile(r"(?i)T0*(\d{1,5})(?!\d)")
 _ASIDE_TEXT = re.compile(r"\([^()]*\)|;.*")
 _TAPS_ASIDE, _ASIDE = re.compile(r"(?i)G\s*84(?![\d.])"), re.compile(r"(?i)G\s*1[89](?![\d.])")
 _RETRACT = re.compile(r"(?i)G\s*9[89](?![\d.])")
@@ -96,11 +96,11 @@ class Cut(NamedTuple):
 
 def shop(text: str, axes: Sequence[str] = ()) -> Cell:
     """Return the cell of a shop that has all tools of a program."""
-    tools = {number: Frame(Z=350.0) for number in dict.fromkeys(_TOOL.findall(text))}
+    tools = {number: Frame(Z=350.0) for number in dict.fromkeys(_TOOL_WORD.findall(text))}
     return replace(SHOP, tools=tools, rotary=Rotary(axes=list(axes), kind="tcp") if axes else None)
 
 
-def read(path: Path, cell: Cell) -> Program | InputError:
+def read_or_error(path: Path, cell: Cell) -> Program | InputError:
     """Read a program, or return why not."""
     try:
         document = replace(decode(path.name, path.read_bytes()), folder=str(path.parent))
@@ -112,15 +112,15 @@ def read(path: Path, cell: Cell) -> Program | InputError:
 def tried(path: Path) -> tuple[str, Outcome]:
     """Return what came of a program: in a bare cell (a word), and in that of a shop."""
     text = path.read_bytes().decode("latin-1")
-    bare = read(path, BARE)
+    bare = read_or_error(path, BARE)
     axes = [axis for axis in "CBA" if re.search(rf"(?im)(?<![A-Z#]){axis}-?[\d.]", _ASIDE_TEXT.sub("", text))]
-    program = read(path, shop(text))
+    program = read_or_error(path, shop(text))
     if isinstance(program, InputError) and axes and "word without a code" in program.problem:
-        turned = read(path, shop(text, axes))
+        turned = read_or_error(path, shop(text, axes))
         program = program if isinstance(turned, InputError) and "word without a code" in turned.problem else turned
     is_from_zero = isinstance(program, InputError) and "before the position is known" in program.problem
     if is_from_zero:
-        program = read(path, replace(shop(text, axes), machine=replace(SHOP.machine, home=[0.0, 0.0, 0.0])))
+        program = read_or_error(path, replace(shop(text, axes), machine=replace(SHOP.machine, home=[0.0, 0.0, 0.0])))
     word = "refused" if isinstance(bare, InputError) else "read"
     moves: list[Move] | str
     try:
@@ -155,7 +155,7 @@ def moves_there(path: Path, *, alone: bool = False) -> list[Move]:
     text = path.read_bytes().decode("latin-1")
     others = [one for one in path.parent.iterdir() if one.suffix.lower() in NAMES and one != path and not alone]
     files = {one.name: one.read_bytes().decode("latin-1") for one in others[:200]}
-    tools = {int(number) for number in _TOOL.findall(text)}
+    tools = {int(number) for number in _TOOL_WORD.findall(text)}
     cause: RejectedError | None = None
     for version in (text, (plain := _as_rs274_takes_it(text)), plain.rstrip() + "\nM2\n"):
         try:

@@ -28,16 +28,13 @@ from postproc.provenance import Provenance
 from postproc.report.comparison import ProgramOrigin, comparison_summary
 from tests.attack import carried
 from tests.benchmarks import programs
+from tests.cells import sample
 from tests.comparison.krl_moves import TURNED
+from tests.corrections import read_files
+from tests.kr270 import CELL_TEXT
+from tests.krl_texts import HEAD
 
 LEAST_MM, LEAST_DEG = 0.03, 0.05
-HEAD = """DEF part( )
-$VEL.CP=0.05
-$APO.CDIS=0.5
-$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}
-$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}
-PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}
-"""
 NUMBER = r"(?<![\w.$])({name} ?)(-?\d+\.?\d*)"
 
 
@@ -72,20 +69,19 @@ def on_rail(rng):
 
 @cache
 def rail():
-    _, robot = carried.setup("cell_kr270.toml")
-    text = (carried.CELL_FILE).read_text(encoding="utf-8")
+    _, robot = sample("cell_kr270.toml")
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "cell.toml"
-        path.write_text(text + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n", encoding="utf-8")
+        path.write_text(CELL_TEXT + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n", encoding="utf-8")
         return cells.load(path), robot
 
 
 def job(seed):
-    """Return files, dialect, cell and robot of a job, and what writes forces for it."""
+    """Return kind, files, cell and robot of a job, and what writes forces for it."""
     writer = carried.Writer(seed)
     rng = writer.rng
     kind = writer.pick("gcode", "krl", "krl", "splines", "rail", "circles", "corners", "lines", "posted")
-    cell, robot = rail() if kind == "rail" else carried.setup("cell_kr270.toml")
+    cell, robot = rail() if kind == "rail" else sample("cell_kr270.toml")
     count = int(rng.integers(12, 40))
     text = {
         "gcode": writer.gcode,
@@ -97,15 +93,15 @@ def job(seed):
         "lines": lambda: programs.lines(count, programs.LINES["modal lines"]),
         "posted": lambda: programs.krl(count),
     }[kind]()
-    dialect = "gcode" if kind in ("gcode", "circles", "corners", "lines") else "krl"
-    files = {"part.nc": text} if dialect == "gcode" else {"part.src": text, "part.dat": carried.DATA}
-    return kind, files, dialect, cell, robot, writer
+    gcode = kind in ("gcode", "circles", "corners", "lines")
+    files = {"part.nc": text} if gcode else {"part.src": text, "part.dat": carried.START_DAT}
+    return kind, files, cell, robot, writer
 
 
 def told(nominal, files, cell, robot, rows):
     """Return the state of the verdict on files against a program, and why."""
     try:
-        other = carried.read(files, "krl", cell, robot)
+        other = read_files(files, cell, robot)
         found = compare(nominal, other, robot, cell, rows)
     except PostprocError as cause:
         return "refused", [str(cause)]
@@ -262,10 +258,10 @@ def attack(seed):
 
     :raises Silent: a planted difference is not told, or one is told where none is.
     """
-    kind, files, dialect, cell, robot, writer = job(seed)
+    kind, files, cell, robot, writer = job(seed)
     with tempfile.TemporaryDirectory() as folder:
         try:
-            nominal = carried.read(files, dialect, cell, robot)
+            nominal = read_files(files, cell, robot)
             rows = carried.csv_of(writer, nominal, folder)
             result = correction.process(nominal, robot, cell, rows)
         except PostprocError:

@@ -16,17 +16,17 @@ from pathlib import Path
 import numpy as np
 
 from postproc.errors import PostprocError
-from tests.attack.krl import Wrong, confirmed, read
+from tests.attack.krl import Wrong, confirmed, read_job
 
 _POINTS = ("XT", "YT", "FT", "ZT", "GT", "PP[1]", "PP[2]", "PP[3]", "PP[4]", "PP[I]", "PP[N]")
-_DATA = (
+_POINTS_DAT = (
     *("DEFDAT part", "DECL INT I=1,N=2", "DECL REAL R=1", "DECL BOOL OK=TRUE", "DECL E6POS PP[6]"),
     *("DECL E6POS XT={X 900,Y 1,Z 600,A 0,B 90,C 0}", "DECL E6POS YT={X 930,Y 4,Z 640,A 1,B 88,C 0}"),
     *("DECL FRAME FT={X 910,Y 2,Z 610,A 0,B 90,C 0}", "DECL GLOBAL E6POS GT={X 905,Y 4,Z 620,A 1,B 88,C 0}"),
     *(f"PP[{n}]={{X {880 + 7 * n},Y {5 * n},Z {600 + n},A 0,B 90,C {n}}}" for n in range(1, 7)),
     "ENDDAT",
 )
-_HEAD = (
+_FIRST_LINES = (
     *("DEF part( )", "DECL E6POS ZT", "DECL FRAME KT", "BAS (#INITMOV,0 )"),
     *("PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}", "$VEL.CP=0.2", "$BASE=BASE_DATA[1]", "$TOOL=TOOL_DATA[1]"),
     "ZT={X 911,Y 3,Z 605,A 0,B 90,C 0}",
@@ -85,8 +85,8 @@ def files_of(rng: np.random.Generator) -> dict[str, str]:
     called = {name for name in _NAMES if any(f"{name}(" in line for line in lines)}
     called |= {"CUT"} if "DEEP" in called else set()
     routines = [line for name, routine in zip(_NAMES, _ROUTINES, strict=True) if name in called for line in routine]
-    source = (*_HEAD, *lines, "LIN {X 900,Y 0,Z 650,A 0,B 90,C 0}", "END", *routines)
-    return {name: "\r\n".join([*lines, ""]) for name, lines in (("part.src", source), ("part.dat", _DATA))}
+    source = (*_FIRST_LINES, *lines, "LIN {X 900,Y 0,Z 650,A 0,B 90,C 0}", "END", *routines)
+    return {name: "\r\n".join([*lines, ""]) for name, lines in (("part.src", source), ("part.dat", _POINTS_DAT))}
 
 
 def attempt(seed: int, folder: Path) -> str:
@@ -97,7 +97,7 @@ def attempt(seed: int, folder: Path) -> str:
     rng = np.random.default_rng(seed)
     files = files_of(rng)
     try:
-        program = read(files, folder)
+        program = read_job(files, folder)
     except PostprocError:
         return "refused"
     state = confirmed(program, files, folder, rng)

@@ -309,7 +309,7 @@ def attempt(seed, folder):
     rng, keep = np.random.default_rng(seed), seed >= KEPT
     files = files_of(seed, rng)
     try:
-        program = read(files, folder, keep=keep, initmov=initmov_of(seed))
+        program = read_job(files, folder, keep=keep, initmov=initmov_of(seed))
     except PostprocError:
         return "refused"
     lines = int(rng.integers(8, 60)) if reads_states(seed) and rng.random() < 0.4 else 0
@@ -317,7 +317,7 @@ def attempt(seed, folder):
     return confirmed(program, files, folder, rng, keep=keep, checked=checked, lines=lines, initmov=initmov_of(seed))
 
 
-def read(files, folder, *, keep=False, initmov="cell"):
+def read_job(files, folder, *, keep=False, initmov="cell"):
     """The program of a folder with some files, as the package reads it."""
     for name, text in files.items():
         (folder / name).parent.mkdir(exist_ok=True)

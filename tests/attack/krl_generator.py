@@ -9,7 +9,7 @@ POINTS = ("XP1", "XP2", "XP3", "XG1")
 FRAMES = ("FR1", "FR2")
 INTS = ("I", "J", "IG")
 REALS = ("V", "W")
-DATA = """DEFDAT part PUBLIC
+POINTS_DAT = """DEFDAT part PUBLIC
 DECL E6POS XP1={X 100.5,Y 20,Z 30,A 10,B 20,C 170,S 2,T 10}
 DECL E6POS XP2={X -50.25,Y 21,Z 35.125,A 15,B 20,C 170}
 DECL E6POS XP3={X 7,Y 22,Z 31,A 10,B 25,C 170}
@@ -438,7 +438,7 @@ class Generator:
         for routine in self.routines:
             if routine.file == "part":
                 main += self.written(routine)
-        data = DATA.replace("ENDDAT", RECORDS if self.harder else STRUCTURE) if self.more else DATA
+        data = POINTS_DAT.replace("ENDDAT", RECORDS if self.harder else STRUCTURE) if self.more else POINTS_DAT
         files = {"part.src": main, "part.dat": data.splitlines()}
         others = [r for r in self.routines if r.file == "other"]
         for routine in others:

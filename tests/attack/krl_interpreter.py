@@ -35,7 +35,7 @@ TYPES = {"INT", "REAL", "BOOL", "CHAR", "FRAME", "POS", "E6POS", "AXIS", "E6AXIS
 MOTIONS = {"LIN", "PTP", "CIRC", "LIN_REL", "PTP_REL", "SLIN", "SPTP", "SCIRC", "SLIN_REL", "SPTP_REL", "SPL"}
 KINDS = {"SLIN": "LIN", "SPTP": "PTP", "SCIRC": "CIRC"}
 FORCE = re.compile(r"\s*;\s*FORCE\s+(OFF|[FM][XYZ]\s*=.*)$", re.IGNORECASE)
-HEAD = re.compile(r"(GLOBAL\s+)?DEF(?:FCT\s+(\w+))?\s+(\w+)\s*\(([^)]*)\)", re.IGNORECASE)
+ROUTINE = re.compile(r"(GLOBAL\s+)?DEF(?:FCT\s+(\w+))?\s+(\w+)\s*\(([^)]*)\)", re.IGNORECASE)
 LABEL = re.compile(r"([A-Za-z_]\w*)\s*:$")
 CARTESIAN = "XYZABC"
 _INPUTS = {"$IN", "$OUT", "$ANIN", "$FLAG"}
@@ -372,7 +372,7 @@ def routines(file, text):
             word, line = "FORCE", found[1].strip()
         elif found := LABEL.match(line):
             word, line = "LABEL", found[1].upper()
-        head = HEAD.match(line)
+        head = ROUTINE.match(line)
         if head:
             parameters = []
             for part in filter(None, map(str.strip, head[4].split(","))):

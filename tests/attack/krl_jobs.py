@@ -5,10 +5,11 @@ Unlike `krl_generator`, whose programs are to be understood, these are to be cor
 
 from __future__ import annotations
 
+from tests.krl_texts import HOME
+
 TURN = "A 180,B 0,C 180"
-HOME = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
 ARRAY = 5
-DATA = "\n".join(
+JOB_DAT = "\n".join(
     [
         "DEFDAT part PUBLIC",
         "DECL STRUC PT INT N,FRAME FCNC",
@@ -74,7 +75,7 @@ class Job:
             called = f"{self.pick(*self.routines)}(2)" if self.routines else self.line()
             subs += ["DEFFCT INT MEASURE()", self.pick(called, self.line()), "RETURN(1)", "ENDFCT"]
         end = self.pick("\r\n", "\n")
-        self.files = {"part.src": self.text([*main, *subs], end), "part.dat": DATA.replace("\n", end)}
+        self.files = {"part.src": self.text([*main, *subs], end), "part.dat": JOB_DAT.replace("\n", end)}
         self.files["points.dat"] = (
             f"DEFDAT points PUBLIC{end}DECL GLOBAL E6POS XG={{X 25,Y 35,Z 6,{TURN}}}{end}ENDDAT{end}"
         )

@@ -196,7 +196,7 @@ def statements(files):
     }
 
 
-def corrected(files, folder, **changes):
+def correct_job(files, folder, **changes):
     """What correcting a job gives."""
     cell, robot, _ = setup()
     cell = replace(cell, folder=str(folder), **changes)
@@ -239,7 +239,7 @@ def prove(seed, folder):
     if rng.random() < 0.3:
         options["output"] = replace(cell.output, lines_per_file=int(rng.integers(12, 40)))
     try:
-        result = corrected(job.files, folder, **options)
+        result = correct_job(job.files, folder, **options)
     except PostprocError as error:
         return "refused: " + re.sub(r"[\d.]+|\S*\.src\S*|'.*'", "", str(error))[:90]
     if result.failed:
@@ -298,7 +298,7 @@ def flattened(nominal, job, folder, made):
         end = ",".join(f"{n} {v:.9f}" for n, v in zip("XYZABC", motion.numbers, strict=True))
         lines.append(f"{motion.kind} {f'{{{via}}},' if via else ''}{{{end}}}{tail}")
     files = {"part.src": "\n".join([*lines, "END", ""]), "part.dat": "DEFDAT part\nENDDAT\n"}
-    result = corrected(files, folder)
+    result = correct_job(files, folder)
     if result.failed:
         raise Wrong(f"as plain motions it is refused: {[i.message for i in result.issues if i.level == 'error']}")
     files |= {document.name: document.text for document in result.documents}

@@ -94,7 +94,7 @@ def reading(seed):
     files = krl.files_of(seed, np.random.default_rng(seed))
     with krl.limited(), tempfile.TemporaryDirectory(dir=krl._MEMORY) as name:
         try:
-            program = krl.read(files, Path(name), keep=seed >= krl.KEPT, initmov=krl.initmov_of(seed))
+            program = krl.read_job(files, Path(name), keep=seed >= krl.KEPT, initmov=krl.initmov_of(seed))
         except PostprocError as error:
             return Reading("refused", str(error).replace(name, ""))
         except Exception as error:
@@ -243,7 +243,7 @@ def _judge(connection, *arguments):
         connection.send(("wrong", -1, 0, repr(error)))
 
 
-def run(mutant, numbers, usual):
+def judgement(mutant, numbers, usual):
     """Return `judged` of a fault, from a copy of this process."""
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
@@ -290,7 +290,9 @@ def main():
     counts = Counter()
     for mutant in planted(arguments.seed, arguments.faults):
         numbers = programs_of(mutant, executed)
-        outcome, number, different, reason = run(mutant, numbers, usual) if numbers else ("not executed", -1, 0, "")
+        outcome, number, different, reason = (
+            judgement(mutant, numbers, usual) if numbers else ("not executed", -1, 0, "")
+        )
         counts[outcome] += 1
         print(f"{outcome:12} {number:4} of {len(numbers):4}, {different:2} differ: {mutant.file}:{mutant.line} "
               f"{mutant.kind}: {mutant.before} → {mutant.after}", flush=True)  # fmt: skip

@@ -27,7 +27,7 @@ from tests.oracle.rapid import Controller, Motion, UndefinedError
 
 MOST_INPUTS = 3
 """Inputs that a run may ask for; programs that ask more often are not tried."""
-HEAD = """PERS tooldata tMill:=[TRUE,[[0,0,350],[1,0,0,0]],[5,[0,0,100],[1,0,0,0],0,0,0]];
+DECLARATIONS = """PERS tooldata tMill:=[TRUE,[[0,0,350],[1,0,0,0]],[5,[0,0,100],[1,0,0,0],0,0,0]];
 PERS tooldata tDrill:=[TRUE,[[3,0,320],[1,0,0,0]],[5,[0,0,100],[1,0,0,0],0,0,0]];
 PERS wobjdata wPart:=[FALSE,TRUE,"",[[1500,-200,700],[1,0,0,0]],[[5,-3,2],[1,0,0,0]]];
 VAR wobjdata wSide:=[FALSE,TRUE,"",[[1480,-180,690],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];
@@ -335,7 +335,7 @@ class StateGenerator:
 
     def text(self) -> str:
         """The text of the modules."""
-        data = HEAD.splitlines()
+        data = DECLARATIONS.splitlines()
         self.divided = self.maybe(0.3)
         for type_ in ("num", "robtarget", "bool"):
             letter = self.letter(type_)

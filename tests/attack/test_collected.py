@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.attack.collected import Outcome, _as_rs274_takes_it, difference, read, shop, tried
+from tests.attack.collected import Outcome, _as_rs274_takes_it, difference, read_or_error, shop, tried
 from tests.oracle.rs274 import canonical, needs_rs274
 
 pytestmark = needs_rs274
@@ -36,7 +36,7 @@ CHANGES = {
 def differing(tmp_path: Path, text: str, other: str) -> str:
     path = tmp_path / "part.ngc"
     path.write_text(text)
-    program = read(path, shop(text))
+    program = read_or_error(path, shop(text))
     assert not isinstance(program, Exception)
     return difference(program, canonical(other), text)
 
@@ -101,7 +101,7 @@ def test_what_rs274_refuses_without_an_effect_is_left_out_for_it(tmp_path):
     path.write_text(text, encoding="utf-8")
     assert tried(path)[1] == Outcome("same")
     changed = canonical(_as_rs274_takes_it(path.read_bytes().decode("latin-1").replace("X9", "X8")) + "M2\n")
-    program = read(path, shop(text))
+    program = read_or_error(path, shop(text))
     assert not isinstance(program, Exception)
     assert "end" in difference(program, changed, text)
 

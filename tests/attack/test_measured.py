@@ -1,6 +1,6 @@
 """The measure of the random programs: what it plants is found, in a process of its own."""
 
-from tests.attack.measured import READER, executed_lines, outcome_of, programs_of, reading, run, seed_of
+from tests.attack.measured import READER, executed_lines, judgement, outcome_of, programs_of, reading, seed_of
 from tests.mutation.mutants import mutants_of
 from tests.places import ROOT
 
@@ -17,7 +17,7 @@ def test_a_planted_fault_is_found_and_does_not_stay():
     broken = fault("run", "self.level = Level(")
     numbers = programs_of(broken, executed)
     assert numbers == [0, 1, 2]
-    assert run(broken, numbers, usual)[0] == "wrong"
+    assert judgement(broken, numbers, usual)[0] == "wrong"
     harmless = fault("flow", "level.loops -= 1")._replace(new="level.loops -= 1")
-    assert run(harmless, numbers, usual)[0] == "not found"
+    assert judgement(harmless, numbers, usual)[0] == "not found"
     assert [outcome_of(seed)[0] for seed in seeds] == [outcome for _, outcome in usual]

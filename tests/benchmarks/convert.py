@@ -65,7 +65,7 @@ def cost(*command: str) -> Cost:
     return Cost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024, text)
 
 
-def convert(path: Path) -> tuple[Cost, int]:
+def cost_of_convert(path: Path) -> tuple[Cost, int]:
     """Convert a program as users do, into a new folder; return what it took and the number of targets."""
     out = path.parent / "out"
     shutil.rmtree(out, ignore_errors=True)
@@ -82,7 +82,7 @@ def budget(path: Path) -> dict[str, float]:
 
 def measured(name: str, path: Path, parsed: Path) -> None:
     """Print ratio (of the pair in the middle), memory and budget of one program; `parsed` is what pygcode parses."""
-    pairs = [(cost("-c", PARSE, str(parsed)).seconds, *convert(path)) for _ in range(_PAIRS)]
+    pairs = [(cost("-c", PARSE, str(parsed)).seconds, *cost_of_convert(path)) for _ in range(_PAIRS)]
     alone, whole, targets = sorted(pairs, key=lambda pair: pair[1].seconds / pair[0])[_PAIRS // 2]
     stages = budget(path)
     allowed = 300 + targets * 2 / 1024
@@ -117,7 +117,7 @@ def main() -> None:
         print(f"{'program':<18}{'targets':>9}{'s':>9}{'µs each':>9}{'pygcode':>9}{'ratio':>8}{'memory':>9}{'ratio':>8}")
         path = folder / "part.nc"
         path.write_text(programs.lines(100, programs.LINES["lines"]), encoding="utf-8")
-        convert(path)  # compiles what is imported
+        cost_of_convert(path)  # compiles what is imported
         for name, text in texts.items():
             if wanted(name):
                 path.write_text(text, encoding="utf-8")
@@ -137,7 +137,9 @@ def main() -> None:
                 (folder / f"part.{ending}").write_text(text, encoding="utf-8", newline="")
             measured("KRL, loop", folder / "part.src", path)
             (folder / "lines.src").write_text(programs.krl(blocks), encoding="utf-8", newline="")
-            pairs = [[convert(folder / name)[0].seconds for name in ("part.src", "lines.src")] for _ in range(_PAIRS)]
+            pairs = [
+                [cost_of_convert(folder / name)[0].seconds for name in ("part.src", "lines.src")] for _ in range(_PAIRS)
+            ]
             ratio = sorted(loop / lines for loop, lines in pairs)[_PAIRS // 2]
             print(f"    a loop to the same points as plain lines: {ratio:.2f} (2 allowed)")
             (folder / "part.dat").unlink()
@@ -145,12 +147,12 @@ def main() -> None:
             path.write_text(programs.lines(_PEER_BLOCKS, programs.LINES["lines"]), encoding="utf-8")
             peer = cost("-m", "tests.benchmarks.peer", str(path), str(folder / "peer.src"))
             path.write_text(programs.lines(10 * _PEER_BLOCKS, programs.LINES["lines"]), encoding="utf-8")
-            ours, targets = convert(path)
+            ours, targets = cost_of_convert(path)
             peers, own = peer.seconds / _PEER_BLOCKS, ours.seconds / targets
             print(f"a peer's job file: {1e6 * peers:.0f} µs a target, ours {1e6 * own:.1f}: ratio {own / peers:.3f}")
         if wanted("start"):
             path.write_text(programs.lines(100, programs.LINES["lines"]), encoding="utf-8")
-            small = min(convert(path)[0].seconds for _ in range(3))
+            small = min(cost_of_convert(path)[0].seconds for _ in range(3))
             imports = min(cost("-c", IMPORTS).seconds for _ in range(3))
             shown = min(cost("-c", POSTPROC, "--help").seconds for _ in range(3))
             click = min(cost("-c", "import click").seconds for _ in range(3))
@@ -161,7 +163,7 @@ def main() -> None:
             each = {}
             for count in (100_000, 1_000_000):
                 path.write_text(programs.lines(count, programs.LINES["modal lines"]), encoding="utf-8")
-                done, targets = convert(path)
+                done, targets = cost_of_convert(path)
                 each[count] = done.seconds / targets
                 print(
                     f"{targets} targets: {done.seconds:.1f} s, {1e6 * each[count]:.1f} µs each, {done.memory:.0f} MiB"

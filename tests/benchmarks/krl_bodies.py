@@ -21,10 +21,10 @@ import numpy as np
 from postproc.dialects import krl
 from postproc.dialects.krl.read import read_program
 from postproc.program import Document, Program, Targets
-from tests.benchmarks.convert import convert
+from tests.benchmarks.convert import cost_of_convert
 from tests.dialects.krl_programs import CELL, forward, targets
 
-_HEAD = (
+_UNDER_FORCE = (
     "DEF part( )\r\nDECL FRAME XT\r\nBAS (#INITMOV,0 )\r\n$VEL.CP=0.05\r\n;FORCE FX=60 FY=-40 FZ=90\r\n"
     "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\r\n"
 )
@@ -78,7 +78,7 @@ def files(name: str, count: int) -> dict[str, str]:
     data = [f"DEFDAT part\r\nDECL INT I\r\nDECL REAL V[{count}]\r\nDECL E6POS PP[{count + 1}]\r\n"]
     data += [f"V[{n}]={0.05 + n % 5 / 100:g}\r\n" for n in range(1, count + 1)]
     data += [f"PP[{n}]={_point(n)}\r\n" for n in range(1, count + 2)]
-    source = _HEAD + "".join(f"{line}\r\n" for line in lines(count)) + "END\r\n" + routines(count)
+    source = _UNDER_FORCE + "".join(f"{line}\r\n" for line in lines(count)) + "END\r\n" + routines(count)
     return {"part.src": source, "part.dat": "".join([*data, "ENDDAT\r\n"])}
 
 
@@ -87,7 +87,7 @@ def read(texts: dict[str, str]) -> Program:
     return read_program([Document(name, text) for name, text in texts.items()], CELL, forward, "part")
 
 
-def corrected(program: Program) -> Targets:
+def corrected_targets(program: Program) -> Targets:
     """Return targets with a correction of their own for each motion."""
     shift = np.random.default_rng(0).uniform(-1e-3, 1e-3, (len(program.motions), 3))
     return targets(program, shift)
@@ -104,7 +104,7 @@ def costs(name: str, count: int) -> tuple[float, float, float]:
     """Return the processor time of reading, writing and reading back [s]."""
     texts = files(name, count)
     program = read(texts)
-    wanted = corrected(program)
+    wanted = corrected_targets(program)
     written = {document.name: document.text for document in krl.rewrite(program, wanted).documents}
     return (
         _seconds(lambda: read(texts)),
@@ -118,7 +118,7 @@ def whole(name: str, count: int) -> float:
     with tempfile.TemporaryDirectory() as place:
         for file, text in files(name, count).items():
             (Path(place) / file).write_text(text, encoding="utf-8", newline="")
-        return convert(Path(place) / "part.src")[0].seconds
+        return cost_of_convert(Path(place) / "part.src")[0].seconds
 
 
 def main() -> None:

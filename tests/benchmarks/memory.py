@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 
 from tests.benchmarks import programs
-from tests.benchmarks.convert import convert
+from tests.benchmarks.convert import cost_of_convert
 
 
 def main() -> None:
@@ -23,7 +23,7 @@ def main() -> None:
         path = Path(place) / "part.nc"
         for count in options.parse_args().targets:
             path.write_text(programs.lines(count, programs.LINES["modal lines"]), encoding="utf-8")
-            used, targets = convert(path)
+            used, targets = cost_of_convert(path)
             each = "" if before is None else f"{(used.memory - before[0]) * 2**20 / (targets - before[1]):9.0f}"
             print(f"{targets:>9}{used.memory:>8.0f}{used.seconds:>8.1f}{each}", flush=True)
             before = (used.memory, targets)

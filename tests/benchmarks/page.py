@@ -28,8 +28,8 @@ from click.testing import CliRunner
 
 from postproc.cli import main as postproc
 from tests.benchmarks import programs
-from tests.benchmarks.convert import CELL
 from tests.pages.browser import running
+from tests.places import CELL_FILE
 
 _HZ = 100.0
 _POLLED_MS = 20
@@ -51,7 +51,7 @@ def reports(folder: Path, targets: int) -> tuple[Path, Path]:
     program = folder / "pass.nc"
     program.write_text(programs.lines(targets, "G1 X{:.3f} Y{:.3f} Z{:.3f}"))
     for command in (["convert", str(program)], ["compare", str(program), str(folder / "pass.src")]):
-        done = CliRunner().invoke(postproc, [*command, "--cell", CELL, "-o", str(folder)])
+        done = CliRunner().invoke(postproc, [*command, "--cell", str(CELL_FILE), "-o", str(folder)])
         if done.exit_code not in (0, 3):
             raise SystemExit(done.output)
     return folder / "pass.report.html", folder / "pass.compare.report.html"

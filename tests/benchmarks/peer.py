@@ -16,9 +16,9 @@ import numpy as np
 import pinocchio as pin
 from pygcode import Line
 
-ROBOT = Path(__file__).parent.parent.parent / "robot_models" / "kuka_kr270"
+MODEL_FOLDER = Path(__file__).parent.parent.parent / "robot_models" / "kuka_kr270"
 BASE = pin.SE3(np.eye(3), np.array([1.5, -0.2, 0.7]))
-TOOL = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.35]))
+TOOL_350 = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.35]))
 DOWN = np.diag([1.0, -1.0, -1.0])
 FORCE = np.array([60.0, -40.0, 90.0, 0.0, 0.0, 0.0])
 START = np.deg2rad([0.0, -70.0, 110.0, 0.0, 50.0, 0.0])
@@ -26,9 +26,9 @@ START = np.deg2rad([0.0, -70.0, 110.0, 0.0, 50.0, 0.0])
 
 def main(part: Path, out: Path) -> None:
     """Correct one program of lines."""
-    model = pin.buildModelFromUrdf(str(ROBOT / "robot.urdf"))
+    model = pin.buildModelFromUrdf(str(MODEL_FOLDER / "robot.urdf"))
     data, frame = model.createData(), model.getFrameId("flange")
-    joints = tomllib.loads((ROBOT / "model.toml").read_text(encoding="utf-8"))["joints"]
+    joints = tomllib.loads((MODEL_FOLDER / "model.toml").read_text(encoding="utf-8"))["joints"]
     compliance = np.diag([1e-6 * joints[f"A{axis}"]["compliance_urad_per_Nm"] for axis in range(1, 7)])
     q, place = START.copy(), {"X": 0.0, "Y": 0.0, "Z": 0.0}
     with part.open(encoding="utf-8") as blocks, out.open("w", encoding="utf-8", newline="\r\n") as written:
@@ -39,7 +39,7 @@ def main(part: Path, out: Path) -> None:
                 continue
             place.update((letter, words[letter]) for letter in "XYZ" if letter in words)
             target = pin.SE3(DOWN, 1e-3 * np.array([place["X"], place["Y"], place["Z"]]))
-            flange = BASE * target * TOOL.inverse()
+            flange = BASE * target * TOOL_350.inverse()
             for _ in range(20):
                 pin.computeJointJacobians(model, data, q)
                 pin.updateFramePlacement(model, data, frame)
@@ -48,7 +48,7 @@ def main(part: Path, out: Path) -> None:
                     break
                 q = q + np.linalg.solve(pin.getFrameJacobian(model, data, frame, pin.LOCAL), twist)
             jacobian = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            lever = data.oMf[frame].rotation @ TOOL.translation
+            lever = data.oMf[frame].rotation @ TOOL_350.translation
             jacobian[:3] -= pin.skew(lever) @ jacobian[3:]
             shift = jacobian @ compliance @ jacobian.T @ FORCE
             turn = pin.exp3(-shift[3:]) @ DOWN

@@ -53,7 +53,7 @@ def timed(name: str, work: Callable[[], T]) -> T:
     return out
 
 
-def program(targets: int) -> str:
+def surface_program(targets: int) -> str:
     """Return the program."""
     blocks = "\n".join(surface(targets, 0, 300, 400))
     head = "G21 G90 G17 G94\nT1 M6\nS12000 M3\nG0 X0 Y0 Z30\n(FORCE FX=-110 FY=-90 FZ=130 FRAME=FEED)\nG1 Z-6 F3000"
@@ -69,7 +69,7 @@ def main() -> None:
     robot = postproc.load_robot(cell.robot)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "part.nc"
-        file.write_text(program(chosen.targets))
+        file.write_text(surface_program(chosen.targets))
         read = postproc.read_program(file, robot, cell)
     print(f"{len(read.motions)} targets, one process")
     inside = replace(cell, collision=COLLISION)

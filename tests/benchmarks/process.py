@@ -18,8 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.benchmarks.convert import CELL, POSTPROC, Cost, cost
+from tests.benchmarks.convert import POSTPROC, Cost, cost
 from tests.machining.setting import gcode, process, tool
+from tests.places import CELL_FILE
 
 BOX = ((0, 300), (0, 200), (-50, 0))
 
@@ -87,12 +88,12 @@ LONG = {
 }
 
 
-def run(folder: Path, command: str, text: str, process_text: str) -> Cost:
+def cost_of_command(folder: Path, command: str, text: str, process_text: str) -> Cost:
     """Run a command on a program with a process."""
     (folder / "part.nc").write_text(text)
     (folder / "process.toml").write_text(process_text)
     out = str(folder / "part.csv") if command == "forces" else str(folder / command)
-    given = ["--cell", CELL, "--process", str(folder / "process.toml"), "-o", out]
+    given = ["--cell", str(CELL_FILE), "--process", str(folder / "process.toml"), "-o", out]
     return cost("-c", POSTPROC, command, str(folder / "part.nc"), *given)
 
 
@@ -110,7 +111,9 @@ def main() -> None:
             continue
         with tempfile.TemporaryDirectory() as where:
             folder = Path(where)
-            convert, predict = (run(folder, command, text, process_text) for command in ("convert", "predict"))
+            convert, predict = (
+                cost_of_command(folder, command, text, process_text) for command in ("convert", "predict")
+            )
             report = json.loads((folder / "predict" / "part.predict.report.json").read_bytes())
             (cut,) = [issue["message"] for issue in report["issues"] if issue["kind"] == "real-cut"]
             ratio = (predict.seconds - start) / (convert.seconds - start)
@@ -123,7 +126,7 @@ def main() -> None:
         if not wanted(name):
             continue
         with tempfile.TemporaryDirectory() as where:
-            done = run(Path(where), "forces", *make())
+            done = cost_of_command(Path(where), "forces", *make())
             print(f"{name}: {done.seconds:.0f} s, {done.memory:.0f} MiB", flush=True)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-HEAD = "%\nG21 G90 G17\nS10000 M3\nG0 X0 Y0 Z20\n(FORCE FX=60 FY=-40 FZ=90)\nG1 Z0 F3000\n"
+RAMP_UNDER_FORCE = "%\nG21 G90 G17\nS10000 M3\nG0 X0 Y0 Z20\n(FORCE FX=60 FY=-40 FZ=90)\nG1 Z0 F3000\n"
 TAIL = "G0 Z50\nM5\nM30\n%\n"
 LINES = {
     "modal lines": "X{:.3f} Y{:.3f} Z{:.3f}",
@@ -24,7 +24,7 @@ def _zigzag(blocks: int) -> np.ndarray:
 def lines(blocks: int, form: str) -> str:
     """Return a finishing pass of straight blocks."""
     rows = enumerate(_zigzag(blocks).tolist())
-    return HEAD + "".join(form.format(*row, n=10 * n) + "\n" for n, row in rows) + TAIL
+    return RAMP_UNDER_FORCE + "".join(form.format(*row, n=10 * n) + "\n" for n, row in rows) + TAIL
 
 
 def half_circles(blocks: int) -> str:
@@ -34,7 +34,7 @@ def half_circles(blocks: int) -> str:
         radius, sign = 1.0 + (n * 7 % 31) / 10.0, 1.0 if n // 50 % 2 == 0 else -1.0
         y = round(y + sign * 2.0 * radius, 3)
         out.append(f"G{2 + n % 2} X{x:.3f} Y{y:.3f} I0.000 J{sign * radius:.3f}\n")
-    return HEAD + "".join(out) + TAIL
+    return RAMP_UNDER_FORCE + "".join(out) + TAIL
 
 
 def rounded_corners(blocks: int) -> str:
@@ -58,7 +58,7 @@ def rounded_corners(blocks: int) -> str:
             out.append(f"G{3 if left else 2} X{x:.4f} Y{y:.4f}{rise} I{i:.4f} J{j:.4f}\n")
             if not (-200.0 < x < 200.0 and -200.0 < y < 200.0):
                 heading = np.arctan2(-y, -x)
-    return HEAD + "".join(out) + TAIL
+    return RAMP_UNDER_FORCE + "".join(out) + TAIL
 
 
 def calls(blocks: int) -> tuple[str, str]:
@@ -72,7 +72,9 @@ def calls(blocks: int) -> tuple[str, str]:
         body += [f"G52 {place}", "G0 X0 Y0", f"o100 call [{n % 3}]", first, *holes, "G80"]
         written += [f"G52 {place}", "G0 X0 Y0", *pocket, first, *holes, "G80"]
     sub = ["o100 sub", *(line.replace("G1 Z-1.000", "G1 Z[-1 - #1 / 10]") for line in pocket), "o100 endsub"]
-    return HEAD.replace("%\n", "%\n" + "\n".join(sub) + "\n", 1) + "\n".join(body) + "\n" + TAIL, "\n".join(written)
+    return RAMP_UNDER_FORCE.replace("%\n", "%\n" + "\n".join(sub) + "\n", 1) + "\n".join(body) + "\n" + TAIL, "\n".join(
+        written
+    )
 
 
 def krl(blocks: int) -> str:

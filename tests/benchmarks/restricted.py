@@ -61,7 +61,7 @@ def clear(triangles: Array, points: Array) -> bool:
     return bool(np.abs(turns).max() < 0.5 and np.linalg.norm(closest - pairs, axis=1).min() > RADIUS)
 
 
-def program() -> str:
+def straight_program() -> str:
     """Return the path along X of `$BASE`, in mm."""
     points = np.arange(0.0, LENGTH + STEP / 2, STEP) * 1e3
     blocks = "\n".join(f"G1 X{x:g} F3000" for x in points)
@@ -90,7 +90,7 @@ def main() -> None:
     outcomes: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "part.nc").write_text(program())
+        (folder / "part.nc").write_text(straight_program())
         for side in range(4):
             about_x = trimesh.transformations.rotation_matrix(side * np.pi / 2.0, [1.0, 0.0, 0.0])
             for y, z in free:

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.attack.carried import DATA, Writer
+from tests.attack.carried import START_DAT, Writer
 from tests.places import SAMPLES
 
 JOBS = (
@@ -84,7 +84,7 @@ def random_programs(folder: Path, seed: int, count: int) -> list[tuple[Path, lis
             if name == "kuka_kr270" and number % 2:
                 program = program.with_suffix(".src")
                 program.write_text(writer.krl().replace("DEF part", f"DEF {program.stem}"), encoding="utf-8")
-                program.with_suffix(".dat").write_text(DATA.replace("DEFDAT part", f"DEFDAT {program.stem}"))
+                program.with_suffix(".dat").write_text(START_DAT.replace("DEFDAT part", f"DEFDAT {program.stem}"))
             else:
                 program.write_text(writer.gcode(), encoding="utf-8")
             programs.append(program)

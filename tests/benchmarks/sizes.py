@@ -10,14 +10,14 @@ import tempfile
 from itertools import pairwise
 from pathlib import Path
 
-from tests.benchmarks.convert import CELL, POSTPROC, cost
-from tests.places import ROOT
+from tests.benchmarks.convert import POSTPROC, cost
+from tests.places import CELL_FILE, ROOT
 
 _ANGLES = re.compile(r"^(?:S?LIN|S?CIRC) .*(,A [^,]+,B [^,]+,C [^,}]+)\}")
 _PARTS = {
-    "pocket": ("samples/pocket.nc", CELL, ()),
-    "freeform": ("samples/freeform.nc", CELL, ("--forces", "samples/freeform.forces.csv")),
-    "drilling": ("samples/gallery/drilling.nc", CELL, ("--process", "samples/gallery/drilling.process.toml")),
+    "pocket": ("samples/pocket.nc", str(CELL_FILE), ()),
+    "freeform": ("samples/freeform.nc", str(CELL_FILE), ("--forces", "samples/freeform.forces.csv")),
+    "drilling": ("samples/gallery/drilling.nc", str(CELL_FILE), ("--process", "samples/gallery/drilling.process.toml")),
     "dome, five axes": ("samples/gallery/dome.nc", "samples/gallery/cell_five_axes.toml", ()),
 }
 

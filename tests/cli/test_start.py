@@ -421,12 +421,12 @@ LIN {{X 0,Y 0,Z 10,A 90,B 0,C 180}}
 LIN {{X 60,Y 0,Z 10,A 90,B 0,C 180}}
 END
 """
-DATA = "DEFDAT part\nDECL FDAT FP1={{TOOL_NO {tool},BASE_NO 3,IPO_FRAME #BASE}}\n{more}ENDDAT\n"
+TOOL_DAT = "DEFDAT part\nDECL FDAT FP1={{TOOL_NO {tool},BASE_NO 3,IPO_FRAME #BASE}}\n{more}ENDDAT\n"
 
 
 def write_numbered(*, base=3, tool=2, more=""):
     Path("part.src").write_text(NUMBERED.format(base=base))
-    Path("part.dat").write_text(DATA.format(tool=tool, more=more))
+    Path("part.dat").write_text(TOOL_DAT.format(tool=tool, more=more))
 
 
 @pytest.mark.parametrize(

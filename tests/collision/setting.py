@@ -11,7 +11,7 @@ from postproc.collision import Scene, bodies
 from tests.kr270 import FOLDER, ROBOT
 
 _MODEL = pin.buildModelFromUrdf(str(FOLDER / "robot.urdf"))
-_DATA = _MODEL.createData()
+_PINOCCHIO_DATA = _MODEL.createData()
 _FLANGE = _MODEL.getFrameId("flange")
 
 
@@ -19,8 +19,8 @@ def frame(q, carrier: int) -> np.ndarray:
     """The frame (4, 4) of a carrier, by Pinocchio."""
     if carrier < 0:
         return np.eye(4)
-    pin.framesForwardKinematics(_MODEL, _DATA, np.asarray(q))
-    return (_DATA.oMf[_FLANGE] if carrier == 6 else _DATA.oMi[carrier + 1]).homogeneous
+    pin.framesForwardKinematics(_MODEL, _PINOCCHIO_DATA, np.asarray(q))
+    return (_PINOCCHIO_DATA.oMf[_FLANGE] if carrier == 6 else _PINOCCHIO_DATA.oMi[carrier + 1]).homogeneous
 
 
 def pose(rotation, point) -> np.ndarray:

@@ -14,23 +14,17 @@ import pytest
 from tests.commands import invoke, run
 from tests.comparison.krl_moves import TURNED, circ, lin
 from tests.kr270 import CELL_TEXT
+from tests.krl_texts import BASE, HOME, INITMOV, SPEED, TOOL, krl_program
 from tests.places import CELL_FILE, SAMPLES
 
 pytestmark = pytest.mark.usefixtures("work_folder")
 
 
-def program(name, *moves, tool="Z 350", at=""):
+def write_program(name, *moves, tool="Z 350", at=""):
     """Write a program from (0, 0, 0) on."""
-    head = [
-        f"DEF {name}( )",
-        "BAS (#INITMOV,0 )",
-        "$VEL.CP=0.05",
-        "$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}",
-        f"$TOOL={{X 0,Y 0,{tool},A 0,B 0,C 0}}",
-        "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}",
-        f"LIN {{X 0,Y 0,Z 0,{TURNED}{at}}}",
-    ]
-    Path(f"{name}.src").write_text("\n".join([*head, *moves, "END", ""]))
+    start = f"LIN {{X 0,Y 0,Z 0,{TURNED}{at}}}"
+    head = (INITMOV, SPEED, BASE, TOOL.replace("Z 350", tool), HOME, start)
+    Path(f"{name}.src").write_text(krl_program(*head, *moves, name=name))
     return f"{name}.src"
 
 
@@ -53,8 +47,8 @@ def kinds(content):
 
 
 def test_a_line_instead_of_a_half_circle_is_its_radius_away():
-    one = program("ONE", circ((20, 20), (40, 0)), lin(60, 0))
-    other = program("OTHER", lin(40, 0), lin(60, 0))
+    one = write_program("ONE", circ((20, 20), (40, 0)), lin(60, 0))
+    other = write_program("OTHER", lin(40, 0), lin(60, 0))
     content, rows = compared(one, other)
     np.testing.assert_allclose(between(rows)[1:], [20.0, 0.0], atol=1e-5)
     assert content["between_targets"] == {
@@ -69,8 +63,8 @@ def test_a_line_instead_of_a_half_circle_is_its_radius_away():
 
 
 def test_two_lines_are_farthest_apart_at_an_end():
-    one = program("ONE", lin(40, 0), lin(80, 0), lin(80, 40))
-    other = program("OTHER", lin(40, 0.3), lin(80, 0.1), lin(80, 40))
+    one = write_program("ONE", lin(40, 0), lin(80, 0), lin(80, 40))
+    other = write_program("OTHER", lin(40, 0.3), lin(80, 0.1), lin(80, 40))
     np.testing.assert_allclose(between(compared(one, other)[1])[1:], [0.3, 0.3, 0.1], atol=1e-6)
 
 
@@ -97,7 +91,8 @@ def test_arcs_that_differ_are_as_far_apart_as_a_hundred_thousand_places_say(seed
     ]
     ends = [end, end + random.uniform(-0.5, 0.5, 2)]
     files = [
-        program(name, circ(via, to), lin(90, 0)) for name, via, to in zip(("ONE", "OTHER"), vias, ends, strict=True)
+        write_program(name, circ(via, to), lin(90, 0))
+        for name, via, to in zip(("ONE", "OTHER"), vias, ends, strict=True)
     ]
     share = np.linspace(0.0, 1.0, 100_001)
     paths = [_arc((0, 0), via.round(5), to.round(5), share) for via, to in zip(vias, ends, strict=True)]
@@ -108,21 +103,21 @@ def test_arcs_that_differ_are_as_far_apart_as_a_hundred_thousand_places_say(seed
 
 def test_an_arc_divided_by_inserted_targets_is_not_apart():
     points = _arc((0, 0), (20, 20), (40, 0), np.linspace(0, 1, 9))
-    one = program("ONE", circ((20, 20), (40, 0)), lin(60, 0))
+    one = write_program("ONE", circ((20, 20), (40, 0)), lin(60, 0))
     pieces = [circ(points[k + 1], points[k + 2]) for k in (0, 2, 4, 6)]
-    content, rows = compared(one, program("OTHER", *pieces, lin(60, 0)))
+    content, rows = compared(one, write_program("OTHER", *pieces, lin(60, 0)))
     assert content["inserted"] == 3
     np.testing.assert_allclose(between(rows)[1:], 0.0, atol=1e-4)
     assert "between" not in kinds(content)
     chords = [lin(*point) for point in points[1:]]
-    content, rows = compared(one, program("CHORDS", *chords, lin(60, 0)))
+    content, rows = compared(one, write_program("CHORDS", *chords, lin(60, 0)))
     assert content["inserted"] == 7
     assert between(rows)[1] == pytest.approx(20.0 * (1.0 - math.cos(math.pi / 16)), rel=1e-3)
 
 
 def test_a_missing_line_tells_how_far_the_short_cut_goes():
     moves = [lin(40, 0), lin(40, 30), lin(80, 30), lin(120, 30), lin(120, 60), lin(160, 60)]
-    one, other = program("ONE", *moves), program("OTHER", *moves[:3], *moves[4:])
+    one, other = write_program("ONE", *moves), write_program("OTHER", *moves[:3], *moves[4:])
     content, rows = compared(one, other)
     assert content["only_nominal"] == 1
     told = [value for value in between(rows) if value > 1e-6]
@@ -132,25 +127,25 @@ def test_a_missing_line_tells_how_far_the_short_cut_goes():
 
 def test_a_point_to_point_move_says_nothing_of_the_way():
     ptp = f"PTP {{X 60,Y 0,Z 30,{TURNED},S 2,T 2}}"
-    files = [program(name, lin(40, 0), ptp, lin(80, 0)) for name in ("ONE", "OTHER")]
+    files = [write_program(name, lin(40, 0), ptp, lin(80, 0)) for name in ("ONE", "OTHER")]
     values = between(compared(*files)[1])
     assert [math.isnan(value) for value in values] == [True, False, True, False]
 
 
 def test_another_tool_length_is_seen_between_targets_too():
     moves = [circ((20, 20), (40, 0)), lin(60, 0)]
-    content, rows = compared(program("ONE", *moves), program("OTHER", *moves, tool="Z 352"))
+    content, rows = compared(write_program("ONE", *moves), write_program("OTHER", *moves, tool="Z 352"))
     assert content["differences"]["tool"] == content["pairs"]
     np.testing.assert_allclose(between(rows)[1:], 2.0, atol=1e-6)
 
 
 def test_another_approximation_is_told():
     moves = [lin(40, 0) + " C_DIS", lin(40, 30) + " C_DIS", lin(80, 30)]
-    one = program("ONE", "$APO.CDIS=1", *moves)
-    content, _ = compared(one, program("OTHER", "$APO.CDIS=5", *moves))
+    one = write_program("ONE", "$APO.CDIS=1", *moves)
+    content, _ = compared(one, write_program("OTHER", "$APO.CDIS=5", *moves))
     assert content["differences"]["approximation"] == 2
     assert any("is 5 mm instead of 1 mm" in issue["message"] for issue in content["issues"])
-    content, _ = compared(one, program("EXACT", "$APO.CDIS=1", moves[0], lin(40, 30), moves[2]))
+    content, _ = compared(one, write_program("EXACT", "$APO.CDIS=1", moves[0], lin(40, 30), moves[2]))
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "approximation"]
     assert (issue["source_line"], issue["count"]) == (10, 1)
     assert "is none instead of 1 mm" in issue["message"]
@@ -186,12 +181,12 @@ CARRIED = CELL_TEXT + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n"
 def test_another_place_of_the_axis_that_carries_the_robot_is_told_and_changes_what_is_cut():
     force = ";FORCE FX=-250 FY=180 FZ=120"
     moves = [lin(40, 0, more=",E1 0.0"), lin(40, 30, more=",E1 0.0"), lin(80, 30, more=",E1 0.0")]
-    one = program("ONE", force, *moves, at=",E1 0.0")
+    one = write_program("ONE", force, *moves, at=",E1 0.0")
     content, _ = compared(one, one, cell=CARRIED)
     assert content["differences"]["external_axis"] == 0
     same = content["cut"]["nominal"]["max_mm"]
     assert content["cut"]["corrected"]["max_mm"] == pytest.approx(same)
-    other = program("OTHER", force, *(move.replace("E1 0.0", "E1 250.0") for move in moves), at=",E1 250.0")
+    other = write_program("OTHER", force, *(move.replace("E1 0.0", "E1 250.0") for move in moves), at=",E1 250.0")
     content, rows = compared(one, other, cell=CARRIED)
     assert content["differences"]["external_axis"] == content["pairs"]
     assert any("E1 is at 250.0000 mm instead of 0.0000 mm" in issue["message"] for issue in content["issues"])
@@ -202,21 +197,21 @@ def test_another_place_of_the_axis_that_carries_the_robot_is_told_and_changes_wh
 
 def test_an_external_axis_that_stands_elsewhere_is_told_without_the_cell_knowing_it():
     moves = [lin(40, 0, more=",E1 100.0,E2 5.0"), lin(40, 30, more=",E1 100.0,E2 5.0")]
-    one = program("ONE", *moves)
-    content, _ = compared(one, program("OTHER", *(move.replace("E2 5.0", "E2 7.5") for move in moves)))
+    one = write_program("ONE", *moves)
+    content, _ = compared(one, write_program("OTHER", *(move.replace("E2 5.0", "E2 7.5") for move in moves)))
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "external-axis"]
     assert issue["message"] == "E2 is at 7.5 in the corrected program, and at 5 in the nominal one."
-    content, _ = compared(one, program("LESS", *(move.replace(",E2 5.0", "") for move in moves)))
+    content, _ = compared(one, write_program("LESS", *(move.replace(",E2 5.0", "") for move in moves)))
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "external-axis"]
     assert "E2 is at 0 or not given in the corrected program" in issue["message"]
 
 
-def corrected(force, cell):
+def corrected_lines(force, cell):
     """Write nominal.src; return its corrected program, without the line that says what it was made of."""
     at = [f",E1 {60.0 * k}" if cell == CARRIED else "" for k in range(4)]
     arc = circ((100, 80), (140, 40)).removesuffix("}") + at[2] + "}"
     moves = [f";FORCE {force}", lin(60, 40, more=at[1]), arc, lin(140, 20, more=at[3])]
-    program("nominal", *moves, at=at[0])
+    write_program("nominal", *moves, at=at[0])
     convert_in_cell("nominal.src", cell)
     lines = Path("out/nominal.src").read_text(encoding="utf-8").splitlines()
     return [line for line in lines if not line.startswith(";POSTPROC")]
@@ -238,7 +233,7 @@ def convert_in_cell(source, cell):
 @pytest.mark.parametrize("force", ["FX=-150 FY=100 FZ=120", "FX=-180 FY=90 FZ=60 FRAME=FEED"])
 @pytest.mark.parametrize("cell", [CELL_TEXT, CARRIED], ids=["still", "carried"])
 def test_a_moved_auxiliary_point_of_a_corrected_arc_is_told(force, cell):
-    lines = corrected(force, cell)
+    lines = corrected_lines(force, cell)
     Path("other.src").write_text("\n".join(lines))
     content, _ = compared("nominal.src", "other.src", cell=cell, code=0)
     assert content["issues"] == []

@@ -18,14 +18,8 @@ from postproc.under_load import RobotInCell
 from tests.comparison.krl_moves import TURNED
 from tests.corrections import read_files
 from tests.kr270 import CELL, ROBOT
+from tests.krl_texts import HEAD
 
-HEAD = """DEF part( )
-$VEL.CP=0.05
-$APO.CDIS=0.5
-$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}
-$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}
-PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}
-"""
 BODY = f"""LIN {{X 0,Y 0,Z 0,{TURNED}}}
 LIN {{X 40,Y 0,Z 0,{TURNED}}} C_DIS
 LIN {{X 40,Y 30,Z 0,{TURNED}}} C_DIS

@@ -12,22 +12,17 @@ import pytest
 
 from tests import commands
 from tests.comparison.krl_moves import TURNED, circ, lin
+from tests.krl_texts import BASE, HOME, SPEED, TOOL, krl_program
 from tests.places import CELL_FILE
 
 pytestmark = pytest.mark.usefixtures("work_folder")
 
-HEAD = """DEF {name}( )
-$VEL.CP=0.05
-$BASE={{X 1500,Y -200,Z 700,A 0,B 0,C 0}}
-$TOOL={{X 0,Y 0,Z 350,A 0,B 0,C 0}}
-PTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}}
-"""
 SQUARE = [(0, 0), (40, 0), (40, 30), (0, 30), (0, 0)]
 FORCE = ";FORCE FX=-150 FY=120 FZ=200"
 
 
-def program(name, *moves):
-    Path(f"{name}.src").write_text("\n".join([HEAD.format(name=name), *moves, "END", ""]))
+def write_program(name, *moves):
+    Path(f"{name}.src").write_text(krl_program(SPEED, BASE, TOOL, HOME, "", *moves, name=name))
     return f"{name}.src"
 
 
@@ -45,8 +40,8 @@ def unmarked(path):
 @pytest.mark.parametrize("corner", [1, 2, 3])
 @pytest.mark.parametrize("force", ["", FORCE])
 def test_a_missing_corner_of_a_square_fails_by_the_distance_of_the_corner(corner, force):
-    one = program("ONE", force, *(lin(*spot) for spot in SQUARE))
-    other = program("OTHER", force, *(lin(*spot) for k, spot in enumerate(SQUARE) if k != corner))
+    one = write_program("ONE", force, *(lin(*spot) for spot in SQUARE))
+    other = write_program("OTHER", force, *(lin(*spot) for k, spot in enumerate(SQUARE) if k != corner))
     content = comparison(one, other, code=3)
     assert content["only_nominal"] == 1
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "only-nominal"]
@@ -60,7 +55,7 @@ def test_a_missing_corner_of_a_square_fails_by_the_distance_of_the_corner(corner
 
 
 def test_a_missing_corner_of_a_corrected_square_fails_too():
-    one = program("ONE", FORCE, *(lin(*spot) for spot in SQUARE))
+    one = write_program("ONE", FORCE, *(lin(*spot) for spot in SQUARE))
     run("convert", one, "-o", "out", code=0)
     path = unmarked("out/ONE.src")
     lines = Path(path).read_text().splitlines(keepends=True)
@@ -78,12 +73,12 @@ def test_a_point_of_a_line_or_an_arc_may_be_left_out():
         lin(0, 0), lin(25, 0), lin(60, 0), circ((60 + half, 20 - half), (80, 20)),
         circ((60 + half, 20 + half), (60, 40)), lin(0, 40),
     ]  # fmt: skip
-    content = comparison(program("ONE", *divided), program("OTHER", *whole))
+    content = comparison(write_program("ONE", *divided), write_program("OTHER", *whole))
     assert (content["pairs"], content["only_nominal"], content["verdict"]["state"]) == (4, 0, "ok")
     assert content["passed"] == 2
     assert content["passed_within_mm"] < 0.001
     assert "every target has its partner, or the path passes it" in content["verdict"]["reasons"]
-    content = comparison(program("ONE", *whole), program("OTHER", *divided))
+    content = comparison(write_program("ONE", *whole), write_program("OTHER", *divided))
     assert (content["pairs"], content["inserted"], content["only_corrected"]) == (4, 2, 0)
     assert content["verdict"]["state"] == "ok"
 
@@ -93,7 +88,10 @@ def test_targets_that_are_left_out_and_passed_are_stated_with_their_distance(bul
     """Points of a line that is not quite straight: a line through its ends passes them."""
     points = [(20.0 * k, bulge) for k, bulge in enumerate(bulges, 1)]
     ends = [lin(0, 0), lin(80, 0), lin(80, 40)]
-    one, other = program("ONE", ends[0], *(lin(*spot) for spot in points), *ends[1:]), program("OTHER", *ends)
+    one, other = (
+        write_program("ONE", ends[0], *(lin(*spot) for spot in points), *ends[1:]),
+        write_program("OTHER", *ends),
+    )
     content = comparison(one, other)
     assert (content["passed"], content["only_nominal"]) == (len(bulges), 0)
     assert content["passed_within_mm"] == pytest.approx(0.008, abs=1e-6)
@@ -106,7 +104,7 @@ def test_targets_that_are_left_out_and_passed_are_stated_with_their_distance(bul
 
 
 def test_nothing_is_said_of_passed_targets_if_every_target_has_its_partner():
-    one, other = (program(name, *(lin(*spot) for spot in SQUARE)) for name in ("ONE", "OTHER"))
+    one, other = (write_program(name, *(lin(*spot) for spot in SQUARE)) for name in ("ONE", "OTHER"))
     content = comparison(one, other)
     assert (content["passed"], content["passed_within_mm"]) == (0, None)
     assert "passes" not in run("compare", one, other, "-o", "found", "--overwrite", code=0)
@@ -114,7 +112,7 @@ def test_nothing_is_said_of_passed_targets_if_every_target_has_its_partner():
 
 def test_a_slit_that_is_left_out_fails_though_the_path_stays_on_the_nominal_one():
     moves = [lin(0, 0), lin(40, 0), lin(40, 25), lin(40, 0), lin(80, 0)]
-    content = comparison(program("ONE", *moves), program("OTHER", moves[0], moves[1], moves[4]), code=3)
+    content = comparison(write_program("ONE", *moves), write_program("OTHER", moves[0], moves[1], moves[4]), code=3)
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "only-nominal"]
     assert "by 25.0000 mm" in issue["message"]
 
@@ -139,7 +137,7 @@ def test_a_nominal_and_a_corrected_program_of_gcode_belong_together_without_sayi
 
 
 def test_forces_in_a_file_that_is_not_given_are_asked_for_in_an_ok_verdict():
-    one = program("ONE", *(lin(*spot) for spot in SQUARE))
+    one = write_program("ONE", *(lin(*spot) for spot in SQUARE))
     Path("forces.csv").write_text("line,Fx,Fy,Fz,line_end\n7,-250,180,120,12\n")
     run("convert", one, "--forces", "forces.csv", "-o", "out", code=0)
     Path("elsewhere").mkdir()
@@ -157,8 +155,8 @@ def test_forces_in_a_file_that_is_not_given_are_asked_for_in_an_ok_verdict():
 
 def test_another_orientation_type_is_reported_but_for_the_one_that_the_correction_needs():
     moves = [lin(*spot) for spot in SQUARE]
-    one = program("ONE", *moves)
-    content = comparison(one, program("OTHER", *moves[:2], "$ORI_TYPE=#CONSTANT", *moves[2:]))
+    one = write_program("ONE", *moves)
+    content = comparison(one, write_program("OTHER", *moves[:2], "$ORI_TYPE=#CONSTANT", *moves[2:]))
     (issue,) = content["issues"]
     assert (issue["kind"], issue["count"]) == ("orientation-type", 3)
     assert "$ORI_TYPE is #CONSTANT instead of #VAR" in issue["message"]
@@ -172,9 +170,9 @@ def test_another_turn_of_a_point_to_point_target_is_reported():
     def moves(turn):
         return [lin(0, 0), f"PTP {{X 60,Y 0,Z 30,{TURNED}{turn}}}", lin(80, 0)]
 
-    one = program("ONE", *moves(",S 2,T 2"))
-    assert comparison(one, program("SAME", *moves(",S 2,T 2")))["issues"] == []
+    one = write_program("ONE", *moves(",S 2,T 2"))
+    assert comparison(one, write_program("SAME", *moves(",S 2,T 2")))["issues"] == []
     for turn in (",S 2,T 18", ",S 2", ""):
-        content = comparison(one, program("OTHER", *moves(turn)))
+        content = comparison(one, write_program("OTHER", *moves(turn)))
         assert "posture" in {issue["kind"] for issue in content["issues"]}, turn
         assert content["verdict"]["state"] == "warning"

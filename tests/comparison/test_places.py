@@ -13,18 +13,13 @@ import pytest
 from tests import commands
 from tests.comparison.krl_moves import TURNED
 from tests.html_page import read_page
+from tests.krl_texts import BASE, HOME, INITMOV, SPEED, TOOL, krl_program
 from tests.places import CELL_FILE
 
 pytestmark = pytest.mark.usefixtures("work_folder")
 
-HEAD = """DEF {name}( )
-BAS (#INITMOV,0 )
-$VEL.CP=0.05
-$BASE={{X 1500,Y -200,Z 700,A 0,B 0,C 0}}
-$TOOL={{X 0,Y 0,Z 350,A 0,B 0,C 0}}
-PTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}}
-"""
 
+HEAD_LINES = (INITMOV, SPEED, BASE, TOOL, HOME)
 
 run = partial(commands.printed, cell=CELL_FILE)
 comparison = partial(commands.comparison, cell=CELL_FILE)
@@ -33,7 +28,7 @@ comparison = partial(commands.comparison, cell=CELL_FILE)
 def krl(path, count=30):
     lines = [f"LIN {{X {4.0 * n:.3f},Y {n % 5 * 3.0:.3f},Z 0.000,{TURNED}}} C_DIS" for n in range(count)]
     Path(path).parent.mkdir(parents=True, exist_ok=True)
-    Path(path).write_text("\n".join([HEAD.format(name=Path(path).stem) + lines[0], *lines[1:], "END", ""]))
+    Path(path).write_text(krl_program(*HEAD_LINES, *lines, name=Path(path).stem))
 
 
 def moved(path, by=3.0, which=10):
@@ -110,7 +105,9 @@ def test_a_line_of_a_subprogram_in_another_file_is_named_with_it():
         krl(f"{folder}/cut.src", 12)
         text = Path(f"{folder}/cut.src").read_text()
         Path(f"{folder}/cut.src").write_text("DEF cut( )\n" + text[text.index("LIN") :])
-        Path(f"{folder}/job.src").write_text(HEAD.format(name="job") + f"LIN {{X 0,Y 0,Z 9,{TURNED}}}\ncut()\nEND\n")
+        Path(f"{folder}/job.src").write_text(
+            krl_program(*HEAD_LINES, f"LIN {{X 0,Y 0,Z 9,{TURNED}}}", "cut()", name="job")
+        )
     line = moved("two/cut.src", which=6)
     content = comparison("one/job.src", "two/job.src")
     worst = content["largest"][0]

@@ -15,7 +15,7 @@ import pytest
 from tests import commands
 from tests.kr270 import CELL_TEXT
 
-HEAD = """&ACCESS RVP
+ROBODK_HEAD = """&ACCESS RVP
 &REL 1
 &PARAM TEMPLATE = C:\\KRC\\Roboter\\Template\\vorgabe
 &PARAM EDITMASK = *
@@ -75,7 +75,7 @@ FORCES = "line,Fx,Fy,Fz,line_end\n{first},-250,180,120,{last}\n"
 @pytest.fixture(autouse=True)
 def input_files(work_folder):
     Path("cell.toml").write_text(CELL_TEXT, encoding="utf-8")
-    text = HEAD + BODY
+    text = ROBODK_HEAD + BODY
     Path("Milling.src").write_text(text)
     Path("forces.csv").write_text(
         FORCES.format(first=line_of(text, "LIN {X 40.000,Y 0.0"), last=len(text.splitlines()) - 2)
@@ -126,7 +126,7 @@ PLANTED = {
 @pytest.mark.parametrize("fault", PLANTED)
 def test_every_difference_planted_in_a_program_of_robodk_is_found(fault):
     before, after = PLANTED[fault]
-    line = edited(HEAD + BODY, before, after)
+    line = edited(ROBODK_HEAD + BODY, before, after)
     content = comparison("Milling.src", "Edited.src")
     found = {issue["kind"]: issue for issue in content["issues"]}
     if fault == "moved point":
@@ -152,7 +152,7 @@ def test_every_difference_planted_in_a_program_of_robodk_is_found(fault):
 
 def test_a_changed_e1_in_a_program_of_robodk_is_found():
     """With seven axes its post writes E1 behind each target."""
-    text = re.sub(r"(A6 0\.00000|C 180\.000)\}", r"\1,E1 100.00000}", HEAD + BODY)
+    text = re.sub(r"(A6 0\.00000|C 180\.000)\}", r"\1,E1 100.00000}", ROBODK_HEAD + BODY)
     Path("Milling.src").write_text(text)
     Path("cell.toml").write_text(CELL_TEXT + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n", encoding="utf-8")
     line = edited(

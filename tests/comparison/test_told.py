@@ -16,10 +16,10 @@ from postproc import cell as cells
 from postproc import correction, jobs
 from postproc.comparison import compare
 from tests import commands
-from tests.attack.compared import HEAD
 from tests.comparison.krl_moves import TURNED
 from tests.corrections import read_back
 from tests.kr270 import CELL_TEXT, FOLDER
+from tests.krl_texts import HEAD
 from tests.places import SAMPLES
 
 PROGRAM = (
@@ -52,7 +52,7 @@ run = partial(commands.printed, cell="cell.toml", code=(0, 3))
 comparison = partial(commands.comparison, cell="cell.toml", code=(0, 3))
 
 
-def corrected():
+def corrected_text():
     """Correct the program; return its text without the line that says where it comes from."""
     run("convert", "part.src", "-o", "out", code=(0,))
     return re.sub(r"^;POSTPROC .*\n", "", Path("out/part.src").read_text(), flags=re.MULTILINE)
@@ -70,7 +70,7 @@ def kinds(content):
 
 
 def test_the_corrected_program_belongs_to_its_nominal_one():
-    content = edited(corrected(), "^END$", "END ")
+    content = edited(corrected_text(), "^END$", "END ")
     assert (content["verdict"]["state"], content["issues"]) == ("ok", [])
 
 
@@ -79,7 +79,7 @@ def test_the_corrected_program_belongs_to_its_nominal_one():
 def test_a_spline_block_that_was_edited_is_told(what, with_forces):
     if not with_forces:
         Path("part.src").write_text(re.sub(r"; FORCE.*\n", "", PROGRAM))
-    text = corrected()
+    text = corrected_text()
     if what == "point of a spline":
         point = next(line for line in text.splitlines() if line.lstrip().startswith("SPL {"))
     else:
@@ -95,7 +95,7 @@ def test_a_spline_block_that_was_edited_is_told(what, with_forces):
 
 @pytest.mark.parametrize(("before", "after"), [("FX=-150", "FX=150"), ("FY=-90", "FY=-91"), ("FZ=80", "FZ=120")])
 def test_a_force_comment_that_was_changed_is_told_with_its_line(before, after):
-    written = corrected()
+    written = corrected_text()
     name = before.split("=")[0]
     old = re.search(rf"{name}={float(before.split('=')[1]):g}(?:\.0*)?\b", written)
     assert old is not None, written
@@ -116,7 +116,7 @@ PLANTED = {
 
 @pytest.mark.parametrize("kind", PLANTED)
 def test_what_no_cutting_position_shows_is_told(kind):
-    content = edited(corrected(), *PLANTED[kind])
+    content = edited(corrected_text(), *PLANTED[kind])
     assert kind in kinds(content), content["issues"]
     assert content["verdict"]["state"] != "ok"
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests import commands
 
-CELL = """robot = "kuka_kr270"
+TURNED_CELL = """robot = "kuka_kr270"
 [base]
 X = 1400.0
 Y = 150.0
@@ -52,7 +52,7 @@ def input_files(work_folder):
 
 @pytest.mark.parametrize("mode", ["best", "path"])
 def test_a_force_in_axes_of_the_tool_has_the_direction_that_the_corrected_program_was_made_for(mode):
-    Path("cell.toml").write_text(CELL.format(mode=mode))
+    Path("cell.toml").write_text(TURNED_CELL.format(mode=mode))
     commands.run("convert", "part.nc", "--forces", "forces.csv", "-o", "out", code=(0, 3), cell="cell.toml")
     report = json.loads(Path("out/part.report.json").read_text(encoding="utf-8"))
     assert abs(report["redundancy"]["min_deg"]) > 1.0, "else there would be nothing to see"

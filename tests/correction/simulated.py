@@ -9,20 +9,12 @@ import tomllib
 import numpy as np
 import pytest
 
-from postproc import cell as cells
-from postproc import correction, report, robot
-from tests.corrections import read_files
+from postproc import report, robot
 from tests.oracle import cell_sim
 from tests.oracle.arm import Arm
 from tests.places import SAMPLES
 
 MICROMETRE = 1e-6
-
-
-def convert(text_files, cell_file="cell_kr270.toml", rows=None, **options):
-    cell = cells.load(SAMPLES / cell_file)
-    model = robot.load(robot.find(cell.robot))
-    return correction.process(read_files(text_files, cell, model), model, cell, rows, **options)
 
 
 def simulator(cell_file):

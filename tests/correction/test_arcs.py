@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.correction.simulated import convert, rows_of, simulator, written
-from tests.corrections import correct_files
+from tests.cells import sample
+from tests.correction.simulated import rows_of, simulator, written
+from tests.corrections import correct_files, process_files
 
-HEAD = "%\nG21 G90 G17 G94\nG0 X0 Y0 Z20\nG1 Z0 F1500\n"
+RAMP_TO_Z0 = "%\nG21 G90 G17 G94\nG0 X0 Y0 Z20\nG1 Z0 F1500\n"
 SHARES = (0.25, 0.55, 0.8, 1.0)
 RAMP = 1.0
 
@@ -20,7 +21,7 @@ RAMP = 1.0
 def made(rng, count, size, strength, frame):
     """Random arcs: text, and for each source line of an arc centre, start angle, turn, start, rise and own force."""
     x = y = z = 0.0
-    text, arcs, force = HEAD, {}, np.zeros(3)
+    text, arcs, force = RAMP_TO_Z0, {}, np.zeros(3)
     for n in range(count):
         radius, begin = rng.uniform(0.2, 1.0) * size, rng.uniform(0.0, 2.0 * np.pi)
         turn = rng.uniform(0.3, 5.5) * rng.choice([-1.0, 1.0])
@@ -187,7 +188,7 @@ def test_arcs_on_which_feed_axes_swing_round_are_held_within_the_tolerance(cell_
     across = [np.linalg.norm(np.cross(np.cos(x) * v - np.sin(x) * u, up)) for x in np.linspace(0.0, turn, 400)]
     assert 1.5e-3 < min(across) / np.linalg.norm(u) < 0.1
     text = circ(cell_file, angles, via, end, force)
-    result = convert({"part.src": text}, cell_file)
+    result = process_files({"part.src": text}, *sample(cell_file))
     assert not result.failed, result.issues
     line = next(n for n, text in enumerate(text.split("\n"), 1) if text.startswith("CIRC"))
     assert 0.0 < worst_miss(result, cell_file, {line: arc}) <= 0.010
@@ -204,7 +205,7 @@ def planar(plane, radius, begin, turn, rise):
     end = -u + np.cos(turn) * u + np.sin(turn) * across + climb
     i, j = (f"{'IJK'[n]}{-u[n]:.6f}" for n in (one, other))
     word = "G3" if turn > 0 else "G2"
-    text = f"{HEAD}G1 X0 Y0\n(FORCE FX=-180 FY=220 FZ=90 FRAME=FEED)\nG{plane} {word} "
+    text = f"{RAMP_TO_Z0}G1 X0 Y0\n(FORCE FX=-180 FY=220 FZ=90 FRAME=FEED)\nG{plane} {word} "
     text += " ".join(f"{name}{value:.6f}" for name, value in zip("XYZ", end, strict=True)) + f" {i} {j}\nM30\n%\n"
     arc = Through(-u, u, across * np.sign(turn), abs(turn), climb, (-180, 220, 90), (0, 0, 1))
     return text, {text[: text.index(f"G{plane} ")].count("\n") + 1: arc}
@@ -223,7 +224,7 @@ def test_upright_arcs_of_cam_programs_are_held_within_the_tolerance(plane, radiu
     if begin is None:
         begin = QUARTER if plane == 18 else 0.0  # the arc begins along the spindle
     text, arcs = planar(plane, radius, begin, turn, rise)
-    result = convert({"part.nc": text})
+    result = process_files({"part.nc": text})
     assert not result.failed, result.issues
     assert 0.0 < worst_miss(result, "cell_kr270.toml", arcs) <= 0.010
 
@@ -231,9 +232,9 @@ def test_upright_arcs_of_cam_programs_are_held_within_the_tolerance(plane, radiu
 @pytest.mark.parametrize("plane", [18, 19])
 def test_a_force_that_jumps_within_an_arc_is_told(plane):
     text, arcs = planar(plane, 20.0, (QUARTER if plane == 18 else 0.0) - 0.5, QUARTER, 0.0)
-    result = convert({"part.nc": text})
+    result = process_files({"part.nc": text})
     (error,) = (issue for issue in result.issues if issue.level == "error")
     assert (error.kind, error.source_line) == ("force-jump", *arcs)
     assert "Divide the move" in error.message
-    as_base = convert({"part.nc": text.replace("FEED", "BASE")})
+    as_base = process_files({"part.nc": text.replace("FEED", "BASE")})
     assert not as_base.failed

@@ -16,7 +16,7 @@ from tests.kr270 import CELL, ROBOT
 from tests.oracle import cell_sim
 from tests.programs import program as made_of
 
-HEAD = "G90 G21 G17\nS1000 M3 F600\nG0 X0 Y0 Z10\n"
+SPINDLE_ON_AT_Z10 = "G90 G21 G17\nS1000 M3 F600\nG0 X0 Y0 Z10\n"
 
 
 def converted(text, dialect="gcode", **gcode):
@@ -63,13 +63,13 @@ def test_the_parabola_passes_a_corner_where_the_formula_says():
 def test_a_corner_that_blending_would_round_too_much_is_an_exact_stop(degrees):
     """0.5 mm / 2 · sin(turn / 2) is 0.05 mm at 23.07°."""
     x, y = 20 + 20 * np.cos(np.radians(degrees)), 20 * np.sin(np.radians(degrees))
-    text = f"{HEAD}G1 Z0\nG1 X20\nG1 X{x:.4f} Y{y:.4f}\nG1 X60 Y40\nM2\n"
+    text = f"{SPINDLE_ON_AT_Z10}G1 Z0\nG1 X20\nG1 X{x:.4f} Y{y:.4f}\nG1 X60 Y40\nM2\n"
     at = stops(converted(text, approximation_mm=0.5))
     assert at[1] == (0.5 if degrees < 23.07 else 0.0)
 
 
 def test_a_bottom_is_reached_and_an_arc_that_runs_on_is_not_stopped_at():
-    text = f"{HEAD}G1 Z-5\nG0 Z10\nG0 X40\nG1 Z-5\nG1 Z2\nG1 X60\nG3 X60 Y20 I0 J10\nG1 X40\nM2\n"
+    text = f"{SPINDLE_ON_AT_Z10}G1 Z-5\nG0 Z10\nG0 X40\nG1 Z-5\nG1 Z2\nG1 X60\nG3 X60 Y20 I0 J10\nG1 X40\nM2\n"
     at = stops(converted(text))
     assert at[:5] == [0.0] * 5  # down, up, across, down, up
     assert at[5:] == [0.2, 0.2, 0.2, 0.0]  # along, half a circle in two pieces, back
@@ -80,7 +80,7 @@ def test_a_bottom_is_reached_and_an_arc_that_runs_on_is_not_stopped_at():
 )
 def test_the_modes_of_the_program_keep_their_meaning(code, stopping):
     """P is what the program allows at corners: no corner is rounded by more, and none within it is a stop."""
-    result = converted(f"{HEAD}{code}\nG1 Z0\nG1 X20\nG1 Y20\nG1 X40\nM2\n", approximation_mm=0.5)
+    result = converted(f"{SPINDLE_ON_AT_Z10}{code}\nG1 Z0\nG1 X20\nG1 Y20\nG1 X40\nM2\n", approximation_mm=0.5)
     at = stops(result)[:3]
     assert all(distance == 0.0 for distance in at) is stopping
     assert all(distance > 0.0 for distance in at) is not stopping
@@ -88,7 +88,7 @@ def test_the_modes_of_the_program_keep_their_meaning(code, stopping):
 
 
 def test_no_approximation_means_exact_stops_at_inserted_targets_too():
-    text = f"{HEAD}(FORCE FX=300 FZ=200)\nG1 Z0\nG1 X20\nG1 X40 Y3\nM2\n"
+    text = f"{SPINDLE_ON_AT_Z10}(FORCE FX=300 FZ=200)\nG1 Z0\nG1 X20\nG1 X40 Y3\nM2\n"
     assert set(stops(converted(text, approximation_mm=0.0))) == {0.0}
 
 
@@ -106,8 +106,8 @@ def corners_of(result):
 
 
 def test_rounding_is_that_of_the_written_text_and_small_where_only_the_force_changes():
-    text = f"{HEAD}(FORCE FX=300 FZ=200)\nG1 Z0\nG1 X20\n(FORCE FX=-300)\nG1 X40 Y3\n(FORCE OFF)\nG1 X60 Y6\nM2\n"
-    result = converted(text, approximation_mm=0.5)
+    moves = "(FORCE FX=300 FZ=200)\nG1 Z0\nG1 X20\n(FORCE FX=-300)\nG1 X40 Y3\n(FORCE OFF)\nG1 X60 Y6\nM2\n"
+    result = converted(SPINDLE_ON_AT_Z10 + moves, approximation_mm=0.5)
     seen = corners_of(result)
     assert max(seen) == pytest.approx(result.rounding.max(), rel=1e-3)
     inserted = result.rounding[result.t < 1.0]
@@ -121,7 +121,7 @@ def test_rounding_is_that_of_the_written_text_and_small_where_only_the_force_cha
 
 
 def test_held_is_said_where_it_is_held_with_approximation():
-    text = f"{HEAD}(FORCE FX=300 FZ=200)\nG1 Z0\nG1 X20\nG1 X40 Y20\nM2\n"
+    text = f"{SPINDLE_ON_AT_Z10}(FORCE FX=300 FZ=200)\nG1 Z0\nG1 X20\nG1 X40 Y20\nM2\n"
     result = converted(text, corner_tolerance_mm=0.001)
     assert report.summary(result, 1e-5).tolerance_held is True
 

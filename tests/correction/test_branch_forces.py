@@ -7,14 +7,17 @@ import pytest
 from postproc import correction, forces, robot
 from tests.corrections import read_files
 from tests.kr270 import CELL
+from tests.krl_texts import HOME, SPEED
 
-HEAD = "DEF part()\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}\n$VEL.CP=0.05\n"
+AT_HOME = f"DEF part()\n{HOME}\n{SPEED}\n"
 BRANCHES = ("X 0,Y 0", "IF $IN[1] THEN", "X 20,Y 10", "X 30,Y 0", "ELSE", "X 20,Y -10", "X 30,Y 0", "ENDIF", "X 50,Y 0")
 ONE = ("X 0,Y 0", "IF $IN[1] THEN", "X 20,Y 10", "X 0,Y 0", "ENDIF", "X 50,Y 0")
 
 
 def processed(lines, rows, tmp_path, mode="convert"):
-    text = HEAD + "".join(f"LIN {{{line},Z 0,A 180,B 0,C 180}}\n" if line[0] == "X" else f"{line}\n" for line in lines)
+    text = AT_HOME + "".join(
+        f"LIN {{{line},Z 0,A 180,B 0,C 180}}\n" if line[0] == "X" else f"{line}\n" for line in lines
+    )
     table = tmp_path / "part.csv"
     table.write_text("line,Fx,Fy,Fz\n" + "".join(f"{line},{force},20,30\n" for line, force in rows.items()))
     model = robot.load(robot.find(CELL.robot))
@@ -55,7 +58,7 @@ ROUND = "X 50,Y 50,Z 0,A {},B 0,C 180"
 def test_a_round_of_an_endless_loop_that_turns_a6_all_the_way_is_refused(angles, turned):
     """Its second round would begin with A6 one turn farther, the fifth beyond its limit."""
     first, *_ = lines = [f"LIN {{{ROUND.format(angle)}}}\n" for angle in (0, *angles)]
-    text = f"{HEAD}{first}; FORCE FZ=100\n{first}LOOP\n{''.join(lines[1:])}ENDLOOP\nEND\n"
+    text = f"{AT_HOME}{first}; FORCE FZ=100\n{first}LOOP\n{''.join(lines[1:])}ENDLOOP\nEND\n"
     model = robot.load(robot.find(CELL.robot))
     program = read_files({"part.src": text}, CELL, model)
     errors = [issue for issue in correction.process(program, model, CELL).issues if issue.level == "error"]

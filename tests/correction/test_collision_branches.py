@@ -14,7 +14,7 @@ from postproc.program import Carriage
 from tests.commands import invoke
 from tests.programs import program
 
-CELL = """robot = "kuka_kr270"
+CELL_WITH_CLAMP = """robot = "kuka_kr270"
 base = { X = 1400.0, Y = 150.0, Z = 750.0, A = 30.0, B = 4.0, C = -6.0 }
 tool = { Z = 300.0 }
 start = { joints = [0, -90, 100, 0, 80, 0] }
@@ -41,7 +41,7 @@ POINTS = {  # left and right of the clamp, below and above its top
     "JOINTS LEFT": "{A1 -9.90553,A2 -82.71442,A3 116.42842,A4 8.24949,A5 58.24142,A6 15.83698}",
     "JOINTS RIGHT": "{A1 -11.48109,A2 -75.55478,A3 111.23408,A4 8.35531,A5 56.48375,A6 13.97783}",
 }
-HEAD = """DEF part( )
+NUMBERED_FRAMES = """DEF part( )
 BAS (#INITMOV,0 )
 $BASE=BASE_DATA[3]
 $TOOL=TOOL_DATA[2]
@@ -56,11 +56,13 @@ def refused_lines(tmp_path, body: str, *options: str) -> list[int]:
     """
     for name, point in POINTS.items():
         body = body.replace(name, point)
-    (tmp_path / "cell.toml").write_text(CELL)
+    (tmp_path / "cell.toml").write_text(CELL_WITH_CLAMP)
     path = tmp_path / "part.src"
-    path.write_text(f"{HEAD}{body}\nEND\n")
+    path.write_text(f"{NUMBERED_FRAMES}{body}\nEND\n")
     done = invoke("convert", str(path), "-o", str(tmp_path / "out"), *options, cell=str(tmp_path / "cell.toml"))
-    lines = [int(line) - HEAD.count("\n") for line in re.findall(r"part\.src:(\d+): collision:", done.output)]
+    lines = [
+        int(line) - NUMBERED_FRAMES.count("\n") for line in re.findall(r"part\.src:(\d+): collision:", done.output)
+    ]
     assert bool(lines) == bool(done.exit_code), done.output
     assert bool(lines) != Path(tmp_path, "out", "part.src").exists()
     return lines

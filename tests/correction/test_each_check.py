@@ -9,12 +9,11 @@ from msgspec.structs import replace
 from postproc import correction
 from postproc.poses import Poses
 from postproc.robot import MeasuredRange
-from tests.kr270 import CELL, FOLDER, ROBOT
+from tests.kr270 import CELL, FOLDER, ROBOT, TOOL
 from tests.oracle.arm import Arm
 from tests.programs import program
 
 ARM = Arm.load(FOLDER)
-TOOL = CELL.tool.pose()
 FORCE = [(2, (120.0, 50.0, 90.0, 4.0, -3.0, 2.0))]
 NORMAL = (10.0, -70.0, 105.0, 20.0, 50.0, 30.0)
 

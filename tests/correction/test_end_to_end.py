@@ -10,8 +10,9 @@ import pytest
 
 from postproc import cell as cells
 from postproc import correction, report, robot
-from tests.correction.simulated import MICROMETRE, check_targets, convert, rows_of, simulator, written
-from tests.corrections import correct_files, read_files
+from tests.cells import sample
+from tests.correction.simulated import MICROMETRE, check_targets, rows_of, simulator, written
+from tests.corrections import correct_files, process_files, read_files
 from tests.kr270 import CELL
 from tests.places import SAMPLES
 
@@ -61,7 +62,7 @@ LINES = [
 def test_between_targets_the_path_is_held_within_the_tolerance(cell_file):
     scale = 1.0 if "270" in cell_file else 0.25
     text = CUTS if scale == 1.0 else _scaled(CUTS, scale)
-    result = convert({"cuts.nc": text}, cell_file)
+    result = process_files({"cuts.nc": text}, *sample(cell_file))
     assert not result.failed, result.issues
     sim, moves = simulator(cell_file), written(result)
     rows = check_targets(result, sim, moves, every=2)
@@ -114,7 +115,7 @@ def test_zero_force_gives_the_same_krl_byte_for_byte():
             name: b"\n".join(line for line in data.split(b"\n") if b"FORCE" not in line) for name, data in files.items()
         }
         cell = "cell_kr16.toml" if names == ("long_lin.src",) else "cell_kr270.toml"
-        result = convert(quiet, cell)
+        result = process_files(quiet, *sample(cell))
         assert not result.failed, result.issues
         assert {d.name: d.to_bytes() for d in result.documents} == quiet
 

@@ -9,10 +9,11 @@ from msgspec.structs import replace
 from postproc import correction, forces, report, toolpath
 from postproc.robot.model import Covariance
 from tests.correction.simulated import rows_of, simulator, written
-from tests.correction.test_forces_carried import CELL, HEAD, ROBOT, check, convert
-from tests.corrections import read_back, read_files
+from tests.correction.test_forces_carried import AT_Z20, check
+from tests.corrections import correct_files, read_back, read_files
+from tests.kr270 import CELL, ROBOT
 
-TEXT = HEAD + "G1 Z0\nG1 X120\nG3 X120 Y40 I0 J20\nG1 X0\nG0 Z20\nM2\n"
+TEXT = AT_Z20 + "G1 Z0\nG1 X120\nG3 X120 Y40 I0 J20\nG1 X0\nG0 Z20\nM2\n"
 LINE, ARC, BACK = 5, 6, 7
 FORCES = (
     f"line,t,Fx,Fy,Fz,frame\n{LINE},0,0,0,0,\n{LINE},0.3,400,-200,150,\n{LINE},0.35,-100,300,150,\n"
@@ -46,7 +47,7 @@ def place(line, t):
 
 
 def test_the_path_is_held_between_targets_by_an_arm_that_shares_no_code(tmp_path):
-    result = convert("part.nc", TEXT, rows=source(tmp_path, FORCES))
+    result = correct_files({"part.nc": TEXT}, source=source(tmp_path, FORCES))
     sim, moves, rows = simulator("cell_kr270.toml"), written(result), rows_of(result)
     first = len(moves) - len(rows)
     worst, seen = 0.0, 0
@@ -66,11 +67,11 @@ def test_the_path_is_held_between_targets_by_an_arm_that_shares_no_code(tmp_path
 
 
 def test_the_forces_of_the_written_program_are_those_it_was_corrected_for(tmp_path):
-    check(convert("part.nc", TEXT, rows=source(tmp_path, FORCES)), tmp_path)
+    check(correct_files({"part.nc": TEXT}, source=source(tmp_path, FORCES)), tmp_path)
 
 
 def test_what_is_given_for_the_written_program_holds_between_its_targets_too(tmp_path):
-    result = convert("part.nc", TEXT, rows=source(tmp_path, FORCES))
+    result = correct_files({"part.nc": TEXT}, source=source(tmp_path, FORCES))
     (tmp_path / "in.csv").write_bytes(report.forces_csv(result))
     program = read_back(result)
     path = toolpath.segments(program, program.motions.target[0])
@@ -88,7 +89,9 @@ def test_what_is_given_for_the_written_program_holds_between_its_targets_too(tmp
 
 
 def test_a_step_where_a_move_begins_is_told_and_followed(tmp_path):
-    result = convert("part.nc", TEXT, rows=source(tmp_path, f"line,t,Fx,Fy,Fz\n{LINE},0,300,100,50\n{LINE},1,0,0,0\n"))
+    result = correct_files(
+        {"part.nc": TEXT}, source=source(tmp_path, f"line,t,Fx,Fy,Fz\n{LINE},0,300,100,50\n{LINE},1,0,0,0\n")
+    )
     (issue,) = (issue for issue in result.issues if issue.kind == "force-step")
     assert (issue.level, issue.source_line) == ("warning", LINE)
     behind = result.t[result.source_line == LINE][0]
@@ -98,7 +101,7 @@ def test_a_step_where_a_move_begins_is_told_and_followed(tmp_path):
 
 def test_a_constant_force_along_a_move_needs_one_row(tmp_path):
     text = f"line,t,Fx,Fy,Fz\n{LINE},0.5,0,0,90\n"
-    lines = report.forces_csv(convert("part.nc", TEXT, rows=source(tmp_path, text))).decode().splitlines()
+    lines = report.forces_csv(correct_files({"part.nc": TEXT}, source=source(tmp_path, text))).decode().splitlines()
     assert sum(",90.000," in line for line in lines) == 1
 
 
@@ -141,7 +144,7 @@ def test_the_bound_holds_whether_components_share_one_error_or_have_their_own(tm
 
 def test_a_factor_of_the_force_goes_with_the_program(tmp_path):
     text = f"line,line_end,Fx,Fy,Fz,sFx,sFy,sFz,factor_percent\n{LINE},{BACK},300,-100,150,80,40,50,20\n"
-    result = convert("part.nc", TEXT, rows=source(tmp_path, text))
+    result = correct_files({"part.nc": TEXT}, source=source(tmp_path, text))
     (tmp_path / "out.csv").write_bytes(report.forces_csv(result))
     rows = forces.read(tmp_path / "out.csv")
     assert np.unique(rows.sigma[rows.wrench.any(axis=1)], axis=0).tolist() == [[80, 40, 50, 0, 0, 0]]
@@ -159,7 +162,7 @@ def test_a_model_that_knows_nothing_of_itself_has_no_bound_but_tells(tmp_path):
 
 def test_deviations_go_with_the_program(tmp_path):
     text = f"line,line_end,Fx,Fy,Fz,sFx,sFz\n{LINE},{BACK},300,-100,150,20,5\n"
-    result = convert("part.nc", TEXT, rows=source(tmp_path, text))
+    result = correct_files({"part.nc": TEXT}, source=source(tmp_path, text))
     (tmp_path / "out.csv").write_bytes(report.forces_csv(result))
     rows = forces.read(tmp_path / "out.csv")
     assert np.unique(rows.sigma[rows.wrench.any(axis=1)], axis=0).tolist() == [[20, 0, 5, 0, 0, 0]]
@@ -174,7 +177,7 @@ TURNING = (
 
 
 def test_a_line_that_turns_the_tool_past_its_travel_holds_the_tolerance_under_a_feed_force(tmp_path):
-    result = convert("part.src", TURNING.format(1.0))
+    result = correct_files({"part.src": TURNING.format(1.0)})
     check(result, tmp_path)
     assert result.between <= CELL.tolerance
     assert result.documents[0].text.count("FRAME=FEED") > 20  # the force turns with the tool along each piece

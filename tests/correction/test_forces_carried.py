@@ -11,16 +11,11 @@ import pytest
 
 from postproc import correction, forces, report
 from tests.correction.simulated import simulator
-from tests.corrections import correct_files, read_back
+from tests.corrections import correct_files, krl_files, read_back
 from tests.kr270 import CELL, ROBOT
 from tests.oracle import cell_sim
 
 MILLINEWTON = 1e-3
-
-
-def convert(name, text, data=None, rows=None, **options):
-    files = {name: text} | ({} if data is None else {"part.dat": data})
-    return correct_files(files, source=rows, **options)
 
 
 def predicted(result, tmp_path):
@@ -73,7 +68,7 @@ def check_by_simulator(result):
     assert next(spots, None) is None
 
 
-HEAD = "G90 G21 G17\nS1000 F600\nG0 X0 Y0 Z20\n"
+AT_Z20 = "G90 G21 G17\nS1000 F600\nG0 X0 Y0 Z20\n"
 MILLED = (
     "(FORCE FX=300 FY=-50.5 FZ=200 MZ=4)\nG1 Z0\nG1 X30\n(FORCE FX=-120 FZ=80)\nG1 Y30\nG0 Z20\nG0 X60\nG1 Z0\n"
     "(FORCE OFF)\nG1 X90\n(FORCE FY=250)\nG3 X90 Y60 I0 J15\nG1 X30.3\nG1 X30\nM2\n"
@@ -81,7 +76,7 @@ MILLED = (
 
 
 def test_comments_of_gcode_become_comments_of_krl(tmp_path):
-    result = convert("part.nc", HEAD + MILLED)
+    result = correct_files({"part.nc": AT_Z20 + MILLED})
     check(result, tmp_path)
     check_by_simulator(result)
     assert report.forces_csv(result) is None
@@ -89,10 +84,10 @@ def test_comments_of_gcode_become_comments_of_krl(tmp_path):
 
 @pytest.mark.parametrize("options", [{}, {"linearize_arcs": True}, {"mode": "nominal"}])
 def test_feed_forces_are_those_of_the_program_read_however_the_pieces_turn(tmp_path, options):
-    text = HEAD + MILLED.replace("G1 Z0", "G1 X2 Z0", 1).replace("FX=300", "FRAME=FEED FX=300").replace(
+    text = AT_Z20 + MILLED.replace("G1 Z0", "G1 X2 Z0", 1).replace("FX=300", "FRAME=FEED FX=300").replace(
         "FY=250", "FY=250 FRAME=FEED"
     )
-    result = convert("part.nc", text, **options)
+    result = correct_files({"part.nc": text}, **options)
     if options.get("mode") == "nominal":
         back, ends = predicted(result, tmp_path)
         np.testing.assert_allclose(back.wrench[ends], result.wrench, rtol=0, atol=2 * MILLINEWTON)
@@ -109,18 +104,18 @@ KRL = (
     "LIN {{X 80,Y 0,Z 0,A 180,B 0,C 180}} C_DIS {1}\n;FORCE OFF\nPTP XS\nLIN {{X 80,Y 20,Z 0,A 180,B 0,C 180}}\n"
     "{2}\nCIRC {{X 100,Y 40,Z 0}},{{X 120,Y 20,Z 0}} C_DIS\n{3}\nLIN {{X 150,Y 20,Z 0,A 160,B 5,C 180}}\nEND\n"
 )
-DATA = "DEFDAT part\nDECL E6POS XS={X 0,Y 0,Z 50,A 180,B 0,C 180}\nENDDAT\n"
+START_DAT = "DEFDAT part\nDECL E6POS XS={X 0,Y 0,Z 50,A 180,B 0,C 180}\nENDDAT\n"
 
 
 def test_comments_of_krl_stay_and_get_those_that_divided_moves_need(tmp_path):
     own = [";FORCE FX=300 FZ=200", ";FORCE FX=-100 ; was 300", ";FORCE FY=400 MX=3", ";FORCE FZ=150"]
-    result = convert("part.src", KRL.format(own[0], "; note", own[2], own[3]), DATA)
+    result = correct_files(krl_files(KRL.format(own[0], "; note", own[2], own[3]), START_DAT))
     check(result, tmp_path)
     assert [line for line in result.documents[0].text.splitlines() if line in own or line == ";FORCE OFF"][:2] == [
         own[0],
         ";FORCE OFF",
     ]
-    result = convert("part.src", KRL.format(own[0], ";FORCE FX=-100", own[2], own[3]), DATA)
+    result = correct_files(krl_files(KRL.format(own[0], ";FORCE FX=-100", own[2], own[3]), START_DAT))
     check(result, tmp_path)
     check_by_simulator(result)
 
@@ -133,7 +128,7 @@ def test_feed_and_tool_forces_of_krl(tmp_path):
         ";FORCE FX=150 FRAME=TOOL",
     ]
     source = KRL.format(*own).replace("LIN {X 0,Y 0,Z 0", "LIN {X 9,Y 0,Z 0")
-    result = convert("part.src", source, DATA)
+    result = correct_files(krl_files(source, START_DAT))
     check(result, tmp_path)
     written = result.documents[0].text
     assert "FRAME=TOOL" in written.replace(own[3], "")  # this move turns the tool
@@ -142,19 +137,21 @@ def test_feed_and_tool_forces_of_krl(tmp_path):
 
 def test_nothing_is_added_where_nothing_changes(tmp_path):
     source = KRL.format(";FORCE OFF", ";FORCE FX=0 FRAME=FEED", "; x", "")
-    result = convert("part.src", source, DATA)
+    result = correct_files(krl_files(source, START_DAT))
     assert result.documents[0].text == source
 
 
 @pytest.mark.parametrize("name", ["part.nc", "part.src"])
 def test_forces_of_a_csv_come_back_as_a_csv_by_line_of_the_written_program(tmp_path, name):
-    text = HEAD + MILLED if name == "part.nc" else KRL.format("", ";FORCE FX=77", "", "")
+    files = (
+        {name: AT_Z20 + MILLED} if name == "part.nc" else krl_files(KRL.format("", ";FORCE FX=77", "", ""), START_DAT)
+    )
     first = 5 if name == "part.nc" else 7
     (tmp_path / "in.csv").write_text(
         f"line,line_end,Fx,Fy,Fz,Mx,frame\n{first},{first},300,0,200,5,BASE\n"
         f"{first + 1},{first + 30},150,-200,0,0,{'FEED' if name == 'part.src' else 'BASE'}\n"
     )
-    result = convert(name, text, DATA if name == "part.src" else None, forces.read_force_csv(tmp_path / "in.csv"))
+    result = correct_files(files, source=forces.read_force_csv(tmp_path / "in.csv"))
     check(result, tmp_path)
     rows = list(csv.DictReader(io.StringIO(report.forces_csv(result).decode())))
     assert tuple(rows[0]) == report.FORCE_COLUMNS
@@ -165,7 +162,7 @@ def test_forces_of_a_csv_come_back_as_a_csv_by_line_of_the_written_program(tmp_p
 
 def test_small_arcs_have_their_force_too(tmp_path):
     """On pieces of a tenth of a millimetre the rounding of the text turns the feed direction."""
-    text = f"{HEAD}(FORCE FX=400 FY=300 FRAME=FEED)\nG1 Z0 X-5\n" + "".join(
+    text = f"{AT_Z20}(FORCE FX=400 FY=300 FRAME=FEED)\nG1 Z0 X-5\n" + "".join(
         f"G2 X{x + 0.3:.4f} I0.15 J0\n" for x in np.arange(-5, -2, 0.3)
     )
-    check(convert("part.nc", text + "M2\n"), tmp_path)
+    check(correct_files({"part.nc": text + "M2\n"}), tmp_path)

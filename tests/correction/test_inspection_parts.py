@@ -20,7 +20,7 @@ from tests.kr270 import ROBOT
 PATH = arcs_and_lines()
 
 
-def corrected():
+def shifted_path():
     """Joint angles and positions (N, …) of a correction that changes from sample to sample."""
     rng = np.random.default_rng(7)
     q = PATH.joints.q + np.radians(0.05) * rng.normal(size=PATH.joints.q.shape)
@@ -49,7 +49,7 @@ def test_places_between_samples_have_the_pose_of_the_path_and_the_correction_bet
         np.array([1.0, 0.6, 1.0, 0.5, 1.0]),
         np.array([5, 3, 4, 3, 2]),
     )
-    q, position = corrected()
+    q, position = shifted_path()
     shift = np.array([0, 0, 0, 2 * np.pi, 0, -2 * np.pi])
     turned = replace(PATH, joints=replace(PATH.joints, q=PATH.joints.q + shift))
     expected = [
@@ -414,7 +414,7 @@ def test_a_path_has_the_issues_of_all_checks_and_between_samples_those_of_other_
         )
 
     monkeypatch.setattr(inspection, "issues_between_samples", between_samples)
-    q, position = corrected()
+    q, position = shifted_path()
     pose = PATH.sample.pose[:]
     pose[:, :3, 3] = position
     output = replace(CELL.output, max_correction_mm=7.5)

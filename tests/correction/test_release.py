@@ -25,7 +25,7 @@ FORCE = [(2, (120.0, 50.0, 90.0, 4.0, -3.0, 2.0))]
 _NUMBER = r"-?\d+\.?\d*"
 
 
-def convert(made=None, cell=CELL):
+def process_moves(made=None, cell=CELL):
     made = program(MOVES, notes=FORCE, orientation=CELL.tool_pose_in_program()) if made is None else made
     return correction.process(made, ROBOT, cell)
 
@@ -64,7 +64,7 @@ def of_line(kind, name):
 
 
 def test_the_program_as_it_is_written_is_released():
-    result = convert()
+    result = process_moves()
     assert not errors(result)
     text = result.documents[0].text
     for kind in ("PTP", "LIN", "CIRC"):
@@ -76,7 +76,7 @@ def test_the_program_as_it_is_written_is_released():
 def test_a_number_of_a_target_that_is_another_one(monkeypatch, kind, name):
     """Positions by 2 µm, angles by 1e-4°: twice what printing may do."""
     tampered(monkeypatch, shifted(of_line(kind, name), 2e-3 if name in "XYZ" else 1.2e-4))
-    result = convert()
+    result = process_moves()
     assert errors(result) == [("read-back", 6 if kind == "LIN" else 4)]
     assert [issue.count for issue in result.issues if issue.level == "error"] == [1]
     assert result.documents == ()
@@ -85,14 +85,14 @@ def test_a_number_of_a_target_that_is_another_one(monkeypatch, kind, name):
 @pytest.mark.parametrize("name", ["X", "Z"])
 def test_what_printing_may_do_to_a_target_is_no_other_text(monkeypatch, name):
     tampered(monkeypatch, shifted(of_line("LIN", name), 1e-4))
-    assert not errors(convert())
+    assert not errors(process_moves())
 
 
 @pytest.mark.parametrize("name", ["X", "Y", "Z", "A", "B", "C"])
 @pytest.mark.parametrize("frame", ["BASE", "TOOL"])
 def test_a_frame_that_is_another_one(monkeypatch, frame, name):
     tampered(monkeypatch, shifted(rf"\${frame}\s*=\s*{{[^}}]*\b{name} ({_NUMBER})", 2e-3 if name in "XYZ" else 1.2e-4))
-    assert {kind for kind, _ in errors(convert())} == {"read-back"}
+    assert {kind for kind, _ in errors(process_moves())} == {"read-back"}
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_a_frame_that_is_another_one(monkeypatch, frame, name):
 )
 def test_motions_that_are_others(monkeypatch, pattern, new):
     tampered(monkeypatch, lambda text: re.sub(pattern, new, text, count=1))
-    result = convert()
+    result = process_moves()
     assert [kind for kind, _ in errors(result)] == ["read-back"]
     assert result.documents == ()
 
@@ -114,19 +114,19 @@ def test_motions_that_are_others(monkeypatch, pattern, new):
 @pytest.mark.parametrize("by", [2e-6, -2e-6])
 def test_a_speed_that_is_another_one(monkeypatch, by):
     tampered(monkeypatch, shifted(rf"\$VEL\.CP\s*=\s*({_NUMBER})", by))
-    assert [kind for kind, _ in errors(convert())] == ["read-back"]
+    assert [kind for kind, _ in errors(process_moves())] == ["read-back"]
 
 
 def test_a_text_that_cannot_be_read(monkeypatch):
     tampered(monkeypatch, lambda text: re.sub(r"(?m)^(\s*LIN )\{X", r"\1{Q", text, count=1))
-    assert [kind for kind, _ in errors(convert())] == ["read-back"]
+    assert [kind for kind, _ in errors(process_moves())] == ["read-back"]
 
 
 @pytest.mark.parametrize(("by", "kind"), [(0.05, "tolerance"), (1e-4, None)])
 def test_an_auxiliary_point_that_is_another_one_is_seen_between_targets(monkeypatch, by, kind):
     """The read-back compares ends; how the arc runs is for the simulation to see."""
     tampered(monkeypatch, shifted(rf"(?m)^\s*CIRC\b \{{X ({_NUMBER})", by))
-    result = convert()
+    result = process_moves()
     assert {each for each, _ in errors(result)} == ({kind} if kind else set())
     if kind:
         assert any("between targets" in issue.message for issue in result.issues)
@@ -143,7 +143,7 @@ def test_a_place_of_the_carriage_that_is_another_one(monkeypatch, by, refused):
     )  # fmt: skip
     made = read_files({"part.src": "\n".join(lines)}, cell)
     tampered(monkeypatch, shifted(rf"E1 ({_NUMBER})", float(by.split()[1])))
-    assert bool([kind for kind, _ in errors(convert(made, cell)) if kind == "read-back"]) is refused
+    assert bool([kind for kind, _ in errors(process_moves(made, cell)) if kind == "read-back"]) is refused
 
 
 def commands(monkeypatch, change):
@@ -169,7 +169,7 @@ def test_a_command_that_does_not_hold_the_tip_at_a_target(monkeypatch, axis, by,
         pose[(path.sample.motion == 4) & (path.sample.t == 1.0), axis, 3] += by
 
     commands(monkeypatch, change)
-    result = convert()
+    result = process_moves()
     assert errors(result) == ([("tolerance", 5)] if refused else [])
     assert (result.documents == ()) is refused
     if refused:
@@ -183,7 +183,7 @@ def test_a_correction_the_other_way_round_is_refused(monkeypatch):
         pose[:, :3, 3] -= 2.0 * (pose[:, :3, 3] - path.sample.pose[:, :3, 3])
 
     commands(monkeypatch, change)
-    kinds = {kind for kind, _ in errors(convert())}
+    kinds = {kind for kind, _ in errors(process_moves())}
     assert "tolerance" in kinds
 
 
@@ -198,16 +198,16 @@ def test_a_command_whose_orientation_leaves_the_tip_elsewhere_under_moments_is_s
         )
 
     commands(monkeypatch, change)
-    assert ("tolerance", 3) in errors(convert())
+    assert ("tolerance", 3) in errors(process_moves())
 
 
 def test_deviations_of_the_result_are_those_of_the_simulation(monkeypatch):
     def change(path, pose):
         pose[path.sample.motion > 0, :3, 3] += np.array([3e-7, -4e-7, 2e-7])
 
-    honest = convert()
+    honest = process_moves()
     commands(monkeypatch, change)
-    other = convert()
+    other = process_moves()
     moved = honest.motion > 0
     np.testing.assert_array_equal(honest.motion, other.motion)
     np.testing.assert_allclose(
@@ -224,7 +224,7 @@ def test_a_command_that_no_joint_angles_reach_names_its_line(monkeypatch):
         pose[(path.sample.motion == 5) & (path.sample.t == 1.0), 0, 3] += 9.0
 
     commands(monkeypatch, change)
-    result = convert(cell=replace(CELL, output=replace(CELL.output, max_correction_mm=1e5)))
+    result = process_moves(cell=replace(CELL, output=replace(CELL.output, max_correction_mm=1e5)))
     assert errors(result)[-1] == ("read-back", 6)
     (message,) = (issue.message for issue in result.issues if issue.kind == "read-back")
     assert "cannot be simulated: a commanded pose is out of reach" in message

@@ -12,7 +12,7 @@ from postproc import correction, robot
 from postproc.comparison import compare
 from postproc.dialects.text import decode
 from postproc.frames import xyzabc_from_pose
-from tests.kr270 import CELL, FOLDER
+from tests.kr270 import CELL, FOLDER, TOOL
 from tests.oracle.arm import Arm, abc, rpy
 
 SIDE = 400.0
@@ -68,9 +68,6 @@ def three_point_base(arm, start):
     base = np.eye(4)
     base[:3, :3], base[:3, 3] = np.column_stack([x, np.cross(z, x), z]), noted[0]
     return base
-
-
-TOOL = CELL.tool.pose()
 
 
 def cell_with(base, frames, payload):

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import cell as cells
-from postproc import correction, robot, toolpath
+from postproc import correction, toolpath
 from postproc.cell import ExternalAxis
 from postproc.errors import ProgramError
 from postproc.frames import angle_between, interpolate
@@ -15,10 +14,10 @@ from postproc.under_load import MotionsUnderLoad, RobotInCell
 from tests.correction.simulated import check_targets, simulator
 from tests.corrections import read_files
 from tests.dialects.krl_programs import body
+from tests.kr270 import CELL, ROBOT
 from tests.oracle import cell_sim
 from tests.oracle.arm import abc
 from tests.oracle.elastic import loaded_tip
-from tests.places import SAMPLES
 
 BASE, TOOL = "$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}", "$TOOL={X 10,Y -20,Z 350,A 0,B 5,C 0}"
 BEGIN = "LIN {X 0,Y 0,Z 0,A 180,B 0,C 180}"
@@ -32,27 +31,23 @@ LINES = (
 FORCE = ";FORCE FX=-110 FY=190 FZ=130"
 
 
-def setup(cell_file="cell_kr270.toml"):
-    cell = cells.load(SAMPLES / cell_file)
-    return robot.load(robot.find(cell.robot)), cell
-
-
-def read(*lines, cell=None):
-    model, own = setup()
+def read_wrist_led(*lines, cell=None):
     text = body(
         "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0,E1 0}", BASE, TOOL, "$VEL.CP=0.05", BEGIN, "$ORI_TYPE=#JOINT", *lines
     )
-    return text, read_files({"part.src": text}, cell or own, model)
+    return text, read_files({"part.src": text}, cell or CELL)
 
 
-def corrected(*lines):
-    text, program = read(*lines)
-    return text, program, correction.process(program, *setup())
+def processed(*lines):
+    text, program = read_wrist_led(*lines)
+    return text, program, correction.process(program, ROBOT, CELL)
 
 
 def test_the_wrist_leads_the_orientation_as_in_the_cell():
-    text, program = read(*LINES, "SPLINE WITH $VEL.CP=0.02", "SLIN {X 230,Y 10,Z 5,A 160,B 15,C 170}", "ENDSPLINE")
-    setting = RobotInCell.of(*setup())
+    text, program = read_wrist_led(
+        *LINES, "SPLINE WITH $VEL.CP=0.02", "SLIN {X 230,Y 10,Z 5,A 160,B 15,C 170}", "ENDSPLINE"
+    )
+    setting = RobotInCell.of(ROBOT, CELL)
     segments = MotionsUnderLoad.of(program, setting, None).segments
     looked = 0
     for index, share, pose, _ in simulator("cell_kr270.toml").run(cell_sim.read(text), (0.2, 0.5, 0.9, 1.0)):
@@ -68,7 +63,7 @@ def test_the_wrist_leads_the_orientation_as_in_the_cell():
 
 
 def test_the_corrected_program_holds_the_tool_in_the_cell_at_targets_and_between():
-    text, program, result = corrected(FORCE, LINES[0], LINES[2], LINES[3])
+    text, program, result = processed(FORCE, LINES[0], LINES[2], LINES[3])
     assert not result.failed, result.issues
     (said,) = [issue for issue in result.issues if issue.kind == "wrist-led"]
     assert said.level == "warning"
@@ -77,7 +72,7 @@ def test_the_corrected_program_holds_the_tool_in_the_cell_at_targets_and_between
     moves = cell_sim.read(result.documents[0].text)
     rows = check_targets(result, sim, moves, 4)
     assert len(rows) > 25
-    tolerance, worst, lean, looked = 1e-3 * setup()[1].output.tolerance_mm, 0.0, 0.0, 0
+    tolerance, worst, lean, looked = 1e-3 * CELL.output.tolerance_mm, 0.0, 0.0, 0
     for index, share, _, q in sim.run(moves, (0.5, 1.0)):
         if index == 0:
             continue  # to axis angles
@@ -107,19 +102,19 @@ def test_the_corrected_program_holds_the_tool_in_the_cell_at_targets_and_between
 
 
 def test_what_needs_no_correction_comes_back_to_the_byte():
-    text, _, result = corrected(*LINES)
+    text, _, result = processed(*LINES)
     assert result.documents[0].text == text
 
 
 def test_motions_that_stay_are_simulated_as_they_are_led():
     lines = (FORCE, LINES[0].removesuffix(" C_DIS"), ";FORCE OFF", LINES[1], LINES[2], LINES[3])
-    text, _, result = corrected(*lines)
+    text, _, result = processed(*lines)
     assert not result.failed
     written = result.documents[0].text
     assert written.count("$ORI_TYPE=#VAR") == 1 + written.count("WITH $ORI_TYPE=#VAR")
     assert "$ORI_TYPE=#JOINT\r\n;FORCE OFF\r\n" in written
     assert written.endswith("\r\n".join([*text.splitlines()[-3:], ""]))
-    again = correction.process(read(*lines)[1], *setup(), mode="predict")
+    again = correction.process(read_wrist_led(*lines)[1], ROBOT, CELL, mode="predict")
     assert np.abs(again.deviation_before).max() > 1e-5
 
 
@@ -134,32 +129,31 @@ def test_motions_that_stay_are_simulated_as_they_are_led():
 )
 def test_what_is_not_certain_is_refused_with_its_line(lines, message):
     with pytest.raises(ProgramError, match=message) as caught:
-        read(*lines)
+        read_wrist_led(*lines)
     assert caught.value.line == 10 + lines[0].startswith("SPLINE")
 
 
-RAIL = replace(setup()[1], external_axes={"E1": ExternalAxis((0.0, 1.0, 0.0))})
+RAIL = replace(CELL, external_axes={"E1": ExternalAxis((0.0, 1.0, 0.0))})
 
 
 def on_rail(*lines, e1):
     """The program of `read` with E1 in every target, `$BASE` as far along the rail."""
-    model, _ = setup()
     base = BASE.replace("Y -200", f"Y {e1 - 200}")
     moves = [
         line.replace("}", f",E1 {e1}}}") if "LIN" in line else line for line in (BEGIN, "$ORI_TYPE=#JOINT", *lines)
     ]
     home = f"PTP {{A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0,E1 {e1}}}"
     text = body(home, base, TOOL, "$VEL.CP=0.05", *moves)
-    return text, read_files({"part.src": text}, RAIL, model)
+    return text, read_files({"part.src": text}, RAIL)
 
 
 @pytest.mark.parametrize("e1", [0, 300])
 def test_where_e1_stands_still_the_wrist_leads_as_without_it(e1):
     lines = (FORCE, LINES[0], "LIN {X 240,Y -60,Z 10,A 165,B 25,C 160}")
-    _, _, without = corrected(*lines)
+    _, _, without = processed(*lines)
     _, program = on_rail(*lines, e1=e1)
     assert program.by_wrist.sum() == 2
-    result = correction.process(program, setup()[0], RAIL)
+    result = correction.process(program, ROBOT, RAIL)
     assert not result.failed, result.issues
     written = re.sub(rf",\s*E1 {e1}(\.0*)?(?=[,}}])", "", result.documents[0].text)
     written = written.replace(f"Y {e1 - 200}", "Y -200")
@@ -169,5 +163,5 @@ def test_where_e1_stands_still_the_wrist_leads_as_without_it(e1):
 
 def test_lines_while_the_robot_is_carried_are_refused():
     with pytest.raises(ProgramError, match="or while E1 moves") as caught:
-        read(LINES[0].replace("}", ",E1 5}"), cell=RAIL)
+        read_wrist_led(LINES[0].replace("}", ",E1 5}"), cell=RAIL)
     assert caught.value.line == 10

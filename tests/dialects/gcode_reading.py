@@ -17,6 +17,7 @@ CELL = Cell(
     gcode=GCode(rapid_m_per_s=0.4, approximation_mm=0.5),
     work_offsets={"G55": Frame(X=100.0, Z=-5.0), "G56": Frame(X=10.0, Y=20.0, Z=30.0, A=30.0, B=10.0)},
 )
+AT_Z10 = "G21 G90 G17\nG0 X0 Y0 Z10\n"
 START_FLANGE = pose_from_xyzabc([1600.0, -150.0, 1500.0, 0.0, 0.0, 180.0])
 """With `CELL`: the tool tip starts at X50 Y-100 Z450 of `$BASE`."""
 

@@ -17,20 +17,11 @@ from postproc.dialects.text import decode
 from postproc.errors import InputError, ProgramError
 from postproc.program import CIRC, LIN, PTP, Motions, Program
 from tests.corrections import correct_files
+from tests.dialects.apt_reading import AT_Z9, points, read
 from tests.dialects.gcode_reading import CELL, forward
 from tests.dialects.gcode_reading import read as read_gcode
 from tests.kr270 import ROBOT
 from tests.places import CELL_FILE
-
-HEAD = "UNITS/MM\nFEDRAT/600,MMPM\nRAPID\nGOTO/0,0,9\n"
-
-
-def read(text, cell=CELL):
-    return reader.read(decode("part.apt", text.encode() if isinstance(text, str) else text), cell, forward, "part")
-
-
-def points(program):
-    return program.motions.target[:, :3, 3] * 1e3
 
 
 def same(one: Program, other: Program) -> None:
@@ -341,7 +332,7 @@ def test_a_sequence_of_creo_with_another_coordinate_system_is_a_warning():
 
 
 def arc(text):
-    program = read(HEAD + "GOTO/10,0,9\n" + text)
+    program = read(AT_Z9 + "GOTO/10,0,9\n" + text)
     (n,) = np.flatnonzero(program.motions.kind == CIRC)
     return program.motions.normal[n] * program.motions.sweep[n] / np.pi * 180
 
@@ -380,16 +371,16 @@ def test_catia_leaves_along_indirv_and_ends_where_the_line_does():
 def test_points_that_divide_an_arc_of_creo_belong_to_it():
     angles = np.deg2rad([60, 120, 180])
     goto = "".join(f"GOTO / {10 * np.cos(a):.10f}, {10 * np.sin(a):.10f}, 9.0\n" for a in angles)
-    program = read(HEAD + "GOTO/10,0,9\nCIRCLE / 0.0, 0.0, 9.0, $\n0.0, 0.0, 1.0, 10.0\n" + goto + "GOTO/-10,-40,9\n")
+    program = read(AT_Z9 + "GOTO/10,0,9\nCIRCLE / 0.0, 0.0, 9.0, $\n0.0, 0.0, 1.0, 10.0\n" + goto + "GOTO/-10,-40,9\n")
     assert program.motions.kind.tolist() == [PTP, LIN, CIRC, CIRC, CIRC, LIN]
     listed = goto.replace("\nGOTO /", ", $\n")
-    again = read(HEAD + "GOTO/10,0,9\nCIRCLE / 0.0, 0.0, 9.0, $\n0.0, 0.0, 1.0, 10.0\n" + listed + "GOTO/-10,-40,9\n")
+    again = read(AT_Z9 + "GOTO/10,0,9\nCIRCLE / 0.0, 0.0, 9.0, $\n0.0, 0.0, 1.0, 10.0\n" + listed + "GOTO/-10,-40,9\n")
     same(program, again)
 
 
 def test_a_chord_behind_an_arc_is_not_guessed():
     """A half disc: the straight line back ends on the circle too."""
-    text = HEAD + "GOTO/10,0,9\nCIRCLE/0,0,9,0,0,1,10\nGOTO/-10,0,9\nGOTO/10,0,9\n"
+    text = AT_Z9 + "GOTO/10,0,9\nCIRCLE/0,0,9,0,0,1,10\nGOTO/-10,0,9\nGOTO/10,0,9\n"
     with pytest.raises(ProgramError, match=r"part.apt:8: all GOTO after CIRCLE end on this circle"):
         read(text)
     with pytest.raises(ProgramError, match=r"part.apt:8: all GOTO after CIRCLE end on this circle"):
@@ -404,25 +395,25 @@ def creo_circle(*points: tuple[float, float, float], radius: float = 10.0) -> st
 
 
 def test_a_retract_at_the_end_of_a_full_circle_is_not_of_its_arc():
-    program = read(HEAD + "GOTO/10,0,9\n" + creo_circle((0, 10, 9), (0, 10, 12)))
+    program = read(AT_Z9 + "GOTO/10,0,9\n" + creo_circle((0, 10, 9), (0, 10, 12)))
     assert program.motions.kind.tolist() == [PTP, LIN, CIRC, LIN]
-    helix = read(HEAD + "GOTO/10,0,9\n" + creo_circle((0, 10, 10), (-10, 0, 11), (0, -10, 12), (10, 0, 13)))
+    helix = read(AT_Z9 + "GOTO/10,0,9\n" + creo_circle((0, 10, 10), (-10, 0, 11), (0, -10, 12), (10, 0, 13)))
     assert helix.motions.kind.tolist() == [PTP, LIN, CIRC, CIRC, CIRC, CIRC]
 
 
 def test_a_point_beside_the_circle_is_not_of_an_arc_whose_ends_are_on_it():
     """As in files of Creo: the line behind an arc ends 0.01 mm beside the circle, start and end are on it."""
-    program = read(HEAD + "GOTO/10,0,9\n" + creo_circle((0, 10, 9), (-10.01, 0, 9)))
+    program = read(AT_Z9 + "GOTO/10,0,9\n" + creo_circle((0, 10, 9), (-10.01, 0, 9)))
     assert program.motions.kind.tolist() == [PTP, LIN, CIRC, LIN]
     with pytest.raises(ProgramError, match="all GOTO after CIRCLE end on this circle"):
-        read(HEAD + "GOTO/10,0,9\n" + creo_circle((0, 10, 9), (-10.0005, 0, 9)))
+        read(AT_Z9 + "GOTO/10,0,9\n" + creo_circle((0, 10, 9), (-10.0005, 0, 9)))
 
 
 def test_an_arc_with_one_point_shows_that_the_sequence_does_not_divide_arcs():
     """The wall of a slot leads from one end of a circle to the other, as in a roughing sequence of Creo."""
     wall = "GOTO/0,-10,9\n" + creo_circle((5, -np.sqrt(75.0), 9), (5, np.sqrt(75.0), 9))
     single = "GOTO/10,0,9\n" + creo_circle((-10, 0, 9), (-10, 40, 9))
-    head = "$$-> FEATNO / 1\n" + HEAD
+    head = "$$-> FEATNO / 1\n" + AT_Z9
     program = read(head + single + wall)
     assert program.motions.kind.tolist() == [PTP, LIN, CIRC, LIN, LIN, CIRC, LIN]
     for text in (head + wall, head + single + "$$-> FEATNO / 2\n" + wall):
@@ -431,7 +422,7 @@ def test_an_arc_with_one_point_shows_that_the_sequence_does_not_divide_arcs():
 
 
 def test_rapid_holds_for_one_motion_and_the_vector_stays():
-    text = HEAD + "GOTO/1,0,9,0,0.6,0.8\nRAPID\nGOTO/2,0,9\nGOTO/3,0,9\n"
+    text = AT_Z9 + "GOTO/1,0,9,0,0.6,0.8\nRAPID\nGOTO/2,0,9\nGOTO/3,0,9\n"
     program = read(text)
     assert program.motions.rapid.tolist() == [True, False, True, False]
     np.testing.assert_allclose(-program.motions.target[1:, :3, 2], [[0, 0.6, 0.8]] * 3, atol=1e-12)
@@ -439,7 +430,7 @@ def test_rapid_holds_for_one_motion_and_the_vector_stays():
 
 def test_three_numbers_of_creo_are_a_direction_along_z():
     head = "$$*          Pro/CLfile  Version 8.0 - 8.0.3.0\n"
-    text = HEAD + "GOTO/1,0,9,0,0.6,0.8\nGOTO/2,0,9\nGOTO/3,0,9,0,0.6,0.8\nMULTAX/OFF\nGOTO/4,0,9\n"
+    text = AT_Z9 + "GOTO/1,0,9,0,0.6,0.8\nGOTO/2,0,9\nGOTO/3,0,9,0,0.6,0.8\nMULTAX/OFF\nGOTO/4,0,9\n"
     directions = -read(head + text).motions.target[1:, :3, 2]
     np.testing.assert_allclose(directions, [[0, 0.6, 0.8], [0, 0, 1]] * 2, atol=1e-12)
 
@@ -449,19 +440,19 @@ def test_three_numbers_of_creo_are_a_direction_along_z():
 )
 def test_multax_off_of_catia_keeps_the_direction(head):
     body = "MULTAX/ON\nGOTO/1,0,9,0,0.6,0.8\nMULTAX/OFF\nGOTO/4,0,9\n"
-    np.testing.assert_allclose(-read(head + HEAD + body).motions.target[-1, :3, 2], [0, 0.6, 0.8], atol=1e-12)
+    np.testing.assert_allclose(-read(head + AT_Z9 + body).motions.target[-1, :3, 2], [0, 0.6, 0.8], atol=1e-12)
     with pytest.raises(ProgramError, match=r"part.apt:8: GOTO without a direction behind MULTAX/OFF"):
-        read(HEAD + body)
+        read(AT_Z9 + body)
     with pytest.raises(ProgramError, match="GOTO without a direction behind MULTAX/OFF"):
-        read(HEAD + body.replace("MULTAX/OFF\n", "MULTAX/OFF\nMULTAX/ON\n"))
+        read(AT_Z9 + body.replace("MULTAX/OFF\n", "MULTAX/OFF\nMULTAX/ON\n"))
     for stated in ("TLAXIS/0,0,1\nGOTO/4,0,9\n", "GOTO/4,0,9,0,0,1\n"):
-        program = read(HEAD + body.replace("GOTO/4,0,9\n", stated))
+        program = read(AT_Z9 + body.replace("GOTO/4,0,9\n", stated))
         np.testing.assert_allclose(-program.motions.target[-1, :3, 2], [0, 0, 1], atol=1e-12)
 
 
 def test_a_machining_axis_system_of_catia_that_changes_is_an_error():
     system = "$$*CATIA0\n$$ Axis\n$$ 1.0 0.0 0.0 0.0\n$$ 0.0 1.0 0.0 0.0\n$$ 0.0 0.0 1.0 {}\n"
-    text = system.format("5.0") + HEAD + "GOTO/1,0,9\n" + system.format("{}") + "GOTO/2,0,9\n"
+    text = system.format("5.0") + AT_Z9 + "GOTO/1,0,9\n" + system.format("{}") + "GOTO/2,0,9\n"
     assert len(read(text.format("5.00000")).motions) == 3
     with pytest.raises(ProgramError, match=r"part.apt:11: the machining axis system changes"):
         read(text.format("6.0"))
@@ -551,19 +542,19 @@ def test_from_is_where_the_path_begins_and_a_feed_without_it_comes_from_start():
 
 def test_rapid_before_a_hole_does_not_hold_behind_the_cycle():
     cycle = "CYCLE/DRILL,DEPTH,5,MMPM,100,CLEAR,3\nRAPID\nGOTO/10,10,0\nCYCLE/OFF\nGOTO/20,10,5\nFINI\n"
-    program = read(HEAD + cycle)
+    program = read(AT_Z9 + cycle)
     assert not program.motions.rapid[-1]
     assert program.motions.feed[-1] * 60e3 == pytest.approx(600.0)
 
 
 def test_a_direction_counts_in_numbers_of_any_form():
-    plain, other = (read(f"{HEAD}GOTO/{x},0,9,0,0.6,0.8\nFINI\n") for x in ("10", "1.0E1"))
+    plain, other = (read(f"{AT_Z9}GOTO/{x},0,9,0,0.6,0.8\nFINI\n") for x in ("10", "1.0E1"))
     same(plain, other)
     np.testing.assert_allclose(-other.motions.target[-1, :3, 2], [0, 0.6, 0.8], atol=1e-12)
 
 
 def test_the_end_of_an_arc_may_have_a_direction_in_numbers_of_any_form():
-    text = HEAD + "GOTO/10,0,9\nCIRCLE/0,0,9,0,0,1,10\nGOTO/0,{},9,0,0,1\nFINI\n"
+    text = AT_Z9 + "GOTO/10,0,9\nCIRCLE/0,0,9,0,0,1,10\nGOTO/0,{},9,0,0,1\nFINI\n"
     plain, other = (read(text.format(y)) for y in ("10", "1.0E1"))
     same(plain, other)
     assert plain.motions.kind.tolist() == [PTP, LIN, CIRC]
@@ -571,7 +562,7 @@ def test_the_end_of_an_arc_may_have_a_direction_in_numbers_of_any_form():
 
 def test_gohome_goes_where_the_cell_says():
     machine = Machine(home=(0.0, -90.0, 90.0, 0.0, 10.0, 0.0), clearance_Z=100.0)
-    program = read(HEAD + "GOTO/1,0,9\nGOHOME\nRAPID\nGOTO/5,0,9\nFINI\n", replace(CELL, machine=machine))
+    program = read(AT_Z9 + "GOTO/1,0,9\nGOHOME\nRAPID\nGOTO/5,0,9\nFINI\n", replace(CELL, machine=machine))
     assert program.motions.kind.tolist() == [PTP, LIN, LIN, PTP, PTP, LIN]
     np.testing.assert_allclose(points(program)[[2, 4, 5]], [[1, 0, 100], [5, 0, 100], [5, 0, 9]], atol=1e-9)
     np.testing.assert_allclose(np.rad2deg(program.motions.joints[3]), machine.home, atol=1e-9)
@@ -581,7 +572,7 @@ def test_gohome_goes_where_the_cell_says():
     ("value", "kind"), [("ON", "on"), ("FLOOD", "on"), ("MIST,ON", "on"), ("OFF", "off"), ("FLOOD,OFF", "off")]
 )
 def test_coolant_is_off_where_a_kind_of_it_is(value, kind):
-    program = read(f"{HEAD}COOLNT/{value}\nGOTO/1,0,9\nEND-OF-PATH\n")
+    program = read(f"{AT_Z9}COOLNT/{value}\nGOTO/1,0,9\nEND-OF-PATH\n")
     assert [event.kind for event in program.events] == [f"coolant_{kind}"]
 
 
@@ -611,7 +602,7 @@ def test_events_and_comments_are_kept():
 
 def test_m_codes_that_have_a_statement_do_what_it_does():
     program = read(
-        f"{HEAD}SPINDL/900,RPM,CLW\nGOTO/1,0,9\nINSERT M04\nAUXFUN/8\nINSERT M09\nAUXFUN/1\nAUXFUN/5\nINSERT M077\n"
+        f"{AT_Z9}SPINDL/900,RPM,CLW\nGOTO/1,0,9\nINSERT M04\nAUXFUN/8\nINSERT M09\nAUXFUN/1\nAUXFUN/5\nINSERT M077\n"
         "GOTO/2,0,9\nFINI\n",
         replace(CELL, m_codes={"M77": ["HOOK()"]}),
     )
@@ -641,14 +632,14 @@ def test_m_codes_that_have_a_statement_do_what_it_does():
     ],
 )
 def test_inserted_text_that_moves_nothing_is_a_comment(text):
-    program = read(f"{HEAD}GOTO/1,0,9\nINSERT/{text}\nGOTO/2,0,9\nFINI\n")
+    program = read(f"{AT_Z9}GOTO/1,0,9\nINSERT/{text}\nGOTO/2,0,9\nFINI\n")
     assert [event.kind for event in program.events].count("stop") == 0
     assert text.upper().strip("();' ") in [event.text for event in program.events]
 
 
 def test_inserted_stop_halts_and_the_word_in_brackets_does_not():
     stops = [
-        [event.kind for event in read(f"{HEAD}GOTO/1,0,9\nINSERT/{text}\nGOTO/2,0,9\nFINI\n").events].count("stop")
+        [event.kind for event in read(f"{AT_Z9}GOTO/1,0,9\nINSERT/{text}\nGOTO/2,0,9\nFINI\n").events].count("stop")
         for text in ("STOP change fixture", "(STOP is not needed)")
     ]
     assert stops == [1, 0]
@@ -737,7 +728,7 @@ def test_inserted_stop_halts_and_the_word_in_brackets_does_not():
 )
 def test_what_is_not_understood_is_an_error_at_its_line(text, line, problem):
     with pytest.raises(InputError) as caught:
-        read(HEAD + text + "\n")
+        read(AT_Z9 + text + "\n")
     assert (caught.value.line, problem in str(caught.value)) == (line, True), str(caught.value)
 
 
@@ -755,14 +746,14 @@ def test_holes_of_a_refused_cycle_are_no_moves_without_a_feed():
 
 def test_all_errors_are_raised_together_and_a_feed_in_inches_needs_units():
     with pytest.raises(ProgramError) as caught:
-        read(HEAD + "FEDRAT/0\nGOTO/1,2\nUNKNOWN\n")
+        read(AT_Z9 + "FEDRAT/0\nGOTO/1,2\nUNKNOWN\n")
     assert [error.line for error in (caught.value, *caught.value.further_errors)] == [5, 6, 7]
     with pytest.raises(ProgramError, match="a feed in inches, but no UNITS"):
         read("RAPID\nGOTO/0,0,0\nFEDRAT/10,IPM\nGOTO/0,0,1\n")
 
 
 def test_what_follows_the_end_is_reported():
-    program = read(HEAD + "GOTO/1,1,1\nFINI\nGOTO/5,5,5\nRAPID\n")
+    program = read(AT_Z9 + "GOTO/1,1,1\nFINI\nGOTO/5,5,5\nRAPID\n")
     assert len(program.motions) == 2
     assert [(issue.kind, issue.lines) for issue in program.issues] == [("after-end", (7, 8))]
 
@@ -781,7 +772,7 @@ WORDS = st.sampled_from(["0", "1.5", "-2", "+.25", "12.0000000001", "1E1", "", "
 @settings(deadline=None, max_examples=60)
 @given(lines=st.lists(st.lists(WORDS, min_size=2, max_size=7), min_size=1, max_size=8))
 def test_plain_points_mean_the_same_in_bulk_and_one_by_one(lines):
-    text = HEAD + "".join(f"GOTO/{','.join(words)}\n" for words in lines)
+    text = AT_Z9 + "".join(f"GOTO/{','.join(words)}\n" for words in lines)
     outcomes = []
     bulk = statements._plain_gotos
     for how in (bulk, lambda chars, ends: (np.zeros(0, dtype=np.int64), np.zeros((0, 6)))):
@@ -799,7 +790,7 @@ def test_plain_points_mean_the_same_in_bulk_and_one_by_one(lines):
 
 def test_most_points_are_read_in_bulk():
     rows = "".join(f"GOTO/{x},{y},0.5,0.0,0.0,1.0\n" for x, y in itertools.product(range(40), range(50)))
-    source = statements.split(decode("part.apt", (HEAD + rows).encode()))
+    source = statements.split(decode("part.apt", (AT_Z9 + rows).encode()))
     assert (len(source.points), len(source.others)) == (2001, 3)
 
 
@@ -824,13 +815,13 @@ def test_files_as_catia_and_nx_write_them(name, kinds):
     ],
 )
 def test_a_file_without_an_end_may_be_cut_off(text, line):
-    told = [issue for issue in read(HEAD + text).issues if issue.kind == "program-end"]
+    told = [issue for issue in read(AT_Z9 + text).issues if issue.kind == "program-end"]
     assert [(issue.level, issue.source_line) for issue in told] == ([] if line is None else [("warning", line)])
 
 
 def test_cutcom_by_wear_offsets_has_no_effect_and_is_reported():
     cell = replace(CELL, gcode=replace(CELL.gcode, radius_offsets="wear"))
-    program = read(HEAD + "CUTCOM/LEFT,1\nGOTO/1,1,1\nCUTCOM/OFF\nFINI\n", cell)
+    program = read(AT_Z9 + "CUTCOM/LEFT,1\nGOTO/1,1,1\nCUTCOM/OFF\nFINI\n", cell)
     assert [issue.kind for issue in program.issues] == ["radius-compensation"]
     assert len(program.motions) == 2
 
@@ -842,7 +833,7 @@ def test_a_point_on_the_first_line_is_a_motion_too():
 
 def test_an_error_before_the_end_of_an_arc_brings_no_second_one():
     """What the arc would have been is not known: a word between the two is not understood."""
-    text = HEAD + "GOTO/10,0,9\nCIRCLE/0,0,9,0,0,1,10\n{}GOTO/5,5,9\nGOTO/20,0,9\n"
+    text = AT_Z9 + "GOTO/10,0,9\nCIRCLE/0,0,9,0,0,1,10\n{}GOTO/5,5,9\nGOTO/20,0,9\n"
     for between, lines in (("UNKNOWN\n", [7]), ("", [7])):  # the end is not on the circle
         with pytest.raises(ProgramError) as caught:
             read(text.format(between))
@@ -850,7 +841,7 @@ def test_an_error_before_the_end_of_an_arc_brings_no_second_one():
 
 
 def test_tool_number_zero_is_one_and_a_move_to_where_the_tool_is_is_counted():
-    program = read("LOADTL/0\n" + HEAD + "GOTO/1,0,9\nGOTO/1,0,9\nGOTO/2,0,9\nGOTO/2,0,9\n")
+    program = read("LOADTL/0\n" + AT_Z9 + "GOTO/1,0,9\nGOTO/1,0,9\nGOTO/2,0,9\nGOTO/2,0,9\n")
     assert [(e.kind, e.value) for e in program.events if e.kind == "tool_change"] == [("tool_change", 0.0)]
     assert [(i.kind, i.source_line, i.count, i.lines) for i in program.issues if i.kind == "null-move"] == [
         ("null-move", 7, 2, (7, 9))
@@ -860,5 +851,5 @@ def test_tool_number_zero_is_one_and_a_move_to_where_the_tool_is_is_counted():
 def test_the_axis_of_an_arc_has_length_1():
     for axis in ("0,0,1.5", "0,0.1,1", "0,0,0.5"):
         with pytest.raises(ProgramError, match="axis of the arc does not have length 1"):
-            read(HEAD + f"GOTO/10,0,9\nCIRCLE/0,0,9,{axis},10\nGOTO/0,10,9\n")
+            read(AT_Z9 + f"GOTO/10,0,9\nCIRCLE/0,0,9,{axis},10\nGOTO/0,10,9\n")
     np.testing.assert_allclose(arc("CIRCLE/0,0,9,0,0,0.99999999,10\nGOTO/0,10,9"), [0, 0, 90], atol=1e-4)

@@ -13,11 +13,11 @@ from postproc.dialects.apt.survey import survey
 from postproc.dialects.text import decode
 from postproc.errors import InputError
 from postproc.program import CIRC, LIN, PTP
+from tests.dialects.apt_reading import AT_Z9, points, read
 from tests.dialects.gcode_reading import CELL
-from tests.dialects.test_apt import HEAD, points, read
 
 
-def after_head(text, cell=CELL, head=HEAD):
+def after_head(text, cell=CELL, head=AT_Z9):
     """Program of lines behind four of HEAD, which leads to X0 Y0 Z9; FINI ends it."""
     return read(f"{head}{text}\nFINI\n", cell)
 
@@ -53,7 +53,7 @@ def test_a_step_is_from_the_place_of_the_tool_in_the_unit_of_the_file():
     assert "GODLTA before the position is known" in problems("UNITS/MM\nFEDRAT/9\nGODLTA/1,2,3\nFINI\n")
 
 
-HOME = Machine(home=(0.0, -90.0, 90.0, 0.0, 10.0, 0.0), clearance_Z=100.0)
+MACHINE_WITH_HOME = Machine(home=(0.0, -90.0, 90.0, 0.0, 10.0, 0.0), clearance_Z=100.0)
 
 
 def test_gohome_with_a_place_goes_there_in_rapid():
@@ -71,29 +71,29 @@ def test_a_retract_is_along_the_tool_up_to_the_clearance(word):
     np.testing.assert_allclose(points(program)[1:], [[1, 0, 9], [69.25, 0, 100], [80, 0, 99.9999995]], atol=1e-6)
     assert program.motions.rapid.tolist() == [True, False, True, False]
     for z, is_refused in ((0.21, False), (0.19, True)):
-        text = f"{HEAD}GOTO/1,0,9,{np.sqrt(1 - z * z):.12f},0,{z}\n{word}\nFINI\n"
+        text = f"{AT_Z9}GOTO/1,0,9,{np.sqrt(1 - z * z):.12f},0,{z}\n{word}\nFINI\n"
         if is_refused:
             assert "retract with a nearly horizontal tool" in problems(text, cell)
         else:
             assert points(read(text, cell))[-1, 2] == pytest.approx(100.0)
-    assert f"{word}: " in problems(f"{HEAD}{word}\nFINI\n")
+    assert f"{word}: " in problems(f"{AT_Z9}{word}\nFINI\n")
     before = read(f"UNITS/MM\n{word}\nRAPID\nGOTO/0,0,9\nFINI\n", cell)
     assert len(before.motions) == 1
-    assert "RETRCT: how high it goes" in problems(f"{HEAD}RETRCT/5\nFINI\n", cell)
+    assert "RETRCT: how high it goes" in problems(f"{AT_Z9}RETRCT/5\nFINI\n", cell)
 
 
 def test_behind_gohome_the_tool_comes_down_from_the_clearance():
     """Along its direction; a feed there is an error. A place above the clearance is reached at once."""
-    cell = replace(CELL, machine=HOME)
+    cell = replace(CELL, machine=MACHINE_WITH_HOME)
     low = after_head("GOHOME\nRAPID\nGOTO/5,0,9,0.6,0,0.8", cell)
     np.testing.assert_allclose(points(low)[-2:], [[73.25, 0, 100], [5, 0, 9]], atol=1e-9)
     assert low.motions.kind.tolist()[-2:] == [PTP, LIN]
     assert low.motions.rapid.tolist()[-2:] == [True, True]
     high = after_head("GOHOME\nRAPID\nGOTO/5,0,101", cell)
     assert high.motions.kind.tolist()[-2:] == [PTP, PTP]
-    assert "GOTO at feed behind GOHOME" in problems(f"{HEAD}GOHOME\nGOTO/5,0,9\nFINI\n", cell)
+    assert "GOTO at feed behind GOHOME" in problems(f"{AT_Z9}GOHOME\nGOTO/5,0,9\nFINI\n", cell)
     np.testing.assert_allclose(points(high)[1], [0, 0, 100], atol=1e-9)
-    without = after_head("GOHOME\nRAPID\nGOTO/5,0,9", replace(CELL, machine=Machine(home=HOME.home)))
+    without = after_head("GOHOME\nRAPID\nGOTO/5,0,9", replace(CELL, machine=Machine(home=MACHINE_WITH_HOME.home)))
     assert without.motions.kind.tolist() == [PTP, PTP, PTP]
 
 
@@ -107,11 +107,13 @@ def test_a_direction_holds_until_the_next_and_may_be_stated_alone():
     rounded = after_head("GOTO/1,0,9,0.60004,0,0.8\nGOTO/2,0,9")
     np.testing.assert_allclose(directions(rounded)[1:], [exact, exact], atol=1e-12)
     for statement in ("TLAXIS/0.7,0,0.8", "TLAXIS/0.6,0,0.81"):
-        assert "does not have length 1" in problems(f"{HEAD}{statement}\nGOTO/1,0,9\nFINI\n")
+        assert "does not have length 1" in problems(f"{AT_Z9}{statement}\nGOTO/1,0,9\nFINI\n")
 
 
 def test_all_directions_that_have_not_length_1_are_named_with_their_lines():
-    text = problems(f"{HEAD}GOTO/1,0,9,0,0,1\nGOTO/2,0,9,0,1,1\nGOTO/3,0,9,0,0,2\nGOTO/4,0,9\nGOTO/5,0,9,1,1,1\nFINI\n")
+    text = problems(
+        f"{AT_Z9}GOTO/1,0,9,0,0,1\nGOTO/2,0,9,0,1,1\nGOTO/3,0,9,0,0,2\nGOTO/4,0,9\nGOTO/5,0,9,1,1,1\nFINI\n"
+    )
     assert text.count("are not a direction of length 1") == 3
     for line in (6, 7, 9):
         assert f":{line}:" in text
@@ -121,7 +123,7 @@ def test_all_directions_that_have_not_length_1_are_named_with_their_lines():
 def test_multax_off_of_a_tilted_tool_needs_a_direction_again(z, is_open):
     """The rounding of a vertical one does not."""
     tilted = f"GOTO/1,0,9,{np.sqrt(1 - z * z):.12f},0,{z}\nMULTAX/OFF\n"
-    text = f"{HEAD}{tilted}GOTO/2,0,9\nFINI\n"
+    text = f"{AT_Z9}{tilted}GOTO/2,0,9\nFINI\n"
     if is_open:
         assert "GOTO without a direction behind MULTAX/OFF" in problems(text)
     else:
@@ -130,7 +132,7 @@ def test_multax_off_of_a_tilted_tool_needs_a_direction_again(z, is_open):
         np.testing.assert_allclose(directions(after_head(tilted + more))[-1], [0, 0, 1], atol=1e-12)
     for word in ("MULTAX", "MULTAX/ON"):
         assert len(after_head(f"GOTO/1,0,9,0.6,0,0.8\n{word}\nGOTO/2,0,9").motions) == 3
-    assert "MULTAX is not understood" in problems(f"{HEAD}MULTAX/2\nFINI\n")
+    assert "MULTAX is not understood" in problems(f"{AT_Z9}MULTAX/2\nFINI\n")
 
 
 def heights(cycle, more="", hole="GOTO/10,0,4"):
@@ -158,7 +160,7 @@ def test_the_feed_of_a_hole_is_that_before_it_or_its_own():
         cutting = ~program.motions.rapid
         np.testing.assert_allclose(program.motions.feed[cutting] * 60e3, feed)
     assert "no speed of the spindle" in problems(
-        f"{HEAD}CYCLE/DRILL,DEPTH,1,MMPR,1,CLEAR,3\nGOTO/1,0,4\nCYCLE/OFF\nFINI\n"
+        f"{AT_Z9}CYCLE/DRILL,DEPTH,1,MMPR,1,CLEAR,3\nGOTO/1,0,4\nCYCLE/OFF\nFINI\n"
     )
 
 
@@ -188,7 +190,7 @@ def test_pecks_go_on_from_just_above_the_last_depth():
     ],
 )  # fmt: skip
 def test_heights_of_a_hole_that_contradict_each_other_are_refused(words, is_refused):
-    text = f"{HEAD}CYCLE/DRILL,{words}\nGOTO/10,0,4\nCYCLE/OFF\nFINI\n"
+    text = f"{AT_Z9}CYCLE/DRILL,{words}\nGOTO/10,0,4\nCYCLE/OFF\nFINI\n"
     if is_refused:
         assert "the heights of the cycle contradict each other" in problems(text)
     else:
@@ -197,7 +199,7 @@ def test_heights_of_a_hole_that_contradict_each_other_are_refused(words, is_refu
 
 @pytest.mark.parametrize(("first", "is_refused"), [("8", False), ("0", True), ("-1", True)])
 def test_the_first_peck_is_above_zero(first, is_refused):
-    text = f"{HEAD}CYCLE/DEEP2,FEDTO,12,1STPECK,{first},SUBPECK,5,RAPTO,3\nGOTO/10,0,4\nCYCLE/OFF\nFINI\n"
+    text = f"{AT_Z9}CYCLE/DEEP2,FEDTO,12,1STPECK,{first},SUBPECK,5,RAPTO,3\nGOTO/10,0,4\nCYCLE/OFF\nFINI\n"
     if is_refused:
         assert "1STPECK is not above zero" in problems(text)
     else:
@@ -206,7 +208,7 @@ def test_the_first_peck_is_above_zero(first, is_refused):
 
 def test_a_tool_that_turns_on_the_way_to_a_hole_is_refused():
     cycle = "CYCLE/DRILL,DEPTH,5,CLEAR,3\n"
-    assert "the tool turns in a cycle" in problems(f"{HEAD}{cycle}GOTO/1,0,4,0,0,-1\nFINI\n")
+    assert "the tool turns in a cycle" in problems(f"{AT_Z9}{cycle}GOTO/1,0,4,0,0,-1\nFINI\n")
     same = after_head(f"GOTO/1,0,9,0,0.6,0.8\n{cycle}GOTO/20,0,4,0,0.6,0.8\nCYCLE/OFF")
     bottom = np.array([20, 0, 4]) - 5.0 * np.array([0, 0.6, 0.8])
     np.testing.assert_allclose(points(same)[-2], bottom, atol=1e-9)
@@ -219,11 +221,11 @@ ARC = "CIRCLE/-10,0,9,0,0,1,10\n"
 def test_an_arc_needs_a_place_a_feed_and_an_end_of_its_own():
     for text, problem in (
         (f"UNITS/MM\nFEDRAT/9\n{ARC}GOTO/-10,10,9\nFINI\n", "arc before the position is known"),
-        (f"{HEAD}{ARC}{ARC}GOTO/-10,10,9\nFINI\n", "an arc where none is possible"),
-        (f"{HEAD}CYCLE/DRILL,DEPTH,5,CLEAR,3\n{ARC}GOTO/-10,10,9\nFINI\n", "an arc where none is possible"),
-        (f"{HEAD}{ARC}RAPID\nGOTO/-10,10,9\nFINI\n", "an arc in rapid"),
-        (f"{HEAD}CIRCLE/-10,0,9,0,0,1.01,10\nGOTO/-10,10,9\nFINI\n", "the axis of the arc does not have length 1"),
-        (f"{HEAD}CIRCLE/-10,0,9,0,0,.99,10\nGOTO/-10,10,9\nFINI\n", "the axis of the arc does not have length 1"),
+        (f"{AT_Z9}{ARC}{ARC}GOTO/-10,10,9\nFINI\n", "an arc where none is possible"),
+        (f"{AT_Z9}CYCLE/DRILL,DEPTH,5,CLEAR,3\n{ARC}GOTO/-10,10,9\nFINI\n", "an arc where none is possible"),
+        (f"{AT_Z9}{ARC}RAPID\nGOTO/-10,10,9\nFINI\n", "an arc in rapid"),
+        (f"{AT_Z9}CIRCLE/-10,0,9,0,0,1.01,10\nGOTO/-10,10,9\nFINI\n", "the axis of the arc does not have length 1"),
+        (f"{AT_Z9}CIRCLE/-10,0,9,0,0,.99,10\nGOTO/-10,10,9\nFINI\n", "the axis of the arc does not have length 1"),
     ):
         assert problem in problems(text)
     made = after_head(f"{ARC}GOTO/-10,10,9")
@@ -238,7 +240,7 @@ def test_turns_of_a_helix_are_whole_numbers_up_to_ten_thousand(turns):
     sweep = after_head(nx.format(turns)).motions.sweep[-1]
     assert sweep == pytest.approx(2 * np.pi * (int(turns) - 0.75))
     for wrong in ("0", "1.5", "10001", "MANY", "-2"):
-        assert "TIMES is not a number of turns" in problems(f"{HEAD}{nx.format(wrong)}\nFINI\n")
+        assert "TIMES is not a number of turns" in problems(f"{AT_Z9}{nx.format(wrong)}\nFINI\n")
 
 
 @pytest.mark.parametrize(
@@ -250,7 +252,7 @@ def test_turns_of_a_helix_are_whole_numbers_up_to_ten_thousand(turns):
 )  # fmt: skip
 def test_a_stated_angle_leads_to_the_end_within_a_tenth_of_a_millimetre(angle, y, problem):
     """On a radius of 10 mm that is 0.57°; an angle may have several turns, up to ten."""
-    text = f"{HEAD}MOVARC/-10,0,9,0,0,1,10,ANGLE,{angle}\nGOTO/-10,{y},9\nFINI\n"
+    text = f"{AT_Z9}MOVARC/-10,0,9,0,0,1,10,ANGLE,{angle}\nGOTO/-10,{y},9\nFINI\n"
     if problem:
         assert problem in problems(text)
         return
@@ -262,7 +264,7 @@ def test_a_stated_angle_leads_to_the_end_within_a_tenth_of_a_millimetre(angle, y
     ("-10,0,9,0,0,1,10,ANGLE", "MOVARC is not understood"), ("-10,0,9,0,0,1,10,TURN,90", "MOVARC is not understood"),
 ])  # fmt: skip
 def test_movarc_needs_its_words(words, problem):
-    assert problem in problems(f"{HEAD}MOVARC/{words}\nGOTO/-10,10,9\nFINI\n")
+    assert problem in problems(f"{AT_Z9}MOVARC/{words}\nGOTO/-10,10,9\nFINI\n")
 
 
 def tangent(circle, line, direction="0,1,0", on="ON"):
@@ -280,16 +282,16 @@ def test_an_arc_along_indirv_ends_where_its_line_does():
     np.testing.assert_allclose((back.motions.sweep[-1], back.motions.normal[-1, 2]), (np.pi / 2, -1.0), atol=1e-12)
     for line, on in (("-10,0,9,-10,-10,9", "ON"), ("-10,0,9,-10,10,9", "ON,2,INTOF")):
         assert "the arc ends on the other side of its line" in problems(
-            f"{HEAD}{tangent('-10,0,9,10', line, on=on)}\nFINI\n"
+            f"{AT_Z9}{tangent('-10,0,9,10', line, on=on)}\nFINI\n"
         )
     for on in ("ON", "ON,2,INTOF"):  # half a circle may be written either way
         half = after_head(tangent("-10,0,9,10", "-10,0,9,-20,0,9", on=on))
         assert half.motions.sweep[-1] == pytest.approx(np.pi)
     assert "TLON is not understood" in problems(
-        f"{HEAD}{tangent('-10,0,9,10', '-10,0,9,-20,0,9', on='ON,3,INTOF')}\nFINI\n"
+        f"{AT_Z9}{tangent('-10,0,9,10', '-10,0,9,-20,0,9', on='ON,3,INTOF')}\nFINI\n"
     )
     twice = f"{tangent('-10,0,9,10', '-10,0,9,-10,10,9')}\nTLON,GOFWD/(CIRCLE/-10,0,9,10),ON,(LINE/-10,0,9,-20,0,9)"
-    assert "TLON is not understood" in problems(f"{HEAD}{twice}\nFINI\n")  # INDIRV holds for one arc
+    assert "TLON is not understood" in problems(f"{AT_Z9}{twice}\nFINI\n")  # INDIRV holds for one arc
     assert "arc before the position is known" in problems(
         f"UNITS/MM\nFEDRAT/9\n{tangent('-10,0,9,10', '-10,0,9,-10,10,9')}\nFINI\n"
     )
@@ -299,26 +301,26 @@ def test_several_points_of_one_statement_divide_an_arc():
     divided = after_head(f"{ARC}GOTO/-10,10,9,-20,0,9,-10,-10,9")
     assert divided.motions.kind.tolist() == [PTP, CIRC, CIRC, CIRC]
     np.testing.assert_allclose(divided.motions.sweep[1:], np.pi / 2)
-    assert "3 or 6 numbers" in problems(f"{HEAD}GOTO/-10,10,9,-20,0,9,1,2,3\nFINI\n")
+    assert "3 or 6 numbers" in problems(f"{AT_Z9}GOTO/-10,10,9,-20,0,9,1,2,3\nFINI\n")
 
 
 def test_the_tool_of_a_change_is_one_of_the_cell_and_its_spindle_stands():
     tools = {"1": Frame(Z=300.0), "2": Frame(Z=350.0)}
     cell = replace(CELL, tools=tools)
-    program = after_head("GOTO/1,0,9\nSPINDL/900,RPM,CLW\nLOADTL/2\nGOTO/2,0,9", cell, "LOADTL/1\n" + HEAD)
+    program = after_head("GOTO/1,0,9\nSPINDL/900,RPM,CLW\nLOADTL/2\nGOTO/2,0,9", cell, "LOADTL/1\n" + AT_Z9)
     assert [(event.kind, event.value) for event in program.events] == [
         ("tool_change", 1), ("spindle_on", 900), ("spindle_off", 0), ("tool_change", 2),
     ]  # fmt: skip
     assert program.motions.tool.tolist() == [1, 1, 2, 2]
     np.testing.assert_allclose(points(program)[1:], [[1, 0, 9], [1, 0, 9], [2, 0, 9]], atol=1e-9)
     assert program.motions.rapid.tolist() == [True, False, True, False]
-    again = after_head("GOTO/1,0,9\nLOADTL/1\nGOTO/2,0,9", cell, "LOADTL/1\n" + HEAD)
+    again = after_head("GOTO/1,0,9\nLOADTL/1\nGOTO/2,0,9", cell, "LOADTL/1\n" + AT_Z9)
     assert len(again.motions) == 3
     assert "null-move" not in [issue.kind for issue in again.issues]
     for word, problem in (
         ("3", "tool 3 is not in the cell"), ("1.5", "not a whole number"), ("-1", "not a whole number"),
     ):  # fmt: skip
-        assert problem in problems(f"{HEAD}LOAD/TOOL,{word},ADJUST,1\nFINI\n", cell)
+        assert problem in problems(f"{AT_Z9}LOAD/TOOL,{word},ADJUST,1\nFINI\n", cell)
     assert after_head("LOADTL/7\nGOTO/2,0,9").events[0].value == 7  # a cell without tools has any
 
 
@@ -326,7 +328,7 @@ def test_a_dwell_is_in_seconds_and_turns_of_the_spindle_are_refused():
     for text in ("DELAY/1.5", "DWELL/1.5", "DELAY/DWELL,1.5"):
         (event,) = after_head(f"{text}\nGOTO/2,0,9").events
         assert (event.kind, event.value, event.before) == ("dwell", 1.5, 1)
-    assert "DELAY in turns" in problems(f"{HEAD}DELAY/2,REV\nFINI\n")
+    assert "DELAY in turns" in problems(f"{AT_Z9}DELAY/2,REV\nFINI\n")
 
 
 def test_the_spindle_keeps_its_direction_and_speed_until_others_are_given():
@@ -355,24 +357,24 @@ def kinds_of(program):
 
 def test_statements_behind_the_end_are_reported_with_all_their_lines():
     """FINI on the first line ends it too: nothing moves."""
-    program = read(f"{HEAD}GOTO/1,0,9\nFINI\nGOTO/5,5,5\nRAPID\nFINI\n")
+    program = read(f"{AT_Z9}GOTO/1,0,9\nFINI\nGOTO/5,5,5\nRAPID\nFINI\n")
     assert len(program.motions) == 2
     (issue,) = [issue for issue in program.issues if issue.kind == "after-end"]
     assert (issue.level, issue.lines, issue.count) == ("warning", (7, 8), 2)
-    assert "the program moves nothing" in problems(f"FINI\n{HEAD}GOTO/1,0,9\n")
+    assert "the program moves nothing" in problems(f"FINI\n{AT_Z9}GOTO/1,0,9\n")
 
 
 @pytest.mark.parametrize(
     ("last", "is_cut_off"), [("FINI", False), ("END", False), ("END-OF-PATH", False), ("END-OF-PATH\nGOTO/2,0,9", True)]
 )
 def test_a_file_without_an_end_is_a_warning(last, is_cut_off):
-    program = read(f"{HEAD}GOTO/1,0,9\n{last}\n")
+    program = read(f"{AT_Z9}GOTO/1,0,9\n{last}\n")
     assert ("program-end" in [issue.kind for issue in program.issues]) == is_cut_off
 
 
 def test_a_program_that_begins_with_partno_on_its_first_line_needs_fini():
-    assert "begins with PARTNO but ends without FINI" in problems(f"PARTNO A\n{HEAD}GOTO/1,0,9\n")
-    assert len(read(f"PARTNO A\n{HEAD}GOTO/1,0,9\nFINI\n").motions) == 2
+    assert "begins with PARTNO but ends without FINI" in problems(f"PARTNO A\n{AT_Z9}GOTO/1,0,9\n")
+    assert len(read(f"PARTNO A\n{AT_Z9}GOTO/1,0,9\nFINI\n").motions) == 2
 
 
 def test_optional_statements_are_executed_and_said_to_be():
@@ -397,10 +399,10 @@ LEVEL, TURNED = "1.,0,0,0,0,1.,0,0,0,0,1.,0", "0,-1.,0,5.,1.,0,0,6.,0,0,1.,7."
 def test_axes_of_a_setup_are_at_right_angles_and_known_to_be_those_of_the_fixture():
     assert ends(CSYS.format(TURNED) + "GOTO/1,0,9") == [[1.0, 0.0, 9.0]]
     assert ends(f"CSYS/{LEVEL}\nGOTO/1,0,9") == [[1.0, 0.0, 9.0]]
-    assert "CSYS without TRNTYP" in problems(f"{HEAD}CSYS/{TURNED}\nGOTO/1,0,9\nFINI\n")
+    assert "CSYS without TRNTYP" in problems(f"{AT_Z9}CSYS/{TURNED}\nGOTO/1,0,9\nFINI\n")
     for wrong in ("1.,0,0,0,0,1.,0.01,0,0,0,1.,0", "1.,0,0,0,0,1.,0,0,0,0,.99,0", "1.,0.02,0,0,0,1.,0,0,0,0,1.,0"):
         assert "CSYS has no axes of length 1 at right angles" in problems(
-            f"{HEAD}{CSYS.format(wrong)}GOTO/1,0,9\nFINI\n"
+            f"{AT_Z9}{CSYS.format(wrong)}GOTO/1,0,9\nFINI\n"
         )
 
 
@@ -416,13 +418,13 @@ def test_an_inside_arc_smaller_than_the_cutter_shows_the_path_of_its_centre(side
     if is_centre:
         assert "radius-compensation" in [issue.kind for issue in after_head(text).issues]
     else:
-        assert "the radius of the tool is in the control" in problems(f"{HEAD}{text}\nFINI\n")
-    small = problems(f"{HEAD}CUTTER/3.9\n{COMPENSATED.format('LEFT', 1, -2)}\nFINI\n")
+        assert "the radius of the tool is in the control" in problems(f"{AT_Z9}{text}\nFINI\n")
+    small = problems(f"{AT_Z9}CUTTER/3.9\n{COMPENSATED.format('LEFT', 1, -2)}\nFINI\n")
     assert "the radius of the tool is in the control" in small
 
 
 def test_compensation_without_a_side_needs_wear_offsets():
-    assert "the radius of the tool is in the control" in problems(f"{HEAD}CUTCOM/ON\nGOTO/1,0,9\nFINI\n")
+    assert "the radius of the tool is in the control" in problems(f"{AT_Z9}CUTCOM/ON\nGOTO/1,0,9\nFINI\n")
     wear = replace(CELL, gcode=replace(CELL.gcode, radius_offsets="wear"))
     program = after_head("CUTCOM/ON\nGOTO/1,0,9\nCUTCOM/OFF\nCUTCOM/OFF\nGOTO/2,0,9", wear)
     assert [kind for kind in kinds_of(program) if kind[1] == "radius-compensation"] == [
@@ -458,7 +460,7 @@ def test_moves_of_zero_length_are_left_out_but_for_a_turn_of_the_tool():
 
 def test_forces_of_comments_hold_from_the_next_motion_up_to_the_end_of_the_program():
     text = (
-        f"$$ FORCE FX=1\n{HEAD}$$ FORCE FX=2\nGOTO/1,0,9\nPPRINT/FORCE FX=3\nGOTO/2,0,9\n$$ last\nFINI\n"
+        f"$$ FORCE FX=1\n{AT_Z9}$$ FORCE FX=2\nGOTO/1,0,9\nPPRINT/FORCE FX=3\nGOTO/2,0,9\n$$ last\nFINI\n"
         "GOTO/9,9,9\n$$ FORCE FX=4\n$$ behind it\n"
     )
     program = read(text)

@@ -8,9 +8,7 @@ from postproc.dialects import gcode
 from postproc.dialects.text import decode
 from postproc.errors import MAX_ERRORS, ForceError, InputError, ProgramError, group_issues
 from postproc.program import CIRC, LIN, PTP, ForceNote
-from tests.dialects.gcode_reading import CELL, START_FLANGE, ends, forward, outcome, read
-
-HEAD = "G21 G90 G17\nG0 X0 Y0 Z10\n"
+from tests.dialects.gcode_reading import AT_Z10, CELL, START_FLANGE, ends, forward, outcome, read
 
 
 def kinds(program) -> list[str]:
@@ -31,7 +29,7 @@ def fault(text: str) -> ProgramError:
 
 
 def test_first_rapid_is_a_joint_move_and_later_ones_are_straight_with_the_speed_of_the_cell() -> None:
-    motions = read(HEAD + "G1 Z-1 F600\nG0 Z10\nM30\n").motions
+    motions = read(AT_Z10 + "G1 Z-1 F600\nG0 Z10\nM30\n").motions
     assert motions.kind.tolist() == [PTP, LIN, LIN]
     assert motions.rapid.tolist() == [True, False, True]
     assert motions.line.tolist() == [2, 3, 4]
@@ -43,7 +41,7 @@ def test_first_rapid_is_a_joint_move_and_later_ones_are_straight_with_the_speed_
 
 
 def test_bases_and_tools_are_those_of_the_cell() -> None:
-    program = read(HEAD + "M30\n")
+    program = read(AT_Z10 + "M30\n")
     np.testing.assert_array_equal(program.bases, CELL.base.pose()[None])
     np.testing.assert_array_equal(program.tools, CELL.tool.pose()[None])
     assert (program.name, program.dialect) == ("part", "gcode")
@@ -54,7 +52,7 @@ def test_bases_and_tools_are_those_of_the_cell() -> None:
 def test_tool_axis_points_down_in_the_program_frame(axis: str) -> None:
     tool = msgspec.structs.replace(CELL.tool, axis=axis)
     cell = msgspec.structs.replace(CELL, tool=tool, gcode=msgspec.structs.replace(CELL.gcode, redundancy_deg=37.0))
-    rotation = read(HEAD + "M30\n", cell).motions.target[0, :3, :3]
+    rotation = read(AT_Z10 + "M30\n", cell).motions.target[0, :3, :3]
     unit = np.zeros(3)
     unit["XYZ".index(axis[1])] = 1.0 if axis[0] == "+" else -1.0
     np.testing.assert_allclose(rotation @ unit, [0.0, 0.0, -1.0], atol=1e-15)
@@ -116,7 +114,7 @@ def test_events_of_lines_held_back_come_before_the_first_motion() -> None:
 
 
 def test_moves_that_go_nowhere_are_left_out_and_lines_stay_right() -> None:
-    program = read(HEAD + "G1 F100\nG1 X0\nX1\nX1 Y0\nX2\nG91 X0\nM30\n")
+    program = read(AT_Z10 + "G1 F100\nG1 X0\nX1\nX1 Y0\nX2\nG91 X0\nM30\n")
     assert lines(program) == [2, 5, 7]
     (issue,) = [issue for issue in program.issues if issue.kind == "null-move"]
     assert (issue.level, issue.source_line, issue.count) == ("info", 4, 3)
@@ -158,7 +156,7 @@ def test_a_later_code_of_a_block_holds_for_the_coordinates_before_it() -> None:
     ],
 )
 def test_arcs_turn_about_the_normal_of_their_plane(plane: str, words: str, centre, normal) -> None:
-    motions = read(HEAD + f"{plane} G3 {words} F100\nG2 X0 Y0 {words[-2]}-5\nM30\n").motions
+    motions = read(AT_Z10 + f"{plane} G3 {words} F100\nG2 X0 Y0 {words[-2]}-5\nM30\n").motions
     assert motions.kind.tolist() == [PTP, CIRC, CIRC]
     np.testing.assert_allclose(motions.centre[1:] * 1e3, [centre, centre], atol=1e-12)
     np.testing.assert_array_equal(motions.normal[1:], [normal, np.negative(normal)])
@@ -169,13 +167,13 @@ def test_arcs_turn_about_the_normal_of_their_plane(plane: str, words: str, centr
 
 @pytest.mark.parametrize("words", ["I5", "I5 J0", "X0 Y0 I5", "G91 X0 I5", "G90.1 I5 J0", "I5 P1"])
 def test_an_arc_that_ends_where_it_began_is_a_full_circle(words: str) -> None:
-    motions = read(HEAD + f"G2 {words} F100\nM30\n").motions
+    motions = read(AT_Z10 + f"G2 {words} F100\nM30\n").motions
     assert motions.sweep[1] == pytest.approx(2.0 * math.pi, abs=0.0)
     np.testing.assert_allclose(motions.centre[1] * 1e3, [5, 0, 10], atol=1e-12)
 
 
 def test_helices_rise_along_the_normal_and_may_have_several_turns() -> None:
-    motions = read(HEAD + "G3 X10 Z4 I5 P3 F100\nG3 I-5 Z0\nM30\n").motions
+    motions = read(AT_Z10 + "G3 X10 Z4 I5 P3 F100\nG3 I-5 Z0\nM30\n").motions
     np.testing.assert_allclose(motions.sweep[1:], [5.0 * math.pi, 2.0 * math.pi])
     np.testing.assert_allclose(motions.centre[1:, 2] * 1e3, [10, 4])
     np.testing.assert_allclose(motions.target[1:, 2, 3] * 1e3, [4, 0])
@@ -192,30 +190,30 @@ def test_helices_rise_along_the_normal_and_may_have_several_turns() -> None:
     ],
 )
 def test_radius_arcs_lie_where_sign_and_direction_put_them(words: str, centre, sweep: float) -> None:
-    motions = read(HEAD + f"{words} F100\nM30\n").motions
+    motions = read(AT_Z10 + f"{words} F100\nM30\n").motions
     np.testing.assert_allclose(motions.centre[1, :2] * 1e3, centre, atol=1e-12)
     assert motions.sweep[1] == pytest.approx(sweep)
 
 
 def test_a_modal_arc_needs_only_its_words() -> None:
-    motions = read(HEAD + "G2 X10 I5 F100\nX20 I5\nI3\nM30\n").motions
+    motions = read(AT_Z10 + "G2 X10 I5 F100\nX20 I5\nI3\nM30\n").motions
     np.testing.assert_allclose(motions.sweep[1:], [math.pi, math.pi, 2 * math.pi])
 
 
 def test_arc_ends_are_as_programmed_even_where_the_radii_differ_by_rounding() -> None:
-    motions = read(HEAD + "G2 X10.02 I5 F100\nM30\n").motions
+    motions = read(AT_Z10 + "G2 X10.02 I5 F100\nM30\n").motions
     assert motions.target[1, 0, 3] == pytest.approx(10.02e-3, abs=1e-15)
     assert motions.centre[1, 0] == pytest.approx(5e-3, abs=1e-15)
 
 
 def test_an_offset_of_zero_across_the_plane_is_read_over() -> None:
-    plain = read(HEAD + "G2 X10 I5 F100\nG3 X0 R6\nG18 X5 I2.5\nM30\n")
+    plain = read(AT_Z10 + "G2 X10 I5 F100\nG3 X0 R6\nG18 X5 I2.5\nM30\n")
     for zero in ("K0", "K-0.000", "k.0"):
-        text = HEAD + f"G2 X10 I5 {zero} F100\nG3 X0 R6 {zero}\nG18 X5 I2.5 {zero.lower().replace('k', 'J')}\nM30\n"
+        text = AT_Z10 + f"G2 X10 I5 {zero} F100\nG3 X0 R6 {zero}\nG18 X5 I2.5 {zero.lower().replace('k', 'J')}\nM30\n"
         np.testing.assert_array_equal(read(text).motions.centre, plain.motions.centre)
         np.testing.assert_array_equal(read(text).motions.sweep, plain.motions.sweep)
-    assert fault(HEAD + "G2 X10 K0 F9\nM30\n").problem == "arc without I, J, K or R"
-    assert "across its plane" in fault(HEAD + "G2 X10 I5 K.001 F9\nM30\n").problem
+    assert fault(AT_Z10 + "G2 X10 K0 F9\nM30\n").problem == "arc without I, J, K or R"
+    assert "across its plane" in fault(AT_Z10 + "G2 X10 I5 K.001 F9\nM30\n").problem
 
 
 def test_other_axes_that_stay_at_zero_are_read_over() -> None:
@@ -314,7 +312,7 @@ def test_the_end_of_the_program_switches_off_what_still_runs() -> None:
     ],
 )
 def test_code_after_the_end_is_told_and_not_executed(tail: str, line: int | None, count: int) -> None:
-    program = read(HEAD + tail)
+    program = read(AT_Z10 + tail)
     told = [(issue.level, issue.source_line, issue.count) for issue in program.issues if issue.kind == "after-end"]
     assert told == ([("warning", line, count)] if line else [])
     assert len(program.motions) == 1 + ("X1" in tail)
@@ -322,13 +320,13 @@ def test_code_after_the_end_is_told_and_not_executed(tail: str, line: int | None
 
 def test_nothing_after_the_end_of_the_program_is_read() -> None:
     for end in ("M30", "M2", "M02", "%", "G0 Z20 M30"):
-        program = read(HEAD + f"{end}\nG41 nonsense ( \n(FORCE FX=)\n#1=2\n")
+        program = read(AT_Z10 + f"{end}\nG41 nonsense ( \n(FORCE FX=)\n#1=2\n")
         assert program.events == program.notes == ()
     assert len(program.motions) == 2
 
 
 def test_force_comments_become_notes_and_no_events() -> None:
-    program = read(HEAD + "G1 Z0 F100 (force FX=120 FY=-40.5 FRAME=TOOL)\nX1 ; FORCE OFF\n(FORCED COOLING)\nM30\n")
+    program = read(AT_Z10 + "G1 Z0 F100 (force FX=120 FY=-40.5 FRAME=TOOL)\nX1 ; FORCE OFF\n(FORCED COOLING)\nM30\n")
     assert program.notes == (
         ForceNote(3, (120.0, -40.5, 0.0, 0.0, 0.0, 0.0), "TOOL", 1),
         ForceNote(4, (0.0,) * 6, before=2),
@@ -338,11 +336,11 @@ def test_force_comments_become_notes_and_no_events() -> None:
 
 def test_a_force_comment_that_cannot_be_read_names_its_line() -> None:
     with pytest.raises(ForceError, match=r"part\.nc:3: .*"):
-        read(HEAD + "(FORCE FX=abc)\nM30\n")
+        read(AT_Z10 + "(FORCE FX=abc)\nM30\n")
 
 
 def test_message_comments_are_plain_comments_and_semicolons_and_brackets_may_hold_each_other() -> None:
-    program = read(HEAD + "(MSG, hello; you) G1 (b) X1 F10 ; c (d) ; e\nM30\n")
+    program = read(AT_Z10 + "(MSG, hello; you) G1 (b) X1 F10 ; c (d) ; e\nM30\n")
     assert [e.text for e in program.events] == ["MSG, hello; you", "b", "c (d) ; e"]
     assert lines(program) == [2, 3]
 
@@ -351,7 +349,7 @@ def test_message_comments_are_plain_comments_and_semicolons_and_brackets_may_hol
     ("block", "blend"), [("G61", 0.0), ("G61.1", 0.0), ("G64", 5e-4), ("G64 P.02", 4e-5), ("G64 P9 Q1", 5e-4)]
 )
 def test_exact_stop_and_blending_modes_set_the_approximation_distance(block: str, blend: float) -> None:
-    motions = read(HEAD + f"G1 X1 F100\nG61\n{block}\nX2\nM30\n").motions
+    motions = read(AT_Z10 + f"G1 X1 F100\nG61\n{block}\nX2\nM30\n").motions
     assert motions.blend[1] == 5e-4
     assert motions.blend[2] == pytest.approx(blend, abs=1e-18)
 
@@ -441,7 +439,7 @@ def test_a_hundred_thousand_lines_keep_their_numbers() -> None:
 
 
 def test_arrays_cannot_be_changed() -> None:
-    motions = read(HEAD + "M30\n").motions
+    motions = read(AT_Z10 + "M30\n").motions
     columns = {name: getattr(motions, name) for name in type(motions).__slots__}
     columns |= {"position": motions.target.position, "rotation": motions.target.rotation}
     columns |= {"joints": motions.joints.values, "run": motions.joints.run}
@@ -544,7 +542,7 @@ def test_empty_and_binary_files_are_errors(data: bytes) -> None:
     ],
 )
 def test_what_cannot_be_read_is_an_error(block: str, problem: str) -> None:
-    error = fault(HEAD + block + "\nM30\n")
+    error = fault(AT_Z10 + block + "\nM30\n")
     assert problem in error.problem
     assert error.line == 3 + block.count("\n")
     assert error.file == "part.nc"
@@ -552,7 +550,7 @@ def test_what_cannot_be_read_is_an_error(block: str, problem: str) -> None:
 
 @pytest.mark.parametrize(("code", "table"), [("G57", "[work_offsets.G57]"), ("G59.2", '[work_offsets."G59.2"]')])
 def test_the_table_of_a_missing_work_offset_is_named_as_toml_has_it(code: str, table: str) -> None:
-    assert table in str(fault(f"{HEAD}{code}\nM30\n"))
+    assert table in str(fault(f"{AT_Z10}{code}\nM30\n"))
 
 
 REFUSED_G = (
@@ -579,7 +577,7 @@ REFUSED_M = (19, 60, 61, 62, 68, 97)
 
 @pytest.mark.parametrize("code", [*(f"G{n}" for n in REFUSED_G), *(f"M{n}" for n in REFUSED_M)])
 def test_codes_that_could_change_the_motion_are_refused_with_advice(code: str) -> None:
-    error = fault(HEAD + f"{code}\nM30\n")
+    error = fault(AT_Z10 + f"{code}\nM30\n")
     assert (error.line, error.problem) == (3, f"{code} is not supported")
     assert error.advice
 
@@ -621,7 +619,7 @@ def problems(text: str) -> list[tuple[int | None, str]]:
 
 
 def test_all_errors_of_a_program_are_told_in_order_of_lines() -> None:
-    text = HEAD + (
+    text = AT_Z10 + (
         "G1 X1 F100\nM101\n(FORCE FX=1 FX=2)\nG1 X[1+#2]\n(not closed\nG0 X1 Y2 Z3\nG2 X9 I1\nG57\nX5 X6\nM30\n"
     )
     assert problems(text) == [
@@ -646,11 +644,11 @@ def test_all_errors_of_a_program_are_told_in_order_of_lines() -> None:
     ],
 )
 def test_an_error_causes_no_others(text: str) -> None:
-    assert [line for line, _ in problems(HEAD + text + "M30\n")] == [3]
+    assert [line for line, _ in problems(AT_Z10 + text + "M30\n")] == [3]
 
 
 def test_what_is_understood_of_a_bad_block_holds_for_the_next_ones() -> None:
-    text = HEAD + "G41 D1 G1 G91 X5 F100\nX1\nG90 X0 Y0\nG18 M101\nG2 X10 I5\nX20 J5\nM30 M102\nG41 nonsense\n"
+    text = AT_Z10 + "G41 D1 G1 G91 X5 F100\nX1\nG90 X0 Y0\nG18 M101\nG2 X10 I5\nX20 J5\nM30 M102\nG41 nonsense\n"
     assert problems(text) == [
         (3, "G41 is not supported"),
         (6, "M101 is not known"),
@@ -660,20 +658,20 @@ def test_what_is_understood_of_a_bad_block_holds_for_the_next_ones() -> None:
 
 
 def test_a_mistake_that_goes_on_is_told_once() -> None:
-    assert problems(HEAD + "G1 X1\nX2\nX3\nM30\n") == [(3, "cutting move without a feed")]
+    assert problems(AT_Z10 + "G1 X1\nX2\nX3\nM30\n") == [(3, "cutting move without a feed")]
     assert problems("G91\nG0 X1\nX2\nM30\n") == [(2, "incremental move before the position is known")]
 
 
 def test_the_first_errors_of_a_hopeless_file_are_enough() -> None:
-    found = problems(HEAD + "M101\n" * 100_000)
+    found = problems(AT_Z10 + "M101\n" * 100_000)
     assert [line for line, _ in found] == list(range(3, 3 + MAX_ERRORS + 1))
 
 
 def test_the_first_error_of_a_program_is_reported_whatever_its_kind() -> None:
-    assert fault(HEAD + "G1 X5\nG41\n").line == 3
-    assert fault(HEAD + "G41\nG1 X5\n").line == 3
+    assert fault(AT_Z10 + "G1 X5\nG41\n").line == 3
+    assert fault(AT_Z10 + "G41\nG1 X5\n").line == 3
     assert fault("G41\nG1 X5\n").line == 1
-    assert fault(HEAD + "G2 X10 I1 F9\nG1 F0 X1\nG41\n").line == 3
+    assert fault(AT_Z10 + "G2 X10 I1 F9\nG1 F0 X1\nG41\n").line == 3
 
 
 # ---- programs of other kinds
@@ -733,7 +731,7 @@ def test_programs_for_other_controls_are_named(name: str, text: str) -> None:
     ],
 )
 def test_a_word_in_a_comment_or_a_single_mistake_makes_no_other_control(block: str) -> None:
-    assert "not plain G-code" not in fault(HEAD + block + "\nM30\n").problem
+    assert "not plain G-code" not in fault(AT_Z10 + block + "\nM30\n").problem
 
 
 def test_a_program_that_can_be_read_is_never_named_after_another_control() -> None:

@@ -16,7 +16,7 @@ from tests.dialects.gcode_reading import CELL, ends, outcome, read
 from tests.effort import calls_for_each
 from tests.oracle.rs274 import MACHINE, assert_same_moves, canonical, needs_rs274
 
-HEAD = "G21 G90 G17 G98 G0 X0 Y0 Z9 F60\n"
+G98_AT_Z9 = "G21 G90 G17 G98 G0 X0 Y0 Z9 F60\n"
 CYCLES = {
     "drilling": "G81 X1 Y2 Z-3 R2\nX5\nG99 Y7\nX6 Z-4\nG98 X1 R3\nG80\nG0 X0",
     "a dwell": "M3 S100\nG82 X1 Z-1 R1 P.5\nX2\nX3 P1.5",
@@ -38,7 +38,7 @@ CYCLES = {
 @needs_rs274
 @pytest.mark.parametrize("text", CYCLES.values(), ids=CYCLES)
 def test_cycles_have_the_moves_of_rs274(text: str) -> None:
-    text = f"{HEAD}{text}\nM2\n"
+    text = f"{G98_AT_Z9}{text}\nM2\n"
     digits = 3e-3 if "G20" in text else 1e-4
     assert_same_moves(read(text), canonical(text), 1.0, digits=digits)
     assert outcome(text, bulk=True) == outcome(text, bulk=False)
@@ -76,7 +76,7 @@ def holes(draw: st.DrawFn) -> str:
             )
             lines.append(f"{draw(st.sampled_from(plane))}{number(-80, 80)}{extra}")
         lines.append(draw(st.sampled_from(["G80", "G0 X1", "G1 X1"])))
-    return HEAD + "\n".join(lines) + "\nM2\n"
+    return G98_AT_Z9 + "\n".join(lines) + "\nM2\n"
 
 
 @needs_rs274
@@ -89,13 +89,13 @@ def test_random_holes_have_the_moves_of_rs274(text: str) -> None:
 def test_rows_of_holes_are_read_in_bulk() -> None:
     def work(count: int) -> Callable[[], object]:
         lines = (f"X{n % 40} Y{n % 30}\n" for n in range(count))
-        return partial(read, f"{HEAD}G83 X1 Y1 Z-5 R2 Q2\n{''.join(lines)}G80\nM2\n")
+        return partial(read, f"{G98_AT_Z9}G83 X1 Y1 Z-5 R2 Q2\n{''.join(lines)}G80\nM2\n")
 
     assert calls_for_each(work) < 0.5  # hole by hole: 50
 
 
 def test_a_cycle_stops_at_its_bottoms() -> None:
-    program = read(HEAD + "G83 X1 Z-3 R2 Q2\nM2")
+    program = read(G98_AT_Z9 + "G83 X1 Z-3 R2 Q2\nM2")
     z, blend = ends(program)[:, 2], program.motions.blend
     feeds = ~program.motions.rapid
     assert (blend[feeds] == 0.0).all()
@@ -121,7 +121,7 @@ BAD_CYCLES = {
 @pytest.mark.parametrize(("text", "problem"), BAD_CYCLES.values(), ids=BAD_CYCLES)
 def test_cycles_that_cannot_be_are_told(text: str, problem: str) -> None:
     with pytest.raises(ProgramError, match=problem) as caught:
-        read(f"{HEAD}{text}\nM2\n")
+        read(f"{G98_AT_Z9}{text}\nM2\n")
     assert caught.value.line == 2
 
 
@@ -142,7 +142,7 @@ def test_cycles_that_cannot_be_are_told(text: str, problem: str) -> None:
 def test_a_number_of_holes_as_on_fanuc_is_refused_with_what_to_write(
     words: str, units: str, advice: str | None
 ) -> None:
-    lines = f"{HEAD}{units} G98 G81 X1 Y0 Z-4 R2 F100\nG91 X10. Y5. Z-2 R-1 "
+    lines = f"{G98_AT_Z9}{units} G98 G81 X1 Y0 Z-4 R2 F100\nG91 X10. Y5. Z-2 R-1 "
     with pytest.raises(ProgramError, match="I, J or K in a cycle") as caught:
         read(f"{lines}{words}\nG80\nM2\n")
     assert (caught.value.line, caught.value.advice) == (3, advice)
@@ -190,7 +190,7 @@ def test_a_cycle_without_a_place_above_the_part_is_refused(text: str, problem: s
 def test_a_cycle_does_not_take_its_heights_into_the_other_distance_mode(first: str, then: str, more: str) -> None:
     """R-98 is 2 mm above the part in G91 from Z100, and 98 mm below its zero in G90."""
     r = {"G91": "R-98", "G90": "R2"}
-    start = f"{HEAD}G0 Z100\n{first} G81 X5 Y0 Z-3 {r[first]} F100\n"
+    start = f"{G98_AT_Z9}G0 Z100\n{first} G81 X5 Y0 Z-3 {r[first]} F100\n"
     with pytest.raises(ProgramError, match=f"given in {first}, used in {then}") as caught:
         read(f"{start}{then} X5 {more}\nG80\nM2")
     assert str(caught.value.text).startswith(then)
@@ -201,7 +201,7 @@ def test_a_cycle_does_not_take_its_heights_into_the_other_distance_mode(first: s
 
 def test_a_tap_is_not_drawn_out_by_a_spindle_that_turns_on() -> None:
     lines = {"spindle_on": ["$OUT[1]=TRUE"], "spindle_off": ["$OUT[1]=FALSE"]}
-    text = f"{HEAD}M3 S200\nG84 X1 Y1 Z-4 R2 F100\nG80\nM2\n"
+    text = f"{G98_AT_Z9}M3 S200\nG84 X1 Y1 Z-4 R2 F100\nG80\nM2\n"
     one_way = replace(CELL, gcode=replace(CELL.gcode, **lines))
     with pytest.raises(ProgramError, match="reverses the spindle at the bottom"):
         read(text, one_way)
@@ -232,7 +232,7 @@ ORIGINS = {
 @needs_rs274
 @pytest.mark.parametrize("text", ORIGINS.values(), ids=ORIGINS)
 def test_shifted_frames_have_the_moves_of_rs274(text: str) -> None:
-    text = f"{HEAD}{text}\nM2\n"
+    text = f"{G98_AT_Z9}{text}\nM2\n"
     cell = replace(CELL, work_offsets={})
     assert_same_moves(read(text, cell), canonical(text), 1.0, digits=1e-4, offsets=MACHINE)
     assert outcome(text, cell, bulk=True) == outcome(text, cell, bulk=False)
@@ -257,38 +257,38 @@ def test_shifted_frames_have_the_moves_of_rs274(text: str) -> None:
 )  # fmt: skip
 def test_places_that_are_not_known_are_told(text: str, problem: str) -> None:
     with pytest.raises(ProgramError, match=problem):
-        read(f"{HEAD}{text}\nM2\n", replace(CELL, work_offsets={}))
+        read(f"{G98_AT_Z9}{text}\nM2\n", replace(CELL, work_offsets={}))
 
 
-HOME = replace(CELL, machine=Machine(home=(1.0, -89.0, 90.0, 0.0, 0.0, 0.0)))
+CELL_WITH_HOME = replace(CELL, machine=Machine(home=(1.0, -89.0, 90.0, 0.0, 0.0, 0.0)))
 CLEAR = replace(CELL, machine=Machine(clearance_Z=80.0))
 BOTH = replace(CELL, machine=Machine(home=(1.0, -89.0, 90.0, 0.0, 0.0, 0.0), clearance_Z=80.0))
 
 
 def test_G28_goes_home_in_joints_and_the_next_move_needs_what_it_took() -> None:
-    program = read(HEAD + "G1 X5 Z-1\nG91 G28 Z0\nG90 G0 X7 Y8\nZ9\nG1 Z0\nM2", HOME)
+    program = read(G98_AT_Z9 + "G1 X5 Z-1\nG91 G28 Z0\nG90 G0 X7 Y8\nZ9\nG1 Z0\nM2", CELL_WITH_HOME)
     m = program.motions
     assert m.kind.tolist() == [PTP, LIN, PTP, PTP, LIN]
-    np.testing.assert_allclose(np.rad2deg(m.joints[2]), HOME.machine.home)
+    np.testing.assert_allclose(np.rad2deg(m.joints[2]), CELL_WITH_HOME.machine.home)
     np.testing.assert_allclose(ends(program)[3], [7, 8, 9], atol=1e-9)
     assert m.line.tolist() == [1, 2, 3, 5, 6]
 
 
 def test_G28_goes_over_its_intermediate_point_and_the_clearance() -> None:
-    program = read(HEAD + "G28 X1 Z20\nM2", BOTH)
+    program = read(G98_AT_Z9 + "G28 X1 Z20\nM2", BOTH)
     np.testing.assert_allclose(ends(program)[1:3], [[1, 0, 20], [1, 0, 80]], atol=1e-9)
     assert program.motions.kind.tolist() == [PTP, LIN, LIN, PTP]
 
 
 @pytest.mark.parametrize("block", ["G53 G0 Z0", "G0 G53 Z0", "G91 G28 Z0", "G30 G91 Z0"])
 def test_retracting_goes_to_the_clearance(block: str) -> None:
-    program = read(HEAD + f"G1 X5 Z-1\n{block}\nG90 G0 X7\nM2", CLEAR)
+    program = read(G98_AT_Z9 + f"G1 X5 Z-1\n{block}\nG90 G0 X7\nM2", CLEAR)
     np.testing.assert_allclose(ends(program)[2:], [[5, 0, 80], [7, 0, 80]], atol=1e-9)
     assert program.motions.rapid[2:].all()
 
 
 def test_from_home_the_robot_goes_down_over_the_clearance() -> None:
-    text = HEAD + "G1 X5 Z-1\nG91 G28 Z0\nG90 G0 X20 Y30\nG43 Z15 H1\nG1 Z-2\nM2"
+    text = G98_AT_Z9 + "G1 X5 Z-1\nG91 G28 Z0\nG90 G0 X20 Y30\nG43 Z15 H1\nG1 Z-2\nM2"
     program = read(text, BOTH)
     m = program.motions
     np.testing.assert_allclose(ends(program)[-3:], [[20, 30, 80], [20, 30, 15], [20, 30, -2]], atol=1e-9)
@@ -309,7 +309,7 @@ def test_retracting_at_the_head_of_a_program_does_nothing() -> None:
 
 def test_each_tool_has_its_own_frame_and_keeps_the_tip_where_it_was() -> None:
     cell = replace(CELL, tools={"1": Frame(Z=300.0), "3": Frame(Z=412.5)})
-    program = read("T1 M6\n" + HEAD + "G1 Z0\nG0 Z20\nT3 M6\nG43 H3 G0 X5\nG1 Z1\nM2", cell)
+    program = read("T1 M6\n" + G98_AT_Z9 + "G1 Z0\nG0 Z20\nT3 M6\nG43 H3 G0 X5\nG1 Z1\nM2", cell)
     m = program.motions
     np.testing.assert_allclose(program.tools[m.tool, 2, 3], [0.3, 0.3, 0.3, 0.4125, 0.4125, 0.4125])
     np.testing.assert_allclose(ends(program)[2:], [[0, 0, 20], [0, 0, 20], [5, 0, 20], [5, 0, 1]], atol=1e-9)
@@ -328,46 +328,46 @@ def test_each_tool_has_its_own_frame_and_keeps_the_tip_where_it_was() -> None:
     ],
 )
 def test_the_length_of_another_tool_is_a_warning_by_its_line(text: str, expected: list[str]) -> None:
-    issues = [issue for issue in read(HEAD + text + "M2").issues if issue.level == "warning"]
+    issues = [issue for issue in read(G98_AT_Z9 + text + "M2").issues if issue.level == "warning"]
     assert [issue.message.partition(":")[0] for issue in issues] == expected
-    line = (HEAD + text).count("\n")
+    line = (G98_AT_Z9 + text).count("\n")
     assert all((issue.kind, issue.source_line) == ("tool-length", line) for issue in issues)
 
 
 def test_a_length_of_a_tool_that_was_mounted_before_is_a_warning_too() -> None:
     cell = replace(CELL, tools={"1": Frame(Z=300.0), "3": Frame(Z=412.5)})
-    program = read("T1 M6\n" + HEAD + "G1 Z0\nG0 Z20\nT3 M6\nT1\nG43 H1 G0 X5\nM2", cell)
+    program = read("T1 M6\n" + G98_AT_Z9 + "G1 Z0\nG0 Z20\nT3 M6\nT1\nG43 H1 G0 X5\nM2", cell)
     (issue,) = [issue for issue in program.issues if issue.kind == "tool-length"]
     assert issue.message == "G43 H1 is not the tool in the spindle: $TOOL of tool 3 is used."
 
 
 def test_which_tool_M6_means_must_be_said() -> None:
     with pytest.raises(ProgramError, match="M6 without a T"):
-        read(HEAD + "M6\nM2", replace(CELL, tools={"1": Frame(Z=300.0)}))
-    program = read(HEAD + "M6\nM2")
+        read(G98_AT_Z9 + "M6\nM2", replace(CELL, tools={"1": Frame(Z=300.0)}))
+    program = read(G98_AT_Z9 + "M6\nM2")
     assert [issue.level for issue in program.issues if issue.kind == "tool-change"] == ["warning"]
-    assert not [issue for issue in read(HEAD + "T0 M6\nM2").issues if issue.kind == "tool-change"]
+    assert not [issue for issue in read(G98_AT_Z9 + "T0 M6\nM2").issues if issue.kind == "tool-change"]
 
 
 def test_a_tool_that_the_cell_has_not_is_an_error() -> None:
     with pytest.raises(ProgramError, match="tool 4 is not in the cell"):
-        read(HEAD + "T4 M6\nM2", replace(CELL, tools={"1": Frame(Z=300.0)}))
+        read(G98_AT_Z9 + "T4 M6\nM2", replace(CELL, tools={"1": Frame(Z=300.0)}))
 
 
 def test_M_codes_of_the_shop_are_its_lines_or_nothing() -> None:
     cell = replace(CELL, m_codes={"M111": [], "M51": ["$OUT[9]=TRUE"]})
-    program = read(HEAD + "M111\nM51\nG1 X1\nM2", cell)
+    program = read(G98_AT_Z9 + "M111\nM51\nG1 X1\nM2", cell)
     assert [(e.kind, e.value, e.before) for e in program.events] == [("m_code", 51.0, 1)]
     with pytest.raises(ProgramError, match=r"\[m_codes\] M52"):
-        read(HEAD + "M52\nM2", cell)
+        read(G98_AT_Z9 + "M52\nM2", cell)
     with pytest.raises(ProgramError, match="M61 is not supported"):
-        read(HEAD + "M61\nM2", replace(CELL, m_codes={"M61": []}))
+        read(G98_AT_Z9 + "M61\nM2", replace(CELL, m_codes={"M61": []}))
 
 
 @pytest.mark.parametrize("bare", ["Z15.", "G91 Z10", "Z15\nZ20"])
 def test_a_retract_after_g80_is_a_rapid_as_on_fanuc_controls(bare):
-    program = read(f"{HEAD}G81 X1 Y1 Z-4 R2 F100\nG80\n{bare}\nM2\n")
-    written = read(f"{HEAD}G81 X1 Y1 Z-4 R2 F100\nG80\nG0 {bare}\nM2\n")
+    program = read(f"{G98_AT_Z9}G81 X1 Y1 Z-4 R2 F100\nG80\n{bare}\nM2\n")
+    written = read(f"{G98_AT_Z9}G81 X1 Y1 Z-4 R2 F100\nG80\nG0 {bare}\nM2\n")
     np.testing.assert_array_equal(program.motions.target, written.motions.target)
     assert program.motions.rapid[-1]
     assert "motion-after-g80" in {issue.kind for issue in program.issues}
@@ -376,8 +376,8 @@ def test_a_retract_after_g80_is_a_rapid_as_on_fanuc_controls(bare):
 @pytest.mark.parametrize("bare", ["X9", "X9 Z15", "Z15\nX9", "X9 Y4 Z15\nZ2", "Z9."])
 def test_coordinates_after_g80_at_heights_of_rapid_moves_are_rapids(bare):
     """Fusion: X0. Y-14.249 Z5.533 and Z5. between two cycles; the cycle has been at Z2 in rapid."""
-    program = read(f"{HEAD}G81 X1 Y1 Z-4 R2 F100\nG80\n{bare}\nM2\n")
-    written = read(f"{HEAD}G81 X1 Y1 Z-4 R2 F100\nG80\nG0 {bare}\nM2\n")
+    program = read(f"{G98_AT_Z9}G81 X1 Y1 Z-4 R2 F100\nG80\n{bare}\nM2\n")
+    written = read(f"{G98_AT_Z9}G81 X1 Y1 Z-4 R2 F100\nG80\nG0 {bare}\nM2\n")
     np.testing.assert_array_equal(program.motions.target, written.motions.target)
     np.testing.assert_array_equal(program.motions.rapid, written.motions.rapid)
 
@@ -385,7 +385,7 @@ def test_coordinates_after_g80_at_heights_of_rapid_moves_are_rapids(bare):
 @pytest.mark.parametrize("bare", ["Z-5", "X9 Z1.9", "Z15\nX9\nZ1.99", "G10 L2 P1 X0 Y0 Z-5\nX9 Z5\nZ4"])
 def test_other_coordinates_after_g80_are_refused(bare):
     with pytest.raises(ProgramError, match="coordinates without G0, G1, G2 or G3"):
-        read(f"{HEAD}G81 X1 Y1 Z-4 R2 F100\nG80\n{bare}\nM2\n")
+        read(f"{G98_AT_Z9}G81 X1 Y1 Z-4 R2 F100\nG80\n{bare}\nM2\n")
 
 
 # ---- the unit of P
@@ -471,10 +471,10 @@ def test_a_dwell_of_unknown_unit_is_one_error_whatever_the_number_of_holes():
     ],
 )
 def test_l0_states_the_hole_and_drills_none(stated, drilled):
-    here, there = (read(f"{HEAD}{text}\nG80\nM2\n", CELL) for text in (stated, drilled))
+    here, there = (read(f"{G98_AT_Z9}{text}\nG80\nM2\n", CELL) for text in (stated, drilled))
     np.testing.assert_allclose(ends(here), ends(there), atol=1e-9)
 
 
 def test_l0_at_another_place_is_refused_since_controls_differ():
     with pytest.raises(ProgramError, match="L0 of a cycle at another place"):
-        read(f"{HEAD}G81 X20 Z-3 R2 L0\nX30\nM2\n", CELL)
+        read(f"{G98_AT_Z9}G81 X20 Z-3 R2 L0\nX30\nM2\n", CELL)

@@ -15,7 +15,7 @@ from postproc.program import CIRC, LIN
 from tests.dialects.gcode_reading import CELL, START_FLANGE, outcome, read
 
 VECTOR = replace(CELL, rotary=Rotary(kind="vector"))
-HEAD = "G21 G90 G17\nG43.5 H1\nG0 X0 Y0 Z9 I0 J0 K1 F600\n"
+TOOL_ALONG_Z = "G21 G90 G17\nG43.5 H1\nG0 X0 Y0 Z9 I0 J0 K1 F600\n"
 
 
 def unit(*vector):
@@ -29,7 +29,7 @@ def directions(program, motion, t):
 
 
 def test_the_tool_turns_the_shortest_way_between_directions_of_any_length():
-    program = read(HEAD + "G1 X10 I0.3 J-.4 K2\nX40 I-.2 J.1 K.5\nM2", VECTOR)
+    program = read(TOOL_ALONG_Z + "G1 X10 I0.3 J-.4 K2\nX40 I-.2 J.1 K.5\nM2", VECTOR)
     ways = [(unit(0, 0, 1), unit(0.3, -0.4, 2)), (unit(0.3, -0.4, 2), unit(-0.2, 0.1, 0.5))]
     for motion, (begin, end) in zip((1, 2), ways, strict=True):
         ends = directions(program, motion, np.array([1e-9, 1.0]))
@@ -46,7 +46,7 @@ def test_the_tool_turns_the_shortest_way_between_directions_of_any_length():
 
 
 def test_a_direction_stays_until_the_next_and_arcs_have_centres():
-    program = read(HEAD + "G1 X10 I.1 J0 K1\nY10\nG2 X20 Y20 I10 J0\nG1 X30\nG91\nG1 X5 I0 J0 K1\nM2", VECTOR)
+    program = read(TOOL_ALONG_Z + "G1 X10 I.1 J0 K1\nY10\nG2 X20 Y20 I10 J0\nG1 X30\nG91\nG1 X5 I0 J0 K1\nM2", VECTOR)
     assert program.motions.kind[1:].tolist() == [LIN, LIN, CIRC, LIN, LIN]
     tool = -program.motions.target[:, :3, 2]
     np.testing.assert_allclose(tool[1:5], np.tile(unit(0.1, 0, 1), (4, 1)), atol=1e-12)
@@ -55,7 +55,7 @@ def test_a_direction_stays_until_the_next_and_arcs_have_centres():
 
 
 def test_bulk_and_line_by_line_read_the_same():
-    text = HEAD + "".join(f"G1 X{n} I{0.01 * n:.2f} J0 K1\n" for n in range(50)) + "M2"
+    text = TOOL_ALONG_Z + "".join(f"G1 X{n} I{0.01 * n:.2f} J0 K1\n" for n in range(50)) + "M2"
     assert outcome(text, VECTOR, bulk=True) == outcome(text, VECTOR, bulk=False)
 
 
@@ -72,7 +72,7 @@ def test_bulk_and_line_by_line_read_the_same():
 )
 def test_what_is_no_direction_is_an_error(line, problem):
     with pytest.raises(ProgramError, match=problem):
-        read(HEAD + line + "\nM2", VECTOR)
+        read(TOOL_ALONG_Z + line + "\nM2", VECTOR)
 
 
 def test_without_the_key_the_message_names_it():

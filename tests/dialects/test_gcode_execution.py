@@ -16,7 +16,7 @@ from postproc.program import Program
 from tests.dialects.gcode_reading import CELL, ends, forward, outcome, read
 from tests.oracle.rs274 import RejectedError, accepts, assert_same_moves, canonical, needs_rs274
 
-HEAD = "G21 G90 G17 G0 X0 Y0 Z9 F60\n"
+AT_Z9 = "G21 G90 G17 G0 X0 Y0 Z9 F60\n"
 PROGRAMS = {
     "values": "#1=2.5\n#<a b>=[#1*2]\nG1 X#1 Y#<ab> Z[#<AB>-1]",
     "set when the line is read": "#3=15\n#3=6 G1 X#3\nX#3",
@@ -57,7 +57,7 @@ PROGRAMS = {
 @needs_rs274
 @pytest.mark.parametrize("text", PROGRAMS.values(), ids=PROGRAMS)
 def test_programs_have_the_moves_of_rs274(text: str) -> None:
-    text = f"{HEAD}{text}\n" + ("" if "\nM2\n" in text else "M2\n")
+    text = f"{AT_Z9}{text}\n" + ("" if "\nM2\n" in text else "M2\n")
     assert_same_moves(read(text), canonical(text), 1.0, digits=1e-4)
 
 
@@ -89,32 +89,32 @@ REFUSED = {
 @pytest.mark.parametrize(("text", "problem"), REFUSED.values(), ids=REFUSED)
 def test_what_is_not_known_is_told_with_its_line(text: str, problem: str) -> None:
     with pytest.raises(ProgramError, match=problem) as caught:
-        read(HEAD + text)
+        read(AT_Z9 + text)
     assert caught.value.line is not None
     assert caught.value.line >= 2
 
 
 def test_more_than_one_value_is_told_in_one_run() -> None:
     with pytest.raises(ProgramError) as caught:
-        read(HEAD + "G1 X#100\nG1 Y#101\nG1 X1\nG1 Z[LN[0]]")
+        read(AT_Z9 + "G1 X#100\nG1 Y#101\nG1 X1\nG1 Z[LN[0]]")
     assert [error.line for error in (caught.value, *caught.value.further_errors)] == [2, 3, 5]
 
 
 def test_a_line_of_a_loop_is_told_once() -> None:
     with pytest.raises(ProgramError) as caught:
-        read(HEAD + "o1 repeat [5]\nG1 X#100\no1 endrepeat")
+        read(AT_Z9 + "o1 repeat [5]\nG1 X#100\no1 endrepeat")
     assert caught.value.line == 3
     assert not caught.value.further_errors
 
 
 def test_moves_of_a_subprogram_have_its_lines() -> None:
-    program = read(HEAD + "o1 sub\nG1 X#1\nY#1\no1 endsub\no1 call [1]\no1 call [2]\nG1 Z1\nM2")
+    program = read(AT_Z9 + "o1 sub\nG1 X#1\nY#1\no1 endsub\no1 call [1]\no1 call [2]\nG1 Z1\nM2")
     assert program.motions.line.tolist() == [1, 3, 4, 3, 4, 8]
 
 
 def test_forces_hold_in_the_order_of_execution() -> None:
     text = "o1 sub\nG1 X#1\n(FORCE FX=#2)\nY#1\no1 endsub\n".replace("#2", "7")
-    program = read(f"{HEAD}{text}(FORCE FX=1 FY=2)\no1 call [1]\no1 call [2]\nM2")
+    program = read(f"{AT_Z9}{text}(FORCE FX=1 FY=2)\no1 call [1]\no1 call [2]\nM2")
     assert [(note.line, note.before, note.wrench[0]) for note in program.notes] == [
         (7, 1, 1.0),
         (4, 2, 7.0),
@@ -135,7 +135,7 @@ def read_in(path: Path, text: str) -> Program:
 
 @needs_rs274
 def test_subprograms_of_the_folder_are_those_of_rs274(tmp_path: Path) -> None:
-    text = f"{HEAD}o<slot> call [3]\nM98 P100 L2\nG1 X9\nM2\n"
+    text = f"{AT_Z9}o<slot> call [3]\nM98 P100 L2\nG1 X9\nM2\n"
     slot, cut = "o<slot> sub\nG1 X#1\no<slot> endsub\nM2\n", "O100\nG91 G1 Y2\nG90\nM99\n"
     program = read_in(folder(tmp_path, slot_ngc=slot, **{"100_ngc": cut}), text)
     assert_same_moves(program, canonical(text, files={"slot.ngc": slot, "100.ngc": cut}), 1.0, digits=1e-4)
@@ -145,12 +145,12 @@ def test_subprograms_of_the_folder_are_those_of_rs274(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["100.nc", "O100.NC", "o0100.tap", "0100.ngc", "O100"])
 def test_files_of_subprograms_have_the_names_that_controls_give_them(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_text("%\nO0100 (POCKET)\nG1 X4\nM99\n%\n")
-    np.testing.assert_allclose(ends(read_in(tmp_path, f"%\n{HEAD}M98 P100\nM30\n%"))[-1], [4.0, 0.0, 9.0])
+    np.testing.assert_allclose(ends(read_in(tmp_path, f"%\n{AT_Z9}M98 P100\nM30\n%"))[-1], [4.0, 0.0, 9.0])
 
 
 def test_a_fault_in_another_file_names_it(tmp_path: Path) -> None:
     with pytest.raises(ProgramError, match=r"^100\.nc:2: ") as caught:
-        read_in(folder(tmp_path, **{"100_nc": "O100\nG1 X#9\nM99"}), f"{HEAD}M98 P100\nM30")
+        read_in(folder(tmp_path, **{"100_nc": "O100\nG1 X#9\nM99"}), f"{AT_Z9}M98 P100\nM30")
     assert "G1 X#9" in str(caught.value)
 
 
@@ -192,7 +192,7 @@ def test_a_program_that_executes_nothing_is_an_error() -> None:
 
 def test_all_files_that_are_executed_belong_to_the_program(tmp_path: Path) -> None:
     folder(tmp_path, slot_ngc="o<slot> sub\nG1 X1\no<slot> endsub\n", other_ngc="o<other> sub\no<other> endsub")
-    program = read_in(tmp_path, f"{HEAD}o<slot> call\nM2\n")
+    program = read_in(tmp_path, f"{AT_Z9}o<slot> call\nM2\n")
     assert [document.name for document in program.documents] == ["part.ngc", "slot.ngc"]
 
 
@@ -272,7 +272,7 @@ def structures(draw: st.DrawFn) -> str:
                 lines.append(f"o{n} {closing}")
 
     body(3)
-    return "\n".join([HEAD.strip(), *lines, "G90 G1 X1 Y1 Z1", "M2", "O800", "G91 G1 X[1+#1]", "G90", "M99", ""])
+    return "\n".join([AT_Z9.strip(), *lines, "G90 G1 X1 Y1 Z1", "M2", "O800", "G91 G1 X[1+#1]", "G90", "M99", ""])
 
 
 @needs_rs274

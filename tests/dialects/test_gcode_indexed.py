@@ -18,7 +18,7 @@ from tests.kr270 import CELL_TEXT
 A_AXIS = IndexedAxis(point=(0.0, 12.0, -120.0), direction=(1.0, 0.0, 0.0))
 C_AXIS = IndexedAxis(point=(30.0, -20.0, 0.0), direction=(0.0, 0.0, 2.0))
 SKEW = IndexedAxis(point=(5.0, -7.0, -80.0), direction=(1.0, 0.4, -0.2))
-HEAD = "G21 G90 G17\nG0 X0 Y0 Z200 F600\n"
+AT_Z200 = "G21 G90 G17\nG0 X0 Y0 Z200 F600\n"
 
 
 def cell(axes: list[str], signs: list[int] | None = None, **places: IndexedAxis) -> Cell:
@@ -40,7 +40,7 @@ def in_part(points: np.ndarray, axes: list[tuple[IndexedAxis, float]]) -> np.nda
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("axis", [A_AXIS, SKEW])
 def test_points_of_the_machine_are_turned_into_the_part(axis: IndexedAxis, sign: int) -> None:
-    text = HEAD + "G0 A30\nG1 X10 Y5 Z-2\nX40 Y-6\nG0 Z200\nA-55\nG1 X4 Y3 Z1\nM2"
+    text = AT_Z200 + "G0 A30\nG1 X10 Y5 Z-2\nX40 Y-6\nG0 Z200\nA-55\nG1 X4 Y3 Z1\nM2"
     program = read(text, cell(["A"], [sign], A=axis))
     feeds = ~program.motions.rapid
     machine = np.array([[10.0, 5.0, -2.0], [40.0, -6.0, -2.0], [4.0, 3.0, 1.0]])
@@ -56,7 +56,7 @@ def test_points_of_the_machine_are_turned_into_the_part(axis: IndexedAxis, sign:
 
 def test_of_two_axes_the_one_next_to_the_part_turns_with_the_second() -> None:
     own = cell(["C", "A"], A=A_AXIS, C=C_AXIS)
-    program = read(HEAD + "G55\nG0 C40 A-25\nG1 X10 Y5 Z-2\nM2", own)
+    program = read(AT_Z200 + "G55\nG0 C40 A-25\nG1 X10 Y5 Z-2\nM2", own)
     machine = np.array([[110.0, 5.0, -7.0]])
     expected = in_part(machine, [(C_AXIS, 40.0), (A_AXIS, -25.0)])
     np.testing.assert_allclose(ends(program)[-1:], expected, atol=1e-9)
@@ -66,7 +66,7 @@ def test_the_same_part_posted_for_tip_control_gives_the_same_targets() -> None:
     rng = np.random.default_rng(5)
     own = cell(["C", "A"], A=A_AXIS, C=C_AXIS)
     tip = replace(own, rotary=Rotary(axes=["C", "A"], kind="tcp"))
-    indexed, tcp = [HEAD], [HEAD]
+    indexed, tcp = [AT_Z200], [AT_Z200]
     for c, a in ((0.0, 0.0), (70.0, 20.0), (-110.0, 45.0)):
         machine = rng.uniform(-40.0, 40.0, (6, 3)) + np.array([0.0, 0.0, 60.0])
         part = in_part(machine, [(C_AXIS, c), (A_AXIS, a)])
@@ -80,7 +80,7 @@ def test_the_same_part_posted_for_tip_control_gives_the_same_targets() -> None:
 
 
 def test_while_the_part_turns_the_tool_stays_at_its_distance_from_the_axis() -> None:
-    program = read(HEAD + "G1 X10 Y5 Z2\nG0 Z80\nA120\nG1 Z70\nM2", cell(["A"], A=A_AXIS))
+    program = read(AT_Z200 + "G1 X10 Y5 Z2\nG0 Z80\nA120\nG1 Z70\nM2", cell(["A"], A=A_AXIS))
     turning = program.motions.line == 5
     assert turning.sum() == 24
     assert (program.motions.kind[turning] == LIN).all()
@@ -98,7 +98,7 @@ def test_while_the_part_turns_the_tool_stays_at_its_distance_from_the_axis() -> 
 
 def test_arcs_and_holes_are_in_the_turned_plane() -> None:
     program = read(
-        HEAD + "G0 A30\nG1 X10 Y5 Z2\nG3 X30 Y5 I10 J0\nG0 Z50\nG81 X1 Y2 Z-3 R4\nG80\nM2", cell(["A"], A=A_AXIS)
+        AT_Z200 + "G0 A30\nG1 X10 Y5 Z2\nG3 X30 Y5 I10 J0\nG0 Z50\nG81 X1 Y2 Z-3 R4\nG80\nM2", cell(["A"], A=A_AXIS)
     )
     arc = program.motions.kind == CIRC
     centre = in_part(np.array([[20.0, 5.0, 2.0]]), [(A_AXIS, 30.0)])
@@ -110,7 +110,7 @@ def test_arcs_and_holes_are_in_the_turned_plane() -> None:
 
 
 def test_a_retract_to_a_machine_height_is_along_the_tool_even_if_it_is_horizontal() -> None:
-    text = HEAD + "G0 A90\nG1 X10 Y5 Z2\nG53 G0 Z0\nG0 A0\nG0 X0 Y0\nZ50\nG1 Z1\nM2"
+    text = AT_Z200 + "G0 A90\nG1 X10 Y5 Z2\nG53 G0 Z0\nG0 A0\nG0 X0 Y0\nZ50\nG1 Z1\nM2"
     program = read(text, cell(["A"], A=A_AXIS))
     retract = program.motions.line == 5
     expected = in_part(np.array([[10.0, 5.0, 150.0]]), [(A_AXIS, 90.0)])
@@ -124,7 +124,7 @@ def test_an_index_before_the_first_position_is_no_motion() -> None:
 
 
 def test_increments_turn_the_part_once() -> None:
-    program = read(HEAD + "G91\nG0 A30\nG0 A15 X5\nG90\nG1 X10 Y5 Z2\nM2", cell(["A"], A=A_AXIS))
+    program = read(AT_Z200 + "G91\nG0 A30\nG0 A15 X5\nG90\nG1 X10 Y5 Z2\nM2", cell(["A"], A=A_AXIS))
     np.testing.assert_allclose(ends(program)[-1:], in_part(np.array([[10.0, 5.0, 2.0]]), [(A_AXIS, 45.0)]), atol=1e-9)
     program = read("G21 G90\nG91\nG0 A30\nG90\nG0 X10 Y5\nZ50 F600\nG1 Z2\nM2", cell(["A"], A=A_AXIS))
     np.testing.assert_allclose(ends(program)[-1:], in_part(np.array([[10.0, 5.0, 2.0]]), [(A_AXIS, 30.0)]), atol=1e-9)
@@ -142,20 +142,20 @@ def test_increments_turn_the_part_once() -> None:
 )
 def test_what_indexed_axes_cannot_do_is_an_error(text: str, problem: str) -> None:
     with pytest.raises(ProgramError, match=problem):
-        read(HEAD + text + "\nG1 X6 Y5 Z2\nM2", cell(["A"], A=A_AXIS))
+        read(AT_Z200 + text + "\nG1 X6 Y5 Z2\nM2", cell(["A"], A=A_AXIS))
 
 
 def test_without_a_kind_a_program_that_turns_axes_is_refused() -> None:
     own = replace(CELL, rotary=Rotary(axes=["A"]))
     with pytest.raises(ProgramError, match="the cell does not say what X, Y, Z are") as caught:
-        read(HEAD + "G0 A30\nG1 X50 Y5 Z2\nM2", own)
+        read(AT_Z200 + "G0 A30\nG1 X50 Y5 Z2\nM2", own)
     assert 'kind = "indexed"' in str(caught.value)
-    assert len(read(HEAD + "G0 A0\nG1 X50 Y5 Z2\nM2", own).motions) == 2
+    assert len(read(AT_Z200 + "G0 A0\nG1 X50 Y5 Z2\nM2", own).motions) == 2
 
 
 def test_tip_control_that_the_program_itself_ends_is_off() -> None:
     own = replace(CELL, rotary=Rotary(axes=["A"], kind="tcp"), machine=Machine(clearance_Z=150.0))
-    text = HEAD + "G43.4 H1\nG0 A30\nG1 X50 Y5 Z2\n{}G1 X60\nM2"
+    text = AT_Z200 + "G43.4 H1\nG0 A30\nG1 X50 Y5 Z2\n{}G1 X60\nM2"
     assert len(read(text.format(""), own).motions) == 4
     with pytest.raises(ProgramError, match="without tool-centre-point control"):
         read(text.format("G49\n"), own)
@@ -180,9 +180,9 @@ def test_a_turned_work_offset_is_refused_where_a_program_uses_it(tmp_path: Path)
     axis = IndexedAxis((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     offsets = {"G55": Frame(X=20.0), "G56": Frame(C=10.0)}
     own = replace(CELL, rotary=Rotary(axes=["A"], kind="indexed", A=axis), work_offsets=offsets)
-    assert read(HEAD + "G55 G0 A30\nG1 X50 Y5 Z2\nM2", own).motions.line[-1] == 4
+    assert read(AT_Z200 + "G55 G0 A30\nG1 X50 Y5 Z2\nM2", own).motions.line[-1] == 4
     with pytest.raises(ProgramError, match=r"\[work_offsets.G56\] is turned") as caught:
-        read(HEAD + "G56 G0 A30\nG1 X50 Y5 Z2\nM2", own)
+        read(AT_Z200 + "G56 G0 A30\nG1 X50 Y5 Z2\nM2", own)
     assert "turn [base] instead" in str(caught.value)
     file = tmp_path / "cell.toml"  # G54 is used by a program that names no work offset
     rotary = '\n[rotary]\naxes = ["A"]\nkind = "indexed"\nA = { point = [0, 0, 0], direction = [1, 0, 0] }\n'

@@ -19,8 +19,8 @@ from postproc.robot import RobotModel
 from tests.dialects.gcode_reading import CELL, START_FLANGE, ends, outcome, read
 from tests.places import CELL_FILE, SAMPLES
 
-HOME = (0.0, -90.0, 90.0, 0.0, 10.0, 0.0)
-HEAD = "G21 G90 G17\nG0 A0 B0 C0\nG0 X0 Y0 Z9 F600\n"
+ANGLES_AT_HOME = (0.0, -90.0, 90.0, 0.0, 10.0, 0.0)
+ROTARY_AXES_AT_ZERO = "G21 G90 G17\nG0 A0 B0 C0\nG0 X0 Y0 Z9 F600\n"
 PAIRS = [[a, b] for a, b in itertools.permutations("ABC", 2)] + [["A"], ["B"], ["C"]]
 
 
@@ -41,7 +41,7 @@ def expected(axes: list[str], signs: list[int], degrees: list[float]) -> np.ndar
 def test_the_tool_points_where_the_axes_turn_it_all_along_a_move(axes: list[str], sign: int) -> None:
     signs = [sign, -sign][: len(axes)]
     others = "".join(f" {letter}0" for letter in "ABC" if letter not in axes)
-    head = HEAD.replace("A0 B0 C0", " ".join(f"{letter}0" for letter in axes))
+    head = ROTARY_AXES_AT_ZERO.replace("A0 B0 C0", " ".join(f"{letter}0" for letter in axes))
     first, second = dict(zip(axes, (20.0, 35.0), strict=False)), dict(zip(axes, (-50.0, 60.0), strict=False))
     text = head + "".join(
         f"G1 X{x} " + " ".join(f"{letter}{angle}" for letter, angle in words.items()) + others + "\n"
@@ -60,7 +60,9 @@ def test_the_tool_points_where_the_axes_turn_it_all_along_a_move(axes: list[str]
 
 
 def test_where_the_axis_stands_along_the_tool_nothing_spins() -> None:
-    program = read(HEAD.replace("A0 ", "") + "G1 C170\nX5 C-90\nX9 B10\nX9.1 B0\nC0\nX12\nM2", cell(["C", "B"]))
+    program = read(
+        ROTARY_AXES_AT_ZERO.replace("A0 ", "") + "G1 C170\nX5 C-90\nX9 B10\nX9.1 B0\nC0\nX12\nM2", cell(["C", "B"])
+    )
     rotations = program.motions.target[:, :3, :3]
     assert program.motions.line.tolist() == [3, 5, 6, 7, 9]  # C alone is no move there
     assert program.swivel.travel[1] == 0.0
@@ -70,7 +72,7 @@ def test_where_the_axis_stands_along_the_tool_nothing_spins() -> None:
 
 
 def test_the_redundancy_turns_the_tool_about_its_axis() -> None:
-    text = HEAD.replace("A0 ", "") + "G1 X5 B30 C20\nM2"
+    text = ROTARY_AXES_AT_ZERO.replace("A0 ", "") + "G1 X5 B30 C20\nM2"
     one = cell(["C", "B"])
     other = replace(one, gcode=replace(one.gcode, redundancy_deg=40.0))
     relative = read(text, one).motions.target[1, :3, :3].T @ read(text, other).motions.target[1, :3, :3]
@@ -78,7 +80,7 @@ def test_the_redundancy_turns_the_tool_about_its_axis() -> None:
 
 
 def test_increments_and_turns_alone_are_moves() -> None:
-    program = read(HEAD.replace("A0 ", "") + "G91 G1 B10\nB10 C5\nX5\nM2", cell(["C", "B"]))
+    program = read(ROTARY_AXES_AT_ZERO.replace("A0 ", "") + "G91 G1 B10\nB10 C5\nX5\nM2", cell(["C", "B"]))
     assert len(program.motions) == 4
     np.testing.assert_allclose(-program.motions.target[3, :3, 2], expected(["C", "B"], [1, 1], [5, 20]), atol=1e-12)
 
@@ -107,11 +109,11 @@ FAULTS = {
 def test_what_rotary_axes_cannot_do_is_told(text: str, keys: dict[str, list[str]], problem: str) -> None:
     own = replace(cell(["C", "B"], **keys), machine=Machine(clearance_Z=100.0))
     with pytest.raises(ProgramError, match=problem):
-        read(HEAD.replace("A0 ", "") + text + "\nM2", own)
+        read(ROTARY_AXES_AT_ZERO.replace("A0 ", "") + text + "\nM2", own)
 
 
 def test_codes_of_tool_centre_point_control_are_read() -> None:
-    text = HEAD.replace("A0 ", "") + "{on}\nG1 X5 B10\nB0\n{off}\nG0 Z50\nM2"
+    text = ROTARY_AXES_AT_ZERO.replace("A0 ", "") + "{on}\nG1 X5 B10\nB0\n{off}\nG0 Z50\nM2"
     for on, off in (("G43.4 H1", "G49"), ("M128", "M129")):
         keys = {"tcp_on": [on.split(" ")[0]], "tcp_off": [off]}
         assert len(read(text.format(on=on, off=off), cell(["C", "B"], **keys)).motions) == 4
@@ -119,7 +121,7 @@ def test_codes_of_tool_centre_point_control_are_read() -> None:
 
 
 def test_the_words_of_axes_that_do_not_turn_may_stand_in_arcs_and_cycles() -> None:
-    text = HEAD.replace("A0 ", "") + "G1 C20\nG2 X10 I5 C20. B0\nG81 X12 Z-1 R1 B0. C20\nX14 B0\nG80\nM2"
+    text = ROTARY_AXES_AT_ZERO.replace("A0 ", "") + "G1 C20\nG2 X10 I5 C20. B0\nG81 X12 Z-1 R1 B0. C20\nX14 B0\nG80\nM2"
     plain = read(re.sub(r" ?[BC]-?[0-9.]+", "", text), CELL)
     program = read(text, cell(["C", "B"]))
     np.testing.assert_array_equal(ends(program), ends(plain))
@@ -128,7 +130,7 @@ def test_the_words_of_axes_that_do_not_turn_may_stand_in_arcs_and_cycles() -> No
 
 @pytest.mark.parametrize("units", ["G21", "G20"])
 def test_the_feed_of_axes_that_turn_alone_is_in_degrees_a_minute(units: str) -> None:
-    text = f"{HEAD.replace('A0 ', '')}{units} F90\nG1 B30 F90\nX1\nB60 C40\nG93 B30 C0 F2\nM2"
+    text = f"{ROTARY_AXES_AT_ZERO.replace('A0 ', '')}{units} F90\nG1 B30 F90\nX1\nB60 C40\nG93 B30 C0 F2\nM2"
     program = read(text, cell(["C", "B"]))
     rate = program.swivel.rate
     assert np.isnan(rate[[0, 2]]).all()
@@ -173,7 +175,7 @@ def test_by_how_much_the_tool_turns_is_bounded(axes: list[str]) -> None:
 
 
 def test_axes_may_turn_along_an_arc() -> None:
-    text = HEAD.replace("A0 ", "") + "G93 G3 X10 Y10 Z5 I0 J10 B30 C90 F2\nG94 G1 X20 F600\nM2"
+    text = ROTARY_AXES_AT_ZERO.replace("A0 ", "") + "G93 G3 X10 Y10 Z5 I0 J10 B30 C90 F2\nG94 G1 X20 F600\nM2"
     program = read(text, cell(["C", "B"]))
     m = program.motions
     pieces = np.flatnonzero(m.line == 4)
@@ -194,15 +196,17 @@ def test_axes_may_turn_along_an_arc() -> None:
 
 def test_with_a_tilted_tool_a_retract_leaves_along_the_tool() -> None:
     own = replace(cell(["C", "B"]), machine=Machine(clearance_Z=80.0))
-    program = read(HEAD.replace("A0 ", "") + "G1 X5 Z4 B30 C40\nG53 G0 Z0\nM2", own)
+    program = read(ROTARY_AXES_AT_ZERO.replace("A0 ", "") + "G1 X5 Z4 B30 C40\nG53 G0 Z0\nM2", own)
     tip, away = ends(program)[-2:]
     along = expected(["C", "B"], [1, 1], [40, 30])
     np.testing.assert_allclose(away - tip, along * (80.0 - 4.0) / along[2], atol=1e-9)
 
 
 def test_with_a_tilted_tool_the_way_down_is_along_the_tool() -> None:
-    own = replace(cell(["C", "B"], tcp_on=["G43.4"], tcp_off=["G49"]), machine=Machine(home=HOME, clearance_Z=80.0))
-    text = HEAD.replace("A0 ", "") + "G28 G91 Z0\nG90 G0 B30 C40\nG0 X7 Y3\nG43.4 Z4 H1\nG1 X9\nM2"
+    own = replace(
+        cell(["C", "B"], tcp_on=["G43.4"], tcp_off=["G49"]), machine=Machine(home=ANGLES_AT_HOME, clearance_Z=80.0)
+    )
+    text = ROTARY_AXES_AT_ZERO.replace("A0 ", "") + "G28 G91 Z0\nG90 G0 B30 C40\nG0 X7 Y3\nG43.4 Z4 H1\nG1 X9\nM2"
     program = read(text, own)
     m = program.motions
     above, tip = ends(program)[-3:-1]
@@ -215,7 +219,7 @@ def test_with_a_tilted_tool_the_way_down_is_along_the_tool() -> None:
 
 def test_home_brings_rotary_axes_home() -> None:
     own = replace(cell(["C", "B"]), machine=Machine(home=(0.0, -90.0, 90.0, 0.0, 10.0, 0.0)))
-    text = HEAD.replace("A0 ", "") + "G1 X5 B10\nG28 G91 Z0\nG28 B0\nG90\nG0 X1 Y1\nZ5\nM2"
+    text = ROTARY_AXES_AT_ZERO.replace("A0 ", "") + "G1 X5 B10\nG28 G91 Z0\nG28 B0\nG90\nG0 X1 Y1\nZ5\nM2"
     program = read(text, own)
     np.testing.assert_allclose(-program.motions.target[-1, :3, 2], [0, 0, 1], atol=1e-12)
     np.testing.assert_allclose(ends(program)[-1], [1, 1, 5], atol=1e-9)

@@ -40,13 +40,13 @@ PLAIN = st.tuples(
 ).map(lambda parts: parts[0] + parts[2].join(parts[1]) + parts[3])
 SCRAPS = st.text(alphabet="XYZIJRFGNM0123.+- ()/%;#x\x01é?", max_size=12)
 ENDS = st.sampled_from(["\n", "\r\n", "\r\r\n", "\r"])
-HEAD = "G21 G90 G0 X1 Y2 Z3 F100"
+AT_X1_Y2_Z3 = "G21 G90 G0 X1 Y2 Z3 F100"
 
 
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(PLAIN, ENDS), max_size=8).map(lambda lines: "".join(map("".join, lines))))
 def test_plain_blocks_have_the_words_that_pygcode_reads(text: str) -> None:
-    source = split(HEAD + "\n" + text)
+    source = split(AT_X1_Y2_Z3 + "\n" + text)
     found, odd = words.read_plain(source)
     for row in set(range(len(source))) - set(odd.tolist()):
         code = source.line(row).replace(words.MARK, " ").replace("+", "").replace(".G", " G")
@@ -71,7 +71,7 @@ def test_plain_blocks_have_the_words_that_pygcode_reads(text: str) -> None:
 @example("N\nN5\nN5.5X1")
 @example("\x01X1\n")
 def test_programs_read_the_same_with_and_without_the_bulk_path(text: str) -> None:
-    text = HEAD + "\n" + text + "\nM2\n"
+    text = AT_X1_Y2_Z3 + "\n" + text + "\nM2\n"
     assert outcome(text, bulk=True) == outcome(text, bulk=False)
 
 
@@ -89,7 +89,7 @@ def test_lines_read_a_few_at_a_time_give_the_same(
 def random_program(seed: int, rotary: Rotary | None) -> str:
     """Return a program in which modal words, incremental moves, and rotary axes go on over many lines."""
     rng = random.Random(seed)
-    lines = [HEAD, "G43.4" if rotary and rng.random() < 0.7 else ""]
+    lines = [AT_X1_Y2_Z3, "G43.4" if rotary and rng.random() < 0.7 else ""]
     for _ in range(40):
         letters = rng.sample("XYZ", rng.randrange(4)) + (rng.sample("BC", rng.randrange(3)) if rotary else [])
         words = [f"{letter}{rng.choice([0, 0, 5, 10, -20])}" for letter in letters]

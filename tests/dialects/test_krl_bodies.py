@@ -3,7 +3,7 @@
 import pytest
 
 from postproc.dialects.krl.write.rewrite import rewrite
-from tests.benchmarks.krl_bodies import BODIES, corrected, files, read
+from tests.benchmarks.krl_bodies import BODIES, corrected_targets, files, read
 from tests.effort import calls
 
 LINEAR = 1.02
@@ -16,7 +16,7 @@ def test_a_point_costs_the_same_among_many(name):
         texts = files(name, count)
         program = read(texts)
         assert len(program.motions) == count + 1
-        wanted = corrected(program)
+        wanted = corrected_targets(program)
         return calls(lambda: read(texts)) + calls(lambda: rewrite(program, wanted))
 
     work(20)  # what is imported or compiled at the first time does not count

@@ -14,7 +14,7 @@ from postproc.errors import ProgramError
 from tests.dialects.krl_programs import CELL, body, check_commands, forward, numbers, read, targets
 
 FULL = "LIN {X 100,Y 20,Z 30,A 10,B 20,C 170}"
-DATA = (
+POINTS_DAT = (
     "DEFDAT part PUBLIC\r\n"
     "DECL E6POS XP1={X 100.25,Y 200.5,Z 300,A 10,B 20,C 170,S 2,T 10}\r\n"
     "DECL E6POS XP3={X 1,Y 2,Z 3,A 10,B 20,C 170}\r\n"
@@ -27,7 +27,7 @@ DATA = (
 UNTOUCHED = [100.25, 200.5, 300]
 
 
-def program(*lines, subs="", data=DATA, cell=CELL):
+def read_lines(*lines, subs="", data=POINTS_DAT, cell=CELL):
     return read(body(*lines) + subs.replace("\n", "\r\n"), data, cell)
 
 
@@ -68,10 +68,10 @@ SHIFT = "DEF SHIFT( )\nXP1.Z=XP1.Z+20\nEND\n"
     ],
 )
 def test_what_called_code_and_assignments_change_is_followed(lines, subs, expected):
-    assert x_y_z(program(*lines, subs=subs)) == expected
+    assert x_y_z(read_lines(*lines, subs=subs)) == expected
 
 
-NUMBERS = DATA.replace(
+NUMBERS = POINTS_DAT.replace(
     "ENDDAT",
     "DECL INT N=1\r\nDECL INT K[2]\r\nSTRUC PT INT N,REAL V,W\r\nDECL PT S={N 1,V 1,W 1}\r\nDECL E6POS Q[2,2]\r\n"
     "Q[1,1]={X 1,Y 2,Z 3,A 0,B 0,C 0}\r\nQ[1,2]={X 2,Y 2,Z 3,A 0,B 0,C 0}\r\nENDDAT",
@@ -89,7 +89,7 @@ RAISE = "DEF RAISE(PX)\nDECL E6POS PX\nPX.Z=PX.Z+100\nN=2\nEND\n"
     ],
 )
 def test_an_argument_is_the_element_that_its_index_named_when_the_call_began(lines, subs):
-    found = program(*lines, subs=subs, data=NUMBERS)
+    found = read_lines(*lines, subs=subs, data=NUMBERS)
     assert x_y_z(found, -2)[2] == 103
     assert x_y_z(found, -1)[2] == 3
 
@@ -97,9 +97,9 @@ def test_an_argument_is_the_element_that_its_index_named_when_the_call_began(lin
 def test_an_element_whose_index_is_changed_by_the_call_that_gives_its_value_is_not_known():
     function = "DEFFCT E6POS NEWP()\nN=2\nRETURN({X 77,Y 0,Z 0,A 0,B 0,C 0})\nENDFCT\n"
     with pytest.raises(ProgramError, match=r"which element P\[N\] is.*line 8") as caught:
-        program("P[N]=NEWP()", "LIN P[2]", subs=function, data=NUMBERS)
+        read_lines("P[N]=NEWP()", "LIN P[2]", subs=function, data=NUMBERS)
     assert "(line 4:" in caught.value.problem
-    assert x_y_z(program("P[N]=NEWP()", "LIN XP1", subs=function, data=NUMBERS)) == UNTOUCHED
+    assert x_y_z(read_lines("P[N]=NEWP()", "LIN XP1", subs=function, data=NUMBERS)) == UNTOUCHED
 
 
 SPOT = "LIN {X SPD*10,Y 2,Z 3,A 0,B 0,C 0}"
@@ -124,15 +124,15 @@ SETR = "DEF SETR(V:OUT,H:IN)\nREAL V,H\nV=H\nXP1.X=V*10\nEND\n"
 )
 def test_whatever_enters_an_int_must_be_a_whole_number(lines, subs):
     fitting = "2" if lines[0].startswith("FOR") else "2.0"
-    assert x_y_z(program(*(line.replace("?", fitting) for line in lines), subs=subs, data=NUMBERS))[0] == 20
+    assert x_y_z(read_lines(*(line.replace("?", fitting) for line in lines), subs=subs, data=NUMBERS))[0] == 20
     with pytest.raises(ProgramError):
-        program(*(line.replace("?", "2.5") for line in lines), subs=subs, data=NUMBERS)
+        read_lines(*(line.replace("?", "2.5") for line in lines), subs=subs, data=NUMBERS)
 
 
 def test_members_and_results_that_are_real_keep_their_fraction():
-    assert x_y_z(program("S.W=2.5", SPOT.replace("SPD", "S.W"), data=NUMBERS))[0] == 25
+    assert x_y_z(read_lines("S.W=2.5", SPOT.replace("SPD", "S.W"), data=NUMBERS))[0] == 25
     half = "DEFFCT REAL HALF(N:IN)\nINT N\nRETURN(N)\nENDFCT\n"
-    assert x_y_z(program("SPD=HALF(5)", "SPD=SPD/2", SPOT, subs=half, data=NUMBERS))[0] == 25
+    assert x_y_z(read_lines("SPD=HALF(5)", "SPD=SPD/2", SPOT, subs=half, data=NUMBERS))[0] == 25
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,7 @@ def test_members_and_results_that_are_real_keep_their_fraction():
     ],
 )
 def test_frames_and_speeds_set_by_called_code_are_in_force(lines, subs, base_x, tool_z, feed):
-    found = program(*lines, FULL, subs=subs)
+    found = read_lines(*lines, FULL, subs=subs)
     m = found.motions
     assert found.bases[m.base[0], 0, 3] * 1000 == pytest.approx(base_x)
     assert found.tools[m.tool[0], 2, 3] * 1000 == pytest.approx(tool_z)
@@ -203,26 +203,26 @@ REFUSED = [
 @pytest.mark.parametrize(("lines", "subs", "line", "problem"), REFUSED, ids=[" / ".join(r[0])[:60] for r in REFUSED])
 def test_what_may_be_otherwise_when_it_is_used_is_refused(lines, subs, line, problem):
     with pytest.raises(ProgramError, match=problem) as caught:
-        program(*lines, subs=subs)
+        read_lines(*lines, subs=subs)
     assert caught.value.line == line
 
 
 def test_what_a_branch_changes_may_be_set_again():
-    found = program(
+    found = read_lines(
         "IF OK THEN", "$VEL.CP=0.1", "XP1.X=5", "ENDIF", "$VEL.CP=0.2", "XP1={X 3,Y 2,Z 1,A 0,B 0,C 0}", "LIN XP1"
     )
     assert (x_y_z(found), found.motions.feed[0]) == ([3, 2, 1], 0.2)
 
 
 def test_a_branch_that_changes_nothing_is_no_doubt():
-    assert len(program("$VEL.CP=0.1", "IF OK THEN", "$VEL.CP=0.1", "$VEL.ORI1=200", "ENDIF", FULL).motions) == 1
+    assert len(read_lines("$VEL.CP=0.1", "IF OK THEN", "$VEL.CP=0.1", "$VEL.ORI1=200", "ENDIF", FULL).motions) == 1
 
 
 # --- the written program -------------------------------------------------------------------------------------------
 
 
-def written(*lines, subs="", data=DATA):
-    found = program(*lines, subs=subs, data=data)
+def written(*lines, subs="", data=POINTS_DAT):
+    found = read_lines(*lines, subs=subs, data=data)
     shift = np.zeros((len(found.motions), 3))
     shift[:, 2] = 1e-3
     wanted = targets(found, shift)
@@ -245,7 +245,7 @@ def written(*lines, subs="", data=DATA):
 )
 def test_whoever_else_reads_a_point_finds_what_it_was(lines, subs):
     _, data = written(*lines, subs=subs)
-    assert set(DATA.splitlines()) <= set(data)
+    assert set(POINTS_DAT.splitlines()) <= set(data)
 
 
 CUT = "DEF CUT(Q:IN)\nDECL E6POS Q\nLIN Q C_DIS\nEND\n"
@@ -267,7 +267,7 @@ CORRECTED = "DECL E6POS XP1={X 100.2500,Y 200.5000,Z 301.0000,A 10.00000,B 20.00
 )
 def test_a_copied_point_is_corrected_where_its_numbers_are(lines, subs):
     source, data = written(*lines, subs=subs)
-    assert data == [CORRECTED if line.startswith("DECL E6POS XP1=") else line for line in DATA.splitlines()]
+    assert data == [CORRECTED if line.startswith("DECL E6POS XP1=") else line for line in POINTS_DAT.splitlines()]
     assert source == (body(*lines) + subs.replace("\n", "\r\n")).splitlines()
 
 
@@ -290,7 +290,7 @@ def test_a_copied_point_is_corrected_where_its_numbers_are(lines, subs):
 )
 def test_a_copied_point_that_is_read_elsewhere_stays_as_it_was(lines, subs):
     _, data = written(*lines, subs=subs)
-    assert data == DATA.splitlines()
+    assert data == POINTS_DAT.splitlines()
 
 
 def test_a_loop_that_passes_the_points_of_an_array_to_a_routine_stays_a_loop():
@@ -305,7 +305,7 @@ def test_a_loop_that_passes_the_points_of_an_array_to_a_routine_stays_a_loop():
 # --- called programs of other files --------------------------------------------------------------------------------
 
 
-def in_folder(folder, source, files, data=DATA, cell=CELL):
+def in_folder(folder, source, files, data=POINTS_DAT, cell=CELL):
     for name, text in files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(text.replace("\n", "\r\n").encode())
@@ -471,7 +471,7 @@ def test_submit_programs_may_write_global_names_at_any_time(tmp_path):
 
 
 def test_each_program_that_is_nowhere_is_named_with_its_first_line():
-    found = program(
+    found = read_lines(
         "MSG()", "MoveSettings()", "RET=RSI_CREATE()", "IF CHECK(1) THEN", "ENDIF", "MSG()", "X=SIN(3)", "LIN XG"
     )
     assert about(found, "external-call") == [
@@ -493,8 +493,8 @@ def test_a_sensor_that_moves_the_robot_is_refused(call):
 
 
 def test_global_names_that_motions_depend_on_are_named_with_the_calls_that_may_change_them():
-    data = DATA.replace("DECL INT I", "DECL GLOBAL INT I").replace("DECL REAL SPD", "DECL GLOBAL REAL SPD")
-    found = program("MSG()", "$VEL.CP=SPD", "LIN P[I]", data=data)
+    data = POINTS_DAT.replace("DECL INT I", "DECL GLOBAL INT I").replace("DECL REAL SPD", "DECL GLOBAL REAL SPD")
+    found = read_lines("MSG()", "$VEL.CP=SPD", "LIN P[I]", data=data)
     (issue,) = (issue for issue in found.issues if issue.kind == "external-call")
     assert "GLOBAL I, SPD" in issue.message
 
@@ -517,7 +517,7 @@ def test_global_names_that_motions_depend_on_are_named_with_the_calls_that_may_c
     ],
 )
 def test_a_program_whose_next_run_begins_with_other_values_is_told(lines, names, line):
-    assert about(program(*lines, subs=SHIFT), "changed-data") == [(names, line)]
+    assert about(read_lines(*lines, subs=SHIFT), "changed-data") == [(names, line)]
 
 
 @pytest.mark.parametrize(
@@ -531,7 +531,7 @@ def test_a_program_whose_next_run_begins_with_other_values_is_told(lines, names,
     ],
 )
 def test_changed_values_that_do_not_change_the_next_run_are_not_told(lines):
-    assert about(program(*lines), "changed-data") == []
+    assert about(read_lines(*lines), "changed-data") == []
 
 
 def test_a_counter_that_the_program_sets_first_needs_no_second_run(monkeypatch):
@@ -540,11 +540,11 @@ def test_a_counter_that_the_program_sets_first_needs_no_second_run(monkeypatch):
 
     monkeypatch.setattr(next_run, "course_of", followed)
     loop = ["FOR I=1 TO 2", "LIN P[I]", "ENDFOR"]
-    assert len(program(*loop, "I=7").motions) == 2
-    assert len(program("LIN XP1", "I=I+1", "IF $IN[1] THEN", "I=I-1", "ENDIF").motions) == 1  # it decides on nothing
+    assert len(read_lines(*loop, "I=7").motions) == 2
+    assert len(read_lines("LIN XP1", "I=I+1", "IF $IN[1] THEN", "I=I-1", "ENDIF").motions) == 1  # it decides on nothing
     for before in ("LIN P[I]", "IF $IN[1] THEN\r\nI=1\r\nENDIF", "SHOW()"):
         with pytest.raises(AssertionError):
-            program(before, *loop, subs="DEF SHOW()\r\n$OUT[I]=TRUE\r\nEND\r\n")
+            read_lines(before, *loop, subs="DEF SHOW()\r\n$OUT[I]=TRUE\r\nEND\r\n")
 
 
 @pytest.mark.parametrize(
@@ -560,12 +560,12 @@ def test_a_parameter_that_changes_at_any_time_is_refused_since_the_variable_give
     subs = f"DEF SUB1(V:{kind})\nREAL V\n{lasting}\nEND\nDEF BUMP(W)\nREAL W\nW=W+1\nEND\n"
     lines = ["SUB1(SPD)", "LIN XP1"]
     if kind == "IN":
-        assert x_y_z(program(*lines, subs=subs)) == UNTOUCHED
+        assert x_y_z(read_lines(*lines, subs=subs)) == UNTOUCHED
         return
     for through in ("", "DEF SUB2(V)\nREAL V\nSUB1(V)\nEND\n"):
         called = ["SUB2(SPD)", "LIN XP1"] if through else lines
         with pytest.raises(ProgramError, match="a parameter that changes at any time"):
-            program(*called, subs=subs + through)
+            read_lines(*called, subs=subs + through)
 
 
 def test_functions_in_the_conditions_of_events_count_as_called():
@@ -575,21 +575,21 @@ def test_functions_in_the_conditions_of_events_count_as_called():
         "INTERRUPT DECL 3 WHEN FN(XP1)==1 DO NOTHING()",
     ):
         with pytest.raises(ProgramError, match="XP1 is changed while the program runs"):
-            program(
+            read_lines(
                 event, "LIN XP1", subs="DEFFCT INT FN(Q:OUT)\nE6POS Q\nQ.Z=5\nRETURN 1\nENDFCT\nDEF NOTHING()\nEND\n"
             )
 
 
 def test_an_imported_variable_is_the_same_one_under_another_name():
     with pytest.raises(ProgramError, match="XP1 is changed while the program runs"):
-        program("IMPORT E6POS YY IS /R1/PART..XP1", "YY.Z=77", "LIN XP1")
+        read_lines("IMPORT E6POS YY IS /R1/PART..XP1", "YY.Z=77", "LIN XP1")
     with pytest.raises(ProgramError, match="XP1 is changed while the program runs"):
-        program("RAISE()", "LIN XP1", subs="DEF RAISE()\nIMPORT E6POS YY IS /R1/PART..XP1\nYY.Z=77\nEND\n")
+        read_lines("RAISE()", "LIN XP1", subs="DEF RAISE()\nIMPORT E6POS YY IS /R1/PART..XP1\nYY.Z=77\nEND\n")
 
 
 STORE = "DEFDAT store PUBLIC\nDECL INT COUNT=1\nENDDAT\n"
 TO_STORED = "DEF store()\nLIN {X COUNT,Y 2,Z 3,A 10,B 20,C 170}\nEND\n"
-HOME = "PTP {A1 5,A2 -90,A3 90,A4 0,A5 20,A6 0}"
+OTHER_HOME = "PTP {A1 5,A2 -90,A3 90,A4 0,A5 20,A6 0}"
 IMPORT_COUNT = "IMPORT INT YY IS /R1/STORE..COUNT"
 
 
@@ -597,11 +597,11 @@ IMPORT_COUNT = "IMPORT INT YY IS /R1/STORE..COUNT"
 def test_an_imported_variable_of_another_file_changes_there(changing, tmp_path):
     files = {"store.src": TO_STORED, "store.dat": STORE}
     change = f"DEF CHANGE()\r\n{IMPORT_COUNT}\r\nYY=3\r\nEND\r\n"
-    data = DATA if changing == "CHANGE()" else DATA.replace("ENDDAT", f"{IMPORT_COUNT}\r\nENDDAT")
-    changed = in_folder(tmp_path, body(changing, "STORE()", HOME, FULL) + change, files, data)
+    data = POINTS_DAT if changing == "CHANGE()" else POINTS_DAT.replace("ENDDAT", f"{IMPORT_COUNT}\r\nENDDAT")
+    changed = in_folder(tmp_path, body(changing, "STORE()", OTHER_HOME, FULL) + change, files, data)
     (message,) = (issue.message for issue in changed.issues if issue.kind == "motions-elsewhere")
     assert "COUNT is changed while the program runs" in message
-    unchanged = in_folder(tmp_path, body("STORE()", FULL) + change, files, DATA)
+    unchanged = in_folder(tmp_path, body("STORE()", FULL) + change, files, POINTS_DAT)
     assert x_y_z(unchanged, 0) == [1, 2, 3]
 
 
@@ -621,21 +621,21 @@ CHECK = "DEF CHECK()\nINTERRUPT ON 5\nWAIT SEC 0.1\nEND\nDEF STOP_IT()\nINTERRUP
 @pytest.mark.parametrize("motion", ["LIN_REL {X 5}", "LIN {X 5}", "CIRC XP3,{X 7,Y -90,Z 30}"])
 def test_behind_a_call_that_an_interrupt_may_break_off_the_robot_may_be_anywhere(motion):
     with pytest.raises(ProgramError, match="RESUME of an interrupt may break off CHECK and the motion before it"):
-        program(*BROKEN_OFF, motion, subs=CHECK.format("RESUME"))
-    assert len(numbers(program(*BROKEN_OFF, motion, subs=CHECK.format("WAIT SEC 0")))) == 2
-    assert x_y_z(program(*BROKEN_OFF, "LIN XP1", motion, subs=CHECK.format("RESUME")), 1) == UNTOUCHED
+        read_lines(*BROKEN_OFF, motion, subs=CHECK.format("RESUME"))
+    assert len(numbers(read_lines(*BROKEN_OFF, motion, subs=CHECK.format("WAIT SEC 0")))) == 2
+    assert x_y_z(read_lines(*BROKEN_OFF, "LIN XP1", motion, subs=CHECK.format("RESUME")), 1) == UNTOUCHED
 
 
 def test_behind_a_call_that_an_interrupt_may_break_off_relative_motions_can_stay_as_they_are():
     cell = replace(CELL, krl=replace(CELL.krl, keep_unresolved=True))
-    read_program = program(*BROKEN_OFF, "LIN_REL {X 5}", "LIN XP1", subs=CHECK.format("RESUME"), cell=cell)
+    read_program = read_lines(*BROKEN_OFF, "LIN_REL {X 5}", "LIN XP1", subs=CHECK.format("RESUME"), cell=cell)
     assert [motion.text for motion in read_program.unresolved] == ["LIN_REL {X 5}"]
     assert [issue.source_line for issue in read_program.issues if issue.kind == "start-unknown"] == [8]
 
 
 def test_components_of_frames_of_the_cell_can_be_computed_with():
-    plain = program("LIN {X 1,Y 2,Z BASE_DATA[3].Z,A 10,B 20,C 170}")
-    moved = program("BASE_DATA[3].Z=BASE_DATA[3].Z+5", "LIN {X 1,Y 2,Z BASE_DATA[3].Z,A 10,B 20,C 170}")
+    plain = read_lines("LIN {X 1,Y 2,Z BASE_DATA[3].Z,A 10,B 20,C 170}")
+    moved = read_lines("BASE_DATA[3].Z=BASE_DATA[3].Z+5", "LIN {X 1,Y 2,Z BASE_DATA[3].Z,A 10,B 20,C 170}")
     assert x_y_z(plain) == [1, 2, CELL.base_data["3"].Z]
     assert x_y_z(moved) == [1, 2, CELL.base_data["3"].Z + 5]
 
@@ -646,35 +646,35 @@ OPEN = replace(CELL, krl=Krl())
 
 
 def test_frames_left_to_initmov_are_told():
-    found = program(FULL, cell=OPEN)
+    found = read_lines(FULL, cell=OPEN)
     assert about(found, "initial-frames") == [("$BASE", 4), ("$TOOL", 4)]
-    assert about(program("$TOOL={X 0,Y 0,Z 5,A 0,B 0,C 0}", FULL, cell=OPEN), "initial-frames") == [("$BASE", 5)]
+    assert about(read_lines("$TOOL={X 0,Y 0,Z 5,A 0,B 0,C 0}", FULL, cell=OPEN), "initial-frames") == [("$BASE", 5)]
     assert (
         about(
-            program(*(f"{name}={{X 5,Y 0,Z 0,A 0,B 0,C 0}}" for name in ("$TOOL", "$BASE")), FULL, cell=OPEN),
+            read_lines(*(f"{name}={{X 5,Y 0,Z 0,A 0,B 0,C 0}}" for name in ("$TOOL", "$BASE")), FULL, cell=OPEN),
             "initial-frames",
         )
         == []
     )
-    assert about(program("PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}", cell=OPEN), "initial-frames") == []
-    assert about(program(FULL, cell=CELL), "initial-frames") == []
+    assert about(read_lines("PTP {A1 0,A2 -90,A3 90,A4 0,A5 0,A6 0}", cell=OPEN), "initial-frames") == []
+    assert about(read_lines(FULL, cell=CELL), "initial-frames") == []
     assert about(read("DEF part()\r\n" + FULL + "\r\nEND\r\n", cell=OPEN), "initial-frames") == []
 
 
 def test_a_cell_with_the_frames_that_initmov_gives_needs_no_word():
     tool = Tool(Z=350.0)
     cell = replace(OPEN, base=Frame(), tool=tool, tool_data={"1": tool})
-    assert about(program(FULL, cell=cell), "initial-frames") == []
+    assert about(read_lines(FULL, cell=cell), "initial-frames") == []
 
 
 def test_the_cell_says_which_frames_initmov_gives():
     cell = replace(CELL, krl=Krl(initmov="bas"), tool_data={"1": Tool(Z=123.0)})
-    found = program(FULL, cell=cell)
+    found = read_lines(FULL, cell=cell)
     m = found.motions
     np.testing.assert_allclose(found.bases[m.base[0]], np.eye(4), atol=1e-15)
     assert found.tools[m.tool[0], 2, 3] == pytest.approx(0.123)
     with pytest.raises(ProgramError, match=r"TOOL_DATA\[1\]"):
-        program(FULL, cell=replace(CELL, krl=Krl(initmov="bas")))
+        read_lines(FULL, cell=replace(CELL, krl=Krl(initmov="bas")))
 
 
 # --- errors --------------------------------------------------------------------------------------------------------
@@ -702,7 +702,9 @@ def test_a_called_routine_with_a_structure_that_is_not_closed_is_refused_at_its_
 
 def test_all_errors_of_a_program_are_told_in_order_of_lines():
     with pytest.raises(ProgramError) as caught:
-        program("LIN {X 1,,Y 2}", FULL, "FOO BAR BAZ", "XP1={X 1,,Z}", "LIN XP1", "LIN {X}", "FOR I=1 TO 9", FULL, FULL)
+        read_lines(
+            "LIN {X 1,,Y 2}", FULL, "FOO BAR BAZ", "XP1={X 1,,Z}", "LIN XP1", "LIN {X}", "FOR I=1 TO 9", FULL, FULL
+        )
     errors = [caught.value, *caught.value.further_errors]
     assert [error.line for error in errors] == [4, 6, 7, 9]
 
@@ -735,7 +737,7 @@ def test_all_errors_of_a_program_are_told_in_order_of_lines():
 def test_absurd_text_is_an_error_of_the_program(line):
     def message():
         try:
-            program(line, FULL)
+            read_lines(line, FULL)
         except ProgramError as error:
             return str(error)
         return ""
@@ -744,7 +746,7 @@ def test_absurd_text_is_an_error_of_the_program(line):
 
 
 def test_relative_motions_with_their_frame_behind_the_approximation():
-    found = program(FULL, "LIN_REL {Z 10} C_DIS #BASE", "LIN_REL {X 10} C_VEL #TOOL", "LIN_REL {Z 1} #TOOL C_DIS")
+    found = read_lines(FULL, "LIN_REL {Z 10} C_DIS #BASE", "LIN_REL {X 10} C_VEL #TOOL", "LIN_REL {Z 1} #TOOL C_DIS")
     along = pose_x(found)
     np.testing.assert_allclose(numbers(found)[1:3, :3], [[100, 20, 40], np.array([100, 20, 40]) + 10 * along])
     assert found.motions.blend[1] == 0.003
@@ -764,7 +766,7 @@ DECLARED = ["INTERRUPT DECL 3 WHEN $IN[6]==TRUE DO STOPPED( )", "INTERRUPT ON 3"
 
 @pytest.mark.parametrize("back", ["PTP $AXIS_RET", "ptp $axis_ret", "LIN $POS_RET", "SPTP $POS_RET"])
 def test_an_interrupt_that_only_leads_back_to_the_path_leaves_it_as_it_is(back):
-    assert x_y_z(program(*DECLARED, subs=STOPPED.format(back))) == UNTOUCHED
+    assert x_y_z(read_lines(*DECLARED, subs=STOPPED.format(back))) == UNTOUCHED
 
 
 @pytest.mark.parametrize(
@@ -772,12 +774,12 @@ def test_an_interrupt_that_only_leads_back_to_the_path_leaves_it_as_it_is(back):
 )
 def test_an_interrupt_that_leads_elsewhere_is_refused(away):
     with pytest.raises(ProgramError, match="INTERRUPT moves the robot"):
-        program(*DECLARED, subs=STOPPED.format(away))
+        read_lines(*DECLARED, subs=STOPPED.format(away))
 
 
 def test_a_motion_back_to_where_an_interrupt_was_is_not_followed_in_order():
     with pytest.raises(ProgramError):
-        program("STOPPED()", "LIN_REL {Z 5}", subs=STOPPED.format("PTP $AXIS_RET"))
+        read_lines("STOPPED()", "LIN_REL {Z 5}", subs=STOPPED.format("PTP $AXIS_RET"))
 
 
 @pytest.mark.parametrize("keep", [False, True])
@@ -787,8 +789,8 @@ def test_a_function_in_a_target_changes_what_a_later_condition_depends_on(keep):
     cell = replace(CELL, krl=replace(CELL.krl, keep_unresolved=keep))
     if not keep:
         with pytest.raises(ProgramError, match=r"FN\(\) is computed while the program runs"):
-            program(*lines, subs=function, cell=cell)
+            read_lines(*lines, subs=function, cell=cell)
         return
-    kept = program(*lines, subs=function, cell=cell)
+    kept = read_lines(*lines, subs=function, cell=cell)
     assert [motion.line for motion in kept.unresolved] == [4, 6, 8]  # FULL was read as a motion that runs
     assert x_y_z(kept) == UNTOUCHED

@@ -10,8 +10,9 @@ from postproc.dialects import krl
 from postproc.dialects.krl.read import flow, main_routine
 from postproc.errors import PostprocError
 from tests.dialects.krl_programs import CELL, body, read, targets
-from tests.dialects.test_krl_plain_rounds import KEEPING, POINTS, START, SUB, data, outcome
+from tests.dialects.test_krl_plain_rounds import KEEPING, POINTS, SUB, data, outcome
 from tests.effort import calls_for_each
+from tests.krl_texts import HOME
 
 GIVING = replace(CELL, krl=replace(CELL.krl, values={"G": 2.5, "G2[2]": 3.0}))
 VARIABLES = (
@@ -113,7 +114,7 @@ def test_many_of_the_random_rounds_are_computed_at_once(monkeypatch):
     monkeypatch.setattr(main_routine, "computed_motions", noting)
     for seed in range(100):
         with contextlib.suppress(PostprocError):
-            read(body(START, *random_lines(seed)) + SUB, points(seed))
+            read(body(HOME, *random_lines(seed)) + SUB, points(seed))
     assert sum(taken) > 20
     assert taken.count(False) > 5
 
@@ -131,7 +132,7 @@ def test_a_computed_round_costs_few_calls(lines, limit, monkeypatch):
     def making(count):
         elements = "".join(f"P[{n}]={{X {n % 90},Y 2,Z 3,A 0,B 0,C 180}}\r\n" for n in range(1, count + 1))
         text = f"DEFDAT part\r\nDECL INT I=1\r\nDECL FRAME XT\r\nDECL E6POS P[{count}]\r\n{elements}ENDDAT\r\n"
-        source = body(START, f"FOR I=1 TO {count}", *lines, "ENDFOR")
+        source = body(HOME, f"FOR I=1 TO {count}", *lines, "ENDFOR")
         program = read(source, text)
         moved = targets(program, np.full((len(program.motions), 3), 1e-3))
 

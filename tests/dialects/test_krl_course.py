@@ -17,20 +17,21 @@ from postproc.dialects.krl.write.edits import Replacements
 from postproc.errors import ProgramError
 from postproc.program import Document
 from postproc.toolpath.path import starts as starts_of
-from tests.attack.krl import confirmed
-from tests.attack.krl import read as read_files
+from tests.attack.krl import confirmed, read_job
 from tests.dialects.krl_programs import CELL, body, check_commands, forward, numbers, read, targets
 from tests.effort import calls
+from tests.krl_texts import HOME, TURNED_HOME
 
 FULL = "LIN {X 0,Y 0,Z 300,A 10,B 20,C 170}"
 AWAY = "LIN {X 8,Y 0,Z 300,A 10,B 20,C 170}"
-AXES = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
 COUNT = 5
 KEEPING = replace(CELL, krl=replace(CELL.krl, keep_unresolved=True))
-DATA = "DEFDAT part\r\nDECL INT I=1\r\nDECL INT K=0\r\nDECL REAL Z=0\r\nDECL BOOL OK=TRUE\r\nDECL E6POS P[5]\r\n"
-DATA += "".join(f"P[{n}]={{X {n},Y 2,Z 3,A 4,B 5,C 6}}\r\n" for n in range(1, COUNT + 1))
-DATA += "DECL E6POS Q={X 50,Y 5,Z 5,A 1,B 2,C 3}\r\nDECL PT S[3]\r\n"
-DATA += "".join(f"S[{n}]={{N {n},FCNC {{X {n}0,Y 2,Z 3,A 4,B 5,C 6}}}}\r\n" for n in range(1, 4)) + "ENDDAT\r\n"
+COUNTERS_DAT = (
+    "DEFDAT part\r\nDECL INT I=1\r\nDECL INT K=0\r\nDECL REAL Z=0\r\nDECL BOOL OK=TRUE\r\nDECL E6POS P[5]\r\n"
+)
+COUNTERS_DAT += "".join(f"P[{n}]={{X {n},Y 2,Z 3,A 4,B 5,C 6}}\r\n" for n in range(1, COUNT + 1))
+COUNTERS_DAT += "DECL E6POS Q={X 50,Y 5,Z 5,A 1,B 2,C 3}\r\nDECL PT S[3]\r\n"
+COUNTERS_DAT += "".join(f"S[{n}]={{N {n},FCNC {{X {n}0,Y 2,Z 3,A 4,B 5,C 6}}}}\r\n" for n in range(1, 4)) + "ENDDAT\r\n"
 SUB = "DEF SUB(n:IN)\r\nDECL INT n\r\nLIN {X n,Y 1,Z 2,A 0,B 0,C 0} C_DIS\r\n$OUT[n]=TRUE\r\nEND\r\n"
 STILL = "DEF SUB(n:IN)\r\nDECL INT n\r\nLIN {X 7,Y 1,Z 2,A 0,B 0,C 0} C_DIS\r\nEND\r\n"
 OUT = "DEF SUB(n:OUT)\r\nDECL INT n\r\nn=n+1\r\nLIN {X n*10,Y 1,Z 2,A 0,B 0,C 0}\r\nEND\r\n"
@@ -89,20 +90,20 @@ IDS = [" / ".join(lines)[:60] for lines, *_ in PROGRAMS]
 
 
 def files_of(lines, subprograms):
-    return {"part.src": body(FULL, *lines) + subprograms, "part.dat": DATA}
+    return {"part.src": body(FULL, *lines) + subprograms, "part.dat": COUNTERS_DAT}
 
 
 @pytest.mark.parametrize(("lines", "subprograms", "x"), PROGRAMS, ids=IDS)
 def test_a_program_moves_as_a_controller_moves_it_before_and_after_its_correction(lines, subprograms, x, tmp_path):
     files = files_of(lines, subprograms)
-    program = read_files(files, tmp_path)
+    program = read_job(files, tmp_path)
     np.testing.assert_allclose(numbers(program)[1:, 0], x, atol=1e-9)
     for seed in range(3):
         assert confirmed(program, files, tmp_path, np.random.default_rng(seed)) == "accepted"
 
 
 def written(lines, subprograms="", shift=None, pieces=None):
-    program = read(body(FULL, *lines) + subprograms, DATA)
+    program = read(body(FULL, *lines) + subprograms, COUNTERS_DAT)
     wanted = targets(program, shift, pieces=pieces)
     out = krl.rewrite(program, wanted)
     check_commands(program, wanted, out)
@@ -172,7 +173,7 @@ def test_a_subprogram_is_corrected_in_its_place_where_its_calls_agree_and_copied
 
 def test_inserted_targets_stand_in_each_round(tmp_path):
     files = files_of(["FOR I=1 TO 3", "LIN P[I]", "ENDFOR"], "")
-    program = read_files(files, tmp_path)
+    program = read_job(files, tmp_path)
     _, out = written(["FOR I=1 TO 3", "LIN P[I]", "ENDFOR"], pieces={2: [0.5]})
     assert out.output_line.tolist() == [4, 7, 9, 10, 12]
     assert len(program.motions) == 4
@@ -182,26 +183,26 @@ def test_a_program_that_does_not_end_is_refused_with_the_line():
     endless = ["FOR I=1 TO 2", "LOOP", FULL, "ENDLOOP", "ENDFOR"]
     for lines, line in ((["WHILE K<3", FULL, "ENDWHILE"], 5), (endless, 6)):
         with pytest.raises(ProgramError, match="never ends") as caught:
-            read(body(FULL, *lines), DATA)
+            read(body(FULL, *lines), COUNTERS_DAT)
         assert caught.value.line == line
 
 
 def test_a_count_without_end_stops_with_a_message(monkeypatch):
     monkeypatch.setattr("postproc.dialects.krl.read.flow.MOST_UNCOUNTED", 1000)
     with pytest.raises(ProgramError, match="WHILE has not ended after 1000 statements") as caught:
-        read(body(FULL, "WHILE K>-1", "K=K+1", FULL, "ENDWHILE"), DATA)
+        read(body(FULL, "WHILE K>-1", "K=K+1", FULL, "ENDWHILE"), COUNTERS_DAT)
     assert caught.value.line == 5
     monkeypatch.setattr("postproc.dialects.krl.read.flow.MOST_TRACED", 1000)
     with pytest.raises(ProgramError, match=r"too long: 10\d\d statements"):
-        read(body(FULL, "FOR I=1 TO 40", "FOR K=1 TO 40+I*0", FULL, "ENDFOR", "ENDFOR"), DATA)
-    read(body(FULL, "FOR K=1 TO 900", "ENDFOR", "FOR I=1 TO 900", FULL, "ENDFOR"), DATA)
+        read(body(FULL, "FOR I=1 TO 40", "FOR K=1 TO 40+I*0", FULL, "ENDFOR", "ENDFOR"), COUNTERS_DAT)
+    read(body(FULL, "FOR K=1 TO 900", "ENDFOR", "FOR I=1 TO 900", FULL, "ENDFOR"), COUNTERS_DAT)
 
 
 def test_a_count_that_is_too_high_is_not_followed_first():
     with pytest.raises(ProgramError, match="FOR has 2000000000 rounds, more than") as caught:
-        read(body(FULL, "FOR K=1 TO 2000000000", FULL, "ENDFOR"), DATA)
+        read(body(FULL, "FOR K=1 TO 2000000000", FULL, "ENDFOR"), COUNTERS_DAT)
     assert caught.value.line == 5
-    read(body(FULL, "FOR K=1 TO 2000000000", FULL, "IF K==3 THEN", "EXIT", "ENDIF", "ENDFOR"), DATA)
+    read(body(FULL, "FOR K=1 TO 2000000000", FULL, "IF K==3 THEN", "EXIT", "ENDIF", "ENDFOR"), COUNTERS_DAT)
 
 
 def calls_in_calls(depth, calls, leaf):
@@ -246,10 +247,10 @@ def test_what_runs_too_long_is_refused_after_little_work(what, monkeypatch):
 
     def reading():
         if problem is None:
-            assert len(read(text, DATA).motions) == 2
+            assert len(read(text, COUNTERS_DAT).motions) == 2
         else:
             with pytest.raises(ProgramError, match=problem):
-                read(text, DATA)
+                read(text, COUNTERS_DAT)
 
     assert calls(reading) < 4_000_000
 
@@ -264,7 +265,7 @@ def test_the_least_number_of_statements_counts_none_that_may_not_run():
         ["SUB()"],
     ):
         sub = "DEF SUB()\r\nIF K==1 THEN\r\nRETURN\r\nENDIF\r\n" + "\r\n".join(many) + "\r\nEND\r\n"
-        assert len(read(body(FULL, *lines, FULL) + sub, DATA.replace("INT K=0", "INT K=1")).motions) >= 2
+        assert len(read(body(FULL, *lines, FULL) + sub, COUNTERS_DAT.replace("INT K=0", "INT K=1")).motions) >= 2
 
 
 @pytest.mark.parametrize(
@@ -276,14 +277,14 @@ def test_the_least_number_of_statements_counts_none_that_may_not_run():
 )
 def test_a_jump_in_kept_motions_names_the_condition_that_is_not_known(lines, why):
     with pytest.raises(ProgramError) as caught:
-        read(body("A:", *lines), DATA, KEEPING)
+        read(body("A:", *lines), COUNTERS_DAT, KEEPING)
     assert why in str(caught.value)
 
 
 def test_a_program_whose_motions_all_stay_in_this_run_but_not_in_the_next_is_refused():
     lines = ["DECL REAL R", "R=1", "WHILE K<1", "R=$IN[1]", "K=K+1", "ENDWHILE", "LIN {X R,Y 0,Z 300,A 10,B 20,C 170}"]
     with pytest.raises(ProgramError, match=r"R is set to a value that is not known \(line 7"):
-        read(body(*lines), DATA, KEEPING)
+        read(body(*lines), COUNTERS_DAT, KEEPING)
 
 
 @pytest.mark.parametrize("within", [True, False])
@@ -299,12 +300,12 @@ def test_statements_that_stay_in_each_round_count_in_loops_that_do_not_end(withi
         "ENDWHILE",
     ]
     text = body(FULL, *loop) if within else body("SUB()", FULL) + "\r\n".join(["DEF SUB()", *loop, "END", ""])
-    assert calls(lambda: read(text, DATA, KEEPING)) < 4_000_000
+    assert calls(lambda: read(text, COUNTERS_DAT, KEEPING)) < 4_000_000
 
 
 ENDLESS = {
     "ends where it began": ([FULL, "LOOP", AWAY, FULL, "ENDLOOP"], 3),
-    "begins at joint angles": ([FULL, "LOOP", AXES, FULL, AWAY, "ENDLOOP", FULL], 4),
+    "begins at joint angles": ([FULL, "LOOP", HOME, FULL, AWAY, "ENDLOOP", FULL], 4),
     "counts": ([FULL, "LOOP", "K=K+1", AWAY, FULL, "ENDLOOP"], 3),
     "waits for the start key": ([FULL, "LOOP", AWAY, FULL, "IF $IN[1] THEN", "HALT", "ENDIF", "ENDLOOP"], 3),
     "counter of its own": ([FULL, "LOOP", "FOR I=1 TO 2", AWAY, FULL, "ENDFOR", "ENDLOOP"], 5),
@@ -316,14 +317,14 @@ ENDLESS = {
 @pytest.mark.parametrize("what", ENDLESS)
 def test_a_loop_without_exit_is_one_round_that_repeats(what):
     lines, count = ENDLESS[what]
-    program = read(body(*lines) + f"DEF SUB()\r\n{AWAY}\r\nEND\r\n", DATA)
+    program = read(body(*lines) + f"DEF SUB()\r\n{AWAY}\r\nEND\r\n", COUNTERS_DAT)
     assert len(program.motions) == count
     assert "endless-loop" in {issue.kind for issue in program.issues}
     shift = np.full((count, 3), 1e-3)  # all alike: it ends where it began
     written = krl.rewrite(program, targets(program, shift))
     text = written.documents[0].text
     assert text.count("LOOP\r\n") == 2
-    again = read(text, DATA)
+    again = read(text, COUNTERS_DAT)
     assert len(again.motions) == count
     moved = np.where(np.isnan(program.motions.joints[:, :1]), 1e-3, 0.0)
     assert np.allclose(again.motions.target[:, :3, 3], program.motions.target[:, :3, 3] + moved)
@@ -353,7 +354,7 @@ def test_a_loop_without_exit_whose_rounds_differ_is_refused_with_its_line(lines,
     sub = f"DEF SUB()\r\nLOOP\r\n{AWAY}\r\n{FULL}\r\nENDLOOP\r\nEND\r\n"
     sub += "DEF GO()\r\nLIN {X K}\r\nEND\r\n"
     with pytest.raises(ProgramError, match=problem) as caught:
-        read(body(*lines) + sub, DATA)
+        read(body(*lines) + sub, COUNTERS_DAT)
     assert "LOOP" in caught.value.text
 
 
@@ -371,24 +372,24 @@ DEEP_OR_LONG = {
 def test_what_no_robot_reads_is_refused_at_once(what):
     lines, problem = DEEP_OR_LONG[what]
     with pytest.raises(ProgramError, match=problem):
-        read(body(FULL, *lines, FULL), DATA)
+        read(body(FULL, *lines, FULL), COUNTERS_DAT)
 
 
 def test_what_is_just_not_too_deep_is_read():
     lines = ["K=" + "(" * 99 + "3" + ")" * 99, *["IF K==3 THEN"] * 99, "LIN {X 1" + "+1" * 199 + "}", *["ENDIF"] * 99]
-    assert numbers(read(body(FULL, *lines), DATA))[-1, 0] == 200
+    assert numbers(read(body(FULL, *lines), COUNTERS_DAT))[-1, 0] == 200
 
 
 def test_reals_that_are_too_close_to_tell_decide_no_loop():
     with pytest.raises(ProgramError, match="inside UNTIL"):
-        read(body(FULL, "REPEAT", FULL, "Z=Z+0.1", "UNTIL Z>=0.3"), DATA)
+        read(body(FULL, "REPEAT", FULL, "Z=Z+0.1", "UNTIL Z>=0.3"), COUNTERS_DAT)
 
 
 def test_subprograms_of_other_files_are_corrected_there(tmp_path):
     files = files_of(["cut(1)", "cut(2)"], "")
     files["cut.src"] = "&ACCESS RVP\nDEF cut(n:IN)\nDECL INT n\nLIN XP1 C_DIS\nLIN {X n,Y 1,Z 2,A 0,B 0,C 0}\nEND"
     files["cut.dat"] = "DEFDAT cut\nDECL E6POS XP1={X 3,Y 3,Z 3,A 0,B 0,C 0}\nENDDAT\n"
-    program = read_files(files, tmp_path)
+    program = read_job(files, tmp_path)
     assert numbers(program)[1:, 0].tolist() == [3, 1, 3, 2]
     assert program.motions.line.tolist() == [4, 5, 5, 6, 6]
     assert confirmed(program, files, tmp_path, np.random.default_rng(2)) == "accepted"
@@ -402,7 +403,7 @@ def test_a_global_point_of_a_corrected_file_is_known_to_the_program_that_calls_i
     files = files_of(["LIN XG", "cut()", "LIN XG"], "")
     files["cut.src"] = "DEF cut()\nLIN {X 3,Y 1,Z 2,A 0,B 0,C 0}\nLIN XG\nEND\n"
     files["cut.dat"] = "DEFDAT cut PUBLIC\nDECL GLOBAL E6POS XG={X 8,Y 3,Z 3,A 0,B 0,C 0}\nENDDAT\n"
-    program = read_files(files, tmp_path)
+    program = read_job(files, tmp_path)
     assert numbers(program)[1:, 0].tolist() == [8, 3, 8, 8]
     assert confirmed(program, files, tmp_path, np.random.default_rng(2)) == "accepted"
 
@@ -411,7 +412,7 @@ def test_a_subprogram_of_another_file_may_begin_with_a_loop(tmp_path):
     files = files_of(["cut()"], "")
     files["cut.src"] = "DEF cut()\nFOR I=1 TO 2\nLIN {X 3,Y I,Z 2,A 0,B 0,C 0}\nENDFOR\nEND\n"
     files["cut.dat"] = "DEFDAT cut\nDECL INT I=1\nENDDAT\n"
-    program = read_files(files, tmp_path)
+    program = read_job(files, tmp_path)
     assert numbers(program)[1:, 1].tolist() == [1, 2]
     assert confirmed(program, files, tmp_path, np.random.default_rng(2)) == "accepted"
 
@@ -421,7 +422,7 @@ def test_other_programs_that_call_a_corrected_file_are_named_and_their_names_not
     files["cut.src"] = "DEF cut()\nLIN {X 3,Y 1,Z 2,A 0,B 0,C 0}\nEND\n"
     files["cut_2.src"] = "DEF cut_2()\n; cut()\nEND\n"
     files["next.src"] = "DEF next()\nCUT ( )\nEND\n"
-    program = read_files(files, tmp_path)
+    program = read_job(files, tmp_path)
     out = krl.rewrite(program, targets(program, np.arange(9.0).reshape(3, 3) * 1e-3))
     assert "GLOBAL DEF cut_3()" in out.documents[2].text
     [told] = [issue for issue in out.issues if issue.kind == "shared-file"]
@@ -446,7 +447,7 @@ BRANCHES = [
 
 @pytest.mark.parametrize(("lines", "after"), BRANCHES, ids=[" / ".join(lines)[:60] for lines, _ in BRANCHES])
 def test_each_branch_is_corrected_from_where_they_divide_to_where_they_meet(lines, after):
-    program = read(body(FULL, *lines), DATA)
+    program = read(body(FULL, *lines), COUNTERS_DAT)
     assert program.after.tolist() == after
     starts = starts_of(program, program.motions.target.__getitem__, forward(CELL.start_joints))
     for row, before in enumerate(after[1:], 1):
@@ -472,9 +473,9 @@ REFUSED = [
 def test_branches_that_do_not_meet_are_refused_or_kept(lines, line, problem):
     text = body(FULL, *lines)
     with pytest.raises(ProgramError, match=problem) as caught:
-        read(text, DATA)
+        read(text, COUNTERS_DAT)
     assert caught.value.line == line
-    assert "unresolved" in [issue.kind for issue in read(text, DATA, KEEPING).issues]
+    assert "unresolved" in [issue.kind for issue in read(text, COUNTERS_DAT, KEEPING).issues]
 
 
 # --- GOTO ------------------------------------------------------------------------------------------------------------
@@ -493,7 +494,7 @@ JUMPS = [
 @pytest.mark.parametrize(("lines", "moves"), JUMPS, ids=[" / ".join(lines)[:60] for lines, _ in JUMPS])
 def test_goto_leads_to_a_label_behind_it_and_what_is_between_stays_as_it_is(lines, moves):
     text = body(FULL, *lines)
-    program = read(text, DATA)
+    program = read(text, COUNTERS_DAT)
     assert program.motions.line.tolist() == [4, *moves]
     wanted = targets(program, np.full((len(program.motions), 3), 1e-3))
     out = krl.rewrite(program, wanted)
@@ -508,7 +509,7 @@ def test_goto_leads_to_a_label_behind_it_and_what_is_between_stays_as_it_is(line
 def test_nothing_runs_behind_exit_in_a_branch_without_motions(fork, cell):
     """Branches at an input, and --keep-unresolved, let the statements run once more along the complete trace."""
     left = ["IF I>1 THEN", "IF I==2 THEN", "EXIT", "ENDIF", "$BASE={X 50,Y 0,Z 0,A 0,B 0,C 0}", "ENDIF"]
-    program = read(body(*fork, "FOR I=1 TO 3", "LIN P[I]", *left, "ENDFOR", FULL), DATA, cell)
+    program = read(body(*fork, "FOR I=1 TO 3", "LIN P[I]", *left, "ENDFOR", FULL), COUNTERS_DAT, cell)
     assert numbers(program)[-3:, 0].tolist() == [1, 2, 0]
     assert not program.motions.base.any()
 
@@ -534,8 +535,8 @@ LOST = "DEF SUB(n:IN)\r\nDECL INT n\r\nIF $IN[n] THEN\r\nRETURN\r\nENDIF\r\nLIN 
 def test_what_only_the_running_robot_knows_is_refused_or_kept_as_it_is(lines, kept, begins):
     text = body(FULL, *lines) + (LOST if "SUB" in lines[0] else "")
     with pytest.raises(ProgramError):
-        read(text, DATA)
-    program = read(text, DATA, KEEPING)
+        read(text, COUNTERS_DAT)
+    program = read(text, COUNTERS_DAT, KEEPING)
     told = [issue.source_line for issue in program.issues if issue.kind == "unresolved"]
     assert told == kept
     assert [issue.lines for issue in program.issues if issue.kind == "start-unknown"] == [tuple(begins)]
@@ -555,20 +556,20 @@ def test_what_only_the_running_robot_knows_is_refused_or_kept_as_it_is(lines, ke
 @pytest.mark.parametrize("lines", [["LIN $POS_ACT:{Z 5}"], ["IF $IN[1] THEN", "LIN P[1]", "ENDIF", FULL]])
 def test_the_error_names_the_option_that_keeps_what_is_not_known(lines):
     with pytest.raises(ProgramError, match="--keep-unresolved") as caught:
-        read(body(FULL, *lines), DATA)
+        read(body(FULL, *lines), COUNTERS_DAT)
     assert caught.value.line == 5
 
 
 def test_a_point_of_a_motion_that_is_kept_is_not_changed_for_it():
     text = body(FULL, "LIN P[1]", "WHILE $IN[1]", "LIN P[1]", "ENDWHILE", "LIN P[2]")
-    program = read(text, DATA, KEEPING)
+    program = read(text, COUNTERS_DAT, KEEPING)
     out = krl.rewrite(program, targets(program, np.full((3, 3), 1e-3)))
     assert "P[1]={X 1,Y 2,Z 3,A 4,B 5,C 6}" in out.documents[1].text
     assert "LIN {X 2.0000," in out.documents[0].text
 
 
 def test_a_subprogram_that_also_runs_as_it_stands_is_corrected_in_a_copy():
-    program = read(body(FULL, "SUB(1)", "WHILE $IN[1]", "SUB(2)", "ENDWHILE") + STILL, DATA, KEEPING)
+    program = read(body(FULL, "SUB(1)", "WHILE $IN[1]", "SUB(2)", "ENDWHILE") + STILL, COUNTERS_DAT, KEEPING)
     text = krl.rewrite(program, targets(program, np.full((2, 3), 1e-3))).documents[0].text
     assert "SUB_2(1)\r\nWHILE $IN[1]\r\nSUB(2)\r\n" in text
     assert STILL in text
@@ -576,7 +577,7 @@ def test_a_subprogram_that_also_runs_as_it_stands_is_corrected_in_a_copy():
 
 def test_a_point_of_a_subprogram_that_also_runs_as_it_stands_is_not_changed_for_its_copy():
     sub = "DEF SUB()\r\nLIN Q\r\nEND\r\n"
-    program = read(body(FULL, "IF $IN[1] THEN", "SUB()", "ENDIF", FULL, "SUB()") + sub, DATA, KEEPING)
+    program = read(body(FULL, "IF $IN[1] THEN", "SUB()", "ENDIF", FULL, "SUB()") + sub, COUNTERS_DAT, KEEPING)
     source, data = krl.rewrite(program, targets(program, np.full((3, 3), 1e-3))).documents
     assert "DECL E6POS Q={X 50,Y 5,Z 5,A 1,B 2,C 3}" in data.text
     assert "DECL E6POS Q_2={X 51.0000," in data.text
@@ -611,7 +612,7 @@ HELD = [
 
 @pytest.mark.parametrize(("lines", "subprograms", "forces"), HELD, ids=[" / ".join(lines)[:60] for lines, *_ in HELD])
 def test_a_force_comment_holds_from_where_it_runs(lines, subprograms, forces):
-    program = read(body(FULL, *lines) + subprograms, DATA)
+    program = read(body(FULL, *lines) + subprograms, COUNTERS_DAT)
     held = [0.0] * len(program.motions)
     for note in program.notes:
         held[note.before :] = [note.wrench[0]] * len(held[note.before :])
@@ -648,7 +649,7 @@ UNHELD = [
 @pytest.mark.parametrize(("lines", "subs", "cell", "line", "problem"), UNHELD, ids=[p for *_, p in UNHELD])
 def test_a_motion_under_a_force_that_is_not_known_is_refused(lines, subs, cell, line, problem):
     with pytest.raises(ProgramError, match=problem) as caught:
-        read(body(FULL, *lines) + subs, DATA, cell)
+        read(body(FULL, *lines) + subs, COUNTERS_DAT, cell)
     assert caught.value.line == line
 
 
@@ -664,16 +665,16 @@ def test_a_motion_under_a_force_that_is_not_known_is_refused(lines, subs, cell, 
 )
 def test_a_force_comment_on_the_line_of_a_loop_is_refused(lines, word):
     with pytest.raises(ProgramError, match=rf"a force comment is on the line of {word}\."):
-        read(body(*lines), DATA)
+        read(body(*lines), COUNTERS_DAT)
 
 
 def test_a_for_that_counts_by_a_real_is_refused_with_the_name_of_its_counter():
     with pytest.raises(ProgramError, match="its counter Z is a REAL"):
-        read(body("FOR Z=1 TO 2", FULL, "ENDFOR"), DATA)
+        read(body("FOR Z=1 TO 2", FULL, "ENDFOR"), COUNTERS_DAT)
 
 
 def test_rows_of_one_line_have_equal_keys_if_they_are_written_alike():
-    program = read(body("FOR I=1 TO 3", FULL, "ENDFOR", "LIN P[I]"), DATA)
+    program = read(body("FOR I=1 TO 3", FULL, "ENDFOR", "LIN P[I]"), COUNTERS_DAT)
     trace, edits = program.layout.course.trace, Replacements()
     rows = program.layout.line[:3].tolist()
     assert len(set(trace.starts(np.array(rows)).tolist())) == 1
@@ -694,7 +695,7 @@ def test_rows_of_one_line_have_equal_keys_if_they_are_written_alike():
 
 
 def test_behind_what_is_kept_a_comment_says_which_force_acts():
-    program = read(body(FULL, "WHILE $IN[1]", TWO, FULL, "ENDWHILE", "PTP Q", THREE, FULL), DATA, KEEPING)
+    program = read(body(FULL, "WHILE $IN[1]", TWO, FULL, "ENDWHILE", "PTP Q", THREE, FULL), COUNTERS_DAT, KEEPING)
     assert [(note.before, note.wrench[0]) for note in program.notes] == [(2, 3.0)]
     assert program.motions.line.tolist() == [4, 9, 11]
 
@@ -704,7 +705,7 @@ def test_a_called_file_that_cannot_be_followed_is_an_error_in_the_line_of_its_ca
     files = files_of(["IF $IN[1] THEN", MEET, "ELSE", "cut()", "ENDIF", MEET], "")
     files["cut.src"] = cut + "INTERRUPT ON 4\nLIN {X 3,Y 1,Z 2,A 0,B 0,C 0}\nEND\n"
     with pytest.raises(ProgramError, match="CUT changes what motions depend on at any time") as caught:
-        read_files(files, tmp_path)
+        read_job(files, tmp_path)
     assert caught.value.line == 8
     assert caught.value.problem.endswith("$VEL (cut.src, line 2)")
 
@@ -716,7 +717,7 @@ LINE_TO = "LIN {{X {},Y 1,Z 2,A 0,B 0,C 0}}"
 @pytest.mark.parametrize("condition", ["NOT I==1", "OK==TRUE AND I==1", "I==1==OK", "OK AND (NOT I==1)"])
 def test_a_condition_that_depends_on_the_rank_of_its_operators_is_refused(condition):
     with pytest.raises(ProgramError, match="whose condition is not known"):
-        read(body(FULL, f"IF {condition} THEN", AWAY, "ENDIF", FULL), DATA)
+        read(body(FULL, f"IF {condition} THEN", AWAY, "ENDIF", FULL), COUNTERS_DAT)
 
 
 NESTED = "".join(f"DEF D{n}()\r\nD{n + 1}()\r\nEND\r\n" for n in range(25)) + f"DEF D25()\r\n{AWAY}\r\nEND\r\n"
@@ -734,32 +735,32 @@ NESTED = "".join(f"DEF D{n}()\r\nD{n + 1}()\r\nEND\r\n" for n in range(25)) + f"
 )
 def test_a_call_that_cannot_be_followed_is_refused_with_its_cause(call, subs, why):
     with pytest.raises(ProgramError, match=f"in a way that cannot be followed: {why}"):
-        read(body(FULL, call, FULL) + subs, DATA)
+        read(body(FULL, call, FULL) + subs, COUNTERS_DAT)
 
 
 def test_a_variable_that_a_routine_also_knows_under_its_own_name_is_not_followed_under_two():
     deep = f"DEF DEEP()\r\n{LINE_TO.format('Z')}\r\nEND\r\n"
     for sub in (ALIASED.format(LINE_TO.format("Z")), ALIASED.format("DEEP()") + deep):
         with pytest.raises(ProgramError, match="cannot be followed: Z has two names in it"):
-            read(body(FULL, "SUB(Z)") + sub, DATA)
+            read(body(FULL, "SUB(Z)") + sub, COUNTERS_DAT)
     with pytest.raises(ProgramError, match="K is changed"):
-        read(body(FULL, "SUB(Z)", "LIN P[K]") + ALIASED.format("K=Z"), DATA)
+        read(body(FULL, "SUB(Z)", "LIN P[K]") + ALIASED.format("K=Z"), COUNTERS_DAT)
     for inside in ("r", "r+1-1"):
-        program = read(body(FULL, "SUB(Z)", LINE_TO.format("Z")) + ALIASED.format(LINE_TO.format(inside)), DATA)
+        program = read(body(FULL, "SUB(Z)", LINE_TO.format("Z")) + ALIASED.format(LINE_TO.format(inside)), COUNTERS_DAT)
         assert numbers(program)[:, 0].tolist() == [0, 3, 3]
 
 
 @pytest.mark.parametrize("statement", ["DIGIN ON I=1.0*$DIGIN1+0", "INTERRUPT DECL 4 WHEN $IN[1] DO I=3"])
 def test_a_variable_that_changes_at_any_time_does_so_under_the_name_of_a_parameter_too(statement):
     sub = "DEF SUB(n)\r\nDECL INT n\r\nFOR n=1 TO 2\r\nLIN P[n]\r\nENDFOR\r\nEND\r\n"
-    assert len(read(body(FULL, "SUB(I)") + sub, DATA).motions) == 3
+    assert len(read(body(FULL, "SUB(I)") + sub, COUNTERS_DAT).motions) == 3
     with pytest.raises(ProgramError, match="its bounds are not known"):
-        read(body(FULL, statement, "SUB(I)") + sub, DATA)
+        read(body(FULL, statement, "SUB(I)") + sub, COUNTERS_DAT)
     two = "DEF TWO(n,r)\r\nINT n\r\nREAL r\r\nr=n\r\nK=2\r\nEND\r\n"
     lines = [FULL, statement, "Z=5", "TWO(I,Z)", "LIN P[K]"]
-    assert len(read(body(*lines) + two, DATA).motions) == 2
+    assert len(read(body(*lines) + two, COUNTERS_DAT).motions) == 2
     with pytest.raises(ProgramError, match="component X is not a number"):
-        read(body(*lines, LINE_TO.format("Z")) + two, DATA)
+        read(body(*lines, LINE_TO.format("Z")) + two, COUNTERS_DAT)
 
 
 @pytest.mark.parametrize("action", ["Z=3", "SUB(Z)", "GONE(Z)"])
@@ -772,9 +773,9 @@ def test_an_action_changes_variables_of_the_routine_that_declares_it(action):
 
 def test_a_global_point_is_corrected_by_numbers_where_another_file_uses_it(tmp_path):
     files = files_of(["cut()", "LIN XG", "LIN XG"], "")
-    files["part.dat"] = DATA.replace("ENDDAT", "DECL GLOBAL E6POS XG={X 8,Y 3,Z 3,A 0,B 0,C 0}\r\nENDDAT")
+    files["part.dat"] = COUNTERS_DAT.replace("ENDDAT", "DECL GLOBAL E6POS XG={X 8,Y 3,Z 3,A 0,B 0,C 0}\r\nENDDAT")
     files["cut.src"] = "DEF cut()\nLIN XG\nEND\n"
-    program = read_files(files, tmp_path)
+    program = read_job(files, tmp_path)
     out = krl.rewrite(program, targets(program, np.arange(12.0).reshape(4, 3) * 1e-3))
     text = {document.name: document.text for document in out.documents}
     assert "LIN {X 11.0000," in text["cut.src"]
@@ -795,18 +796,18 @@ ROUNDS = ["FOR I=1 TO 100", "LIN {X 1}", "ENDFOR"]
 )
 def test_messages_behind_a_loop_name_lines_of_the_file(lines, problem):
     with pytest.raises(ProgramError) as caught:
-        read(body(FULL, *ROUNDS, *lines), DATA)
+        read(body(FULL, *ROUNDS, *lines), COUNTERS_DAT)
     assert problem in str(caught.value)
 
 
 def test_motions_that_stay_behind_a_loop_name_lines_of_the_file():
     lines = ["WHILE $IN[1]", "LIN {X 3}", "FOR I=1 TO 2", "LIN {X Q.X*I}", "ENDFOR", "ENDWHILE"]
-    program = read(body(FULL, *ROUNDS, *lines), DATA, KEEPING)
+    program = read(body(FULL, *ROUNDS, *lines), COUNTERS_DAT, KEEPING)
     assert [stays.why for stays in program.unresolved if stays.line == 11] == ["motion inside FOR (line 10)"]
 
 
 def test_an_uncalled_routine_of_a_program_with_a_loop_is_reported():
-    program = read(body(FULL, *ROUNDS) + "DEF OTHER( )\r\nLIN {X 5}\r\nEND\r\n", DATA)
+    program = read(body(FULL, *ROUNDS) + "DEF OTHER( )\r\nLIN {X 5}\r\nEND\r\n", COUNTERS_DAT)
     (issue,) = [issue for issue in program.issues if issue.kind == "uncalled-motions"]
     assert (issue.source_line, issue.subject) == (10, "OTHER")
 
@@ -815,7 +816,7 @@ def test_an_uncalled_routine_of_a_program_with_a_loop_is_reported():
 def test_motions_behind_a_return_are_left_as_they_are_and_reported(lines):
     """Whether the program calls routines or has loops makes no difference."""
     dead_lines = [FULL, "LIN P[2]"]
-    program = read(body(FULL, *lines, "RETURN", *dead_lines) + SUB, DATA)
+    program = read(body(FULL, *lines, "RETURN", *dead_lines) + SUB, COUNTERS_DAT)
     (issue,) = [issue for issue in program.issues if issue.kind == "never-reached"]
     assert (issue.source_line, issue.count) == (6 + len(lines), 2)
     assert f"RETURN (line {5 + len(lines)})" in issue.message
@@ -825,50 +826,59 @@ def test_motions_behind_a_return_are_left_as_they_are_and_reported(lines):
 
 def test_a_motion_in_front_of_a_return_in_a_loop_is_reached():
     lines = ["FOR I=1 TO 3", "IF I==2 THEN", "RETURN", "ENDIF", "LIN P[I]", "ENDFOR"]
-    assert "never-reached" not in {issue.kind for issue in read(body(FULL, *lines), DATA).issues}
+    assert "never-reached" not in {issue.kind for issue in read(body(FULL, *lines), COUNTERS_DAT).issues}
 
 
-HOME = "PTP {A1 10,A2 -80,A3 95,A4 0,A5 45,A6 0}"
 HIGH = "PTP {A1 40,A2 -80,A3 95,A4 0,A5 45,A6 0}"
 TURNED = "PTP {X 9,Y 20,Z 30,A 10,B 20,C 170,S 2,T 10}"
-FIRST, SECOND = ([f"IF $IN[{n}] THEN", HOME, f"LIN P[{n}]"] for n in (1, 2))
+FIRST, SECOND = ([f"IF $IN[{n}] THEN", TURNED_HOME, f"LIN P[{n}]"] for n in (1, 2))
 SELECTED = {
-    "jobs that end at home": [*FIRST, HOME, "ENDIF", *SECOND, HOME, "ENDIF", HOME],
-    "jobs that end elsewhere": [*FIRST, "ENDIF", *SECOND, "ENDIF", HOME, "LIN P[2]"],
-    "jobs within jobs": [*FIRST, "ELSE", *SECOND, "ENDIF", "ENDIF", HOME, "LIN P[2]"],
-    "a switch": ["SWITCH $ANIN[1]", "CASE 1", *FIRST[1:], "CASE 2", *SECOND[1:], "DEFAULT", HOME, "ENDSWITCH", HOME],
-    "a detour by joint angles": [HOME, "IF $IN[1] THEN", HIGH, HOME, "ENDIF", "LIN P[1]"],
-    "home before the end": ["IF $IN[1] THEN", HOME, "ENDIF", HOME, "LIN P[2]"],
-    "rounds": ["FOR I=1 TO 2", "IF $IN[1] THEN", HOME, "LIN P[I]", "ENDIF", HOME, "ENDFOR", "LIN P[1]"],
+    "jobs that end at home": [*FIRST, TURNED_HOME, "ENDIF", *SECOND, TURNED_HOME, "ENDIF", TURNED_HOME],
+    "jobs that end elsewhere": [*FIRST, "ENDIF", *SECOND, "ENDIF", TURNED_HOME, "LIN P[2]"],
+    "jobs within jobs": [*FIRST, "ELSE", *SECOND, "ENDIF", "ENDIF", TURNED_HOME, "LIN P[2]"],
+    "a switch": [
+        "SWITCH $ANIN[1]",
+        "CASE 1",
+        *FIRST[1:],
+        "CASE 2",
+        *SECOND[1:],
+        "DEFAULT",
+        TURNED_HOME,
+        "ENDSWITCH",
+        TURNED_HOME,
+    ],
+    "a detour by joint angles": [TURNED_HOME, "IF $IN[1] THEN", HIGH, TURNED_HOME, "ENDIF", "LIN P[1]"],
+    "home before the end": ["IF $IN[1] THEN", TURNED_HOME, "ENDIF", TURNED_HOME, "LIN P[2]"],
+    "rounds": ["FOR I=1 TO 2", "IF $IN[1] THEN", TURNED_HOME, "LIN P[I]", "ENDIF", TURNED_HOME, "ENDFOR", "LIN P[1]"],
     "a PTP with S and T": [FULL, "IF $IN[1] THEN", TURNED, FULL, "ENDIF", "LIN P[1]"],
 }
 
 
 @pytest.mark.parametrize("lines", SELECTED.values(), ids=SELECTED)
 def test_branches_by_joint_angles_are_what_a_controller_makes_of_them(tmp_path, lines):
-    files = {"part.src": body(FULL, *lines, end="\n"), "part.dat": DATA}
-    program = read_files(files, tmp_path)
+    files = {"part.src": body(FULL, *lines, end="\n"), "part.dat": COUNTERS_DAT}
+    program = read_job(files, tmp_path)
     assert confirmed(program, files, tmp_path, np.random.default_rng(0)) == "branches"
 
 
 @pytest.mark.parametrize(
     "lines",
     [
-        ["IF $IN[1] THEN", HOME, "LIN P[1]", "ENDIF", "LIN P[2]", HOME],
-        ["IF $IN[1] THEN", "IF $IN[2] THEN", HOME, "ENDIF", "LIN P[1]", HOME, "ENDIF", HOME],
-        ["IF $IN[1] THEN", HOME, "ENDIF", "IF $IN[2] THEN", "LIN P[1]", "ENDIF", HOME],
-        ["LOOP", FULL, "IF $IN[1] THEN", HOME, "ENDIF", "ENDLOOP"],
+        ["IF $IN[1] THEN", TURNED_HOME, "LIN P[1]", "ENDIF", "LIN P[2]", TURNED_HOME],
+        ["IF $IN[1] THEN", "IF $IN[2] THEN", TURNED_HOME, "ENDIF", "LIN P[1]", TURNED_HOME, "ENDIF", TURNED_HOME],
+        ["IF $IN[1] THEN", TURNED_HOME, "ENDIF", "IF $IN[2] THEN", "LIN P[1]", "ENDIF", TURNED_HOME],
+        ["LOOP", FULL, "IF $IN[1] THEN", TURNED_HOME, "ENDIF", "ENDLOOP"],
     ],
 )
 def test_a_line_that_begins_in_one_of_two_places_is_refused(lines):
     with pytest.raises(ProgramError, match="end in different places"):
-        read(body(FULL, *lines), DATA)
+        read(body(FULL, *lines), COUNTERS_DAT)
 
 
 def test_the_trace_has_no_text_but_that_of_the_files():
     lines = ["FOR I=1 TO 5", "Z=I", "TRIGGER WHEN PATH=1 DELAY=0 DO $OUT[1]=TRUE", "LIN {X Z,Y 1}", "SUB(I)"]
     lines += ["IF I>2 THEN", "K=I", "ELSE", "K=0", "ENDIF", "ENDFOR"]
-    program = read(body(FULL, *lines) + SUB, DATA)
+    program = read(body(FULL, *lines) + SUB, COUNTERS_DAT)
     course = program.layout.course
     assert len(program.motions) == 11
     assert len(course.trace) > 50
@@ -883,7 +893,7 @@ def test_a_point_that_a_call_gives_is_corrected_in_the_call(literal):
     """Its numbers are in another line than its motion, and at another place in the trace than in the file."""
     lines = ["FOR I=1 TO 2", f"GO({literal})", "ENDFOR", f"  GO({literal}) ; last"]
     text = body(FULL, *lines) + "DEF GO(P:IN)\r\nDECL E6POS P\r\nLIN P\r\nEND\r\n"
-    program = read(text, DATA)
+    program = read(text, COUNTERS_DAT)
     shift = np.zeros((len(program.motions), 3))
     shift[1:] = 1e-3
     wanted = targets(program, shift)
@@ -927,4 +937,4 @@ def test_plain_lines_of_a_trace_are_those_that_a_scan_of_it_finds(lines, subs, e
         return found
 
     monkeypatch.setattr(reader, "plain_rows_of_trace", compared)
-    read((body(FULL, *lines) + subs).replace("\r\n", end), DATA)
+    read((body(FULL, *lines) + subs).replace("\r\n", end), COUNTERS_DAT)

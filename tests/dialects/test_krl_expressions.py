@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from postproc.errors import ProgramError
-from tests.attack.krl import confirmed
-from tests.attack.krl import read as read_files
+from tests.attack.krl import confirmed, read_job
 from tests.dialects.krl_programs import body, read
 
 FULL = "LIN {X 10,Y 20,Z 300,A 10,B 20,C 170}"
 OTHER = "LIN {X -30,Y 25,Z 310,A 10,B 20,C 170}"
-DATA = """DEFDAT part PUBLIC
+VALUES_DAT = """DEFDAT part PUBLIC
 DECL E6POS XP1={X 40,Y 60,Z 10,A 10,B 20,C 170}
 DECL FRAME F1={X 4,Y 6,Z 1,A 10,B 0,C 0}
 DECL BOOL FLIP=FALSE
@@ -89,8 +88,8 @@ KNOWN = {
 
 @pytest.mark.parametrize("lines", KNOWN.values(), ids=KNOWN)
 def test_what_an_expression_gives_is_what_the_controller_makes_of_it(tmp_path, lines):
-    files = {"part.src": body(FULL, *lines, OTHER, end="\n") + FUNCTIONS, "part.dat": DATA}
-    program = read_files(files, tmp_path)
+    files = {"part.src": body(FULL, *lines, OTHER, end="\n") + FUNCTIONS, "part.dat": VALUES_DAT}
+    program = read_job(files, tmp_path)
     assert confirmed(program, files, tmp_path, np.random.default_rng(0)) == "accepted"
 
 
@@ -109,7 +108,7 @@ UNKNOWN = {
 @pytest.mark.parametrize(("lines", "problem"), UNKNOWN.values(), ids=UNKNOWN)
 def test_what_no_source_states_is_refused(lines, problem):
     with pytest.raises(ProgramError, match=problem):
-        read(body(FULL, *lines), DATA)
+        read(body(FULL, *lines), VALUES_DAT)
 
 
 CHANGING = {
@@ -123,10 +122,10 @@ CHANGING = {
 @pytest.mark.parametrize("function", CHANGING.values(), ids=CHANGING)
 def test_a_function_that_changes_something_or_is_not_known_does_not_decide(function):
     with pytest.raises(ProgramError, match=r"condition|different places"):
-        read(body(FULL, "IF ASKED(K) THEN", OTHER, "ENDIF", FULL + " C_DIS") + function, DATA)
+        read(body(FULL, "IF ASKED(K) THEN", OTHER, "ENDIF", FULL + " C_DIS") + function, VALUES_DAT)
 
 
 def test_an_aggregate_keeps_the_values_that_its_components_had():
-    data = DATA.replace("ENDDAT", "STRUC PT INT M,FRAME F\nDECL PT S\nENDDAT")
+    data = VALUES_DAT.replace("ENDDAT", "STRUC PT INT M,FRAME F\nDECL PT S\nENDDAT")
     program = read(body("K=4", "S={M 1,F {X K,Y 2,Z 3,A 0,B 0,C 0}}", "K=9", "LIN S.F"), data)
     assert program.layout.numbers[0, 0] == 4.0

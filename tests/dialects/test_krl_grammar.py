@@ -77,7 +77,7 @@ DECL REAL a,b,list[]
 RETURN (a+b)/2
 ENDFCT
 """
-DATA = """DEFDAT part PUBLIC
+DECLARATIONS_DAT = """DEFDAT part PUBLIC
 DECL GLOBAL STRUC PT INT N,FRAME FCNC,CHAR NAME[8]
 ENUM COLOUR RED,GREEN
 DECL E6POS XP1={X 1,Y 2,Z 3,A 0,B 0,C 0,S 2,T 10,E1 0.0}
@@ -100,7 +100,7 @@ def refusal(name, text):
 def test_all_that_the_language_has_is_taken():
     for end in ("\n", "\r\n", "\r\r\n"):
         check("part.src", SOURCE.replace("\n", end))
-        check("PART.dat", DATA.replace("\n", end))
+        check("PART.dat", DECLARATIONS_DAT.replace("\n", end))
     check("part.src", SOURCE.lower())
 
 
@@ -198,7 +198,7 @@ def test_a_planted_error_in_a_program_is_refused_in_its_line(text, planted, said
 
 @pytest.mark.parametrize(("text", "planted", "said"), PLANTED_DATA)
 def test_a_planted_error_in_a_data_list_is_refused(text, planted, said):
-    assert said in refusal("part.dat", DATA.replace(text, planted, 1))
+    assert said in refusal("part.dat", DECLARATIONS_DAT.replace(text, planted, 1))
 
 
 def test_not_binds_first_and_comparisons_last_and_the_geometric_operator_before_arithmetic():

@@ -9,7 +9,7 @@ import pytest
 from postproc.errors import ProgramError
 from tests.attack import krl as attack
 
-DATA = "\n".join(
+STRUCTURES_DAT = "\n".join(
     [
         "DEFDAT part",
         "STRUC INNER FRAME F,INT N",
@@ -39,10 +39,10 @@ def array(head, *body):
     return ["CUT(P[])", "LIN P[2]", "END", head, "DECL E6POS Q[]", *body]
 
 
-def read(lines, folder, *, keep=False):
+def read_lines(lines, folder, *, keep=False):
     text = "\n".join(["DEF part( )", "BAS(#INITMOV,0)", START, *lines, "END", ""])
-    files = {"part.src": text, "part.dat": DATA}
-    return attack.read(files, folder, keep=keep), files
+    files = {"part.src": text, "part.dat": STRUCTURES_DAT}
+    return attack.read_job(files, folder, keep=keep), files
 
 
 BACK = ["AGAIN:", to("I*5"), "I=I+1", "IF I<4 THEN", "GOTO AGAIN", "ENDIF", to(8)]
@@ -76,7 +76,7 @@ PROGRAMS = {
 
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_is_read_and_written_as_a_controller_executes_it(name, tmp_path):
-    program, files = read(PROGRAMS[name], tmp_path)
+    program, files = read_lines(PROGRAMS[name], tmp_path)
     rng = np.random.default_rng(1)
     assert attack.confirmed(program, files, tmp_path, rng, checked=False) == "accepted"
 
@@ -124,7 +124,7 @@ REFUSED = {
 @pytest.mark.parametrize("problem", REFUSED)
 def test_what_is_not_known_is_refused(problem, tmp_path):
     with pytest.raises(ProgramError, match=problem):
-        read(REFUSED[problem], tmp_path)
+        read_lines(REFUSED[problem], tmp_path)
 
 
 def test_a_loop_by_goto_that_is_not_followed_is_not_taken_for_one_round(tmp_path):
@@ -142,4 +142,4 @@ def test_a_loop_by_goto_that_is_not_followed_is_not_taken_for_one_round(tmp_path
         "ENDIF",
     ]
     with pytest.raises(ProgramError, match="precedes GOTO"):
-        read(lines, tmp_path, keep=True)
+        read_lines(lines, tmp_path, keep=True)

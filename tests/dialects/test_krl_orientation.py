@@ -276,7 +276,7 @@ def test_a_motion_that_is_superposed_on_the_path_is_refused(name):
 # --- writing -----------------------------------------------------------------------------------------------------
 
 
-def corrected(lines, turned=(), raised=(), data=None, pieces=None, end="\r\n"):
+def rewritten_lines(lines, turned=(), raised=(), data=None, pieces=None, end="\r\n"):
     """Lines of a program in which some motions are turned by 0.05° and raised by 1 mm, checked by reading."""
     program = read(body(*lines, end=end), data)
     count = len(program.motions)
@@ -293,7 +293,7 @@ def corrected(lines, turned=(), raised=(), data=None, pieces=None, end="\r\n"):
 
 def test_corrected_motions_are_freed_and_the_one_behind_them_comes_back():
     lines = ("  $ORI_TYPE=#CONSTANT", *(f"  LIN {{X {x},Y 2,Z 3,A 10,B 20,C 170}} C_DIS" for x in range(1, 7)))
-    (src,) = corrected((FULL, *lines), turned=(2, 3))
+    (src,) = rewritten_lines((FULL, *lines), turned=(2, 3))
     assert [line.split("{")[0].strip() for line in src[4:14]] == [
         "$ORI_TYPE=#CONSTANT",
         "LIN",
@@ -311,7 +311,7 @@ def test_corrected_motions_are_freed_and_the_one_behind_them_comes_back():
 
 
 def test_a_target_whose_angles_were_ignored_gets_the_ones_that_were_meant():
-    (src,) = corrected((FULL, "$ORI_TYPE=#CONSTANT", "LIN {X 5,A 80}", "lin {x 9,a 44}"), turned=(1,))
+    (src,) = rewritten_lines((FULL, "$ORI_TYPE=#CONSTANT", "LIN {X 5,A 80}", "lin {x 9,a 44}"), turned=(1,))
     assert src[7] == "lin {x 9,a 10.00000,b 20.00000,c 170.00000}"
 
 
@@ -319,18 +319,18 @@ def test_a_target_whose_angles_were_ignored_gets_the_ones_that_were_meant():
 def test_an_orientation_that_stays_is_freed_to_be_corrected(kind):
     still = [f"LIN {{X {x},Y 2,Z 3,A 10,B 20,C 170}}" for x in range(5)]
     lines = (still[0], f"$ORI_TYPE={kind}", *still[1:4], f"S{still[4]}", "$ORI_TYPE=#VAR", FULL)
-    (src,) = corrected(lines, turned=(2,))
+    (src,) = rewritten_lines(lines, turned=(2,))
     around = ["LIN", "$ORI_TYPE=#VAR", "LIN", "LIN", f"$ORI_TYPE={kind}"]
     if kind == "#IGNORE":  # the controller chooses the orientation at its target, where the next one starts
         around = [around[1], around[0], *around[2:]]
     assert [line.split("{")[0].strip() for line in src[5:10]] == around
-    (src,) = corrected(lines, turned=(4,))
+    (src,) = rewritten_lines(lines, turned=(4,))
     assert next(line for line in src if line.startswith("SLIN")).endswith("} WITH $ORI_TYPE=#VAR")
     assert ("$ORI_TYPE=#VAR" in src[:8]) == (kind == "#IGNORE")
 
 
 def test_a_position_alone_is_corrected_without_freeing():
-    (src,) = corrected((FULL, "$ORI_TYPE=#CONSTANT", "LIN {X 5,A 80}", "LIN {X 9}"), raised=(1, 2))
+    (src,) = rewritten_lines((FULL, "$ORI_TYPE=#CONSTANT", "LIN {X 5,A 80}", "LIN {X 9}"), raised=(1, 2))
     assert not any("#VAR" in line for line in src)
 
 
@@ -345,7 +345,7 @@ def test_spline_motions_are_freed_by_with():
         "ENDSPLINE",
     )
     data = "DEFDAT part\nDECL LDAT LCPDAT1={VEL 2.0,ACC 100.0,ORI_TYP #CONSTANT,CIRC_TYP #PATH}\nENDDAT\n"
-    src, _ = corrected((FULL, *lines), turned=(1, 2, 5), raised=(1, 2), data=data, pieces={1: [0.5]})
+    src, _ = rewritten_lines((FULL, *lines), turned=(1, 2, 5), raised=(1, 2), data=data, pieces={1: [0.5]})
     assert src[5].endswith("} WITH $ORI_TYPE=#VAR")
     assert src[6].endswith("} WITH $ORI_TYPE=#VAR")
     assert src[7].endswith("} WITH $ORI_TYPE=#VAR,$VEL.CP=0.1")
@@ -358,7 +358,7 @@ def test_spline_motions_are_freed_by_with():
 def test_named_relative_and_divided_motions_are_freed(end):
     data = "DEFDAT part\nDECL E6POS XP1={X 5,Y 0,Z 0,A 1,B 2,C 3,S 2,T 10}\nENDDAT\n"
     lines = (FULL, "$ORI_TYPE=#CONSTANT", "LIN XP1 C_DIS", ";FORCE OFF", "LIN_REL {Y 30}", "CIRC {X 9,Y 40},{X 5,Y 50}")
-    corrected(lines, turned=(1, 2, 3), raised=(1,), data=data, pieces={2: [0.3, 0.6], 3: [0.5]}, end=end)
+    rewritten_lines(lines, turned=(1, 2, 3), raised=(1,), data=data, pieces={2: [0.3, 0.6], 3: [0.5]}, end=end)
 
 
 def test_a_loop_of_corrected_rounds_stays_a_loop():
@@ -426,7 +426,9 @@ IGNORED = f"{MODE}=#IGNORE"
 @pytest.mark.parametrize("pieces", [None, {1: [0.3, 0.6, 0.9]}])
 def test_an_auxiliary_orientation_does_not_lead_a_corrected_circle_elsewhere(auxiliary, end, behind, written, pieces):
     data = "DEFDAT part\nDECL LDAT L={VEL 2.0,CB {AUX_PT {ORI #INTERPOLATE}}}\nENDDAT\n"
-    src, _ = corrected((BEFORE, ROUND % (auxiliary, end) + behind), turned=(1,), raised=(1,), data=data, pieces=pieces)
+    src, _ = rewritten_lines(
+        (BEFORE, ROUND % (auxiliary, end) + behind), turned=(1,), raised=(1,), data=data, pieces=pieces
+    )
     arcs = [line for line in src if line.startswith("SCIRC")]
     assert len(arcs) == (1 if pieces is None else 4)
     tails = [line.partition("},{")[2].partition("}")[2] for line in arcs]
@@ -435,9 +437,9 @@ def test_an_auxiliary_orientation_does_not_lead_a_corrected_circle_elsewhere(aux
 
 
 def test_a_circle_whose_start_is_corrected_does_not_heed_its_auxiliary_orientation():
-    (src,) = corrected((BEFORE, ROUND % (",A 100,B 0,C 180", 0)), turned=(0,))
+    (src,) = rewritten_lines((BEFORE, ROUND % (",A 100,B 0,C 180", 0)), turned=(0,))
     assert src[4].endswith(f"}} WITH {IGNORED}")
-    (src,) = corrected((BEFORE, "LIN {X 5}", "LIN {X 0}", ROUND % (",A 100,B 0,C 180", 0)), turned=(1,))
+    (src,) = rewritten_lines((BEFORE, "LIN {X 5}", "LIN {X 0}", ROUND % (",A 100,B 0,C 180", 0)), turned=(1,))
     assert src[6] == ROUND % (",A 100,B 0,C 180", 0)
 
 

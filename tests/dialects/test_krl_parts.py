@@ -24,7 +24,7 @@ from tests.dialects.test_krl_emit import milling
 from tests.dialects.test_krl_emit import targets as emitted_targets
 from tests.oracle.arm import abc
 
-DATA = "\r\n".join(
+TWO_POINTS_DAT = "\r\n".join(
     [
         "&ACCESS RVP",
         "DEFDAT part",
@@ -46,7 +46,7 @@ def long(count=40, tail=" C_DIS"):
     return body("PTP XP1", *(line(x, tail) for x in range(count)), "LIN XP2")
 
 
-def divided(source, limit, data=DATA):
+def divided(source, limit, data=TWO_POINTS_DAT):
     """The files that a program becomes when nothing in it changes."""
     program = read(source, data)
     wanted = targets(program, keep=True)
@@ -60,10 +60,10 @@ def back(written):
 
 def executed(documents, name):
     """The motions that an independent interpreter makes of a program and of all that it calls."""
-    return run({document.name: document.text for document in documents}, name, 0)
+    return execute({document.name: document.text for document in documents}, name, 0)
 
 
-def run(files, name, seed):
+def execute(files, name, seed):
     frames = {"BASE_DATA": {**attack.FRAMES, 0: (0,) * 6}, "TOOL_DATA": {**attack.TOOLS, 0: (0,) * 6}}
     data = {k: {n: dict(zip("XYZABC", map(float, v), strict=True)) for n, v in d.items()} for k, d in frames.items()}
     base, tool = CELL.base, CELL.tool
@@ -128,7 +128,7 @@ def test_a_program_that_is_short_enough_stays_in_one_file():
 
 
 def test_corrected_targets_and_their_lines():
-    program = read(long(), DATA)
+    program = read(long(), TWO_POINTS_DAT)
     wanted = targets(program, np.full((42, 3), 1e-4), pieces={5: [0.5], 20: [0.25, 0.5]})
     written = split_files("part", program.documents, krl.rewrite(program, wanted), 17)
     again = back(written)
@@ -259,12 +259,12 @@ def in_some_files(limit=13, name="part", source=OWN, data=OWN_DATA):
 @pytest.mark.parametrize("limit", [13, 16, 20])
 def test_a_program_with_routines_variables_and_interrupts_of_its_own_moves_as_before_in_files(limit):
     files = {"part.src": OWN, "part.dat": OWN_DATA}
-    one = seen(run(files, "PART", 0))
+    one = seen(execute(files, "PART", 0))
     written = in_some_files(limit)
     assert len(one) == 11
     for chance in range(5):
-        two = run({document.name: document.text for document in written.documents}, "PARTMAIN", chance)
-        assert seen(two) == seen(run(files, "PART", chance))
+        two = execute({document.name: document.text for document in written.documents}, "PARTMAIN", chance)
+        assert seen(two) == seen(execute(files, "PART", chance))
     again = back(written)
     np.testing.assert_array_equal(numbers(again), numbers(read(OWN, OWN_DATA)))
     sources = [document.text for document in written.documents if document.name.endswith(".src")]
@@ -319,8 +319,8 @@ def test_long_names_stay_valid_and_different():
     found = re.findall(r"GLOBAL (?:DEF\w*|INT)(?: REAL)? (\w+)", "".join(d.text for d in written.documents))
     assert len(found) == len({one.upper() for one in found}) >= 5
     assert all(len(one) <= 24 and one.startswith(name[:20]) for one in found)
-    done = run({document.name: document.text for document in written.documents}, f"{name[:20]}Main".upper(), 0)
-    assert seen(done) == seen(run({"part.src": OWN, "part.dat": OWN_DATA}, "PART", 0))
+    done = execute({document.name: document.text for document in written.documents}, f"{name[:20]}Main".upper(), 0)
+    assert seen(done) == seen(execute({"part.src": OWN, "part.dat": OWN_DATA}, "PART", 0))
 
 
 def test_names_of_other_programs_are_not_taken():
@@ -346,7 +346,7 @@ def test_a_program_in_files_with_routines_of_its_own_is_corrected_in_its_files()
     assert names[0] == names[1]
     np.testing.assert_allclose(back(new).motions.target, wanted.pose, atol=1e-7)
     assert any("GLOBAL DEF part_cut_2(" in document.text for document in new.documents)  # a copy for another call
-    done = run({document.name: document.text for document in new.documents}, "PARTMAIN", 0)
+    done = execute({document.name: document.text for document in new.documents}, "PARTMAIN", 0)
     np.testing.assert_allclose([m.numbers[:3] for m in done], wanted.pose[:, :3, 3] * 1e3, atol=2e-4)
 
 
@@ -367,8 +367,8 @@ def test_a_main_routine_that_only_calls_is_divided_too():
     texts = [document.text for document in written.documents if document.name.endswith(".src")]
     assert "part_op" not in texts[0]
     assert len(texts) > 5
-    assert seen(run({d.name: d.text for d in written.documents}, "PARTMAIN", 0)) == seen(
-        run({"part.src": source}, "PART", 0)
+    assert seen(execute({d.name: d.text for d in written.documents}, "PARTMAIN", 0)) == seen(
+        execute({"part.src": source}, "PART", 0)
     )
 
 
@@ -390,7 +390,7 @@ def test_a_routine_longer_than_a_file_is_told_and_not_cut():
     ],
 )
 def test_what_would_mean_something_else_in_several_files_is_refused(lines, says):
-    data = DATA.replace("ENDDAT", "STRUC KIND INT A\r\nDECL KIND S={A 1}\r\nENDDAT")
+    data = TWO_POINTS_DAT.replace("ENDDAT", "STRUC KIND INT A\r\nDECL KIND S={A 1}\r\nENDDAT")
     documents = decode("part.src", body("DECL INT I", *lines).encode()), decode("part.dat", data.encode())
     written = WrittenProgram(documents, np.zeros(0, dtype=np.int64), "krl")
     if "not cut" in says:
@@ -413,7 +413,7 @@ def test_a_missing_part_and_a_fault_in_a_part_name_the_file():
 
 
 def test_names_are_valid_and_used_for_nothing_else():
-    program = read(body(*map(line, range(60)), "part3( )"), DATA)
+    program = read(body(*map(line, range(60)), "part3( )"), TWO_POINTS_DAT)
     written = split_files("a" * 24, program.documents, krl.rewrite(program, targets(program, keep=True)), 20)
     assert {len(d.name) for d in written.documents if d.name.endswith(".src")} <= set(range(20, 29))
     written = split_files("part", program.documents, krl.rewrite(program, targets(program, keep=True)), 20)
@@ -434,8 +434,8 @@ def test_renamed_files_with_routines_of_their_own_have_global_names_of_the_new_n
     assert not re.search(r"(?i)\bpart(\d|_|Main)", "".join(document.text for document in new))
     name = new[0].name.removesuffix(".src")
     assert name == "a_much_longer_name_tMain"
-    assert seen(run({d.name: d.text for d in new}, name.upper(), 0)) == seen(
-        run({"part.src": OWN, "part.dat": OWN_DATA}, "PART", 0)
+    assert seen(execute({d.name: d.text for d in new}, name.upper(), 0)) == seen(
+        execute({"part.src": OWN, "part.dat": OWN_DATA}, "PART", 0)
     )
 
 
@@ -471,11 +471,11 @@ def test_random_programs_make_the_same_motions_in_files(seed, tmp_path):
     others = {name: text for name, text in files.items() if name not in ("part.src", "part.dat")}
     for chance in range(3):
         try:
-            one = run(files, "PART", chance)
+            one = execute(files, "PART", chance)
         except Invalid:
             continue
         new = others | {document.name: document.text for document in written.documents}
-        assert seen(run(new, written.documents[0].name.split(".")[0].upper(), chance)) == seen(one)
+        assert seen(execute(new, written.documents[0].name.split(".")[0].upper(), chance)) == seen(one)
 
 
 def test_data_of_the_controller_in_a_data_list_of_the_program_keep_their_name(tmp_path):
@@ -490,7 +490,7 @@ def test_data_of_the_controller_in_a_data_list_of_the_program_keep_their_name(tm
         "part.src": f"{text}\nEND\n",
         "part.dat": "DEFDAT part\nBASE_DATA[7]={X 11,Y 2,Z 3,A 40,B 5,C 6}\nENDDAT\n",
     }
-    program = attack.read(files, tmp_path)
+    program = attack.read_job(files, tmp_path)
     cell = attack.cell(tmp_path)
     written = attack.divided(program, attack.moved(program, np.random.default_rng(0)), 12, cell)
     assert len(written.documents) > 3

@@ -16,7 +16,7 @@ PLAIN = (
 )
 BEHIND = ("DEF STEPPED(K:IN)", "DECL INT K", "LIN {X K,Y 2,Z 3,A 4,B 5,C 6}", "LIN {X 1,Y 2,Z 3,A 4,B 5,C 6}", "END")
 """A routine that both call, below the main one."""
-DATA = """DEFDAT part PUBLIC
+LOOP_DAT = """DEFDAT part PUBLIC
 DECL INT ROUNDS=0
 DECL INT I=1
 DECL REAL V=0.5
@@ -112,7 +112,7 @@ def messages(first, lines, *, keep):
     text = "\n".join(["DEF part()", "BAS(#INITMOV,0)", HERE, *first, *lines, "END", *BEHIND, *MOVER, *SETTER, *FUNCTION,
                       *JUMPER, ""])  # fmt: skip
     try:
-        program = read(text, DATA, replace(CELL, krl=Krl(initmov="cell", keep_unresolved=keep)))
+        program = read(text, LOOP_DAT, replace(CELL, krl=Krl(initmov="cell", keep_unresolved=keep)))
     except PostprocError as cause:
         return [(error.problem, error.advice, error.line, error.text) for error in (cause, *cause.further_errors)]
     unfollowed = [(call.line, str(call.error)) for call in program.unfollowed]

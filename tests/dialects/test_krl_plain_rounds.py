@@ -10,9 +10,9 @@ from postproc.errors import PostprocError
 from postproc.program import PTP
 from tests.dialects.krl_programs import CELL, body, forward, read, targets
 from tests.effort import calls_for_each
+from tests.krl_texts import HOME
 
 KEEPING = replace(CELL, krl=replace(CELL.krl, keep_unresolved=True))
-START = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
 LOOP = ("FOR I=1 TO 4", "LIN P[I] C_DIS", "ENDFOR")
 TRIGGER = "TRIGGER WHEN DISTANCE=1 DELAY=0 DO $OUT[2]=TRUE"
 POINTS = [
@@ -156,7 +156,7 @@ def data(form, declared="DECL E6POS"):
 def outcome(lines, points, cell):
     """What is read, and what is written for some changes; or the message."""
     try:
-        program = read(body(START, *lines) + SUB, points, cell)
+        program = read(body(HOME, *lines) + SUB, points, cell)
     except PostprocError as error:
         return str(error)
     m = program.motions
@@ -217,7 +217,7 @@ def test_rounds_taken_at_once_mean_what_they_mean_one_by_one(lines, points, cell
 
 
 def test_points_of_a_loop_are_corrected_where_they_are():
-    program = read(body(START, *LOOP), data(POINTS[0]))
+    program = read(body(HOME, *LOOP), data(POINTS[0]))
     assert not program.layout.statements.keys() & {1, 2, 3, 4}
     shift = np.arange(len(program.motions))[:, None] * np.array([1e-3, 0, 0])
     source, written = krl.rewrite(program, targets(program, shift)).documents
@@ -246,7 +246,7 @@ def test_a_round_costs_no_more_calls_than_a_plain_line_a_few_times_over(lines, m
         speeds = "".join(f"V[{n}]=0.{n % 7 + 1}\r\n" for n in range(1, count + 1) if "$VEL.CP=V[I]" in lines)
         names = f"DECL INT I=1\r\nDECL REAL V[{count}]\r\n{speeds}DECL E6POS P[{count + 1}]\r\n"
         text = f"DEFDAT part\r\n{names}{points}ENDDAT\r\n"
-        source = body(START, f"FOR I=1 TO {count}", *lines, "ENDFOR")
+        source = body(HOME, f"FOR I=1 TO {count}", *lines, "ENDFOR")
         program = read(source, text)
         moved = targets(program, np.full((len(program.motions), 3), 1e-3))
 

@@ -10,12 +10,11 @@ import pytest
 from postproc.dialects import krl
 from postproc.dialects.krl.read import flow, main_routine
 from postproc.errors import PostprocError
-from tests.attack.krl import MOST_STEPS, moved
-from tests.attack.krl import read as read_files
+from tests.attack.krl import MOST_STEPS, moved, read_job
 from tests.attack.krl_generator import Generator
 from tests.attack.krl_snippets import Snippets
 from tests.attack.krl_states import States
-from tests.benchmarks.krl_bodies import BODIES, corrected, files, read
+from tests.benchmarks.krl_bodies import BODIES, corrected_targets, files, read
 
 _COURSE = main_routine._course
 
@@ -66,7 +65,7 @@ def written_with(seed):
 @pytest.mark.parametrize("name", BODIES)
 def test_bodies_are_read_the_same_in_one_run(name):
     texts = files(name, 200)
-    single, double, _ = both(lambda: read(texts), lambda program: krl.rewrite(program, corrected(program)))
+    single, double, _ = both(lambda: read(texts), lambda program: krl.rewrite(program, corrected_targets(program)))
     assert single == double
 
 
@@ -74,7 +73,7 @@ def test_bodies_are_read_the_same_in_one_run(name):
 def test_calls_and_conditions_need_one_run_only(name):
     """Bodies that are read as columns need none."""
     texts = files(name, 20)
-    assert both(lambda: read(texts), lambda program: krl.rewrite(program, corrected(program)))[2]
+    assert both(lambda: read(texts), lambda program: krl.rewrite(program, corrected_targets(program)))[2]
 
 
 @pytest.mark.parametrize("kind", ["mixed", "harder", "states", "snippets"])
@@ -90,7 +89,7 @@ def test_random_programs_are_read_the_same_in_one_run(kind):
         limits = patch.multiple(flow, MOST_TRACED=MOST_STEPS, MOST_STATEMENTS=MOST_STEPS)
         with limits, tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            single, double, is_single = both(lambda: read_files(texts, folder), written_with(seed))  # noqa: B023
+            single, double, is_single = both(lambda: read_job(texts, folder), written_with(seed))  # noqa: B023
         assert single == double, seed
         single_runs += is_single
     assert single_runs > 0

@@ -7,8 +7,8 @@ from msgspec.structs import replace
 from postproc.dialects import krl
 from postproc.errors import ProgramError
 from tests.dialects.krl_programs import CELL, forward, numbers, read, targets
+from tests.krl_texts import TURNED_HOME
 
-HOME = "PTP {A1 10,A2 -80,A3 95,A4 0,A5 45,A6 0}"
 FAULT = ["IF $IN[1] THEN", "$OUT[1]=TRUE", "GOTO FAULT", "ENDIF"]
 
 
@@ -17,7 +17,7 @@ def line(x):
 
 
 def job(*lines, subs=""):
-    return "\n".join(["DEF part()", "BAS(#INITMOV,0)", HOME, *lines, "END", ""]) + subs
+    return "\n".join(["DEF part()", "BAS(#INITMOV,0)", TURNED_HOME, *lines, "END", ""]) + subs
 
 
 def called(*lines):
@@ -25,19 +25,28 @@ def called(*lines):
 
 
 ENDS = {
-    "goto before joint angles": (job(line(1), *FAULT, line(2), HOME, line(3), "FAULT:", HOME, line(4)), [1, 2, 3, 4]),
+    "goto before joint angles": (
+        job(line(1), *FAULT, line(2), TURNED_HOME, line(3), "FAULT:", TURNED_HOME, line(4)),
+        [1, 2, 3, 4],
+    ),
     "goto the end": (job(line(1), *FAULT, line(2), line(3), "FAULT:"), [1, 2, 3]),
-    "joint angles on the way": (job(line(1), *FAULT, line(2), HOME, line(1), "FAULT:", line(4)), [1, 2, 1, 4]),
-    "two gotos": (job(line(1), *FAULT, line(2), *FAULT, line(3), "FAULT:", HOME), [1, 2, 3]),
+    "joint angles on the way": (job(line(1), *FAULT, line(2), TURNED_HOME, line(1), "FAULT:", line(4)), [1, 2, 1, 4]),
+    "two gotos": (job(line(1), *FAULT, line(2), *FAULT, line(3), "FAULT:", TURNED_HOME), [1, 2, 3]),
     "goto where both meet": (job(line(1), *FAULT, line(2), line(1), "FAULT:", line(4)), [1, 2, 1, 4]),
-    "moving on a fault": (job(line(1), FAULT[0], line(9), *FAULT[2:], line(2), "FAULT:", HOME, line(4)), [1, 9, 2, 4]),
-    "return": (job("SUB()", HOME, line(4), subs=called(line(1), *FAULT[:2], "RETURN", "ENDIF", line(2))), [1, 2, 4]),
+    "moving on a fault": (
+        job(line(1), FAULT[0], line(9), *FAULT[2:], line(2), "FAULT:", TURNED_HOME, line(4)),
+        [1, 9, 2, 4],
+    ),
+    "return": (
+        job("SUB()", TURNED_HOME, line(4), subs=called(line(1), *FAULT[:2], "RETURN", "ENDIF", line(2))),
+        [1, 2, 4],
+    ),
     "return where both meet": (
         job("SUB()", line(4), subs=called(line(1), FAULT[0], "RETURN", "ENDIF", line(2), line(1))),
         [1, 2, 1, 4],
     ),
     "two returns": (
-        job("SUB()", HOME, subs=called(line(1), *([FAULT[0], "RETURN", "ENDIF", line(2)] * 2))),
+        job("SUB()", TURNED_HOME, subs=called(line(1), *([FAULT[0], "RETURN", "ENDIF", line(2)] * 2))),
         [1, 2, 2],
     ),
 }
@@ -59,7 +68,7 @@ def test_what_is_skipped_on_an_unknown_condition_is_a_branch(name):
 
 
 def test_what_follows_a_skipped_part_begins_where_its_branch_begins():
-    program = read(job(line(1), FAULT[0], line(9), *FAULT[2:], line(2), "FAULT:", HOME, line(4)))
+    program = read(job(line(1), FAULT[0], line(9), *FAULT[2:], line(2), "FAULT:", TURNED_HOME, line(4)))
     assert program.after.tolist() == [-1, 0, 1, 1, 2, 4]
     assert program.joins == ()
 
@@ -74,15 +83,29 @@ def test_what_follows_a_skipped_part_begins_where_its_branch_begins():
             job(line(1), *FAULT, line(2), "PTP {X 5,Y 5,Z 9,A 10,B 20,C 170}", line(1), "FAULT:", line(4)),
             "a PTP to X, Y, Z without S and T is inside a branch",
         ),
-        (job(line(1), *FAULT, "LOOP", line(2), "EXIT", "FAULT:", "ENDLOOP", HOME), "GOTO"),
+        (job(line(1), *FAULT, "LOOP", line(2), "EXIT", "FAULT:", "ENDLOOP", TURNED_HOME), "GOTO"),
         (
-            job(line(1), *FAULT, "IF $IN[2] THEN", "GOTO OTHER", "ENDIF", line(2), "FAULT:", HOME, "OTHER:", HOME),
+            job(
+                line(1),
+                *FAULT,
+                "IF $IN[2] THEN",
+                "GOTO OTHER",
+                "ENDIF",
+                line(2),
+                "FAULT:",
+                TURNED_HOME,
+                "OTHER:",
+                TURNED_HOME,
+            ),
             "GOTO",
         ),
         (job(line(1), "AGAIN:", *FAULT[:2], "GOTO AGAIN", "ENDIF", line(2)), "GOTO"),
-        (job(line(1), *FAULT, "$BASE=BASE_DATA[3]", line(2), "FAULT:", HOME, line(4)), "differs behind the branches"),
         (
-            job(line(1), "; FORCE FX=9", *FAULT, "; FORCE FX=5", line(2), "FAULT:", HOME, line(4)),
+            job(line(1), *FAULT, "$BASE=BASE_DATA[3]", line(2), "FAULT:", TURNED_HOME, line(4)),
+            "differs behind the branches",
+        ),
+        (
+            job(line(1), "; FORCE FX=9", *FAULT, "; FORCE FX=5", line(2), "FAULT:", TURNED_HOME, line(4)),
             "which force acts is not known",
         ),
     ],
@@ -97,4 +120,4 @@ def test_a_linear_axis_must_not_differ_behind_a_skipped_part():
 
     cell = replace(CELL, external_axes={"E1": ExternalAxis((0.0, 1.0, 0.0))})
     with pytest.raises(ProgramError):
-        read(job(line(1), *FAULT, line(2), "FAULT:", HOME), cell=cell)
+        read(job(line(1), *FAULT, line(2), "FAULT:", TURNED_HOME), cell=cell)

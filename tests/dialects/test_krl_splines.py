@@ -6,29 +6,26 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc import correction
-from postproc import robot as robots
-from postproc.cell import load
 from postproc.dialects import krl
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, ProgramError
 from postproc.program import LIN, PTP, SPL
-from tests.corrections import read_files
+from tests.cells import sample
+from tests.corrections import process_files
 from tests.dialects.krl_programs import CELL, body, forward, numbers, read, read_documents, targets
-from tests.places import CELL_FILE, SAMPLES
+from tests.krl_texts import FRAMES_AND_SPEED
 
-HEAD = ("$BASE={X 1500,Y -200,Z 700,A 0,B 0,C 0}", "$TOOL={X 0,Y 0,Z 350,A 0,B 0,C 0}", "$VEL.CP=0.05")
 START = "LIN {X 0,Y 0,Z 0,A 0,B 0,C 180}"
 FORCE = ";FORCE FX=-110 FY=190 FZ=130"
 
 
 def block(*lines, head="SPLINE", end="ENDSPLINE"):
-    return body(*HEAD, START, head, *lines, end, "LIN {Z 30}")
+    return body(*FRAMES_AND_SPEED, START, head, *lines, end, "LIN {Z 30}")
 
 
 def test_slin_and_scirc_in_a_block_are_what_they_are_alone():
     pieces = ("SLIN {X 50}", "SCIRC {X 75,Y 25},{X 100,Y 0}", "SCIRC {X 75,Y -25},{X 50,Y 0},CA 270", "SLIN_REL {Y 5}")
-    one, other = read(block(*pieces)), read(body(*HEAD, START, *pieces, "LIN {Z 30}"))
+    one, other = read(block(*pieces)), read(body(*FRAMES_AND_SPEED, START, *pieces, "LIN {Z 30}"))
     np.testing.assert_array_equal(numbers(one), numbers(other))
     for name in ("kind", "feed", "sweep", "centre", "target"):
         np.testing.assert_array_equal(getattr(one.motions, name), getattr(other.motions, name))
@@ -65,7 +62,7 @@ def test_a_ptp_spline_is_a_row_of_ptp():
 def test_only_the_end_of_a_block_is_approximated():
     assert read(block("SLIN {X 50}", "SLIN {X 60}")).motions.blend.tolist() == [0] * 4
     approximated = read(
-        body(*HEAD, "$APO.CDIS=2", START, "SPLINE", "SLIN {X 50}", "SPL {X 60}", "ENDSPLINE c_spl", START)
+        body(*FRAMES_AND_SPEED, "$APO.CDIS=2", START, "SPLINE", "SLIN {X 50}", "SPL {X 60}", "ENDSPLINE c_spl", START)
     )
     assert approximated.motions.blend.tolist() == [0, 0, 0.002, 0]
 
@@ -105,7 +102,7 @@ def test_targets_inserted_into_a_block_have_no_approximation():
 @pytest.mark.parametrize("bulk", [True, False])
 def test_what_is_no_spline_block_is_refused(lines, says, bulk):
     with pytest.raises(ProgramError, match=says):
-        read(body(*HEAD, START, *lines, "LIN {Z 30}"), bulk=bulk)
+        read(body(*FRAMES_AND_SPEED, START, *lines, "LIN {Z 30}"), bulk=bulk)
 
 
 TIMED = (
@@ -145,34 +142,25 @@ def test_what_counts_from_the_end_of_a_motion_stays_before_its_last_piece():
 
 def test_a_stop_of_a_motion_that_stands_alone_is_kept():
     lines = ("STOP WHEN PATH=5 ONSTART IF $IN[1]", "SLIN {X 50} WITH $VEL.CP=0.1")
-    assert len(read(body(*HEAD, START, *lines)).motions) == 2
+    assert len(read(body(*FRAMES_AND_SPEED, START, *lines)).motions) == 2
 
 
-@pytest.fixture(scope="module")
-def cell_and_robot():
-    cell = load(CELL_FILE)
-    return cell, robots.load(robots.find(cell.robot, SAMPLES))
-
-
-def corrected(text, cell, robot):
-    program = read_files({"part.src": text}, cell, robot)
-    return correction.process(program, robot, cell)
-
-
-def test_a_block_is_corrected_as_the_same_lines_without_one(cell_and_robot):
+def test_a_block_is_corrected_as_the_same_lines_without_one():
     pieces = ("SLIN {X 50,Y 0,Z 0}", "SCIRC {X 75,Y 25},{X 100,Y 0}", "SLIN {X 400}")
-    begin = (*HEAD, FORCE, START.replace("LIN", "PTP"))
-    one = corrected(body(*begin, "SPLINE", *pieces, "ENDSPLINE"), *cell_and_robot)
-    other = corrected(body(*begin, *pieces), *cell_and_robot)
+    begin = (*FRAMES_AND_SPEED, FORCE, START.replace("LIN", "PTP"))
+    one = process_files({"part.src": body(*begin, "SPLINE", *pieces, "ENDSPLINE")})
+    other = process_files({"part.src": body(*begin, *pieces)})
     assert one.inserted > 1
     np.testing.assert_array_equal(one.printed, other.printed)
     np.testing.assert_array_equal(one.deviation_after, other.deviation_after)
 
 
-def test_targets_of_spl_are_corrected_as_those_of_lines_and_nothing_is_inserted(cell_and_robot):
-    begin = (*HEAD, FORCE, START.replace("LIN", "PTP"))
-    spl = corrected(body(*begin, "SPLINE", "SPL {X 400,Y 10}", "SPL {X 100,Y 50}", "ENDSPLINE"), *cell_and_robot)
-    lin = corrected(body(*begin, "SLIN {X 400,Y 10}", "SLIN {X 100,Y 50}"), *cell_and_robot)
+def test_targets_of_spl_are_corrected_as_those_of_lines_and_nothing_is_inserted():
+    begin = (*FRAMES_AND_SPEED, FORCE, START.replace("LIN", "PTP"))
+    spl = process_files(
+        {"part.src": body(*begin, "SPLINE", "SPL {X 400,Y 10}", "SPL {X 100,Y 50}", "ENDSPLINE")}, *sample()
+    )
+    lin = process_files({"part.src": body(*begin, "SLIN {X 400,Y 10}", "SLIN {X 100,Y 50}")})
     assert spl.inserted == 0
     ends = lin.t == 1.0
     np.testing.assert_allclose(spl.printed, lin.printed[ends], atol=1e-9)
@@ -180,17 +168,17 @@ def test_targets_of_spl_are_corrected_as_those_of_lines_and_nothing_is_inserted(
     assert lin.inserted > 0
 
 
-def test_a_block_without_forces_comes_back_byte_for_byte(cell_and_robot):
+def test_a_block_without_forces_comes_back_byte_for_byte():
     pieces = "SPL {X 9}", "SCIRC {X 75,Y 25},{X 99}", "TRIGGER WHEN PATH=0 DELAY=0 DO $OUT[1]=TRUE", "SLIN {Y 3}"
-    begin = (*HEAD, START.replace("LIN", "PTP"), "SPLINE WITH $VEL.CP=0.1")
+    begin = (*FRAMES_AND_SPEED, START.replace("LIN", "PTP"), "SPLINE WITH $VEL.CP=0.1")
     text = body(*begin, *pieces, "ENDSPLINE C_SPL", "LIN {X 0}")
-    assert corrected(text, *cell_and_robot).documents[0].text == text
+    assert process_files({"part.src": text}).documents[0].text == text
 
 
-def test_a_feed_force_on_spl_is_refused(cell_and_robot):
-    begin = (*HEAD, ";FORCE FX=100 FRAME=FEED", START.replace("LIN", "PTP"))
+def test_a_feed_force_on_spl_is_refused():
+    begin = (*FRAMES_AND_SPEED, ";FORCE FX=100 FRAME=FEED", START.replace("LIN", "PTP"))
     with pytest.raises(ForceError, match="spline, whose direction is not known"):
-        corrected(body(*begin, "SPLINE", "SPL {X 400,Y 10}", "ENDSPLINE"), *cell_and_robot)
+        process_files({"part.src": body(*begin, "SPLINE", "SPL {X 400,Y 10}", "ENDSPLINE")})
 
 
 def test_global_points_of_other_files(tmp_path):
@@ -200,7 +188,9 @@ def test_global_points_of_other_files(tmp_path):
     (tmp_path / "again.dat").write_text("DEFDAT again PUBLIC\nDECL GLOBAL E6POS XT={X 2}\nENDDAT\n")
 
     def reading(target):
-        document = replace(decode("part.src", body(*HEAD, START, f"LIN {target}").encode()), folder=str(tmp_path))
+        document = replace(
+            decode("part.src", body(*FRAMES_AND_SPEED, START, f"LIN {target}").encode()), folder=str(tmp_path)
+        )
         return read_documents([document], CELL, forward, "part")
 
     program = reading("XG")
@@ -213,7 +203,17 @@ def test_global_points_of_other_files(tmp_path):
 
 
 def test_a_block_in_a_subprogram_and_in_a_loop():
-    main = ("DEF part( )", "DECL INT I", "BAS (#INITMOV,0 )", *HEAD, START, "FOR I=1 TO 2", "cut( )", "ENDFOR", "END")
+    main = (
+        "DEF part( )",
+        "DECL INT I",
+        "BAS (#INITMOV,0 )",
+        *FRAMES_AND_SPEED,
+        START,
+        "FOR I=1 TO 2",
+        "cut( )",
+        "ENDFOR",
+        "END",
+    )
     cut = ("DEF cut( )", "SPLINE WITH $VEL.CP=0.1", "SLIN_REL {X 10}", "SPL_REL {Y 5}", "ENDSPLINE", "END", "")
     source = "\r\n".join([*main, *cut])
     program = read(source)

@@ -5,12 +5,12 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.errors import CellError, ProgramError
-from tests.attack.krl import confirmed
-from tests.attack.krl import read as read_files
+from tests.attack.krl import confirmed, read_job
 from tests.dialects.krl_programs import CELL, body, read
+from tests.krl_texts import HOME
 
 FULL = "LIN {X 10,Y 20,Z 300,A 10,B 20,C 170}"
-DATA = """DEFDAT part PUBLIC
+FRAMES_DAT = """DEFDAT part PUBLIC
 DECL FRAME OLD={X 1,Y 2,Z 3,A 0,B 0,C 0}
 DECL FRAME HELD={X 1,Y 2,Z 3,A 0,B 0,C 0}
 DECL E6POS XP1={X 40,Y 60,Z 10,A 10,B 20,C 170}
@@ -75,9 +75,9 @@ SLOW = "DEF SLOW( )\nDECL REAL HOW\nHOW=$VEL.CP\n$VEL.CP=HOW*0.5\nLIN XP1\nEND\n
 def test_what_is_read_of_the_settings_is_what_is_in_force(tmp_path, lines):
     files = {
         "part.src": body(FULL, *lines, FULL, end="\n") + POCKET + BY_VALUE + SLOW,
-        "part.dat": DATA,
+        "part.dat": FRAMES_DAT,
     }
-    program = read_files(files, tmp_path)
+    program = read_job(files, tmp_path)
     assert confirmed(program, files, tmp_path, np.random.default_rng(0)) == "accepted"
 
 
@@ -106,7 +106,7 @@ REFUSED = {
 @pytest.mark.parametrize(("lines", "problem"), REFUSED.values(), ids=REFUSED)
 def test_what_no_source_states_of_the_settings_is_refused(lines, problem):
     with pytest.raises(ProgramError, match=problem):
-        read(body(*lines), DATA)
+        read(body(*lines), FRAMES_DAT)
 
 
 @pytest.mark.parametrize(
@@ -119,15 +119,15 @@ def test_what_no_source_states_of_the_settings_is_refused(lines, problem):
     ],
 )
 def test_the_speed_decides_loops_and_branches_around_motions(lines, feeds, tmp_path):
-    files = {"part.src": body(*lines, end="\n"), "part.dat": DATA}
-    assert read(body(*lines), DATA).motions.feed.tolist() == feeds
-    assert confirmed(read_files(files, tmp_path), files, tmp_path, np.random.default_rng(0)) == "accepted"
+    files = {"part.src": body(*lines, end="\n"), "part.dat": FRAMES_DAT}
+    assert read(body(*lines), FRAMES_DAT).motions.feed.tolist() == feeds
+    assert confirmed(read_job(files, tmp_path), files, tmp_path, np.random.default_rng(0)) == "accepted"
 
 
 def test_behind_more_plain_settings_than_are_followed_the_speed_decides_nothing():
     settings = [f"$VEL.CP=0.{n}" for n in range(1001, 2100)]
     with pytest.raises(ProgramError, match="whose condition is not known"):
-        read(body(*settings, "IF $VEL.CP>0.3 THEN", FULL, "ENDIF", "LIN XP1"), DATA)
+        read(body(*settings, "IF $VEL.CP>0.3 THEN", FULL, "ENDIF", "LIN XP1"), FRAMES_DAT)
 
 
 def test_flags_keep_what_the_program_writes(tmp_path):
@@ -141,44 +141,43 @@ def test_flags_keep_what_the_program_writes(tmp_path):
         "LIN XP1",
         "ENDIF",
     ]
-    assert len(read(body(FULL, *lines), DATA).motions) == 2
+    assert len(read(body(FULL, *lines), FRAMES_DAT).motions) == 2
     with pytest.raises(ProgramError, match="end in different places"):
-        read(body(FULL, "IF $FLAG[4] THEN", "LIN XP1", "ENDIF", FULL), DATA)
+        read(body(FULL, "IF $FLAG[4] THEN", "LIN XP1", "ENDIF", FULL), FRAMES_DAT)
 
 
 def test_a_value_of_the_cell_ends_where_the_program_writes_the_variable():
     cell = replace(CELL, krl=replace(CELL.krl, values={"$FLAG[1]": True, "$OV_PRO": 100}))
     asked = ["IF $FLAG[1] THEN", "LIN XP1", "ENDIF"]
-    assert len(read(body(FULL, *asked), DATA, cell).motions) == 2
-    assert len(read(body(FULL, "$FLAG[1]=FALSE", *asked), DATA, cell).motions) == 1
+    assert len(read(body(FULL, *asked), FRAMES_DAT, cell).motions) == 2
+    assert len(read(body(FULL, "$FLAG[1]=FALSE", *asked), FRAMES_DAT, cell).motions) == 1
     with pytest.raises(ProgramError, match="end in different places"):
-        read(body(FULL, "$OV_PRO=50", "IF $OV_PRO==100 THEN", "LIN XP1", "ENDIF", FULL), DATA, cell)
+        read(body(FULL, "$OV_PRO=50", "IF $OV_PRO==100 THEN", "LIN XP1", "ENDIF", FULL), FRAMES_DAT, cell)
 
 
 @pytest.mark.parametrize("key", ["$BASE.X", "$ACT_BASE", "$POS_ACT.X", "$VEL.CP", "$OUT[3]"])
 def test_the_cell_cannot_give_what_the_program_changes(key):
     with pytest.raises(CellError, match="the program changes it"):
-        read(body(FULL), DATA, replace(CELL, krl=replace(CELL.krl, values={key: 1.0})))
+        read(body(FULL), FRAMES_DAT, replace(CELL, krl=replace(CELL.krl, values={key: 1.0})))
 
 
 def test_a_frame_read_in_doubt_is_warned_of():
     cell = replace(CELL, krl=replace(CELL.krl, initmov=None))
-    program = read(body("OLD=$BASE", "$BASE=BASE_DATA[3]", FULL, "$BASE=OLD", "$TOOL=TOOL_DATA[2]", FULL), DATA, cell)
+    program = read(
+        body("OLD=$BASE", "$BASE=BASE_DATA[3]", FULL, "$BASE=OLD", "$TOOL=TOOL_DATA[2]", FULL), FRAMES_DAT, cell
+    )
     assert ("initial-frames", "$BASE") in [(issue.kind, issue.subject) for issue in program.issues]
 
 
-AXES = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
-
-
 def test_a_loop_without_exit_under_frames_that_are_not_known_runs_by_joint_angles():
-    lines = ["$BASE=BASE_DATA[8]", "$TOOL=TOOL_DATA[9]", "LOOP", AXES, AXES.replace("A1 0", "A1 5"), "ENDLOOP"]
-    assert len(read(body(*lines), DATA).motions) == 2
+    lines = ["$BASE=BASE_DATA[8]", "$TOOL=TOOL_DATA[9]", "LOOP", HOME, HOME.replace("A1 0", "A1 5"), "ENDLOOP"]
+    assert len(read(body(*lines), FRAMES_DAT).motions) == 2
 
 
 def test_a_loop_without_exit_that_leaves_a_frame_that_is_not_known_is_refused():
-    lines = ["$BASE=BASE_DATA[3]", "LOOP", AXES, FULL, AXES, "$BASE=BASE_DATA[8]", "ENDLOOP"]
+    lines = ["$BASE=BASE_DATA[3]", "LOOP", HOME, FULL, HOME, "$BASE=BASE_DATA[8]", "ENDLOOP"]
     with pytest.raises(ProgramError, match="leaves other frames"):
-        read(body(*lines), DATA)
+        read(body(*lines), FRAMES_DAT)
 
 
 AWAY = {
@@ -191,28 +190,28 @@ AWAY = {
 
 @pytest.mark.parametrize("lines", AWAY.values(), ids=AWAY)
 def test_a_routine_that_is_not_followed_and_begins_from_the_robot_position_is_said_to_be_moved(tmp_path, lines):
-    away = ["DEF AWAY()", *lines, "WHILE $IN[1]", AXES, "ENDWHILE", "END", "DEF BACK()", "LIN_REL {Z 1}", "END", ""]
-    files = {"part.src": body(FULL, "AWAY()", AXES, FULL), "part.dat": DATA, "away.src": "\n".join(away)}
-    program = read_files(files, tmp_path)
+    away = ["DEF AWAY()", *lines, "WHILE $IN[1]", HOME, "ENDWHILE", "END", "DEF BACK()", "LIN_REL {Z 1}", "END", ""]
+    files = {"part.src": body(FULL, "AWAY()", HOME, FULL), "part.dat": FRAMES_DAT, "away.src": "\n".join(away)}
+    program = read_job(files, tmp_path)
     (message,) = [issue.message for issue in program.issues if issue.kind == "motions-elsewhere"]
     assert "from the robot position (away.src, line " in message
     function = "\n".join(["DEFFCT INT AWAY()", *away[1:-4], "RETURN (1)", "ENDFCT", *away[-4:]])
     files["part.src"] = body(FULL, "N=AWAY()+1", FULL) + function
-    kept = read_files(files, tmp_path, keep=True)
+    kept = read_job(files, tmp_path, keep=True)
     (message,) = [issue.message for issue in kept.issues if issue.kind == "unresolved" and "AWAY()+1" in issue.message]
     assert "the correction of the motion before it moves it too" in message
 
 
 def test_a_point_that_may_lack_components_is_said_to_move_with_the_motion_before(tmp_path):
-    data = DATA.replace("ENDDAT", "DECL E6POS PART={X 1,Y 2,Z 3}\nENDDAT")
+    data = FRAMES_DAT.replace("ENDDAT", "DECL E6POS PART={X 1,Y 2,Z 3}\nENDDAT")
     files = {"part.src": body(FULL, "PART={X 5,Y 6}", "LIN PART", FULL), "part.dat": data}
-    kept = read_files(files, tmp_path, keep=True)
+    kept = read_job(files, tmp_path, keep=True)
     (message,) = [issue.message for issue in kept.issues if issue.kind == "unresolved"]
     assert "the correction of the motion before it moves it too" in message
 
 
 def test_a_routine_that_is_not_followed_and_begins_with_a_complete_target_is_not_said_to_be_moved(tmp_path):
-    away = ["DEF AWAY()", "PTP $POS_ACT", FULL, "LIN_REL {Z 30}", "WHILE $IN[1]", AXES, "ENDWHILE", "END", ""]
-    files = {"part.src": body(FULL, "AWAY()", AXES, FULL), "part.dat": DATA, "away.src": "\n".join(away)}
-    (message,) = [i.message for i in read_files(files, tmp_path).issues if i.kind == "motions-elsewhere"]
+    away = ["DEF AWAY()", "PTP $POS_ACT", FULL, "LIN_REL {Z 30}", "WHILE $IN[1]", HOME, "ENDWHILE", "END", ""]
+    files = {"part.src": body(FULL, "AWAY()", HOME, FULL), "part.dat": FRAMES_DAT, "away.src": "\n".join(away)}
+    (message,) = [i.message for i in read_job(files, tmp_path).issues if i.kind == "motions-elsewhere"]
     assert "from the robot position" not in message

@@ -7,22 +7,21 @@ from msgspec.structs import replace
 from postproc.dialects import krl
 from postproc.dialects.text import decode
 from postproc.errors import ProgramError
-from tests.attack.krl import confirmed
-from tests.attack.krl import read as read_files
+from tests.attack.krl import confirmed, read_job
 from tests.dialects.krl_programs import CELL, forward, targets
+from tests.krl_texts import TURNED_HOME
 
 FULL = "LIN {X 0,Y 0,Z 300,A 10,B 20,C 170}"
-HOME = "PTP {A1 10,A2 -80,A3 95,A4 0,A5 45,A6 0}"
 CUT = "DEF CUT()\nLIN {X 110,Y 20,Z 30,A 10,B 20,C 170}\nEND\n"
 FUNCTION = "DEFFCT INT FN()\nCUT()\nRETURN(1)\nENDFCT\n"
-UNKNOWN = f"DEF AWAY()\nWHILE $IN[1]\nCUT()\n{HOME}\nENDWHILE\nEND\n"
+UNKNOWN = f"DEF AWAY()\nWHILE $IN[1]\nCUT()\n{TURNED_HOME}\nENDWHILE\nEND\n"
 
 
 def main(*lines, subs=""):
     return "\n".join(["DEF part()", "INT I", "BAS(#INITMOV,0)", FULL, *lines, "END", ""]) + subs
 
 
-def corrected(folder, files, *, keep):
+def rewritten_files(folder, files, *, keep):
     """What is written with all targets moved by 1 mm, and the issues."""
     for name, text in files.items():
         (folder / name).write_text(text)
@@ -38,13 +37,21 @@ def corrected(folder, files, *, keep):
     [
         ({"part.src": main("CUT()", "I=FN()", FULL, subs=CUT + FUNCTION)}, True, "part.src"),
         ({"part.src": main("CUT()", "I=FN()", FULL, subs=FUNCTION), "cut.src": CUT}, True, "cut.src"),
-        ({"part.src": main("CUT()", "AWAY()", HOME, FULL), "cut.src": CUT, "away.src": UNKNOWN}, False, "cut.src"),
-        ({"part.src": main("CUT()", "AWAY()", HOME, FULL), "cut.src": CUT, "away.src": UNKNOWN}, True, "cut.src"),
+        (
+            {"part.src": main("CUT()", "AWAY()", TURNED_HOME, FULL), "cut.src": CUT, "away.src": UNKNOWN},
+            False,
+            "cut.src",
+        ),
+        (
+            {"part.src": main("CUT()", "AWAY()", TURNED_HOME, FULL), "cut.src": CUT, "away.src": UNKNOWN},
+            True,
+            "cut.src",
+        ),
         ({"part.src": main("CUT()", "WHILE $IN[1]", "CUT()", "ENDWHILE", FULL, subs=CUT)}, True, "part.src"),
     ],
 )
 def test_what_a_call_reaches_that_is_not_followed_stays_and_corrected_calls_get_a_copy(tmp_path, files, keep, file):
-    written, issues = corrected(tmp_path, files, keep=keep)
+    written, issues = rewritten_files(tmp_path, files, keep=keep)
     before, behind = written[file].upper().split("DEF CUT_2()")
     assert CUT.split("\n", 1)[1].upper() in before
     assert "LIN {X 111.0000," in behind
@@ -58,9 +65,9 @@ def test_what_a_call_reaches_that_is_not_followed_stays_and_corrected_calls_get_
 
 def test_a_call_that_is_not_followed_and_reaches_the_program_itself_is_refused(tmp_path):
     function = FUNCTION.replace("CUT", "part")
-    files = {"part.src": main("AWAY()", HOME, FULL), "away.src": f"DEF AWAY()\nINT I\nI=FN()\nEND\n{function}"}
+    files = {"part.src": main("AWAY()", TURNED_HOME, FULL), "away.src": f"DEF AWAY()\nINT I\nI=FN()\nEND\n{function}"}
     with pytest.raises(ProgramError, match="calls this program again"):
-        corrected(tmp_path, files, keep=False)
+        rewritten_files(tmp_path, files, keep=False)
 
 
 INTERRUPTING = "DEF AWAY()\nGLOBAL INTERRUPT DECL 5 WHEN $IN[1] DO DRIVE()\nINTERRUPT ON 5\nEND\n"
@@ -69,22 +76,22 @@ INTERRUPTING = "DEF AWAY()\nGLOBAL INTERRUPT DECL 5 WHEN $IN[1] DO DRIVE()\nINTE
 @pytest.mark.parametrize("word", ["GLOBAL ", ""])
 def test_interrupts_that_move_the_robot_are_refused_where_the_call_that_declares_them_is_not_followed(tmp_path, word):
     """A local one ends with the routine that declares it."""
-    away = INTERRUPTING.replace("GLOBAL ", word) + f"DEF DRIVE()\n{HOME}\nEND\n"
+    away = INTERRUPTING.replace("GLOBAL ", word) + f"DEF DRIVE()\n{TURNED_HOME}\nEND\n"
     files = {"part.src": main("WHILE $IN[3]", "AWAY()", "ENDWHILE", FULL, subs=away)}
     if not word:
-        corrected(tmp_path, files, keep=True)
+        rewritten_files(tmp_path, files, keep=True)
         return
     with pytest.raises(ProgramError, match="GLOBAL interrupt that moves the robot") as caught:
-        corrected(tmp_path, files, keep=True)
+        rewritten_files(tmp_path, files, keep=True)
     assert caught.value.line == 6
 
 
 def test_copies_of_functions_are_functions(tmp_path):
     function = "DEFFCT INT FN(N:IN)\nINT N\nLIN {X N*10,Y 2,Z 3,A 0,B 0,C 0}\nRETURN(1)\nENDFCT\n"
     files = {"part.src": main("FN(1)", "FN(2)", subs="GLOBAL " + function), "part.dat": "DEFDAT part\nENDDAT\n"}
-    program = read_files(files, tmp_path)
+    program = read_job(files, tmp_path)
     assert confirmed(program, files, tmp_path, np.random.default_rng(0)) == "accepted"
-    written, _ = corrected(tmp_path, {"part.src": files["part.src"]}, keep=False)
+    written, _ = rewritten_files(tmp_path, {"part.src": files["part.src"]}, keep=False)
     assert "GLOBAL DEFFCT INT FN_2(N:IN)\n" in written["part.src"]
     assert written["part.src"].count(" FN(N:IN)") == 1
 
@@ -101,7 +108,7 @@ SLOW = "DEFFCT INT SLOW()\nBAS(#VEL_CP,0.1)\n$TOOL=TOOL_DATA[2]\nRETURN(2)\nENDF
     ],
 )
 def test_what_the_target_of_a_motion_that_stays_calls_may_change_what_later_motions_depend_on(tmp_path, lines):
-    (tmp_path / "part.src").write_text(main(*lines, HOME, FULL, subs=SLOW))
+    (tmp_path / "part.src").write_text(main(*lines, TURNED_HOME, FULL, subs=SLOW))
     cell = replace(CELL, folder=str(tmp_path), krl=replace(CELL.krl, keep_unresolved=True))
     document = replace(decode("part.src", (tmp_path / "part.src").read_bytes()), folder=str(tmp_path))
     program = krl.read_program([document], cell, forward, "part")
@@ -113,10 +120,10 @@ def test_what_the_target_of_a_motion_that_stays_calls_may_change_what_later_moti
 def test_a_call_whose_argument_moves_the_robot_stays_as_it_is(tmp_path):
     function = "DEFFCT INT FN()\nLIN {X 7}\nRETURN(1)\nENDFCT\n"
     files = {
-        "part.src": main("OTHER(FN())", HOME, FULL, subs=function),
+        "part.src": main("OTHER(FN())", TURNED_HOME, FULL, subs=function),
         "other.src": CUT.replace("CUT()", "OTHER(N:IN)\nINT N"),
     }
-    written, _ = corrected(tmp_path, files, keep=True)
+    written, _ = rewritten_files(tmp_path, files, keep=True)
     assert "other.src" not in written
     assert "LIN {X 1.0000,Y 0.0000,Z 300.0000" in written["part.src"]
     assert "\nOTHER(FN())\n" in written["part.src"]
@@ -124,7 +131,7 @@ def test_a_call_whose_argument_moves_the_robot_stays_as_it_is(tmp_path):
 
 @pytest.mark.parametrize("keep", [False, True])
 def test_the_motion_behind_a_call_that_is_not_followed_begins_where_nobody_knows(tmp_path, keep):
-    files = {"part.src": main("AWAY()", HOME, FULL), "part.dat": "DEFDAT part\nENDDAT\n", "away.src": UNKNOWN}
-    program = read_files(files | {"cut.src": CUT}, tmp_path, keep=keep)
+    files = {"part.src": main("AWAY()", TURNED_HOME, FULL), "part.dat": "DEFDAT part\nENDDAT\n", "away.src": UNKNOWN}
+    program = read_job(files | {"cut.src": CUT}, tmp_path, keep=keep)
     assert program.after.tolist() == [-1, 1, 1]
     assert [issue.source_line for issue in program.issues if issue.kind == "start-unknown"] == [6]

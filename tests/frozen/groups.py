@@ -134,7 +134,7 @@ def krl_lines(seeds: int) -> Iterator[Case]:
     """Random KRL without loops and calls; it is corrected and predicted as written."""
     for seed in range(seeds):
         text = carried.Writer([3, seed]).krl()
-        files = {"part.src": text.encode(), "part.dat": carried.DATA.encode(), "cell.toml": _wide_cell()}
+        files = {"part.src": text.encode(), "part.dat": carried.START_DAT.encode(), "cell.toml": _wide_cell()}
         yield Case(f"{seed:05d}", files, _converted("part.src"))
 
 

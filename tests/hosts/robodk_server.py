@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-ROBOT = 2
+ROBOT_ITEM = 2
 
 
 @dataclass
@@ -57,9 +57,9 @@ class _Talk:
             self.number(">Q")
             return struct.pack(">Qi", 99, 1)
         if command == "G_List_Items_Type_ptr":
-            assert self.number() == ROBOT
+            assert self.number() == ROBOT_ITEM
             numbers = range(1, len(self.arms) + 1)
-            return struct.pack(">i", len(self.arms)) + b"".join(struct.pack(">Qi", n, ROBOT) for n in numbers)
+            return struct.pack(">i", len(self.arms)) + b"".join(struct.pack(">Qi", n, ROBOT_ITEM) for n in numbers)
         if command == "G_Name":
             return self.arm().name.encode() + b"\n"
         if command == "G_Thetas":

@@ -21,14 +21,14 @@ with warnings.catch_warnings():
 
 JOINTS = [5.0, -70.0, 110.0, 10.0, 50.0, -20.0]
 BASE = [1500.0, -200.0, 700.0, 10.0, -20.0, 30.0]
-TOOL = [12.0, 0.5, 350.0, 0.0, 90.0, 0.0]
+TOOL_POSE = [12.0, 0.5, 350.0, 0.0, 90.0, 0.0]
 
 
 def arm(name="KUKA KR 210 R2700-2", joints=JOINTS, model="kuka_kr210_r2700_2"):
     """A robot whose flange is where the oracle has it."""
     flange = Oracle.load(robot.find(model)).nominal_tcp(np.radians(joints[:6]), np.eye(4))
     flange[:3, 3] *= 1e3
-    frame, tool = (np.array(robomath.KUKA_2_Pose(xyzabc).Rows()) for xyzabc in (BASE, TOOL))
+    frame, tool = (np.array(robomath.KUKA_2_Pose(xyzabc).Rows()) for xyzabc in (BASE, TOOL_POSE))
     return Arm(name, joints, frame, tool, flange)
 
 
@@ -58,7 +58,7 @@ def test_robot_base_tool_and_start_are_those_of_the_station(init):
     made = cells.load("cell.toml")
     assert made.robot == "kuka_kr210_r2700_2"
     np.testing.assert_allclose(keys(made.base), BASE, atol=1e-5)
-    poses = [np.array(robomath.KUKA_2_Pose(xyzabc).Rows()) for xyzabc in (keys(made.tool), TOOL)]
+    poses = [np.array(robomath.KUKA_2_Pose(xyzabc).Rows()) for xyzabc in (keys(made.tool), TOOL_POSE)]
     np.testing.assert_allclose(*poses, atol=1e-5)
     assert list(made.start.joints) == JOINTS
     assert "flange" not in done.stderr

@@ -47,7 +47,7 @@ def _product(mass: float, number: float) -> float:
     return mass * (number - 1.0)
 '''
 KINDS = ("sign", "operator", "factor", "condition", "dropped", "index", "argument", "unit")
-HEAD = "import numpy as np\nimport pytest\nfrom postproc.lever import load, moment, weight\n\n\n"
+IMPORTS = "import numpy as np\nimport pytest\nfrom postproc.lever import load, moment, weight\n\n\n"
 WEAK = """def test_something_comes_out():
     assert moment(np.eye(3), np.ones((3, 3))).shape == (3, 3)
 
@@ -73,7 +73,7 @@ def project(folder: Path, tests: str, accepted: str = "") -> Path:
     """Write a repository with one module and its tests."""
     for name, text in (
         ("postproc/__init__.py", ""), ("postproc/lever.py", LEVER), ("tests/__init__.py", ""),
-        ("tests/test_lever.py", HEAD + tests), ("pyproject.toml", "[tool.pytest.ini_options]\n"),
+        ("tests/test_lever.py", IMPORTS + tests), ("pyproject.toml", "[tool.pytest.ini_options]\n"),
     ):  # fmt: skip
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)

@@ -30,7 +30,7 @@ POSES = """A1,A2,A3,A4,A5,A6,Fx,Fy,Fz
 QUICK = ("--configurations", "6", "--q2-levels", "3", "--test-poses", "6")
 
 
-def run(folder, *arguments, text=BASIC + RIG + AROUND):
+def plan(folder, *arguments, text=BASIC + RIG + AROUND):
     setting.experiment(folder, text)
     (folder / "tests.csv").write_text(POSES)
     common = ["plan", "--experiment", str(folder / "experiment.toml"), "--cell", str(CELL_FILE)]
@@ -48,7 +48,7 @@ def written(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("postproc.plan.search.FACTORS", (0.5, 1.0, 2.0))  # three sizes of six
         patch.setattr("postproc.plan.planning.improve", functools.partial(briefly, rounds=8))
-        result = run(folder, "--program", str(SAMPLES / "pocket.nc"), str(SAMPLES / "inline.src"), *QUICK)
+        result = plan(folder, "--program", str(SAMPLES / "pocket.nc"), str(SAMPLES / "inline.src"), *QUICK)
     assert result.exit_code == 0, result.output
     return folder / "out", result
 
@@ -158,15 +158,15 @@ def test_bad_input_is_a_message_with_exit_code_1_and_nothing_is_written(
     tmp_path, monkeypatch, arguments, text, problem
 ):
     monkeypatch.chdir(tmp_path)
-    result = run(tmp_path, *arguments, text=text)
+    result = plan(tmp_path, *arguments, text=text)
     assert result.exit_code == 1, result.output
     assert problem in result.output
     assert not (tmp_path / "out").exists()
 
 
 def test_wrong_usage_is_exit_code_2(tmp_path):
-    assert run(tmp_path).exit_code == 2
-    both = run(tmp_path, "--program", str(SAMPLES / "pocket.nc"), "--poses", str(tmp_path / "tests.csv"))
+    assert plan(tmp_path).exit_code == 2
+    both = plan(tmp_path, "--program", str(SAMPLES / "pocket.nc"), "--poses", str(tmp_path / "tests.csv"))
     assert both.exit_code == 2
     assert "either --program" in both.output
 
@@ -186,7 +186,7 @@ def test_a_rig_that_cannot_show_a_parameter_is_told_before_anyone_measures(tmp_p
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("postproc.plan.planning.criterion_by_number", lambda *_: ())  # the fixture has those
     monkeypatch.setattr("postproc.plan.planning.improve", functools.partial(briefly, rounds=1))
-    result = run(tmp_path, "--poses", "tests.csv", *QUICK, text=BASIC + "\n[rig]\nmass_kg = 275\n")
+    result = plan(tmp_path, "--poses", "tests.csv", *QUICK, text=BASIC + "\n[rig]\nmass_kg = 275\n")
     assert result.exit_code == 0, result.output
     assert "warning: k1 is not observable with this rig" in result.output
     assert "expected error after compensation, but for that by k1, which this rig does not show: " in result.output
@@ -205,7 +205,7 @@ def test_ctrl_c_writes_the_best_plan_so_far(tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("postproc.cli.plan._progress_display", stopping)
-    result = run(tmp_path, "--poses", "tests.csv", *QUICK)
+    result = plan(tmp_path, "--poses", "tests.csv", *QUICK)
     assert result.exit_code == 0, result.output
     assert "interrupted: this is the best plan so far" in result.output
     assert len((tmp_path / "out" / "plan.csv").read_text().splitlines()) == 7

@@ -243,7 +243,7 @@ def test_an_issue_is_told_with_all_its_lines():
     assert "warning no force 3–5, 9, 20–22 7" in text
 
 
-_HOME = """%
+_MOVES_TO_HOME = """%
 (ROUGH)
 G91 G28 Z0
 G90
@@ -271,7 +271,7 @@ def test_a_comment_before_a_move_to_home_and_a_tool_change_names_what_is_cut_wit
     """The third operation has no comment of its own: it is called by its tool."""
     (tmp_path / "cell.toml").write_text(f"{CELL_TEXT}\n[machine]\n{machine}\n", encoding="utf-8")
     setup = cell.load(tmp_path / "cell.toml")
-    program = read([Document("part.nc", _HOME)], ROBOT, setup, "part", "gcode")
+    program = read([Document("part.nc", _MOVES_TO_HOME)], ROBOT, setup, "part", "gcode")
     cutting = np.flatnonzero(~program.motions.rapid)
     starts = operation_starts(program, np.arange(len(program.motions)))
     last = np.array(sorted(starts))[np.searchsorted(sorted(starts), cutting, side="right") - 1]

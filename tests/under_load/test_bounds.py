@@ -15,7 +15,7 @@ from tests.programs import program
 
 DOWN = CELL.tool_pose_in_program()
 UP = (0.0, 0.0, 1.0)
-HEAD = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0)]
+APPROACH = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0)]
 
 
 @pytest.mark.parametrize(
@@ -33,19 +33,19 @@ HEAD = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0)]
 @pytest.mark.parametrize("mode", ["convert", "predict"])
 def test_absurd_moves_are_refused_without_sampling(monkeypatch, move, kind, mode) -> None:
     monkeypatch.setattr(toolpath, "places", lambda *_, **__: pytest.fail("the path is sampled"))
-    (issue,) = correction.process(program([*HEAD, move], orientation=DOWN), ROBOT, CELL, mode=mode).issues
+    (issue,) = correction.process(program([*APPROACH, move], orientation=DOWN), ROBOT, CELL, mode=mode).issues
     assert (issue.level, issue.kind, issue.source_line) == ("error", kind, 3)
 
 
 def test_a_path_of_absurd_length_is_refused() -> None:
     there_and_back = [("LIN", 1500.0 * (n % 2), 0, 0) for n in range(30_000)]
-    (issue,) = correction.process(program([*HEAD, *there_and_back], orientation=DOWN), ROBOT, CELL).issues
+    (issue,) = correction.process(program([*APPROACH, *there_and_back], orientation=DOWN), ROBOT, CELL).issues
     assert (issue.level, issue.kind) == ("error", "path-length")
 
 
 def test_flat_arcs_of_large_radius_and_threads_are_fine() -> None:
-    flat = program([*HEAD, ("CIRC", 100, 0, 0, 50, -2e6, 0, np.degrees(100 / 2e6), (0, 0, -1))], orientation=DOWN)
-    thread = program([*HEAD, ("CIRC", 0, 0, 50, 5, 0, 0, 360.0 * 40, UP)], orientation=DOWN)
+    flat = program([*APPROACH, ("CIRC", 100, 0, 0, 50, -2e6, 0, np.degrees(100 / 2e6), (0, 0, -1))], orientation=DOWN)
+    thread = program([*APPROACH, ("CIRC", 0, 0, 50, 5, 0, 0, 360.0 * 40, UP)], orientation=DOWN)
     for made in (flat, thread):
         path = toolpath.segments(made, np.eye(4))
         under_load.check_ends(made, ROBOT)
@@ -101,7 +101,7 @@ def arc(angles, centre, radius, height=1000.0):
     first, last = np.radians(angles)
     ends = [at_flange(centre[0] + radius * np.cos(a), centre[1] + radius * np.sin(a), height) for a in (first, last)]
     middle = at_flange(centre[0], centre[1], height)
-    return [*HEAD, ("LIN", *ends[0]), ("CIRC", *ends[1], *middle, angles[1] - angles[0], UP)]
+    return [*APPROACH, ("LIN", *ends[0]), ("CIRC", *ends[1], *middle, angles[1] - angles[0], UP)]
 
 
 @pytest.mark.parametrize("share", [0.25, 0.5, 0.75])
@@ -122,7 +122,7 @@ def test_full_circles_are_refused_by_their_radius_alone() -> None:
     for radius, bad in ((0.99 * REACH * 1e3, False), (1.01 * REACH * 1e3, True)):
         start = at_flange(1500.0, 0.0, 1000.0)
         centre = at_flange(1500.0 - radius, 0.0, 1000.0)
-        made = program([*HEAD, ("LIN", *start), ("CIRC", *start, *centre, 360.0, UP)], orientation=DOWN)
+        made = program([*APPROACH, ("LIN", *start), ("CIRC", *start, *centre, 360.0, UP)], orientation=DOWN)
         issue = refused(made)
         assert (issue is not None) == bad
     assert issue.kind == "unreachable"
@@ -131,7 +131,7 @@ def test_full_circles_are_refused_by_their_radius_alone() -> None:
 def test_full_circles_may_be_anywhere_within_reach() -> None:
     """Behind the robot, far from the origin of $BASE."""
     start, centre = at_flange(-1100.0, 0.0, 1000.0), at_flange(-1000.0, 0.0, 1000.0)
-    made = program([*HEAD, ("LIN", *start), ("CIRC", *start, *centre, 360.0, UP)], orientation=DOWN)
+    made = program([*APPROACH, ("LIN", *start), ("CIRC", *start, *centre, 360.0, UP)], orientation=DOWN)
     assert np.linalg.norm(np.add(start, centre)) > 1.2e3 * REACH
     assert refused(made) is None
 
@@ -147,7 +147,7 @@ def test_ends_are_seen_from_where_the_linear_axis_has_carried_the_robot() -> Non
 
 def test_arcs_of_up_to_a_thousand_turns_are_taken() -> None:
     for turns, bad in ((999.0, False), (1002.5, True)):
-        made = program([*HEAD, ("CIRC", 0, 0, 50, 5, 0, 0, 360.0 * turns, UP)], orientation=DOWN)
+        made = program([*APPROACH, ("CIRC", 0, 0, 50, 5, 0, 0, 360.0 * turns, UP)], orientation=DOWN)
         issue = refused(made)
         assert (issue is not None) == bad
     assert (issue.kind, issue.source_line) == ("turns", 3)
@@ -158,7 +158,7 @@ def test_the_longest_path_is_ten_thousand_times_the_reach() -> None:
     for metres, bad in ((9990.0 * REACH, False), (10010.0 * REACH, True)):
         count = 16
         degrees = 360.0 * round(metres / count / (2.0 * np.pi * 0.5))  # of whole turns with a radius of 0.5 m
-        made = program([*HEAD, *[("CIRC", 0, 0, 50, 500, 0, 50, degrees, UP)] * count], orientation=DOWN)
+        made = program([*APPROACH, *[("CIRC", 0, 0, 50, 500, 0, 50, degrees, UP)] * count], orientation=DOWN)
         path = toolpath.segments(made, np.eye(4))
         assert (path.length.sum() > 10_000 * REACH) == bad
         issue = refused(made)

@@ -14,11 +14,10 @@ from postproc import cell as cells
 from postproc import elastostatics
 from postproc.elastostatics import ToolSpring
 from postproc.under_load import RobotInCell
-from tests.kr270 import CELL, FOLDER, ROBOT
+from tests.kr270 import CELL, FOLDER, ROBOT, TOOL
 from tests.oracle.arm import Arm
 
 ARM = Arm.load(FOLDER)
-TOOL = CELL.tool.pose()
 SOFT = cells.ToolCompliance(0.3, 0.2, 0.05, 20.0, 10.0, 5.0)
 SETTING = RobotInCell.of(ROBOT, msgspec.structs.replace(CELL, tool_compliance=SOFT))
 Q = np.radians([[10.0, -70, 105, 20, 50, -30], [-35.0, -50, 90, -100, -70, 80]])
