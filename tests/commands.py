@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 from click.testing import CliRunner, Result
@@ -46,6 +47,26 @@ def convert(*arguments: object, code: int | tuple[int, ...] = 0, cell: object = 
     :param arguments: programs and options; without any, the program part.nc.
     """
     return run("convert", *(arguments or ("part.nc",)), "-o", "out", code=code, cell=cell)
+
+
+def convert_text(
+    folder: Path,
+    name: str,
+    text: str,
+    *options: object,
+    process: str | None = None,
+    code: int | tuple[int, ...] = 0,
+    cell: object = CELL_FILE,
+) -> Result:
+    """Write a program into a folder and run `convert` on it, into the folder `out` in there; see `run`.
+
+    :param process: text of a process file that is given to the command.
+    """
+    (folder / name).write_bytes(text.encode())
+    if process is not None:
+        (folder / "process.toml").write_text(process)
+        options = ("--process", folder / "process.toml", *options)
+    return run("convert", folder / name, "-o", folder / "out", *options, code=code, cell=cell)
 
 
 def comparison(

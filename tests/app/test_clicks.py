@@ -22,7 +22,7 @@ pytestmark = needs_chromium
 
 
 @pytest.fixture(scope="module")
-def corrected(original, tmp_path_factory):
+def corrected_shop(original, tmp_path_factory):
     folder = shutil.copytree(original, tmp_path_factory.mktemp("corrected") / "shop")
     (folder / "demo").mkdir()
     for name in ("experiment.toml", "measurements.csv"):
@@ -31,19 +31,19 @@ def corrected(original, tmp_path_factory):
 
 
 @pytest.fixture
-def window(corrected, tmp_path):
+def window(corrected_shop, tmp_path):
     """A window on a folder with a program that is corrected."""
-    with Window(shutil.copytree(corrected, tmp_path / "shop"), 0) as served, answering(served):
+    with Window(shutil.copytree(corrected_shop, tmp_path / "shop"), 0) as served, answering(served):
         yield served
 
 
 @pytest.fixture(scope="module")
-def read_only_window(corrected):
+def read_only_window(corrected_shop):
     """One window for all tests that only look: they leave the folder as it is."""
-    before = sorted(corrected.rglob("*"))
-    with Window(corrected, 0) as served, answering(served):
+    before = sorted(corrected_shop.rglob("*"))
+    with Window(corrected_shop, 0) as served, answering(served):
         yield served
-    assert sorted(corrected.rglob("*")) == before
+    assert sorted(corrected_shop.rglob("*")) == before
 
 
 def to_program(page):

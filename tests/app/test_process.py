@@ -24,31 +24,31 @@ FUSION = "(T1 D=12. CR=0. - ZMIN=-2. - flat end mill 3 flutes)\n" + PROGRAM
 STATED = {"material.name": "al_7075_hss"}
 
 
-def texts_of(path, program):
+def texts_of(path, program_file):
     """The texts of the fields by name."""
     return {
         field.name: field.text
-        for table in process_tables(path, needs_of(program))
+        for table in process_tables(path, needs_of(program_file))
         for field in table.fields
         if field.text
     }
 
 
 @pytest.fixture
-def program(tmp_path):
+def program_file(tmp_path):
     path = tmp_path / "part.nc"
     path.write_text(FUSION)
     return path
 
 
-def test_a_program_without_a_process_gets_what_its_comments_state(program, tmp_path):
+def test_a_program_without_a_process_gets_what_its_comments_state(program_file, tmp_path):
     path = tmp_path / "corrected" / "part.process.toml"
-    texts = texts_of(path, program)
+    texts = texts_of(path, program_file)
     assert (texts["tools.1.diameter_mm"], texts["tools.1.flutes"], texts["tools.1.shape"]) == ("12", "3", "flat")
     assert texts["stock.assumed"] == "true", "nobody has stated the stock"
     assert "material.name" not in texts
     assert not path.parent.exists(), "nothing is written before it is saved"
-    assert edit_process(path, needs_of(program), STATED)
+    assert edit_process(path, needs_of(program_file), STATED)
     content = tomllib.loads(path.read_text())
     assert content["tools"]["1"] == {"shape": "flat", "diameter_mm": 12, "flutes": 3}
     assert content["stock"]["assumed"] is True
@@ -67,40 +67,40 @@ def test_a_program_without_a_process_gets_what_its_comments_state(program, tmp_p
         ({"material.name": "cheese"}, "cheese"),
     ],
 )
-def test_a_process_that_convert_would_refuse_is_not_written(program, tmp_path, texts, problem):
+def test_a_process_that_convert_would_refuse_is_not_written(program_file, tmp_path, texts, problem):
     path = tmp_path / "corrected" / "part.process.toml"
     with pytest.raises(InputError, match=problem):
-        edit_process(path, needs_of(program), texts)
+        edit_process(path, needs_of(program_file), texts)
     assert not path.exists()
     assert not list(tmp_path.glob("corrected/.*")), "no trial file is left"
 
 
-def test_an_edit_keeps_comments_and_all_else(program, tmp_path):
+def test_an_edit_keeps_comments_and_all_else(program_file, tmp_path):
     path = tmp_path / "part.process.toml"
     text = PROCESS.replace("flutes = 3", "flutes = 3   # measured").replace(
         'file = "material.toml"', 'name = "al_7075_hss"'
     )
     path.write_text(text)
-    assert not edit_process(path, needs_of(program), {})
-    assert edit_process(path, needs_of(program), {"tools.1.diameter_mm": "11.9"})
+    assert not edit_process(path, needs_of(program_file), {})
+    assert edit_process(path, needs_of(program_file), {"tools.1.diameter_mm": "11.9"})
     assert path.read_text() == text.replace("diameter_mm = 12", "diameter_mm = 11.9")
 
 
-def test_a_tool_that_the_file_lacks_is_added(program, tmp_path):
+def test_a_tool_that_the_file_lacks_is_added(program_file, tmp_path):
     path = tmp_path / "part.process.toml"
     path.write_text(PROCESS.replace("tools.1", "tools.4").replace('file = "material.toml"', 'name = "al_7075_hss"'))
-    assert [table.name for table in process_tables(path, needs_of(program)) if table.is_new] == ["tools.1"]
-    assert edit_process(path, needs_of(program), {"tools.1.flutes": "2"})
+    assert [table.name for table in process_tables(path, needs_of(program_file)) if table.is_new] == ["tools.1"]
+    assert edit_process(path, needs_of(program_file), {"tools.1.flutes": "2"})
     assert tomllib.loads(path.read_text())["tools"]["1"]["flutes"] == 2
     assert tomllib.loads(path.read_text())["tools"]["4"]["flutes"] == 3
 
 
 @pytest.fixture
-def window(tmp_path, program):
+def window(tmp_path, program_file):
     """A window on a folder with a cell and a program, and no process."""
     folder = tmp_path / "shop"
     (folder / "corrected").mkdir(parents=True)
-    shutil.copy(program, folder)
+    shutil.copy(program_file, folder)
     cell = (
         CELL_WITH_MESH.partition("[collision]")[0]
         .replace('"../model"', '"kuka_kr270"')

@@ -36,25 +36,25 @@ PROCESS = ["--material", "al_7075_hss", "--flutes", "3"]
 
 
 @pytest.fixture
-def program(tmp_path):
+def program_file(tmp_path):
     path = tmp_path / "part.nc"
     path.write_text(PART.format(comment="(T1 D=10. CR=0. - flat end mill)"))
     return path
 
 
-def stock_field(program, texts):
-    form = setup_form(needs_of(program), texts, cell=False, process=True)
+def stock_field(program_file, texts):
+    form = setup_form(needs_of(program_file), texts, cell=False, process=True)
     (field,) = [field for field in form.fields if field.question.key == "stock"]
-    return field, [text for text in start_arguments(program, form) if text.startswith("--stock")]
+    return field, [text for text in start_arguments(program_file, form) if text.startswith("--stock")]
 
 
-def test_a_stock_that_is_offered_is_an_answer_only_if_it_is_checked(program):
-    field, options = stock_field(program, {})
+def test_a_stock_that_is_offered_is_an_answer_only_if_it_is_checked(program_file):
+    field, options = stock_field(program_file, {})
     assert (field.is_guess, field.is_checked, options) == (True, False, [])
     guess = field.text
-    field, options = stock_field(program, {"stock": guess, OFFERED: guess, CHECKED: "1"})
+    field, options = stock_field(program_file, {"stock": guess, OFFERED: guess, CHECKED: "1"})
     assert (field.is_checked, options) == (True, [f"--stock={guess}"])
-    field, options = stock_field(program, {"stock": "X=0:60,Y=-9:9,Z=-20:0", OFFERED: guess})
+    field, options = stock_field(program_file, {"stock": "X=0:60,Y=-9:9,Z=-20:0", OFFERED: guess})
     assert (field.is_checked, options) == (True, ["--stock=X=0:60,Y=-9:9,Z=-20:0"])
 
 
@@ -85,12 +85,12 @@ def test_the_fields_of_a_box_are_one_answer():
 
 
 @pytest.mark.parametrize("is_stated", [False, True])
-def test_a_stated_stock_is_not_assumed_even_if_it_is_the_one_that_is_offered(program, is_stated):
-    guess = stock_field(program, {})[0].text
-    output = program.parent / "out"
+def test_a_stated_stock_is_not_assumed_even_if_it_is_the_one_that_is_offered(program_file, is_stated):
+    guess = stock_field(program_file, {})[0].text
+    output = program_file.parent / "out"
     stock = ["--stock", guess] if is_stated else []
     for _ in range(2):  # also with the answers of an earlier start
-        done = run("start", program, *CELL_IN_NUMBERS, *PROCESS, *stock, "-o", output)
+        done = run("start", program_file, *CELL_IN_NUMBERS, *PROCESS, *stock, "-o", output)
         assert ("The stock is assumed" in done.output) == (not is_stated)
         assert tomllib.loads((output / "part.process.toml").read_text())["stock"].get("assumed", False) == (
             not is_stated

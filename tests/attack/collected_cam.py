@@ -23,7 +23,7 @@ from postproc.errors import PostprocError
 from postproc.frames import Array
 from postproc.program import CIRC, Program
 from tests.dialects.gcode_reading import forward
-from tests.dialects.test_rapid import place
+from tests.dialects.rapid_reading import place
 
 APT_NAMES = {*APT.extensions, ".1", ".2", ".8", ".clt"}
 """Creo adds a version: part.ncl.1."""

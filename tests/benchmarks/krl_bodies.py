@@ -82,7 +82,7 @@ def files(name: str, count: int) -> dict[str, str]:
     return {"part.src": source, "part.dat": "".join([*data, "ENDDAT\r\n"])}
 
 
-def read(texts: dict[str, str]) -> Program:
+def read_texts(texts: dict[str, str]) -> Program:
     """Read a program."""
     return read_program([Document(name, text) for name, text in texts.items()], CELL, forward, "part")
 
@@ -103,13 +103,13 @@ def _seconds(work: Callable[[], object]) -> float:
 def costs(name: str, count: int) -> tuple[float, float, float]:
     """Return the processor time of reading, writing and reading back [s]."""
     texts = files(name, count)
-    program = read(texts)
+    program = read_texts(texts)
     wanted = corrected_targets(program)
     written = {document.name: document.text for document in krl.rewrite(program, wanted).documents}
     return (
-        _seconds(lambda: read(texts)),
+        _seconds(lambda: read_texts(texts)),
         _seconds(lambda: krl.rewrite(program, wanted)),
-        _seconds(lambda: read(written)),
+        _seconds(lambda: read_texts(written)),
     )
 
 

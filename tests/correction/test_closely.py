@@ -20,7 +20,7 @@ from tests.kr270 import CELL, FOLDER, NO_TOOL, ROBOT
 from tests.oracle.arm import Arm
 from tests.programs import program
 
-CELL = changed(CELL, start=cells.Start(joints=(0.0, -70.0, 110.0, 0.0, 50.0, 0.0)))
+CELL_WITH_START = changed(CELL, start=cells.Start(joints=(0.0, -70.0, 110.0, 0.0, 50.0, 0.0)))
 ARM = Arm.load(FOLDER)
 NO_TOOL[2, 3] = 0.35
 RNG = np.random.default_rng(8)
@@ -51,9 +51,9 @@ def circle(posture, normal, radius_mm, feed, begin_deg=0.0, sweep_deg=360.0):
 
 
 def errors(made, model=ROBOT, start=None):
-    cell = CELL
+    cell = CELL_WITH_START
     if start is not None:
-        cell = changed(CELL, start=changed(CELL.start, joints=tuple(np.degrees(start).tolist())))
+        cell = changed(CELL_WITH_START, start=changed(CELL_WITH_START.start, joints=tuple(np.degrees(start).tolist())))
     return [
         issue.kind for issue in correction.process(made, model, cell, mode="nominal").issues if issue.level == "error"
     ]
@@ -116,8 +116,8 @@ def test_a_slow_circle_about_a_wrist_singularity_passes(case):
 
 def test_a_line_that_passes_a_limit_between_its_samples_is_refused():
     """A line across the plane of A1: reach, and with it A2 and A3, have their extreme between its ends."""
-    made = program([("PTP", 0, 190.5, 0), ("LIN", 0, 209.5, 0)], orientation=CELL.tool_pose_in_program())
-    motions = MotionsUnderLoad.of(made, RobotInCell.of(ROBOT, CELL), None)
+    made = program([("PTP", 0, 190.5, 0), ("LIN", 0, 209.5, 0)], orientation=CELL_WITH_START.tool_pose_in_program())
+    motions = MotionsUnderLoad.of(made, RobotInCell.of(ROBOT, CELL_WITH_START), None)
     path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     assert len(path) == 2
     middle = toolpath.at(made, motions.segments, np.array([1]), np.array([0.5]))
@@ -137,11 +137,13 @@ def arcs_and_lines():
         ("CIRC", 61, 20, 0, 41, 20, 0, 90.0, (0, 0, 1)), ("LIN", 61, 120, 0), ("CIRC", 61, 160, 0, 61, 140, 0, 540.0,
         (0, 0, 1)), ("PTP", 0, 0, 60), ("LIN", 0, 100, 60),
     ]  # fmt: skip
-    made = program(moves, [(3, (900.0, 500.0, -700.0, 0.0, 0.0, 0.0), "FEED")], orientation=CELL.tool_pose_in_program())
+    made = program(
+        moves, [(3, (900.0, 500.0, -700.0, 0.0, 0.0, 0.0), "FEED")], orientation=CELL_WITH_START.tool_pose_in_program()
+    )
     turned = made.motions.target[:]
     turned[8, :3, :3] = turned[8, :3, :3] @ np.array([[np.cos(1), 0, np.sin(1)], [0, 1, 0], [-np.sin(1), 0, np.cos(1)]])
     made = replace(made, motions=replace(made.motions, target=Poses.of(turned)))
-    motions = MotionsUnderLoad.of(made, RobotInCell.of(ROBOT, CELL), None)
+    motions = MotionsUnderLoad.of(made, RobotInCell.of(ROBOT, CELL_WITH_START), None)
     path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     return path
 
@@ -156,8 +158,8 @@ def test_an_arc_at_whose_end_a_joint_comes_near_its_limit_is_examined(arc, axis)
     for gap, examined in ((7.5, [arc]), (10.5, [])):
         q[:, axis] = ROBOT.upper[axis] - np.radians(gap + 5.0)
         q[last:, axis] += np.radians(5.0)
-        start = changed(CELL.start, joints=tuple(np.degrees(q[0])))
-        near = RobotInCell.of(ROBOT, changed(CELL, start=start))
+        start = changed(CELL_WITH_START.start, joints=tuple(np.degrees(q[0])))
+        near = RobotInCell.of(ROBOT, changed(CELL_WITH_START, start=start))
         path = replace(path, motions=replace(path.motions, robot_in_cell=near))
         arcs, _ = inspection.stretches_to_examine(path, q, np.zeros((len(path), 6)))
         assert arcs.motion.tolist() == examined
@@ -186,7 +188,10 @@ def test_arcs_and_pieces_of_lines_are_examined_where_joints_limits_and_singulari
         elif near in (8, 9):
             q[:, 1:3] += np.radians([-70.0, -67.86]) + random.normal(size=2) * 0.01 - q[random.integers(len(q)), 1:3]
         speed = ROBOT.speed * random.uniform(0.0, 0.8 if seed % 3 == 0 else 0.7, (len(path), 6))
-        cell = changed(CELL, start=changed(CELL.start, joints=tuple(np.degrees(q[0] + random.normal(size=6) * 0.01))))
+        cell = changed(
+            CELL_WITH_START,
+            start=changed(CELL_WITH_START.start, joints=tuple(np.degrees(q[0] + random.normal(size=6) * 0.01))),
+        )
         other = replace(path, motions=replace(motions, robot_in_cell=RobotInCell.of(ROBOT, cell)))
         arcs, lines = inspection.stretches_to_examine(other, q, speed)
 

@@ -14,7 +14,7 @@ from postproc.correction.inspection import Slowing, Stretches
 from postproc.poses import Poses
 from postproc.program import CIRC, LIN, Event
 from tests.collision.setting import frame
-from tests.correction.test_closely import CELL, arcs_and_lines
+from tests.correction.test_closely import CELL_WITH_START, arcs_and_lines
 from tests.kr270 import ROBOT
 
 PATH = arcs_and_lines()
@@ -89,7 +89,7 @@ def slowed_by_loop(path, q, position, before, fast_lines, *, cap):
         entries += [(int(motion), row) for motion, row in zip(close.motion, speeds, strict=True)]
     feed, joint = m.feed.copy(), np.full(len(m), -1) if before is None else before.joint.copy()
     forced = {int(k) for n, k in enumerate(path.sample.motion) if path.wrench[n].any()}
-    is_fast = [k not in forced and m.feed[k] >= CELL.gcode.rapid_m_per_s for k in range(len(m))]
+    is_fast = [k not in forced and m.feed[k] >= CELL_WITH_START.gcode.rapid_m_per_s for k in range(len(m))]
     is_free = [m.rapid[k] or k in path.program.unforced or is_fast[k] for k in range(len(m))]
     positioning = [m.kind[k] == LIN and is_free[k] for k in range(len(m))]
     is_capped = [cap and m.kind[k] in (LIN, CIRC) and not m.rapid[k] and not positioning[k] for k in range(len(m))]
@@ -117,8 +117,8 @@ def rapid_path(scale, *, cap):
     feed = m.feed * np.where(rapid, 60.0, 25.0) * scale
     unforced = np.array([3])
     program = replace(PATH.program, motions=replace(m, rapid=rapid, feed=feed), notes=(), unforced=unforced)
-    limits = replace(CELL.limits, feed="cap" if cap else "refuse")
-    place = replace(PATH.robot_in_cell, cell=replace(CELL, limits=limits))
+    limits = replace(CELL_WITH_START.limits, feed="cap" if cap else "refuse")
+    place = replace(PATH.robot_in_cell, cell=replace(CELL_WITH_START, limits=limits))
     return replace(PATH, motions=replace(PATH.motions, program=program, robot_in_cell=place))
 
 
@@ -225,12 +225,15 @@ def test_a_program_of_a_dialect_that_is_not_written_has_no_origin(monkeypatch):
 def test_frames_that_are_not_those_of_the_cell_are_noted_with_their_numbers(axis, change, is_another):
     """By a micrometre, or a microradian."""
     program = replace(
-        PATH.program, dialect="krl", bases=CELL.base.pose()[None].copy(), tools=CELL.tool.pose()[None].copy()
+        PATH.program,
+        dialect="krl",
+        bases=CELL_WITH_START.base.pose()[None].copy(),
+        tools=CELL_WITH_START.tool.pose()[None].copy(),
     )
     motions = replace(program.motions, base=0 * program.motions.base, tool=0 * program.motions.tool)
-    assert inspection.frame_issues(replace(program, motions=motions, bases=np.eye(4)[None]), CELL) == []
+    assert inspection.frame_issues(replace(program, motions=motions, bases=np.eye(4)[None]), CELL_WITH_START) == []
     program = replace(program, motions=motions, layout=SimpleNamespace())
-    assert inspection.frame_issues(program, CELL) == []
+    assert inspection.frame_issues(program, CELL_WITH_START) == []
     for name, section, frames in (("$BASE", "base", "bases"), ("$TOOL", "tool", "tools")):
         other = getattr(program, frames).copy()
         if axis < 3:
@@ -239,7 +242,7 @@ def test_frames_that_are_not_those_of_the_cell_are_noted_with_their_numbers(axis
             small = np.zeros(3)
             small[axis - 3] = change
             other[0, :3, :3] = other[0, :3, :3] @ (np.eye(3) + np.cross(np.eye(3), small))
-        issues = inspection.frame_issues(replace(program, **{frames: other}), CELL)
+        issues = inspection.frame_issues(replace(program, **{frames: other}), CELL_WITH_START)
         assert len(issues) == is_another
         for issue in issues:
             assert (issue.level, issue.kind) == ("info", f"own-{section}")
@@ -261,8 +264,8 @@ def test_obstacles_in_the_base_of_the_cell_are_asked_about_where_the_program_has
     collision = None
     if frames is not None:
         collision = cells.Collision(obstacles=[cells.ObstacleTable(box=box, frame=frame) for frame in frames])
-    cell = replace(CELL, collision=collision)
-    bases = CELL.base.pose()[None].copy()
+    cell = replace(CELL_WITH_START, collision=collision)
+    bases = CELL_WITH_START.base.pose()[None].copy()
     bases[0, 1, 3] += shift
     program = replace(PATH.program, dialect="krl", bases=bases)
     program = replace(program, motions=replace(program.motions, base=0 * program.motions.base))
@@ -367,7 +370,7 @@ def test_arcs_are_examined_where_a_state_may_reach_its_limit_by_twice_their_larg
 def test_states_are_distances_of_joints_to_their_limits_and_of_the_arm_to_singular_poses():
     """The first sample follows the start; the wrist ahead of A1 and the angle of A3 by Pinocchio's frames."""
     rng = np.random.default_rng(5)
-    robot, start = PATH.robot_in_cell.robot, CELL.start_joints
+    robot, start = PATH.robot_in_cell.robot, CELL_WITH_START.start_joints
     q = rng.uniform(0.6 * robot.lower, 0.6 * robot.upper, (len(PATH), 6))
     rows = np.array([0, 3, 7])
     before, after, step = inspection._margins_and_steps(PATH, q, rows)
@@ -417,8 +420,8 @@ def test_a_path_has_the_issues_of_all_checks_and_between_samples_those_of_other_
     q, position = shifted_path()
     pose = PATH.sample.pose[:]
     pose[:, :3, 3] = position
-    output = replace(CELL.output, max_correction_mm=7.5)
-    cell = replace(CELL, output=output, machine=replace(CELL.machine, clearance_Z=clearance))
+    output = replace(CELL_WITH_START.output, max_correction_mm=7.5)
+    cell = replace(CELL_WITH_START, output=output, machine=replace(CELL_WITH_START.machine, clearance_Z=clearance))
     path = replace(PATH, motions=replace(PATH.motions, robot_in_cell=replace(PATH.robot_in_cell, cell=cell)))
     command = SimpleNamespace(q=q, pose=Poses.of(pose))
     issues = inspection.path_issues(path, command)
@@ -435,7 +438,9 @@ def test_a_path_has_the_issues_of_all_checks_and_between_samples_those_of_other_
     assert len(tips) == 201
     base = path.program.bases[path.program.motions.base[0]]
     end = PATH.program.motions.target[0][:3, 3]
-    start = np.linalg.inv(base) @ frame(CELL.start_joints, 6) @ path.program.tools[path.program.motions.tool[0]]
+    start = (
+        np.linalg.inv(base) @ frame(CELL_WITH_START.start_joints, 6) @ path.program.tools[path.program.motions.tool[0]]
+    )
     np.testing.assert_allclose(tips[-1], end, atol=1e-9)
     np.testing.assert_allclose(tips[0], start[:3, 3], atol=1e-6)
 
@@ -451,7 +456,7 @@ def test_another_tool_needs_lines_for_its_change(numbers, keeps_text, change, ex
     events = tuple(Event(before=k, kind="tool_change", value=float(n), line=7 + k) for k, n in enumerate(numbers))
     other = Event(before=0, kind="coolant_on", value=9.0, line=1)
     made = replace(PATH.program, events=(other, *events), layout=SimpleNamespace() if keeps_text else None)
-    cell = replace(CELL, gcode=replace(CELL.gcode, tool_change=change))
+    cell = replace(CELL_WITH_START, gcode=replace(CELL_WITH_START.gcode, tool_change=change))
     issues = inspection.tool_change_issues(made, cell)
     assert len(issues) == (expected is not None)
     if expected:

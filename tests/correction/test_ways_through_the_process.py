@@ -66,20 +66,20 @@ def cell_of(redundancy):
 def test_a_turn_that_is_chosen_is_that_of_the_program_that_is_corrected():
     """It is written as a cell would write it that states the sum of both turns."""
     text = "G21 G90\n(FORCE FX=-110 FY=-190 FZ=130 FRAME=BASE)\nG0 X1300 Y-20 Z60\nG1 Z0 F600\nG1 Y20 F2000\nG0 Z60\n"
-    chosen = setting.convert(text, cell_of("best"))
+    chosen = setting.process_text(text, cell_of("best"))
     assert not chosen.failed, chosen.issues
     turn = np.degrees(chosen.turn.of_motion)
     assert np.ptp(turn) < 1e-9
     assert abs(turn[0]) > 1.0
     stated = setting.cell(base=(0.0, 0.0, 500.0), redundancy_deg=110.0 + float(turn[0]))
-    np.testing.assert_allclose(setting.convert(text, stated).printed, chosen.printed, atol=1e-4)
-    assert setting.convert(text, cell_of("constant")).turn is None
+    np.testing.assert_allclose(setting.process_text(text, stated).printed, chosen.printed, atol=1e-4)
+    assert setting.process_text(text, cell_of("constant")).turn is None
     assert [issue.kind for issue in chosen.issues].count("redundancy") == 1
 
 
 def test_a_program_without_a_turn_that_can_be_driven_has_its_error_and_no_targets():
     text = "G21 G90\nG0 X1500 Y0 Z60\nG1 Z0 F1500\nG1 X4400 F2000\n"
-    result = setting.convert(text, cell_of("best"))
+    result = setting.process_text(text, cell_of("best"))
     assert result.failed
     assert (len(result), result.documents, result.turn) == (0, (), None)
     assert [issue.kind for issue in result.issues if issue.level == "error"] == ["redundancy"]
@@ -91,7 +91,7 @@ def test_an_error_that_is_known_before_spares_the_choice_of_a_turn(monkeypatch):
 
     monkeypatch.setattr(process.placement, "in_chosen_turn", never)
     text = "G21 G90\nT1 M6\nG0 X1300 Y0 Z60\nG1 Z0 F600\nT2 M6\nG1 Y20 F2000\n"
-    result = setting.convert(text, cell_of("best"))
+    result = setting.process_text(text, cell_of("best"))
     assert [issue.kind for issue in result.issues if issue.level == "error"] == ["tool-change"]
     assert (len(result), result.documents) == (0, ())
 

@@ -3,7 +3,7 @@
 import pytest
 
 from postproc.dialects.krl.write.rewrite import rewrite
-from tests.benchmarks.krl_bodies import BODIES, corrected_targets, files, read
+from tests.benchmarks.krl_bodies import BODIES, corrected_targets, files, read_texts
 from tests.effort import calls
 
 LINEAR = 1.02
@@ -14,10 +14,10 @@ LINEAR = 1.02
 def test_a_point_costs_the_same_among_many(name):
     def work(count):
         texts = files(name, count)
-        program = read(texts)
+        program = read_texts(texts)
         assert len(program.motions) == count + 1
         wanted = corrected_targets(program)
-        return calls(lambda: read(texts)) + calls(lambda: rewrite(program, wanted))
+        return calls(lambda: read_texts(texts)) + calls(lambda: rewrite(program, wanted))
 
     work(20)  # what is imported or compiled at the first time does not count
     few, more, most = work(100), work(200), work(400)

@@ -14,7 +14,7 @@ from tests.attack.krl import MOST_STEPS, moved, read_job
 from tests.attack.krl_generator import Generator
 from tests.attack.krl_snippets import Snippets
 from tests.attack.krl_states import States
-from tests.benchmarks.krl_bodies import BODIES, corrected_targets, files, read
+from tests.benchmarks.krl_bodies import BODIES, corrected_targets, files, read_texts
 
 _COURSE = main_routine._course
 
@@ -65,7 +65,9 @@ def written_with(seed):
 @pytest.mark.parametrize("name", BODIES)
 def test_bodies_are_read_the_same_in_one_run(name):
     texts = files(name, 200)
-    single, double, _ = both(lambda: read(texts), lambda program: krl.rewrite(program, corrected_targets(program)))
+    single, double, _ = both(
+        lambda: read_texts(texts), lambda program: krl.rewrite(program, corrected_targets(program))
+    )
     assert single == double
 
 
@@ -73,7 +75,7 @@ def test_bodies_are_read_the_same_in_one_run(name):
 def test_calls_and_conditions_need_one_run_only(name):
     """Bodies that are read as columns need none."""
     texts = files(name, 20)
-    assert both(lambda: read(texts), lambda program: krl.rewrite(program, corrected_targets(program)))[2]
+    assert both(lambda: read_texts(texts), lambda program: krl.rewrite(program, corrected_targets(program)))[2]
 
 
 @pytest.mark.parametrize("kind", ["mixed", "harder", "states", "snippets"])

@@ -15,20 +15,18 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from postproc import kinematics, robot
-from postproc.cell import load as load_cell
 from postproc.dialects import krl
 from postproc.dialects.rapid import language
 from postproc.dialects.rapid.dialect import RAPID
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError, ProgramError
 from postproc.program import CIRC, LIN, PTP
-from postproc.under_load import RobotInCell
-from tests.commands import printed
+from tests.commands import convert_text, printed
 from tests.dialects.rapid_grammar import confdata, elbow_and_wrist, frame, parse
+from tests.dialects.rapid_reading import place, read
 from tests.oracle.arm import Arm
-from tests.places import SAMPLES
+from tests.places import ABB_CELL_FILE, SAMPLES
 
-CELL = SAMPLES / "cell_irb6700.toml"
 MODEL = "abb_irb6700_200_260"
 GCODE = (
     "G90 G21\n(FORCE FX=300 FZ=200)\nS1000 M3 F600\nG0 X0 Y0 Z10\nG1 Z0\nG1 X20\nG4 P0.5\nG3 X40 Y20 I0 J20\n"
@@ -36,34 +34,22 @@ GCODE = (
 )
 
 
-def convert(folder, text=GCODE, *options, cell=CELL, code=0):
-    (folder / "part.nc").write_text(text)
-    said = printed(
-        "convert", folder / "part.nc", "--cell", cell, "--to", "rapid", "-o", folder / "out", *options, code=code
-    )
-    return said if code else (folder / "out" / "part.mod").read_bytes().decode("ascii")
+def convert_to_rapid(folder, text=GCODE, *options, cell=ABB_CELL_FILE, code=0):
+    output = convert_text(folder, "part.nc", text, "--to", "rapid", *options, code=code, cell=cell).output
+    return output if code else (folder / "out" / "part.mod").read_bytes().decode("ascii")
 
 
 @pytest.fixture(scope="module")
 def pocket(tmp_path_factory):
     """Folder with pocket.mod and what goes with it."""
     folder = tmp_path_factory.mktemp("pocket")
-    printed("convert", SAMPLES / "pocket.nc", "--cell", CELL, "--to", "rapid", "-o", folder)
+    printed("convert", SAMPLES / "pocket.nc", "--cell", ABB_CELL_FILE, "--to", "rapid", "-o", folder)
     return folder
 
 
 def rows_of(folder, name="pocket"):
     with (folder / f"{name}.targets.csv").open() as file:
         return [{key: float(text) for key, text in row.items() if text} for row in csv.DictReader(file)]
-
-
-def place():
-    cell = load_cell(CELL)
-    return RobotInCell.of(robot.load(robot.find(MODEL)), cell)
-
-
-def read(text, name="part"):
-    return RAPID.read([decode("part.mod", text.encode())], place().cell, place().forward, name)
 
 
 # --- conventions ---------------------------------------------------------------------------------------------------
@@ -155,7 +141,7 @@ def test_the_loaded_arm_of_the_oracle_stands_where_the_part_is_to_be_cut(pocket)
 
 
 def test_speeds_zones_and_stops_are_those_of_the_program(tmp_path):
-    data, code = parse(convert(tmp_path))
+    data, code = parse(convert_to_rapid(tmp_path))
     assert data["speed_0"] == ("speeddata", [300.0, 500.0, 5000.0, 1000.0])
     instructions = [name for _, name, *_ in code]
     assert instructions[:6] == ["ConfJ", "ConfL", "CirPathMode", "MoveAbsJ", "SetAO", "SetDO"]
@@ -176,7 +162,7 @@ def test_speeds_zones_and_stops_are_those_of_the_program(tmp_path):
 
 
 def test_no_circle_is_larger_than_abb_allows(tmp_path):
-    _, code = parse(convert(tmp_path, "G90 G21\nF600\nG0 X0 Y0 Z10\nG1 Z0\nG2 X0 Y0 I20 J0\nG0 Z10\nM2\n"))
+    _, code = parse(convert_to_rapid(tmp_path, "G90 G21\nF600\nG0 X0 Y0 Z10\nG1 Z0\nG2 X0 Y0 I20 J0\nG0 Z10\nM2\n"))
     here, total = None, 0.0
     for _, name, arguments, _ in code:
         if not name.startswith("Move") or name == "MoveAbsJ":
@@ -195,7 +181,9 @@ def test_no_circle_is_larger_than_abb_allows(tmp_path):
 def test_no_circle_is_smaller_than_abb_allows(tmp_path):
     """Limits of MoveC: 0.1 mm from the start to both points, 1 deg between them as seen from there."""
     tiny = "G2 X0.1 I0.05\nG2 X0.5 I0.2\nG1 X10\nG3 X10 Y0.6 J0.3\nG1 X40\nG2 X0 Y40.6 I0 J40\n"
-    _, code = parse(convert(tmp_path, f"G90 G21\nF600\nG0 X0 Y0 Z10\nG1 Z0\n(FORCE FX=-90 FY=60)\n{tiny}G0 Z10\nM2\n"))
+    _, code = parse(
+        convert_to_rapid(tmp_path, f"G90 G21\nF600\nG0 X0 Y0 Z10\nG1 Z0\n(FORCE FX=-90 FY=60)\n{tiny}G0 Z10\nM2\n")
+    )
     here, circles = None, 0
     for _, name, arguments, _ in code:
         if not name.startswith("Move") or name == "MoveAbsJ":
@@ -212,8 +200,8 @@ def test_no_circle_is_smaller_than_abb_allows(tmp_path):
 
 def test_the_payload_of_the_cell_is_the_load_of_the_tool(tmp_path):
     cell = tmp_path / "cell.toml"
-    cell.write_text(CELL.read_text() + "\n[payload]\nmass_kg = 12.5\nX = 5\nZ = 150\n")
-    data, _ = parse(convert(tmp_path, cell=cell))
+    cell.write_text(ABB_CELL_FILE.read_text() + "\n[payload]\nmass_kg = 12.5\nX = 5\nZ = 150\n")
+    data, _ = parse(convert_to_rapid(tmp_path, cell=cell))
     assert data["tool_0"][1][2] == [12.5, [5.0, 0.0, 150.0], [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0]
     kinds = [issue["kind"] for issue in json.loads((tmp_path / "out" / "part.report.json").read_text())["issues"]]
     assert "tool-load" not in kinds
@@ -222,8 +210,8 @@ def test_the_payload_of_the_cell_is_the_load_of_the_tool(tmp_path):
 def test_a_module_longer_than_the_cell_allows_is_named_and_written(tmp_path):
     def kinds(limit):
         cell = tmp_path / "cell.toml"
-        cell.write_text(CELL.read_text().replace("[output]\n", f"[output]\nlines_per_file = {limit}\n"))
-        length = convert(tmp_path, GCODE, "--nominal", "--overwrite", cell=cell).count("\n")
+        cell.write_text(ABB_CELL_FILE.read_text().replace("[output]\n", f"[output]\nlines_per_file = {limit}\n"))
+        length = convert_to_rapid(tmp_path, GCODE, "--nominal", "--overwrite", cell=cell).count("\n")
         report = json.loads((tmp_path / "out" / "part.report.json").read_text())
         return length, [issue["kind"] for issue in report["issues"]].count("long-file")
 
@@ -234,7 +222,7 @@ def test_a_module_longer_than_the_cell_allows_is_named_and_written(tmp_path):
 
 
 def test_forces_come_along_as_comments_that_are_read_again(tmp_path):
-    text = convert(tmp_path)
+    text = convert_to_rapid(tmp_path)
     notes = read(text).notes
     assert notes[0].wrench[0] == 300.0
     assert [note.before for note in notes] == sorted(note.before for note in notes)
@@ -247,19 +235,19 @@ def test_forces_come_along_as_comments_that_are_read_again(tmp_path):
 
 
 def test_the_module_says_where_it_comes_from_and_is_not_converted_again(tmp_path):
-    text = convert(tmp_path)
+    text = convert_to_rapid(tmp_path)
     line = text.split("\r\n")[1]
     assert line.startswith("!POSTPROC 1 ")
     module = tmp_path / "out" / "part.mod"
-    said = printed("convert", module, "--cell", CELL, "-o", tmp_path / "twice", code=1)
+    said = printed("convert", module, "--cell", ABB_CELL_FILE, "-o", tmp_path / "twice", code=1)
     assert "corrected by postproc" in said
     module.write_text(text.replace("MoveL", "MoveL  ", 1))
     assert RAPID.writer.origin([decode("part.mod", module.read_bytes())]).state == "changed"
 
 
 def test_prediction_of_what_was_written_says_what_its_targets_make_up_for(tmp_path):
-    convert(tmp_path)
-    printed("predict", tmp_path / "out" / "part.mod", "--cell", CELL, "-o", tmp_path / "seen")
+    convert_to_rapid(tmp_path)
+    printed("predict", tmp_path / "out" / "part.mod", "--cell", ABB_CELL_FILE, "-o", tmp_path / "seen")
     report = json.loads((tmp_path / "seen" / "part.predict.report.json").read_text())
     corrected = json.loads((tmp_path / "out" / "part.report.json").read_text())
     assert corrected["after"]["max_mm"] < 0.001
@@ -268,10 +256,20 @@ def test_prediction_of_what_was_written_says_what_its_targets_make_up_for(tmp_pa
 
 def test_a_name_that_rapid_does_not_allow_is_made_valid(tmp_path):
     (tmp_path / "1-stop.nc").write_text(GCODE)
-    printed("convert", tmp_path / "1-stop.nc", "--cell", CELL, "--to", "rapid", "-o", tmp_path)
+    printed("convert", tmp_path / "1-stop.nc", "--cell", ABB_CELL_FILE, "--to", "rapid", "-o", tmp_path)
     assert "PROC P1_stop()" in (tmp_path / "P1_stop.mod").read_text()
     printed(
-        "convert", tmp_path / "1-stop.nc", "--cell", CELL, "--to", "rapid", "-o", tmp_path, "--name", "while", code=2
+        "convert",
+        tmp_path / "1-stop.nc",
+        "--cell",
+        ABB_CELL_FILE,
+        "--to",
+        "rapid",
+        "-o",
+        tmp_path,
+        "--name",
+        "while",
+        code=2,
     )
 
 
@@ -293,7 +291,7 @@ def test_a_name_is_kept_if_it_is_valid_or_becomes_a_similar_one(name, valid):
 
 
 def test_a_renamed_program_is_the_program_of_that_name(tmp_path):
-    documents = [decode("part.mod", convert(tmp_path).encode())]
+    documents = [decode("part.mod", convert_to_rapid(tmp_path).encode())]
     (renamed,) = RAPID.writer.rename(documents, "other")
     assert renamed.name == "other.mod"
     assert "MODULE mod_other\r\n" in renamed.text
@@ -314,14 +312,14 @@ def test_a_renamed_program_is_the_program_of_that_name(tmp_path):
 )
 def test_lines_of_the_cell_that_cannot_stand_there_are_refused(tmp_path, line, words):
     cell = tmp_path / "cell.toml"
-    cell.write_text(CELL.read_text().replace('"SetDO doSpindle,1;"', f'"{line}"'))
-    said = convert(tmp_path, cell=cell, code=1)
+    cell.write_text(ABB_CELL_FILE.read_text().replace('"SetDO doSpindle,1;"', f'"{line}"'))
+    said = convert_to_rapid(tmp_path, cell=cell, code=1)
     assert words in said
     assert "in the cell" in said
 
 
 def test_krl_is_not_written_as_rapid(tmp_path):
-    said = printed("convert", SAMPLES / "inline.src", "--cell", CELL, "--to", "rapid", "-o", tmp_path, code=1)
+    said = printed("convert", SAMPLES / "inline.src", "--cell", ABB_CELL_FILE, "--to", "rapid", "-o", tmp_path, code=1)
     assert "krl is written in krl again" in said
 
 
@@ -336,9 +334,10 @@ def test_what_is_written_is_read_as_the_same_program_in_krl(tmp_path):
     model = (tmp_path / "any" / "model.toml").read_text()
     (tmp_path / "any" / "model.toml").write_text(model.replace('language = "rapid"', ""))
     cell.write_text(
-        'robot = "any"\n' + "".join(line for line in CELL.read_text().splitlines(True) if not line.startswith(own))
+        'robot = "any"\n'
+        + "".join(line for line in ABB_CELL_FILE.read_text().splitlines(True) if not line.startswith(own))
     )
-    text = convert(tmp_path, GCODE, "--nominal", cell=cell)
+    text = convert_to_rapid(tmp_path, GCODE, "--nominal", cell=cell)
     printed("convert", tmp_path / "part.nc", "--cell", cell, "--nominal", "-o", tmp_path / "krl")
     other = krl.read_program(
         [decode("part.src", (tmp_path / "krl" / "part.src").read_bytes())], place().cell, place().forward, "part"
@@ -387,7 +386,7 @@ SPOILT = [
 
 @pytest.mark.parametrize(("old", "new"), SPOILT)
 def test_what_is_not_understood_is_refused_with_its_line(tmp_path, old, new):
-    text = convert(tmp_path, GCODE, "--nominal")
+    text = convert_to_rapid(tmp_path, GCODE, "--nominal")
     assert old in text
     with pytest.raises(ProgramError) as caught:
         read(text.replace(old, new, 1))
@@ -396,7 +395,7 @@ def test_what_is_not_understood_is_refused_with_its_line(tmp_path, old, new):
 
 
 def test_the_orientation_at_a_point_on_a_circle_is_a_unit_quaternion_too(tmp_path):
-    text = convert(tmp_path, GCODE, "--nominal")
+    text = convert_to_rapid(tmp_path, GCODE, "--nominal")
     changed = re.sub(r"(MoveC \[\[[^]]*\],\[)[^]]*\]", r"\g<1>0,0,0,0]", text, count=1)
     assert changed != text
     with pytest.raises(ProgramError, match="unit quaternion"):
@@ -414,7 +413,7 @@ _TEXT: list[str] = []
 )
 def test_slips_are_refused_with_a_message_or_read(tmp_path_factory, where, removed, slip):
     if not _TEXT:
-        _TEXT.append(convert(tmp_path_factory.mktemp("slips"), GCODE, "--nominal"))
+        _TEXT.append(convert_to_rapid(tmp_path_factory.mktemp("slips"), GCODE, "--nominal"))
     at = round(where * len(_TEXT[0]))
     text = _TEXT[0][:at] + slip + _TEXT[0][at + removed :]
     with contextlib.suppress(PostprocError):
@@ -423,6 +422,6 @@ def test_slips_are_refused_with_a_message_or_read(tmp_path_factory, where, remov
 
 def test_procedures_of_the_user_are_named(tmp_path):
     cell = tmp_path / "cell.toml"
-    cell.write_text(CELL.read_text().replace('"SetDO doSpindle,1;"', '"SpindleOn {S};"'))
-    issues = read(convert(tmp_path, cell=cell)).issues
+    cell.write_text(ABB_CELL_FILE.read_text().replace('"SetDO doSpindle,1;"', '"SpindleOn {S};"'))
+    issues = read(convert_to_rapid(tmp_path, cell=cell)).issues
     assert [(issue.kind, issue.subject) for issue in issues] == [("external-call", "SPINDLEON")]

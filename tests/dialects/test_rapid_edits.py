@@ -9,8 +9,7 @@ import pytest
 
 from postproc.dialects.rapid.rewrite import _Rewriter
 from postproc.program import CIRC, LIN, PTP
-from tests.dialects.test_rapid import read
-from tests.dialects.test_rapid_reading import AXES, HOME, at, module
+from tests.dialects.rapid_reading import AXES, MOVE_HOME, at, module, read
 
 NEW_AXES = "[9E+09,9E+09,9E+09,9E+09,9E+09,9E+09]"
 TAIL = ",v50,z1,tMill\\WObj:=wPart;"
@@ -60,7 +59,7 @@ def rewritten(code, targets, data="", forces=None, lowered=None, line_end="\n"):
     lines = result.documents[0].text.split(line_end)
     home = next(k for k, line in enumerate(lines) if line.strip().startswith("MoveAbsJ"))
     end = lines.index("  ENDPROC")
-    assert lines[home] == f"    {HOME}"
+    assert lines[home] == f"    {MOVE_HOME}"
     return SimpleNamespace(
         code=lines[home + 1 : end], lines=[int(line) - home - 1 for line in result.output_line],
         data=lines[:home], issues=result.issues,

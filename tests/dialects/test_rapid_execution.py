@@ -8,10 +8,9 @@ import pytest
 
 from postproc.dialects.rapid import execution
 from postproc.errors import PostprocError
-from tests.dialects.test_rapid import read
-from tests.dialects.test_rapid_reading import AXES, HOME, at, local, module, tail
+from tests.dialects.rapid_reading import AXES, MOVE_HOME, at, local, module, read, tail
 
-DATA = (
+DECLARATIONS = (
     f"  LOCAL CONST robtarget p:={at(0, 0, 20)};\n  LOCAL VAR num x:=1;\n  LOCAL VAR num y:=2;\n"
     f"  LOCAL VAR num a{{3}}:=[10,20,30];\n  LOCAL VAR bool b;\n"
     f"  LOCAL CONST jointtarget j:=[[0,10,20,0,60,0],{AXES}];\n"
@@ -25,19 +24,19 @@ def move(x):
     return f"MoveL Offs(p,{x},0,0){tail()}"
 
 
-def run(code, routines=""):
-    return read(local(module(code, DATA, routines)))
+def read_code(code, routines=""):
+    return read(local(module(code, DECLARATIONS, routines)))
 
 
 def refusal(code, routines=""):
     with pytest.raises(PostprocError) as caught:
-        run(code, routines)
+        read_code(code, routines)
     return caught.value
 
 
 def positions(code, routines=""):
     """X [mm] of the moves behind the first one."""
-    return (run(code, routines).motions.target[1:, 0, 3] * 1e3).round(6).tolist()
+    return (read_code(code, routines).motions.target[1:, 0, 3] * 1e3).round(6).tolist()
 
 
 COURSES = {
@@ -206,16 +205,16 @@ REFUSED = {
         for function in ("Offs", "RelTool", "CalcRobT", "CalcJointT", "CRobT", "CJointT", "MirPos", "ORobT")
     },
     "a second round that differs by its speeds": (
-        ["WHILE TRUE DO", HOME, move("x"), "VelSet 50,800;", "ENDWHILE"], "loop without end differ", 0,
+        ["WHILE TRUE DO", MOVE_HOME, move("x"), "VelSet 50,800;", "ENDWHILE"], "loop without end differ", 0,
     ),
     "a second round that differs by its data": (
-        ["WHILE TRUE DO", HOME, "Incr y;", "ENDWHILE"], "the rounds of this loop without end differ", 0,
+        ["WHILE TRUE DO", MOVE_HOME, "Incr y;", "ENDWHILE"], "the rounds of this loop without end differ", 0,
     ),
     "a second round that differs by local data": (
-        ["VAR num n:=3;", "WHILE TRUE DO", HOME, "n:=n+1;", "ENDWHILE"], "loop without end differ", 1,
+        ["VAR num n:=3;", "WHILE TRUE DO", MOVE_HOME, "n:=n+1;", "ENDWHILE"], "loop without end differ", 1,
     ),
     "a second round that has other moves": (
-        ["WHILE TRUE DO", HOME, "IF x=1 THEN", HOME, "ENDIF", "x:=3;", "ENDWHILE"], "without end differ", 0,
+        ["WHILE TRUE DO", MOVE_HOME, "IF x=1 THEN", MOVE_HOME, "ENDIF", "x:=3;", "ENDWHILE"], "without end differ", 0,
     ),
     "a second round that begins at another place": (
         ["WHILE TRUE DO", move("x"), move("y"), "ENDWHILE"], "a loop without end begins with a straight move", 0,
@@ -227,7 +226,7 @@ REFUSED = {
 def test_what_cannot_be_followed_is_refused_at_its_line(kind):
     code, words, row = REFUSED[kind]
     error = refusal(code)
-    first = local(module(code, DATA)).splitlines().index(f"    {HOME}") + 2
+    first = local(module(code, DECLARATIONS)).splitlines().index(f"    {MOVE_HOME}") + 2
     assert words in error.problem
     assert error.line == first + sum(line.count("\n") + 1 for line in code[:row])
     assert error.text == code[row]
@@ -243,7 +242,7 @@ def test_all_moves_that_are_not_known_are_named_but_no_more_than_twenty():
 
 
 def test_calls_of_routines_of_other_files_are_counted_and_named_at_the_first():
-    program = run(["Spin 1;", "x:=Ask(2);", "Spin 2;", '%"Gone"%;', "Spin 3;", "y:=Ask(1)+Ask(3);", move(9)])
+    program = read_code(["Spin 1;", "x:=Ask(2);", "Spin 2;", '%"Gone"%;', "Spin 3;", "y:=Ask(1)+Ask(3);", move(9)])
     first = int(program.motions.line[0]) + 1
     issues = [(issue.subject, issue.source_line, issue.count) for issue in program.issues]
     assert issues == [("SPIN", first, 3), ("ASK", first + 1, 3), ("GONE", first + 3, 1)]
@@ -260,13 +259,13 @@ def test_settings_hold_from_their_statement_on():
         "ConfJ\\On;",
         f"MoveJ {target}{tail()}",
     ]
-    assert run(code).motions.status.tolist() == [-1, 7, -1, 7]
+    assert read_code(code).motions.status.tolist() == [-1, 7, -1, 7]
     code = ["SingArea\\Wrist;", move(1), "SingArea\\Off;", move(2), "SingArea\\Wrist;", move(3), "SingArea;", move(4)]
-    assert run(code).by_wrist.tolist() == [False, True, False, True, False]
+    assert read_code(code).by_wrist.tolist() == [False, True, False, True, False]
     circle = f"MoveC {at(10, 10, 20)},{at(20, 0, 20)}{tail()}"
     back = f"MoveC {at(10, 10, 20)},{at(0, 0, 20)}{tail()}"
     code = [move(0), circle, "CirPathMode\\ObjectFrame;", back, "CirPathMode;", circle, "CirPathMode\\PathFrame;", back]
-    assert run(code).with_path.tolist() == [False, False, True, False, True, True]
+    assert read_code(code).with_path.tolist() == [False, False, True, False, True, True]
 
 
 @pytest.mark.parametrize(
@@ -319,7 +318,7 @@ def test_a_force_in_a_function_or_in_a_routine_that_may_run_is_refused_where_it_
 
 def test_an_interrupt_that_moves_the_robot_is_refused_where_it_is_connected():
     code = ["Incr x;", "CONNECT n WITH late;", move("x")]
-    error = refusal(code, f"TRAP late\nup;\nENDTRAP\n{routine(HOME, name='up')}")
+    error = refusal(code, f"TRAP late\nup;\nENDTRAP\n{routine(MOVE_HOME, name='up')}")
     assert error.problem == "the interrupt LATE moves the robot at a time that is not known"
     assert error.text == code[1]
     assert positions(code, "TRAP late\nIncr y;\nENDTRAP") == [2]
@@ -329,7 +328,7 @@ def test_constants_that_only_the_second_round_of_a_loop_without_end_uses_are_no_
     code = [
         "y:=3;",
         "WHILE TRUE DO",
-        HOME,
+        MOVE_HOME,
         "IF b THEN",
         "y:=a{1}-7;",
         "ELSE",
@@ -343,7 +342,9 @@ def test_constants_that_only_the_second_round_of_a_loop_without_end_uses_are_no_
 
 def test_a_parameter_that_changes_from_round_to_round_of_a_loop_without_end_is_a_difference():
     """Its third round would differ."""
-    text = "\n".join(["PROC work(num n)", "WHILE TRUE DO", HOME, "n:=n+1;", f"IF n>2 THEN\n{HOME}\nENDIF", "ENDWHILE"])
+    text = "\n".join(
+        ["PROC work(num n)", "WHILE TRUE DO", MOVE_HOME, "n:=n+1;", f"IF n>2 THEN\n{MOVE_HOME}\nENDIF", "ENDWHILE"]
+    )
     error = refusal(["work 0;"], f"{text}\nENDPROC")
     assert error.problem == "the rounds of this loop without end differ"
-    assert len(run(["work 0;"], f"{text}\nENDPROC".replace("n:=n+1;", "")).motions) == 2
+    assert len(read_code(["work 0;"], f"{text}\nENDPROC".replace("n:=n+1;", "")).motions) == 2

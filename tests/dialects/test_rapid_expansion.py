@@ -7,10 +7,9 @@ import pytest
 
 from postproc.dialects.rapid import expansion
 from postproc.errors import PostprocError
-from tests.dialects.test_rapid import read
-from tests.dialects.test_rapid_reading import HOME, at, module, tail
+from tests.dialects.rapid_reading import MOVE_HOME, at, module, read, tail
 
-DATA = f"  CONST robtarget p:={at(0, 0, 20)};"
+DECLARATIONS = f"  CONST robtarget p:={at(0, 0, 20)};"
 
 
 def move(x):
@@ -25,7 +24,7 @@ def code_of(program):
 
 def expanded(code, routines=""):
     """Return the expanded statements, the lines of the file of all moves and their X [mm]; the first is HOME."""
-    program = read(module(code, DATA, routines))
+    program = read(module(code, DECLARATIONS, routines))
     x = (program.motions.target[1:, 0, 3] * 1e3).round(6).tolist()
     return program, program.motions.line[1:].tolist(), x
 
@@ -95,7 +94,7 @@ LOOPS = {
 def test_a_loop_is_written_out_line_by_line(kind):
     code, text, lines, x = LOOPS[kind]
     program, line, positions = expanded(code)
-    assert code_of(program) == ["", "PROC main()", "ConfL\\Off;", HOME, *text, "ENDPROC"]
+    assert code_of(program) == ["", "PROC main()", "ConfL\\Off;", MOVE_HOME, *text, "ENDPROC"]
     assert line == lines
     assert positions == x
     assert program.layout.plain == (kind == "one round")
@@ -108,12 +107,14 @@ def test_a_loop_is_written_out_line_by_line(kind):
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_lines_that_are_written_out_have_the_ends_and_the_indentation_of_the_module(end):
-    text = module(["FOR i FROM 1 TO 2 DO", "  " + move("i"), "ENDFOR"], DATA, f"  PROC b()\n    {move(3)}\n  ENDPROC")
+    text = module(
+        ["FOR i FROM 1 TO 2 DO", "  " + move("i"), "ENDFOR"], DECLARATIONS, f"  PROC b()\n    {move(3)}\n  ENDPROC"
+    )
     text = text.replace("    ENDFOR\n", "    ENDFOR\n    b;\n    b;\n")
     program = read(text.replace("\n", end))
     expected = [
         *("  PROC b()", f"    {move(3)}", "  ENDPROC", "PROC b_2()", f"    {move(3)}", "  ENDPROC", "  PROC main()"),
-        *("    ConfL\\Off;", f"    {HOME}", "    ! i = 1", f"      {move(1)}", "    ! i = 2", f"      {move(2)}"),
+        *("    ConfL\\Off;", f"    {MOVE_HOME}", "    ! i = 1", f"      {move(1)}", "    ! i = 2", f"      {move(2)}"),
         *("    ! end", "    b;", "    b_2;", "  ENDPROC", "ENDMODULE", ""),
     ]
     assert program.layout.text.split(end)[4:] == expected
@@ -167,7 +168,7 @@ def test_a_routine_gets_a_copy_for_each_call_but_the_first(kind):
     code, routines, head, calls, lines, x, names = CALLS[kind]
     program, line, positions = expanded(code, routines)
     text = code_of(program)
-    assert text == [*head, "ConfL\\Off;", HOME, *calls, "ENDPROC"]
+    assert text == [*head, "ConfL\\Off;", MOVE_HOME, *calls, "ENDPROC"]
     assert line == lines
     assert positions == x
     (issue,) = program.issues
@@ -224,7 +225,17 @@ def test_force_comments_in_rounds_and_copies_hold_for_each():
 
 
 def test_loops_and_calls_in_a_loop_without_end_are_expanded_in_its_one_round():
-    code = ["WHILE TRUE DO", HOME, "FOR i FROM 1 TO 2 DO", move("i"), "ENDFOR", "cut;", "cut;", "ENDWHILE", move(9)]
+    code = [
+        "WHILE TRUE DO",
+        MOVE_HOME,
+        "FOR i FROM 1 TO 2 DO",
+        move("i"),
+        "ENDFOR",
+        "cut;",
+        "cut;",
+        "ENDWHILE",
+        move(9),
+    ]
     program, line, x = expanded(code, CUT.format(f"{move(3)} ! FORCE FX=50"))
     np.testing.assert_allclose(x[1:], [1, 2, 3, 3])
     assert line == [12, 14, 14, 6, 6]
@@ -236,7 +247,7 @@ def test_the_variable_of_a_loop_hides_data_of_its_name_until_the_end():
     """Also without moves in the loop; data of the routine have their own value behind it."""
     for body in (["x:=x+i;"], [move("i")]):
         code = ["VAR num i:=40;", "FOR i FROM 1 TO 2 DO", *body, "ENDFOR", move("i+x")]
-        program = read(module(code, f"{DATA}\n  VAR num x:=0;"))
+        program = read(module(code, f"{DECLARATIONS}\n  VAR num x:=0;"))
         assert program.motions.target[-1, 0, 3] * 1e3 == pytest.approx(43 if "x" in body[0] and ":=" in body[0] else 40)
 
 
@@ -250,11 +261,11 @@ def test_a_copied_call_and_a_move_in_one_line_are_both_of_this_line():
 def test_programs_that_grow_too_long_are_refused_at_their_procedure(monkeypatch, limit):
     """The loop in a loop takes two passes, and a third that finds nothing more."""
     code = ["FOR i FROM 1 TO 2 DO", "FOR k FROM 1 TO 2 DO", move("i+k"), "ENDFOR", "ENDFOR"]
-    size = len(read(module(code, DATA)).layout.text) if limit == "_MOST_CHARACTERS" else 3
+    size = len(read(module(code, DECLARATIONS)).layout.text) if limit == "_MOST_CHARACTERS" else 3
     monkeypatch.setattr(expansion, limit, size)
-    read(module(code, DATA))
+    read(module(code, DECLARATIONS))
     monkeypatch.setattr(expansion, limit, size - 1)
     with pytest.raises(PostprocError, match=r"too long to be written out|nested too deeply") as caught:
-        read(module(code, DATA))
+        read(module(code, DECLARATIONS))
     assert caught.value.text == "PROC main()"
     assert caught.value.advice

@@ -12,15 +12,15 @@ from postproc.dialects.text import decode
 from postproc.errors import PostprocError
 from postproc.jobs import inputs
 from tests.commands import printed
-from tests.dialects.test_rapid import CELL, place, read
-from tests.dialects.test_rapid_reading import TOOL, WOBJ, at, module, tail
+from tests.dialects.rapid_reading import TOOLDATA, WOBJ, at, module, place, read, tail
+from tests.places import ABB_CELL_FILE
 
 SPEED = "  CONST speeddata vCut:=[37,500,5000,1000];\n"
 TARGET = f"  PERS robtarget pHome:={at(0, 0, 60)};\n"
-BESIDE = f"MODULE CalibData\n  {TOOL}\n  {WOBJ}\n{SPEED}{TARGET}%s\nENDMODULE\n"
+BESIDE = f"MODULE CalibData\n  {TOOLDATA}\n  {WOBJ}\n{SPEED}{TARGET}%s\nENDMODULE\n"
 CODE = ["MoveJ pHome,v100,fine,tMill\\WObj:=wPart;", f"MoveL {at(0, 40, 20)}{tail('vCut')}"]
 WHOLE = module(CODE, SPEED + TARGET)
-SPLIT = WHOLE.replace(f"  {TOOL}\n  {WOBJ}\n{SPEED}{TARGET}", "")
+SPLIT = WHOLE.replace(f"  {TOOLDATA}\n  {WOBJ}\n{SPEED}{TARGET}", "")
 
 
 @pytest.fixture
@@ -95,7 +95,7 @@ def test_a_file_that_is_missing_and_names_that_are_twice_are_errors_of_the_cell(
 def test_data_of_another_module_are_never_changed(tmp_path):
     """Correct a program whose target is in another module: the move gets numbers, the module stays, predict agrees."""
     named = '\n[rapid]\nmodules = ["CalibData.mod"]\n'
-    (tmp_path / "cell.toml").write_text(CELL.read_text() + named)
+    (tmp_path / "cell.toml").write_text(ABB_CELL_FILE.read_text() + named)
     text = SPLIT.replace("    MoveL", f"    ! FORCE FX=400 FY=-200 FZ=300\n    MoveL pCut{tail()}\n    MoveL")
     (tmp_path / "CalibData.mod").write_text(BESIDE % f"  CONST robtarget pCut:={at(10, 20, 20)};")
     (tmp_path / "part.mod").write_text(text)

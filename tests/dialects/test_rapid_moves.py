@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from postproc.errors import PostprocError
 from postproc.program import CIRC, LIN, PTP
 from tests.commands import printed
-from tests.dialects.test_rapid import CELL, place, read
-from tests.dialects.test_rapid_reading import AXES, HOME, TOOL, WOBJ, at, module
+from tests.dialects.rapid_reading import AXES, MOVE_HOME, TOOLDATA, WOBJ, at, module, place, read
+from tests.places import ABB_CELL_FILE
 
 TARGET, VIA, END = at(60, 0, 20), at(10, 10, 20), at(20, 0, 20)
 JOINTS = f"[[0,10,20,0,60,0],{AXES}]"
@@ -104,7 +104,7 @@ def test_frames_are_those_of_the_data_and_each_has_one_row():
     np.testing.assert_allclose(program.bases[0][:3, 3], [1.5, -0.2, 0.7], atol=1e-7)
 
 
-@pytest.mark.parametrize(("declared", "name", "section"), [(TOOL, "TMILL", "[tool]"), (WOBJ, "WPART", "[base]")])
+@pytest.mark.parametrize(("declared", "name", "section"), [(TOOLDATA, "TMILL", "[tool]"), (WOBJ, "WPART", "[base]")])
 def test_a_frame_that_no_module_declares_is_that_of_the_cell_with_a_warning(declared, name, section):
     program = read(module([START]).replace(declared, ""))
     (issue,) = program.issues
@@ -119,8 +119,8 @@ def test_a_frame_that_no_module_declares_is_that_of_the_cell_with_a_warning(decl
     ("old", "new", "problem"),
     [
         ("tMill:=[TRUE", "tMill:=[FALSE", "the tool is fixed in the room and the robot holds the part"),
-        (TOOL, "PERS num tMill:=3;", "a num is no tooldata"),
-        (TOOL, "PERS speeddata tMill:=[1,2,3,4];", "a speeddata is no tooldata"),
+        (TOOLDATA, "PERS num tMill:=3;", "a num is no tooldata"),
+        (TOOLDATA, "PERS speeddata tMill:=[1,2,3,4];", "a speeddata is no tooldata"),
         (WOBJ, "PERS pos wPart:=[1,2,3];", "a pos is no wobjdata"),
         ("wPart:=[FALSE", "wPart:=[TRUE", "the robot holds the work object"),
         ('[FALSE,TRUE,""', '[FALSE,FALSE,""', "the work object moves with the mechanical unit ''"),
@@ -137,7 +137,7 @@ def test_frames_that_are_none_are_refused_at_the_first_move(old, new, problem):
     with pytest.raises(PostprocError) as caught:
         read(text.replace(old, new, 1))
     assert problem in caught.value.problem
-    assert caught.value.text == HOME
+    assert caught.value.text == MOVE_HOME
 
 
 @pytest.mark.parametrize(
@@ -235,7 +235,7 @@ def test_every_target_is_in_the_line_that_the_table_names(tmp_path, end):
     ]  # fmt: skip
     data = f"  CONST robtarget p:={at(180, 0, 20)};"
     (tmp_path / "Part.mod").write_bytes(module(code, data).replace("\n", end).encode())
-    printed("convert", tmp_path / "Part.mod", "--cell", CELL, "-o", tmp_path / "out")
+    printed("convert", tmp_path / "Part.mod", "--cell", ABB_CELL_FILE, "-o", tmp_path / "out")
     lines = (tmp_path / "out" / "Part.mod").read_bytes().decode().split(end)
     with (tmp_path / "out" / "Part.targets.csv").open() as file:
         rows = [{key: text for key, text in row.items() if text} for row in csv.DictReader(file)]
@@ -261,7 +261,7 @@ def test_a_module_whose_last_line_has_moves_is_corrected(tmp_path):
     text = module([START.replace("MoveL", "MoveJ"), "! FORCE FX=300 FY=-100"]).partition("  ENDPROC")[0]
     text += f"MoveL {at(160, 60, 20)}{behind} MoveL {at(160, 160, 20)}{behind} ENDPROC ENDMODULE"
     (tmp_path / "Part.mod").write_text(text)
-    printed("convert", tmp_path / "Part.mod", "--cell", CELL, "-o", tmp_path / "out")
+    printed("convert", tmp_path / "Part.mod", "--cell", ABB_CELL_FILE, "-o", tmp_path / "out")
     lines = (tmp_path / "out" / "Part.mod").read_text().splitlines()
     assert lines[-1].endswith("ENDPROC ENDMODULE")
     assert [line.count("MoveL") for line in lines[-2:]] == [1, 2]
@@ -269,7 +269,7 @@ def test_a_module_whose_last_line_has_moves_is_corrected(tmp_path):
 
 def test_a_program_without_motions_is_refused():
     with pytest.raises(PostprocError, match="there are no motions"):
-        read(module([]).replace(HOME, ""))
+        read(module([]).replace(MOVE_HOME, ""))
     with pytest.raises(PostprocError, match="there is no PROC"):
         read("MODULE a\nENDMODULE")
 

@@ -17,8 +17,7 @@ from postproc.dialects.rapid.rewrite import _Rewriter
 from postproc.dialects.rapid.syntax import modules
 from postproc.errors import PostprocError
 from postproc.program import CIRC, LIN, PTP
-from tests.dialects.test_rapid import read
-from tests.dialects.test_rapid_reading import AXES, HOME, Q, at, convert, module, tail
+from tests.dialects.rapid_reading import AXES, MOVE_HOME, Q, at, correct_module, module, read, tail
 
 FORCE = "! FORCE FX=300 FY=-100"
 FIRST = f"MoveL {at(0, 0, 20)}{tail()}"
@@ -28,8 +27,8 @@ def written(folder, code, data="", routines="", head=None):
     """Statements of a corrected module between its first move and its end, without blanks."""
     text = module(code, data, routines)
     if head is not None:
-        text = text.replace(HOME, head)
-    return [line.strip() for line in convert(folder, text).splitlines()]
+        text = text.replace(MOVE_HOME, head)
+    return [line.strip() for line in correct_module(folder, text).splitlines()]
 
 
 def moves_of(lines, word="Move"):
@@ -68,7 +67,7 @@ def test_moves_that_switch_keep_it_at_their_end(tmp_path, word, behind, is_refus
     code = [FIRST, FORCE, f"{word} {at(160, 60, 20)},{zone}{behind};"]
     data = "  VAR triggdata trig;"
     if is_refused:
-        assert "switches at a distance from its end" in convert(tmp_path, module(code, data), code=1)
+        assert "switches at a distance from its end" in correct_module(tmp_path, module(code, data), code=1)
         return
     lines = moves_of(written(tmp_path, code, data))
     assert lines[-1].startswith(f"{word} [[")
@@ -170,7 +169,10 @@ def test_a_circle_becomes_shorter_ones_with_points_between(tmp_path):
         assert len(re.findall(r"\[\[", line)) == 2
         assert line.endswith(tail())
     straight = moves_of(
-        [line.strip() for line in convert(tmp_path, module(code), "--linearize-arcs", "--overwrite").splitlines()]
+        [
+            line.strip()
+            for line in correct_module(tmp_path, module(code), "--linearize-arcs", "--overwrite").splitlines()
+        ]
     )
     assert not [line for line in straight if line.startswith("MoveC")]
     assert len(straight) > len(lines) + 2

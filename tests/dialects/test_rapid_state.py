@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from postproc.errors import PostprocError
-from tests.dialects.test_rapid import read
-from tests.dialects.test_rapid_reading import HOME, at, module, tail
+from tests.dialects.rapid_reading import MOVE_HOME, at, module, read, tail
 
 DEEP = f"MoveL Offs(p,0,0,-nDeep){tail()}"
-DATA = f"  CONST robtarget p:={at(0, 0, 20)};\n  VAR num nDeep:=0;\n  VAR bool bLate:=FALSE;\n  VAR num a{{2}}:=[0,0];"
+DECLARATIONS = (
+    f"  CONST robtarget p:={at(0, 0, 20)};\n  VAR num nDeep:=0;\n  VAR bool bLate:=FALSE;\n  VAR num a{{2}}:=[0,0];"
+)
 MOVE = f"MoveL {at(0, 0, 20)}{tail()}"
 
 UNKNOWN = {
@@ -56,18 +57,18 @@ UNKNOWN = {
     ),
     "a function that moves": (
         ["nDeep:=probe();", MOVE],
-        f"FUNC num probe()\n{HOME}\nRETURN 1;\nENDFUNC",
+        f"FUNC num probe()\n{MOVE_HOME}\nRETURN 1;\nENDFUNC",
         "the function PROBE moves the robot",
     ),
     "a function that moves, in a branch": (
         ["IF di1=1 THEN", "nDeep:=probe();", "ENDIF", MOVE],
-        f"FUNC num probe()\n{HOME}\nRETURN 1;\nENDFUNC",
+        f"FUNC num probe()\n{MOVE_HOME}\nRETURN 1;\nENDFUNC",
         "whether PROBE is executed",
     ),
     "a function with a name of RAPID": ([DEEP], "FUNC num Abs(num n)\nRETURN 2*n;\nENDFUNC", "has the name"),
     "a routine that is called by a name put together": (
         ['CallByVar "work",1;', MOVE],
-        f"PROC work1()\n{HOME}\nENDPROC",
+        f"PROC work1()\n{MOVE_HOME}\nENDPROC",
         "known at run time only",
     ),
     "rounds that depend on rounding": (
@@ -96,7 +97,7 @@ UNKNOWN = {
 @pytest.mark.parametrize(("code", "routines", "words"), UNKNOWN.values(), ids=UNKNOWN)
 def test_what_only_the_running_robot_knows_is_refused(code, routines, words):
     with pytest.raises(PostprocError) as caught:
-        read(module(code, DATA, routines))
+        read(module(code, DECLARATIONS, routines))
     assert words in str(caught.value)
     assert caught.value.advice
 
@@ -114,7 +115,7 @@ KNOWN = {
         [20.0],
     ),
     "a branch that is known not to run, before one that is not known": (
-        ["IF nDeep=1 THEN", HOME, "ELSEIF di1=1 THEN", "SetDO do1,1;", "ENDIF", DEEP],
+        ["IF nDeep=1 THEN", MOVE_HOME, "ELSEIF di1=1 THEN", "SetDO do1,1;", "ENDIF", DEEP],
         "",
         [20.0],
     ),
@@ -128,11 +129,11 @@ KNOWN = {
 
 @pytest.mark.parametrize(("code", "routines", "heights"), KNOWN.values(), ids=KNOWN)
 def test_what_is_certain_is_read(code, routines, heights):
-    motions = read(module(code, DATA, routines)).motions
+    motions = read(module(code, DECLARATIONS, routines)).motions
     np.testing.assert_allclose(motions.target[1:][:, 2, 3] * 1e3, heights, atol=1e-6)
 
 
 def test_a_function_of_another_file_is_listed():
-    program = read(module(["nDeep:=Foreign(3);", MOVE], DATA).replace("PERS", "CONST"))
+    program = read(module(["nDeep:=Foreign(3);", MOVE], DECLARATIONS).replace("PERS", "CONST"))
     (message,) = [issue.message for issue in program.issues if issue.kind == "external-call"]
     assert message.startswith("FOREIGN is")

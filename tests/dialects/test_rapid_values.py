@@ -22,8 +22,7 @@ from postproc.dialects.rapid.values import (
     truth,
 )
 from postproc.errors import PostprocError
-from tests.dialects.test_rapid import read
-from tests.dialects.test_rapid_reading import AXES, at, convert, module, tail
+from tests.dialects.rapid_reading import AXES, at, correct_module, module, read, tail
 
 TARGET = [[10.0, 20.0, 30.0], [0.5, 0.5, 0.5, 0.5], [0.0, -1.0, 1.0, 0.0], [9e9] * 6]
 
@@ -371,7 +370,7 @@ def test_local_targets_hide_those_of_the_module_and_are_written_into_the_move(tm
     code = ["! FORCE FX=300", f"MoveL p{tail()}", "Cut;"]
     routines = f"  PROC Cut()\n    VAR robtarget p:={at(60, 0, 20)};\n    MoveL p{tail()}\n  ENDPROC\n"
     assert heights(code, data, routines) == [30, 20]
-    written = convert(tmp_path, module(code, data, routines))
+    written = correct_module(tmp_path, module(code, data, routines))
     for kind, point in (("CONST", at(0, 0, 30)), ("VAR", at(60, 0, 20))):
         (line,) = [line for line in written.splitlines() if f"{kind} robtarget p" in line]
         assert point in line
@@ -390,7 +389,7 @@ def test_a_duration_stays_where_the_path_is_as_it_was(tmp_path):
         f"MoveL {at(0, 0, 20)},v50\\T:=2,fine,tMill\\WObj:=wPart;",
     ]  # fmt: skip
     written = [
-        line.strip() for line in convert(tmp_path, module(code)).splitlines() if line.strip().startswith("MoveL")
+        line.strip() for line in correct_module(tmp_path, module(code)).splitlines() if line.strip().startswith("MoveL")
     ]
     speeds = [re.search(r"v50(\\[TV]:=[\d.]+)?", line).group(1) for line in written]
     assert speeds[1] == "\\T:=2"

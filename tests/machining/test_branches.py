@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from tests.commands import run
-from tests.places import CELL_FILE
+from tests.commands import convert_text
 
-HEAD = """DEF part( )
+PLUNGE = """DEF part( )
 BAS (#INITMOV,0 )
 $BASE=BASE_DATA[3]
 $TOOL=TOOL_DATA[2]
@@ -18,7 +17,7 @@ LIN {X -20,Y 30,Z -2,A 180,B 0,C 180}
 """
 OUT, BACK = "LIN {X 120,Y 30,Z -2,A 180,B 0,C 180}\n", "LIN {X -20,Y 30,Z -2,A 180,B 0,C 180}\n"
 UP = "LIN {X -20,Y 30,Z 20,A 180,B 0,C 180}\n"
-HOME = "PTP {A1 10,A2 -80,A3 110,A4 0,A5 60,A6 0}\n"
+HOME_LINE = "PTP {A1 10,A2 -80,A3 110,A4 0,A5 60,A6 0}\n"
 ACROSS = "PTP {X 60,Y 30,Z -2,A 180,B 0,C 180}\nLIN {X 60,Y 30,Z 20,A 180,B 0,C 180}\n"
 PROCESS = """[material]
 name = "al_7075_t6_carbide"
@@ -34,26 +33,23 @@ resolution_mm = 1.0
 SLOT = OUT + BACK
 
 
-def convert(folder, body, code):
-    (folder / "part.src").write_text(f"{HEAD}{body}END\n")
-    (folder / "process.toml").write_text(PROCESS)
-    words = (folder / "part.src", "--process", folder / "process.toml", "-o", folder / "out")
-    return run("convert", *words, code=code, cell=CELL_FILE).output
+def mill_body(folder, body, code):
+    return convert_text(folder, "part.src", f"{PLUNGE}{body}END\n", process=PROCESS, code=code).output
 
 
 @pytest.mark.parametrize(
     ("body", "cut", "behind"),
     [
-        (f"IF $IN[3] THEN\n{SLOT}ELSE\n{SLOT}ENDIF\n{UP}{HOME}", 10, 13),
-        (f"SWITCH PGNO\nCASE 1\n{SLOT}CASE 2\n{SLOT}ENDSWITCH\n{UP}{HOME}", 11, 14),
-        (f"IF $IN[3] THEN\n{SLOT}ENDIF\n{OUT}{HOME}", 10, 13),
-        (f"IF $IN[3] THEN\n{SLOT}ENDIF\n{ACROSS}{HOME}", 10, 13),
-        (f"IF $IN[3] THEN\nGOTO SKIP\nENDIF\n{SLOT}SKIP:\n{OUT}{HOME}", 12, 15),
-        (f"IF $IN[3] THEN\nIF $IN[4] THEN\n{SLOT}ENDIF\n{SLOT}ENDIF\n{UP}{HOME}", 11, 14),
+        (f"IF $IN[3] THEN\n{SLOT}ELSE\n{SLOT}ENDIF\n{UP}{HOME_LINE}", 10, 13),
+        (f"SWITCH PGNO\nCASE 1\n{SLOT}CASE 2\n{SLOT}ENDSWITCH\n{UP}{HOME_LINE}", 11, 14),
+        (f"IF $IN[3] THEN\n{SLOT}ENDIF\n{OUT}{HOME_LINE}", 10, 13),
+        (f"IF $IN[3] THEN\n{SLOT}ENDIF\n{ACROSS}{HOME_LINE}", 10, 13),
+        (f"IF $IN[3] THEN\nGOTO SKIP\nENDIF\n{SLOT}SKIP:\n{OUT}{HOME_LINE}", 12, 15),
+        (f"IF $IN[3] THEN\nIF $IN[4] THEN\n{SLOT}ENDIF\n{SLOT}ENDIF\n{UP}{HOME_LINE}", 11, 14),
     ],
 )
 def test_material_that_a_branch_may_have_removed_is_not_taken_for_removed_behind_it(tmp_path, body, cut, behind):
-    told = convert(tmp_path, body, 1)
+    told = mill_body(tmp_path, body, 1)
     assert f"part.src:{cut}: whether this motion cuts is decided while the robot runs" in told
     assert f"the stock on line {behind} is not known" in told
     assert not list(tmp_path.glob("out/*.src"))
@@ -62,11 +58,11 @@ def test_material_that_a_branch_may_have_removed_is_not_taken_for_removed_behind
 @pytest.mark.parametrize(
     "body",
     [
-        f"IF $IN[3] THEN\n{SLOT}ENDIF\n{UP}{HOME}",
-        f"{SLOT}IF $IN[3] THEN\n{SLOT}ENDIF\n{UP}{HOME}",  # the branch finds nothing to remove
-        f"IF $IN[3] THEN\n$OUT[1]=TRUE\nENDIF\n{SLOT}{UP}{HOME}",
+        f"IF $IN[3] THEN\n{SLOT}ENDIF\n{UP}{HOME_LINE}",
+        f"{SLOT}IF $IN[3] THEN\n{SLOT}ENDIF\n{UP}{HOME_LINE}",  # the branch finds nothing to remove
+        f"IF $IN[3] THEN\n$OUT[1]=TRUE\nENDIF\n{SLOT}{UP}{HOME_LINE}",
     ],
 )
 def test_branches_after_which_no_motion_comes_near_the_stock_are_milled(tmp_path, body):
-    told = convert(tmp_path, body, (0, 3))
+    told = mill_body(tmp_path, body, (0, 3))
     assert "written to" in told

@@ -10,7 +10,7 @@ import pytest
 from postproc.machining import cutting
 from postproc.machining.stock import Stock, between_cells
 
-CELL = 1e-3
+CELL_SIZE = 1e-3
 X, Y = 0.1, 0.2
 
 
@@ -21,13 +21,13 @@ def stock_of(high, low=0.0, share=0.0, floor=0.0, slope=(0.0, 0.0)):
     shares = np.broadcast_to(np.array(share, np.float32), shape).astype(np.float32)
     slopes = np.zeros((*shape, 2), np.int16)
     slopes[:] = np.round(np.array(slope) / 1e-4)
-    return Stock(X, Y, CELL, levels[0], levels[1], shares, slopes, levels[2], float(levels[2].max()) + 1e-6)
+    return Stock(X, Y, CELL_SIZE, levels[0], levels[1], shares, slopes, levels[2], float(levels[2].max()) + 1e-6)
 
 
 def points(*cells):
     """Return x and y (1, n) of points [m], in cells from the corner of the map."""
     x, y = np.array(cells, dtype=float).T
-    return (X + CELL * x[None]).astype(np.float32), (Y + CELL * y[None]).astype(np.float32)
+    return (X + CELL_SIZE * x[None]).astype(np.float32), (Y + CELL_SIZE * y[None]).astype(np.float32)
 
 
 @pytest.mark.parametrize(
@@ -149,11 +149,11 @@ def contact(stock, distances, low=0.0, width=2.5):
     """Return height and moment of points on a cylinder of 5 mm in row 1, whose cells have distances in cells."""
     turn = SimpleNamespace(
         low=np.array([low * 1e-3], np.float32), radius=np.array([5e-3], np.float32),
-        width=np.array([width * CELL / 5e-3]), side=slice(0, len(distances)),
+        width=np.array([width * CELL_SIZE / 5e-3]), side=slice(0, len(distances)),
     )  # fmt: skip
     columns = stock.high.shape[1]
     nearest = np.array([[columns + k for k in range(len(distances))]], np.int32)
-    position = np.array([[X + CELL * (0.5 - distances[0]), Y + CELL * 1.5, 1e-3]], np.float32)
+    position = np.array([[X + CELL_SIZE * (0.5 - distances[0]), Y + CELL_SIZE * 1.5, 1e-3]], np.float32)
     height, moment = cutting._cylinder_contact(stock, nearest, position, turn)
     return height[0] * 1e3, moment[0] * 1e6
 

@@ -7,10 +7,10 @@ import csv
 import pytest
 
 from tests.commands import run
-from tests.machining.test_branches import HOME, PROCESS
+from tests.machining.test_branches import HOME_LINE, PROCESS
 from tests.places import CELL_FILE
 
-HEAD = "DEF part( )\nBAS (#INITMOV,0 )\n$BASE=BASE_DATA[3]\n$TOOL=TOOL_DATA[2]\n$VEL.CP=0.02\n" + HOME
+NUMBERED_FRAMES = "DEF part( )\nBAS (#INITMOV,0 )\n$BASE=BASE_DATA[3]\n$TOOL=TOOL_DATA[2]\n$VEL.CP=0.02\n" + HOME_LINE
 ABOVE = "$BASE={X 1500,Y -200,Z 701,A 0,B 0,C 0}\nLIN {X -20,Y 30,Z 30,A 180,B 0,C 180}\n$BASE=BASE_DATA[3]\n"
 FAR = "$BASE={X 0,Y 0,Z 0,A 0,B 0,C 0}\nLIN {X 1480,Y -170,Z 730,A 180,B 0,C 180}\n$BASE=BASE_DATA[3]\n"
 MILL = (
@@ -20,7 +20,7 @@ MILL = (
 
 
 def largest_force(folder, body):
-    (folder / "part.src").write_text(f"{HEAD}{body}{HOME}END\n")
+    (folder / "part.src").write_text(f"{NUMBERED_FRAMES}{body}{HOME_LINE}END\n")
     (folder / "process.toml").write_text(PROCESS)
     words = (folder / "part.src", "--process", folder / "process.toml", "-o", folder / "out", "--overwrite")
     told = run("convert", *words, code=(0, 3), cell=CELL_FILE).output

@@ -19,7 +19,7 @@ from tests.oracle.teeth import Teeth
 TRUE = np.array([AL7075[k] for k in (0, 2, 4, 1, 3, 5)])
 """In the order of `identification.NAMES`."""
 RADIUS, TEETH, DEPTH, RPM = 5.0, 4, 3.0, 6000.0
-TOOL = ToolTable(diameter_mm=2 * RADIUS, flutes=TEETH)
+IDENTIFIED_TOOL = ToolTable(diameter_mm=2 * RADIUS, flutes=TEETH)
 FEEDS = (0.02, 0.04, 0.06, 0.08, 0.10)
 
 
@@ -63,7 +63,7 @@ def readings(cuts, rng=None, noise=3.0, sigma=3.0, forces=True, power=False):
 
 
 def identified(*given, prior=None, **options):
-    return identification.identify(readings(*given, **options), TOOL, prior, "measured.csv")
+    return identification.identify(readings(*given, **options), IDENTIFIED_TOOL, prior, "measured.csv")
 
 
 def of_published():
@@ -86,7 +86,7 @@ def left_out_of_lines():
 
 
 def predicted(value, mode, width, chip):
-    row = identification.equations(readings([(mode, width, chip, np.zeros(3), 0.0)]), TOOL)
+    row = identification.equations(readings([(mode, width, chip, np.zeros(3), 0.0)]), IDENTIFIED_TOOL)
     return row[0, :3] @ value
 
 
@@ -107,7 +107,7 @@ def test_exact_readings_do_not_give_intervals_of_nothing():
     found = identified(exact, sigma=None)
     assert any("scatter less than any sensor" in text for text in found.warnings)
     assert (found.half > 1e-4 * np.abs(TRUE)).all()
-    table = tomllib.loads(identification.as_toml(found, TOOL, "measured.csv").decode())["material"]
+    table = tomllib.loads(identification.as_toml(found, IDENTIFIED_TOOL, "measured.csv").decode())["material"]
     assert np.diag(table["covariance"]).min() > 1e-9
     size = np.sqrt(np.diag(table["covariance"]))
     correlation = np.abs(table["covariance"] / np.outer(size, size))
@@ -168,7 +168,7 @@ def test_a_force_across_alone_leaves_some_coefficients_open():
     one = readings(SLOTS)
     one.force[:, [0, 2]] = np.nan
     with pytest.raises(ForceError, match="no reading depends on Krc, Kac, Kre, Kae"):
-        identification.identify(one, TOOL, None, "measured.csv")
+        identification.identify(one, IDENTIFIED_TOOL, None, "measured.csv")
 
 
 def test_power_gives_the_tangential_coefficients_and_the_rest_is_from_the_process():
@@ -289,4 +289,4 @@ def test_fewer_readings_than_coefficients_are_refused():
     few.force[:, 1:] = np.nan
     few.force[1, 1] = SLOTS[-1][3][1]
     with pytest.raises(ForceError, match="these readings do not separate Ktc, Kte"):
-        identification.identify(few, TOOL, None, "measured.csv")
+        identification.identify(few, IDENTIFIED_TOOL, None, "measured.csv")

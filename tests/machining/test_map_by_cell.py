@@ -15,7 +15,7 @@ from postproc.machining.remaining import Ceiling
 from postproc.machining.stock import Footprint, Stock
 from postproc.machining.tool import Cutter
 
-CELL = 1e-3
+CELL_SIZE = 1e-3
 SIZE = (30, 40)
 """Rows and columns."""
 
@@ -29,12 +29,12 @@ def made_stock(seed=1, x=0.013, y=-0.024, floor=-0.02):
     floors = np.full(SIZE, floor, dtype=np.float32)
     empty = rng.random(SIZE) < 0.1
     high[empty] = floors[empty]
-    return Stock(x, y, CELL, high, low, share, stocks.level_slopes(high), floors, floor)
+    return Stock(x, y, CELL_SIZE, high, low, share, stocks.level_slopes(high), floors, floor)
 
 
 def middles(stock):
     rows, columns = stock.high.shape
-    return np.meshgrid(stock.x + (np.arange(columns) + 0.5) * CELL, stock.y + (np.arange(rows) + 0.5) * CELL)
+    return np.meshgrid(stock.x + (np.arange(columns) + 0.5) * CELL_SIZE, stock.y + (np.arange(rows) + 0.5) * CELL_SIZE)
 
 
 def segments(seed, count=12):
@@ -68,8 +68,8 @@ def test_windows_hold_all_cells_within_reach_of_each_segment(monkeypatch, most, 
             assert line + window[1] <= SIZE[0]
             low = np.minimum(begin[row], end[row])[:2] - reach
             high = np.maximum(begin[row], end[row])[:2] + reach
-            near = (x + 0.5 * CELL > low[0]) & (x - 0.5 * CELL < high[0])
-            near &= (y + 0.5 * CELL > low[1]) & (y - 0.5 * CELL < high[1])
+            near = (x + 0.5 * CELL_SIZE > low[0]) & (x - 0.5 * CELL_SIZE < high[0])
+            near &= (y + 0.5 * CELL_SIZE > low[1]) & (y - 0.5 * CELL_SIZE < high[1])
             lines, columns = np.nonzero(near)
             assert near.any()
             assert columns.min() >= column
@@ -144,9 +144,9 @@ def test_cells_that_the_tool_covers_are_cut_to_its_lowest_level(shape):
             chord = (end - begin)[k, :2]
             share = np.clip((np.array([px, py]) - begin[k, :2]) @ chord / max(chord @ chord, 1e-18), 0.0, 1.0)
             gaps.append(float(np.hypot(*(np.array([px, py]) - begin[k, :2] - share * chord))))
-        inner = [level for level, gap in zip(levels, gaps, strict=True) if gap < cutter.radius - 0.51 * CELL]
+        inner = [level for level, gap in zip(levels, gaps, strict=True) if gap < cutter.radius - 0.51 * CELL_SIZE]
         expected = min([float(before[row, column]), *inner])
-        if min(gaps) > cutter.radius + 0.51 * CELL:
+        if min(gaps) > cutter.radius + 0.51 * CELL_SIZE:
             assert stock.high[row, column] == before[row, column]
         elif inner:
             assert stock.high[row, column] <= expected + 2e-5
@@ -179,7 +179,7 @@ def test_a_cut_of_a_part_of_a_cell_removes_the_volume_of_that_part(seed):
     high, low, share = 0.0, float(-rng.uniform(0.001, 0.01)), float(rng.choice([0.0, rng.random()]))
     coverage, level = float(rng.uniform(0.05, 0.95)), float(rng.uniform(-0.012, 0.003))
     stock = Stock(
-        0.0, 0.0, CELL, *(np.full((1, 1), value, dtype=np.float32) for value in (high, low, share)),
+        0.0, 0.0, CELL_SIZE, *(np.full((1, 1), value, dtype=np.float32) for value in (high, low, share)),
         np.ones((1, 1, 2), dtype=np.int16), np.full((1, 1), -0.02, dtype=np.float32), -0.02,
     )  # fmt: skip
     numbers = np.array([0]), np.array([coverage], dtype=np.float32), np.array([level], dtype=np.float32)
@@ -197,7 +197,7 @@ def test_a_cut_of_a_part_of_a_cell_removes_the_volume_of_that_part(seed):
 def test_a_cell_that_is_nearly_covered_is_cut_as_a_whole():
     for coverage, is_whole in ((0.9985, False), (0.9995, True)):
         stock = Stock(
-            0.0, 0.0, CELL, *(np.full((1, 1), value, dtype=np.float32) for value in (0.0, -0.02, 0.0)),
+            0.0, 0.0, CELL_SIZE, *(np.full((1, 1), value, dtype=np.float32) for value in (0.0, -0.02, 0.0)),
             np.zeros((1, 1, 2), dtype=np.int16), np.full((1, 1), -0.02, dtype=np.float32), -0.02,
         )  # fmt: skip
         stocks._cut_in_part(stock, np.array([0]), np.float32([coverage]), np.float32([-0.005]))
@@ -215,7 +215,7 @@ def test_the_front_of_a_tool_is_where_its_surface_moves_outwards(shape, slope):
     index = np.arange(stock.high.size)
     x, y = (values.ravel() for values in middles(stock))
     distance = np.hypot(x - point[0], y - point[1])
-    near = distance < cutter.radius - 0.2 * CELL
+    near = distance < cutter.radius - 0.2 * CELL_SIZE
     found = stocks._is_ahead(stock, cutter, index, point, travel, rim=False)
     step = 1e-6 * travel
     after = np.hypot(x - point[0] - step[0], y - point[1] - step[1])
@@ -241,15 +241,15 @@ def test_a_map_of_a_box_has_its_volume_wherever_its_sides_are():
     for _ in range(10):
         low = rng.uniform(-0.02, 0.02, 3)
         size = rng.uniform(0.004, 0.02, 3)
-        stock = stocks.from_box(low, low + size, CELL)
+        stock = stocks.from_box(low, low + size, CELL_SIZE)
         assert stock.volume() == pytest.approx(size.prod(), rel=1e-5)
         assert stock.top == pytest.approx((low + size)[2], abs=1e-8)
         x0, x1, y0, y1 = stock.bounds
-        assert x0 == pytest.approx(low[0] - 2 * CELL)
-        assert y0 == pytest.approx(low[1] - 2 * CELL)
-        assert x1 == pytest.approx(x0 + stock.high.shape[1] * CELL)
-        assert y1 == pytest.approx(y0 + stock.high.shape[0] * CELL)
-        assert low[0] + size[0] + 1.99 * CELL <= x1 < low[0] + size[0] + 3.01 * CELL
+        assert x0 == pytest.approx(low[0] - 2 * CELL_SIZE)
+        assert y0 == pytest.approx(low[1] - 2 * CELL_SIZE)
+        assert x1 == pytest.approx(x0 + stock.high.shape[1] * CELL_SIZE)
+        assert y1 == pytest.approx(y0 + stock.high.shape[0] * CELL_SIZE)
+        assert low[0] + size[0] + 1.99 * CELL_SIZE <= x1 < low[0] + size[0] + 3.01 * CELL_SIZE
 
 
 def test_a_map_that_would_be_too_large_names_a_resolution_that_is_not():
@@ -337,7 +337,7 @@ def test_finer_cells_have_the_surface_of_a_plane_and_the_walls_of_the_wider_ones
     stock.slope[..., 0], stock.slope[..., 1] = 500, -300
     stock.share[10, 12], stock.slope[10, 12] = 0.4, 0
     fine = stocks.refine(stock, factor)
-    assert fine.cell == pytest.approx(CELL / factor)
+    assert fine.cell == pytest.approx(CELL_SIZE / factor)
     fine_x, fine_y = np.meshgrid(
         stock.x + (np.arange(SIZE[1] * factor) + 0.5) * fine.cell,
         stock.y + (np.arange(SIZE[0] * factor) + 0.5) * fine.cell,
@@ -374,7 +374,7 @@ def test_the_coarse_stock_is_the_highest_material_and_sinks_where_it_is_removed(
     monkeypatch.setattr(remaining, "_SIDE_CELLS", 14)
     stock = made_stock(6)
     ceiling = Ceiling(stock)
-    assert ceiling.cell == pytest.approx(3 * CELL)  # 40 cells in 14 at most
+    assert ceiling.cell == pytest.approx(3 * CELL_SIZE)  # 40 cells in 14 at most
 
     def highest():
         out = np.full((10, 14), -np.inf)
@@ -452,7 +452,7 @@ def test_the_mean_thickness_counts_both_levels_of_a_cell():
         share = float(stock.share[row, column])
         expected[row, column] = (1 - share) * max(high - floor, 0) + share * max(min(low, high) - floor, 0)
     np.testing.assert_allclose(stock.thickness(), expected, atol=1e-8)
-    assert stock.volume() == pytest.approx(expected.sum() * CELL**2)
+    assert stock.volume() == pytest.approx(expected.sum() * CELL_SIZE**2)
     empty = replace(stock, high=stock.floor)
     assert empty.top == -np.inf
     assert Footprint.empty().path is None

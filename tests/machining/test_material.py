@@ -168,14 +168,14 @@ def test_a_file_of_a_material_has_one_of_its_own(tmp_path, more):
         law(MaterialTable(file="m.toml"), path)
 
 
-CELL = 0.5e-3
-BLOCK = stocks.from_box(np.array([0.0, 0.0, -0.04]), np.array([0.06, 0.06, 0.0]), CELL)
+CELL_SIZE = 0.5e-3
+BLOCK = stocks.from_box(np.array([0.0, 0.0, -0.04]), np.array([0.06, 0.06, 0.0]), CELL_SIZE)
 MIDDLE = np.array([0.03, 0.03, 0.0])
 
 
 @pytest.mark.parametrize(
     ("cutter", "reach"),
-    [(Cutter(0.01, 0.0, 4), 0.0), (Cutter(0.01, 0.01, 2), CELL), (Cutter(0.01, 0.003, 2), CELL)],
+    [(Cutter(0.01, 0.0, 4), 0.0), (Cutter(0.01, 0.01, 2), CELL_SIZE), (Cutter(0.01, 0.003, 2), CELL_SIZE)],
 )
 def test_an_upright_tool_is_as_deep_as_its_tip(cutter, reach):
     """A round end is compared smaller by a cell; a flat one is not."""
@@ -196,7 +196,7 @@ def test_the_rim_of_a_leaning_flat_tool_is_deepest(degrees, turn):
     tilt, around = np.radians([degrees, turn])
     axis = np.array([[np.sin(tilt) * np.cos(around), np.sin(tilt) * np.sin(around), np.cos(tilt)]])
     tip = MIDDLE[None] - [0.0, 0.0, 0.004]
-    expected = 0.004 + (0.01 - CELL) * np.sin(tilt)
+    expected = 0.004 + (0.01 - CELL_SIZE) * np.sin(tilt)
     found = depth_inside(BLOCK, Cutter(0.01, 0.0, 4), tip, axis)
     assert expected - 2e-4 <= found <= expected + 2e-5
     high = MIDDLE[None] + [0.0, 0.0, 0.01 * np.sin(tilt) + 1e-4]
@@ -207,7 +207,7 @@ def test_the_shank_of_a_lying_tool_is_in_the_block_that_its_end_has_passed():
     """The axis is level, 3 mm over the block, the tip 20 mm beyond it: the cylinder is r − cell − 3 mm deep."""
     axis, tip = np.array([[-1.0, 0.0, 0.0]]), np.array([[0.08, 0.03, 0.003]])
     found = depth_inside(BLOCK, Cutter(0.01, 0.0, 4), tip, axis)
-    assert found == pytest.approx(0.01 - CELL - 0.003, abs=1e-4)
+    assert found == pytest.approx(0.01 - CELL_SIZE - 0.003, abs=1e-4)
     away = np.array([[0.08, 0.03, 0.003]])
     assert depth_inside(BLOCK, Cutter(0.01, 0.0, 4), away, -axis) == 0.0
 

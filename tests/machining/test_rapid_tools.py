@@ -9,10 +9,10 @@ import pytest
 
 from postproc.dialects.rapid.dialect import RAPID
 from postproc.dialects.text import decode
-from tests.commands import printed
-from tests.dialects.test_rapid import CELL, place
-from tests.dialects.test_rapid_reading import AXES, WOBJ, at
+from tests.commands import convert_text, printed
+from tests.dialects.rapid_reading import AXES, WOBJ, at, place
 from tests.html_page import read_page
+from tests.places import ABB_CELL_FILE
 
 LENGTHS = {"tMill": 350.0, "tBall": 320.0}
 CUTTERS = {
@@ -61,12 +61,10 @@ def gcode(number, y):
 BOTH = slot(20, "tMill") + slot(60, "tBall")
 
 
-def convert(folder, text, process, *, name="part.mod", cell=None, code=0):
+def mill_module(folder, text, process, *, name="part.mod", cell=None, code=0):
     """Return what is printed, and the largest force components in N (2, 3) below and above Y 40."""
-    (folder / name).write_text(text)
-    (folder / "process.toml").write_text(process)
-    words = ("--process", folder / "process.toml", "-o", folder / "out", "--overwrite", "--to", "rapid")
-    said = printed("convert", folder / name, *words, cell=cell or CELL, code=code)
+    options = ("--overwrite", "--to", "rapid")
+    said = convert_text(folder, name, text, *options, process=process, cell=cell or ABB_CELL_FILE, code=code).output
     if code:
         return said, None
     with (folder / "out" / "part.targets.csv").open() as file:
@@ -76,27 +74,27 @@ def convert(folder, text, process, *, name="part.mod", cell=None, code=0):
 
 
 def test_two_cutters_of_one_module_cut_as_they_do_in_modules_of_their_own(tmp_path):
-    said, both = convert(tmp_path, module(BOTH), entries({"tMill": "tMill", "tBall": "tBall"}))
+    said, both = mill_module(tmp_path, module(BOTH), entries({"tMill": "tMill", "tBall": "tBall"}))
     assert "one cutter" not in said
-    mill = convert(tmp_path, module(slot(20, "tMill")), entries({"default": "tMill"}))[1]
-    ball = convert(tmp_path, module(slot(60, "tBall")), entries({"default": "tBall"}))[1]
+    mill = mill_module(tmp_path, module(slot(20, "tMill")), entries({"default": "tMill"}))[1]
+    ball = mill_module(tmp_path, module(slot(60, "tBall")), entries({"default": "tBall"}))[1]
     np.testing.assert_allclose(both, [mill[0], ball[1]], rtol=1e-6)
     assert (np.abs(both[1] / both[0] - 1.0) > 0.3).all(), "the cutters differ"
 
 
 def test_two_cutters_of_one_module_cut_as_the_tools_of_gcode_do(tmp_path):
-    both = convert(tmp_path, module(BOTH), entries({"tMill": "tMill", "tBall": "tBall"}))[1]
-    cell = CELL.read_text() + "".join(f"\n[tools.{k}]\nZ = {z}\n" for k, z in enumerate(LENGTHS.values(), 1))
+    both = mill_module(tmp_path, module(BOTH), entries({"tMill": "tMill", "tBall": "tBall"}))[1]
+    cell = ABB_CELL_FILE.read_text() + "".join(f"\n[tools.{k}]\nZ = {z}\n" for k, z in enumerate(LENGTHS.values(), 1))
     (tmp_path / "cell.toml").write_text(cell)
     process = entries({"1": "tMill", "2": "tBall"})
     programs = [gcode(1, 20), gcode(2, 60)]
-    forces = [convert(tmp_path, text, process, name="part.nc", cell=tmp_path / "cell.toml")[1] for text in programs]
+    forces = [mill_module(tmp_path, text, process, name="part.nc", cell=tmp_path / "cell.toml")[1] for text in programs]
     np.testing.assert_allclose(both, [forces[0][0], forces[1][1]], rtol=1e-3)  # written with three decimals
 
 
 @pytest.mark.parametrize("cutters", [{"default": "tMill"}, {"1": "tMill"}, {"TMILL": "tMill", "default": "tMill"}])
 def test_tools_of_other_lengths_that_cut_by_one_entry_are_asked_about(tmp_path, cutters):
-    said, forces = convert(tmp_path, module(BOTH), entries(cutters))
+    said, forces = mill_module(tmp_path, module(BOTH), entries(cutters))
     np.testing.assert_allclose(forces[0], forces[1], rtol=0.02)
     question = "tMill (line 11) and tBall (line 16), whose tips are 30 mm apart, both cut as"
     assert (question in said) == (len(cutters) == 1), "an entry with the name of a tool is that of no other one"
@@ -120,27 +118,27 @@ def test_tools_of_other_lengths_that_cut_by_one_entry_are_asked_about(tmp_path, 
     ],
 )
 def test_a_cutter_that_is_not_known_is_named_with_what_to_write(tmp_path, cutters, problems):
-    said, _ = convert(tmp_path, module(BOTH), entries(dict.fromkeys(cutters, "tMill")), code=1)
+    said, _ = mill_module(tmp_path, module(BOTH), entries(dict.fromkeys(cutters, "tMill")), code=1)
     assert [text for text in problems if text not in said] == [], said
 
 
 def test_a_table_for_another_program_does_no_harm_where_each_tool_has_its_own(tmp_path):
     cutters = {"tMill": "tMill", "tBall": "tBall", "tDrill": "tMill", "7": "tMill"}
-    convert(tmp_path, module(BOTH), entries(cutters))
+    mill_module(tmp_path, module(BOTH), entries(cutters))
 
 
 def test_a_parameter_is_the_tool_of_each_call(tmp_path):
     routine = f"  PROC mill(PERS tooldata t, num y)\n{slot('%', 't').replace('%', 'y')}  ENDPROC\n"
     code = "    mill tMill,20;\n    mill tBall,60;\n"
     process = entries({"tMill": "tMill", "tBall": "tBall"})
-    both = convert(tmp_path, module(BOTH), process)[1]
-    np.testing.assert_allclose(convert(tmp_path, module(code, routines=routine), process)[1], both, rtol=1e-6)
+    both = mill_module(tmp_path, module(BOTH), process)[1]
+    np.testing.assert_allclose(mill_module(tmp_path, module(code, routines=routine), process)[1], both, rtol=1e-6)
 
 
 def test_an_element_of_an_array_needs_the_entry_for_all(tmp_path):
     tool = f"  PERS tooldata tools{{1}}:=[{data({'t': 350}).partition(':=')[2].strip()[:-1]}];\n"
     text = module(slot(20, "tools{1}"), routines=tool)
-    said, _ = convert(tmp_path, text, entries({"tMill": "tMill", "tBall": "tBall"}), code=1)
+    said, _ = mill_module(tmp_path, text, entries({"tMill": "tMill", "tBall": "tBall"}), code=1)
     assert "no cutter for the tool of this move, which is no tooldata by its name. Give [tools.default]" in said
 
 
@@ -153,10 +151,10 @@ def test_an_element_of_an_array_needs_the_entry_for_all(tmp_path):
 )
 def test_equal_tools_with_different_cutters_are_refused(tmp_path, cutters, problem):
     text = module(BOTH, lengths={"tMill": 350.0, "tBall": 350.0})
-    said, _ = convert(tmp_path, text, entries(dict.fromkeys(cutters, "tMill")), code=1)
+    said, _ = mill_module(tmp_path, text, entries(dict.fromkeys(cutters, "tMill")), code=1)
     assert problem in said
     assert "Measure their lengths, or give [tools.default] only." in said
-    assert "one cutter" not in convert(tmp_path, text, entries({"default": "tMill"}))[0]
+    assert "one cutter" not in mill_module(tmp_path, text, entries({"default": "tMill"}))[0]
 
 
 def test_names_are_those_of_the_declarations(tmp_path):
@@ -166,25 +164,25 @@ def test_names_are_those_of_the_declarations(tmp_path):
 
 
 def test_the_set_up_asks_for_the_cutter_of_each_tool_and_writes_its_table(tmp_path):
-    both = convert(tmp_path, module(BOTH), entries({"tMill": "tMill", "tBall": "tBall"}))[1]
-    said = printed("start", tmp_path / "part.mod", "--cell", CELL, code=2)
+    both = mill_module(tmp_path, module(BOTH), entries({"tMill": "tMill", "tBall": "tBall"}))[1]
+    said = printed("start", tmp_path / "part.mod", "--cell", ABB_CELL_FILE, code=2)
     assert "--cutter tMill=flat,12    Cutter of tMill: shape and diameter" in said
     assert "--flutes tBall=3    Cutting edges of tBall" in said
     assert "--rpm tBall=12000" in said
     answers = ["--material", "al_6082_t6_carbide", "--stock", "X=0:120,Y=0:80,Z=-15:0"]
     answers += ["--cutter", "tMill=flat,10", "--cutter", "TBALL=ball,8"]
     answers += ["--flutes", "tMill=3", "--flutes", "tBall=2", "--rpm", "tMill=8000", "--rpm", "tBall=6000"]
-    printed("start", tmp_path / "part.mod", "--cell", CELL, "-o", tmp_path / "started", *answers, "--no-open")
+    printed("start", tmp_path / "part.mod", "--cell", ABB_CELL_FILE, "-o", tmp_path / "started", *answers, "--no-open")
     text = (tmp_path / "started" / "part.process.toml").read_text()
     assert '[tools.tMill]\nshape = "flat"\ndiameter_mm = 10\nflutes = 3\nrpm = 8000\n' in text
     assert '[tools.tBall]\nshape = "ball"\ndiameter_mm = 8\nflutes = 2\nrpm = 6000\n' in text
-    started = convert(tmp_path, module(BOTH), text)[1]
+    started = mill_module(tmp_path, module(BOTH), text)[1]
     np.testing.assert_allclose(started, both, rtol=0.1)  # other cells of the stock
 
 
 def test_reports_name_the_tools_and_a_force_by_hand_may_be_of_one(tmp_path):
     process = entries({"tMill": "tMill", "tBall": "tBall"}) + "[operations.tball]\nFz = 55\nframe = 'BASE'\n"
-    forces = convert(tmp_path, module(BOTH), process)[1]
+    forces = mill_module(tmp_path, module(BOTH), process)[1]
     np.testing.assert_allclose(forces[1], [0.0, 0.0, 55.0], atol=1e-9)
     assert forces[0].min() > 10.0, "tMill has computed forces"
     rows = read_page((tmp_path / "out" / "part.report.html").read_bytes()).text("operations")

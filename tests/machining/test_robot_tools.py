@@ -7,9 +7,9 @@ import csv
 import numpy as np
 import pytest
 
-from tests.commands import run
+from tests.commands import convert_text, run
 
-CELL = """robot = "kuka_kr270"
+TWO_TOOLS_CELL = """robot = "kuka_kr270"
 [base]
 X = 1500.0
 Y = -200.0
@@ -44,19 +44,17 @@ def slot(y):
     return "".join(f"LIN {{X {x},Y {y},Z {z},A 180,B 0,C 180}}\n" for x, z in places)
 
 
-def convert(folder, tools, *, first="TOOL_DATA[1]", second="TOOL_DATA[2]", length=320.0, code=0):
+def mill_two_slots(folder, tools, *, first="TOOL_DATA[1]", second="TOOL_DATA[2]", length=320.0, code=0):
     """Two slots, each with a tool and the speed of its entry; return what is printed, and the largest force in each."""
     text = (
         f"DEF part( )\n$VEL.CP=0.02\n$BASE={{X 1500,Y -200,Z 700,A 0,B 0,C 0}}\n$TOOL={first}\n"
         f"PTP {{X -10,Y 20,Z 40,A 180,B 0,C 180}}\n{slot(20)}$TOOL={second}\n"
         f"PTP {{X -10,Y 60,Z 40,A 180,B 0,C 180}}\n{slot(60)}END\n"
     )
-    (folder / "part.src").write_text(text)
-    (folder / "cell.toml").write_text(CELL.format(length=length))
+    (folder / "cell.toml").write_text(TWO_TOOLS_CELL.format(length=length))
     entries = "".join(CUTTER.format(number=number, speed=speed) for number, speed in tools.items())
-    (folder / "process.toml").write_text(PROCESS.format(tools=entries))
-    words = (folder / "part.src", "--process", folder / "process.toml", "-o", folder / "out")
-    printed = run("convert", *words, code=code, cell=folder / "cell.toml").output
+    process = PROCESS.format(tools=entries)
+    printed = convert_text(folder, "part.src", text, process=process, code=code, cell=folder / "cell.toml").output
     if code:
         return printed, []
     with (folder / "out" / "part.targets.csv").open() as file:
@@ -70,16 +68,16 @@ def convert(folder, tools, *, first="TOOL_DATA[1]", second="TOOL_DATA[2]", lengt
 
 
 def test_the_number_of_a_tool_is_that_of_its_cutter(tmp_path):
-    printed, both = convert(tmp_path, {1: 8000, 2: 2000})
+    printed, both = mill_two_slots(tmp_path, {1: 8000, 2: 2000})
     assert "one cutter" not in printed
-    alone = [convert(tmp_path, {"default": speed}, length=350.0)[1] for speed in (8000, 2000)]
+    alone = [mill_two_slots(tmp_path, {"default": speed}, length=350.0)[1] for speed in (8000, 2000)]
     np.testing.assert_allclose(both, [alone[0][0], alone[1][1]], rtol=0.02)
     assert both[1] > 1.3 * both[0], "the chips are four times as thick"
 
 
 @pytest.mark.parametrize("tools", [{"default": 8000}, {1: 8000}])
 def test_two_tools_that_cut_by_one_entry_are_asked_about(tmp_path, tools):
-    printed, forces = convert(tmp_path, tools)
+    printed, forces = mill_two_slots(tmp_path, tools)
     assert "30 mm apart" in printed
     assert "are they one cutter? Give" in printed
     assert "[tools.2]" in printed
@@ -87,13 +85,13 @@ def test_two_tools_that_cut_by_one_entry_are_asked_about(tmp_path, tools):
 
 
 def test_one_cutter_that_was_measured_twice_is_not_asked_about(tmp_path):
-    printed, _ = convert(tmp_path, {"default": 8000}, length=350.05)
+    printed, _ = mill_two_slots(tmp_path, {"default": 8000}, length=350.05)
     assert "one cutter" not in printed
 
 
 def test_a_tool_whose_lines_only_position_is_not_asked_about(tmp_path):
     """A pointed tool that marks a place above the part by LIN, before the cutter cuts."""
-    convert(tmp_path, {"default": 8000})
+    mill_two_slots(tmp_path, {"default": 8000})
     text = (tmp_path / "part.src").read_text()
     lines = text[text.index("LIN {X -10,Y 60") : text.index("END")]
     (tmp_path / "part.src").write_text(text.replace(lines, "LIN {X 60,Y 60,Z 10,A 180,B 0,C 180}\n"))
@@ -102,20 +100,20 @@ def test_a_tool_whose_lines_only_position_is_not_asked_about(tmp_path):
 
 
 def test_equal_frames_with_different_cutters_are_refused(tmp_path):
-    printed, _ = convert(tmp_path, {1: 8000, 2: 2000}, length=350.0, code=1)
+    printed, _ = mill_two_slots(tmp_path, {1: 8000, 2: 2000}, length=350.0, code=1)
     assert "TOOL_DATA[1] and TOOL_DATA[2] are one frame" in printed
 
 
 def test_a_tool_without_number_needs_the_entry_for_all(tmp_path):
     frame = "{X 0,Y 0,Z 350,A 0,B 0,C 0}"
-    printed, _ = convert(tmp_path, {1: 8000, 2: 2000}, first=frame, second=frame, length=320.0, code=1)
+    printed, _ = mill_two_slots(tmp_path, {1: 8000, 2: 2000}, first=frame, second=frame, length=320.0, code=1)
     assert "no cutter for the $TOOL of this move, which has no number" in printed
     assert "Give [tools.default]" in printed
 
 
 def test_a_line_to_the_place_of_the_tool_cuts_nothing(tmp_path):
     """A PTP above the part, and a LIN to the same point: a move of no length had "no force"."""
-    printed, _ = convert(tmp_path, {"default": 8000}, second="TOOL_DATA[1]")
+    printed, _ = mill_two_slots(tmp_path, {"default": 8000}, second="TOOL_DATA[1]")
     assert "without a force" not in printed
     (tmp_path / "part.src").write_text((tmp_path / "part.src").read_text().replace("Y 60,Z 40", "Y 60,Z 20"))
     words = (tmp_path / "part.src", "--process", tmp_path / "process.toml", "-o", tmp_path / "out2")
@@ -123,7 +121,7 @@ def test_a_line_to_the_place_of_the_tool_cuts_nothing(tmp_path):
 
 
 def test_the_set_up_asks_for_the_cutter_of_each_tool(tmp_path):
-    convert(tmp_path, {1: 8000, 2: 2000})
+    mill_two_slots(tmp_path, {1: 8000, 2: 2000})
     printed = run("start", tmp_path / "part.src", code=2).output
     assert "--cutter 1=flat,12    Cutter of TOOL_DATA[1]" in printed
     assert "--cutter 2=flat,12    Cutter of TOOL_DATA[2]" in printed

@@ -12,7 +12,7 @@ from postproc.machining.tool import Cutter, Turn, edge
 
 LAW = CuttingLaw((800e6, 500e6, -300e6), (30e3, -20e3, 12e3), 0.0, 0.1, "linear")
 FLAT, BALL, BULL = Cutter(5e-3, 0.0, 3), Cutter(5e-3, 5e-3, 2), Cutter(8e-3, 2e-3, 5)
-CELL = 1e-3
+CELL_SIZE = 1e-3
 
 
 def stock_of(seed, *, parts, floor, slopes):
@@ -30,14 +30,14 @@ def stock_of(seed, *, parts, floor, slopes):
     single = [one.astype(np.float32) for one in (high, low, share, ground)]
     upper, lower, covered, under = single
     slope = rng.integers(-9000, 9000, (*shape, 2)) if slopes else np.zeros((*shape, 2))
-    return Stock(0.02, -0.01, CELL, upper, lower, covered, slope.astype(np.int16), under, float(ground.max()))
+    return Stock(0.02, -0.01, CELL_SIZE, upper, lower, covered, slope.astype(np.int16), under, float(ground.max()))
 
 
 def corners(stock, x, y):
     """Cells (row, column) around a point and their weights; the first is that below and to the left."""
     rows, columns = stock.high.shape
-    fx = np.clip((x - stock.x) / CELL - 0.5, 0.0, columns - 1.001)
-    fy = np.clip((y - stock.y) / CELL - 0.5, 0.0, rows - 1.001)
+    fx = np.clip((x - stock.x) / CELL_SIZE - 0.5, 0.0, columns - 1.001)
+    fy = np.clip((y - stock.y) / CELL_SIZE - 0.5, 0.0, rows - 1.001)
     column, row = int(fx), int(fy)
     fx, fy = fx - column, fy - row
     return [
@@ -49,7 +49,7 @@ def corners(stock, x, y):
 def cell_of(stock, x, y):
     """Row and column of the cell with a point, or of the nearest one."""
     rows, columns = stock.high.shape
-    row, column = int((y - stock.y) / CELL), int((x - stock.x) / CELL)
+    row, column = int((y - stock.y) / CELL_SIZE), int((x - stock.x) / CELL_SIZE)
     return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
 
 
@@ -69,12 +69,15 @@ def sides_of_earlier_cut(stock, turn, x, y, axis):
     ]
     outside, inside = [], []
     for row, column in cells:
-        place = stock.x + (column + 0.5) * CELL, stock.y + (row + 0.5) * CELL
-        covered, share = (radius - np.hypot(*np.subtract(place, axis))) / CELL + 0.5, float(stock.share[row, column])
+        place = stock.x + (column + 0.5) * CELL_SIZE, stock.y + (row + 0.5) * CELL_SIZE
+        covered, share = (
+            (radius - np.hypot(*np.subtract(place, axis))) / CELL_SIZE + 0.5,
+            float(stock.share[row, column]),
+        )
         is_low = share == 0.0 and bool(middles) and stock.high[row, column] <= np.mean(middles)
         outside.append(share + 0.01 < covered < 1.0 and not is_low)
         inside.append(is_low or (share > 0.0 and 0.0 < covered <= share + 0.01))
-    reach = int(np.ceil(2.0 * CELL / (turn.width[turn.side.start] * radius)))
+    reach = int(np.ceil(2.0 * CELL_SIZE / (turn.width[turn.side.start] * radius)))
     around = [slice(max(k - reach, 0), k + reach + 1) for k in range(len(cells))]
     return [not any(outside[near]) for near in around], [not any(inside[near]) for near in around]
 
@@ -103,7 +106,7 @@ def by_loops(stock, turn, x, y, position, descent):
             level, mean, coverage, planes = 0.0, 0.0, 0.0, []
             for cell, weight in around:
                 high, floor, share = (float(one[cell]) for one in (stock.high, stock.floor, stock.share))
-                deepest = z + low - 3.0 * CELL  # what is lower is beyond a wall
+                deepest = z + low - 3.0 * CELL_SIZE  # what is lower is beyond a wall
                 if high <= max(floor, deepest):
                     continue
                 lower = min(float(stock.low[cell]), high)
@@ -111,8 +114,8 @@ def by_loops(stock, turn, x, y, position, descent):
                 weight *= 1.0 if lower > deepest else 1.0 - share
                 steep = [1e-4 * float(each) for each in stock.slope[cell]]
                 share_x, share_y = around[1][1] + around[3][1], around[2][1] + around[3][1]
-                dx = (share_x - (cell[1] - around[0][0][1])) * CELL
-                dy = (share_y - (cell[0] - around[0][0][0])) * CELL
+                dx = (share_x - (cell[1] - around[0][0][1])) * CELL_SIZE
+                dy = (share_y - (cell[0] - around[0][0][0])) * CELL_SIZE
                 plane = mixed + steep[0] * dx + steep[1] * dy
                 level, mean, coverage = level + weight * mixed, mean + weight * plane, coverage + weight
                 planes.append(plane)

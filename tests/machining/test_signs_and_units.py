@@ -19,7 +19,7 @@ from postproc.machining.process import ToolTable
 from tests.commands import printed
 from tests.machining.setting import process, tool
 
-TOOL = ToolTable(diameter_mm=10.0, flutes=3)
+TOOL_OF_3_FLUTES = ToolTable(diameter_mm=10.0, flutes=3)
 CHIPS = (0.02, 0.04, 0.06, 0.08, 0.10)
 RPM, DEPTH = 6000.0, 2.0
 AL = MaterialTable(
@@ -49,7 +49,7 @@ def mean_force(entry, mode, chip, depth=DEPTH):
         radial, axial = entry.radial_ratio * tangential, entry.axial_ratio * tangential
     x = -tangential * np.cos(angle) - radial * np.sin(angle)
     y = tangential * np.sin(angle) - radial * np.cos(angle)
-    return TOOL.flutes * depth / (2 * np.pi) * step * np.array([x.sum(), y.sum(), axial.sum()])
+    return TOOL_OF_3_FLUTES.flutes * depth / (2 * np.pi) * step * np.array([x.sum(), y.sum(), axial.sum()])
 
 
 def cuts(entry=AL, modes=("slot",), depth=DEPTH, noise=0.01, seed=0):
@@ -60,7 +60,7 @@ def cuts(entry=AL, modes=("slot",), depth=DEPTH, noise=0.01, seed=0):
     force = force + noise * np.abs(force).max() * rng.normal(size=force.shape)
     nothing = np.full(n, np.nan)
     return identification.CutReadings(
-        list(mode), np.full(n, depth), np.full(n, 2.5), np.full(n, RPM), np.array(chip) * RPM * TOOL.flutes,
+        list(mode), np.full(n, depth), np.full(n, 2.5), np.full(n, RPM), np.array(chip) * RPM * TOOL_OF_3_FLUTES.flutes,
         force, nothing, nothing, np.arange(n) + 2.0,
     )  # fmt: skip
 
@@ -70,7 +70,7 @@ def changed(readings, **values):
 
 
 def identified(readings, prior=None):
-    return identification.identify(readings, TOOL, prior, "cuts.csv")
+    return identification.identify(readings, TOOL_OF_3_FLUTES, prior, "cuts.csv")
 
 
 def exchange(force):
@@ -157,7 +157,7 @@ def test_no_material_of_the_table_is_refused_and_its_file_is_taken(tmp_path, nam
     for prior in (MaterialTable(name=name), None):
         for seed in range(3):
             found = identified(cuts(entry, modes, depth, noise=0.01, seed=seed), prior)
-            (tmp_path / "m.toml").write_bytes(identification.as_toml(found, TOOL, "cuts.csv"))
+            (tmp_path / "m.toml").write_bytes(identification.as_toml(found, TOOL_OF_3_FLUTES, "cuts.csv"))
             assert machining.load(tmp_path / "process.toml").law().cutting[0] == pytest.approx(
                 1e6 * found.value[0], rel=1e-5
             )

@@ -12,7 +12,7 @@ from postproc.machining import sweep
 from postproc.machining.sweep import Sweep
 from postproc.machining.tool import Cutter, Turn, edge, slice_cylinder
 from postproc.machining.tool_path import StraightSegments
-from tests.machining.test_map_by_cell import CELL, SIZE, made_stock
+from tests.machining.test_map_by_cell import CELL_SIZE, SIZE, made_stock
 from tests.machining.test_tilted_by_pose import LAW
 
 RADII = (4e-3, 7e-3)
@@ -69,7 +69,7 @@ def test_segments_can_touch_the_stock_beside_and_below_their_tool(seed):
     made, _ = swept(seed)
     given, top = segments(seed), -0.001
     x0, y0 = made.stock.x, made.stock.y
-    x1, y1 = x0 + SIZE[1] * CELL, y0 + SIZE[0] * CELL
+    x1, y1 = x0 + SIZE[1] * CELL_SIZE, y0 + SIZE[0] * CELL_SIZE
     expected = []
     for n in range(COUNT):
         low, high = np.minimum(given.begin[n], given.end[n]), np.maximum(given.begin[n], given.end[n])
@@ -147,14 +147,14 @@ def test_the_highest_level_near_positions_is_that_of_all_cells_the_tool_may_reac
     radius = 3e-3
     found = made._highest_level(position, radius)
     rows, columns = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]), indexing="ij")
-    x, y = stock.x + (columns + 0.5) * CELL, stock.y + (rows + 0.5) * CELL
+    x, y = stock.x + (columns + 0.5) * CELL_SIZE, stock.y + (rows + 0.5) * CELL_SIZE
     low, high = position[:, :2].min(axis=0), position[:, :2].max(axis=0)
 
     def level(reach):
         near = (x > low[0] - reach) & (x < high[0] + reach) & (y > low[1] - reach) & (y < high[1] + reach)
         return stock.high[near].max(initial=-np.inf)
 
-    assert level(radius + 0.5 * CELL) <= found <= level(radius + 3.5 * CELL)
+    assert level(radius + 0.5 * CELL_SIZE) <= found <= level(radius + 3.5 * CELL_SIZE)
     assert made._highest_level(position + 1.0, radius) == -np.inf
 
 

@@ -16,8 +16,8 @@ from postproc.machining.tool_path import Directions, Shift, straight_segments, t
 from tests.toolpath.setting import BASES, START, begins, mixed, point
 
 FRAME = frames.pose_from_xyzabc([12.0, -7.0, 30.0, 25.0, -15.0, 40.0])
-CELL = 4e-4
-TOOL = np.array([0, 0, 0, 1, 1, -1, 0])
+CELL_SIZE = 4e-4
+TOOL_STATES = np.array([0, 0, 0, 1, 1, -1, 0])
 
 
 def in_map(made, k, place):
@@ -36,14 +36,14 @@ def pieces_of_arc(made, begin, k):
     """Chords that leave the arc by a tenth of a cell and turn by 8° at most."""
     m = made.motions
     radius = np.linalg.norm(np.cross(begin[k, :3, 3] - m.centre[k], m.normal[k]))
-    by_sag = np.sqrt(8.0 * 0.1 * CELL / radius)
+    by_sag = np.sqrt(8.0 * 0.1 * CELL_SIZE / radius)
     return int(np.ceil(m.sweep[k] / min(by_sag, np.radians(8.0))))
 
 
 def test_pieces_of_lines_and_arcs_are_in_the_frame_of_the_map():
     made = mixed()
     begin = begins(made)
-    found = straight_segments(made, toolpath.segments(made, START), SimpleNamespace(tool=TOOL), FRAME, CELL)
+    found = straight_segments(made, toolpath.segments(made, START), SimpleNamespace(tool=TOOL_STATES), FRAME, CELL_SIZE)
     expected = []
     for k in (1, 2, 3, 4, 6):  # no PTP, and no motion without a tool
         count = pieces_of_arc(made, begin, k) if made.motions.kind[k] == 1 else 1
@@ -68,7 +68,7 @@ def test_pieces_are_cut_and_displaced_where_the_tip_is_displaced():
     begin, path = begins(made), toolpath.segments(made, START)
     offset = 1e-3 * np.array([[1, 0, 0], [1, 0, 0], [0, 2, 1], [3, 0, 1], [0, 0, -3], [4, 1, 0]])
     shift = Shift.of(made, np.array([2, 3, 3, 3, 4, 6]), np.array([1.0, 0.25, 0.75, 1.0, 1.0, 0.5]), offset)
-    found = straight_segments(made, path, SimpleNamespace(tool=TOOL), FRAME, CELL, shift)
+    found = straight_segments(made, path, SimpleNamespace(tool=TOOL_STATES), FRAME, CELL_SIZE, shift)
     for k, cuts in ((3, [0.0, 0.25, 0.75, 1.0]), (4, [0.0, 1.0])):
         own = found.motion == k
         np.testing.assert_allclose(found.first[own], cuts[:-1], atol=1e-12)
@@ -100,7 +100,9 @@ def test_a_displacement_keeps_its_direction_where_the_base_changes():
 
 def test_pieces_of_some_motions_are_joined_only_to_those_that_are_left():
     made = mixed()
-    every = straight_segments(made, toolpath.segments(made, START), SimpleNamespace(tool=0 * TOOL), FRAME, CELL)
+    every = straight_segments(
+        made, toolpath.segments(made, START), SimpleNamespace(tool=0 * TOOL_STATES), FRAME, CELL_SIZE
+    )
     some = every.of(np.array([False, True, False, True, False, False, True]))
     assert set(some.motion) == {1, 3, 6}
     starts = np.flatnonzero(np.diff(some.motion, prepend=-1))

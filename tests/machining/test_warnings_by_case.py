@@ -327,7 +327,7 @@ def readings(chip):
     )  # fmt: skip
 
 
-TOOL = ToolTable(diameter_mm=10.0, flutes=2)
+TOOL_OF_2_FLUTES = ToolTable(diameter_mm=10.0, flutes=2)
 
 
 @pytest.mark.parametrize("count", [4, 12])
@@ -338,13 +338,13 @@ def test_coefficients_in_a_combination_that_no_reading_has_are_named(count):
     predictor = rng.normal(size=(count, 6)) * [1.0, 50.0, 1.0, 1e-3, 0.0, 1.0]
     given = readings(np.linspace(0.02, 0.1, count))
     if count > 5:
-        identification._check_separable(given, TOOL, predictor, np.ones(count), excited, "cuts.csv")
+        identification._check_separable(given, TOOL_OF_2_FLUTES, predictor, np.ones(count), excited, "cuts.csv")
         predictor[:, 3] = 1e-4 * predictor[:, 1]  # the second and the fourth in one proportion
         with pytest.raises(ForceError, match="do not separate Krc, Kte"):
-            identification._check_separable(given, TOOL, predictor, np.ones(count), excited, "cuts.csv")
+            identification._check_separable(given, TOOL_OF_2_FLUTES, predictor, np.ones(count), excited, "cuts.csv")
         return
     with pytest.raises(ForceError, match="do not separate Ktc, Krc, Kac, Kte, Kae"):
-        identification._check_separable(given, TOOL, predictor, np.ones(count), excited, "cuts.csv")
+        identification._check_separable(given, TOOL_OF_2_FLUTES, predictor, np.ones(count), excited, "cuts.csv")
 
 
 def test_feeds_within_a_small_range_cannot_separate_edge_and_cut():
@@ -355,9 +355,9 @@ def test_feeds_within_a_small_range_cannot_separate_edge_and_cut():
         given = readings(np.linspace(0.05, 0.05 * least * factor, 8))
         if is_refused:
             with pytest.raises(ForceError, match="one feed per tooth"):
-                identification._check_separable(given, TOOL, predictor, np.ones(8), every, "cuts.csv")
+                identification._check_separable(given, TOOL_OF_2_FLUTES, predictor, np.ones(8), every, "cuts.csv")
         else:
-            identification._check_separable(given, TOOL, predictor, np.ones(8), every, "cuts.csv")
+            identification._check_separable(given, TOOL_OF_2_FLUTES, predictor, np.ones(8), every, "cuts.csv")
 
 
 def test_a_weighted_fit_has_the_normal_equations_and_their_covariance():
@@ -396,7 +396,7 @@ def test_columns_of_very_different_size_are_separate_coefficients():
     """Their units do not count, only their directions."""
     predictor = np.random.default_rng(5).normal(size=(12, 6)) * [1.0, 1e9, 1e-7, 1.0, 1e-3, 1.0]
     given = readings(np.linspace(0.02, 0.1, 12))
-    identification._check_separable(given, TOOL, predictor, np.ones(12), np.ones(6, dtype=bool), "cuts.csv")
+    identification._check_separable(given, TOOL_OF_2_FLUTES, predictor, np.ones(12), np.ones(6, dtype=bool), "cuts.csv")
 
 
 LAW = SimpleNamespace(warning=None, unknown_axial=0.0)

@@ -24,14 +24,14 @@ def cell(name="kuka_kr270", base=(0.0, 0.0, 700.0), tool=(350.0, 200.0), **gcode
     return replace(made, gcode=replace(made.gcode, rapid_m_per_s=0.3, **gcode))
 
 
-def read(text, cell, dialect="gcode"):
+def read_with_robot(text, cell, dialect="gcode"):
     model = robot.load(robot.find(cell.robot))
     name = "part.nc" if dialect == "gcode" else "part.src"
     return read_files({name: text}, cell, model), model
 
 
-def convert(text, cell, **options):
-    program, model = read(text, cell)
+def process_text(text, cell, **options):
+    program, model = read_with_robot(text, cell)
     return correction.process(program, model, cell, None, to=model.language or None, **options)
 
 

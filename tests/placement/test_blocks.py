@@ -9,7 +9,7 @@ from postproc.placement import turn_map, turning
 from postproc.placement.samples import AXIS, PathSamples
 from postproc.placement.turn_map import Blocks
 from postproc.under_load import RobotInCell
-from tests.placement.setting import cell, read
+from tests.placement.setting import cell, read_with_robot
 
 TEXT = "G21 G90\nG0 X1300 Y0 Z60\nG1 Z0 F600\n" + "".join(
     f"G1 X{1300 + 4 * k} F{1200 + 300 * (k % 2)}\n" for k in range(1, 8)
@@ -23,7 +23,7 @@ FEEDS = np.array([600, *[1200 + 300 * (k % 2) for k in range(1, 8)], 3000, np.in
 @pytest.fixture(scope="module")
 def path():
     own = cell()
-    program, model = read(TEXT, own)
+    program, model = read_with_robot(TEXT, own)
     samples = PathSamples.of(program, RobotInCell.of(model, own), None)
     return samples, Blocks.of(samples)
 
@@ -162,7 +162,7 @@ def test_joint_interpolations_are_blocks_of_their_own_without_length(path):
         for word, x in [("PTP", 0), ("LIN", 4), ("LIN", 8), ("PTP", 30), ("PTP", 50), ("LIN", 54), ("LIN", 80)]
     )
     own = cell(base=(1500.0, 0.0, 700.0))
-    program, model = read(text + "END\n", own, "krl")
+    program, model = read_with_robot(text + "END\n", own, "krl")
     samples = PathSamples.of(program, RobotInCell.of(model, own), None)
     blocks = Blocks.of(samples)
     assert blocks.motion.tolist() == [0, 2, 3, 4, 6]

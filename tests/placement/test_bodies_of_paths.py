@@ -11,7 +11,7 @@ from postproc.placement import bodies as placed
 from postproc.placement.bodies import Bodies
 from postproc.placement.samples import PathSamples
 from postproc.under_load import RobotInCell
-from tests.placement.setting import cell, read
+from tests.placement.setting import cell, read_with_robot
 
 TEXT = """G21 G90
 T1 M6
@@ -35,7 +35,7 @@ def compared():
         tools={"1": Frame(X=350.0, Z=200.0), "2": Frame(X=330.0, Z=200.0)},
         collision=Collision(holder=[HolderTable(diameter_mm=20, length_mm=60)]),
     )
-    program, model = read(TEXT, own)
+    program, model = read_with_robot(TEXT, own)
     samples = PathSamples.of(program, RobotInCell.of(model, own), None)
     return samples, Bodies(samples, 12.0)
 

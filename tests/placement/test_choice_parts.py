@@ -20,7 +20,7 @@ from postproc.placement.turning import chosen_start
 from postproc.poses import Poses
 from postproc.under_load import RobotInCell
 from tests.placement.by_sample import SampleBySample
-from tests.placement.setting import cell, read
+from tests.placement.setting import cell, read_with_robot
 
 TEXT = """G21 G90
 (FORCE FX=-110 FY=-190 FZ=130 FRAME=BASE)
@@ -36,7 +36,7 @@ AWAY = "G21 G90\nG0 X0 Y-100 Z60\nG1 Z0 F600\nX200 Y250 Z250\n"
 
 def samples_of(text=TEXT, base=(1500.0, 0.0, 700.0), **gcode):
     own = cell(base=base, **gcode)
-    program, model = read(text, own)
+    program, model = read_with_robot(text, own)
     return PathSamples.of(program, RobotInCell.of(model, own), None)
 
 
@@ -595,7 +595,7 @@ POSE = "X 0,Y 0,Z 60,A 180,B 0,C 180"
 
 def krl_samples(first, rest=""):
     own = cell(base=(1500.0, 0.0, 700.0))
-    program, model = read(STATED.format(first, rest), own, "krl")
+    program, model = read_with_robot(STATED.format(first, rest), own, "krl")
     return program, RobotInCell.of(model, own)
 
 

@@ -13,7 +13,7 @@ from postproc.placement.turn_map import Blocks
 from postproc.under_load import RobotInCell
 from tests.oracle.arm import Arm
 from tests.placement.by_sample import SampleBySample
-from tests.placement.setting import cell, read
+from tests.placement.setting import cell, read_with_robot
 from tests.places import ROOT
 
 PROGRAM = """DEF part()
@@ -48,7 +48,7 @@ def samples_of(text, dialect):
     own = cell(base=(0.0, 0.0, 700.0))
     if dialect == "krl":
         own = replace(own, external_axes={"E1": ExternalAxis(direction=(0.0, 2.0, 0.0))})
-    program, model = read(text, own, dialect)
+    program, model = read_with_robot(text, own, dialect)
     return PathSamples.of(program, RobotInCell.of(model, own), None)
 
 

@@ -15,7 +15,7 @@ from postproc.placement.region import JudgedPlace, Programs
 from postproc.under_load import RobotInCell
 from tests.collision.setting import frame
 from tests.placement.by_sample import SampleBySample
-from tests.placement.setting import cell, read
+from tests.placement.setting import cell, read_with_robot
 
 GCODE = """G21 G90
 (FORCE FX=-110 FY=-190 FZ=130 MY=3 FRAME=BASE)
@@ -42,12 +42,12 @@ CARRIED = replace(STATED, external_axes={"E1": ExternalAxis(direction=(0.0, 2.0,
 
 
 def gcode(own, feed=2000):
-    program, model = read(GCODE.format(feed), own)
+    program, model = read_with_robot(GCODE.format(feed), own)
     return PathSamples.of(program, RobotInCell.of(model, own), None)
 
 
 def krl(own, e1=0.0, source=None):
-    program, model = read(KRL.format(e1, e1 + 70.0), own, "krl")
+    program, model = read_with_robot(KRL.format(e1, e1 + 70.0), own, "krl")
     return PathSamples.of(program, RobotInCell.of(model, own), source)
 
 
@@ -185,7 +185,7 @@ def station_rows(samples, count):
 def test_a_place_is_judged_by_stations_of_programs_in_proportion_to_their_length():
     """120 stations of all programs together, 24 of each at least; speeds and steps are those from the sample before."""
     long = GCODE + "G1 X20 F2000\nG1 X180\n" * 12
-    program, model = read(long.format(2000), STATED)
+    program, model = read_with_robot(long.format(2000), STATED)
     paths = [gcode(STATED), PathSamples.of(program, RobotInCell.of(model, STATED), None)]
     judged = Programs(paths, KEEP)
     rows = [station_rows(path, max(24, 120 * len(path) // sum(map(len, paths)))) for path in paths]
@@ -200,7 +200,7 @@ def at(place, *texts):
     there = moved(STATED, place)
     found = [gcode(there)]
     for text in texts:
-        program, model = read(text.format(2000), there)
+        program, model = read_with_robot(text.format(2000), there)
         found.append(PathSamples.of(program, RobotInCell.of(model, there), None))
     return found
 
@@ -232,7 +232,7 @@ STATUS = KRL.replace("E1 {0}}}\n;F", "E1 {0},S {2}}}\n;F").replace("$TOOL={{X 35
 
 @pytest.mark.parametrize("status", [2, 6])
 def test_a_program_that_states_its_status_is_judged_on_that_branch(status):
-    program, model = read(STATUS.format(0.0, 70.0, status), CARRIED, "krl")
+    program, model = read_with_robot(STATUS.format(0.0, 70.0, status), CARRIED, "krl")
     assert program.motions.status.max() == status
     judged = Programs([PathSamples.of(program, RobotInCell.of(model, CARRIED), None)], BARE)
     result = correction.process(program, model, CARRIED, mode="predict")
@@ -275,7 +275,7 @@ def test_bodies_are_compared_at_poses_and_along_a_whole_program_from_the_start(a
     """Their path begins at [start] with E1 as at the first sample; the part is moved by what separates the places."""
     away, back = (f"LIN {{{{X {x},Y 0,Z 0,A 180,B 0,C 180,E1 {{1}}}}}}\n" for x in (300, 0))
     long = KRL.replace("END", (away + back) * 5 + "END")
-    program, model = read(long.format(0.0, 70.0), CARRIED, "krl")
+    program, model = read_with_robot(long.format(0.0, 70.0), CARRIED, "krl")
     samples = PathSamples.of(program, RobotInCell.of(model, CARRIED), None)
     judged = Programs([samples], BARE)
     judged.bodies = [Touching(at_poses, between)]
@@ -306,7 +306,7 @@ CARRIED_START = np.radians(CARRIED.start.joints)
 
 def krl_at(place, text):
     there = moved(CARRIED, place)
-    program, model = read(text.format(place[4], place[4] + 70.0), there, "krl")
+    program, model = read_with_robot(text.format(place[4], place[4] + 70.0), there, "krl")
     return PathSamples.of(program, RobotInCell.of(model, there), None)
 
 
@@ -339,7 +339,7 @@ def test_the_turn_of_the_cell_stays_unless_another_saves_two_percent_and_the_bes
 
 def test_a_program_without_cuts_has_no_error_and_its_singular_value():
     text = "G21 G90\nG0 X0 Y-100 Z60\nG0 X100\n"
-    program, model = read(text, STATED)
+    program, model = read_with_robot(text, STATED)
     samples = PathSamples.of(program, RobotInCell.of(model, STATED), None)
     place = np.array([1500.0, 0.0, 700.0, 0.0, 0.0])
     found = Programs([samples], BARE)._judge(place, -0.8, 2, [Programs([samples], BARE).full_stations[0]])
@@ -371,7 +371,7 @@ def test_a_place_without_equilibrium_of_one_program_is_refused_as_singular(monke
 
 def test_a_status_that_todays_place_does_not_reach_leaves_the_branch_of_the_start():
     there = moved(CARRIED, [5000.0, 0.0, 700.0, 0.0])
-    program, model = read(STATUS.format(0.0, 70.0, 6), there, "krl")
+    program, model = read_with_robot(STATUS.format(0.0, 70.0, 6), there, "krl")
     judged = Programs([PathSamples.of(program, RobotInCell.of(model, there), None)], BARE)
     assert (judged.full_stations[0].branch == -1).all()
     assert (judged.full_stations[0].shift[:, 1] <= 0.07).all()
@@ -397,7 +397,7 @@ def test_stations_know_the_sample_before_them_and_how_far_e1_carries_the_robot()
 @pytest.mark.parametrize("change", [0.9e-6, 1.1e-6])
 @pytest.mark.parametrize("moves_with_cell", [None, True, False])
 def test_programs_in_a_base_of_their_own_would_not_move_with_the_cell(change, moves_with_cell):
-    program, model = read(GCODE.format(2000), STATED)
+    program, model = read_with_robot(GCODE.format(2000), STATED)
     base = STATED.base.pose()
     own = base.copy()
     own[1, 3] += change

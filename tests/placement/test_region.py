@@ -23,7 +23,7 @@ from tests.commands import invoke, run
 from tests.corrections import read_files
 from tests.kr270 import CELL_TEXT
 from tests.oracle.arm import Arm, abc
-from tests.placement.setting import cell, read
+from tests.placement.setting import cell, read_with_robot
 from tests.places import CELL_FILE
 
 PART = """G21 G90
@@ -39,7 +39,7 @@ G0 Z60
 
 
 def programs(own, text=PART, **options):
-    program, model = read(text, own)
+    program, model = read_with_robot(text, own)
     samples = PathSamples.of(program, RobotInCell.of(model, own), None)
     return region.Programs([samples], LeastMargins(joint=np.radians(5.0)), **options), program, model
 
@@ -91,7 +91,7 @@ def test_a_place_is_judged_as_a_program_that_is_converted_there():
     place = np.array([1250.0, 200.0, 650.0, -15.0, 0.0])
     found = judged.judge(place, all_samples=True)
     there = replace(own, base=Frame(X=1250.0, Y=200.0, Z=650.0, A=-15.0))
-    program, model = read(PART, there)
+    program, model = read_with_robot(PART, there)
     result = correction.process(program, model, there, mode="nominal")
     cuts = ~result.rapid
     assert found.margin == pytest.approx(result.joint_margin.min(), abs=2e-3)
@@ -108,7 +108,7 @@ def test_a_program_that_moves_the_axis_that_carries_the_robot_is_judged_as_it_is
     own = replace(in_line(), external_axes={"E1": ExternalAxis(direction=(0.0, 2.0, 0.0))})
     margins = []
     for e1 in (0, 200):
-        program, model = read(text.format(e1), own, "krl")
+        program, model = read_with_robot(text.format(e1), own, "krl")
         samples = PathSamples.of(program, RobotInCell.of(model, own), None)
         found = region.Programs([samples], LeastMargins()).judge(
             np.array([1400.0, 0.0, 600.0, 0.0, 0.0]), all_samples=True
@@ -146,7 +146,7 @@ def test_a_place_is_refused_for_a_collision_where_convert_refuses_it(obstacle):
             place = np.array([x, y, 650.0, 20.0, 0.0])
             table = replace(own.collision, clearance_mm=need)
             there = replace(own, collision=table, base=Frame(X=x, Y=y, Z=650.0, A=20.0))
-            program, model = read(PART, there)
+            program, model = read_with_robot(PART, there)
             result = correction.process(program, model, there, mode="nominal")
             found = region.drive.REASONS[judged.judge(place, all_samples=True).reason]
             assert (found == "collision") == any(issue.kind == "collision" for issue in result.issues), (x, y, need)
@@ -331,7 +331,7 @@ def test_a_place_whose_move_from_the_start_collides_is_refused_for_that_where_co
         place = np.array([900.0, y, 600.0, 0.0, 0.0])
         reasons[y] = [judged.judge(place, all_samples=every).reason for every in (False, True)]
         there = replace(own, base=Frame(X=900.0, Y=y, Z=600.0))
-        program, model = read(PART, there)
+        program, model = read_with_robot(PART, there)
         result = correction.process(program, model, there, mode="nominal")
         assert any("collision" in issue.message for issue in result.issues if issue.level == "error") == (y < 0.0)
     assert reasons == {-1100.0: [region.drive.FIRST_MOVE] * 2, 300.0: [region.drive.FREE] * 2}

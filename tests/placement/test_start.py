@@ -19,7 +19,7 @@ from tests.commands import invoke
 from tests.kr270 import CELL_TEXT, FOLDER
 from tests.oracle import cell_sim
 from tests.oracle.arm import Arm
-from tests.placement.setting import ROBOTS, around, cell, read
+from tests.placement.setting import ROBOTS, around, cell, read_with_robot
 
 PART = "G21 G90\nG0 X0 Y-100 Z60\nG1 Z0 F600\nX200 F2000\nY100\nX0\nG0 Z60\nM30\n"
 KRL = "DEF part()\n$VEL.CP=0.05\nPTP {{X 0,Y 0,Z 60,A 0,B 0,C 180{0}}}\nLIN {{X 0,Y 0,Z 5,A 0,B 0,C 180}}\nEND\n"
@@ -40,17 +40,17 @@ def margin(result) -> float:
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_branch_is_the_one_with_the_most_margin_of_all_that_convert(name):
     own = in_line(name)
-    program, model = read(PART, own)
+    program, model = read_with_robot(PART, own)
     found = chosen_start(program, RobotInCell.of(model, own))
     first = kinematics.closed_form(model).branches(_flange(program, model, own)[None])[0]
     margins = []
     for q in first[np.isfinite(first).all(axis=1)]:
         there = replace(own, start=Start(tuple(np.degrees(q))))
-        result = correction.process(read(PART, there)[0], model, there, mode="predict")
+        result = correction.process(read_with_robot(PART, there)[0], model, there, mode="predict")
         if not result.failed:
             margins.append(margin(result))
     chosen = replace(own, start=Start(found.joints))
-    best = margin(correction.process(read(PART, chosen)[0], model, chosen, mode="predict"))
+    best = margin(correction.process(read_with_robot(PART, chosen)[0], model, chosen, mode="predict"))
     assert len(margins) >= 2
     assert best == pytest.approx(max(margins), abs=1e-3)
     assert name != "kuka_kr270" or max(margins) > min(margins) + np.radians(5.0)  # no mere turn of the wrist
@@ -62,7 +62,7 @@ def test_the_branch_is_the_one_with_the_most_margin_of_all_that_convert(name):
 def test_a_branch_with_a_collision_is_taken_only_if_there_is_no_other():
     """A box at the elbow of the branch with the most margin, beyond it: the other one is taken, and drives."""
     own = in_line("kuka_kr270")
-    program, model = read(PART, own)
+    program, model = read_with_robot(PART, own)
     first = chosen_start(program, RobotInCell.of(model, own))
     beyond = link_frames(model.nominal, np.radians(first.joints)[None])[0, 3, :3, 3] * 1e3 + [350.0, 0.0, 300.0]
     spans = [(float(at - 50), float(at + 50)) for at in beyond]
@@ -72,7 +72,7 @@ def test_a_branch_with_a_collision_is_taken_only_if_there_is_no_other():
     assert found.joints != first.joints
     assert "on the branch of those without collisions" in found.message
     there = replace(inside, start=Start(found.joints))
-    result = correction.process(read(PART, there)[0], model, there, mode="predict")
+    result = correction.process(read_with_robot(PART, there)[0], model, there, mode="predict")
     assert not result.failed, result.issues
     both = replace(own, collision=Collision(obstacles=[box, ObstacleTable(name="part", box=Box(*[(-300, 300)] * 3))]))
     assert chosen_start(program, RobotInCell.of(model, both)).joints == first.joints
@@ -85,7 +85,7 @@ def test_a_branch_with_a_collision_is_taken_only_if_there_is_no_other():
 def test_a4_and_a6_start_with_the_whole_turn_that_leaves_the_most_room_along_the_path(axis, first, last, expected):
     """Their limits are ±350°."""
     own = in_line("kuka_kr270")
-    _, model = read(PART, own)
+    _, model = read_with_robot(PART, own)
     q = np.radians(np.tile([[0.0], [-90.0], [100.0], [0.0], [80.0], [0.0]], 33))
     q[axis] = np.radians((np.linspace(first, last, 33) + 180.0) % 360.0 - 180.0)
     found = np.degrees(turning._unwind(RobotInCell.of(model, own), q))
@@ -97,7 +97,7 @@ def test_a4_and_a6_start_with_the_whole_turn_that_leaves_the_most_room_along_the
 def test_a_program_whose_turn_is_free_starts_within_half_a_turn_of_a4_and_a6():
     """At a constant turn A4 would start at 280°, with more room: but the turn is chosen along the path later."""
     own = cell(redundancy="path")
-    program, model = read(around(1400, 150), own)
+    program, model = read_with_robot(around(1400, 150), own)
     joints = chosen_start(program, RobotInCell.of(model, own)).joints
     assert np.abs(np.array(joints)[[3, 5]]).max() < 180.0
 
@@ -110,7 +110,7 @@ def test_a_program_of_a_constant_turn_starts_with_the_turn_of_a6_that_the_path_n
     """
     own = in_line("kuka_kr270", base=(0.0, 0.0, 700.0))
     own = replace(own, gcode=replace(own.gcode, redundancy_deg=turn))
-    program, model = read(around(1400, 130), own)
+    program, model = read_with_robot(around(1400, 130), own)
     joints = chosen_start(program, RobotInCell.of(model, own)).joints
     np.testing.assert_allclose(np.array(joints)[[0, 3, 5]], [130.0, 0.0, a6], atol=1e-3)
 
@@ -156,7 +156,7 @@ def test_what_is_written_starts_there_and_is_read_back_the_same(tmp_path):
 @pytest.mark.parametrize(("status", "s"), [(",S 2,T 35", 2), (",S 6,T 19", 6), (",S 0,T 35", 0)])
 def test_a_program_that_states_status_and_turn_starts_with_them(status, s):
     own = in_line("kuka_kr270")
-    program, model = read(KRL.format(status), own, "krl")
+    program, model = read_with_robot(KRL.format(status), own, "krl")
     found = chosen_start(program, RobotInCell.of(model, own))
     assert kinematics.status_of(model, np.radians(found.joints)[None])[0] == s
 
@@ -170,7 +170,7 @@ def test_a_program_that_depends_on_its_start_is_refused(tmp_path):
 
 def test_a_program_out_of_reach_of_all_branches_is_refused():
     own = in_line("kuka_kr270", base=(5000.0, 0.0, 600.0))
-    program, model = read(PART, own)
+    program, model = read_with_robot(PART, own)
     with pytest.raises(Exception, match="no branch of the arm reaches the first target"):
         chosen_start(program, RobotInCell.of(model, own))
 

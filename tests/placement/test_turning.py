@@ -22,7 +22,7 @@ from postproc.under_load import RobotInCell
 from tests.corrections import read_back
 from tests.oracle import cell_sim
 from tests.oracle.arm import Arm
-from tests.placement.setting import TWO_POCKETS, around, cell, convert, read
+from tests.placement.setting import TWO_POCKETS, around, cell, process_text, read_with_robot
 
 POCKETS = TWO_POCKETS.format(1300, 1500)
 
@@ -35,7 +35,7 @@ def test_a_turn_of_all_motions_is_the_turn_that_the_cell_could_state(axes):
         text = text.replace("X1600", "X1600 C30 B20").replace("G0 X1500", "G0 C0 B0 X1500")
     plain = cell() if axes is None else replace(cell(), rotary=Rotary(axes=axes, kind="tcp"))
     stated = replace(plain, gcode=replace(plain.gcode, redundancy_deg=40.0))
-    one, other = read(text, plain)[0], read(text, stated)[0]
+    one, other = read_with_robot(text, plain)[0], read_with_robot(text, stated)[0]
     turned = placement.turn_program(one, "+X", np.full(len(one.motions), np.radians(40.0)))
     assert np.allclose(turned.motions.target, other.motions.target, atol=1e-12)
     if axes is not None:
@@ -47,11 +47,11 @@ def test_a_turn_of_all_motions_is_the_turn_that_the_cell_could_state(axes):
 def test_a_program_that_no_constant_turn_can_drive_is_driven_along_the_path(name):
     text, own = around(1900, 150), cell(name)
     for turn in range(-180, 180, 30 if name == "kuka_kr270" else 90):
-        assert convert(text, replace(own, gcode=replace(own.gcode, redundancy_deg=float(turn)))).failed
-    best = convert(text, replace(own, gcode=replace(own.gcode, redundancy="best")))
+        assert process_text(text, replace(own, gcode=replace(own.gcode, redundancy_deg=float(turn)))).failed
+    best = process_text(text, replace(own, gcode=replace(own.gcode, redundancy="best")))
     assert [issue.kind for issue in best.issues if issue.level == "error"] == ["redundancy"]
     assert 'redundancy = "path"' in next(issue.message for issue in best.issues if issue.level == "error")
-    path = convert(text, replace(own, gcode=replace(own.gcode, redundancy="path")))
+    path = process_text(text, replace(own, gcode=replace(own.gcode, redundancy="path")))
     assert not path.failed, path.issues
     content = summary(path).redundancy
     assert content.mode == "path"
@@ -70,7 +70,7 @@ def driven(feed):
         whether the move is a cut (n,).
     """
     own = cell(redundancy="path")
-    result = convert(around(1900, 150, 31, feed), own)
+    result = process_text(around(1900, 150, 31, feed), own)
     assert not result.failed, result.issues
     moves = cell_sim.read(result.documents[0].to_bytes().decode())[1:]  # the first one goes to the start
     frame = lambda table: tuple(getattr(table, axis) for axis in "XYZABC")  # noqa: E731
@@ -98,7 +98,7 @@ def test_the_written_program_stays_within_joint_limits_and_speeds_by_the_simulat
 
 
 def test_a_feed_at_which_no_line_keeps_the_joint_speeds_is_refused():
-    found = convert(around(1900, 150, 31, 125_000), cell(redundancy="path"))
+    found = process_text(around(1900, 150, 31, 125_000), cell(redundancy="path"))
     assert any("joint speed" in issue.message for issue in found.issues if issue.level == "error")
 
 
@@ -122,9 +122,11 @@ def test_the_best_turn_of_each_operation_is_within_two_percent_of_all_constant_t
     found = {
         turn: result
         for turn in range(-180, 180, 20)
-        if not (result := convert(POCKETS, replace(own, gcode=replace(own.gcode, redundancy_deg=float(turn))))).failed
+        if not (
+            result := process_text(POCKETS, replace(own, gcode=replace(own.gcode, redundancy_deg=float(turn))))
+        ).failed
     }
-    best = convert(POCKETS, replace(own, gcode=replace(own.gcode, redundancy="best")))
+    best = process_text(POCKETS, replace(own, gcode=replace(own.gcode, redundancy="best")))
     assert not best.failed, best.issues
     assert len(found) >= 3
     for lines in (first, second):
@@ -136,14 +138,14 @@ def test_the_best_line_is_within_two_percent_of_every_pair_of_turns():
     """Brute force: a start and an end for the turn along one cut, in steps of 30°."""
     text = "G21 G90\n(FORCE FX=-110 FY=-190 FZ=130 FRAME=FEED)\nG0 X1300 Y-300 Z60\nG1 Z0 F600\nG1 Y300 F2000\n"
     own = cell(base=(0.0, 0.0, 500.0))
-    program, model = read(text, own)
+    program, model = read_with_robot(text, own)
     errors = []
     for begin, end in itertools.product(range(-60, 61, 30), repeat=2):
         turned = placement.turn_program(program, "+X", np.radians([begin, begin, end]))
         result = correction.process(turned, model, own)
         if not result.failed and abs(end - begin) <= 170:
             errors.append(expected_rms(result, [4, 5]))
-    path = convert(text, replace(own, gcode=replace(own.gcode, redundancy="path")))
+    path = process_text(text, replace(own, gcode=replace(own.gcode, redundancy="path")))
     assert not path.failed
     assert expected_rms(path, [4, 5]) <= 1.02 * min(errors)
 
@@ -160,14 +162,14 @@ def test_a_turn_along_the_path_does_not_trade_margin_and_steadiness_for_little_e
         margin = min(np.degrees(result.joint_margin).min(), np.degrees(np.abs(result.q[:, 4])).min())
         return expected_rms(result, lines) + 5e-5 * np.exp(-margin / 10.0), margin
 
-    path = convert(text, replace(stated, gcode=replace(stated.gcode, redundancy="path")))
+    path = process_text(text, replace(stated, gcode=replace(stated.gcode, redundancy="path")))
     assert not path.failed, path.issues
     total, margin = priced(path)
     assert margin > 20.0
     cuts = ~path.rapid[1:] & ~path.rapid[:-1]
     assert np.degrees(np.abs(np.diff(path.q, axis=0)))[cuts].max() < 10.0
     constants = (
-        convert(text, replace(stated, gcode=replace(stated.gcode, redundancy_deg=float(turn))))
+        process_text(text, replace(stated, gcode=replace(stated.gcode, redundancy_deg=float(turn))))
         for turn in range(-160, 200, 40)
     )
     totals = [priced(result)[0] for result in constants if not result.failed]
@@ -191,7 +193,7 @@ def with_bodies(own, *obstacles):
 
 def test_without_bodies_the_choice_says_that_no_collisions_are_checked():
     own = cell(base=(0.0, 0.0, 500.0))
-    program, model = read(POCKETS, own)
+    program, model = read_with_robot(POCKETS, own)
     free, said = placement.choose_turn(program, RobotInCell.of(model, own), None, "best")
     assert free.map.hit is None
     assert "Collisions do not count in this choice: the cell has no [collision]" in said[0].message
@@ -201,13 +203,15 @@ def test_without_bodies_the_choice_says_that_no_collisions_are_checked():
 def test_a_turn_that_comes_too_close_to_a_wall_is_not_chosen(mode):
     """The turn that is best without the wall is an error with it; the chosen one passes the check of the path."""
     own = cell(base=(0.0, 0.0, 500.0), redundancy=mode)
-    free = convert(POCKETS, own)
+    free = process_text(POCKETS, own)
     wall = with_bodies(own, ((1600, 1650), (-200, 0), (150, 400)))
     if mode == "best":
         same = float(np.degrees(free.turn.of_motion[3]))
-        stated = convert(POCKETS, replace(wall, gcode=replace(own.gcode, redundancy="constant", redundancy_deg=same)))
+        stated = process_text(
+            POCKETS, replace(wall, gcode=replace(own.gcode, redundancy="constant", redundancy_deg=same))
+        )
         assert {issue.kind for issue in stated.issues if issue.level == "error"} == {"collision"}
-    found = convert(POCKETS, wall)
+    found = process_text(POCKETS, wall)
     assert not found.failed, found.issues
     assert found.clearance.distance >= 0.005
     closed = found.turn.map.reasons(found.turn.keep) == REASONS.index("collision")
@@ -220,14 +224,14 @@ def test_a_collision_between_samples_of_the_map_is_found_where_the_line_goes(mon
     own = with_bodies(cell(base=(0.0, 0.0, 500.0), redundancy="best"), ((1450, 1470), (-5, 5), (100, 600)))
     for name, few in (("_MOST_POSES", 1), ("_BINS", 1), ("_MOST_BLOCKS", 1)):
         monkeypatch.setattr(turn_map, name, few)
-    result = convert(text, own)
+    result = process_text(text, own)
     assert not result.failed, result.issues
     assert result.clearance.distance >= 0.005
 
 
 def test_a_program_that_no_turn_can_drive_names_the_line_and_the_reason():
     text = "G21 G90\nG0 X1500 Y0 Z60\nG1 Z0 F1500\nG1 X2400 F2000\nG1 X3300\nG1 X1500\n"
-    result = convert(text, cell(redundancy="path"))
+    result = process_text(text, cell(redundancy="path"))
     issue = next(issue for issue in result.issues if issue.level == "error")
     assert issue.source_line in (4, 5)
     assert "joint limit" in issue.message or "out of reach" in issue.message
@@ -240,7 +244,7 @@ def test_a_program_that_collides_with_every_turn_names_bodies_and_millimetres(mo
     held = [own.collision.holder[0], HolderTable(name="spindle", diameter_mm=120, length_mm=200)]
     own = replace(own, collision=replace(own.collision, holder=held, clearance_mm=30.0))
     text = "G21 G90\n(FORCE FX=-110 FY=-190 FZ=130 FRAME=FEED)\nG0 X1300 Y0 Z200\nG1 Z62 F600\nG1 Y100 F2000\nG0 Z200\n"
-    issue = next(issue for issue in convert(text, own).issues if issue.level == "error")
+    issue = next(issue for issue in process_text(text, own).issues if issue.level == "error")
     assert issue.kind == "redundancy"
     found = re.search(r"collision at \d+ % of all turns: (\w+) ([\d.]+) mm from wall at best", issue.message)
     assert found, issue.message
@@ -252,19 +256,19 @@ def test_the_turn_of_the_cell_stays_where_no_other_saves_two_percent():
     """From the best turn of the map, 4° off cost 1.4 %, 8° cost 3 %."""
     own = cell(base=(0.0, 0.0, 500.0), redundancy="best")
     text = "G21 G90\n(FORCE FX=-110 FY=-190 FZ=130 FRAME=FEED)\nG0 X1300 Y-50 Z60\nG1 Z0 F600\nG1 Y50 F2000\nG0 Z60\n"
-    found = convert(text, own)
+    found = process_text(text, own)
     (best,) = set(found.turn.range_deg())
     for off, stays in ((-4.0, True), (-8.0, False)):
         stated = replace(own, gcode=replace(own.gcode, redundancy_deg=best + off))
-        constant = convert(text, replace(stated, gcode=replace(stated.gcode, redundancy="constant")))
+        constant = process_text(text, replace(stated, gcode=replace(stated.gcode, redundancy="constant")))
         assert (expected_rms(constant, [4, 5]) <= 1.02 * expected_rms(found, [4, 5])) == stays
-        assert convert(text, stated).turn.range_deg() == pytest.approx((best + off * stays,) * 2, abs=1e-6)
+        assert process_text(text, stated).turn.range_deg() == pytest.approx((best + off * stays,) * 2, abs=1e-6)
 
 
 def test_the_turn_of_the_cell_does_not_stay_where_it_comes_too_close_to_a_wall():
     wall = with_bodies(cell(base=(0.0, 0.0, 500.0), redundancy="best"), ((1600, 1650), (-200, 0), (150, 400)))
-    free = float(np.degrees(convert(POCKETS, replace(wall, collision=None)).turn.of_motion[3]))
-    found = convert(POCKETS, replace(wall, gcode=replace(wall.gcode, redundancy_deg=free)))
+    free = float(np.degrees(process_text(POCKETS, replace(wall, collision=None)).turn.of_motion[3]))
+    found = process_text(POCKETS, replace(wall, gcode=replace(wall.gcode, redundancy_deg=free)))
     assert not found.failed, found.issues
     assert found.turn.of_motion[3] != 0.0
     assert found.clearance.distance >= 0.005
@@ -273,7 +277,7 @@ def test_the_turn_of_the_cell_does_not_stay_where_it_comes_too_close_to_a_wall()
 def test_the_text_of_a_robot_program_keeps_its_turn():
     own = cell(redundancy="path")
     text = "G21 G90\nG0 X1500 Y0 Z60\nG1 Z0 F1500\nG1 X1600 F2000\n"
-    written = convert(text, replace(own, gcode=replace(own.gcode, redundancy="constant")))
+    written = process_text(text, replace(own, gcode=replace(own.gcode, redundancy="constant")))
     model = robot.load(robot.find(own.robot))
     program = read_back(written, own, model)
     result = correction.process(program, model, own, mode="predict")
@@ -284,7 +288,7 @@ def test_the_text_of_a_robot_program_keeps_its_turn():
 def test_a_cut_that_tilts_the_tool_without_rotary_axes_is_not_turned_on_the_way():
     """One rotation that tilts and turns would make the tool lean from its programmed direction between the ends."""
     own = cell(base=(0.0, 0.0, 500.0))
-    program, model = read("G21 G90\nG0 X1300 Y-300 Z60\nG1 Z0 F600\nG1 Y300 F2000\n", own)
+    program, model = read_with_robot("G21 G90\nG0 X1300 Y-300 Z60\nG1 Z0 F600\nG1 Y300 F2000\n", own)
     target = program.motions.target[:]
     target[2, :3, :3] = rotation_from_vector(np.array([[0.0, 0.2, 0.0]]))[0] @ target[2, :3, :3]
     tilted = replace(program, motions=replace(program.motions, target=Poses.of(target)))
@@ -323,7 +327,7 @@ def test_a_cut_turns_by_what_its_length_and_its_time_allow_and_no_more(millimetr
 
 def test_a_rapid_block_takes_no_time_and_a_cut_its_length_over_its_feed():
     own = cell()
-    program, model = read("G21 G90\nG0 X1300 Y0 Z60\nG1 Z0 F600\nG1 Y90 F1200\nG0 Z60\n", own)
+    program, model = read_with_robot("G21 G90\nG0 X1300 Y0 Z60\nG1 Z0 F600\nG1 Y90 F1200\nG0 Z60\n", own)
     blocks = turn_map.Blocks.of(PathSamples.of(program, RobotInCell.of(model, own), None))
     assert not blocks.time[~blocks.cuts].any()
     assert blocks.time.sum() == pytest.approx(60.0 / 10.0 + 90.0 / 20.0)
@@ -332,7 +336,7 @@ def test_a_rapid_block_takes_no_time_and_a_cut_its_length_over_its_feed():
 @pytest.mark.parametrize("column", [0, 4, 9])
 def test_the_column_in_which_a_line_collides_is_closed_and_no_other(column):
     own = cell()
-    program, model = read("G21 G90\nG0 X1300 Y0 Z60\nG1 Z0 F600\nG1 Y90 F1200\nG0 Z60\n", own)
+    program, model = read_with_robot("G21 G90\nG0 X1300 Y0 Z60\nG1 Z0 F600\nG1 Y90 F1200\nG0 Z60\n", own)
     samples = PathSamples.of(program, RobotInCell.of(model, own), None)
     blocks = turn_map.Blocks.of(samples)
     branch = turn_map.branch_of_start(samples)

@@ -16,7 +16,7 @@ from postproc.testpart.features import Cutting, Feature, Kind, Placement
 from postproc.testpart.prior import Prior
 from tests.testpart import trial
 
-HEAD = "feature,source_line,t,X,Y,Z,nx,ny,nz,deviation_mm,mass_kg"
+PROBING_HEADER = "feature,source_line,t,X,Y,Z,nx,ny,nz,deviation_mm,mass_kg"
 
 
 def row(name, deviation="0.1", normal=(0.6, -0.8, 0.0), mass="", line=12):
@@ -25,10 +25,10 @@ def row(name, deviation="0.1", normal=(0.6, -0.8, 0.0), mass="", line=12):
 
 
 def table(*more, count=6):
-    return "\n".join([HEAD, *(row(f"F{k:02d}.left", 0.1 * k) for k in range(1, count + 1)), *more, ""])
+    return "\n".join([PROBING_HEADER, *(row(f"F{k:02d}.left", 0.1 * k) for k in range(1, count + 1)), *more, ""])
 
 
-def read(folder, text):
+def read_probing(folder, text):
     path = folder / "probing.csv"
     path.write_text(text)
     return probing.read(path)
@@ -36,7 +36,7 @@ def read(folder, text):
 
 def test_probed_points_are_the_rows_with_a_deviation_in_metres(tmp_path):
     """Points of the top are kept apart; a weight is that of its row alone."""
-    found = read(tmp_path, table(
+    found = read_probing(tmp_path, table(
         row("F07.left", ""), row("W01.gauge", -0.25, (0.0, 0.0, -1.0), 80.5), row("T01.top", 0.03, (0, 0, 1), line=0),
         row("T02.top", "", (0, 0, 1)),
     ))  # fmt: skip
@@ -65,10 +65,10 @@ def test_probed_points_are_the_rows_with_a_deviation_in_metres(tmp_path):
 def test_a_mass_is_that_of_a_weight(tmp_path, mass, is_refused):
     text = table(row("W01.gauge", 0.2, (0, 0, -1), mass))
     if not is_refused:
-        assert read(tmp_path, text).mass[-1] == float(mass or 0.0)
+        assert read_probing(tmp_path, text).mass[-1] == float(mass or 0.0)
         return
     with pytest.raises(MeasurementError, match="mass_kg is not between 0 and 500") as refused:
-        read(tmp_path, text)
+        read_probing(tmp_path, text)
     assert refused.value.line == 8
 
 
@@ -77,10 +77,10 @@ def test_a_normal_has_length_one_to_a_thousandth_and_is_made_exact(tmp_path, len
     """Of rows without a deviation it does not matter."""
     text = table(row("F07.right", "", (9, 9, 9)), row("F08.left", 0.2, (0.0, 0.6 * length, -0.8 * length)))
     if not is_refused:
-        np.testing.assert_allclose(read(tmp_path, text).normal[-1], [0.0, 0.6, -0.8], atol=1e-12)
+        np.testing.assert_allclose(read_probing(tmp_path, text).normal[-1], [0.0, 0.6, -0.8], atol=1e-12)
         return
     with pytest.raises(MeasurementError, match="is no unit vector") as refused:
-        read(tmp_path, text)
+        read_probing(tmp_path, text)
     assert refused.value.line == 9
 
 
@@ -96,18 +96,18 @@ def test_a_normal_has_length_one_to_a_thousandth_and_is_made_exact(tmp_path, len
 def test_a_point_of_the_top_is_probed_along_z_without_a_weight(tmp_path, normal, mass, is_refused):
     text = table(row("T01.top", 0.0, (0, 0, 1)), row("T02.top", 0.0, normal, mass))
     if not is_refused:
-        assert read(tmp_path, text).touch_off.name == ("T01.top", "T02.top")
+        assert read_probing(tmp_path, text).touch_off.name == ("T01.top", "T02.top")
         return
     with pytest.raises(MeasurementError, match=r"T02\.top is no point of the top") as refused:
-        read(tmp_path, text)
+        read_probing(tmp_path, text)
     assert refused.value.line == 9
 
 
 def test_fewer_than_six_points_are_too_few_and_are_counted_without_the_top(tmp_path):
     more = (row("F06.left", ""), row("F07.left", ""), row("T01.top", 0.0, (0, 0, 1)))
     with pytest.raises(MeasurementError, match="5 of 7 points have a deviation"):
-        read(tmp_path, table(*more, count=5))
-    assert len(read(tmp_path, table(count=6))) == 6
+        read_probing(tmp_path, table(*more, count=5))
+    assert len(read_probing(tmp_path, table(count=6))) == 6
 
 
 @pytest.mark.parametrize(("base", "is_refused"), [("2", False), ("-1", False), ("", False), ("1.5", True)])
@@ -116,14 +116,14 @@ def test_placements_are_whole_numbers_next_to_their_programs(tmp_path, base, is_
     text = "\n".join([f"{rows[0]},program,base", *(f"{line},testpart_2.nc,{base}" for line in rows[1:]), ""])
     if is_refused:
         with pytest.raises(MeasurementError, match="do not name program and placement"):
-            read(tmp_path, text)
+            read_probing(tmp_path, text)
         return
-    found = read(tmp_path, text)
+    found = read_probing(tmp_path, text)
     assert found.base.tolist() == [int(base or -1)] * 6
     assert found.program == ("testpart_2.nc",) * 6
     one_alone = "\n".join([f"{rows[0]},base", *(f"{line},{base}" for line in rows[1:]), ""])
     with pytest.raises(MeasurementError, match="do not name program and placement"):
-        read(tmp_path, one_alone)
+        read_probing(tmp_path, one_alone)
 
 
 def test_a_table_of_probed_points_is_known_by_its_head(tmp_path):
@@ -154,13 +154,13 @@ def test_the_table_to_fill_in_has_each_point_with_its_place(tmp_path, mass, plac
     }
     text = probing.table(parts).decode()
     head, *rows = text.splitlines()
-    names = ["feature", *(["program", "base"] if len(placements) > 1 else []), *HEAD.split(",")[1:-1]]
+    names = ["feature", *(["program", "base"] if len(placements) > 1 else []), *PROBING_HEADER.split(",")[1:-1]]
     assert head.split(",") == names + ["mass_kg"] * bool(mass)
     at = names.index("deviation_mm")
     filled = [head] + [
         ",".join(["0.125" if k == at else cell for k, cell in enumerate(line.split(","))]) for line in rows
     ]
-    found = read(tmp_path, "\n".join([*filled, ""]))
+    found = read_probing(tmp_path, "\n".join([*filled, ""]))
     tops = 3 * len(placements)
     assert len(found) == len(rows) - tops == sum(len(part.feature) for part in parts.values()) - tops
     assert len(found.touch_off.name) == tops

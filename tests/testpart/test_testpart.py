@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 from itertools import combinations
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -23,10 +22,9 @@ from postproc.testpart.prior import Prior
 from postproc.testpart.readings import Readings
 from tests.commands import run
 from tests.oracle.whole_arm import WholeArm
-from tests.places import SAMPLES
+from tests.places import CELL_FILE
 from tests.testpart import trial
 
-CELL = str(SAMPLES / "cell_kr270.toml")
 BLOCK = ((0, 110), (0, 90), (-30, 0))
 FEATURES = 4
 SEED = 4
@@ -56,7 +54,7 @@ def folder(tmp_path_factory):
 
 def _write(folder):
     small = "[output]\ndivide_into_modules = true\nprogram_memory_MB = 0.001"  # a test part stays in one program
-    (folder / "small.toml").write_text(Path(CELL).read_text().replace("[output]", small))
+    (folder / "small.toml").write_text(CELL_FILE.read_text().replace("[output]", small))
     inputs = ["--cell", folder / "small.toml", "--process", folder / "process.toml"]
     run("testpart", *inputs, "--features", FEATURES, "--depth", 3, "-o", folder / "out")
 
@@ -89,8 +87,8 @@ def readings(folder, name):
 
 
 def identify(folder, *options, code=0):
-    return run("identify", "part", folder / "probed.csv", "--cell", CELL, "--process", folder / "testpart.process.toml",
-               "--program", folder / "testpart.nc", *options, code=code)  # fmt: skip
+    given = ("--process", folder / "testpart.process.toml", "--program", folder / "testpart.nc")
+    return run("identify", "part", folder / "probed.csv", *given, *options, code=code, cell=CELL_FILE)
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +176,7 @@ M30
 def found(folder, identified):
     """The cell with the model that was identified from the part."""
     path = folder / "cell.toml"
-    path.write_text(Path(CELL).read_text().replace('robot = "kuka_kr270"', f'robot = "{folder / "my_robot"}"'))
+    path.write_text(CELL_FILE.read_text().replace('robot = "kuka_kr270"', f'robot = "{folder / "my_robot"}"'))
     return path
 
 
@@ -315,7 +313,7 @@ def test_compare_says_that_it_is_blind_to_a_common_factor_if_the_forces_are_of_a
     done = identify(folder, "--compare")
     assert done.output.startswith("the model holds")
     assert "was not identified with these forces" in done.output
-    given = ("--cell", CELL, "--process", folder / "testpart.process.toml", "--program", folder / "testpart.nc")
+    given = ("--cell", CELL_FILE, "--process", folder / "testpart.process.toml", "--program", folder / "testpart.nc")
     done = run("identify", "validate", "kuka_kr270", folder / "probed.csv", *given)
     assert done.output.startswith("the model holds")
 
@@ -384,7 +382,7 @@ def test_what_the_tool_does_not_make_is_refused(folder):
 def test_only_flat_end_mills_are_taken(tmp_path):
     text = trial.process_text(BLOCK, 0.5).replace("flutes = 3", 'flutes = 3\nshape = "ball"')
     (tmp_path / "process.toml").write_text(text)
-    given = ("--cell", CELL, "--process", tmp_path / "process.toml", "-o", tmp_path / "out")
+    given = ("--cell", CELL_FILE, "--process", tmp_path / "process.toml", "-o", tmp_path / "out")
     assert "flat end mill" in run("testpart", *given, code=1).output
 
 

@@ -23,20 +23,20 @@ def arrays(record, where=""):
 
 
 @pytest.fixture(params=FILES)
-def program(request):
+def sample_program(request):
     return read_files({name: (SAMPLES / name).read_bytes() for name in FILES[request.param]})
 
 
-def test_a_program_that_was_read_is_read_only(program):
-    found = dict(arrays(program))
+def test_a_program_that_was_read_is_read_only(sample_program):
+    found = dict(arrays(sample_program))
     assert {".motions.target.position", ".bases", ".tools"} <= set(found)
     assert [name for name, value in found.items() if value.flags.writeable] == []
     with pytest.raises(ValueError, match="read-only"):
-        program.motions.feed[0] = 1.0
+        sample_program.motions.feed[0] = 1.0
 
 
-def test_a_path_under_load_is_read_only_with_all_that_it_holds(program):
-    motions = MotionsUnderLoad.of(program, RobotInCell.of(ROBOT, CELL), None)
+def test_a_path_under_load_is_read_only_with_all_that_it_holds(sample_program):
+    motions = MotionsUnderLoad.of(sample_program, RobotInCell.of(ROBOT, CELL), None)
     path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     found = {name: value for name, value in arrays(path) if ".robot_in_cell." not in name}
     assert {
