@@ -313,7 +313,7 @@ def wrist_led():
     robot_model = robot.load(robot.find("kuka_kr270"))
     begin = np.radians([[0, -80, 100, 10, 50, 5], [20, -70, 95, -20, 60, 30], [-15, -85, 110, 40, 45, -60.0]])
     end = np.radians([[4, -78, 98, 40, 62, 5], [20.5, -70, 95, -60, 40, 90], [-15, -84, 109, 40, 75, -60.0]])
-    tools = np.array([TOOL, TOOL @ frames.pose_from_xyzabc([0, 0, 50, 20, 0, 0]), TOOL])
+    tools = np.array([TURNED_TOOL, TURNED_TOOL @ frames.pose_from_xyzabc([0, 0, 50, 20, 0, 0]), TURNED_TOOL])
     bases = np.array(
         [frames.pose_from_xyzabc([0, 0, 0, *angles])[:3, :3] for angles in ([0, 0, 0], [30, 5, -8], [0, 90, 0])]
     )

@@ -8,9 +8,8 @@ import pytest
 from postproc.dialects.rapid import language
 from postproc.errors import PostprocError
 from postproc.program import CIRC, LIN, PTP
-from tests.dialects.test_rapid import read
+from tests.dialects.rapid_reading import AXES, MOVE_HOME, TOOLDATA, WOBJ, at, module, read, tail
 from tests.dialects.test_rapid_execution import move, positions, refusal, routine
-from tests.dialects.test_rapid_reading import AXES, HOME, TOOL, WOBJ, at, module, tail
 
 GOOD = f"MoveL {at(0, 0, 20)}{tail()}"
 
@@ -59,7 +58,7 @@ def test_a_target_is_refused_beyond_its_limit_at_its_line(kind, as_via):
         read(module([GOOD, good, GOOD, bad, GOOD, bad]))
     assert words in refused.value.problem
     assert refused.value.text == bad
-    first = module([]).splitlines().index(f"    {HOME}") + 1
+    first = module([]).splitlines().index(f"    {MOVE_HOME}") + 1
     assert refused.value.line == first + 4
 
 
@@ -75,9 +74,13 @@ def test_external_axes_of_joint_targets_are_refused_too(column, letter):
 
 
 FRAMES = {
-    "tool held by the room": (TOOL, TOOL.replace("[TRUE,", "[FALSE,"), "the tool is fixed in the room"),
-    "tool too far": (TOOL, TOOL.replace("[0,0,350]", "[0,100001,0]"), "the frame is beyond any cell"),
-    "tool not a unit": (TOOL, TOOL.replace("[1,0,0,0]]", "[1.0006,0,0,0]]", 1), "the frame is not a unit quaternion"),
+    "tool held by the room": (TOOLDATA, TOOLDATA.replace("[TRUE,", "[FALSE,"), "the tool is fixed in the room"),
+    "tool too far": (TOOLDATA, TOOLDATA.replace("[0,0,350]", "[0,100001,0]"), "the frame is beyond any cell"),
+    "tool not a unit": (
+        TOOLDATA,
+        TOOLDATA.replace("[1,0,0,0]]", "[1.0006,0,0,0]]", 1),
+        "the frame is not a unit quaternion",
+    ),
     "user frame too far": (WOBJ, WOBJ.replace("1500", "-100001"), "the frame is beyond any cell"),
     "object frame too far": (WOBJ, WOBJ.replace("[0,0,0]", "[0,0,100001]"), "the frame is beyond any cell"),
     "object frame not a unit": (WOBJ, WOBJ.replace("[[0,0,0],[1,0,0,0]]", "[[0,0,0],[0,0.9994,0,0]]"), "not a unit"),
@@ -95,14 +98,14 @@ def test_a_frame_that_cannot_be_used_is_refused_at_the_first_move_with_it(kind):
     with pytest.raises(PostprocError) as refused:
         read(text.replace(before, after))
     assert words in refused.value.problem
-    assert refused.value.text == HOME
+    assert refused.value.text == MOVE_HOME
 
 
 def test_frames_at_the_limits_are_read():
     """A hundred metres, and three decimals of a quaternion."""
-    text = module([GOOD]).replace(TOOL, TOOL.replace("[0,0,350]", "[0,0,-100000]"))
+    text = module([GOOD]).replace(TOOLDATA, TOOLDATA.replace("[0,0,350]", "[0,0,-100000]"))
     assert read(text).tools[0][2, 3] == pytest.approx(-100.0)
-    text = module([GOOD]).replace(TOOL, TOOL.replace("[1,0,0,0]]", "[1.0004,0,0,0]]", 1))
+    text = module([GOOD]).replace(TOOLDATA, TOOLDATA.replace("[1,0,0,0]]", "[1.0004,0,0,0]]", 1))
     np.testing.assert_allclose(read(text).tools[0][:3, :3], np.eye(3), atol=1e-12)
 
 

@@ -470,8 +470,8 @@ def test_a_long_map_counts_its_cells_by_both_sides():
 @pytest.mark.parametrize(("covered", "sixteenths"), [(0.1, 0), (0.2, 4), (0.4, 8), (0.7, 12), (0.9, 16)])
 def test_a_mesh_covers_sixteenths_of_a_cell(covered, sixteenths):
     """By the middles of four columns of a cell, at its sides along x and y."""
-    vertices, faces = prism(0.0, (0.012, 0.008 + covered * CELL, 0.006))
-    stock = stocks.from_mesh(vertices, faces, CELL)
+    vertices, faces = prism(0.0, (0.012, 0.008 + covered * CELL_SIZE, 0.006))
+    stock = stocks.from_mesh(vertices, faces, CELL_SIZE)
     last = stock.share[10, 5]
     assert last == pytest.approx(1.0 - sixteenths / 16 if sixteenths else 0.0)
     assert (stock.high[10, 5] > stock.floor[10, 5]) == (sixteenths > 0)
