@@ -139,7 +139,7 @@ def test_damaged_programs_are_refused_with_a_message_or_read():
 
 
 FAULTS = {
-    "calls are passed over": (Calls, "follow_call", lambda self, at, call, certain: NO_VALUE),
+    "calls are passed over": (Calls, "follow_call", lambda self, at, call, is_certain: NO_VALUE),
     "what may happen is taken not to": (Calls, "_may_have_run", lambda self, at, name, effects: None),
     "arguments keep their values": (Calls, "_forget_arguments", lambda self, at, call, routine: None),
     "branches keep values": (Variables, "forget", lambda self, name, where: None),

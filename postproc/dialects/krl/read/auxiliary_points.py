@@ -8,20 +8,21 @@ under `$ORI_TYPE=#IGNORE`, it turns by the shorter rotation. CIRC disregards aux
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
+from msgspec import Struct
 
 from postproc.dialects.krl.language.expressions import parse_aggregate
 from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.language.values import Number
 from postproc.dialects.krl.layout import IGNORE
-from postproc.dialects.krl.read.end_poses import OrientationControl
+from postproc.dialects.krl.read.end_poses import Arcs, OrientationControl
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.spline_blocks import is_spline
-from postproc.dialects.krl.read.state import State
+from postproc.dialects.krl.read.state import MotionStates, State
 from postproc.frames import (
     RAD_PER_DEG,
     Array,
@@ -52,93 +53,94 @@ _ON_THE_WAY = 0.01 * RAD_PER_DEG
 """An orientation closer than this [rad] to where the tool turns anyway is on its way; one must come closer by this."""
 
 
+class Circles(Struct, frozen=True, eq=False):
+    """n circles of a program.
+
+    :param rows: (n,) rows of their motions.
+    :param start: (n, 4, 4) tool frames at their starts, in `$BASE` [m].
+    :param end: (n, 4, 4) tool frames at their targets, likewise.
+    :param via: (n, 3) auxiliary points in `$BASE` [m].
+    :param arcs: through start, auxiliary point and end point of the text.
+    """
+
+    rows: Ints
+    start: Array
+    end: Array
+    via: Array
+    arcs: Arcs
+
+    def take(self, indices: Ints) -> Circles:
+        """Return some of the circles."""
+        arcs = Arcs(*(column[indices] for column in self.arcs))
+        return Circles(self.rows[indices], self.start[indices], self.end[indices], self.via[indices], arcs)
+
+
 def ignores_auxiliary_orientation(
     trace: Trace,
     rows: MotionColumns,
-    circular: Ints,
     moves: Mapping[int, MotionStatement],
-    ends: tuple[Array, Array],
-    arcs: tuple[Array, Array, Array, Array],
+    circles: Circles,
     control: OrientationControl,
     settings: Settings,
-    in_force: tuple[Sequence[State], Ints],
+    in_force: MotionStates,
 ) -> Bools:
     """Return the circles (n,) whose auxiliary orientation must be ignored once they are corrected.
 
-    :param circular: (n,) rows of the circles.
+    An orientation on the rotation of a whole circle need not be on those of its pieces.
+
+    :param rows: all motions.
     :param moves: row → statement, of those that are not plain.
-    :param ends: tool frames (n, 4, 4) at start and end, `$BASE` [m].
-    :param arcs: centres, axes and auxiliary points (n, 3) [m], angles (n,) [rad] of the circles.
     :param control: how the orientation is led.
-    :param in_force: states, and the index of the state in which each circle runs (n,).
+    :param in_force: settings in force at the circles.
     :raises ProgramError: the tool does not turn by the shorter rotation, or it is not known whether it does.
     """
-    is_left_out = np.zeros(len(circular), dtype=np.bool_)
-    via_angles = np.full((len(circular), 3), np.nan)
-    states, state = in_force
-    is_strict_circle = np.array([s.auxiliary == "#INTERPOLATE" or _is_auxiliary_mode_unknown(s) for s in states])[state]
-    is_free = np.array(
-        [s.orientation == IGNORE or (s.auxiliary == "#IGNORE" and not _is_auxiliary_mode_unknown(s)) for s in states]
-    )[state]
-    counting_circles = np.flatnonzero(~is_free)
-    is_spline_circle = is_spline(trace, rows, circular[counting_circles])
-    is_strict_circle[counting_circles[~is_spline_circle]] = False
-    for i in counting_circles[is_spline_circle].tolist():
-        via_angles[i] = _auxiliary_angles(trace, rows, int(circular[i]), moves)
-    oriented_circles = np.flatnonzero(~is_free & (is_strict_circle | ~np.isnan(via_angles).all(axis=1)))
-    if not len(oriented_circles):
-        return is_left_out
+    is_spline_circle = is_spline(trace, rows, circles.rows)
+    has_effect: Bools = is_spline_circle & ~in_force.column(_ignores_auxiliary)
+    is_led_through = has_effect & in_force.column(_may_lead_through)
+    via_angles = np.full((len(circles.rows), 3), np.nan)
+    for index in np.flatnonzero(has_effect).tolist():
+        via_angles[index] = _auxiliary_angles(trace, rows, int(circles.rows[index]), moves)
+    has_orientation: Bools = has_effect & (is_led_through | ~np.isnan(via_angles).all(axis=1))
+    indices = np.flatnonzero(has_orientation)
+    if not len(indices):
+        return has_orientation
+    turns_with_path = control.turns_with_path[circles.rows[indices]]
     turns_otherwise = _turns_otherwise(
-        (ends[0][oriented_circles], ends[1][oriented_circles]),
-        tuple(column[oriented_circles] for column in arcs),
-        via_angles[oriented_circles],
-        control.turns_with_path[circular[oriented_circles]],
-        is_strict_circle[oriented_circles],
+        circles.take(indices), via_angles[indices], turns_with_path, is_led_through[indices]
     )
-    for i in np.flatnonzero(turns_otherwise).tolist():
-        settings.refuse_uncertain(states[state[oriented_circles[i]]], ["auxiliary"])
-        line, is_strict = int(rows.line[circular[oriented_circles[i]]]), bool(is_strict_circle[oriented_circles[i]])
-        raise trace.error(_THROUGH_MESSAGE if is_strict else _LONGER_MESSAGE, line, _ADVICE[is_strict])
-    is_left_out[oriented_circles] = (
-        True  # an orientation on the rotation of a whole circle need not be on those of its pieces
-    )
-    return is_left_out
+    if turns_otherwise.any():
+        index = indices[np.argmax(turns_otherwise)]
+        settings.refuse_uncertain(in_force.at(index), ["auxiliary"])
+        is_through = bool(is_led_through[index])
+        message = _THROUGH_MESSAGE if is_through else _LONGER_MESSAGE
+        raise trace.error(message, int(rows.line[circles.rows[index]]), _ADVICE[is_through])
+    return has_orientation
 
 
-def _turns_otherwise(
-    ends: tuple[Array, Array], arcs: tuple[Array, ...], via_angles: Array, with_path: Bools, is_strict: Bools
-) -> Bools:
+def _turns_otherwise(circles: Circles, via_angles: Array, turns_with_path: Bools, is_led_through: Bools) -> Bools:
     """Return the circles (n,) on which the auxiliary orientation turns the tool otherwise than by the shorter rotation.
 
-    :param ends: tool frames (n, 4, 4) at start and end, `$BASE` [m].
-    :param arcs: centres, axes and auxiliary points (n, 3) [m], angles (n,) [rad] of the circles.
     :param via_angles: A, B, C (n, 3) [deg] of the auxiliary points, NaN where they are those of the start.
-    :param with_path: (n,) True where the orientation is kept relative to the path, which itself turns the tool.
-    :param is_strict: (n,) True where the tool takes on the orientation in the auxiliary point (#INTERPOLATE).
+    :param turns_with_path: (n,) True where the orientation is kept relative to the path, which itself turns the tool.
+    :param is_led_through: (n,) True where the tool takes on the orientation in the auxiliary point (#INTERPOLATE).
     """
-    start, end = ends
-    centre, axis, points, angle = arcs
-    numbers = xyzabc_from_pose(start)
+    centre, axis, angle = circles.arcs
+    numbers = xyzabc_from_pose(circles.start)
     numbers[:, 3:] = np.where(np.isnan(via_angles), numbers[:, 3:], via_angles)
-    start_orientation, via_orientation, end_orientation = (
-        start[:, :3, :3],
-        pose_from_xyzabc(numbers)[:, :3, :3],
-        end[:, :3, :3],
-    )
-    start_radius, via_radius = start[:, :3, 3] - centre, points - centre
+    start_radius, via_radius = circles.start[:, :3, 3] - centre, circles.via - centre
     via_turn = np.arctan2(
         np.einsum("ij,ij->i", axis, np.cross(start_radius, via_radius)), np.einsum("ij,ij->i", start_radius, via_radius)
     )
     via_turn %= 2.0 * np.pi
-    path_axis = np.where(with_path, -1.0, 0.0)[:, None] * axis
-    via_orientation, end_orientation = (
-        rotation_from_vector(via_turn[:, None] * path_axis) @ via_orientation,
-        rotation_from_vector(angle[:, None] * path_axis) @ end_orientation,
-    )
+    # orientations relative to the path, if they are kept so
+    path_axis = np.where(turns_with_path, -1.0, 0.0)[:, None] * axis
+    start_orientation = circles.start[:, :3, :3]
+    via_orientation = rotation_from_vector(via_turn[:, None] * path_axis) @ pose_from_xyzabc(numbers)[:, :3, :3]
+    end_orientation = rotation_from_vector(angle[:, None] * path_axis) @ circles.end[:, :3, :3]
     shorter_rotation = rotation_vector(end_orientation @ np.swapaxes(start_orientation, 1, 2))
     passed_orientation = rotation_from_vector((via_turn / angle)[:, None] * shorter_rotation) @ start_orientation
     return np.where(
-        is_strict,
+        is_led_through,
         angle_between(passed_orientation, via_orientation) > _ON_THE_WAY,
         _is_longer_way_closer(start_orientation, shorter_rotation, via_orientation),
     )
@@ -147,9 +149,12 @@ def _turns_otherwise(
 def _is_longer_way_closer(first: Array, short: Array, via: Array) -> Bools:
     """Return where the longer way round (n,) comes as close to an orientation as the shorter, or closer.
 
-    From R₀ by φ about k, cos of the angle to R_v is a + ρ·cos(φ − φ₀): the place of a way nearest φ₀ is the nearest.
+    Turned from R₀ by φ about k, the tool differs from R_v by an angle whose cosine is a + ρ·cos(φ − φ₀). So the φ of a
+    way that is nearest to φ₀ is where it comes closest.
 
-    :param first: R₀ (n, 3, 3); short: shorter rotation (n, 3) [rad], about k; via: R_v (n, 3, 3).
+    :param first: R₀ (n, 3, 3).
+    :param short: shorter rotation (n, 3) [rad], about k.
+    :param via: R_v (n, 3, 3).
     """
     size = norm(short)
     axis = short / np.maximum(size, _NO_TURN)[:, None]
@@ -179,3 +184,13 @@ def _auxiliary_angles(trace: Trace, rows: MotionColumns, row: int, moves: Mappin
 def _is_auxiliary_mode_unknown(state: State) -> bool:
     """Return whether `$CIRC_MODE.AUX_PT.ORI` is not known in a state."""
     return any(field == "auxiliary" for field, _ in state.uncertain_fields)
+
+
+def _ignores_auxiliary(state: State) -> bool:
+    """Return whether auxiliary orientations surely have no effect in a state."""
+    return state.orientation == IGNORE or (state.auxiliary == "#IGNORE" and not _is_auxiliary_mode_unknown(state))
+
+
+def _may_lead_through(state: State) -> bool:
+    """Return whether the tool takes on auxiliary orientations in a state, or may."""
+    return state.auxiliary == "#INTERPOLATE" or _is_auxiliary_mode_unknown(state)

@@ -37,44 +37,58 @@ class Calls:
     """
 
     def __init__(self, run: Run, run_routine: Callable[[], None]) -> None:
-        """Begin with no open call, and make this the way in which variables evaluate functions."""
+        """Begin without a call that has not ended, and let the variables evaluate functions by these calls."""
         self.run, self._run_routine = run, run_routine
         run.variables.functions = _PureFunctions(self)
         self.entered_calls: list[_BoundCall] = []
 
-    def evaluate_with_calls(self, place: Place, value: Value, *, is_copied: bool = False) -> VariableValue:
+    def evaluate_with_calls(self, place: Place, expression: Value, *, is_copied: bool = False) -> VariableValue:
         """Return the value of an expression, and run the functions in it.
 
-        :param is_copied: for a variable that is a point, return the text with its numbers, see `Run.note_copy`.
+        :param place: the statement that contains it.
+        :param is_copied: True if a point that it names keeps the text of its numbers, see `Run.note_copy`.
+        :returns: an `UnknownValue` if it is not known before run time.
+        :raises ProgramError: a function moves the robot where this cannot be corrected, or the text cannot be read.
         """
-        call = value if isinstance(value, Call) else None
-        for inner in calls([value] if call is None else call.arguments):
-            self.follow_call(place, inner, certain=False)
-        if call is not None and call.name in PURE:
-            return self.run.variables.evaluate(call)
-        if call is not None:
-            return self.follow_call(place, call, certain=self.run.is_certain)
-        result = self.run.variables.evaluate(value)
-        if isinstance(result, Aggregate) and not (isinstance(value, Aggregate) and self.run.is_traced):
-            if is_copied and isinstance(value, Reference) and value.field is None:
-                return result
-            return replace(result, is_computed=True)  # the text of its numbers belongs to another variable
-        if isinstance(result, Aggregate) and not result.is_computed:
-            return self.run.with_row(result)
-        if result == NO_VALUE and not (isinstance(value, Reference) and value.name[0] != "$"):
-            return UnknownValue(str(place), why_unknown(self.run.variables, place.source, value))
-        return result
+        if isinstance(expression, Call):
+            for inner in calls(expression.arguments):
+                self.follow_call(place, inner, is_certain=False)
+            if expression.name in PURE:
+                return self.run.variables.evaluate(expression)
+            return self.follow_call(place, expression, is_certain=self.run.is_certain)
+        for inner in calls([expression]):
+            self.follow_call(place, inner, is_certain=False)
+        value = self.run.variables.evaluate(expression)
+        if isinstance(value, Aggregate):
+            return self._with_text_place(expression, value, is_copied=is_copied)
+        if value == NO_VALUE and not (isinstance(expression, Reference) and expression.name[0] != "$"):
+            return UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
+        return value
 
-    def follow_call(self, place: Place, call: Call, *, certain: bool) -> VariableValue:
+    def _with_text_place(self, expression: Value, value: Aggregate, *, is_copied: bool) -> Aggregate:
+        """Return the value of an expression with the place of the text in which its numbers may be corrected.
+
+        That is the expression itself, in its row of the trace, or the text of a copied point. Other text belongs to
+        another variable, so that the value counts as computed.
+
+        :param is_copied: see `evaluate_with_calls`.
+        """
+        if isinstance(expression, Aggregate) and self.run.is_traced:
+            return value if value.is_computed else self.run.with_row(value)
+        if is_copied and isinstance(expression, Reference) and expression.field is None:
+            return value
+        return replace(value, is_computed=True)
+
+    def follow_call(self, place: Place, call: Call, *, is_certain: bool) -> VariableValue:
         """Follow a call, and return the value of the function, if it is one.
 
-        :param certain: True if the call surely runs, and once; else what it may write becomes unknown.
+        :param is_certain: True if the call surely runs, and once; else what it may write becomes unknown.
         :returns: an `UnknownValue` if the value is not known before run time.
         :raises ProgramError: the routine moves the robot where this cannot be corrected.
         """
         callee = self.run.library.find_callee(call.name, self.run.level.module)
         unknown = UnknownValue(str(place), f"what {call.spelling(place.source)}() gives is not known")
-        self._note_stop(place, call)
+        self._note_break_off(place, call)
         if callee is None:
             self._follow_absent(place, call)
             is_standard = call.name in PURE or call.name in STANDARD
@@ -91,7 +105,7 @@ class Calls:
         if _has_no_effects(effects):
             result = None if self._obstacle(place, call, *callee, effects) else self._run_exactly(place, call, *callee)
             return unknown if result is None else result
-        if certain and not self._obstacle(place, call, *callee, effects):
+        if is_certain and not self._obstacle(place, call, *callee, effects):
             result = self._run_exactly(place, call, *callee)
             if result is not None:
                 return result
@@ -102,8 +116,11 @@ class Calls:
         self._may_have_run(place, call.name, effects)
         return unknown
 
-    def _note_stop(self, place: Place, call: Call) -> None:
-        """Note that RESUME may break off a called routine, and with it the motion that BRAKE has stopped."""
+    def _note_break_off(self, place: Place, call: Call) -> None:
+        """Note that RESUME may break off a called routine, and with it the motion that BRAKE has stopped.
+
+        Functions of the controller are not broken off.
+        """
         if not self.run.may_be_broken_off or not self.run.is_traced or call.name in PURE or call.name in STANDARD:
             return
         problem = f"RESUME of an interrupt may break off {call.name} and the motion before it"
@@ -119,7 +136,10 @@ class Calls:
         return None if callee is None else self.run.analysis.effects_of(*callee).writes.get(name)
 
     def _follow_absent(self, place: Place, call: Call) -> None:
-        """Follow a call of a routine that is in no file: it is taken to write its arguments at most."""
+        """Follow a call of a routine that is in no file: it is taken to write no more than its arguments.
+
+        Functions of the controller that change nothing (`PURE`) do not write even these.
+        """
         if call.name in PURE:
             return
         if call.name not in STANDARD:
@@ -148,7 +168,7 @@ class Calls:
         self.run.note_possible_changes(effects.volatile_writes, source or subject)
 
     def _forget_arguments(self, place: Place, call: Call, routine: Routine | None) -> None:
-        """Mark as unknown the variables that a call may write.
+        """Mark as unknown the variables and settings that a call may write by its arguments.
 
         :param routine: the called routine; None if it is in no file.
         """
@@ -162,9 +182,11 @@ class Calls:
                 self.run.variables.forget(self.run.stored_name(reference.name), str(place))
 
     def _writable_arguments(self, place: Place, call: Call, routine: Routine | None) -> list[tuple[int, Reference]]:
-        """Return the arguments that a routine may write: the index and the variable of each.
+        """Return the arguments that a routine may write: the index, from 0, and the variable of each.
 
-        They are given for parameters without ``:IN``.
+        They are given for parameters without ``:IN``, or for none.
+
+        :param routine: the called routine; None if it is in no file.
         """
         parameters = () if routine is None else routine.parameters
         return [
@@ -175,7 +197,7 @@ class Calls:
         ]
 
     def _may_have_run(self, place: Place, name: str, effects: Effects) -> None:
-        """Mark as unknown all variables and settings that some code writes, since it may run any number of times.
+        """Mark as unknown all variables and settings that a routine writes, since it may run any number of times.
 
         :param name: of the routine, for messages.
         """
@@ -223,18 +245,28 @@ class Calls:
         cause = self.run.obstacles.get(routine, default_cause)
         reason = place.error(f"{problem}: where the next motion begins is not known", advice)
         self.run.untraced_calls.append(UntracedCall(self.run.row, reason, name, module, routine, cause))
+        self._warn_of_untraced_call(name, call.name, cause, motion_place, dependent_place)
+
+    def _warn_of_untraced_call(
+        self, spelling: str, name: str, cause: ProgramError, motion_place: Place, dependent_place: Place | None
+    ) -> None:
+        """Warn that the motions of a called routine are not corrected.
+
+        :param spelling: of its name; `name` is upper case.
+        :param cause: why the call is not followed.
+        :param motion_place: one of its motions; `dependent_place` the first that depends on where the robot is.
+        """
         cause_text = f"{cause.file}, line {cause.line}: {cause.problem}"
         message = (
-            f"{name}() moves the robot ({motion_place}): its motions are not corrected here, because of {cause_text}."
+            f"{spelling}() moves the robot ({motion_place}): its motions are not corrected here, because of "
+            f"{cause_text}."
         )
         if dependent_place is not None:
             message += (
                 f" They begin from the robot position ({dependent_place}): the correction of the motion before moves "
                 "them too."
             )
-        self.run.issues.append(
-            Issue("warning", "motions-elsewhere", message, self.run.reported_line, subject=call.name)
-        )
+        self.run.issues.append(Issue("warning", "motions-elsewhere", message, self.run.reported_line, subject=name))
 
     def traced_callee(self, call: Call) -> Callee | None:
         """Return the called routine if it belongs in the execution trace, else None.
@@ -267,7 +299,10 @@ class Calls:
         self._end_routine(self.entered_calls.pop())
 
     def _run_exactly(self, place: Place, call: Call, module: Module, routine: Routine) -> VariableValue | None:
-        """Run a called routine, and return the value that it gives; None if it cannot be run exactly."""
+        """Run a called routine, and return its value; None if it cannot be run exactly.
+
+        :returns: an `UnknownValue` if the routine gives no value.
+        """
         bound = self._bound_call(place, call, module, routine)
         level = self._begin_routine(bound, is_traced=False)
         try:
@@ -307,7 +342,8 @@ class Calls:
     def _is_matching_array(self, routine: Routine, index: int, reference: Reference, root: str) -> bool:
         """Return whether an argument is a whole array, and of the type that its parameter has.
 
-        :param index: of the parameter; `root` is the stored name of the array.
+        :param index: of the argument and its parameter.
+        :param root: stored name of the array.
         """
         parameter = routine.parameters[index]
         kind = self.run.variables.types.get(root)
@@ -320,51 +356,60 @@ class Calls:
 
         :param is_traced: True if the routine is in the execution trace.
         """
-        by_reference = self._writable_arguments(place, call, routine)
+        variables, parameters = self.run.variables, routine.parameters
+        writable_arguments = self._writable_arguments(place, call, routine)
         arrays = {
-            routine.parameters[index].name: self.run.stored_name(reference.name)
-            for index, reference in by_reference
+            parameters[index].name: self.run.stored_name(reference.name)
+            for index, reference in writable_arguments
             if reference.indices == ()
         }
-        references = [(index, reference) for index, reference in by_reference if reference.indices != ()]
-        roots = [self.run.stored_name(reference.name) for _, reference in references]
         self.run.call_count += 1
         scope = self.run.scopes.of_call(module, routine, self.run.call_count, arrays)
-        argument_values: dict[int, VariableValue] = {}
-        arguments = [
-            _Argument(index, reference, self.run.variables.key_of(reference))  # as they are before the call
-            for index, reference in references
-            if index < len(routine.parameters)
+        references = [
+            _Argument(index, reference, variables.key_of(reference))  # before functions in the arguments run
+            for index, reference in writable_arguments
+            if reference.indices != () and index < len(parameters)
         ]
-        for index, argument in enumerate(call.arguments):
-            is_empty = (
-                isinstance(argument, OpaqueText) and not place.source.text[argument.start : argument.stop].strip()
-            )
-            is_array = isinstance(argument, Reference) and argument.indices == ()
-            if is_empty or is_array:
-                argument_values[index] = NO_VALUE
-                continue
-            value = argument_values[index] = self.evaluate_with_calls(place, argument, is_copied=is_traced)
-            if is_traced:
-                self.run.note_copy(argument, value, routine.parameters[index].name)
+        argument_values = self._argument_values(place, call, routine, is_traced=is_traced)
         volatile_names = {
-            scope.stored_name(routine.parameters[index].name): self.run.variables.volatile_values[root]
-            for (index, _), root in zip(references, roots, strict=True)
-            if index < len(routine.parameters) and root in self.run.variables.volatile_values
+            scope.stored_name(parameters[argument.number].name): variables.volatile_values[root]
+            for argument in references
+            if (root := self.run.stored_name(argument.reference.name)) in variables.volatile_values
         }
-        kinds = {index: self.run.variables.type_of(reference) for index, reference in references}
+        types = {argument.number: variables.type_of(argument.reference) for argument in references}
         return _BoundCall(
             place,
             module,
             routine,
             scope,
-            arguments,
+            references,
             argument_values,
-            kinds,
+            types,
             volatile_names,
             self.run.level,
-            self.run.variables.scope,
+            variables.scope,
         )
+
+    def _argument_values(
+        self, place: Place, call: Call, routine: Routine, *, is_traced: bool
+    ) -> dict[int, VariableValue]:
+        """Return the values of all arguments of a call by index; functions in them are run.
+
+        Arguments that are left out, and whole arrays, have `NO_VALUE`.
+
+        :param is_traced: True if the routine is in the execution trace.
+        """
+        values: dict[int, VariableValue] = {}
+        for index, argument in enumerate(call.arguments):
+            text = place.source.text[argument.start : argument.stop]
+            is_left_out = isinstance(argument, OpaqueText) and not text.strip()
+            if is_left_out or (isinstance(argument, Reference) and argument.indices == ()):
+                values[index] = NO_VALUE
+                continue
+            values[index] = self.evaluate_with_calls(place, argument, is_copied=is_traced)
+            if is_traced:
+                self.run.note_copy(argument, values[index], routine.parameters[index].name)
+        return values
 
     def _begin_routine(self, bound: _BoundCall, *, is_traced: bool) -> Level:
         """Make the routine of a call the running one, and set its parameters.
@@ -375,7 +420,7 @@ class Calls:
             if parameter.name in bound.scope.array_names:
                 continue  # an array of the caller
             stored_name, kind = bound.scope.stored_name(parameter.name), bound.routine.types.get(parameter.name, "")
-            argument_kind = bound.argument_types.get(index, kind)
+            argument_kind = bound.argument_types.get(index, kind)  # parameters with :IN have values of their own
             if (kind == "REAL" and argument_kind in ("INT", WHOLE)) or (kind == "INT" and argument_kind != "INT"):
                 kind = WHOLE
             if kind:
@@ -397,7 +442,10 @@ class Calls:
             self.run.variables.volatile_values.pop(name, None)
 
     def _end_routine(self, bound: _BoundCall) -> None:
-        """End a called routine: its caller runs again, with the values that the call leaves in its arguments."""
+        """End a called routine: its caller runs again, with the values that the call leaves in its arguments.
+
+        An argument whose parameter still has its value stays as it is.
+        """
         self._leave_routine(bound)
         place, variables = bound.place, self.run.variables
         for index, reference, key in bound.references:
@@ -420,7 +468,10 @@ def _has_no_effects(effects: Effects) -> bool:
 
 
 class _PureFunctions(Struct, frozen=True, eq=False):
-    """The functions of a program that change nothing, see `variables.Functions`."""
+    """The functions of a program that change nothing, see `variables.Functions`.
+
+    :param calls: follows them.
+    """
 
     calls: Calls
 
@@ -437,9 +488,9 @@ class _PureFunctions(Struct, frozen=True, eq=False):
         )
 
     def value(self, call: Call) -> VariableValue:
-        """Return what a call gives, at the statement that runs."""
+        """Return the value of a call of such a function, at the statement that runs; `NO_VALUE` if none runs."""
         place = self.calls.run.place
-        return NO_VALUE if place is None else self.calls.follow_call(place, call, certain=False)
+        return NO_VALUE if place is None else self.calls.follow_call(place, call, is_certain=False)
 
 
 class _Argument(NamedTuple):

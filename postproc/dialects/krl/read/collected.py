@@ -33,6 +33,8 @@ class CollectedMotions:
     def take_motion(self, place: Place, stmt: Statement) -> None:
         """Take a motion, or a line that begins or ends a spline block; the functions in it have been followed.
 
+        Under `--keep-unresolved` a motion whose target is not known is noted, to be left as it is.
+
         :raises ProgramError: it is not understood, not certain, or its target is not known before the program runs.
         """
         run = self.run
@@ -43,13 +45,13 @@ class CollectedMotions:
             self._refuse(place)
             return
         try:
-            move, state, names = self.reader.read_motion(place, stmt, run.row)
+            move, state, name_offsets = self.reader.read_motion(place, stmt, run.row)
         except UnresolvedError as cause:
             if not run.keeps_unresolved:
                 raise
             run.unresolved_motions.append((run.row, cause))
             return
-        run.understand(*names)
+        run.understand(*name_offsets)
         if move is None:
             self.idle_rows.append(run.row)
         else:

@@ -31,7 +31,7 @@ from postproc.errors import ProgramError
 FEWEST_ROUNDS = 64
 """Rounds from which on columns are worth a second run of the program."""
 _TAGS = ("", "E6POS", "E3POS", "POS", "FRAME")
-_SWITCHED = ("$OUT", "$ANOUT")
+_OUTPUTS = ("$OUT", "$ANOUT")
 _OPERATORS = "+-*/"
 
 
@@ -55,11 +55,11 @@ def computed_body(source: Source, block: Block) -> PlainBody | None:
     if any(isinstance(value, Reference) and value.name in {*assigned_names, head.name} for value in bounds):
         return None
     motions, assignments, set_names = [], [], set[str]()
-    unset_names = assigned_names - {name for name in assigned_names if name[0] == "$"}
+    unset_names = {name for name in assigned_names if name[0] != "$"}
     for line in lines:
         stmt = statement(source, line)
         if isinstance(stmt, Assignment) and stmt.target.name[0] == "$":
-            if stmt.target.name not in _SWITCHED or not plain_settings.is_plain(source, line):
+            if stmt.target.name not in _OUTPUTS or not plain_settings.is_plain(source, line):
                 return None
         elif (
             isinstance(stmt, Assignment)
@@ -83,7 +83,7 @@ def _sets_whole_variable(stmt: Assignment, counter: str) -> bool:
 
 
 def _is_computed(value: Value, unset_names: set[str]) -> bool:
-    """Return whether a value is made of numbers, variables and array elements by arithmetic.
+    """Return whether a value is made of numbers, variables and array elements by arithmetic and by `FUNCTIONS`.
 
     :param unset_names: variables that the round sets only later.
     """
@@ -171,7 +171,7 @@ class _Rounds:
             [convert_to_type(Number(number, 0, 0, column.is_integer), kind) for number in column.numbers]
         )
 
-    def targets(self, end: Value | None) -> list[Position]:
+    def targets(self, end: Value) -> list[Position]:
         """Return the targets of a motion, one for each round.
 
         :raises _NoColumnError: they are not all known, or out of reach.
@@ -214,7 +214,7 @@ class _Rounds:
     def _variable_column(self, reference: Reference) -> _Column:
         """Return the values of a variable or an array element, one for each round.
 
-        :raises _NoColumnError: they are not known before run time.
+        :raises _NoColumnError: they are not known before run time, or are no numbers of one type.
         """
         if reference.indices is not None:
             return _as_column(self._element_values(reference))
@@ -226,7 +226,10 @@ class _Rounds:
         return _as_column([self.run.variables.value(self._stored_name(reference.name))] * self.count)
 
     def _element_values(self, reference: Reference) -> Sequence[object]:
-        """Return the elements of an array, one for each round."""
+        """Return the elements of an array, one for each round; None for an element without a value.
+
+        :raises _NoColumnError: the index is no whole number in each round, or the array is set in the rounds.
+        """
         variables, name = self.run.variables, self._stored_name(reference.name)
         if reference.indices is None or reference.name in self.columns or reference.name in self.positions:
             raise _NoColumnError
@@ -310,64 +313,57 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
         return None
     if not isinstance(head, For):
         return None
-    motions: list[tuple[int, Motion, list[Position], bool]] = []
+    motions: list[list[MotionStatement]] = []  # of each statement, one for each round
+    targets: list[Value] = []
     values = _Rounds(run, rounds, head.name)
     try:
         for line in sorted((*rounds.body.assignments, *rounds.body.motions)):
             stmt = statement(rounds.source, line)
             if isinstance(stmt, Assignment):
                 values.assign(line, stmt)
-            elif isinstance(stmt, Motion):
+            elif isinstance(stmt, Motion) and stmt.end is not None:
                 _, is_approximated = reader.tail_settings(Place(rounds.source, line), KINDS[stmt.word], stmt.tail)
-                motions.append((line, stmt, values.targets(stmt.end), is_approximated))
+                rows = rounds.rows_of_statement(line).tolist()
+                motions.append(_motions_of_statement(stmt, stmt.end, rows, values.targets(stmt.end), is_approximated))
+                targets.append(stmt.end)
     except (_NoColumnError, ProgramError):
         return None
-    for _, stmt, _, _ in motions:
-        if stmt.end is not None:
-            run.variables.note_dependence(stmt.end)
-    _note_understood(run, rounds)
+    for target in targets:
+        run.variables.note_dependence(target)
+    _note_followed_names(run, rounds)
     for line, point, name in values.copied_elements:
         run.copies.add((point.name, name))
-        _note_understood_name(run, rounds, line, point)
-    columns = (_motions_of_statement(rounds, *motion) for motion in motions)
-    return [move for row in zip(*columns, strict=True) for move in row]
+        _note_followed_name(run, rounds, line, point)
+    return [move for moves_of_round in zip(*motions, strict=True) for move in moves_of_round]
 
 
-def _note_understood(run: Run, rounds: PlainRounds) -> None:
+def _note_followed_names(run: Run, rounds: PlainRounds) -> None:
     """Note that the use of the variables that the rounds set, and of the points that they move to, is followed."""
     for line in (*rounds.body.assignments, *rounds.body.motions):
         stmt = statement(rounds.source, line)
         name = stmt.target if isinstance(stmt, Assignment) else stmt.end if isinstance(stmt, Motion) else None
         if isinstance(name, Reference):
-            _note_understood_name(run, rounds, line, name)
+            _note_followed_name(run, rounds, line, name)
 
 
-def _note_understood_name(run: Run, rounds: PlainRounds, line: int, name: Reference) -> None:
+def _note_followed_name(run: Run, rounds: PlainRounds, line: int, name: Reference) -> None:
     """Note that the use of a name on a line of the body is followed, in all rounds."""
     run.followed_names.update([(row, name.start) for row in rounds.rows_of_statement(line).tolist()])
 
 
 def _motions_of_statement(
-    rounds: PlainRounds, line: int, stmt: Motion, targets: list[Position], is_approximated: bool
+    stmt: Motion, end: Value, rows: Sequence[int], targets: Sequence[Position], is_approximated: bool
 ) -> list[MotionStatement]:
-    """Return the motions that one statement of the body makes, one for each round."""
-    end, tail, kind = stmt.end, stmt.tail, KINDS[stmt.word]
-    if end is None:
-        return []
+    """Return the motions that one statement of the body makes, one for each of n rounds.
+
+    :param end: its target as the text gives it.
+    :param rows: (n,) rows of the trace at which it runs.
+    :param targets: (n,) its targets.
+    """
+    tail, kind, keyword = stmt.tail, KINDS[stmt.word], (stmt.start, stmt.start + len(stmt.word))
     name = end.name if isinstance(end, Reference) else ""
-    start, stop, word = end.start, end.stop, (stmt.start, stmt.start + len(stmt.word))
+    points = (Point(position, end.start, end.stop, name) for position in targets)
     return [
-        MotionStatement(
-            row,
-            kind,
-            word,
-            Point(position, start, stop, name),
-            "",
-            None,
-            None,
-            tail.start,
-            tail.stop,
-            is_approximated,
-        )
-        for row, position in zip(rounds.rows_of_statement(line).tolist(), targets, strict=True)
+        MotionStatement(row, kind, keyword, point, "", None, None, tail.start, tail.stop, is_approximated)
+        for row, point in zip(rows, points, strict=True)
     ]

@@ -33,11 +33,17 @@ def undecided_error(run: Run, place: Place, bounds: Sequence[Value] = ()) -> Ine
 class Counter:
     """The counter of a FOR loop.
 
-    :raises InexactError: its bounds are not known before run time.
+    :ivar name: as it is spelled.
+    :ivar key: its stored name, see `Variables.key_of`.
+    :ivar last: present last value; `step` the present step.
     """
 
     def __init__(self, run: Run, source: Source, line: int) -> None:
-        """Evaluate the bounds of the FOR on a line of a file, and set the counter to its first value."""
+        """Evaluate the bounds of the FOR on a line of a file, and set the counter to its first value.
+
+        :raises InexactError: its bounds are not known before run time, or it is a REAL.
+        :raises ProgramError: the statement cannot be read, or the step is no whole number other than 0.
+        """
         self.run, self.place = run, Place(source, line)
         stmt = statement(source, line)
         if isinstance(stmt, tree.For) and stmt.error is not None:
@@ -61,11 +67,17 @@ class Counter:
 
     @property
     def rounds(self) -> int:
-        """Number of iterations from now on."""
+        """Number of iterations from now on.
+
+        :raises InexactError: the counter is not known.
+        """
         return max(0, (self.last - self.value()) // self.step + 1)
 
     def has_next_round(self) -> bool:
-        """Return whether the loop runs another round: the counter has not passed the last value."""
+        """Return whether the loop runs another round: the counter has not passed the last value.
+
+        :raises InexactError: the counter is not known.
+        """
         count = self.value()
         return count <= self.last if self.step > 0 else count >= self.last
 
@@ -84,7 +96,11 @@ class Counter:
         self._set(self.value() + rounds * self.step)
 
     def _bounds(self) -> tuple[int, int]:
-        """Return the present last value and step of the FOR."""
+        """Return the present last value and step of the FOR.
+
+        :raises InexactError: they are not known before run time, or are REALs.
+        :raises ProgramError: the step is no whole number other than 0.
+        """
         first, last, step_value = self.bound_values
         bounds = [first, last, *([] if step_value is None else [step_value])]
         if not all(map(self.run.variables.functions.is_pure, calls(bounds))):
@@ -95,7 +111,8 @@ class Counter:
     def _step(self, step_value: Value) -> int:
         """Return the value of a step.
 
-        :raises ProgramError: it is zero, not an integer, or not known.
+        :raises ProgramError: it is 0, or no whole number.
+        :raises InexactError: it is not known before run time.
         """
         step = self.run.variables.evaluate(step_value)
         if isinstance(step, Number) and (not step.is_integer or step.value == 0.0):
@@ -106,7 +123,7 @@ class Counter:
     def _integer(self, value: Value) -> int:
         """Return the value of a bound or a step as an integer.
 
-        :raises ProgramError: it is a REAL, or not known before run time.
+        :raises InexactError: it is a REAL, or not known before run time.
         """
         number = self.run.variables.evaluate(value)
         if not isinstance(number, Number):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Collection, Set
 from contextlib import suppress
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.dialects.krl.language import scan
@@ -30,81 +32,103 @@ def read_data(
 ) -> None:
     """Store the variables and values that a `.dat` declares.
 
-    :param fill: only those of names that have no value yet.
-    :param is_global: all of them are GLOBAL, as those of the `$config.dat`.
+    :param fill: True to store only those of names that have no value yet.
+    :param is_global: True if all of them are GLOBAL, as those of the `$config.dat`.
     :param wanted_names: the names to take; None: all.
     :raises ProgramError: DEFDAT or ENDDAT is missing.
     :raises CellError: it contradicts another source of BASE_DATA or TOOL_DATA.
     """
-    text = source.text
-    has_defdat = has_enddat = False
-    is_unfiltered = wanted_names is None and not fill
-    for line, (start, stop) in enumerate(zip(source.starts.tolist(), source.stops.tolist(), strict=True), 1):
-        while start < stop and text[start] in " \t\r":
-            start += 1
-        if is_unfiltered and (element := ELEMENT.match(text, start, stop)):
-            name = variables.scope.stored_name(element["name"].upper())
-            variables.persistent_names.add(name)
-            key, value = f"{name}[{int(element['index'])}]", UnparsedValue(source, element.end(), stop)
-            if name in FRAME_ARRAYS:
-                variables.note_frame(key, value, f"{source.document.name}, line {line}")
-            variables.put(key, value)
-            continue
-        first = text[start : start + 1]
-        if first in ("", ";", "&", "\r"):
-            continue
-        word = text[start : start + 7].upper()
-        if word.startswith("DEFDAT"):
-            has_defdat = True
-        elif word.startswith("ENDDAT"):
-            has_enddat = True
-            break
-        elif word.startswith("IMPORT"):
-            if wanted_names is None:
-                _note_import(variables, Place(source, line))
-        else:
-            _note_line(variables, source, line, start, stop, fill=fill, is_global=is_global, wanted_names=wanted_names)
-    if not has_defdat or not has_enddat:
-        raise source.line_error(
-            f"{'ENDDAT' if has_defdat else 'DEFDAT'} is missing",
-            len(source.starts),
-            "Check that the file is complete and that it is the .dat of this program.",
-        )
+    _DataReader(variables, source, fill, is_global, wanted_names).read()
 
 
-def _note_line(
-    variables: Variables,
-    source: Source,
-    line: int,
-    start: int,
-    stop: int,
-    *,
-    fill: bool,
-    is_global: bool,
-    wanted_names: Set[str] | None,
-) -> None:
-    """Store what one line of a `.dat` declares, see `read_data`; values are parsed when they are needed."""
-    match = DECLARATION.match(source.text, start, stop)
-    if not match:
-        return
-    if match["equals"] and not NEXT_INITIAL_VALUE.search(source.text, match.end(), stop):
-        names = [next(declared_in(source, start, match.end()))]
-    else:
-        start, stop = source.code_span(line)
-        names = list(declared_in(source, start, stop))
-    for declarator in names:
-        if wanted_names is not None and declarator.name not in wanted_names:
-            continue
-        name = _note_declaration(variables, replace(declarator, is_global=declarator.is_global or is_global), fill=fill)
-        if declarator.kind == "STRUC" and (named_structure := structure(source, *source.code_span(line))):
-            variables.structures.setdefault(named_structure.name, named_structure.members)
-        if declarator.value_start >= 0 and name.partition("[")[0] in FRAME_ARRAYS:
-            variables.note_frame(
-                name, UnparsedValue(source, declarator.value_start, stop), f"{source.document.name}, line {line}"
+class _DataReader(Struct, frozen=True, eq=False):
+    """Reads a `.dat`; see `read_data`."""
+
+    variables: Variables
+    source: Source
+    fill: bool
+    is_global: bool
+    wanted_names: Set[str] | None
+
+    def read(self) -> None:
+        """Store what all lines declare.
+
+        :raises ProgramError: DEFDAT or ENDDAT is missing.
+        :raises CellError: it contradicts another source of BASE_DATA or TOOL_DATA.
+        """
+        source, text = self.source, self.source.text
+        has_defdat = has_enddat = False
+        takes_all = self.wanted_names is None and not self.fill
+        for line, (start, stop) in enumerate(zip(source.starts.tolist(), source.stops.tolist(), strict=True), 1):
+            while start < stop and text[start] in " \t\r":
+                start += 1
+            if takes_all and (element := ELEMENT.match(text, start, stop)):  # most lines of long data lists
+                self._note_element(element, line, stop)
+                continue
+            if text[start : start + 1] in ("", ";", "&", "\r"):
+                continue
+            word = text[start : start + len("DEFDAT")].upper()
+            if word == "DEFDAT":
+                has_defdat = True
+            elif word == "ENDDAT":
+                has_enddat = True
+                break
+            elif word == "IMPORT":
+                if self.wanted_names is None:
+                    _note_import(self.variables, Place(source, line))
+            else:
+                self._note_line(line, start, stop)
+        if not has_defdat or not has_enddat:
+            raise source.line_error(
+                f"{'ENDDAT' if has_defdat else 'DEFDAT'} is missing",
+                len(source.starts),
+                "Check that the file is complete and that it is the .dat of this program.",
             )
-        if declarator.value_start >= 0 and not (fill and name in variables):
-            variables.persistent_names.add(variables.scope.stored_name(declarator.name))
-            variables.put(name, UnparsedValue(source, declarator.value_start, stop))
+
+    def _note_element(self, element: re.Match[str], line: int, stop: int) -> None:
+        """Store an element of an array that gets one aggregate; it is parsed when it is needed.
+
+        :param element: match of `ELEMENT` on the line, which ends at `stop`.
+        :raises CellError: another source gives another frame for it.
+        """
+        variables = self.variables
+        name = variables.scope.stored_name(element["name"].upper())
+        variables.persistent_names.add(name)
+        key, value = f"{name}[{int(element['index'])}]", UnparsedValue(self.source, element.end(), stop)
+        if name in FRAME_ARRAYS:
+            variables.note_frame(key, value, f"{self.source.document.name}, line {line}")
+        variables.put(key, value)
+
+    def _note_line(self, line: int, start: int, stop: int) -> None:
+        """Store what a line declares; values are parsed when they are needed.
+
+        :param start: offset of its code; `stop` that of the end of the line.
+        :raises CellError: another source gives another frame for one of its names.
+        """
+        variables, source = self.variables, self.source
+        match = DECLARATION.match(source.text, start, stop)
+        if not match:
+            return
+        if match["equals"] and not NEXT_INITIAL_VALUE.search(source.text, match.end(), stop):
+            names = [next(declared_in(source, start, match.end()))]
+        else:
+            start, stop = source.code_span(line)
+            names = list(declared_in(source, start, stop))
+        for declarator in names:
+            if self.wanted_names is not None and declarator.name not in self.wanted_names:
+                continue
+            is_global = declarator.is_global or self.is_global
+            key = _note_declaration(variables, replace(declarator, is_global=is_global), fill=self.fill)
+            if declarator.kind == "STRUC" and (named_structure := structure(source, *source.code_span(line))):
+                variables.structures.setdefault(named_structure.name, named_structure.members)
+            if declarator.value_start < 0:
+                continue
+            value = UnparsedValue(source, declarator.value_start, stop)
+            if key.partition("[")[0] in FRAME_ARRAYS:
+                variables.note_frame(key, value, f"{source.document.name}, line {line}")
+            if not (self.fill and key in variables):
+                variables.persistent_names.add(variables.scope.stored_name(declarator.name))
+                variables.put(key, value)
 
 
 def _note_import(variables: Variables, place: Place) -> None:
@@ -125,25 +149,25 @@ def declare_variables(
     if declaration.structure is not None:
         variables.structures[declaration.structure.name] = declaration.structure.members
     for declarator in declaration.names:
-        name = _note_declaration(variables, declarator)
+        key = _note_declaration(variables, declarator)
         if declarator.value_start >= 0:
-            variables.put(name, UnparsedValue(source, declarator.value_start, declaration.stop, row))
+            variables.put(key, UnparsedValue(source, declarator.value_start, declaration.stop, row))
     return declaration.names
 
 
 def _note_declaration(variables: Variables, declarator: DeclaredName, *, fill: bool = False) -> str:
     """Store the type of a declared name and whether it is GLOBAL; return the key of its value.
 
-    :param fill: a type that is stored already stays.
+    :param fill: True to keep a type that is stored already.
     """
     name = variables.scope.stored_name(declarator.name)
-    by_call = declarator.name in variables.scope.local_names  # parameters have their types from the call
-    if declarator.kind and not ((fill or by_call) and name in variables.types):
+    has_type_of_call = declarator.name in variables.scope.local_names  # as parameters have
+    if declarator.kind and not ((fill or has_type_of_call) and name in variables.types):
         variables.types[name] = declarator.kind
         if declarator.is_global:
             variables.global_names.add(name)
         if name not in variables.persistent_names:
-            variables.take_cell_values(name)  # what its type makes of it
+            variables.take_cell_values(name)  # converted to its type
     if declarator.bounds is None:
         return name
     indices = [part.strip() for part in declarator.bounds.strip("[] \t").split(",")]
@@ -153,16 +177,17 @@ def _note_declaration(variables: Variables, declarator: DeclaredName, *, fill: b
 
 
 def read_shared(
-    variables: Variables, code: str, own_names: Collection[str], files: FolderFiles, local: Set[str] = frozenset()
+    variables: Variables, code: str, own_names: Collection[str], files: FolderFiles, local_names: Set[str] = frozenset()
 ) -> None:
     """Store the GLOBAL variables that a program uses from other `.dat` files.
 
     A variable that several of these files declare is not known.
 
-    :param code: all code of the program that may contain names, called routines included.
+    :param code: all code of the program that may contain names; that of called files is read too.
     :param own_names: names of its files.
     :param files: the folders to search.
-    :param local: names that the main routine declares: they hide GLOBAL ones.
+    :param local_names: names that the main routine declares: they hide GLOBAL ones.
+    :raises CellError: one of the files contradicts another source of BASE_DATA or TOOL_DATA.
     """
     own_file_names = {name.upper() for name in own_names}
     other_paths = [path for name, path in files.paths.items() if name.endswith(".DAT") and name not in own_file_names]
@@ -172,8 +197,8 @@ def read_shared(
     declaration_counts = Counter(name for names in global_names.values() for name in names)
     used_names = set().union(*(NAME.findall(text) for text in files.called_code(code)))
     missing_names = ({name.upper() for name in used_names} | set(variables.types.values())) - variables.types.keys()
-    unique_names = {name for name in missing_names - local if declaration_counts[name] == 1}
-    for name in (name for name in missing_names - local if declaration_counts[name] > 1):
+    unique_names = {name for name in missing_names - local_names if declaration_counts[name] == 1}
+    for name in (name for name in missing_names - local_names if declaration_counts[name] > 1):
         file_names = ", ".join(sorted(path.name for path, names in global_names.items() if name in names))
         variables.put(name, UnknownValue(reason=f"it is GLOBAL in more than one .dat: {file_names}"))
     for path, names in global_names.items():

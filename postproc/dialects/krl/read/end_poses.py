@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -33,6 +34,33 @@ _UNCHANGED = 1e-3 * RAD_PER_DEG
 """Orientations closer than this [rad] are the same."""
 
 
+class FrameColumns(NamedTuple):
+    """Frames of M motions.
+
+    :ivar base: (M,) row of `$BASE` of each motion in `bases`; `tool` (M,) that of `$TOOL` in `tools`.
+    :ivar bases: (nb, 4, 4) in the robot root [m].
+    :ivar tools: (nt, 4, 4) in the flange frame [m].
+    """
+
+    base: Ints
+    tool: Ints
+    bases: Array
+    tools: Array
+
+
+class Arcs(NamedTuple):
+    """n arcs.
+
+    :ivar centre: (n, 3) [m].
+    :ivar axis: (n, 3) unit vectors; the arc turns about it by the right hand.
+    :ivar angle: (n,) from start to end [rad], above 0.
+    """
+
+    centre: Array
+    axis: Array
+    angle: Array
+
+
 class OrientationControl(Struct, frozen=True, eq=False):
     """Orientation control of M motions, if other than interpolation to their own A, B, C.
 
@@ -46,16 +74,43 @@ class OrientationControl(Struct, frozen=True, eq=False):
     via: Array
 
 
+class TextTargets(Struct, frozen=True, eq=False):
+    """M targets as the text gives them.
+
+    :param trace: for messages; `line` (M,) the rows of the motions in it, from 1.
+    :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in `$BASE`, NaN where missing; NaN for axis and relative targets.
+        `end_poses` completes them in place.
+    :param frames: their frames.
+    :param statements: row → statement, for axis and relative targets and circles with CA.
+    :param control: how the orientation is led.
+    :param carriage: the linear axis that carries the robot; None without one.
+    :param is_missing: (M, 6) True where the text does not give the component; False for axis and relative targets.
+    """
+
+    trace: Trace
+    line: Ints
+    numbers: Array
+    frames: FrameColumns
+    statements: Mapping[int, MotionStatement]
+    control: OrientationControl
+    carriage: Carriage | None
+    is_missing: Bools
+
+    def axis_rows(self) -> list[int]:
+        """Return the rows of axis targets."""
+        return [row for row, move in self.statements.items() if move.end.position.is_axis]
+
+
 class EndPoses(Struct, frozen=True, eq=False):
     """M targets, complete.
 
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in `$BASE` where each motion ends.
     :param pose: (M, 4, 4) the same as poses [m].
     :param joints: (M, 6) of axis targets [rad], NaN elsewhere.
-    :param start: where each motion starts.
+    :param start: poses at which the motions start.
     :param starts_from_joints: (M,) True where the previous position is an axis target or the start.
     :param ignores_orientation: (M,) True where A, B, C of the text are not those of the target.
-    :param circles: row → auxiliary and end point (2, 3) [mm] of relative circles.
+    :param circles: row → auxiliary and end point (2, 3) [mm] in `$BASE` of relative circles.
     """
 
     numbers: Array
@@ -70,9 +125,10 @@ class EndPoses(Struct, frozen=True, eq=False):
 class _RobotPosition(Struct, eq=False):
     """Robot position between two motions.
 
-    :param joints: (6,) [rad], None after a Cartesian target.
-    :param numbers: (6,) X…C of the previous target, None after an axis target.
-    :param base: its frames.
+    :ivar flange: (4, 4) in the robot root [m]; after a Cartesian target see `_Follower.flange`.
+    :ivar joints: (6,) [rad]; None after a Cartesian target.
+    :ivar numbers: (6,) X…C of the previous target [mm, deg]; None after an axis target, and at the start.
+    :ivar base: row of the `$BASE` of that target; `tool` that of its `$TOOL`.
     """
 
     flange: Array
@@ -85,59 +141,55 @@ class _RobotPosition(Struct, eq=False):
 class _Follower:
     """Completes the targets of motions in order: plain ones in bulk, special ones one by one.
 
+    :param targets: completed in place.
+    :param present: the robot position before the first motion.
+    :param kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
     :ivar present: the robot position before the next motion.
     :ivar joints: row → joint angles (6,) [rad] of axis targets.
-    :ivar circles: see `EndPoses.circles`; `starts_from_joints` likewise.
+    :ivar circles: see `EndPoses.circles`.
+    :ivar starts_from_joints: see `EndPoses`.
     """
 
-    def __init__(
-        self,
-        trace: Trace,
-        line: Ints,
-        numbers: Array,
-        frames: tuple[Ints, Ints, Array, Array],
-        present: _RobotPosition,
-        kinematics: Callable[[Array], Array],
-        carriage: Carriage | None,
-        control: OrientationControl,
-    ) -> None:
-        """Begin at the robot position `present`, before the first motion.
-
-        :param numbers: (M, 6) X…C as the text gives them, completed in place; `line` (M,) their lines.
-        :param frames: rows of `$BASE` and `$TOOL` (M,) each, and the frames (n, 4, 4) each.
-        """
-        self.trace, self.line, self.kinematics, self.carriage = trace, line, kinematics, carriage
-        self.control = control
+    def __init__(self, targets: TextTargets, present: _RobotPosition, kinematics: Callable[[Array], Array]) -> None:
+        """Begin before the first motion."""
+        self.targets, self.present, self.kinematics = targets, present, kinematics
+        self.trace, self.line, self.control, self.numbers = (
+            targets.trace,
+            targets.line,
+            targets.control,
+            targets.numbers,
+        )
         self.circles: dict[int, Array] = {}
-        self.base, self.tool, self.bases, self.tools = frames
-        self.present = present
-        self.numbers = numbers
         self.joints: dict[int, Array] = {}
-        self.starts_from_joints = np.zeros(len(numbers), dtype=np.bool_)
+        self.starts_from_joints = np.zeros(len(targets.numbers), dtype=np.bool_)
 
     def flange(self) -> Array:
-        """Return the present flange (4, 4) in the robot root."""
-        present = self.present
+        """Return the present flange (4, 4) in the robot root [m]; it is computed when it is needed, and stored."""
+        present, frames = self.present, self.targets.frames
         if present.numbers is not None:
-            tcp = self.bases[present.base] @ pose_from_xyzabc(present.numbers)
-            present.flange = tcp @ inverse(self.tools[present.tool])
+            tcp = frames.bases[present.base] @ pose_from_xyzabc(present.numbers)
+            present.flange = tcp @ inverse(frames.tools[present.tool])
         return present.flange
 
     def present_numbers(self, row: int) -> Array:
         """Return X…C (6,) [mm, deg] of the present position, in the frames of a motion."""
-        present, base, tool = self.present, int(self.base[row]), int(self.tool[row])
+        present, frames = self.present, self.targets.frames
+        base, tool = int(frames.base[row]), int(frames.tool[row])
         if present.numbers is not None and (present.base, present.tool) == (base, tool):
             return present.numbers
-        return xyzabc_from_pose(inverse(self.bases[base]) @ self.flange() @ self.tools[tool])
+        return xyzabc_from_pose(inverse(frames.bases[base]) @ self.flange() @ frames.tools[tool])
 
     def arrive(self, row: int) -> None:
         """Make the Cartesian target of a motion the present position."""
-        present = self.present
+        present, frames = self.present, self.targets.frames
         present.numbers, present.joints = self.numbers[row], None
-        present.base, present.tool = int(self.base[row]), int(self.tool[row])
+        present.base, present.tool = int(frames.base[row]), int(frames.tool[row])
 
     def complete_absolute(self, first: int, last: int) -> None:
-        """Fill in the missing components of the absolute Cartesian targets of rows first … last − 1."""
+        """Fill in the missing components of the absolute Cartesian targets of rows first … last − 1.
+
+        :raises ProgramError: a component is missing whose previous value is not certain.
+        """
         if first == last:
             return
         self.starts_from_joints[first] = self.present.numbers is None
@@ -148,7 +200,9 @@ class _Follower:
         """Fill in missing components of the absolute targets first … last − 1, from the targets before.
 
         The rows are a chunk, which fits the cache. A running maximum of row numbers finds, for each component, the
-        latest row that gives it.
+        latest row that gives it. Row 0 gives what is missing there from the present position.
+
+        :raises ProgramError: as for `complete_absolute`.
         """
         block = self.numbers[first:last]
         is_missing = np.isnan(block)
@@ -185,14 +239,10 @@ class _Follower:
         :param incomplete: (n,) True where a component is missing, from row `first` on.
         :raises ProgramError: there is such a target.
         """
-        present = self.present
-        frames = np.stack([self.base[first:last], self.tool[first:last]])
+        present, (base, tool, _, _) = self.present, self.targets.frames
         has_changed = np.zeros(last - first, dtype=np.bool_)
-        has_changed[1:] = (np.diff(frames, axis=1) != 0).any(axis=0)
-        has_changed[0] = present.numbers is not None and (present.base, present.tool) != (
-            self.base[first],
-            self.tool[first],
-        )
+        has_changed[1:] = (np.diff(base[first:last]) != 0) | (np.diff(tool[first:last]) != 0)
+        has_changed[0] = present.numbers is not None and (present.base, present.tool) != (base[first], tool[first])
         uncertain_rows = np.flatnonzero(has_changed & incomplete)
         if len(uncertain_rows):
             problem = "components are missing right after $BASE or $TOOL changed: the values they keep are not certain"
@@ -202,6 +252,9 @@ class _Follower:
         """Complete the target of a motion that is not plain.
 
         That is an axis or relative target, a circle with CA, or a motion that keeps the orientation of its start.
+
+        :param move: its statement; None if it was read in bulk.
+        :raises ProgramError: the target is not certain, or the points of a circle do not define one.
         """
         if move is not None and move.end.position.is_axis:
             self._follow_axis_target(row, move)
@@ -227,16 +280,18 @@ class _Follower:
 
         :param start: (6,) X…C [mm, deg] at the start of the circle.
         :param angle: CA [rad]; None without it.
+        :raises ProgramError: the points do not define a circle.
         """
         begin, end = start[:3] * M_PER_MM, self.numbers[row, :3] * M_PER_MM
         via = self.circles[row][0] if row in self.circles else self.control.via[row]
         via = np.where(np.isnan(via), begin, via * M_PER_MM)
-        centre, axis, sweep = circle_geometry(self.trace, self.line[row : row + 1], begin[None], via[None], end[None])
+        arcs = circle_geometry(self.trace, self.line[row : row + 1], begin[None], via[None], end[None])
+        axis = arcs.axis[0]
         if angle is not None:
-            self.numbers[row, :3] = MM_PER_M * rotated_point(begin, centre[0], axis[0], angle)
+            self.numbers[row, :3] = MM_PER_M * rotated_point(begin, arcs.centre[0], axis, angle)
         if self.control.keeps_orientation[row] and self.control.turns_with_path[row]:
             pose = pose_from_xyzabc(self.numbers[row])
-            pose[:3, :3] = rotation_from_vector(axis[0] * (sweep[0] if angle is None else angle)) @ pose[:3, :3]
+            pose[:3, :3] = rotation_from_vector(axis * (arcs.angle[0] if angle is None else angle)) @ pose[:3, :3]
             self.numbers[row, 3:] = xyzabc_from_pose(pose)[3:]
 
     def _follow_axis_target(self, row: int, move: MotionStatement) -> None:
@@ -258,14 +313,15 @@ class _Follower:
         self.starts_from_joints[row] = self.present.numbers is None
         self.joints[row] = angles
         flange = self.kinematics(angles)
-        if self.carriage is not None:
-            flange = flange_on_track(flange, self.carriage, float(self.carriage.end[row]))
+        if (carriage := self.targets.carriage) is not None:
+            flange = flange_on_track(flange, carriage, float(carriage.end[row]))
         self.present = _RobotPosition(flange, angles)
         self.numbers[row] = self.present_numbers(row)
 
     def _relative_target(self, move: MotionStatement, numbers: Array) -> Array:
-        """Return X…C (6,) [mm, deg] of a target that is relative to a position `numbers` (6,).
+        """Return X…C (6,) [mm, deg] of a relative target.
 
+        :param numbers: (6,) X…C where the motion begins.
         :raises ProgramError: it turns the tool.
         """
         position = move.end.position
@@ -278,135 +334,134 @@ class _Follower:
 def _relative_offset(position: Position, axes: str, numbers: Array) -> Array:
     """Return the offset (3,) [mm] of a relative point in `$BASE`.
 
-    :param axes: ``#BASE`` or ``#TOOL``, in which the offset is given; `numbers` X…C (6,) where it begins.
+    :param axes: ``#BASE`` or ``#TOOL``, in which the offset is given.
+    :param numbers: (6,) X…C where the motion begins.
     """
     step = np.nan_to_num(np.array(position.values[:3]))
     return np.asarray(pose_from_xyzabc(numbers)[:3, :3] @ step) if axes == "#TOOL" else step
 
 
-def flange_on_track(flange: Array, carriage: Carriage, place: float) -> Array:
-    """Return the flange (4, 4) in the robot root at E1 = 0, with the linear axis at another position.
+def flange_on_track(flange: Array, carriage: Carriage, position: float) -> Array:
+    """Return a flange pose (4, 4) [m] in the robot root at E1 = 0.
 
-    :param flange: (4, 4) in the present root.
-    :param place: position of the linear axis [m].
+    :param flange: (4, 4) in the root as the linear axis carries it [m].
+    :param position: of the linear axis [m].
     """
     carried_flange = flange.copy()
-    carried_flange[:3, 3] += place * carriage.direction
+    carried_flange[:3, 3] += position * carriage.direction
     return carried_flange
 
 
 def end_poses(
-    trace: Trace,
-    line: Ints,
-    numbers: Array,
-    frames: tuple[Ints, Ints, Array, Array],
-    moves: Mapping[int, MotionStatement],
+    targets: TextTargets,
     start_joints: Array,
     kinematics: Callable[[Array], Array],
-    control: OrientationControl,
-    carriage: Carriage | None = None,
     predecessors: Ints | None = None,
 ) -> EndPoses:
-    """Return the targets of M motions.
+    """Return the complete targets of M motions.
 
-    :param line: (M,) 1-based lines, for messages.
-    :param numbers: (M, 6) X…C as the text gives them, NaN where missing; NaN for axis and relative targets. They are
-        completed in place.
-    :param frames: base (M,) and tool (M,): rows of `$BASE` in the robot root (nb, 4, 4) and `$TOOL` in the flange
-        frame (nt, 4, 4).
-    :param moves: row → statement, for axis and relative targets and circles with CA.
+    :param targets: completed in place.
     :param start_joints: (6,) joint angles at the start [rad].
-    :param kinematics: (6,) joints → (4, 4) flange in the robot root.
-    :param control: orientation control.
-    :param carriage: the linear axis that carries the robot.
+    :param kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
     :param predecessors: (M,) the motion at whose end each begins, see `Program.after`.
     :raises ProgramError: a component is missing and its previous value is not certain; a relative target cannot
         be known; an axis is missing; the points of a circle do not define one.
     """
+    numbers, keeps_orientation = targets.numbers, targets.control.keeps_orientation
     start_flange = kinematics(start_joints)
-    if carriage is not None:
-        start_flange = flange_on_track(start_flange, carriage, float(carriage.begin[0]))
-    follower = _Follower(
-        trace, line, numbers, frames, _RobotPosition(start_flange, start_joints), kinematics, carriage, control
-    )
-    own_angles, is_incomplete = numbers[control.keeps_orientation, 3:], any_column(np.isnan(numbers[:, 3:]))
-    numbers[control.keeps_orientation, 3:] = np.nan  # missing components keep their previous value
-    special_rows = {
-        special_row
-        for special_row, move in moves.items()
-        if move.end.position.is_axis or move.relative_axes or move.angle is not None
-    }
-    has_new_frame = np.append(True, (np.diff(frames[0]) != 0) | (np.diff(frames[1]) != 0))[: len(line)]
+    if targets.carriage is not None:
+        start_flange = flange_on_track(start_flange, targets.carriage, float(targets.carriage.begin[0]))
+    programmed_angles, is_incomplete = numbers[keeps_orientation, 3:], any_column(np.isnan(numbers[:, 3:]))
+    numbers[keeps_orientation, 3:] = np.nan  # missing components keep their previous value
+    follower = _Follower(targets, _RobotPosition(start_flange, start_joints), kinematics)
     row = 0
-    for special_row in sorted(
-        special_rows
-        | set(np.flatnonzero(control.keeps_orientation & (has_new_frame | control.turns_with_path)).tolist())
-    ):
+    for special_row in _special_rows(targets):
         follower.complete_absolute(row, special_row)
-        follower.follow_special(special_row, moves.get(special_row))
+        follower.follow_special(special_row, targets.statements.get(special_row))
         row = special_row + 1
-    follower.complete_absolute(row, len(line))
+    follower.complete_absolute(row, len(numbers))
 
     pose = poses_from_xyzabc(numbers)
-    start = Starts.of(frames, pose.__getitem__, start_flange, predecessors)
-    is_ignored, constant = np.zeros(len(line), dtype=np.bool_), np.flatnonzero(control.keeps_orientation)
-    is_ignored[constant] = any_column(np.abs(own_angles - numbers[constant, 3:]) > _ANGLE_TOLERANCE)
-    _check_ignored(trace, line, is_incomplete, moves, control.keeps_orientation, is_ignored)
+    start = Starts.of(targets.frames, pose.__getitem__, start_flange, predecessors)
+    is_ignored = np.zeros(len(numbers), dtype=np.bool_)
+    is_ignored[keeps_orientation] = any_column(
+        np.abs(programmed_angles - numbers[keeps_orientation, 3:]) > _ANGLE_TOLERANCE
+    )
+    _check_ignored(targets, is_incomplete, is_ignored)
     joints = Runs.from_rows(numbers.shape, follower.joints)
     return EndPoses(numbers, pose, joints, start, follower.starts_from_joints, is_ignored, follower.circles)
 
 
-def _check_ignored(
-    trace: Trace,
-    line: Ints,
-    is_missing: Bools,
-    moves: Mapping[int, MotionStatement],
-    constant: Bools,
-    is_ignored: Bools,
-) -> None:
+def _special_rows(targets: TextTargets) -> list[int]:
+    """Return the rows of motions whose targets are completed one by one, in order.
+
+    Those are axis and relative targets, circles with CA, and motions that keep the orientation of their start: if that
+    is the first in its frames, or is kept relative to a circle.
+    """
+    special_rows = {
+        row
+        for row, move in targets.statements.items()
+        if move.end.position.is_axis or move.relative_axes or move.angle is not None
+    }
+    base, tool, control = targets.frames.base, targets.frames.tool, targets.control
+    has_new_frame = np.append(True, (np.diff(base) != 0) | (np.diff(tool) != 0))[: len(base)]
+    oriented_rows = np.flatnonzero(control.keeps_orientation & (has_new_frame | control.turns_with_path))
+    return sorted(special_rows.union(oriented_rows.tolist()))
+
+
+def _check_ignored(targets: TextTargets, is_incomplete: Bools, is_ignored: Bools) -> None:
     """Refuse missing A, B, C after ignored ones: which of them the controller keeps is not certain.
 
-    :raises ProgramError: there are some.
+    :param is_incomplete: (M,) True where A, B or C is missing in the text.
+    :param is_ignored: (M,) True where A, B, C of the text are not those of the target.
+    :raises ProgramError: there is such a target.
     """
     if not is_ignored.any():
         return
-    all_rows = np.arange(len(line))
+    all_rows, keeps_orientation = np.arange(len(is_ignored)), targets.control.keeps_orientation
     last_ignored_row = np.maximum.accumulate(np.where(is_ignored, all_rows, -1))
-    last_free_row = np.maximum.accumulate(np.where(constant, -1, all_rows))
-    is_missing[[axis_row for axis_row, move in moves.items() if move.end.position.is_axis]] = False
-    rows = np.flatnonzero(is_missing[1:] & ~constant[1:] & (last_ignored_row > last_free_row)[:-1]) + 1
+    last_free_row = np.maximum.accumulate(np.where(keeps_orientation, -1, all_rows))
+    is_incomplete[targets.axis_rows()] = False
+    follows_ignored = (last_ignored_row > last_free_row)[:-1]
+    rows = np.flatnonzero(is_incomplete[1:] & ~keeps_orientation[1:] & follows_ignored) + 1
     if len(rows):
-        raise trace.error(
+        raise targets.trace.error(
             "A, B, C are missing behind targets under $ORI_TYPE=#CONSTANT whose own A, B, C were ignored: which of "
             "them stay is not certain",
-            int(line[rows[0]]),
+            int(targets.line[rows[0]]),
             "Write all of A, B, C in this target.",
         )
 
 
-def circle_geometry(trace: Trace, line: Ints, start: Array, via: Array, end: Array) -> tuple[Array, Array, Array]:
-    """Return centres (n, 3), axes (n, 3) and angles (n,) > 0 [rad] of arcs through three points, (n, 3) each [m].
+def circle_geometry(trace: Trace, line: Ints, start: Array, via: Array, end: Array) -> Arcs:
+    """Return the arcs through three points each, (n, 3) [m] in `$BASE`.
 
-    :param line: (n,) 1-based lines, for messages.
+    :param line: (n,) their rows in the trace, from 1, for messages.
     :raises ProgramError: the three points lie on a straight line, or two of them coincide.
     """
-    centre, normal, angle, flat = arcs_through(start, via, end)
-    if flat.any():
+    centre, axis, angle, is_flat = arcs_through(start, via, end)
+    if is_flat.any():
         raise trace.error(
             "the three points of the circle lie on a line or coincide",
-            int(line[np.argmax(flat)]),
+            int(line[np.argmax(is_flat)]),
             "Choose an auxiliary point well between start and end; for a full circle give CA.",
         )
-    return centre, normal, angle
+    return Arcs(centre, axis, angle)
 
 
-def rotated_point(start: Array, centre: Array, normal: Array, angle: float) -> Array:
-    """Return the point (3,) that a rotation of `start` about an axis through `centre` reaches."""
-    end: Array = centre + rotation_from_vector(normal * angle) @ (start - centre)
+def rotated_point(start: Array, centre: Array, axis: Array, angle: float) -> Array:
+    """Return the point (3,) to which a rotation about an axis moves another.
+
+    :param start: (3,) that point.
+    :param centre: (3,) a point on the axis.
+    :param axis: (3,) unit vector.
+    :param angle: [rad].
+    """
+    end: Array = centre + rotation_from_vector(axis * angle) @ (start - centre)
     return end
 
 
 def same_orientation(r1: Array, r2: Array) -> Bools:
-    """Return whether orientations (..., 3, 3) differ by less than 0.001°."""
-    relative = np.einsum("...ij,...ij->...", r1, r2)  # trace of r1ᵀ·r2 = 1 + 2·cos(angle)
-    return np.asarray(relative > 1.0 + 2.0 * np.cos(_UNCHANGED))
+    """Return where orientations (..., 3, 3) differ by less than `_UNCHANGED` (...)."""
+    trace = np.einsum("...ij,...ij->...", r1, r2)  # of r1ᵀ·r2: 1 + 2·cos of the angle between them
+    return np.asarray(trace > 1.0 + 2.0 * np.cos(_UNCHANGED))

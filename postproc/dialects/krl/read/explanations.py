@@ -23,9 +23,15 @@ from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableVal
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.dialects.krl.read.variables import Variables
 
+_MAX_LENGTH = 80
+"""Characters of an expression that a message shows."""
+
 
 def without_value(variables: Variables, source: Source, values: Iterable[Value]) -> list[str]:
-    """Return the variables in some values that have no value, as spelled: the cell can give them one."""
+    """Return the variables in some values that have no value, as spelled: the cell can give them one.
+
+    :raises ProgramError: brackets are not balanced.
+    """
     spellings: dict[str, None] = {}
     for value in walk(values):
         if not isinstance(value, Reference) or value.field is not None or value.name in RELEVANT:
@@ -37,7 +43,11 @@ def without_value(variables: Variables, source: Source, values: Iterable[Value])
 
 
 def why_unknown(variables: Variables, source: Source, value: Value | VariableValue) -> str:
-    """Return why the value of an expression is not known, as text for a message."""
+    """Return why the value of an expression is not known, as text for a message.
+
+    :param source: the file that contains the expression.
+    :raises ProgramError: a part of it cannot be read.
+    """
     if isinstance(value, Position | UnknownValue):
         return "it is computed while the program runs"
     if isinstance(value, Chain):
@@ -47,7 +57,7 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
                 return why_unknown(variables, source, operand)
             if isinstance(operand, Reference) and not position.is_complete:
                 return f"not all components of {source.text[operand.start : operand.stop]} are given"
-    text = source.text[value.start : value.stop].strip()[:80]
+    text = source.text[value.start : value.stop].strip()[:_MAX_LENGTH]
     if not text and isinstance(value, Reference):  # one that a program of the controller reads
         text = value.name if value.field is None else f"{value.name}.{value.field}"
     sides = [side for side in (value.left, value.right) if side is not None] if isinstance(value, Operation) else []
@@ -65,19 +75,25 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
         return f"{text} is computed while the program runs"
     if isinstance(value, OpaqueText | Condition | Call | Operation):
         return f"{text} is computed while the program runs"
-    if isinstance(value, Reference):
-        if variables.key_of(value) is None:
-            unknown_indices = [
-                index for index in value.indices or () if index.start < index.stop and variables.index(index) is None
-            ]
-            suffix = f": {why_unknown(variables, source, unknown_indices[0])}" if unknown_indices else ""
-            return f"the index of {text} is not known before the program runs{suffix}"
-        if value.field is not None and "[" in value.field:
-            return f"{text} is an element of an array in a structure, which is not followed: use a variable of its own"
-        result = variables.value_of(value)
-        if isinstance(result, UnknownValue):
-            return result.message_for(text)
-    return f"{text} has the wrong type here"
+    reason = _why_variable_unknown(variables, source, value, text) if isinstance(value, Reference) else ""
+    return reason or f"{text} has the wrong type here"
+
+
+def _why_variable_unknown(variables: Variables, source: Source, reference: Reference, spelling: str) -> str:
+    """Return why the value of a variable of the program is not known, as text for a message; empty if it is known.
+
+    :param spelling: the variable as the message names it.
+    """
+    if variables.key_of(reference) is None:
+        unknown_indices = [
+            index for index in reference.indices or () if index.start < index.stop and variables.index(index) is None
+        ]
+        suffix = f": {why_unknown(variables, source, unknown_indices[0])}" if unknown_indices else ""
+        return f"the index of {spelling} is not known before the program runs{suffix}"
+    if reference.field is not None and "[" in reference.field:
+        return f"{spelling} is an element of an array in a structure, which is not followed: use a variable of its own"
+    result = variables.value_of(reference)
+    return result.message_for(spelling) if isinstance(result, UnknownValue) else ""
 
 
 def why_not_decided(variables: Variables, source: Source, values: Sequence[Value]) -> str:

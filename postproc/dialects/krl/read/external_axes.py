@@ -18,16 +18,17 @@ _AXIS_TOLERANCE = 1e-4
 def external_axes(
     trace: Trace,
     rows: MotionColumns,
-    relative: Ints,
+    relative_rows: Ints,
     uses_root: Bools,
     direction: Array | None,
     predecessors: Ints | None,
 ) -> tuple[list[Issue], Carriage | None]:
-    """Return the issues about external axes, and the linear axis that carries the robot.
+    """Return the issues about external axes, and the linear axis that carries the robot, None if there is none.
 
-    :param relative: rows of relative targets, whose values are steps.
+    :param rows: the R motions.
+    :param relative_rows: rows of relative targets, whose values are steps.
     :param uses_root: (R,) True for motions whose path depends on the robot root: all but PTP to axis angles.
-    :param direction: (3,) of E1, if it carries the robot.
+    :param direction: (3,) unit vector of E1 in the robot root, if it carries the robot; else None.
     :param predecessors: (R,) the motion at whose end each begins, see `Program.after`.
     :raises ProgramError: another axis moves, or the position of E1 is not known.
     """
@@ -35,9 +36,9 @@ def external_axes(
     if np.isnan(external).all():
         return [], None
     steps = np.zeros(external.shape)
-    steps[relative] = np.nan_to_num(external[relative])
+    steps[relative_rows] = np.nan_to_num(external[relative_rows])
     external = external.copy()
-    external[relative] = np.nan
+    external[relative_rows] = np.nan
     issues = _fixed_axis_warnings(trace, external, steps, rows.line, carries_robot=direction is not None)
     if direction is None or (np.isnan(external[:, 0]).all() and not steps[:, 0].any()):
         return issues, None
@@ -50,12 +51,11 @@ def external_axes(
             "Give E1 in this target, or in a PTP before it.",
         )
     assumed_starts = np.flatnonzero(np.isnan(begin) & ~np.isnan(end))
-    if (
-        len(assumed_starts)
-        and rows.kind[assumed_starts[0]] != PTP
-        and (predecessors is None or predecessors[assumed_starts[0]] != assumed_starts[0])
-    ):
-        issues.append(_assumed_start_warning(float(end[assumed_starts[0]]), int(rows.line[assumed_starts[0]])))
+    if len(assumed_starts):
+        row = assumed_starts[0]
+        has_open_start = predecessors is not None and predecessors[row] == row  # a warning says so already
+        if rows.kind[row] != PTP and not has_open_start:
+            issues.append(_assumed_start_warning(float(end[row]), int(rows.line[row])))
     begin = np.where(np.isnan(begin), end, begin)
     return issues, Carriage(np.nan_to_num(begin) * M_PER_MM, np.nan_to_num(end) * M_PER_MM, direction)
 
@@ -89,10 +89,10 @@ def _fixed_axis_warnings(
 
 
 def _axis_positions(positions: Array, steps: Array, predecessors: Ints | None) -> tuple[Array, Array]:
-    """Return the positions of an axis (R,) at the start and at the end of each motion; NaN where not known.
+    """Return the positions of an axis at the start (R,) and at the end (R,) of each motion; NaN where not known.
 
-    :param positions: (R,) positions at targets; NaN where the axis keeps its position or moves by one of the `steps`
-        (R,).
+    :param positions: (R,) positions at targets; NaN where the axis keeps its position or moves by a step.
+    :param steps: (R,) steps of relative targets, else 0.
     :param predecessors: (R,) the motion at whose end each begins; None: the one before it.
     """
     is_given = ~np.isnan(positions)

@@ -212,7 +212,7 @@ class Flow:
         self._follow_noting_errors(place, stmt)
 
     def _come_to(self, line: int) -> None:
-        """Make the row of the trace with a line of a traced routine the present row."""
+        """Make the row of the trace with a 1-based line of a traced routine the present row."""
         run = self.run
         if self.recorder is not None and self.recorder.is_final:
             run.shift, run.shown_line = self.recorder.shift_and_shown_line(line)
@@ -479,39 +479,25 @@ class Flow:
                 raise cause
             recorder.record_run_lines(part.end - 1)
         recorder.record_passed_lines(block.last)
-        complete = statement(source, heads[-1]).word in ("ELSE", "DEFAULT")
-        recorder.record_division(Join(0, complete))
-        run.join_branches(Place(source, block.last), complete=complete)
+        is_exhaustive = statement(source, heads[-1]).word in ("ELSE", "DEFAULT")
+        recorder.record_division(Join(0, is_exhaustive))
+        run.join_branches(Place(source, block.last), is_exhaustive=is_exhaustive)
 
     def _follow_skip(self, source: Source, nodes: tuple[Node, ...], index: int, *, last: bool) -> int:
         """Follow an IF that skips statements by GOTO or RETURN, as two branches: the jump and the skipped statements.
 
+        :param index: of the node with the IF.
         :param last: the routine ends after the nodes.
         :returns: the index of the node after the skipped code; 0 if the IF does not jump, or its condition is known.
         :raises InexactError: a condition in one of the branches is not known before run time.
         """
         run, block, recorder = self.run, nodes[index], self.recorder
-        if (
-            recorder is None
-            or not isinstance(block, Block)
-            or not run.level.is_traced
-            or run.level.loop_depth
-            or not run.is_certain
-        ):
+        if recorder is None or not isinstance(block, Block) or not self._may_skip(source, block):
             return 0
         part = block.parts[0]
-        if block.word != "IF" or len(block.parts) > 1 or self._may_have_effects(statement(source, block.first).values):
-            return 0
         next_index, end = self._jump_target(source, nodes, index, part.nodes[-1:], last=last)
-        if not next_index:
-            return 0
         occasion = Occasion(Place(source, block.first), tuple(self._enclosing))
-        try:
-            self._part_taken(source, block)
-        except InexactError:
-            if occasion in run.obstacles:
-                return 0
-        else:
+        if not next_index or self._is_part_known(source, block) or occasion in run.obstacles:
             return 0
         undo = self._undo_from_here(recorder)
         try:
@@ -527,13 +513,35 @@ class Flow:
             self._follow_branch(source, nodes[index + 1 : next_index], recorder, last=returns)
             recorder.record_run_lines(end)
             recorder.record_division(Join(0, is_exhaustive=True))
-            run.join_branches(Place(source, block.last), complete=True)
+            run.join_branches(Place(source, block.last), is_exhaustive=True)
         except InexactError:
             if not run.keeps_unresolved:
                 raise
             undo()
             return 0
         return next_index
+
+    def _may_skip(self, source: Source, block: Block) -> bool:
+        """Return whether a control structure is an IF that may be followed as two branches.
+
+        It has no ELSE, its condition changes nothing, and it runs once.
+        """
+        level = self.run.level
+        if not level.is_traced or level.loop_depth or not self.run.is_certain:
+            return False
+        condition = statement(source, block.first).values
+        return block.word == "IF" and len(block.parts) == 1 and not self._may_have_effects(condition)
+
+    def _is_part_known(self, source: Source, block: Block) -> bool:
+        """Return whether the branch taken of an IF is known.
+
+        :raises ProgramError: see `_part_taken`.
+        """
+        try:
+            self._part_taken(source, block)
+        except InexactError:
+            return False
+        return True
 
     def _follow_branch(self, source: Source, nodes: tuple[Node, ...], recorder: Recorder, *, last: bool) -> None:
         """Follow one of the branches of an IF that skips statements.
@@ -791,7 +799,7 @@ class Flow:
                 raise Place(source, line).error(problem, "Write it on a line of its own, in the loop or behind it.")
 
     def _change_counts(self) -> tuple[int, int]:
-        """Return how often variables have changed, and how often frames, speeds and modes have."""
+        """Return how often variables have changed so far, and how often frames, speeds and modes have."""
         return self.run.variables.change_count, len(self.run.settings.changes)
 
     def _record_plain_rounds(

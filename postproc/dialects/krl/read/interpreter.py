@@ -161,7 +161,7 @@ class Interpreter:
     def follow_functions(self, place: Place, values: Iterable[Value]) -> None:
         """Follow the functions in some values; it is not certain that they run."""
         for call in calls(values):
-            self.calls.follow_call(place, call, certain=False)
+            self.calls.follow_call(place, call, is_certain=False)
 
     def _follow_other(self, place: Place, stmt: tree.Statement) -> None:
         """Follow a statement that neither moves nor controls execution: an assignment, a declaration, a call and the
@@ -176,7 +176,7 @@ class Interpreter:
         elif isinstance(stmt, tree.CallStatement):
             self.follow_functions(place, stmt.call.arguments)
             if not self._inline_call(place, stmt.call):
-                self.calls.follow_call(place, stmt.call, certain=self.run.is_certain)
+                self.calls.follow_call(place, stmt.call, is_certain=self.run.is_certain)
         elif isinstance(stmt, tree.Event):
             if isinstance(stmt, tree.Trigger) and self.run.is_traced:
                 self.run.triggers.append(self.run.row)
@@ -243,6 +243,8 @@ class Interpreter:
     def assign(self, place: Place, target: Reference, expression: Value) -> None:
         """Follow an assignment.
 
+        The index of the target is evaluated before and after the value: a call in the value may change it.
+
         :raises ProgramError: its effect on motion is not modelled.
         """
         self.follow_functions(place, [target])
@@ -266,27 +268,31 @@ class Interpreter:
             return
         if target.field is None and self.run.is_traced:
             self.run.understand(target.start)
-        key = self.run.variables.key_of(target)
+        key, stored_name = self.run.variables.key_of(target), self.run.stored_name(name)
         if key != old_key:
-            self.run.variables.forget(
-                self.run.stored_name(name), self._unknown_element_reason(place, target, expression)
-            )
+            self.run.variables.forget(stored_name, self._unknown_element_reason(place, target, expression))
         elif not self.run.is_certain or key is None or target.indices == ():
-            self.run.variables.forget(self.run.stored_name(name), str(place))
-        elif value == NO_VALUE and name == "$H_POS" and target.field is None:
-            return
+            self.run.variables.forget(stored_name, str(place))
+        elif value != NO_VALUE or name != "$H_POS" or target.field is not None:  # else the cell's home position stays
+            self._store(place, target, key, expression, value)
+
+    def _store(self, place: Place, target: Reference, key: str, expression: Value, value: VariableValue) -> None:
+        """Give a variable, or a member of it, the value of an assignment.
+
+        :param key: of the variable; `target` as the statement names it.
+        :param value: of the expression.
+        """
+        # an UnknownValue that does not say by itself why the value is not known
+        needs_reason = isinstance(value, UnknownValue) and not (
+            value.change_place if value.reason else target.field is None
+        )
+        if value == NO_VALUE or needs_reason:
+            value = UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
+        if target.field is None:
+            self.run.note_copy(expression, value, target.name)
+            self.run.variables.set(key, value, place)
         else:
-            # an UnknownValue that does not say by itself why the value is not known
-            needs_reason = isinstance(value, UnknownValue) and not (
-                value.change_place if value.reason else target.field is None
-            )
-            if value == NO_VALUE or needs_reason:
-                value = UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
-            if target.field is None:
-                self.run.note_copy(expression, value, name)
-                self.run.variables.set(key, value, place)
-            else:
-                self.run.variables.set_field(key, target.field, value, place)
+            self.run.variables.set_field(key, target.field, value, place)
 
     def _unknown_element_reason(self, place: Place, target: Reference, expression: Value) -> str:
         """Return, as text, why it is not known which element an assignment writes.

@@ -17,9 +17,9 @@ from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.run import Run, UntracedCall
-from postproc.dialects.krl.read.state import State
+from postproc.dialects.krl.read.state import MotionStates
 from postproc.errors import Issue, ProgramError, first_of
-from postproc.program import ForceNote, Ints, UnfollowedCall
+from postproc.program import ForceNote, UnfollowedCall
 
 _MOST_NAMES = 10
 """Most names of points in one message."""
@@ -27,18 +27,17 @@ _MOST_FILES = 3
 """Most files named for one of them."""
 
 
-def issues_of(
-    main: MainRoutine, states: Sequence[State], state: Ints, rows: MotionColumns, layout: Layout
-) -> Iterator[Issue]:
+def issues_of(main: MainRoutine, in_force: MotionStates, rows: MotionColumns, layout: Layout) -> Iterator[Issue]:
     """Yield the issues about a program that has been followed.
 
-    :param states: all states in force anywhere; `state` (M,) index of the state at each motion.
+    :param in_force: settings in force at its motions.
+    :raises ProgramError: a called program is known to move the robot by a sensor.
     """
     yield from _absent_program_warnings(main)
     yield from _uncalled_routine_warnings(main)
     yield from _unreachable_motion_warnings(main)
     yield from _changed_variable_warnings(main)
-    yield from _initial_frame_warnings(main, states, state, rows, layout)
+    yield from _initial_frame_warnings(main, in_force, rows, layout)
 
 
 def _absent_program_warnings(main: MainRoutine) -> Iterator[Issue]:
@@ -110,14 +109,14 @@ def _changed_variable_warnings(main: MainRoutine) -> Iterator[Issue]:
 
 
 def _initial_frame_warnings(
-    main: MainRoutine, states: Sequence[State], state: Ints, rows: MotionColumns, layout: Layout
+    main: MainRoutine, in_force: MotionStates, rows: MotionColumns, layout: Layout
 ) -> Iterator[Issue]:
     """Yield a warning for `$BASE` and `$TOOL` if they are frames of the cell only because no statement sets them."""
-    axis = np.zeros(len(rows), dtype=np.bool_)
-    axis[[row for row, move in layout.statements.items() if move.end.position.is_axis]] = True
+    has_axis_target = np.zeros(len(rows), dtype=np.bool_)
+    has_axis_target[[row for row, move in layout.statements.items() if move.end.position.is_axis]] = True
     for name, table in (("$BASE", "[base]"), ("$TOOL", "[tool]")):
-        is_assumed = np.array([name in main.run.settings.assumed_frames(s) for s in states])
-        affected_rows = np.flatnonzero(is_assumed[state] & ~axis)
+        is_assumed = np.array([name in main.run.settings.assumed_frames(state) for state in in_force.states])
+        affected_rows = np.flatnonzero(is_assumed[in_force.index] & ~has_axis_target)
         if not len(affected_rows) and name not in main.run.settings.frames.uncertain_names:
             continue
         kuka_frame = "BASE(0), that is $ROBROOT" if name == "$BASE" else "TOOL_DATA[1]"

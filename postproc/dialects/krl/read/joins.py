@@ -6,7 +6,7 @@ motion must end in the same pose; a round must end in the state in which it bega
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from typing import NamedTuple
 
 import numpy as np
@@ -48,7 +48,11 @@ class BranchError(ProgramError):
 
 
 class JoinedEnds(NamedTuple):
-    """A control-flow join: the line of its fork in the trace, and the last motions of the branches (−1: none yet)."""
+    """The ends of the branches of a control-flow join.
+
+    :ivar fork: line of its fork in the trace.
+    :ivar ends: last motions that may run before the join; −1: the start of the program.
+    """
 
     fork: int
     ends: tuple[int, ...]
@@ -96,21 +100,21 @@ class _Successors:
             return self._next_round_leads_to_joints()
         if isinstance(next_step, Fork):
             branches, join = self._branches_and_join(number + 1)
-            return all(map(self.leads_to_joints, branches if self._is_complete_join(join) else [*branches, join]))
+            return all(map(self.leads_to_joints, branches if self._is_exhaustive_join(join) else [*branches, join]))
         if isinstance(next_step, Join):
             return self.leads_to_joints(number + 1)
         _, join = self._branches_and_join(number)  # the next branch is not run after this one
         return self.leads_to_joints(join)
 
-    def _is_complete_join(self, number: int) -> bool:
+    def _is_exhaustive_join(self, number: int) -> bool:
         """Return whether a step is a join of which one branch always runs, as those of an IF with ELSE do."""
         join = self.steps[number]
         return isinstance(join, Join) and join.is_exhaustive
 
     def _branches_and_join(self, number: int) -> tuple[list[int], int]:
-        """Return the numbers of the branches after a step and of the join that ends them.
+        """Return the numbers of the branches after a step, and that of the join that ends them.
 
-        Branches of nested forks are left out.
+        Branches of nested forks are left out. Without a join the number is that of the last step.
         """
         depth, branches = 0, list[int]()
         for index in range(number + 1, len(self.steps)):
@@ -159,7 +163,9 @@ def predecessors_and_joins(
     kept_lines: Sequence[int],
     unchecked_joins: Set[Join],
 ) -> tuple[Ints | None, list[JoinedEnds]]:
-    """Return at the end of which motion each motion begins, see `Program.after`, and the control-flow joins.
+    """Return the motion at whose end each motion begins, see `Program.after`, and the control-flow joins.
+
+    Joins at which branches may end in different poses are left out.
 
     :param predecessors: (M,) the same if branches ran one after the other; None: the motion before.
     :param kept_lines: lines of uncorrected motions.
@@ -170,7 +176,7 @@ def predecessors_and_joins(
     if not steps:
         return predecessors, []
     line, forks = sequence.rows.line, _fork_visits(course)
-    branch_predecessors, fork_of, joins = _joined_ends(steps, line, predecessors)
+    branch_predecessors, fork_lines, joins = _branch_predecessors(steps, line, predecessors)
     faults: list[BranchError] = []
     for join, ends in joins:
         rows = slice(*np.searchsorted(line, [ends.fork, join.row], side="right"))
@@ -183,9 +189,22 @@ def predecessors_and_joins(
     for row in np.flatnonzero(branch_predecessors != np.arange(len(line)) - 1).tolist():
         if branch_predecessors[row] != row and depends_on_start(sequence, row, arcs=False):
             problem = f"{_start_dependence(sequence, row)} where branches begin or meet"
-            faults.append(_branch_error(course, forks, int(fork_of[row]), problem, _WHOLE))
+            faults.append(_branch_error(course, forks, int(fork_lines[row]), problem, _WHOLE))
     _raise_combined(faults)
     return branch_predecessors, [ends for join, ends in joins if join not in unchecked_joins]
+
+
+class _BranchPredecessors(NamedTuple):
+    """The motions before M motions, with branches and joins.
+
+    :ivar predecessors: (M,) the motion at whose end each begins, see `Program.after`.
+    :ivar fork_lines: (M + 1,) line of the trace with the fork that is next to each motion, and to the end.
+    :ivar joins: all joins, with the ends of their branches.
+    """
+
+    predecessors: Ints
+    fork_lines: Ints
+    joins: list[tuple[Join, JoinedEnds]]
 
 
 class _OpenFork(NamedTuple):
@@ -203,12 +222,12 @@ class _OpenFork(NamedTuple):
     is_begun: bool
 
 
-def _joined_ends(
+def _branch_predecessors(
     steps: Sequence[Fork | Branch | Join], line: Ints, predecessors: Ints | None
-) -> tuple[Ints, Ints, list[tuple[Join, JoinedEnds]]]:
-    """Return the predecessors of the motions, the forks next to them, and all joins with the ends of their branches.
+) -> _BranchPredecessors:
+    """Return the motions before M motions, with branches and joins.
 
-    The predecessor of a motion is the one at whose end it begins (M,). The forks are given by their lines (M + 1,).
+    Behind a join the one before is the first of the last motions of its branches.
 
     :param line: (M,) lines of the trace with the motions.
     :param predecessors: (M,) predecessors if branches ran one after the other; None: the motion before.
@@ -217,7 +236,7 @@ def _joined_ends(
     branch_predecessors = np.arange(count) - 1 if predecessors is None else predecessors.copy()
     open_forks: list[_OpenFork] = []
     joins: list[tuple[Join, JoinedEnds]] = []
-    fork_of = np.full(count + 1, 0)
+    fork_lines = np.full(count + 1, 0)
     previous_row, row_count = -1, 0
 
     def run_to(row: int) -> None:
@@ -230,7 +249,7 @@ def _joined_ends(
 
     for step in steps:
         run_to(int(np.searchsorted(line, step.row, side="right")))
-        fork_of[row_count] = open_forks[-1].line if open_forks else step.row
+        fork_lines[row_count] = open_forks[-1].line if open_forks else step.row
         if isinstance(step, Fork):
             open_forks.append(_OpenFork(step.row, previous_row, [], is_begun=False))
             continue
@@ -243,7 +262,7 @@ def _joined_ends(
             joins.append((step, JoinedEnds(fork, tuple(sorted(set(ends))))))
             previous_row = min(ends)
     run_to(count)
-    return branch_predecessors, fork_of, joins
+    return _BranchPredecessors(branch_predecessors, fork_lines, joins)
 
 
 def branches(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
@@ -267,6 +286,19 @@ def branches(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
     return tuple(rows)
 
 
+class _Transitions(NamedTuple):
+    """Motions next to a fork whose join has not been reached.
+
+    :ivar entries: motions that may end right before it.
+    :ivar branch_ends: last motions of its finished branches.
+    :ivar is_begun: whether one of its branches has begun.
+    """
+
+    entries: set[int]
+    branch_ends: set[int]
+    is_begun: bool
+
+
 def transitions(
     course: Course, line: Ints, predecessors: Ints | None, kept_lines: Sequence[int], unchecked_joins: Set[Join]
 ) -> tuple[tuple[int, int], ...]:
@@ -279,9 +311,8 @@ def transitions(
     """
     previous_rows = np.arange(len(line)) - 1 if predecessors is None else predecessors
     further_transitions: list[tuple[int, int]] = []
-    # per open fork: motions that may end right before it, last motions of its branches, whether a branch has begun
-    open_forks: list[tuple[set[int], set[int], bool]] = []
-    ends, row_count = {-1}, 0  # the motions that may end before the present step; motions so far
+    open_forks: list[_Transitions] = []
+    ends, row_count = {-1}, 0  # motions that may end right before the present step; number of motions so far
 
     def run_to(row: int) -> None:
         """Make motions up to `row` follow each other; note at which other ends the first of them may begin."""
@@ -296,24 +327,37 @@ def transitions(
             continue
         run_to(int(np.searchsorted(line, step.row, side="right")))
         if isinstance(step, Fork):
-            open_forks.append((ends, set(), False))
+            open_forks.append(_Transitions(ends, set(), is_begun=False))
             continue
         entries, branch_ends, is_begun = open_forks.pop()
         branch_ends = branch_ends | ends if is_begun or isinstance(step, Join) else branch_ends
         if isinstance(step, Branch):
-            open_forks.append((entries, branch_ends, True))
+            open_forks.append(_Transitions(entries, branch_ends, is_begun=True))
             ends = entries
         else:
             branch_ends = branch_ends if step.is_exhaustive else branch_ends | entries
             ends = branch_ends if step in unchecked_joins else {min(branch_ends)}
     run_to(len(line))
-    loop = course.endless_loop
-    if loop is not None and max(kept_lines, default=0) < max(line, default=0):
-        first, stop = np.searchsorted(line, [loop.first, loop.stop]).tolist()
-        rows = first + np.flatnonzero(previous_rows[first:stop] == previous_rows[first : first + 1])
-        for row in rows[previous_rows[rows] != rows].tolist():
-            further_transitions.extend((row, end) for end in sorted(ends) if end != previous_rows[row])
+    if max(kept_lines, default=0) < max(line, default=0):
+        further_transitions += _round_transitions(course, line, previous_rows, ends)
     return tuple(dict.fromkeys(further_transitions))
+
+
+def _round_transitions(course: Course, line: Ints, previous_rows: Ints, ends: Set[int]) -> Iterator[tuple[int, int]]:
+    """Yield pairs of a motion that may begin the second round of an endless loop, and one that may end before it.
+
+    Those motions are the ones that begin where the first motion of the loop does.
+
+    :param line: (M,) lines of the trace with the motions.
+    :param previous_rows: (M,) the motion at whose end each begins; the motion itself: its start is not known.
+    :param ends: motions that may end the first round.
+    """
+    if (loop := course.endless_loop) is None:
+        return
+    first, stop = np.searchsorted(line, [loop.first, loop.stop]).tolist()
+    rows = first + np.flatnonzero(previous_rows[first:stop] == previous_rows[first : first + 1])
+    for row in rows[previous_rows[rows] != rows].tolist():
+        yield from ((row, end) for end in sorted(ends) if end != previous_rows[row])
 
 
 def check_joins(
@@ -357,7 +401,10 @@ def _fork_visits(course: Course) -> Mapping[int, set[Occasion]]:
 
 
 def _raise_combined(faults: Sequence[BranchError]) -> None:
-    """Raise the first of some errors, with the forks of all; do nothing if there are none."""
+    """Refuse branches that cannot be corrected.
+
+    :raises BranchError: the first of the `faults`, with the forks of all; nothing is raised without faults.
+    """
     if faults:
         faults[0].occasions = frozenset[Occasion]().union(*(fault.occasions for fault in faults))
         raise faults[0]
@@ -366,7 +413,7 @@ def _raise_combined(faults: Sequence[BranchError]) -> None:
 def _start_dependence(sequence: OrderedMotions, row: int) -> str:
     """Return why a motion depends on more than its start pose, as text for a message."""
     kind, move = int(sequence.rows.kind[row]), sequence.moves.get(row)
-    if kind != PTP and sequence.states[sequence.state_index[row]].orientation == CONSTANT:
+    if kind != PTP and sequence.in_force.at(row).orientation == CONSTANT:
         return "$ORI_TYPE=#CONSTANT keeps the orientation"
     if kind == SPL:
         return "there is an SPL"
@@ -397,37 +444,37 @@ def check_endless_loop(
     motions: Motions,
     start: Starts,
     carriage: Carriage | None,
-    notes: Sequence[tuple[int, ForceNote]],
     settings: Settings,
-) -> tuple[list[Issue], tuple[tuple[int, ...], ...]]:
-    """Return the issues about a LOOP without EXIT, and the motions that may come before its first motion.
-
-    Those are the one before the loop (−1: the start) and its last. There are none if the first motion leads to joint
-    angles: it does not matter then where it begins.
+) -> tuple[tuple[int, ...], ...]:
+    """Refuse a LOOP without EXIT whose iteration ends otherwise than it began, and return where its second one begins.
 
     :param loop: the LOOP.
     :param line: (M,) lines of the motions in the trace.
     :param start: start poses of the motions, and one more after the last: the first motion of the second iteration.
     :param carriage: the linear axis that carries the robot.
-    :param notes: force comments by lines of the trace.
     :param settings: settings in force, by line.
-    :raises ProgramError: an iteration ends in another pose, with other settings or under another force than it began.
+    :returns: the motions that may come before its first motion: the one before the loop (−1: the start) and its last.
+        No such pair if the first motion leads to joint angles: it does not matter then where it begins.
+    :raises ProgramError: an iteration ends in another pose, or with other settings, than it began.
     """
     first, stop = np.searchsorted(line, [loop.first, loop.stop]).tolist()
-    if first < stop:
-        problem = _pose_difference(first, stop - 1, motions, start, carriage)
-        if problem:
-            raise _loop_error(course, loop, f"its round ends {problem}", _LOOP_ADVICE)
-        begin_settings, end_settings = settings_at(settings, np.array([loop.first, loop.stop]))
-        if begin_settings[0] != end_settings[0] or not all(
-            np.array_equal(begin_value, end_value)
-            for begin_value, end_value in zip(begin_settings[1:], end_settings[1:], strict=True)
-        ):
-            raise _loop_error(course, loop, "leaves other frames, speeds or modes than it begins with", _SETTING_ADVICE)
-        _check_force(course, loop, int(line[first]), notes)
+    if first == stop:
+        return ()
+    if problem := _pose_difference(first, stop - 1, motions, start, carriage):
+        raise _loop_error(course, loop, f"its round ends {problem}", _LOOP_ADVICE)
+    begin_settings, end_settings = settings_at(settings, np.array([loop.first, loop.stop]))
+    has_same_frames = np.array_equal(begin_settings.base, end_settings.base) and np.array_equal(
+        begin_settings.tool, end_settings.tool
+    )
+    if begin_settings.state != end_settings.state or not has_same_frames:
+        raise _loop_error(course, loop, "leaves other frames, speeds or modes than it begins with", _SETTING_ADVICE)
+    return ((first - 1, stop - 1),) if np.isnan(motions.joints[first, 0]) else ()
+
+
+def endless_loop_issue(course: Course, loop: UnrolledLoop) -> Issue:
+    """Return the information that a LOOP has no EXIT."""
     message = "LOOP has no EXIT: one round is corrected, and is what all rounds do. What follows it is never reached."
-    issues = [Issue("info", "endless-loop", message, _loop_line(course, loop))]
-    return issues, (((first - 1, stop - 1),) if first < stop and np.isnan(motions.joints[first, 0]) else ())
+    return Issue("info", "endless-loop", message, _loop_line(course, loop))
 
 
 def _pose_difference(first: int, last: int, motions: Motions, start: Starts, carriage: Carriage | None) -> str:
@@ -478,13 +525,15 @@ def start_poses(
     )
 
 
-def _check_force(course: Course, loop: UnrolledLoop, line: int, notes: Sequence[tuple[int, ForceNote]]) -> None:
-    """Refuse a loop whose first motion has another force in the second iteration.
+def check_force(course: Course, loop: UnrolledLoop, line: Ints, notes: Sequence[tuple[int, ForceNote]]) -> None:
+    """Refuse a LOOP without EXIT whose first motion has another force in the second iteration.
 
-    :param line: line of the trace with that motion.
+    :param line: (M,) lines of the motions in the trace.
     :param notes: force comments by lines of the trace.
+    :raises ProgramError: it has.
     """
-    if any(loop.first <= note_line <= line for note_line, _ in notes):
+    first, stop = np.searchsorted(line, [loop.first, loop.stop]).tolist()
+    if first == stop or any(loop.first <= note_line <= line[first] for note_line, _ in notes):
         return
     acting_notes = [[note for note_line, note in notes if note_line < limit][-1:] for limit in (loop.first, loop.stop)]
     begin, end = ([(note.wrench, note.frame) for note in group if any(note.wrench)] for group in acting_notes)

@@ -93,7 +93,10 @@ class Scope(Struct, frozen=True):
 
 
 def stored_originals(imported: Import) -> tuple[str, str]:
-    """Return the names under which the variable of an IMPORT may be stored, see `Scope`."""
+    """Return the two names under which the variable of an IMPORT may be stored, see `Scope`.
+
+    They are its name as a GLOBAL variable, and that as a variable of its own `.dat`, with the prefix of that file.
+    """
     return imported.original, f"{imported.file}/{imported.original}"
 
 

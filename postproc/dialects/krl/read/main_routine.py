@@ -103,6 +103,7 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     """Return what `course_of` does.
 
     :param collects: whether motions are read too.
+    :raises ProgramError: see `course_of`.
     """
     library, main = start.library, start.main
     recorder = Recorder(main)
@@ -114,17 +115,17 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     settings.follows_numbers = len(free_settings) <= _MOST_SETTINGS  # else plain ones are no statements here
     run.is_final = collects and settings.follows_numbers
 
-    def taken(place: Place, stmt: Statement) -> None:
+    def take_motion(place: Place, stmt: Statement) -> None:
         """Follow the functions in a motion, and collect it while nothing is in doubt."""
         flow.interpreter.follow_functions(place, stmt.values)  # they may change what a condition depends on
         if run.is_final and recorder.is_final:
             collected.take_motion(place, stmt)
 
-    def wrong(_at: Place, _cause: ProgramError) -> None:
+    def note_fault(_place: Place, _cause: ProgramError) -> None:
         """Note that a statement has an error; it is reported when the recorded trace is followed."""
         run.is_final = False
 
-    flow = Flow(run, taken, wrong, recorder)
+    flow = Flow(run, take_motion, note_fault, recorder)
     control = (node for node in nodes if isinstance(node, Block) or _may_leave_line(main, node))
     if not _returns_early(main) and not any(flow.belongs_in_trace(main.source, node) for node in control):
         body = Body(main.first + 1, main.last)
@@ -143,6 +144,7 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     foreign_routines = {routine for routine in course.inlined_routines if routine.source is not main.source}
     if foreign_routines:
         course = replace(course, used_names=library.names(), other_callers=library.users(foreign_routines))
+    # else statements must run once more, along the complete trace
     is_complete = run.is_final and recorder.is_final and not settings.lacked_numbers
     if not is_complete or fault_of(main.name) or collected.splines.open_block is not None or run.level.open_structures:
         return course, None
@@ -272,7 +274,7 @@ class MainRoutine:
             )
 
     def _lines_of_step(self, step: Lines | UnresolvedStructure) -> tuple[Sequence[int], Sequence[int]]:
-        """Return the lines of a step that are not plain, and its lines with plain settings."""
+        """Return the lines of a step that are not plain, and those with plain settings, both in order."""
         lines, setting_lines = self._lines, self._setting_lines
         step_settings = setting_lines[bisect_left(setting_lines, step.first) : bisect_right(setting_lines, step.last)]
         return lines[bisect_left(lines, step.first) : bisect_right(lines, step.last)], step_settings
@@ -428,7 +430,7 @@ class MainRoutine:
         stmt = statement(place.source, place.line)
         if isinstance(stmt, CallStatement):
             for inner in calls(stmt.call.arguments):
-                self._flow.interpreter.calls.follow_call(place, inner, certain=False)
+                self._flow.interpreter.calls.follow_call(place, inner, is_certain=False)
             self._flow.interpreter.calls.enter_routine(place, stmt.call, step.module, step.routine)
 
     def _follow_division(self, step: Fork | Branch | Join) -> None:
@@ -439,7 +441,7 @@ class MainRoutine:
         elif isinstance(step, Branch):
             self.run.begin_branch()
         else:
-            self.run.join_branches(self.run.trace.place(step.row), complete=step.is_exhaustive)
+            self.run.join_branches(self.run.trace.place(step.row), is_exhaustive=step.is_exhaustive)
 
     def _pass_structure(self, step: UnresolvedStructure) -> None:
         """Pass over a control structure whose branch taken is not known.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,10 @@ class MotionColumns(Columns, frozen=True, eq=False):
     """R motions.
 
     :param line: (R,) 1-based line, or row of the execution trace; offsets are those of its file.
-    :param kind: (R,) `LIN`, `CIRC` or `PTP`.
+    :param kind: (R,) `LIN`, `CIRC`, `PTP` or `SPL`.
     :param numbers: (R, 6) X, Y, Z [mm], A, B, C [deg] as the text gives them; NaN where missing.
-    :param external: (R, 6) E1…E6, likewise; `posture` (R, 2) S and T, −1 where missing.
+    :param posture: (R, 2) S and T; −1 where missing.
+    :param external: (R, 6) E1…E6 [mm, deg]; NaN where missing.
     :param relative_spans: (R, 8, 2) spans of the texts of X…T, counted from the start of the target, in as few bytes as
         they need; 0 where missing.
     :param keyword: (R,) offset of the instruction.
@@ -65,8 +66,8 @@ class MotionColumns(Columns, frozen=True, eq=False):
 class MotionCollector:
     """Takes statements one by one; keeps the plain ones as rows only.
 
-    :ivar states: state in force at each.
-    :ivar special: (index, statement) of those that are not plain.
+    :ivar states: state in force at each statement.
+    :ivar special: those that are not plain: number of each among all statements, from 0, and the statement.
     """
 
     def __init__(self) -> None:
@@ -110,9 +111,6 @@ def _columns_of(moves: Sequence[MotionStatement]) -> MotionColumns:
     """
     numbers, external = (np.full((len(moves), 6), np.nan) for _ in range(2))
     component_spans = np.zeros((len(moves), len(COLUMNS), 2), dtype=np.int32)
-    via, via_spans, via_target = no_circles(len(moves))
-    if any(move.via is not None for move in moves):
-        via, via_spans, via_target = via.copy(), via_spans.copy(), via_target.copy()
     for row, move in enumerate(moves):
         position = move.end.position
         if not position.is_axis and not move.relative_axes:
@@ -124,12 +122,7 @@ def _columns_of(moves: Sequence[MotionStatement]) -> MotionColumns:
                 item = position.aggregate.items.get(name)
                 if isinstance(item, Number):
                     component_spans[row, column] = item.start - move.end.start, item.stop - move.end.start
-        if move.via is not None:
-            via[row] = move.via.position.values[:3]
-            if move.is_plain and move.via.position.aggregate is not None:
-                via_target[row] = move.via.start, move.via.stop
-                items = move.via.position.aggregate.items
-                via_spans[row] = [(items[name].start, items[name].stop) for name in COLUMNS[:3]]
+    via_points = _via_points_of(moves)
     return MotionColumns(
         compact(np.array([move.line for move in moves], dtype=np.int64), np.int32),
         compact(np.array([move.kind for move in moves], dtype=np.int64), np.int8),
@@ -143,14 +136,28 @@ def _columns_of(moves: Sequence[MotionStatement]) -> MotionColumns:
         _offsets([(move.end.start, move.end.stop) for move in moves]).reshape(-1, 2),
         _offsets([(move.tail_start, move.stop) for move in moves]).reshape(-1, 2),
         np.array([move.approximated for move in moves], dtype=np.bool_),
-        via,
-        via_spans,
-        via_target,
+        *via_points,
     )
 
 
+def _via_points_of(moves: Sequence[MotionStatement]) -> ViaPoints:
+    """Return the auxiliary points of motion statements."""
+    points = no_via_points(len(moves))
+    if all(move.via is None for move in moves):
+        return points
+    via, spans, targets = points.numbers.copy(), points.spans.copy(), points.targets.copy()
+    for row, move in enumerate(moves):
+        if move.via is not None:
+            via[row] = move.via.position.values[:3]
+            if move.is_plain and move.via.position.aggregate is not None:
+                targets[row] = move.via.start, move.via.stop
+                items = move.via.position.aggregate.items
+                spans[row] = [(items[name].start, items[name].stop) for name in COLUMNS[:3]]
+    return ViaPoints(via, spans, targets)
+
+
 def compact_if_missing(column: Array) -> Array:
-    """Return a column; one that is NaN throughout becomes a read-only one that takes no memory."""
+    """Return a copy of a column; one that is NaN throughout becomes a read-only one that takes no memory."""
     return np.broadcast_to(np.nan, column.shape) if np.isnan(column).all() else column.copy()
 
 
@@ -164,13 +171,21 @@ def narrow_integers(numbers: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
     return np.asarray(numbers.astype(np.min_scalar_type(int(numbers.max(initial=0)))))
 
 
-def no_circles(count: int) -> tuple[Array, Offsets, Ints]:
-    """Return the auxiliary points of motions that have none: `via`, `via_spans` and `via_target` of `MotionColumns`.
+class ViaPoints(NamedTuple):
+    """Auxiliary points of R motions, see `MotionColumns`.
 
-    The columns are read-only and take no memory.
+    :ivar numbers: (R, 3) its `via`; `spans` (R, 3, 2) its `via_spans`; `targets` (R, 2) its `via_target`.
     """
+
+    numbers: Array
+    spans: Offsets
+    targets: Ints
+
+
+def no_via_points(count: int) -> ViaPoints:
+    """Return the auxiliary points of motions that have none; the columns are read-only and take no memory."""
     spans, target = np.array(-1, dtype=np.int32), np.array(-1, dtype=np.int64)
-    return (
+    return ViaPoints(
         np.broadcast_to(np.nan, (count, 3)),
         np.broadcast_to(spans, (count, 3, 2)),
         np.broadcast_to(target, (count, 2)),
@@ -192,15 +207,15 @@ def merged_motions(parts: list[MotionColumns], place: Ints) -> MotionColumns:
     destinations, begin = [], 0
     for rows in parts:
         end = begin + len(rows)
-        is_contiguous = len(rows) > 0 and place[end - 1] - place[begin] == len(rows) - 1  # nothing between them
+        is_contiguous = len(rows) > 0 and place[end - 1] - place[begin] == len(rows) - 1  # no motion of another part
         destinations.append(slice(place[begin], place[begin] + len(rows)) if is_contiguous else place[begin:end])
         begin = end
-    waiting = [rows.columns()[::-1] for rows in parts]
+    remaining_columns = [rows.columns()[::-1] for rows in parts]  # the first column last, to be popped
     parts.clear()
     del rows
     merged_columns = []
-    while waiting[0]:
-        values = [columns.pop() for columns in waiting]
+    while remaining_columns[0]:
+        values = [columns.pop() for columns in remaining_columns]
         column = _empty_column(len(place), values)
         if column.flags.writeable:
             for destination, part_values in zip(destinations, values, strict=True):
@@ -212,10 +227,12 @@ def merged_motions(parts: list[MotionColumns], place: Ints) -> MotionColumns:
 def _empty_column(count: int, parts: Sequence[Any]) -> Any:
     """Return a column of `count` motions that is to be filled.
 
-    If all parts have a column that takes no memory, so does the result, which is then complete.
+    If all parts have a column that takes no memory, so does the result; it is read-only, and complete.
+
+    :param parts: the column of each part.
     """
     nonempty_parts = [values for values in parts if len(values)]
-    if nonempty_parts and all(values.strides[0] == 0 for values in nonempty_parts):
+    if nonempty_parts and all(values.strides[0] == 0 for values in nonempty_parts):  # stride 0: one value for all
         return np.broadcast_to(nonempty_parts[0][0], (count, *nonempty_parts[0].shape[1:]))
     return np.empty((count, *parts[0].shape[1:]), np.result_type(*parts))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from msgspec.structs import replace
 
@@ -49,7 +50,7 @@ def depends_on_position(motion: Motion) -> bool:
     It does if it is relative, lacks components, or is computed from that position.
     """
     points = [point for point in (motion.via, motion.end) if isinstance(point, Aggregate)]
-    cartesian = [point.items.keys() & CARTESIAN for point in points]
+    cartesian = [point.items.keys() & CARTESIAN for point in points]  # an auxiliary point needs no A, B, C
     axes = [point.items.keys() & AXES for point in points]
     is_incomplete = any(0 < len(names) < len(CARTESIAN) for names in (*cartesian[-1:], *axes))
     return is_incomplete or motion.word.endswith("_REL") or reads_robot_position(motion)
@@ -75,6 +76,19 @@ def reads_robot_position(stmt: Statement) -> bool:
         return False
 
 
+class MotionReading(NamedTuple):
+    """A motion as it is read.
+
+    :ivar move: the motion; None if it only leads to the present position.
+    :ivar state: settings in force for it.
+    :ivar name_offsets: offsets in the file of the names whose values it uses.
+    """
+
+    move: MotionStatement | None
+    state: State
+    name_offsets: list[int]
+
+
 class MotionReader:
     """Reads motion statements.
 
@@ -87,11 +101,10 @@ class MotionReader:
         self.home = home
         self.home_used = 0
 
-    def read_motion(self, place: Place, motion: Motion, row: int) -> tuple[MotionStatement | None, State, list[int]]:
-        """Return the motion of a statement with the settings for it; None if it only leads to the present position.
+    def read_motion(self, place: Place, motion: Motion, row: int) -> MotionReading:
+        """Return the motion of a statement with the settings for it.
 
         :param row: row of the execution trace.
-        :returns: the motion; the settings in force for it; offsets of the names whose values it uses.
         :raises ProgramError: it is not understood, or its target is not known before the program runs.
         """
         name = motion.word.removesuffix("_REL")
@@ -106,7 +119,7 @@ class MotionReader:
                     advice="Write the auxiliary point, a comma and the end point.",
                 )
         if keeps_position(motion):
-            return None, self.settings.state, name_offsets
+            return MotionReading(None, self.settings.state, name_offsets)
         end = None if motion.end is None else self._point(place, motion.end, name_offsets, row)
         if end is None:
             problem = f"{motion.word}: the target is not known: it is the current robot position"
@@ -117,7 +130,7 @@ class MotionReader:
         self._check_axis_target(place, motion.word, kind, end, via)
         try:
             self.settings.refuse_uncertain(
-                state, fields_used(kind, axis=end.position.is_axis, is_approximated=is_approximated)
+                state, fields_used(kind, has_axis_target=end.position.is_axis, is_approximated=is_approximated)
             )
         except ProgramError as cause:
             raise unresolved_error(cause) from None
@@ -127,7 +140,7 @@ class MotionReader:
         move = MotionStatement(
             row, kind, keyword, end, relative, via, angle, tail.start, tail.stop, is_approximated, frame_span
         )
-        return move, state, name_offsets
+        return MotionReading(move, state, name_offsets)
 
     def block_state(self, place: Place, spline: Spline) -> State:
         """Return the settings within a spline block; those of its WITH hold in this block only.
@@ -191,12 +204,13 @@ class MotionReader:
     def _check_axis_target(self, place: Place, word: str, kind: int, end: Point, via: Point | None) -> None:
         """Refuse joint angles as the target or auxiliary point of a motion other than PTP.
 
+        :param word: instruction, for the message; `kind` the kind of motion.
         :raises ProgramError: there are such.
         """
         if kind != PTP and (end.position.is_axis or (via and via.position.is_axis)):
             raise place.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
 
-    def _check_values_beside_with(self, place: Place, subject: str, value: Value | None) -> None:
+    def _check_independence_of_with(self, place: Place, subject: str, value: Value | None) -> None:
         """Refuse a value that reads a setting which WITH of the same motion may change.
 
         :param subject: name of the setting or WITH, for the message.
@@ -213,6 +227,8 @@ class MotionReader:
     ) -> tuple[State, bool]:
         """Return the settings of a single motion, from its WITH, and whether `$APO.CDIS` applies.
 
+        :param kind: of the motion: `LIN`, `CIRC`, `PTP` or `SPL`.
+        :param tail: its WITH and approximation.
         :param points: its target and auxiliary point.
         :raises ProgramError: WITH or the approximation is not understood.
         """
@@ -225,12 +241,12 @@ class MotionReader:
             if not isinstance(item, Assignment):
                 raise place.error(f"{text[item.start : item.stop]!r} is not understood", advice="Check its spelling.")
             if item.target.name in RELEVANT:
-                self._check_values_beside_with(place, item.target.name, item.value)
+                self._check_independence_of_with(place, item.target.name, item.value)
                 state = self.settings.state_after_assignment(state, place, item.target, item.value)
             elif not item.target.name.startswith(_NO_EFFECT):
                 raise place.error(f"{item.target.name} in WITH is not understood", advice="Check its spelling.")
         if state != self.settings.state:
             for value in points:
-                self._check_values_beside_with(place, "WITH", value)
-        by_distance = "C_DIS" in tail.approximation or ("C_SPL" in tail.approximation and kind != PTP)
-        return state, by_distance
+                self._check_independence_of_with(place, "WITH", value)
+        uses_distance = "C_DIS" in tail.approximation or ("C_SPL" in tail.approximation and kind != PTP)
+        return state, uses_distance

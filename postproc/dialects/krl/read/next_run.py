@@ -118,8 +118,8 @@ def _first_difference(
         (first.rows.external, second.rows.external),
         (first.rows.via, second.rows.via),
         (
-            _settings_by_state(first_settings, first)[first.state_index],
-            _settings_by_state(second_settings, second)[second.state_index],
+            _settings_by_state(first_settings, first)[first.in_force.index],
+            _settings_by_state(second_settings, second)[second.in_force.index],
         ),
         (first.numbers[:], second.numbers[:]),
     ):
@@ -150,7 +150,7 @@ def _settings_by_state(settings: Settings, sequence: OrderedMotions) -> Array:
                     [hash(mode) for mode in (state.orientation, state.circle, state.auxiliary, state.by_wrist)],
                 ]
             )
-            for state in sequence.states
+            for state in sequence.in_force.states
         ]
     )
 

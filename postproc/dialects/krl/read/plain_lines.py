@@ -12,6 +12,7 @@ import re
 import warnings
 from collections.abc import Mapping
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -26,20 +27,21 @@ from postproc.dialects.krl.layout import Offsets
 from postproc.dialects.krl.read import plain_settings
 from postproc.dialects.krl.read.motion_columns import (
     MotionColumns,
+    ViaPoints,
     compact_if_missing,
     compact_postures,
     merged_motions,
     narrow_integers,
-    no_circles,
     no_motions,
+    no_via_points,
 )
 from postproc.dialects.krl.read.plain_settings import PlainSettings, no_settings
 from postproc.frames import Array, any_column
 from postproc.program import CIRC, LIN, PTP, Bools, Ints
 
 # possessive quantifiers (``*+``) never go back, so that a line that is not plain is refused in one pass
-_STRICT = r"[-+]?+(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)(?:[eE][-+]?+[0-9]++)?"
-_LOOSE = r"[-+.0-9][-+.0-9eE]*+"
+_STRICT_NUMBER = r"[-+]?+(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)(?:[eE][-+]?+[0-9]++)?"
+_LOOSE_NUMBER = r"[-+.0-9][-+.0-9eE]*+"
 _STRAIGHT = r"[ \t]*+[Ss]?+(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])"
 _SEPARATOR = r"[ \t]*+(?:,[ \t]*+(?=[A-Za-z])|(?=\}))"
 
@@ -51,7 +53,7 @@ _CIRCLE = re.compile(r"[ \t]*+[Ss]?+[Cc][Ii][Rr][Cc]")
 def _line_pattern(number: str, *, circle: bool) -> re.Pattern[str]:
     """Return the regular expression of a plain LIN or PTP, or of a plain CIRC.
 
-    :param number: expression of its numbers.
+    :param number: expression of its numbers: strict, or loose to accept anything that looks like one.
     """
     position = [rf"[{name}{name.lower()}][ \t]++{number}" for name in "XYZABC"]
     components = [r"[Ss][ \t]++(?:[12][0-9]|3[01]|[0-9])", r"[Tt][ \t]++(?:[1-5][0-9]|6[0-3]|[0-9])"]
@@ -73,15 +75,17 @@ def _is_plain(text: str, begin: int, number: str) -> bool:
 
 
 _MARK = 1
+"""Code that stands for a character of a number where lines are compared by their form."""
 _NUMBER = bytes.maketrans(b"\1" + b"0123456789+-.", b"?" + b"\1" * 13)
 _LIMITED_COMPONENT = re.compile(rb"[SsTtEe][ \t]*\x01")
 """Components that may have certain values or names only, so that lines with them are decided one by one."""
 _COMMENT = re.compile(rb";[^\r\n]*")
 _NUMBERS = len(COLUMNS) + 6
-"""X … T, and E1 … E6."""
+"""Numbers of a target: X … T, and E1 … E6."""
 _COLUMN = np.full(256, -1, dtype=np.int64)
 _COLUMN[np.frombuffer(b"XYZABCST123456", dtype=np.uint8)] = np.arange(_NUMBERS)
 _COLUMN[np.frombuffer(b"xyzabcst", dtype=np.uint8)] = np.arange(8)
+"""Column of a number by the last character of the name before it, as its code: the digit for E1 … E6."""
 _NUMBER_CODES = bytes(byte if byte in b"0123456789+-.eE" else 32 for byte in range(256))
 _BLANK = np.zeros(256, dtype=np.bool_)
 _BLANK[[9, 10, 13, 32]] = True
@@ -100,23 +104,23 @@ def scan(source: Source) -> list[MotionColumns]:
 
 
 def _plain_motions(text: str, starts: Ints, lines: int, characters: int) -> MotionColumns:
-    """Return the plain motions of a piece of text.
+    """Return the plain motions of a piece of a document.
 
+    :param text: the piece.
     :param starts: offsets of its lines in it.
-    :param lines: number of lines before it; `characters` number of characters.
+    :param lines: number of lines before it in the document; `characters` number of characters.
     """
     codes = text.encode("ascii", "replace")
     line_indices = _plain_line_indices(text, codes, starts)
     motions = _motions_of_lines(codes, starts, line_indices, lines, characters)
     if motions is None:  # something that looks like a number is none, such as 1.2.3
-        strict_indices = [index for index in line_indices.tolist() if _is_plain(text, int(starts[index]), _STRICT)]
-        motions = (
-            _motions_of_lines(codes, starts, np.array(strict_indices, dtype=np.int64), lines, characters)
-            or no_motions()
-        )
-    infinite_masks = [
-        np.isinf(values) for values in (motions.numbers, motions.external, motions.via)
-    ]  # 1E999: refused where statements are read
+        strict_indices = [
+            index for index in line_indices.tolist() if _is_plain(text, int(starts[index]), _STRICT_NUMBER)
+        ]
+        strict_motions = _motions_of_lines(codes, starts, np.array(strict_indices, dtype=np.int64), lines, characters)
+        motions = no_motions() if strict_motions is None else strict_motions
+    # numbers such as 1E999 are refused where statements are read
+    infinite_masks = [np.isinf(values) for values in (motions.numbers, motions.external, motions.via)]
     if any(mask.any() for mask in infinite_masks):
         motions = motions.take(~np.logical_or.reduce([any_column(mask) for mask in infinite_masks]))
     return motions
@@ -137,12 +141,12 @@ def _plain_line_indices(text: str, codes: bytes, starts: Ints) -> Ints:
     forms = marked_codes[~is_number_tail].tobytes().split(b"\n")  # each number is one mark
     begins = np.append(0, np.flatnonzero(marked_codes == ord("\n")) + 1)
     line_of_form = dict(zip(forms, range(len(forms)), strict=True))
-    verdicts = {form: _is_plain(text, int(begins[index]), _LOOSE) for form, index in line_of_form.items()}
+    verdicts = {form: _is_plain(text, int(begins[index]), _LOOSE_NUMBER) for form, index in line_of_form.items()}
     is_plain_line = np.fromiter(map(verdicts.__getitem__, forms), np.bool_, len(forms))
     limited_forms = {form for form, is_plain in verdicts.items() if is_plain and _LIMITED_COMPONENT.search(form)}
     if limited_forms:
         for index in [index for index, form in enumerate(forms) if form in limited_forms]:
-            is_plain_line[index] = _is_plain(text, int(begins[index]), _LOOSE)
+            is_plain_line[index] = _is_plain(text, int(begins[index]), _LOOSE_NUMBER)
     return np.asarray(np.searchsorted(starts, begins[is_plain_line]))
 
 
@@ -151,8 +155,9 @@ def _motions_of_lines(
 ) -> MotionColumns | None:
     """Return the motions of P plain lines; None if one of their numbers cannot be read.
 
-    :param index: (P,) of the lines in the text.
-    :param lines: number of lines before the text; `characters` number of characters.
+    :param codes: text with these and other lines; `line_starts` the offsets of all its lines.
+    :param index: (P,) of the plain lines in the text.
+    :param lines: number of lines before the text in the document; `characters` number of characters.
     """
     if not len(index):
         return no_motions()
@@ -162,7 +167,7 @@ def _motions_of_lines(
     tokens = _number_tokens(body)
     if tokens is None:
         return None
-    numbers, spans, points, (via, via_spans, via_target) = _points(raw, begins, shift, tokens)
+    numbers, spans, points, via_points = _points(raw, begins, shift, tokens)
     keyword = _skip_blanks(raw, begins, 1)
     motion_letter = raw[keyword + ((raw[keyword] | 32) == ord("s"))] | 32  # lower case, behind the S of splines
     ends = np.concatenate([begins[1:], [len(raw)]])
@@ -181,17 +186,30 @@ def _motions_of_lines(
         target=(points + shift[:, None]).astype(np.int32),
         tail=(np.stack([points[:, 1], stop], axis=1) + shift[:, None]).astype(np.int32),
         approximated=_approximated(raw, begins, is_ptp),
-        via=via,
-        via_spans=via_spans,
-        via_target=via_target,
+        via=via_points.numbers,
+        via_spans=via_points.spans,
+        via_target=via_points.targets,
     )
 
 
-def _plain_body(codes: bytes, line_starts: Ints, index: Ints) -> tuple[bytes, Ints, Ints]:
-    """Return the text of P lines alone, with comments blanked out.
+class _PlainBody(NamedTuple):
+    """The text of P plain lines alone, with comments blanked out.
 
-    :returns: the text; the offsets of the lines in it (P,); what to add to offsets on each line (P,) to get those in
-        `codes`.
+    :ivar text: of these lines.
+    :ivar begins: (P,) offsets of the lines in it.
+    :ivar shift: (P,) what to add to offsets on each line to get those in the whole text.
+    """
+
+    text: bytes
+    begins: Ints
+    shift: Ints
+
+
+def _plain_body(codes: bytes, line_starts: Ints, index: Ints) -> _PlainBody:
+    """Return the text of P lines alone.
+
+    :param codes: the whole text; `line_starts` the offsets of all its lines.
+    :param index: (P,) of the lines.
     """
     line_ends = np.append(line_starts[1:], len(codes))
     length = (line_ends - line_starts)[index]
@@ -202,29 +220,52 @@ def _plain_body(codes: bytes, line_starts: Ints, index: Ints) -> tuple[bytes, In
         body = np.frombuffer(codes, dtype=np.uint8)[np.repeat(shift, length) + np.arange(length.sum())].tobytes()
     if b";" in body:
         body = _COMMENT.sub(lambda comment: b" " * len(comment[0]), body)
-    return body, begins, shift
+    return _PlainBody(body, begins, shift)
 
 
-def _number_tokens(body: bytes) -> tuple[Array, Ints, Ints] | None:
-    """Return the T numbers in a text, and the offsets (T,) of their starts and stops; None if one cannot be read."""
+class _NumberTokens(NamedTuple):
+    """The T numbers in a text.
+
+    :ivar values: (T,) the numbers.
+    :ivar starts: (T,) their offsets; `stops` (T,) the offsets behind them.
+    """
+
+    values: Array
+    starts: Ints
+    stops: Ints
+
+
+def _number_tokens(body: bytes) -> _NumberTokens | None:
+    """Return the numbers in a text; None if one cannot be read."""
     digits = _digits(body)
     starts, stops = numbers_in(digits)
     values = parsed_numbers(digits, starts, stops)
     if values is None:
         values = _parsed_numbers(digits)
-    return None if len(values) != len(starts) else (values, starts, stops)
+    return None if len(values) != len(starts) else _NumberTokens(values, starts, stops)
 
 
-def _points(
-    raw: Bytes, begins: Ints, shift: Ints, tokens: tuple[Array, Ints, Ints]
-) -> tuple[Array, Offsets, Ints, tuple[Array, Offsets, Ints]]:
+class _Points(NamedTuple):
+    """The points of P plain lines.
+
+    :ivar numbers: (P, 14) X … T, E1 … E6 of the targets; NaN where there is none.
+    :ivar spans: (P, 14, 2) spans of these numbers in the document; −1 where there is none.
+    :ivar targets: (P, 2) spans of the targets in the text of the lines, braces included.
+    :ivar via_points: auxiliary points of circles.
+    """
+
+    numbers: Array
+    spans: Offsets
+    targets: Ints
+    via_points: ViaPoints
+
+
+def _points(raw: Bytes, begins: Ints, shift: Ints, tokens: _NumberTokens) -> _Points:
     """Return the targets of plain lines, and the auxiliary points of their circles.
 
-    :param raw: the text of the lines; begins: (P,) their offsets in it.
-    :param shift: (P,) what to add for offsets in the document.
-    :param tokens: numbers of the text, see `_number_tokens`.
-    :returns: numbers of targets (P, 14), NaN where there is none; their offsets in the document (P, 14, 2), −1 where
-        there is none; offsets of the targets in the text (P, 2); see `MotionColumns` for the auxiliary points.
+    :param raw: the text of the lines.
+    :param begins: (P,) their offsets in it; `shift` (P,) what to add for offsets in the document.
+    :param tokens: numbers of the text.
     """
     values, starts, stops = tokens
     points = np.stack([np.flatnonzero(raw == ord("{")), np.flatnonzero(raw == ord("}")) + 1], axis=1)
@@ -243,20 +284,20 @@ def _points(
     numbers[row, column] = values.reshape(shape)
     spans[row, column, 0] = starts.reshape(shape) + offset
     spans[row, column, 1] = stops.reshape(shape) + offset
-    via, via_spans, via_target = no_circles(len(begins))
+    via_points = no_via_points(len(begins))
     if has_circles:
-        via, via_spans = numbers[:, :3].copy(), spans[:, :3].copy()
+        via_targets = via_points.targets.copy()
+        via_targets[line[~is_target]] = points[~is_target] + shift[line[~is_target], None]
+        via_points = ViaPoints(numbers[:, :3].copy(), spans[:, :3].copy(), via_targets)
         numbers, spans = numbers[:, _NUMBERS:], spans[:, _NUMBERS:]
-        via_target = via_target.copy()
-        via_target[line[~is_target]] = points[~is_target] + shift[line[~is_target], None]
         points = points[is_target]
-    return numbers, spans, points, (via, via_spans, via_target)
+    return _Points(numbers, spans, points, via_points)
 
 
 def _rows_and_columns(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints | slice, Ints]:
-    """Return the row and the column (T,) of each of T numbers.
+    """Return the row (T,) and the column (T,) of each of T numbers in the table of P lines.
 
-    If all lines have the same C columns, the row is a slice of all and the columns are (C,).
+    If all lines have the same C columns, the row is a slice of all rows, and the columns are (C,).
 
     :param column: (T,) column of each number; `starts` (T,) its offset.
     :param begins: (P,) offsets of the lines.
@@ -271,7 +312,7 @@ def _rows_and_columns(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints | 
 
 
 def _digits(body: bytes) -> Bytes:
-    """Return the text with everything but numbers replaced by blanks."""
+    """Return a text as codes, with everything but numbers replaced by blanks."""
     digits = np.frombuffer(bytearray(body.translate(_NUMBER_CODES)), dtype=np.uint8)
     exponent = np.flatnonzero((digits | 32) == ord("e"))
     if len(exponent):  # the E of E1, E6POS and C_VEL is no exponent, and the digit behind it no number
@@ -291,35 +332,39 @@ def _parsed_numbers(digits: Bytes) -> Array:
 
 
 def _characters_before(raw: Bytes, position: Ints) -> Ints:
-    """Return the characters before some positions, blanks skipped."""
+    """Return the codes of the characters before n offsets (n,), blanks skipped."""
     return raw[_skip_blanks(raw, position - 1, -1)].astype(np.int64)
 
 
 def _skip_blanks(raw: Bytes, position: Ints, step: int) -> Ints:
-    """Return for each position the next one without a blank, in the direction of `step` (1 or −1)."""
-    blank = _BLANK[raw[position]]
-    while blank.any():
-        position = position + (step * blank if not blank.all() else step)
-        blank = _BLANK[raw[position]]
+    """Return for each of n offsets (n,) the next one without a blank, in the direction of `step` (1 or −1)."""
+    is_blank = _BLANK[raw[position]]
+    while is_blank.any():
+        position = position + (step * is_blank if not is_blank.all() else step)
+        is_blank = _BLANK[raw[position]]
     return position
 
 
-def _approximated(raw: Bytes, begins: Ints, ptp: Bools) -> Bools:
-    """Return the lines (P,) that are approximated by `$APO.CDIS`: with C_DIS, and for path motions C_SPL."""
+def _approximated(raw: Bytes, begins: Ints, is_ptp: Bools) -> Bools:
+    """Return the lines (P,) that are approximated by `$APO.CDIS`: with C_DIS, and for path motions C_SPL.
+
+    :param raw: the text of the lines; `begins` (P,) their offsets in it.
+    :param is_ptp: (P,) True for PTP.
+    """
     underscore = np.flatnonzero(raw == ord("_"))
     letter = raw[underscore + 1] | 32  # lower case: D of C_DIS, S of C_SPL
     row = np.searchsorted(begins, underscore, side="right") - 1
     is_approximated = np.zeros(len(begins), dtype=np.bool_)
     is_approximated[row[letter == ord("d")]] = True
-    is_approximated[row[(letter == ord("s")) & ~ptp[row]]] = True
+    is_approximated[row[(letter == ord("s")) & ~is_ptp[row]]] = True
     return is_approximated
 
 
 class PlainLines(Struct, frozen=True):
-    """Plain lines of a text.
+    """Plain lines of a file, or plain rows of an execution trace.
 
     :ivar motions: in parts.
-    :ivar settings: assignments.
+    :ivar settings: assignments to system variables.
     """
 
     motions: list[MotionColumns]
@@ -335,13 +380,13 @@ class PlainLines(Struct, frozen=True):
         return is_not_plain(count, self.motion_lines, self.settings)
 
 
-def is_not_plain(count: int, moving: Ints, settings: PlainSettings) -> Bools:
+def is_not_plain(count: int, motion_lines: Ints, settings: PlainSettings) -> Bools:
     """Return which of the lines 1 … count are neither plain motions nor plain settings (count,).
 
-    :param moving: (P,) lines of plain motions.
+    :param motion_lines: (P,) lines of plain motions.
     """
     is_other = np.ones(count, dtype=np.bool_)
-    is_other[moving - 1] = False
+    is_other[motion_lines - 1] = False
     is_other[settings.line - 1] = False
     return is_other
 
@@ -366,23 +411,24 @@ def plain_rows_of_trace(trace: Trace, plain_by_source: Mapping[Source, PlainLine
         rows = np.flatnonzero(trace.file == number)
         lines = trace.line[rows]
         columns = merged_motions([*source_lines.motions], np.arange(sum(map(len, source_lines.motions))))
-        plain_rows = _index_of_line(columns.line, len(source.starts))[lines - 1]
-        indices = np.flatnonzero(plain_rows >= 0)
-        motions.append(replace(columns.take(plain_rows[indices]), line=compact(rows[indices] + 1, np.int32)))
-        plain_rows = _index_of_line(source_lines.settings.line, len(source.starts))[lines - 1]
-        indices = np.flatnonzero(plain_rows >= 0)
-        settings.append(PlainSettings(rows[indices] + 1, source_lines.settings.values[:, plain_rows[indices]]))
-    line = np.concatenate([part.line for part in motions])
-    order = np.empty(len(line), dtype=np.int64)
-    order[np.argsort(line, kind="stable")] = np.arange(len(line))
-    given_line = np.concatenate([part.line for part in settings])
+        motion_indices = _index_of_line(columns.line, len(source.starts))[lines - 1]
+        is_motion = motion_indices >= 0
+        motions.append(replace(columns.take(motion_indices[is_motion]), line=compact(rows[is_motion] + 1, np.int32)))
+        setting_indices = _index_of_line(source_lines.settings.line, len(source.starts))[lines - 1]
+        is_setting = setting_indices >= 0
+        values = source_lines.settings.values[:, setting_indices[is_setting]]
+        settings.append(PlainSettings(rows[is_setting] + 1, values))
+    motion_line = np.concatenate([part.line for part in motions])
+    places = np.empty(len(motion_line), dtype=np.int64)
+    places[np.argsort(motion_line, kind="stable")] = np.arange(len(motion_line))
+    setting_line = np.concatenate([part.line for part in settings])
     values = np.concatenate([part.values for part in settings], axis=1)
-    in_order = np.argsort(given_line, kind="stable")
-    return PlainLines([merged_motions(motions, order)], PlainSettings(given_line[in_order], values[:, in_order]))
+    order = np.argsort(setting_line, kind="stable")
+    return PlainLines([merged_motions(motions, places)], PlainSettings(setting_line[order], values[:, order]))
 
 
 def _index_of_line(lines: Ints, count: int) -> Ints:
     """Return the index in `lines` of each of the 1-based lines 1 … count (count,); −1 for lines that are not in it."""
-    numbers = np.full(count, -1, dtype=np.int64)
-    numbers[lines - 1] = np.arange(len(lines))
-    return numbers
+    indices = np.full(count, -1, dtype=np.int64)
+    indices[lines - 1] = np.arange(len(lines))
+    return indices

@@ -7,6 +7,8 @@ Other loops are followed round by round (`main_routine`), and so could these be.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
@@ -33,9 +35,9 @@ from postproc.program import Ints
 
 _FARTHEST_STEP = 1_000_000
 """Largest number that is added to the counter: sums of INT stay far from their limits."""
-_SET = {"$VEL": "CP", "$APO": "CDIS"}
+_SETTINGS = {"$VEL": "CP", "$APO": "CDIS"}
 """Settings whose numbers may differ from round to round, and the component."""
-_SWITCHED = frozenset({"$OUT", "$ANOUT"})
+_OUTPUTS = frozenset({"$OUT", "$ANOUT"})
 _PREFIX = "LIN "
 """Put before each point, so that it is read as the line of a motion."""
 
@@ -56,10 +58,10 @@ def plain_body(source: Source, block: Block) -> PlainBody | None:
     ):
         return None
     motions, settings, triggers = [], [], []
-    for line in block.parts[0].nodes:
-        if isinstance(line, Block):
+    for node in block.parts[0].nodes:
+        if isinstance(node, Block):
             return None
-        stmt = statement(source, line)
+        line, stmt = node, statement(source, node)
         if _is_motion_to_element(stmt, head.name):
             motions.append(line)
         elif _sets_from_array(stmt, head.name):
@@ -72,11 +74,14 @@ def plain_body(source: Source, block: Block) -> PlainBody | None:
 
 
 def _sets_from_array(stmt: Statement, counter: str) -> bool:
-    """Return whether a statement sets a speed or an approximation distance to an array element: ``$VEL.CP=V[I]``."""
+    """Return whether a statement sets a speed or an approximation distance to an array element: ``$VEL.CP=V[I]``.
+
+    :param counter: name of I, upper case.
+    """
     if not isinstance(stmt, Assignment) or not isinstance(stmt.value, Reference):
         return False
     target, value = stmt.target, stmt.value
-    is_set = target.indices is None and target.field is not None and _SET.get(target.name) == target.field
+    is_set = target.indices is None and target.field is not None and _SETTINGS.get(target.name) == target.field
     is_element = value.name[0] != "$" and value.field is None and len(value.name) <= MAX_LENGTH
     return is_set and is_element and _counter_offset(value, counter) is not None
 
@@ -86,11 +91,14 @@ def _is_switching_trigger(stmt: Statement) -> bool:
     if not isinstance(stmt, Trigger) or not isinstance(stmt.action, Assignment) or calls(stmt.values):
         return False
     has_numbers = isinstance(stmt.value, Number) and isinstance(stmt.delay, Number)
-    return has_numbers and stmt.action.target.name in _SWITCHED
+    return has_numbers and stmt.action.target.name in _OUTPUTS
 
 
 def _is_motion_to_element(stmt: Statement, counter: str) -> bool:
-    """Return whether a statement is a motion to an array element, as ``LIN P[I+1] C_DIS`` is, without WITH."""
+    """Return whether a statement is a motion to an array element, as ``LIN P[I+1] C_DIS`` is, without WITH.
+
+    :param counter: name of I, upper case.
+    """
     if not isinstance(stmt, Motion) or stmt.word not in KINDS or stmt.word in (*CIRCLES, "SPL"):
         return False
     tail, end = stmt.tail, stmt.end
@@ -133,8 +141,9 @@ def _counter_offset(point: Reference, counter: str) -> int | None:
 class ElementMotions(Struct, frozen=True, eq=False):
     """The motions that one statement of a plain body makes, one each round.
 
-    :param rows: as columns; `spans` are offsets in the data list.
-    :param source: the data list; `literal` (N, 2) spans of the points in it.
+    :param rows: the motions.
+    :param source: the data list that declares the points.
+    :param literal: (N, 2) spans of the points in it.
     :param name: of the array, upper case.
     """
 
@@ -147,9 +156,10 @@ class ElementMotions(Struct, frozen=True, eq=False):
 def columns_of(
     run: Run, reader: MotionReader, rounds: PlainRounds
 ) -> tuple[list[ElementMotions], PlainSettings] | None:
-    """Return the motions of plain rounds, by statement, and the settings; None if rounds must be followed one by one.
+    """Return the motions that the statements of plain rounds make, and the settings of the rounds.
 
     :param run: the program as far as it has run, before the first round.
+    :returns: the motions of each statement, and the settings; None if the rounds must be followed one by one.
     """
     state = run.settings.state
     if state.uncertain_fields or state.spline_block or state.base < 0 or state.tool < 0 or not run.is_certain:
@@ -172,7 +182,7 @@ def columns_of(
 
 def _settings_of_rounds(run: Run, rounds: PlainRounds) -> PlainSettings | None:
     """Return the speeds and approximation distances that rounds set; None if one is not known or not allowed."""
-    head, lines, values = statement(rounds.source, rounds.head), [], []
+    head, setting_rows, values = statement(rounds.source, rounds.head), [], []
     for line in rounds.body.settings:
         stmt = statement(rounds.source, line)
         if not isinstance(stmt, Assignment) or not isinstance(stmt.value, Reference) or not isinstance(head, For):
@@ -182,16 +192,16 @@ def _settings_of_rounds(run: Run, rounds: PlainRounds) -> PlainSettings | None:
         if numbers is None:
             return None
         is_speed = FIELDS[stmt.target.name] == NUMBERS[0]
-        in_range = (numbers > 0.0) & (numbers <= FASTEST) if is_speed else numbers >= 0.0
-        if not in_range.all():
+        is_allowed = (numbers > 0.0) & (numbers <= FASTEST) if is_speed else numbers >= 0.0
+        if not is_allowed.all():
             return None
-        column = np.full((len(NUMBERS), len(numbers)), np.nan)
-        column[0 if is_speed else 1] = numbers if is_speed else numbers * M_PER_MM
-        lines.append(rounds.rows_of_statement(line))
-        values.append(column)
-    if not lines:
+        columns = np.full((len(NUMBERS), len(numbers)), np.nan)
+        columns[0 if is_speed else 1] = numbers if is_speed else numbers * M_PER_MM
+        setting_rows.append(rounds.rows_of_statement(line))
+        values.append(columns)
+    if not setting_rows:
         return plain_settings.no_settings()
-    rows = np.concatenate(lines)
+    rows = np.concatenate(setting_rows)
     order = np.argsort(rows)
     return PlainSettings(rows[order], np.concatenate(values, axis=1)[:, order])
 
@@ -209,21 +219,11 @@ def _element_motions(
         return None
     if motion.end.name in run.variables.scope.array_names:
         return None
-    numbers = rounds.indices(_counter_offset(motion.end, head.name) or 0)
-    literals = run.variables.data_spans(run.stored_name(motion.end.name), numbers)
-    if literals is None:
+    indices = rounds.indices(_counter_offset(motion.end, head.name) or 0)
+    literals = run.variables.data_spans(run.stored_name(motion.end.name), indices)
+    points = None if literals is None else _scanned_points(*literals)
+    if points is None or (np.abs(points.rows.numbers) > LARGEST_COORDINATE).any():
         return None
-    source, spans = literals
-    texts = [f"{_PREFIX}{source.text[start:stop]}\n" for start, stop in spans]
-    text = "".join(texts)
-    ends = np.cumsum([len(part) for part in texts])
-    starts = np.append(0, ends[:-1])
-    lines = Source(replace(source.document, text=text), text, source.index, starts, ends - 1)
-    points = plain_lines.scan(lines)
-    rows = merged_motions(points, np.arange(sum(map(len, points))))
-    if len(rows) != rounds.count or (np.abs(rows.numbers) > LARGEST_COORDINATE).any():
-        return None
-    shift = np.array([start for start, _ in spans]) - starts - len(_PREFIX)
     kind = KINDS[motion.word]
     _, is_approximated = reader.tail_settings(Place(rounds.source, motion_line), kind, motion.tail)
 
@@ -231,9 +231,8 @@ def _element_motions(
         """Return offsets that are the same in all rounds, one row for each (count, n)."""
         return np.tile(np.array(offsets, dtype=np.int32), (rounds.count, 1))
 
-    literal = rows.target + shift[:, None]
     rows = replace(
-        rows,
+        points.rows,
         line=rounds.rows_of_statement(motion_line),
         kind=np.full(rounds.count, kind),
         keyword=in_each_round(motion.start)[:, 0],
@@ -241,4 +240,22 @@ def _element_motions(
         tail=in_each_round(motion.tail.start, motion.tail.stop),
         approximated=np.full(rounds.count, is_approximated),
     )
-    return ElementMotions(rows, source, literal, motion.end.name)
+    return replace(points, rows=rows, name=motion.end.name)
+
+
+def _scanned_points(source: Source, spans: Sequence[tuple[int, int]]) -> ElementMotions | None:
+    """Return points of a data list as if each were the target of a LIN; None if one is no plain literal.
+
+    :param spans: of the points in the data list; the motions have no name of the array yet.
+    """
+    texts = [f"{_PREFIX}{source.text[start:stop]}\n" for start, stop in spans]
+    text = "".join(texts)
+    ends = np.cumsum([len(part) for part in texts])
+    starts = np.append(0, ends[:-1])
+    lines = Source(replace(source.document, text=text), text, source.index, starts, ends - 1)
+    parts = plain_lines.scan(lines)
+    rows = merged_motions(parts, np.arange(sum(map(len, parts))))
+    if len(rows) != len(spans):
+        return None
+    shift = np.array([start for start, _ in spans]) - starts - len(_PREFIX)  # from the text of these lines to the file
+    return ElementMotions(rows, source, rows.target + shift[:, None], "")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path, PurePath
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -35,7 +36,9 @@ from postproc.dialects.krl.read.joins import (
     BranchError,
     branches,
     check_endless_loop,
+    check_force,
     check_joins,
+    endless_loop_issue,
     free_joins,
     predecessors_and_joins,
     start_poses,
@@ -89,6 +92,7 @@ def _read_program(
     Parts that cannot be corrected are left as they are: the program is followed again without them, until none is new.
 
     :param bulk: False to read plain lines one by one.
+    :raises ProgramError: see `read_program`.
     """
     source = Source.of(documents[0], 0)
     scanned_lines = [plain_of(source, bulk=bulk)]  # taken out where it is used up, so that its memory is released
@@ -118,7 +122,10 @@ def _read_program(
 class _Reading(Struct, frozen=True, eq=False):
     """A program before it is followed; see `read_program`.
 
-    :param code: all lines of the main file that are not plain.
+    :param library: its routines and folders.
+    :param entry: its main routine.
+    :param faults: errors in the bounds of routines.
+    :param code: text of all lines of the main file that are not plain.
     """
 
     documents: Sequence[Document]
@@ -223,18 +230,17 @@ class _Reading(Struct, frozen=True, eq=False):
             main, sequence, cell.start_joints, self.kinematics, predecessors
         )
         issues = [*run.issues, *separation.issues, *assumptions, *executed_program.data_issues]
-        issues += issues_of(main, sequence.states, sequence.state_index, sequence.rows, layout)
+        issues += issues_of(main, sequence.in_force, sequence.rows, layout)
         issues += _cell_value_issues(executed_program)
         frames = np.stack(run.settings.frames.bases), np.stack(run.settings.frames.tools)
         start_flange = self.kinematics(cell.start_joints)
         check_joins(course, joins, motions, layout.carriage, frames, start_flange)
-        loop_issues: list[Issue] = []
         rounds: tuple[tuple[int, ...], ...] = ()
         if (loop := course.endless_loop) is not None:
             loop_starts = start_poses(loop, layout.line, motions, frames, start_flange, predecessors)
-            loop_issues, rounds = check_endless_loop(
-                course, loop, layout.line, motions, loop_starts, layout.carriage, notes, run.settings
-            )
+            rounds = check_endless_loop(course, loop, layout.line, motions, loop_starts, layout.carriage, run.settings)
+            check_force(course, loop, layout.line, notes)
+            issues.append(endless_loop_issue(course, loop))
         documents, needed_files = self._program_files(main)
         return Program(
             self.name,
@@ -248,7 +254,7 @@ class _Reading(Struct, frozen=True, eq=False):
             events=remarks(course, layout.line),
             notes=tuple(note for _, note in notes),
             still=trace.shown[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
-            issues=(*issues, *loop_issues),
+            issues=tuple(issues),
             carriage=layout.carriage,
             with_path=layout.turns_with_path if layout.turns_with_path.any() else None,
             by_wrist=layout.is_wrist_led if layout.is_wrist_led.any() else None,
@@ -331,7 +337,7 @@ def _belongs(data: Document, source: Document) -> bool:
 
 
 def _uncorrectable_parts(cause: ProgramError, library: Library, *, keep: bool) -> frozenset[Routine | Occasion]:
-    """Return the routines of other files, or the forks, whose motions are left as they are because of an error.
+    """Return the routines of other files, or the visits to forks, whose motions stay as they are because of an error.
 
     :param keep: whether motions in branches may be left as they are (`--keep-unresolved`).
     :returns: nothing if the error is in the program itself.
@@ -374,11 +380,23 @@ def _config_source(cell: Cell, path: str) -> Source:
     return Source.of(decode(file.name, data), 2)
 
 
-def _main_routine(source: Source, plain_lines: PlainLines, name: str) -> tuple[Module, Routine, list[ProgramError]]:
-    """Return the routines of the program, the main routine, and errors in the bounds of routines.
+class _MainRoutine(NamedTuple):
+    """The main routine of a program.
 
-    The main routine has the name of the program; if none has, it is the first.
+    :ivar module: the file with all its routines.
+    :ivar routine: the one that has the name of the program; if none has, the first.
+    :ivar faults: errors in the bounds of routines.
+    """
 
+    module: Module
+    routine: Routine
+    faults: list[ProgramError]
+
+
+def _main_routine(source: Source, plain_lines: PlainLines, name: str) -> _MainRoutine:
+    """Return the main routine of a program.
+
+    :param name: of the program.
     :raises ProgramError: there is no routine.
     """
     other_lines = np.flatnonzero(plain_lines.is_other(len(source.starts))) + 1
@@ -393,7 +411,7 @@ def _main_routine(source: Source, plain_lines: PlainLines, name: str) -> tuple[M
         raise ProgramError(
             "there is no DEF", file=source.document.name, line=1, advice="Check that this is a KRL program."
         )
-    return module, main, faults
+    return _MainRoutine(module, main, faults)
 
 
 def _folders(document: Document, cell: Cell) -> list[Path]:

@@ -283,14 +283,14 @@ class Run:
         self.variables.restore(fork.values)
         self.settings.change_state(self.row, fork.state)
 
-    def join_branches(self, place: Place, *, complete: bool) -> None:
+    def join_branches(self, place: Place, *, is_exhaustive: bool) -> None:
         """End the last fork: values and settings that differ between its branches become unknown.
 
         :param place: the line that ends the branches, for messages.
-        :param complete: True if one of the branches always runs.
+        :param is_exhaustive: True if one of the branches always runs.
         """
         fork = self._forks.pop()
-        for values, state in [*fork.ends, *([] if complete else [(fork.values, fork.state)])]:
+        for values, state in [*fork.ends, *([] if is_exhaustive else [(fork.values, fork.state)])]:
             self.variables.merge(values, str(place))
             problem = "what motions depend on differs behind the branches that meet here"
             self.settings.may_become(self.row, state, place.error(problem, SETTING_ADVICE))

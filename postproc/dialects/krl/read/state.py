@@ -5,14 +5,17 @@ Sources: KUKA's `BAS.SRC` (what #INITMOV, #CP_PARAMS, #FRAMES … set) and the s
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Any
 
+import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
+from postproc.chunks import compact
 from postproc.errors import ProgramError
 from postproc.frames import M_PER_MM
-from postproc.program import CIRC, PTP
+from postproc.program import CIRC, PTP, Bools, Ints
 
 DEFAULT_SPEED = 2.0
 """DEF_VEL_CP [m/s]: what `BAS(#INITMOV,0)` gives `$VEL.CP`."""
@@ -78,6 +81,35 @@ class State(Struct, frozen=True):
         return {field for field in FIELDS.values() if getattr(self, field) != getattr(other_state, field)}
 
 
+class MotionStates(Struct, frozen=True, eq=False):
+    """Settings in force at M motions.
+
+    :param states: all states that are in force anywhere.
+    :param index: (M,) index in `states` of the state of each motion.
+    """
+
+    states: list[State]
+    index: Ints
+
+    def at(self, row: int) -> State:
+        """Return the state of a motion."""
+        return self.states[int(self.index[row])]
+
+    def take(self, rows: Ints | Bools) -> MotionStates:
+        """Return the settings of some motions, given by their rows or by a mask (M,)."""
+        return MotionStates(self.states, self.index[rows])
+
+    def column(self, value: Callable[[State], object]) -> np.ndarray[Any, Any]:
+        """Return one property of the states of all motions (M,), to be read only.
+
+        :param value: reads the property from a state; integers get at most 4 bytes each.
+        """
+        values = np.array([value(state) for state in self.states])
+        if len(values) and (values == values[0]).all():
+            return np.broadcast_to(values[0], (len(self.index),))  # takes no memory
+        return (compact(values, np.int32) if values.dtype == np.int64 else values)[self.index]
+
+
 class Reasons:
     """Why something in force is not known.
 
@@ -110,13 +142,14 @@ class Reasons:
                     raise self.errors[index]
 
 
-def fields_used(kind: int, *, axis: bool, is_approximated: bool) -> list[str]:
+def fields_used(kind: int, *, has_axis_target: bool, is_approximated: bool) -> list[str]:
     """Return the fields of its `State` on which a motion depends.
 
     :param kind: PTP, LIN, CIRC or SPL.
-    :param axis: True if its target is given by joint angles.
+    :param has_axis_target: True if its target is given by joint angles.
+    :param is_approximated: True if `$APO.CDIS` applies.
     """
-    fields = [] if axis else ["base", "tool"]
+    fields = [] if has_axis_target else ["base", "tool"]
     if kind != PTP:
         fields += ["speed", "orientation", *(["circle"] if kind == CIRC else [])]
     return [*fields, "cdis"] if is_approximated else fields

@@ -50,7 +50,7 @@ class Recorder:
     """The execution trace of a program so far.
 
     :param main: the main routine.
-    :ivar may_call_originals: True if routines may also be called unchanged.
+    :ivar may_call_originals: True if routines of the trace may also be called by code that stays as it is.
     :ivar is_final: False after something was dropped, is kept, or forks: rows and what ran differ then.
     """
 
@@ -72,9 +72,10 @@ class Recorder:
         self._open = [_OpenRoutine(main.source, main.first + 1, 0, [self.body])]
 
     def shift_and_shown_line(self, line: int) -> tuple[int, int]:
-        """Return how far the row of a line of the present routine is behind the line, and the line to report for it.
+        """Return what a row of the trace has in addition to its line of the present routine, and the line to report.
 
-        The latter is a line of the main `.src`: for routines of other files that of the call.
+        :param line: a line of the present routine that is recorded next.
+        :returns: row of the trace minus line; line of the main `.src`, for routines of other files that of the call.
         """
         open_routine = self._open[-1]
         return self.count + 1 - open_routine.cursor, open_routine.shown_line or line
@@ -109,7 +110,7 @@ class Recorder:
         self.is_final = False
 
     def mark(self) -> tuple[Any, ...]:
-        """Return the present length of the trace, for `back_to`."""
+        """Return what `back_to` needs to drop all that is recorded from now on: lengths of lists, and the last step."""
         open_lengths = [
             (routine.cursor, len(routine.bodies), [len(body.parts) for body in routine.bodies])
             for routine in self._open

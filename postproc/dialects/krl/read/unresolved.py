@@ -4,7 +4,7 @@ move in time with them.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -16,14 +16,13 @@ from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tree import CallStatement, Event, Motion
 from postproc.dialects.krl.language.values import Call, Reference, Word, walk
+from postproc.dialects.krl.layout import CONSTANT
 from postproc.dialects.krl.read.main_routine import MainRoutine
 from postproc.dialects.krl.read.motion_reader import ROBOT_POSITIONS, depends_on_position
-from postproc.dialects.krl.read.motions import OrderedMotions
-from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.state import fields_used
+from postproc.dialects.krl.read.motions import OrderedMotions, uncertain_motions
 from postproc.dialects.krl.read.variables import PARTLY_GIVEN
 from postproc.errors import Issue, ProgramError
-from postproc.program import CIRC, PTP, SPL, Ints, UnresolvedMotion, distinct
+from postproc.program import CIRC, PTP, SPL, Bools, Ints, UnresolvedMotion, distinct
 
 _WAITING, _OTHER_WORD = "#PROGSYNC", "?"
 _PIECE = 1_000_000
@@ -65,61 +64,73 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     sync_motions = list(_synchronised_motions(main, rows.line))
     if sync_motions and not run.keeps_unresolved:
         raise sync_motions[0][1]
-    uncertain_motions = list(_uncertain_motions(run.settings, sequence)) if run.keeps_unresolved else []
+    unknown_motions = list(uncertain_motions(run.settings, sequence)) if run.keeps_unresolved else []
     reasons = dict(run.unresolved_motions)
     is_dropped = np.zeros(len(rows), dtype=np.bool_)
-    for row, reason in (*uncertain_motions, *sync_motions):
+    for row, reason in (*unknown_motions, *sync_motions):
         reasons[int(rows.line[row])] = reason
         is_dropped[row] = True
     stop_lines = [line for line, _ in run.interruptible_calls] if run.keeps_unresolved else []
     if not reasons and not run.untraced_calls and not stop_lines:
         return SeparatedMotions(sequence)
-    rows_with_open_start: set[int] = set()
-    for line in sorted({*reasons, *(call.row for call in run.untraced_calls), *stop_lines}):
-        row = int(np.searchsorted(rows.line, line, side="right"))
-        while row < len(rows) and (is_dropped[row] or depends_on_start(sequence, row)):
-            if not is_dropped[row]:
-                reasons[int(rows.line[row])] = main.run.trace.error(_BEGIN, int(rows.line[row]))
-            is_dropped[row] = True
-            row += 1
-        rows_with_open_start.add(row)
+    gap_lines = sorted({*reasons, *(call.row for call in run.untraced_calls), *stop_lines})
+    open_rows = _drop_dependent_motions(main, sequence, gap_lines, is_dropped, reasons)
     if is_dropped.all():
         raise min(reasons.items())[1]
     for row in np.flatnonzero(is_dropped).tolist():
         if row in sequence.moves:
             move = sequence.moves[row]
             run.followed_names -= {(move.line, point.start) for point in (move.end, move.via) if point is not None}
+    corrected_motions = _without_rows(sequence, is_dropped)
     new_row = np.cumsum(~is_dropped) - 1
-    predecessors = np.arange(int((~is_dropped).sum())) - 1
-    begins = [int(new_row[row]) for row in sorted(rows_with_open_start) if row < len(rows)]
+    begins = [int(new_row[row]) for row in sorted(open_rows) if row < len(rows)]
+    predecessors = np.arange(len(corrected_motions.rows)) - 1
     predecessors[begins] = begins
-    moves = {int(new_row[row]): move for row, move in sequence.moves.items() if not is_dropped[row]}
-    corrected_motions = OrderedMotions(
-        rows.take(~is_dropped),
-        sequence.states,
-        sequence.state_index[~is_dropped],
-        sequence.numbers.of_rows(~is_dropped),
-        moves,
-    )
     unresolved, issues = _report_unresolved(main, reasons)
     return SeparatedMotions(
         corrected_motions, predecessors, unresolved, (*issues, *_open_start_warnings(main, corrected_motions, begins))
     )
 
 
-def _uncertain_motions(settings: Settings, sequence: OrderedMotions) -> Iterator[tuple[int, ProgramError]]:
-    """Yield the motions that depend on unknown frames, speeds or modes: the row of each, and the error."""
-    for index, motion_state in enumerate(sequence.states):
-        if not motion_state.uncertain_fields and motion_state.base >= 0 and motion_state.tool >= 0:
-            continue
-        for row in np.flatnonzero(sequence.state_index == index).tolist():
-            axis = row in sequence.moves and sequence.moves[row].end.position.is_axis
-            is_approximated = bool(sequence.rows.approximated[row])
-            try:
-                fields = fields_used(int(sequence.rows.kind[row]), axis=axis, is_approximated=is_approximated)
-                settings.refuse_uncertain(motion_state, fields)
-            except ProgramError as cause:
-                yield row, cause
+def _drop_dependent_motions(
+    main: MainRoutine,
+    sequence: OrderedMotions,
+    gap_lines: Sequence[int],
+    is_dropped: Bools,
+    reasons: dict[int, ProgramError],
+) -> set[int]:
+    """Drop the motions that depend on a start which is not known, and return the rows of those that follow them.
+
+    Those begin where it is not known, but do not depend on it; a row may be behind the last motion.
+
+    :param gap_lines: lines of the trace after which the robot position is not known.
+    :param is_dropped: (M,) True for motions that stay as they are; more are added.
+    :param reasons: line → why its motion stays as it is; more are added.
+    """
+    rows, open_rows = sequence.rows, set[int]()
+    for line in gap_lines:
+        row = int(np.searchsorted(rows.line, line, side="right"))
+        while row < len(rows) and (is_dropped[row] or depends_on_start(sequence, row)):
+            if not is_dropped[row]:
+                reasons[int(rows.line[row])] = main.run.trace.error(_BEGIN, int(rows.line[row]))
+            is_dropped[row] = True
+            row += 1
+        open_rows.add(row)
+    return open_rows
+
+
+def _without_rows(sequence: OrderedMotions, is_dropped: Bools) -> OrderedMotions:
+    """Return the motions that are not dropped.
+
+    :param is_dropped: (M,) True for those that are.
+    """
+    new_row, is_kept = np.cumsum(~is_dropped) - 1, ~is_dropped
+    return OrderedMotions(
+        sequence.rows.take(is_kept),
+        sequence.in_force.take(is_kept),
+        sequence.numbers.of_rows(is_kept),
+        {int(new_row[row]): move for row, move in sequence.moves.items() if is_kept[row]},
+    )
 
 
 def _synchronised_motions(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramError]]:
@@ -225,7 +236,7 @@ def depends_on_start(sequence: OrderedMotions, row: int, *, arcs: bool = True) -
     :param arcs: False to disregard the shape of arcs.
     """
     move = sequence.moves.get(row)
-    if sequence.rows.kind[row] != PTP and sequence.states[sequence.state_index[row]].orientation == "#CONSTANT":
+    if sequence.rows.kind[row] != PTP and sequence.in_force.at(row).orientation == CONSTANT:
         return True
     if move is not None and (move.is_via_incomplete or move.angle is not None):
         return True

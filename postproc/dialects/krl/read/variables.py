@@ -248,7 +248,10 @@ class Variables:
         return duplicate
 
     def take_cell_values(self, name: str = "") -> None:
-        """Set variables to the values that the cell gives; with a name, only that one and its elements."""
+        """Set variables to the values that the cell gives.
+
+        :param name: stored name of the only variable to set, with its elements; empty: all.
+        """
         for key, value in self.cell_values.items():
             root = key.partition("[")[0]
             if not name or name == root:
@@ -294,7 +297,12 @@ class Variables:
         return not isinstance(old_value, Aggregate) or any(name in old_value.items for name in missing_names)
 
     def set_field(self, key: str, field: str, value: VariableValue, place: Place) -> None:
-        """Set one component of a variable, as ``XP1.X=5`` does; `place` is the assignment."""
+        """Set one component of a variable, as ``XP1.X=5`` does.
+
+        :param key: of the variable.
+        :param field: path of the component, such as ``X`` or ``F.X``.
+        :param place: the assignment.
+        """
         old_value = self.value(key)
         name = key.partition("[")[0]
         if name not in self.change_places:
@@ -391,8 +399,10 @@ class Variables:
     def data_spans(self, name: str, numbers: Sequence[int]) -> tuple[Source, list[tuple[int, int]]] | None:
         """Return the data list that gives elements of an array their values, and the spans of these values in it.
 
+        :param name: stored name of the array.
         :param numbers: indices of the elements.
-        :returns: None if an element has another value, or may have.
+        :returns: the file, and first offset and offset behind of each value; None if an element has another value, or
+            may have.
         """
         if name in self.volatile_values or any(key.partition("[")[0] == name for key in self.cell_values):
             return None
@@ -407,7 +417,10 @@ class Variables:
         return None if source is None else (source, spans)
 
     def numbers(self, name: str, indices: Iterable[int]) -> Array | None:
-        """Return the numbers (n,) in n elements of an array; None if one of them is not known."""
+        """Return the numbers (n,) in n elements of an array; None if one of them is not known.
+
+        :param name: stored name of the array.
+        """
         numbers = []
         for index in indices:
             value = self.value(f"{name}[{index}]")
@@ -455,7 +468,12 @@ class Variables:
         return key in self._values
 
     def value(self, key: str) -> VariableValue | None:
-        """Return the value of a variable or an element by its stored name; None if it has none."""
+        """Return the value of a variable or an element by its stored name; None if it has none.
+
+        A value that is not parsed yet is parsed, and stored.
+
+        :raises ProgramError: it cannot be read.
+        """
         if key[0] == "$" and (root := key.partition("[")[0]) in RELEVANT:
             return self.setting_value(root, None)
         if self.volatile_values and (name := key.partition("[")[0]) in self.volatile_values:

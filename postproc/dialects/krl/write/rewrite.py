@@ -105,7 +105,7 @@ class _Rewriter:
         is_last, keep = self.is_last, self.targets.keep
         if (is_last & keep).all() and not len(_lowered_motions(self.program)):
             return WrittenProgram(self.documents, self.program.motions.line[self.row], "krl")
-        self.target_numbers = target_numbers(self.program.motions, self.layout, self.targets)
+        self.target_numbers = target_numbers(self.layout, self.targets)
         moves = self.layout.statements
         has_names = self.layout.elements or any(
             move.end.name or (move.via and move.via.name) for move in moves.values()

@@ -7,6 +7,7 @@ program never writes (points, say) needs none of that: each file has it in its o
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 from msgspec import Struct, field
 from msgspec.structs import replace
@@ -45,10 +46,26 @@ class _Variables(Struct, frozen=True, eq=False):
     write_lines: dict[str, int] = field(default_factory=dict)
 
     def shared_names(self, *, with_readers: bool) -> set[str]:
-        """Return the names that several files use; not `with_readers`: and that the program may write."""
+        """Return the names that several files use.
+
+        :param with_readers: False for those only that the program may write, too.
+        """
         return {
             name for name, files in self.users.items() if len(files) > 1 and (with_readers or name in self.write_lines)
         }
+
+
+class SharedProgram(NamedTuple):
+    """A program whose shared variables and routines are GLOBAL.
+
+    :ivar source: with the same number of lines as before.
+    :ivar data: its `.dat`; None if it has none.
+    :ivar routine_names: old name of each routine, upper case → its new name.
+    """
+
+    source: Source
+    data: Document | None
+    routine_names: dict[str, str]
 
 
 class Sharing:
@@ -71,14 +88,8 @@ class Sharing:
         used_names: set[str],
     ) -> None:
         """Find what the main routine and the `.dat` declare."""
-        self.base, self.source, self.main, self.subroutines, self.file, self.used_names = (
-            base,
-            source,
-            main,
-            subroutines,
-            file,
-            used_names,
-        )
+        self.base, self.source, self.main, self.subroutines = base, source, main, subroutines
+        self.file, self.used_names = file, used_names
         self.data = None if data is None else Source.of(data, 1)
         self.data_lines = [] if self.data is None else [item for item in data_lines(self.data) if not item.is_global]
         self.declarations_of_line = {
@@ -91,10 +102,8 @@ class Sharing:
         self.unshared_names = {item.name for line, item in self.main_declarations if line in constant}
         self.unshared_names |= {parameter.name for parameter in main.parameters}
 
-    def apply(self) -> tuple[Source, Document | None, dict[str, str]]:
-        """Return the edited program, its `.dat`, and the new name of each routine by its old name, upper case.
-
-        The program keeps its number of lines.
+    def apply(self) -> SharedProgram:
+        """Return the edited program.
 
         :raises ProgramError: a shared variable has a type that other files do not know.
         """
@@ -110,15 +119,15 @@ class Sharing:
             local_names, {item.name: item for _, item in data_names if item.name in shared_data and item.kind}
         )
         new_locals = {name: self._global_name(name) for name in sorted(local_names)}
-        public = {name: self._global_name(name) for name in sorted(shared_data)}
+        global_names = {name: self._global_name(name) for name in sorted(shared_data)}
         routines = {item.name: self._global_name(item.name) for item in self.subroutines if not item.is_global}
-        if not new_locals and not public and not self.subroutines:
-            return self.source, None if self.data is None else self.data.document, {}
+        if not new_locals and not global_names and not self.subroutines:
+            return SharedProgram(self.source, None if self.data is None else self.data.document, {})
         edits = Replacements()
         declarations = self._move_declarations(new_locals, edits)
-        self._rename_uses(new_locals, public, routines, edits)
+        self._rename_uses(new_locals, global_names, routines, edits)
         source = Source.of(replace(self.source.document, text=edits.apply(self.source.text)), 0)
-        return source, self._data_file(public, declarations), routines
+        return SharedProgram(source, self._data_file(global_names, declarations), routines)
 
     # --- shared names ----------------------------------------------------------------------------------------------
 

@@ -293,9 +293,10 @@ class _Splitter:
         return groups
 
     def _line_places(self, files: Sequence[_File]) -> tuple[Ints, Ints]:
-        """Return the file of each line of the program (L + 1,), and its number there, counted on from file to file.
+        """Return the file of each line of the program (L + 1,), by its number, and its line number there (L + 1,).
 
-        A line that is in several files counts in the first.
+        Lines are counted on from file to file; element 0 is of no line. One that is in several files counts in the
+        first.
         """
         file_of, number_of = (np.zeros(len(self.source.starts) + 1, dtype=np.int64) for _ in range(2))
         number = 1
@@ -319,14 +320,23 @@ class _Splitter:
         return replace(self.undivided.documents[0], name=f"{file.name}.src", text="".join(pieces))
 
     def _name_prefix(self, name: str, used_names: Collection[str]) -> str:
-        """Return the prefix of the file names; the controller accepts them, and the program uses none of them."""
-        for number in count(1):
-            tail = "" if number == 1 else f"_{number}"
-            base = name[: MAX_LENGTH - len(MAIN) - len(tail)] + tail
-            file_names = {f"{base}{part}".upper() for part in (MAIN, *range(1, len(self.source.starts) + 1))}
-            if file_names.isdisjoint(used_names) and not any(fault_of(f"{base}{part}") for part in (MAIN, 1)):
-                return base
-        raise AssertionError("there is always a free name")  # pragma: no cover
+        """Return the prefix of the file names: the given name, or with ``_2``, ``_3`` … behind it.
+
+        The controller accepts the file names, and the program uses none of them.
+
+        :param used_names: names in the code of the program, upper case.
+        """
+        return next(prefix for prefix in self._prefixes(name) if self._is_free_prefix(prefix, used_names))
+
+    def _prefixes(self, name: str) -> Iterator[str]:
+        """Yield a name, and the same with ``_2``, ``_3`` … behind it, short enough for names of files."""
+        for tail in chain([""], (f"_{number}" for number in count(2))):
+            yield name[: MAX_LENGTH - len(MAIN) - len(tail)] + tail
+
+    def _is_free_prefix(self, prefix: str, used_names: Collection[str]) -> bool:
+        """Return whether the controller accepts the names of files with a prefix, and none of them is used."""
+        file_names = {f"{prefix}{part}".upper() for part in (MAIN, *range(1, len(self.source.starts) + 1))}
+        return file_names.isdisjoint(used_names) and not any(fault_of(f"{prefix}{part}") for part in (MAIN, 1))
 
 
 def _code_names(source: Source) -> Iterator[str]:

@@ -13,7 +13,7 @@ from postproc.dialects.krl.language.positions import CARTESIAN, LARGEST_B
 from postproc.dialects.krl.language.values import Number
 from postproc.dialects.krl.layout import FREE, IGNORE, ORIENTATIONS, Layout, Offsets
 from postproc.frames import MM_PER_M, Array, any_column
-from postproc.program import Bools, Ints, Motions, Targets
+from postproc.program import Bools, Ints, Targets
 
 DECIMALS = np.array([4, 4, 4, 5, 5, 5])
 """Least decimals of X, Y, Z [mm] and A, B, C [deg]: 0.1 µm and, at a lever of 1 m, 0.2 µm."""
@@ -71,8 +71,12 @@ class TargetNumbers(Struct, frozen=True, eq=False):
         return {} if np.isnan(via).any() else {name: f"{value:.4f}" for name, value in zip("XYZ", via, strict=True)}
 
 
-def target_numbers(motions: Motions, layout: Layout, targets: Targets) -> TargetNumbers:
-    """Return the numbers to print for the targets of a program."""
+def target_numbers(layout: Layout, targets: Targets) -> TargetNumbers:
+    """Return the numbers to print for the targets of a program.
+
+    :param layout: text of its M motions.
+    :param targets: K commanded targets.
+    """
     row = targets.motion
     is_last = np.append(row[1:] != row[:-1], True) if len(row) else np.zeros(0, dtype=np.bool_)
     keep = targets.keep & is_last
@@ -81,18 +85,11 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets) -> Target
     decimals = np.maximum(DECIMALS, np.minimum(_input_decimals(layout)[row], MOST_DECIMALS))
     numbers = np.where(keep[:, None], layout.numbers[row], _round_values(exact_numbers, decimals))
 
-    is_first = np.append(True, row[1:] != row[:-1]) if len(row) else is_last
     end_differs = any_column(np.abs(numbers - layout.numbers[row]) > _EQUAL)
     start_differs = _starts_at_changed_end(row[is_last], end_differs[is_last], layout)
-    orientation_differs = any_column(np.abs(numbers - layout.numbers[row])[:, 3:] > _EQUAL)
-    is_free = _starts_at_changed_end(row[is_last], orientation_differs[is_last], layout)
-    is_free[row[orientation_differs | (layout.turns_with_path[row] & ~keep)]] = True
-    ignores_angles = layout.orientation == ORIENTATIONS.index(
-        IGNORE
-    )  # it must not be chosen where the next motion starts, either
-    is_free[:-1] |= ignores_angles[:-1] & is_free[1:]
-    is_free &= layout.orientation != ORIENTATIONS.index(FREE)
+    is_free = _freed_motions(layout, targets, numbers, is_last)
 
+    is_first = np.append(True, row[1:] != row[:-1]) if len(row) else is_last
     previous = np.concatenate([numbers[:1], numbers[:-1]])
     is_resumed = is_first & layout.starts_from_joints[row]
     previous[is_resumed] = layout.numbers[row[is_resumed]]
@@ -114,6 +111,23 @@ def target_numbers(motions: Motions, layout: Layout, targets: Targets) -> Target
         is_free,
         _loses_auxiliary_orientation(layout, start_differs, targets),
     )
+
+
+def _freed_motions(layout: Layout, targets: Targets, numbers: Array, is_last: Bools) -> Bools:
+    """Return which motions (M,) under another `$ORI_TYPE` than #VAR must be led to their own orientation.
+
+    :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg] to be commanded.
+    :param is_last: (K,) True for the last target of each motion.
+    """
+    row, keep = targets.motion, targets.keep & is_last
+    orientation_differs = any_column(np.abs(numbers - layout.numbers[row])[:, 3:] > _EQUAL)
+    is_free = _starts_at_changed_end(row[is_last], orientation_differs[is_last], layout)
+    is_free[row[orientation_differs | (layout.turns_with_path[row] & ~keep)]] = True
+    # under #IGNORE the controller must not choose the orientation at which the next motion starts, either
+    ignores_angles = layout.orientation == ORIENTATIONS.index(IGNORE)
+    is_free[:-1] |= ignores_angles[:-1] & is_free[1:]
+    is_free &= layout.orientation != ORIENTATIONS.index(FREE)
+    return is_free
 
 
 def _loses_auxiliary_orientation(layout: Layout, start_differs: Bools, targets: Targets) -> Bools:

@@ -129,8 +129,10 @@ class TargetStatements:
         return literal_of(aggregate) if aggregate is not None and operand.is_inline else None
 
     def via_point(self, row: int) -> tuple[tuple[int, int] | None, Literal | None]:
-        """Return the span of the auxiliary point of a circle, and its literal; None for each of them that does not
-        exist.
+        """Return the text of the auxiliary point of a motion.
+
+        :returns: its span in the statement, None if the motion has no such point; its literal, None if it has none, but
+            a name.
         """
         move = self.layout.statements.get(row)
         if move is not None:

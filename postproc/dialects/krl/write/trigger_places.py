@@ -20,8 +20,10 @@ _ROUNDING = 1e-6
 
 
 def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] | None:
-    """Return the piece of its motion before which a TRIGGER must be, and its offset there [m]; None if there is none.
+    """Return the piece of its motion before which a TRIGGER must be, and its offset there.
 
+    :returns: number of the piece, from 0; distance along the path from the start or the end of the piece [m], as the
+        TRIGGER counts it. None if there is no such piece.
     :param ends: (n,) ends of the pieces, as shares of the motion in (0, 1].
     :param speed: of the TCP [m/s].
     """
