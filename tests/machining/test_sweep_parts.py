@@ -584,3 +584,28 @@ def test_what_a_leaning_tool_enters_next_is_its_front(shape, lean):
     assert (front_gap < 0.3e-3).sum() > 10
     if lean > 0.0 and shape == "flat":  # leaning forwards, all cells at the end sink no more: its lower side rises
         assert (front_gap < 1.5e-3).all()
+
+
+@pytest.mark.parametrize("shape", CUTTERS)
+@pytest.mark.parametrize("lean", [2.0, 15.0, 30.0])
+def test_between_two_poses_the_lower_side_is_a_parabola_or_two_planes(shape, lean):
+    """In moves of a millimetre, by a search over 2001 poses: two planes are exact, a parabola to the fourth order."""
+    cutter, rng = CUTTERS[shape], np.random.default_rng(int(lean))
+    axis, shift = direction(lean, 60.0), np.array([8e-4, 5e-4, 1e-4])
+    tips, axes = np.array([[0.0, 0.0, 0.0], shift]), np.array([axis, axis])
+    x, y = rng.uniform(-5e-3, 6e-3, (2, 1, 1, 300))
+    level, _, _ = tilted._lowest_levels(cutter, tips, axes, np.array([0]), x, y)
+    lows = []
+    for part in np.linspace(0.0, 1.0, 2001):
+        low, _, _ = tilted._lower_and_upper_sides(
+            cutter, axis[None], x - part * shift[0], y - part * shift[1], np.zeros((1, 3)), np.zeros((1, 3))
+        )
+        lows.append(low[0, 0] + part * shift[2])
+    lows = np.array(lows)
+    whole = np.isfinite(lows).all(axis=0)
+    between = whole & (lows.min(axis=0) < np.minimum(lows[0], lows[-1]) - 5e-6)
+    assert between.sum() > 5
+    # next to the cylinder, whose side is steep, the curve is no parabola: half of the cells are away from it
+    error = np.abs(np.nan_to_num(level[0, 0], posinf=1.0) - np.nan_to_num(lows.min(axis=0), posinf=1.0))
+    assert np.median(error[between]) < {"flat": 1e-5, "ball": 2e-6, "bull": 6e-6}[shape]
+    assert np.median(error[whole]) < 1e-6
