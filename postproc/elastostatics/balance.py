@@ -34,7 +34,7 @@ def elastic_coordinates(robot: RobotModel, q: Array) -> Array:
 
 
 def joint_angles(robot: RobotModel, x: Array) -> Array:
-    """Return the joint angles (6, n) that the controller holds at coordinates x (nv, n)."""
+    """Return the joint angles (6, n) [rad] that the controller holds at coordinates x (nv, n): without link springs."""
     joints = x[list(robot.actuated)]
     return joints if robot.transmission is None else robot.transmission.commanded_angles(joints)
 
@@ -42,10 +42,10 @@ def joint_angles(robot: RobotModel, x: Array) -> Array:
 def spring_deflection(
     robot: RobotModel, x: Array, torque: Array, preload: Array, load_part: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return the deflection θ (nv, n) of the virtual springs under torques, and the tangent compliance (nv, n).
+    """Return the deflection θ (nv, n) [rad, m] of the virtual springs, and their tangent compliance (nv, n).
 
-    The tangent compliance is that of each spring by its own torque; those by torques of other joints are in
-    `RobotModel.coupling_compliance`.
+    The tangent compliance [rad/(N·m), m/N] is that of each spring by its own torque; those by torques of other joints
+    are in `RobotModel.coupling_compliance`.
 
     :param x: (nv, n) actual coordinates, where compliances change over the workspace.
     :param torque: (nv, n) on the springs, in addition to the preload [N·m, N].
@@ -58,12 +58,12 @@ def spring_deflection(
         return steady * torque, np.broadcast_to(steady, torque.shape)
     theta, slope = steady * torque, np.repeat(steady, torque.shape[1], axis=1)
     for parameter, value in robot.torque_terms:
-        moving = torque if parameter.with_rest_torque else load_part
-        for row, by in robot.pairs(parameter):
-            share, tangent = parameter.effect(moving[by], preload[by])
-            theta[row] += value * share
-            if row == by:
-                slope[row] += value * tangent
+        moving_torque = torque if parameter.with_rest_torque else load_part
+        for row, torque_row in robot.pairs(parameter):
+            unit_deflection, unit_slope = parameter.effect(moving_torque[torque_row], preload[torque_row])
+            theta[row] += value * unit_deflection
+            if row == torque_row:
+                slope[row] += value * unit_slope
     if robot.over_pose is not None:
         joints = list(robot.actuated)
         compliance = robot.over_pose.compliance(x[joints])
@@ -98,7 +98,12 @@ class Balance(Struct, frozen=True, eq=False):
 
     @classmethod
     def at(cls, robot: RobotModel, x: Array, rest_torque: Array, tool: Array, wrench: Array) -> Balance:
-        """Return the balance at coordinates x; `tool` (3, 4, n) or (3, 4, 1) in the flange frame."""
+        """Return the balance at coordinates x.
+
+        Parameters as the fields of the same names.
+
+        :param tool: (3, 4, n) or (3, 4, 1) in the flange frame [m].
+        """
         state = kinematics.posture(robot.loaded, x, tool, weigh=robot.has_weight)
         jacobian = state.jacobian()
         torque = np.einsum("ikn,in->kn", jacobian, wrench) - static_torque(robot, x, state) + rest_torque
@@ -134,27 +139,38 @@ class Balance(Struct, frozen=True, eq=False):
         I − C·H is the derivative of θ − c(τ(θ)): C = c′(τ), H = ∂(JᵀF)/∂x − ∂²U_g/∂x² − U_c″. Rigid springs (C = 0)
         need no special case, as they would in K − H. Compliances that change over the workspace add −∂c/∂x at fixed τ.
         """
-        jacobian, lost_motion = np.moveaxis(self.jacobian, -1, 0), self.lost_motion_compliance
+        jacobian = np.moveaxis(self.jacobian, -1, 0)
+        tangent = self._residual_slopes(jacobian)
+        # J·A⁻¹ = (A⁻ᵀ·Jᵀ)ᵀ
+        return np.swapaxes(np.linalg.solve(np.swapaxes(tangent, 1, 2), np.swapaxes(jacobian, 1, 2)), 1, 2)
+
+    def _residual_slopes(self, jacobian: Array) -> Array:
+        """Return ∂(θ − c(τ(θ)))/∂θ (n, nv, nv), see `spring_jacobian`; `jacobian` (n, 6, nv) of the tool."""
         hessian = kinematics.load_stiffness(jacobian, self.wrench.T) - self._static_stiffness(self.robot.loaded)
-        tangent = np.eye(len(self.x)) - self.deflection_by(np.moveaxis(hessian, 0, -1)).transpose(2, 0, 1)
+        slopes = np.eye(len(self.x)) - self.deflection_by(np.moveaxis(hessian, 0, -1)).transpose(2, 0, 1)
         if (over_pose := self.robot.over_pose) is not None:
             joints = list(self.robot.actuated)
             by_angle = over_pose.slopes(self.x[joints]) * self.torque[joints][:, None]
-            tangent[:, np.array(joints)[:, None], joints] -= np.moveaxis(by_angle, -1, 0)
-        if lost_motion.any():
-            tangent -= lost_motion.T[:, :, None] * self._static_stiffness(self.robot.actual)
-        return np.swapaxes(np.linalg.solve(np.swapaxes(tangent, 1, 2), np.swapaxes(jacobian, 1, 2)), 1, 2)
+            slopes[:, np.array(joints)[:, None], joints] -= np.moveaxis(by_angle, -1, 0)
+        lost_motion = self.lost_motion_compliance
+        if lost_motion.any():  # the static torque does not move it, though it is part of τ
+            slopes -= lost_motion.T[:, :, None] * self._static_stiffness(self.robot.actual)
+        return slopes
 
     def deflection_by(self, torque: Array) -> Array:
         """Return the deflections (nv, ..., n) [rad, m] by small torques (nv, ..., n) [N·m, N], at first order."""
-        slope = self.slope.reshape(len(self.slope), *(1,) * (torque.ndim - 2), -1)
-        deflection = slope * torque
+        missing_axes = (1,) * (torque.ndim - 2)
+        deflection = self.slope.reshape(len(self.slope), *missing_axes, -1) * torque
         if self.robot.coupling_compliance is not None:
             deflection = deflection + np.tensordot(self.robot.coupling_compliance, torque, axes=1)
         return np.asarray(deflection)
 
     def _static_stiffness(self, chain: Chain) -> Array:
-        """Return ∂²U_g/∂x² + U_c″ (n, nv, nv)."""
+        """Return ∂²U_g/∂x² + U_c″ (n, nv, nv), the derivative of the static torque by the coordinates.
+
+        :param chain: of the robot, `loaded` with payload or `actual` without it.
+        :raises PostprocError: the chain has masses, and Pinocchio is not installed.
+        """
         robot, x = self.robot, self.x
         if robot.has_weight:
             stiffness = kinematics.gravity_stiffness(chain, x.T)
@@ -192,7 +208,7 @@ def static_torque(robot: RobotModel, x: Array, state: Posture | None = None) -> 
 
 
 def balanced_torque(robot: RobotModel, q: Array) -> Array:
-    """Return the static torque (nv, n) [N·m] that is balanced at rest without payload, at coordinates q (nv, n).
+    """Return the static torque (nv, n) [N·m, N] that is balanced at rest without payload, at coordinates q (nv, n).
 
     It is zero (nv, 1) if the geometry is that of a weightless robot.
     """
@@ -200,15 +216,23 @@ def balanced_torque(robot: RobotModel, q: Array) -> Array:
 
 
 def preload(robot: RobotModel, rest_torque: Array) -> Array:
-    """Return the torque at rest (nv, n) or (nv, 1) on gears that are not linear, in addition to the load."""
+    """Return the torque at rest (nv, n) or (nv, 1) on gears that are not linear, in addition to the load [N·m, N].
+
+    Zero where the model's gears do not carry the weights, or the geometry is that of a weightless robot.
+
+    :param rest_torque: (nv, n) or (nv, 1) from `balanced_torque`.
+    """
     carries = bool(robot.terms) and robot.carries_weight and robot.subtract_reference
     return -rest_torque if carries else np.zeros((len(rest_torque), 1))
 
 
 def load_torque(robot: RobotModel, x: Array, torque: Array) -> Array:
-    """Return the part of the torque τ (nv, n) at coordinates x (nv, n) that comes from the load, payload included.
+    """Return the part of the torque τ that comes from the load, payload included (nv, n) [N·m, N].
 
-    It is all of τ where the static torque is balanced at rest.
+    It is all of τ where the static torque is balanced at rest, and where no spring asks for the difference.
+
+    :param x: (nv, n) actual coordinates.
+    :param torque: (nv, n) τ at the springs.
     """
     if robot.subtract_reference or all(parameter.with_rest_torque for parameter, _ in robot.terms):
         return torque
@@ -216,10 +240,10 @@ def load_torque(robot: RobotModel, x: Array, torque: Array) -> Array:
 
 
 def compensator_factor(robot: RobotModel, x: Array, slope: Array) -> Array:
-    """Return 1 + c·U_c″ (n,): the factor by which the compensator stiffens joint 2.
+    """Return 1 + c·U_c″ (n,), the factor by which the compensator stiffens joint 2; (1,) without compensator.
 
     :param x: (nv, n) coordinates.
-    :param slope: (nv, n) tangent compliance of the springs.
+    :param slope: (nv, n) tangent compliance c of the springs.
     """
     if robot.compensator is None:
         return np.ones(1)
@@ -228,20 +252,16 @@ def compensator_factor(robot: RobotModel, x: Array, slope: Array) -> Array:
 
 
 def twist_by_parameter(state: Balance, spring_jacobian: Array, parameter: Parameter, q: Array) -> Array:
-    """Return the twist (n, 6) of the tool per unit of a parameter, at fixed joint angles.
+    """Return the twist (n, 6) [m, rad] of the tool per unit of a parameter, at fixed joint angles.
 
+    :param state: in equilibrium.
     :param spring_jacobian: (n, 6, nv) of the state, `Balance.spring_jacobian`.
     :param q: (nv, n) coordinates at rest.
     :raises ModelError: the robot does not have the parameter.
     """
-    robot = state.robot
     if isinstance(parameter, Spring):
-        torque = state.torque if parameter.with_rest_torque else state.load_part
-        factor, twist = parameter.factor(state.x[list(robot.actuated)]), np.zeros((spring_jacobian.shape[0], 6))
-        for row, by in robot.pairs(parameter):
-            effect = factor * parameter.effect(torque[by], state.preload[by])[0]
-            twist += spring_jacobian[:, :, row] * effect[:, None]
-        return twist
+        return _twist_by_spring(state, spring_jacobian, parameter)
+    robot = state.robot
     loaded_torque = static_torque_by_parameter(robot, parameter, state.x)
     if robot.subtract_reference:
         unloaded_torque = static_torque_by_parameter(robot, parameter, q)  # the preload changes too
@@ -254,8 +274,20 @@ def twist_by_parameter(state: Balance, spring_jacobian: Array, parameter: Parame
     return np.asarray(np.einsum("nik,kn->ni", spring_jacobian, shift))
 
 
+def _twist_by_spring(state: Balance, spring_jacobian: Array, parameter: Spring) -> Array:
+    """Return the twist (n, 6) [m, rad] of the tool per unit of the parameter of a spring; see `twist_by_parameter`."""
+    robot = state.robot
+    torque = state.torque if parameter.with_rest_torque else state.load_part
+    factor = parameter.factor(state.x[list(robot.actuated)])
+    twist = np.zeros((spring_jacobian.shape[0], 6))
+    for row, torque_row in robot.pairs(parameter):
+        unit_deflection, _ = parameter.effect(torque[torque_row], state.preload[torque_row])
+        twist += spring_jacobian[:, :, row] * (factor * unit_deflection)[:, None]
+    return twist
+
+
 def static_torque_by_parameter(robot: RobotModel, parameter: Parameter, x: Array) -> Array:
-    """Return ∂(∇U_g + U_c′)/∂p (nv, n) at coordinates x (nv, n): derivative by a link mass or a compensator value.
+    """Return ∂(∇U_g + U_c′)/∂p (nv, n) at coordinates x (nv, n): derivative by a link mass or a compensator parameter.
 
     :raises ModelError: the robot does not have the parameter, or it is of another kind.
     """
@@ -272,14 +304,19 @@ def static_torque_by_parameter(robot: RobotModel, parameter: Parameter, x: Array
 def compliance_by_preload(robot: RobotModel, torque: Array, preload: Array) -> Array:
     """Return ∂c/∂(preload) (nv, n): change of the deflection under a torque by the preload.
 
-    It is zero for linear springs, and where the preload does not reach the gears.
+    It is zero for linear springs, and where the preload does not reach the gears. The deflection is that by preload and
+    torque less that by the preload, so its derivative is a difference of tangent compliances.
+
+    :param torque: (nv, n) on the springs, in addition to the preload [N·m, N].
+    :param preload: (nv, n) or (nv, 1) torque at which the deflection is zero.
     """
     change = np.zeros_like(torque)
     if not robot.carries_weight and robot.subtract_reference:
         return change
     for parameter, value in robot.terms:
         if parameter.with_rest_torque:
-            row, joint_preload = robot.row(parameter), preload[robot.row(parameter)]
-            slopes = [parameter.effect(on, joint_preload)[1] for on in (torque[row], np.zeros_like(torque[row]))]
-            change[row] += value * (slopes[0] - slopes[1])
+            row = robot.row(parameter)
+            _, loaded_slope = parameter.effect(torque[row], preload[row])
+            _, rest_slope = parameter.effect(np.zeros_like(torque[row]), preload[row])
+            change[row] += value * (loaded_slope - rest_slope)
     return change

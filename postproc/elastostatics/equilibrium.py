@@ -84,7 +84,9 @@ def largest_compliance(robot: RobotModel, q: Array, tool: Array) -> tuple[float,
 
     :param q: (6,) joint angles [rad].
     :param tool: (4, 4) tool in the flange frame [m].
+    :raises NotConvergedError: 1 N or 1 N·m is too large for the springs.
     """
+    # states: a unit force along each axis, a unit moment about each, no load
     x0 = elastic_coordinates(robot, np.tile(q, (7, 1)).T)
     _, tip = solve_equilibrium(robot, x0, kinematics.components(tool), np.eye(6, 7))
     displacement = norm(tip.T[:6] - tip.T[6])
@@ -107,9 +109,10 @@ def deflect(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Deflecti
 
 
 def loaded_tip(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> Array:
-    """Return the position (N, 3) of the loaded tool [m]; parameters as of `deflect`.
+    """Return the position (N, 3) of the loaded tool in the root [m]; parameters as of `deflect`.
 
-    :param guess: (N, nv) start for θ, e.g. the solution of a neighbouring state.
+    :param guess: (N, nv) start for the deflections of the springs, e.g. the solution of a neighbouring state.
+    :raises NotConvergedError: the load is too large for the springs, or the numbers are not finite.
     """
     x0, start = elastic_coordinates(robot, q.T), None if guess is None else guess.T
     return solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T, start)[1].T
@@ -123,9 +126,11 @@ def deflection_by_parameter(
     Parameters as of `deflect`.
 
     :raises ModelError: the robot does not have one of the parameters.
+    :raises NotConvergedError: the load is too large for the springs, or the numbers are not finite.
     """
-    deflection, x0, wrench = deflect(robot, q, tool, wrench), elastic_coordinates(robot, q.T), wrench.T
-    state = Balance.at(robot, x0 + deflection.theta.T, balanced_torque(robot, x0), kinematics.components(tool), wrench)
+    deflection, x0 = deflect(robot, q, tool, wrench), elastic_coordinates(robot, q.T)
+    x, tools = x0 + deflection.theta.T, kinematics.components(tool)
+    state = Balance.at(robot, x, balanced_torque(robot, x0), tools, wrench.T)
     jacobian = state.spring_jacobian()
     twist = np.empty((len(q), 6, len(parameters)))
     for column, parameter in enumerate(parameters):
@@ -172,8 +177,8 @@ def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) 
     With x = q + θ given, the torques are known, and only the reference state q = x − θ has to be found.
 
     :param x: (nv, n) actual coordinates [rad, m].
-    :param load: (nv, n) JᵀF at x.
-    :param weights: (nv, n) of the loaded robot at x, `balance.static_torque`.
+    :param load: (nv, n) torque JᵀF of the wrench at x [N·m, N].
+    :param weights: (nv, n) of the loaded robot at x, `balance.static_torque` [N·m, N].
     :raises NotConvergedError: no reference state found, or the load is too large for the springs.
     """
     # the first reference is x itself: without payload its static torque is known already
@@ -205,9 +210,15 @@ def _largest(values: Array) -> Array:
 
 
 def _needs_iteration(size: Array, previous: Array, tolerance: float) -> Bools:
-    """Return which samples need another round: the next step, extrapolated from the last two, is not negligible."""
+    """Return which samples (n,) need another round: the next step, extrapolated from the last two, is not negligible.
+
+    :param size: (n,) of the last step, `previous` (n,) of the one before; NaN if there was none.
+    :param tolerance: size of a step that is negligible.
+    :raises NotConvergedError: a step is not finite.
+    """
     if not np.isfinite(size).all():
         raise NotConvergedError(_NOT_FOUND, np.flatnonzero(~np.isfinite(size)))
+    # two steps that are alike by accident do not make the next one zero; steps that grow are not extrapolated
     ratio = np.where(np.isnan(previous), _FIRST_RATIO, size / np.where(previous > 0.0, previous, 1.0))
     return np.asarray(~(size * np.clip(ratio, 1e-4, 1.0) <= tolerance))
 
@@ -271,7 +282,10 @@ def linear_deflection(robot: RobotModel, q: Array, tool: Array, wrench: Array) -
 
 
 def cartesian_stiffness(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:
-    """Return K_C (N, 6, 6) at configurations q (N, 6), Eq. (5): wrench per displacement of the TCP."""
+    """Return K_C (N, 6, 6) at configurations q (N, 6), Eq. (5) of the paper: wrench per displacement of the TCP.
+
+    Parameters as of `tangent_compliance`.
+    """
     return np.asarray(np.linalg.inv(tangent_compliance(robot, q, tool, wrench)))
 
 
@@ -324,12 +338,15 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
 
 
 def _exceeds_tolerance(left: Array) -> Bools:
-    """Return where twists (6, n) exceed the tolerances."""
+    """Return which twists (n,) exceed the tolerances of position or orientation; `left` (6, n): sizes [m, rad]."""
     return np.asarray(~((left[:3].max(axis=0) <= _AT_TARGET) & (left[3:].max(axis=0) <= _ORIENTATION_TOLERANCE)))
 
 
 def _newton(jacobian: Array, twist: Array) -> Array:
-    """Return the step (6, n) of the joints that moves the tool by a twist (6, n); not finite where it is singular."""
+    """Return the step (6, n) [rad] of the joints that moves the tool by a twist (6, n) [m, rad]; NaN where singular.
+
+    :param jacobian: (6, 6, n) of the tool by the joints.
+    """
     square = np.moveaxis(jacobian, -1, 0)
     is_regular = np.linalg.det(square) != 0.0
     step = np.full(twist.shape, np.nan)

@@ -7,6 +7,8 @@ A gear with lost motion or backlash ±b is on one flank or the other. The model 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from msgspec import Struct
 
@@ -48,50 +50,72 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
     """
-    terms = _flanks(robot)
-
-    modelled_joints = [robot.actuated.index(robot.row(parameter)) for parameter, _ in terms]
-    other_joints = [joint for joint in range(6) if joint not in modelled_joints]
-
-    def torques(q: Array, tool: Array, wrench: Array) -> tuple[Array]:
-        """Return the torques (n, k) [N·m] whose signs count: of joints without a term for it, then of the terms.
-
-        :param q: (n, 6) joint angles [rad].
-        :param tool: (n, 4, 4) tool in the flange frame.
-        :param wrench: (n, 6) at the tool tip, robot root [N, N·m].
-        """
-        state = undeflected_balance(robot, q, tool, wrench)
-        total = np.broadcast_to(state.torque - state.rest_torque, state.torque.shape)[
-            [robot.actuated[j] for j in other_joints]
-        ]
-        return (np.stack([*total, *(_moving_torque(state, parameter) for parameter, _ in terms)], axis=1),)
-
     tools = np.broadcast_to(tool, (len(q), 4, 4))
-    torque = in_chunks(torques, q, tools, wrench)[0]
-    rows, earlier_rows, joints, steps = [], [], [], []
-    signals = [(joint, 0.0, _NO_TORQUE) for joint in other_joints]
-    signals += [
-        (joint, value, parameter.torque) for joint, (parameter, value) in zip(modelled_joints, terms, strict=True)
-    ]
-    for joint_torque, (joint, value, threshold) in zip(torque.T, signals, strict=True):
-        first, second = _changes(
-            joint_torque, max(threshold, _NO_DIRECTION * float(np.abs(joint_torque).max(initial=0.0)))
-        )
-        rows.append(second)
-        earlier_rows.append(first)
-        joints.append(np.full(len(second), joint))
-        steps.append(np.zeros(len(second)))
-        if value > 0.0:
-            state = undeflected_balance(robot, q[second], tools[second], wrench[second])
-            steps[-1] = 2.0 * value * norm(np.moveaxis(state.jacobian[:3, robot.actuated[joint]], 0, -1))
+    signals = _signals(robot)
+    torque = in_chunks(lambda *rows: (_torques(robot, signals, *rows),), q, tools, wrench)[0]
+    rows, rows_before, joints, steps = [], [], [], []
+    for signal, signal_torque in zip(signals, torque.T, strict=True):
+        largest = float(np.abs(signal_torque).max(initial=0.0))
+        before, after = _changes(signal_torque, max(signal.threshold, _NO_DIRECTION * largest))
+        step = np.zeros(len(after))
+        if signal.half_play > 0.0:
+            state = undeflected_balance(robot, q[after], tools[after], wrench[after])
+            lever = np.moveaxis(state.jacobian[:3, robot.actuated[signal.joint]], 0, -1)
+            step = 2.0 * signal.half_play * norm(lever)
+        rows.append(after)
+        rows_before.append(before)
+        joints.append(np.full(len(after), signal.joint))
+        steps.append(step)
     row = np.concatenate(rows)
     order = np.argsort(row, kind="stable")
-    return Reversals(row[order], *(np.concatenate(column)[order] for column in (earlier_rows, joints, steps)))
+    return Reversals(row[order], *(np.concatenate(column)[order] for column in (rows_before, joints, steps)))
+
+
+class _Signal(Struct, frozen=True):
+    """A torque whose change of sign is a reversal.
+
+    :param joint: 0…5 on which it is.
+    :param term: backlash or lost motion that it moves; None if the model states none of the joint.
+    :param half_play: b of the term [rad]; 0 without one.
+    :param threshold: torques of at most this size have no direction [N·m].
+    """
+
+    joint: int
+    term: Backlash | None = None
+    half_play: float = 0.0
+    threshold: float = _NO_TORQUE
+
+
+def _signals(robot: RobotModel) -> list[_Signal]:
+    """Return the torques to watch: of joints without backlash or lost motion, then one for each such term."""
+    terms = _flanks(robot)
+    modelled_joints = [robot.actuated.index(robot.row(term)) for term, _ in terms]
+    signals = [_Signal(joint) for joint in range(6) if joint not in modelled_joints]
+    return signals + [
+        _Signal(joint, term, half_play, term.torque)
+        for joint, (term, half_play) in zip(modelled_joints, terms, strict=True)
+    ]
+
+
+def _torques(robot: RobotModel, signals: Sequence[_Signal], q: Array, tool: Array, wrench: Array) -> Array:
+    """Return the torques (n, k) [N·m] of k signals at n places; parameters as of `reversals`."""
+    state = undeflected_balance(robot, q, tool, wrench)
+    total = np.broadcast_to(state.torque - state.rest_torque, state.torque.shape)
+    return np.stack(
+        [
+            total[robot.actuated[signal.joint]] if signal.term is None else _moving_torque(state, signal.term)
+            for signal in signals
+        ],
+        axis=1,
+    )
 
 
 def flank_covariance(robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools) -> Array:
-    """Return the covariance (n, 3, 3) [m²] of the tool's position due to the unknown flanks of the gears.
+    """Return the covariance (n, 3, 3) [m²] of the tool's position due to the unknown flanks of the gears, root axes.
 
+    :param q: (n, 6) joint angles that the controller holds [rad].
+    :param tool: (4, 4) or (n, 4, 4) tool in the flange frame [m].
+    :param wrench: (n, 6) at the TCP, root axes [N, N·m].
     :param turning: (n, 6) the gear changes its flank next to this place: it may be on either.
     """
     covariance = np.zeros((len(q), 3, 3))
@@ -101,20 +125,20 @@ def flank_covariance(robot: RobotModel, q: Array, tool: Array, wrench: Array, tu
     state = undeflected_balance(robot, q, tool, wrench)
     for parameter, value in terms:
         row = robot.row(parameter)
-        share = 1.0 - np.tanh(_moving_torque(state, parameter) / parameter.torque) ** 2
-        share[turning[:, robot.actuated.index(row)]] = 1.0
+        variance_share = 1.0 - np.tanh(_moving_torque(state, parameter) / parameter.torque) ** 2
+        variance_share[turning[:, robot.actuated.index(row)]] = 1.0
         lever = state.jacobian[:3, row]
-        covariance += np.einsum("n,in,jn->nij", value**2 * share, lever, lever)
+        covariance += np.einsum("n,in,jn->nij", value**2 * variance_share, lever, lever)
     return covariance
 
 
 def _flanks(robot: RobotModel) -> list[tuple[Backlash, float]]:
-    """Return the backlash and lost-motion terms of a model with their values b > 0 [rad]: the gear is within ±b."""
+    """Return the backlash and lost-motion terms of a model with their values b > 0 [rad]: the gear is at +b or −b."""
     return [(parameter, value) for parameter, value in robot.terms if isinstance(parameter, Backlash) and value > 0.0]
 
 
 def _moving_torque(state: Balance, parameter: Backlash) -> Array:
-    """Return the torque (n,) that moves a gear from one flank to the other [N·m]."""
+    """Return the torque (n,) that moves a gear from one flank to the other [N·m]; of lost motion, that of the load."""
     row = state.robot.row(parameter)
     if not parameter.with_rest_torque:
         return np.asarray(state.load_part[row])
@@ -126,6 +150,6 @@ def _changes(torque: Array, threshold: float) -> tuple[Ints, Ints]:
 
     Rows with a torque of at most `threshold` [N·m] have no sign and are skipped.
     """
-    places = np.flatnonzero(np.abs(torque) > threshold)
-    sign_changes = np.flatnonzero(np.diff(np.sign(torque[places])) != 0.0)
-    return places[sign_changes], places[sign_changes + 1]
+    signed_rows = np.flatnonzero(np.abs(torque) > threshold)
+    changes = np.flatnonzero(np.diff(np.sign(torque[signed_rows])) != 0.0)
+    return signed_rows[changes], signed_rows[changes + 1]

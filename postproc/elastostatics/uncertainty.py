@@ -89,7 +89,11 @@ def loads(
     turning: Bools | None = None,
     is_proportional: Bools | None = None,
 ) -> tuple[Any, ...]:
-    """Return the parameters of `position_bound` with one row for each place, without those that are not known."""
+    """Return the arrays of `sources_of_error` with one row for each place: q, tool, wrench, turning, is_proportional.
+
+    With a spread of the forces two more follow: that, and the compliance in series, zero by default. Parameters as of
+    `position_bound`.
+    """
     if turning is None:
         turning = np.zeros((len(q), 6), dtype=bool)
     if is_proportional is None:
@@ -130,12 +134,18 @@ def sources_of_error(
 ) -> SourcesOfError:
     """Return the errors of the predicted position by their sources.
 
-    The parameters are those that `loads` returns.
+    Arrays as `loads` returns them, see `position_bound`.
+
+    :param forces: (N, 6, 6) or (N, 6, 13) spread of the forces and (N, 6, 6) compliance in series; empty if the forces
+        are certain.
+    :raises ModelError: the covariance is of a parameter that the model does not have.
     """
-    forces = _reaction(robot, q, tool, wrench, *forces)
-    slopes, covariance = _add_force_factor(robot, sensitivity(robot, q, tool, wrench), wrench, is_proportional, *forces)
-    other_covariances = _other_covariances(robot, q, tool, wrench, turning)
-    return SourcesOfError(slopes, covariance, _force_displacements(wrench, is_proportional, *forces), other_covariances)
+    reaction = _reaction(robot, q, tool, wrench, *forces)
+    slopes, covariance = _add_force_factor(
+        robot, sensitivity(robot, q, tool, wrench), wrench, is_proportional, *reaction
+    )
+    displacements = _force_displacements(wrench, is_proportional, *reaction)
+    return SourcesOfError(slopes, covariance, displacements, _other_covariances(robot, q, tool, wrench, turning))
 
 
 def largest_length(covariances: Sequence[Array], mean: Array | None = None) -> Array:
@@ -144,14 +154,17 @@ def largest_length(covariances: Sequence[Array], mean: Array | None = None) -> A
 
 
 def _optional_spread(q: Array, force_spread: Array | None, in_series: Array | None) -> tuple[Array, ...]:
-    """Return the spread of the forces, and of those in series (zero by default); empty without a spread."""
+    """Return the spread of the forces and the compliance (n, 6, 6) in series, zero by default; empty without spread."""
     if force_spread is None:
         return ()
     return force_spread, np.zeros((len(q), 6, 6)) if in_series is None else in_series
 
 
 def _reaction(robot: RobotModel, q: Array, tool: Array, wrench: Array, *forces: Array) -> tuple[Array, ...]:
-    """Return `force_spread`, and (N, 3, 6) displacement by the wrench; nothing where the forces are certain."""
+    """Return the spread of the forces, and the displacement (N, 3, 6) [m] per unit of the wrench; empty without spread.
+
+    :param forces: the spread, and (N, 6, 6) compliance in series, root axes; empty if the forces are certain.
+    """
     if not forces:
         return ()
     spread, compliance = forces
@@ -159,22 +172,30 @@ def _reaction(robot: RobotModel, q: Array, tool: Array, wrench: Array, *forces: 
 
 
 def _add_force_factor(
-    robot: RobotModel, s: Array, wrench: Array, is_proportional: Bools, *forces: Array
+    robot: RobotModel, slopes: Array, wrench: Array, is_proportional: Bools, *forces: Array
 ) -> tuple[Array, Array]:
-    """Return sensitivities (N, 3, P) to parameters with that to the factor of forces, and their covariance."""
+    """Return the sensitivities to the parameters and, last, to the factor of forces, and the covariance of all of them.
+
+    Without a factor that counts, sensitivities and covariance of the parameters alone.
+
+    :param slopes: (N, 3, P) sensitivities to the parameters.
+    :param forces: from `_reaction`.
+    :returns: (N, 3, P + 1) and (P + 1, P + 1), or (N, 3, P) and (P, P).
+    """
     assert robot.covariance is not None
     matrix, factor = robot.covariance.matrix, robot.force_factor
     if factor is None or not forces or not is_proportional.any():
-        return s, matrix
-    by_factor = np.einsum("nij,nj->ni", forces[1], wrench) * is_proportional[:, None]
+        return slopes, matrix
+    _, displacement = forces
+    by_factor = np.einsum("nij,nj->ni", displacement, wrench) * is_proportional[:, None]
     size = len(matrix)
     joint = np.empty((size + 1, size + 1))
     joint[:size, :size], joint[size], joint[:, size] = matrix, factor.covariance, factor.covariance
-    return np.concatenate([s, by_factor[:, :, None]], axis=2), joint
+    return np.concatenate([slopes, by_factor[:, :, None]], axis=2), joint
 
 
 def _other_covariances(robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools) -> dict[str, Array]:
-    """Return the covariances (N, 3, 3) [m²] of the position that come from neither parameters nor forces."""
+    """Return the covariances (N, 3, 3) [m²] of the position that come from neither parameters nor forces, by source."""
     covariances = {}
     if robot.geometry_error is not None:
         covariances["the calibrated geometry"] = _any_direction(robot.geometry_error.at(q))
@@ -192,21 +213,25 @@ def _force_displacements(wrench: Array, is_proportional: Bools, *forces: Array) 
     """Return the displacements (n, 3, k) by one standard deviation of the forces for each correlation that is possible.
 
     Each is that of a wrench whose component is larger in size by one standard deviation, whatever its sign. Where the
-    errors by the cutting law are `RobotModel.force_factor`, those that this factor does not contain are left.
+    errors by the cutting law are `RobotModel.force_factor`, which counts as a parameter, only the others are left.
 
     :param forces: from `_reaction`.
+    :returns: one entry for independent components alone; two if errors may also be one factor: for independent
+        components, and for one factor, whose last column is the error of the cutting law.
     """
     if not forces:
         return (np.zeros((len(is_proportional), 3, 0)),)
-    spread, reaction = forces
+    spread, displacement_per_wrench = forces
     sign = np.where(np.einsum("nik,ni->nk", spread, wrench) < 0.0, -1.0, 1.0)
-    displacement = reaction @ (spread * sign[:, None])
+    displacement = displacement_per_wrench @ (spread * sign[:, None])
     if spread.shape[2] <= _COMPONENTS:
         return (displacement * ~is_proportional[:, None, None],)
     independent, by_factor = displacement[:, :, :_COMPONENTS], displacement[:, :, _COMPONENTS:]
     by_factor[is_proportional, :, -1] = 0.0
+    # what is left there is the same for both correlations
+    other_columns = by_factor.shape[2] - 1
     independent[is_proportional] = 0.0
-    independent[is_proportional, :, : by_factor.shape[2] - 1] = by_factor[is_proportional, :, :-1]
+    independent[is_proportional, :, :other_columns] = by_factor[is_proportional, :, :other_columns]
     return independent, by_factor
 
 
@@ -225,6 +250,7 @@ def length_bound(covariance: Array, mean: Array | None = None) -> Array:
 
     :param mean: (n, 3) of the vectors; None: zero.
     """
+    # expectation and half the variance of the squared length; tr Σ² is the sum of squares, Σ being symmetric
     first = np.trace(covariance, axis1=1, axis2=2)
     half = np.sum(covariance**2, axis=(1, 2))
     if mean is not None:
@@ -233,7 +259,7 @@ def length_bound(covariance: Array, mean: Array | None = None) -> Array:
     h = np.divide(first**2, half, out=np.ones_like(first), where=half > 0.0)
     g = np.divide(half, first, out=np.zeros_like(first), where=first > 0.0)
     quantile = h * (1.0 - 2.0 / (9.0 * h) + _QUANTILE_95 * np.sqrt(2.0 / (9.0 * h))) ** 3
-    square = np.where(half > 0.0, g * quantile, first)
+    square = np.where(half > 0.0, g * quantile, first)  # without variance the length is |μ|
     return np.asarray(np.sqrt(square))
 
 
@@ -241,64 +267,99 @@ def sensitivity(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Arra
     """Return (N, 3, P) ∂(position of the TCP)/∂(parameter), in m per unit of the file, at first order in the load.
 
     The parameters are those of `robot.covariance`, as files hold them: whole, each at fixed values of the others.
+
+    :param q: (N, 6) joint angles that the controller holds [rad].
+    :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
+    :param wrench: (N, 6) at the TCP, root axes [N, N·m].
+    :raises ModelError: the model does not have a parameter, or the covariance is of a compensator without spring.
     """
     parameters = robot.covariance.parameters if robot.covariance is not None else ()
     if not parameters:
         return np.zeros((len(q), 3, 0))
+    # the covariance's parameters first, then partners that it does not name
     order = list(dict.fromkeys([*parameters, *(p for owner in parameters for p in owner.partners())]))
-    linear = file_slopes(order, {parameter: robot.value(parameter) for parameter in order})
+    file_by_linear = file_slopes(order, {parameter: robot.value(parameter) for parameter in order})
     try:
-        by_file = np.linalg.inv(linear)[:, [order.index(parameter) for parameter in parameters]]
+        linear_by_file = np.linalg.inv(file_by_linear)[:, : len(parameters)]
     except np.linalg.LinAlgError:
         raise ModelError(
             "[covariance] is of a compensator that has no spring",
             advice="Identify the model anew, or remove [covariance].",
         ) from None
-    return np.asarray(_linear_sensitivity(robot, order, q, tool, wrench) @ by_file)
+    return np.asarray(_linear_sensitivity(robot, order, q, tool, wrench) @ linear_by_file)
+
+
+class _FirstOrder(Struct, frozen=True, eq=False):
+    """Springs of a robot at n places at first order in the load: torques as without deflection.
+
+    :param x: (nv, n) coordinates.
+    :param lever: (n, 3, nv) displacement of the tool by the deflection of each spring, root axes.
+    :param torque: (nv, n) on the springs, without the compensator's part [N·m, N].
+    :param preload: (nv, n) torque at rest on gears that are not linear [N·m, N].
+    :param theta: (nv, n) deflections [rad, m].
+    :param slope: (nv, n) tangent compliances [rad/(N·m), m/N].
+    """
+
+    x: Array
+    lever: Array
+    torque: Array
+    preload: Array
+    theta: Array
+    slope: Array
 
 
 def _linear_sensitivity(
     robot: RobotModel, parameters: Sequence[Parameter], q: Array, tool: Array, wrench: Array
 ) -> Array:
-    """Return (N, 3, P) by the linear values of the parameters [m per SI unit]."""
-    x = coordinates(robot, q)
-    _, jacobian = kinematics.tcp(robot.loaded, x, tool)
-    torque = np.einsum("nij,ni->nj", jacobian, wrench) - _payload(robot, x)
+    """Return ∂(position of the TCP)/∂(linear value) (N, 3, P) of parameters [m per SI unit]."""
+    state = _first_order(robot, q, tool, wrench)
+    by_preload = compliance_by_preload(robot, state.torque, state.preload)
     second = robot.actuated[A2]
-    preload = np.zeros_like(torque)
-    if robot.carries_weight or not robot.subtract_reference:
-        preload = -static_torque(robot, x.T).T
-    _, slope = spring_deflection(robot, x.T, torque.T, preload.T)
-    share = compensator_factor(robot, x.T, slope)
-    torque[:, second] /= share  # the rest is the compensator's
-    theta, slope = (array.T for array in spring_deflection(robot, x.T, torque.T, preload.T))
-    lever = jacobian[:, :3].copy()
-    lever[:, :, second] /= share[:, None]
-    by_preload = compliance_by_preload(robot, torque.T, preload.T).T
     columns = []
     for parameter in parameters:
         if isinstance(parameter, Spring):
-            columns.append(
-                sum(
-                    lever[:, :, row] * (factor * parameter.effect(torque[:, by], preload[:, by])[0])[:, None]
-                    for factor in (parameter.factor(x.T[list(robot.actuated)]),)
-                    for row, by in robot.pairs(parameter)
-                )
-            )
+            columns.append(_displacement_by_spring(robot, state, parameter))
             continue
-        shift = -by_preload * static_torque_by_parameter(robot, parameter, x.T).T
+        shift = -by_preload * static_torque_by_parameter(robot, parameter, state.x)
         if isinstance(parameter, CompensatorTorque) and robot.compensator is not None:
-            stiffer = parameter.effect(robot.compensator, x[:, second])[1]
-            shift[:, second] -= slope[:, second] * theta[:, second] * stiffer
-        columns.append(np.einsum("nik,nk->ni", lever, shift))
+            _, stiffness = parameter.effect(robot.compensator, state.x[second])
+            shift[second] -= state.slope[second] * state.theta[second] * stiffness
+        columns.append(np.einsum("nik,nk->ni", state.lever, shift.T))
     return np.stack(columns, axis=2)
 
 
+def _first_order(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> _FirstOrder:
+    """Return the springs under a load at first order; parameters as of `sensitivity`."""
+    x = coordinates(robot, q).T
+    _, jacobian = kinematics.tcp(robot.loaded, x.T, tool)
+    torque = np.einsum("nij,ni->jn", jacobian, wrench) - _payload(robot, x)
+    preload = np.zeros_like(torque)
+    if robot.carries_weight or not robot.subtract_reference:
+        preload = -static_torque(robot, x)
+    _, slope = spring_deflection(robot, x, torque, preload)
+    factor, second = compensator_factor(robot, x, slope), robot.actuated[A2]
+    torque[second] /= factor  # the compensator carries the rest
+    theta, slope = spring_deflection(robot, x, torque, preload)
+    lever = jacobian[:, :3].copy()
+    lever[:, :, second] /= factor[:, None]
+    return _FirstOrder(x, lever, torque, preload, theta, slope)
+
+
+def _displacement_by_spring(robot: RobotModel, state: _FirstOrder, parameter: Spring) -> Array:
+    """Return the displacement (n, 3) of the TCP per unit of the parameter of a spring [m per SI unit]."""
+    factor = parameter.factor(state.x[list(robot.actuated)])
+    displacement = np.zeros((len(state.lever), 3))
+    for row, torque_row in robot.pairs(parameter):
+        unit_deflection, _ = parameter.effect(state.torque[torque_row], state.preload[torque_row])
+        displacement += state.lever[:, :, row] * (factor * unit_deflection)[:, None]
+    return displacement
+
+
 def _payload(robot: RobotModel, x: Array) -> Array:
-    """Return the torque (n, nv) of the cell's payload at coordinates x (n, nv)."""
+    """Return the torque (nv, n) [N·m, N] of the cell's payload at coordinates x (nv, n)."""
     if robot.loaded is robot.actual:
         return np.zeros_like(x)
     with_payload, without_payload = (
-        kinematics.posture(chain, x.T, weigh=True).weight() for chain in (robot.loaded, robot.actual)
+        kinematics.posture(chain, x, weigh=True).weight() for chain in (robot.loaded, robot.actual)
     )
-    return np.asarray((with_payload - without_payload).T)
+    return np.asarray(with_payload - without_payload)
