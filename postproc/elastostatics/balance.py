@@ -153,7 +153,8 @@ class Balance(Struct, frozen=True, eq=False):
             by_angle = over_pose.slopes(self.x[joints]) * self.torque[joints][:, None]
             slopes[:, np.array(joints)[:, None], joints] -= np.moveaxis(by_angle, -1, 0)
         lost_motion = self.lost_motion_compliance
-        if lost_motion.any():  # the static torque does not move it, though it is part of τ
+        # the static torque does not move it, though it is part of τ
+        if lost_motion.any():
             slopes -= lost_motion.T[:, :, None] * self._static_stiffness(self.robot.actual)
         return slopes
 

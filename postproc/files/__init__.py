@@ -2,6 +2,7 @@
 
 from postproc.files.locking import lock
 from postproc.files.reading import (
+    CsvTable,
     check_sizes,
     convert,
     parse_csv,
@@ -34,6 +35,7 @@ from postproc.files.writing import (
 )
 
 __all__ = [
+    "CsvTable",
     "FileEntry",
     "StagedFiles",
     "add_record",

@@ -10,6 +10,10 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
 
 _NAME = ".postproc.lock"
 _POSIX = os.name == "posix"
@@ -50,29 +54,11 @@ def _lock_folder(folder: Path, waiting: Callable[[str], None] | None) -> Iterato
 
     :param waiting: is called with a message if another process has the lock.
     """
-    from filelock import FileLock, Timeout  # takes 15 ms, where files are written only
+    from filelock import FileLock  # takes 15 ms, where files are written only
 
     new_folders = _missing_folders(folder)
     lock = FileLock(folder / _NAME)
-    attempts = attempts_without_folder = 0
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a drive without locks
-        while True:
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-                lock.acquire(timeout=0)
-                break
-            except Timeout:
-                attempts += 1
-                if attempts == _ATTEMPTS_BEFORE_MESSAGE and waiting is not None:
-                    waiting(f"{folder}: waiting for {_holder(folder)}, which writes into this folder.")
-                time.sleep(_POLL)
-            except FileNotFoundError:  # another process has just removed the empty folder, or it cannot be made
-                attempts_without_folder += 1
-                if attempts_without_folder > _ATTEMPTS_WITHOUT_FOLDER:
-                    break
-            except OSError:
-                break
+    _acquire(lock, folder, waiting)
     _locked_folders.add(folder)
     try:
         if lock.is_locked and lock.__class__ is FileLock:  # else the file has the content that makes it a lock
@@ -92,6 +78,34 @@ def _lock_folder(folder: Path, waiting: Callable[[str], None] | None) -> Iterato
         for path in new_folders:
             with contextlib.suppress(OSError):
                 path.rmdir()  # where nothing was written
+
+
+def _acquire(lock: BaseFileLock, folder: Path, waiting: Callable[[str], None] | None) -> None:
+    """Make a folder and wait for its lock; goes on without it if the folder cannot be made or the drive has no locks.
+
+    :param waiting: is called with a message if another process has the lock.
+    """
+    from filelock import Timeout
+
+    attempts = attempts_without_folder = 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a drive without locks
+        while True:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                lock.acquire(timeout=0)
+                break
+            except Timeout:
+                attempts += 1
+                if attempts == _ATTEMPTS_BEFORE_MESSAGE and waiting is not None:
+                    waiting(f"{folder}: waiting for {_holder(folder)}, which writes into this folder.")
+                time.sleep(_POLL)
+            except FileNotFoundError:  # another process has just removed the empty folder, or it cannot be made
+                attempts_without_folder += 1
+                if attempts_without_folder > _ATTEMPTS_WITHOUT_FOLDER:
+                    break
+            except OSError:
+                break
 
 
 def _missing_folders(folder: Path) -> list[Path]:

@@ -14,7 +14,7 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -64,9 +64,11 @@ def read_bytes(path: Path, error: type[InputError], missing_advice: str | None =
 
 
 def read_text(path: Path, error: type[InputError], missing_advice: str | None = None) -> str:
-    """Return the text of a UTF-8 file (BOM allowed); `error` names the file when it cannot be read.
+    """Return the text of a UTF-8 file (BOM allowed).
 
+    :param error: kind of the errors; they name the file.
     :param missing_advice: advice where there is no such file.
+    :raises InputError: (`error`) the file cannot be read, or is no UTF-8 text.
     """
     try:
         return read_bytes(path, error, missing_advice).decode("utf-8-sig")
@@ -87,11 +89,12 @@ def read_toml(
 ) -> T:
     """Read a TOML file into a msgspec structure.
 
-    Unknown keys and missing keys (all of them at once), wrong types, NaN and infinity raise `error`; the message names
-    the key and, for an unknown one, the valid ones.
-
+    :param error: kind of the errors.
     :param example: shown where keys are missing: what such a file looks like.
     :param missing_advice: advice where there is no such file.
+    :raises InputError: (`error`) the file cannot be read or is no TOML, keys are unknown or missing (all of them at
+        once), or a value has a wrong type, is NaN or infinite; the message names the key and, for an unknown one, the
+        valid ones.
     """
     text = read_text(path, error, missing_advice)
     if deep := _DEEP_KEY.search(text):
@@ -130,9 +133,11 @@ def _syntax_error(cause: str, text: str, path: Path, error: type[Error]) -> Erro
 def convert(
     data: object, structure: type[T], file: str, error: type[InputError], example: str | None = None, text: str = ""
 ) -> T:
-    """Check plain data against a msgspec structure; see `read_toml`.
+    """Return plain data as a msgspec structure; parameters as of `read_toml`.
 
+    :param file: name for messages.
     :param text: of the TOML file, in which an error names the line; empty: there is none.
+    :raises InputError: (`error`) the data do not have this structure.
     """
     try:
         return msgspec.convert(data, structure)
@@ -285,6 +290,21 @@ def _valid_values(kind: Any, at: str, invalid_value: re.Match[str] | None) -> st
     return None
 
 
+class ParsedCsv(NamedTuple, Generic[Error]):
+    """The n rows of a CSV file, and what is wrong with it.
+
+    :ivar numbers: numeric columns by name, (n,) each; NaN for values that are no finite numbers.
+    :ivar texts: text columns by name, n texts each.
+    :ivar lines: (n,) 1-based line of each row.
+    :ivar faults: of single rows: one of wrong length, which is left out, or a value that is no finite number.
+    """
+
+    numbers: dict[str, Array]
+    texts: dict[str, list[str]]
+    lines: Array
+    faults: list[Error]
+
+
 class CsvTable(NamedTuple):
     """The n rows of a CSV file.
 
@@ -323,7 +343,7 @@ def parse_csv(
     error: type[Error],
     text_columns: Sequence[str] = (),
     may_be_empty: Sequence[str] = (),
-) -> tuple[dict[str, Array], dict[str, list[str]], Array, list[Error]]:
+) -> ParsedCsv[Error]:
     """Read a CSV file with a header line, comma separated, `.` as decimal point.
 
     :param required_columns: columns that must be there.
@@ -331,8 +351,6 @@ def parse_csv(
     :param error: kind of the errors.
     :param text_columns: those of the columns that hold text.
     :param may_be_empty: those of the numeric columns whose cells may be empty: NaN.
-    :returns: numeric columns by name (each (n,)), text columns by name, the 1-based line of each row (n,), and the
-        faults of single rows: a row of wrong length, which is left out, or a value that is no finite number, NaN here.
     :raises InputError: (`error`) the file cannot be read, or its header line cannot be used.
     """
     header, rows, lines, faults = _rows_of_csv(path, required_columns, optional, error)
@@ -351,13 +369,28 @@ def parse_csv(
                 for place in invalid_rows[: MAX_ERRORS + 1].tolist()
             ]
     texts = {name: [v.strip() for v in columns[name]] for name in text_columns if name in columns}
-    return numeric, texts, np.array(lines, dtype=float), faults
+    return ParsedCsv(numeric, texts, np.array(lines, dtype=float), faults)
+
+
+class _CsvRows(NamedTuple, Generic[Error]):
+    """Cells of a CSV file.
+
+    :ivar header: names of the columns.
+    :ivar rows: the cells of each row that has as many as the header.
+    :ivar lines: 1-based line of each of these.
+    :ivar faults: of rows of another length; one for all if no row is right.
+    """
+
+    header: list[str]
+    rows: list[list[str]]
+    lines: list[int]
+    faults: list[Error]
 
 
 def _rows_of_csv(
     path: Path, required_columns: Sequence[str], optional: Sequence[str], error: type[Error]
-) -> tuple[list[str], list[list[str]], list[int], list[Error]]:
-    """Return the header of a CSV file, its rows, their 1-based lines, and the faults of rows of wrong length.
+) -> _CsvRows[Error]:
+    """Return the cells of a CSV file; parameters as of `parse_csv`.
 
     :raises InputError: (`error`) the file cannot be read, or its header line cannot be used.
     """
@@ -391,16 +424,17 @@ def _rows_of_csv(
         faults = [
             error(problem, file=str(path), line=first_error.line, text=first_error.text, advice=first_error.advice)
         ]
-    return header, rows, lines, faults
+    return _CsvRows(header, rows, lines, faults)
 
 
 def check_sizes(
     path: Path, numbers: dict[str, Array], lines: Array, largest: Sequence[tuple[str, float, str]], error: type[Error]
 ) -> None:
-    """Refuse numbers of a CSV file that are too large; all errors are raised together.
+    """Check that the numbers of a CSV file are not too large.
 
     :param numbers: columns by name, `lines` their lines, as `read_csv` returns them.
     :param largest: name of a column, largest size of its cells, and their unit with a blank before.
+    :raises InputError: (`error`) some are; all errors are raised together.
     """
     faults = [
         error(
@@ -421,7 +455,11 @@ _COMMAS = "Separate the columns by commas, and write numbers with a decimal poin
 def _header(
     row: Sequence[str], path: Path, required_columns: Sequence[str], optional: Sequence[str], error: type[Error]
 ) -> list[str]:
-    """Return the names of the columns, each known, none twice, all required ones there."""
+    """Return the names of the columns, each known, none twice, all required ones there.
+
+    :param row: cells of the first line; other parameters as of `parse_csv`.
+    :raises InputError: (`error`) they are not.
+    """
     header = [name.strip() for name in row]
     valid_names = [*required_columns, *optional]
     valid = f"Valid columns: {', '.join(valid_names)}."
@@ -446,7 +484,10 @@ def _header(
 
 
 def _numeric(values: Sequence[str], *, empty_is_nan: bool) -> tuple[Array, NDArray[np.int64]]:
-    """Return a column as numbers, NaN where they are none, and the places (n,) of those that are wrong."""
+    """Return a column of numbers, NaN for cells that are no finite number, and the rows (n,) of cells that are wrong.
+
+    :param empty_is_nan: an empty cell is not wrong.
+    """
     is_empty = np.array([empty_is_nan and not value.strip() for value in values], dtype=bool)
     try:
         column = np.array(values, dtype=float)
@@ -564,6 +605,7 @@ def _subdivide(corners: Array, coarse: Array) -> tuple[Array, Array]:
     """Return facets, halved until the longest side of each is short compared with the part, or there are too many.
 
     :param corners: (F, 3, 3) [m]; `coarse`: (F,) values of the facets, which their halves inherit.
+    :returns: corners (G, 3, 3) [m] and values (G,) of the facets after that.
     """
     limit = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) / _SIDES_PER_PART
     while True:

@@ -249,7 +249,12 @@ def remove_leftovers(folder: Path) -> None:
 
 @contextlib.contextmanager
 def _naming(folder: Path, names: Collection[str]) -> Iterator[list[Path]]:
-    """Turn an `OSError` into an `InputError` that names the file concerned, or the last one in the list."""
+    """Turn an `OSError` inside the context into an `InputError` that names a file.
+
+    :param names: of the files that may be named if the operating system says which one it was.
+    :returns: paths, to which the caller adds each file that it begins with: the last one is named otherwise.
+    :raises InputError: an `OSError` was raised.
+    """
     paths = [folder]
     try:
         yield paths
@@ -277,6 +282,8 @@ def _replace(file_sets: Sequence[StagedFiles], folder: Path, names: Sequence[str
     A single file without obsolete ones is replaced in one step. Else the old files are moved out of the way first.
 
     :param names: of all files, in the order in which they are moved away; new ones appear in the opposite order.
+    :param obsolete: names of old files that are removed.
+    :raises InputError: old files could not be put back; other errors are raised as they are.
     """
     staged_path = {name: file_set.path / "new" / name for file_set in file_sets for name in file_set.names}
     old_names: list[str] = []

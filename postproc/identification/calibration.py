@@ -42,6 +42,12 @@ _FOLDS = 10
 """Parts of the cross-validation: the usual number (Hastie, Tibshirani and Friedman 2009, section 7.10)."""
 _INDEPENDENT = 1e-6
 """Share of a column that the columns before it leave, below which it is dependent: the rounding of derivatives."""
+_SPARE_READINGS = 10
+"""Coordinates that must be read beyond the number of unknowns, so that residuals show the noise (assumed)."""
+_NOT_NARROWED = 0.8
+"""Share of the prior's interval beyond which an interval counts as not narrowed by the readings (assumed)."""
+_CONVERGED = 1e-9
+"""Largest change of an unknown [m, rad] in the last Gauss-Newton step."""
 _PLACES = 200
 """Configurations over which the error that readings allow for is averaged."""
 
@@ -108,23 +114,26 @@ def nonredundant(nominal: Chain, points: int) -> tuple[GeometryParameter, ...]:
     """Return the displacements that base transform, points and the ones before cannot imitate.
 
     Determined by the rank of the derivatives at random configurations, so it is valid for any arm.
+
+    :param points: number of points on the flange.
     """
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (60, 6))
     offsets = np.array([[0.2, 0.1, 0.3], [-0.2, 0.15, 0.25], [0.05, -0.3, 0.2]])[: max(1, min(points, 3))]
     flange, columns = _derivatives(nominal, q, offsets)
     base, tool = _frame_columns(flange, offsets, np.eye(4))
     basis, _ = np.linalg.qr(np.concatenate([base, tool], axis=1))
-    axis_index = 3 + np.argmax(np.abs(nominal.axis), axis=1)
-    order = [(j, int(axis_index[j])) for j in range(6)]
-    order += [(j, a) for j in range(6) for a in range(3)]
-    order += [(j, 3 + a) for j in range(6) for a in range(3)]
+    # zero offsets (a turn about the joint's own axis) first, then lengths, then tilts
+    own_turn = 3 + np.argmax(np.abs(nominal.axis), axis=1)
+    order = [(joint, int(own_turn[joint])) for joint in range(6)]
+    order += [(joint, axis) for joint in range(6) for axis in range(3)]
+    order += [(joint, 3 + axis) for joint in range(6) for axis in range(3)]
     basis_entries: list[tuple[int, int]] = []
     for joint, axis in order:
         if (joint, axis) in basis_entries:
             continue
         column = columns[:, joint, axis]
         residual = column - basis @ (basis.T @ column)
-        residual -= basis @ (basis.T @ residual)
+        residual -= basis @ (basis.T @ residual)  # once more, for rounding (Gram-Schmidt)
         if np.linalg.norm(residual) > _INDEPENDENT * np.linalg.norm(column):
             basis = np.column_stack([basis, residual / np.linalg.norm(residual)])
             basis_entries.append((joint, axis))
@@ -132,7 +141,13 @@ def nonredundant(nominal: Chain, points: int) -> tuple[GeometryParameter, ...]:
 
 
 def _derivatives(chain: Chain, q: Array, points: Array) -> tuple[Array, Array]:
-    """Return flange poses (C, 4, 4) and derivatives (C·P·3, 6, 6) of the points by displacements of the joints."""
+    """Return flange poses (C, 4, 4) [m] and derivatives (C·P·3, 6, 6) of the points by displacements of the joints.
+
+    :param q: (C, 6) joint angles [rad].
+    :param points: (P, 3) in the flange frame [m].
+    :returns: the poses; rows: coordinates of the points in the root; then the joint, and its displacements along and
+        about X, Y, Z of its frame [m/m, m/rad].
+    """
     frames, flange = chain.joint_frames(q)
     positions = np.einsum("cij,pj->cpi", flange[:, :3, :3], points) + flange[:, None, :3, 3]
     columns = np.empty((len(q), len(points), 3, 6, 6))
@@ -146,7 +161,12 @@ def _derivatives(chain: Chain, q: Array, points: Array) -> tuple[Array, Array]:
 
 
 def _frame_columns(flange: Array, points: Array, root: Array) -> tuple[Array, Array]:
-    """Return derivatives by the base twist (n, 6), about the root, and by the points (n, 3P), device axes."""
+    """Return derivatives of the points in device axes by the base twist (n, 6) and by themselves (n, 3P).
+
+    :param flange: (C, 4, 4) in the root [m].
+    :param points: (P, 3) in the flange frame [m].
+    :param root: (4, 4) in the device [m].
+    """
     device_flange = root @ flange
     positions = np.einsum("cij,pj->cpi", device_flange[:, :3, :3], points) + device_flange[:, None, :3, 3]
     lever = positions - root[:3, 3]
@@ -165,53 +185,64 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
 
     :param content: model whose springs, masses and compensator predict the sag; its own `[geometry]` is replaced.
     :param nominal: the controller's geometry.
+    :param name: of the robot.
     :raises MeasurementError: fewer readings than unknowns, or a configuration contradicts all others.
     """
-    parameters = nonredundant(nominal, len(data.points))
-    unknowns = 6 + 3 * len(data.points) + len(parameters)
-    readings = 3 * len(data.q) * len(data.points)
-    if readings < unknowns + 10:
-        raise MeasurementError(
-            f"{readings} coordinates without load for {unknowns} unknowns of base, points and geometry",
-            file=data.file,
-            advice="Measure more configurations: 30 of three points are usual.",
-        )
-    fits: dict[str, tuple[_Solution, Array]] = {}
-    for label, base, free in _variants(content, parameters, with_gears=readings >= unknowns + len(_GEARS) + 10):
-        try:
-            solution = _solve(base, nominal, name, data, free)
-        except PostprocError:  # a model that cannot carry its own weight, or parameters that the readings do not hold
-            continue
-        fits[label] = solution, _cross_validation_error(solution, data)
+    fits = _fitted_variants(content, nominal, name, data)
     best_label = simplest({label: fold_errors for label, (_, fold_errors) in fits.items()})
-    solution = fits[best_label][0]
-    half = NORMAL_95 * np.sqrt(np.diag(solution.covariance))
-    prior_deviation = _usual(solution.parameters)
-    source, u95 = f"identified from {data.file}", _error_95(fits[best_label][1], data)
+    solution, fold_errors = fits[best_label]
+    half_width = NORMAL_95 * np.sqrt(np.diag(solution.covariance))
+    source, u95 = f"identified from {data.file}", _error_95(fold_errors, data)
     error = GeometryErrorEntry(
         source=source,
         u95_mm=u95 * MM_PER_M,
         angles_deg=_ranges(data.q),
         unmeasured_mm=_extrapolation_error(solution, nominal) * MM_PER_M,
     )
-    calibrated_content = _add_geometry(solution.content, solution.parameters, solution.values, source, half)
+    calibrated_content = _add_geometry(solution.content, solution.parameters, solution.values, source, half_width)
     _check_configurations(assemble(name, calibrated_content, nominal), data, solution)
+    is_wide = half_width > _NOT_NARROWED * NORMAL_95 * _usual(solution.parameters)
     return Geometry(
-        solution.parameters,
-        solution.values,
-        solution.covariance,
-        msgspec.structs.replace(calibrated_content, geometry_error=error),
-        solution.placement,
-        "with sag" in best_label,
-        {label: (_rms(fit.residual), float(np.sqrt(np.mean(errors)))) for label, (fit, errors) in fits.items()},
-        best_label,
-        u95,
-        tuple(
-            p.name
-            for p, h, u in zip(solution.parameters, half, prior_deviation, strict=True)
-            if h > 0.8 * NORMAL_95 * u
-        ),
+        parameters=solution.parameters,
+        values=solution.values,
+        covariance=solution.covariance,
+        content=msgspec.structs.replace(calibrated_content, geometry_error=error),
+        placement=solution.placement,
+        sag="with sag" in best_label,
+        rms={label: (_rms(fit.residual), float(np.sqrt(np.mean(errors)))) for label, (fit, errors) in fits.items()},
+        chosen=best_label,
+        u95=u95,
+        not_observable=tuple(solution.parameters[index].name for index in np.flatnonzero(is_wide)),
     )
+
+
+def _fitted_variants(
+    content: ModelFile, nominal: Chain, name: str, data: Measurements
+) -> dict[str, tuple[_Solution, Array]]:
+    """Return the fit of each geometry that can be fitted, simple to rich, and its cross-validation errors (C,) [m²].
+
+    Parameters as of `identify_geometry`.
+
+    :raises MeasurementError: there are fewer readings than unknowns.
+    """
+    parameters = nonredundant(nominal, len(data.points))
+    unknowns = 6 + 3 * len(data.points) + len(parameters)
+    readings = 3 * len(data.q) * len(data.points)
+    if readings < unknowns + _SPARE_READINGS:
+        raise MeasurementError(
+            f"{readings} coordinates without load for {unknowns} unknowns of base, points and geometry",
+            file=data.file,
+            advice="Measure more configurations: 30 of three points are usual.",
+        )
+    with_gears = readings >= unknowns + len(_GEARS) + _SPARE_READINGS
+    fits: dict[str, tuple[_Solution, Array]] = {}
+    for label, base, free in _variants(content, parameters, with_gears=with_gears):
+        try:
+            solution = _solve(base, nominal, name, data, free)
+        except PostprocError:  # a model that cannot carry its own weight, or parameters that the readings do not hold
+            continue
+        fits[label] = solution, _cross_validation_error(solution, data)
+    return fits
 
 
 def _check_configurations(robot: RobotModel, data: Measurements, solution: _Solution) -> None:
@@ -237,6 +268,7 @@ def _ranges(q: Array) -> dict[str, tuple[float, float]]:
 
 
 _GEARS = tuple(GeometryParameter(joint, term) for joint in JOINTS for term in GEAR_TERMS)
+"""Errors of the gears' transmission, of all joints."""
 
 
 def _variants(
@@ -270,6 +302,7 @@ def simplest(squares: dict[str, Array]) -> str:
     best = min(squares, key=lambda label: squares[label].mean())
 
     def is_as_good(square: Array) -> bool:
+        """Return whether the squares (C,) of a variant are no larger than the best one's, but for their scatter."""
         difference = square - squares[best]
         return bool(difference.mean() <= difference.std(ddof=1) / np.sqrt(len(difference)))
 
@@ -277,19 +310,22 @@ def simplest(squares: dict[str, Array]) -> str:
 
 
 def _error_95(square_errors: Array, data: Measurements) -> float:
-    """Return an upper limit of the 95 % quantile of the errors, from mean squares (C,) with noise [m²]."""
-    count = data.means()[1][data.unloaded_states]
+    """Return an upper limit of the 95 % quantile of the errors of a point without noise [m].
+
+    :param square_errors: (C,) mean squares of the errors of the points in each configuration, with noise [m²].
+    """
+    _, reading_count = data.means()
+    count = reading_count[data.unloaded_states]
     is_visible = count > 0.0
     noise = (
         3.0
         * data.sigma**2
         * np.sum(is_visible / np.maximum(count, 1.0), axis=1)
         / np.maximum(is_visible.sum(axis=1), 1)
-    )
+    )  # of the mean of the readings of a point, three coordinates, mean over the points
     square_excess = square_errors - noise
-    return float(
-        LENGTH_95 * np.sqrt(max(0.0, square_excess.mean() + square_excess.std(ddof=1) / np.sqrt(len(square_excess))))
-    )
+    upper_limit = square_excess.mean() + square_excess.std(ddof=1) / np.sqrt(len(square_excess))
+    return float(LENGTH_95 * np.sqrt(max(0.0, upper_limit)))
 
 
 def _extrapolation_error(solution: _Solution, nominal: Chain) -> float:
@@ -315,7 +351,18 @@ def _extrapolation_error(solution: _Solution, nominal: Chain) -> float:
 
 
 class _Solution(Struct, frozen=True, eq=False):
-    """`whole_covariance`: of base, points and parameters, in this order, inflated by the residuals."""
+    """A fit of u unknowns: base (6), P points (3 each) and p geometry parameters, in this order.
+
+    :param content: model before the fit.
+    :param parameters: (p,) of the geometry.
+    :param values: (p,) their values [m, rad].
+    :param whole_covariance: (u, u) of the unknowns, inflated by the residuals.
+    :param placement: base and points.
+    :param residual: (C, P, 3) measured minus predicted positions [m]; zero for points without readings.
+    :param design: (n + p, u) derivatives of the n whitened coordinates, then rows of the prior.
+    :param target: (n + p,) that design times unknowns should be.
+    :param weight: (n,) factors that whiten the coordinates [1/m].
+    """
 
     content: ModelFile
     parameters: tuple[GeometryParameter, ...]
@@ -345,47 +392,49 @@ def _solve(
     """Fit the geometry parameters, the frame of the tracker and the points to unloaded readings.
 
     Gauss-Newton with the priors of the parameters as a ridge; the covariance grows with the misfit.
+
+    :param parameters: those that are free; others are zero.
+    :raises PostprocError: the model has no equilibrium under its own weight, or a value is beyond any arm.
     """
     mean, count = data.means()
     readings, weight = mean[data.unloaded_states], count[data.unloaded_states]
     scale = np.repeat(np.sqrt(weight).ravel(), 3) / data.sigma
-    values, points = np.zeros(len(parameters)), data.guess.copy()
+    values, points, usual = np.zeros(len(parameters)), data.guess.copy(), _usual(parameters)
+    frame_count = 6 + 3 * len(points)
+    ridge = np.diag(np.concatenate([np.zeros(frame_count), 1.0 / usual]))[frame_count:]
     robot = assemble(name, _add_geometry(content, parameters, values, "", None), nominal)
-    root = kabsch(_point_positions(_unloaded_poses(robot, data.q)[0], points).reshape(-1, 3), readings.reshape(-1, 3))
+    flange, angles = _unloaded_poses(robot, data.q)
+    root = kabsch(_point_positions(flange, points).reshape(-1, 3), readings.reshape(-1, 3))
     for _ in range(_STEPS):
-        robot = assemble(name, _add_geometry(content, parameters, values, "", None), nominal)
-        flange, angles = _unloaded_poses(robot, data.q)
         base, tool = _frame_columns(flange, points, root)
         parameter_columns = _parameter_columns(parameters, _geometric(nominal, robot), (data.q, angles), points, root)
         design = np.concatenate([base, tool, *parameter_columns], axis=1) * scale[:, None]
-        left = (readings - _point_positions(root @ flange, points)).ravel() * scale
-        frame_count = 6 + 3 * len(points)
-        ridge = np.diag(np.concatenate([np.zeros(frame_count), 1.0 / _usual(parameters)]))[frame_count:]
-        right = np.concatenate([left, -values / _usual(parameters)])
+        white_residual = (readings - _point_positions(root @ flange, points)).ravel() * scale
+        right = np.concatenate([white_residual, -values / usual])
         step = np.linalg.lstsq(np.vstack([design, ridge]), right, rcond=None)[0]
         root = displace(root, step[:6])
         points = points + step[6:frame_count].reshape(points.shape)
         values = values + step[frame_count:]
-        if np.abs(step).max() < 1e-9:
+        robot = assemble(name, _add_geometry(content, parameters, values, "", None), nominal)
+        flange, angles = _unloaded_poses(robot, data.q)
+        if np.abs(step).max() < _CONVERGED:
             break
-    robot = assemble(name, _add_geometry(content, parameters, values, "", None), nominal)
-    flange, _ = _unloaded_poses(robot, data.q)
     residual = (readings - _point_positions(root @ flange, points)) * (weight > 0.0)[..., None]
     covariance = np.linalg.pinv(design.T @ design + ridge.T @ ridge, hermitian=True)
-    white = residual.ravel() * scale
-    dof = max(1, len(white) - design.shape[1])
-    inflate = max(1.0, float(white @ white) / dof)
-    state = np.concatenate([np.zeros(frame_count), values])
+    white_residual = residual.ravel() * scale
+    dof = max(1, len(white_residual) - design.shape[1])
+    misfit = max(1.0, float(white_residual @ white_residual) / dof)
+    unknowns = np.concatenate([np.zeros(frame_count), values])
     return _Solution(
-        content,
-        parameters,
-        values,
-        covariance * inflate,
-        Placement(root, points, covariance[:frame_count, :frame_count] / data.sigma**2, residual),
-        residual,
-        np.vstack([design, ridge]),
-        np.concatenate([white + design @ state, np.zeros(len(parameters))]),
-        scale,
+        content=content,
+        parameters=parameters,
+        values=values,
+        whole_covariance=covariance * misfit,
+        placement=Placement(root, points, covariance[:frame_count, :frame_count] / data.sigma**2, residual),
+        residual=residual,
+        design=np.vstack([design, ridge]),
+        target=np.concatenate([white_residual + design @ unknowns, np.zeros(len(parameters))]),
+        weight=scale,
     )
 
 
@@ -419,7 +468,11 @@ def _column(parameter: GeometryParameter, by_joint: Array, chain: Chain, q: Arra
 
 
 def _unloaded_poses(robot: RobotModel, q: Array) -> tuple[Array, Array]:
-    """Return flange poses (C, 4, 4) without load, with sag if the model predicts it, and joint angles (C, 6) there."""
+    """Return the flange poses without load and the joint angles there, with sag if the model predicts it.
+
+    :param q: (C, 6) joint angles that the controller holds [rad].
+    :returns: (C, 4, 4) poses in the root [m]; (C, 6) actual angles [rad].
+    """
     x, joints = elastostatics.coordinates(robot, q), list(robot.actuated)
     if robot.subtract_reference:
         return kinematics.tcp(robot.actual, x, np.eye(4))[0], x[:, joints]
@@ -428,7 +481,7 @@ def _unloaded_poses(robot: RobotModel, q: Array) -> tuple[Array, Array]:
 
 
 def _geometric(nominal: Chain, robot: RobotModel) -> Chain:
-    """Return the six-joint model with the displaced placements of the robot, without springs of links."""
+    """Return the chain for derivatives by displacements of joints: the robot's, or the nominal one if links deflect."""
     if robot.actual.nv == nominal.nv:
         return robot.actual
     return nominal
@@ -441,19 +494,24 @@ def _point_positions(frames: Array, points: Array) -> Array:
 
 
 def _cross_validation_error(solution: _Solution, data: Measurements) -> Array:
-    """Return the mean square cross-validation error (C,) [m²] of each configuration."""
+    """Return the mean square cross-validation error (C,) [m²] of the points of each configuration.
+
+    The equations of the fit are solved again without the configurations of each fold.
+    """
     rows = 3 * len(data.points)
     readings = len(data.q) * rows
     folds = min(_FOLDS, len(data.q))
     fold = np.random.default_rng(0).permutation(len(data.q)) % folds
+    # rows of the prior count in every fold
     row_fold = np.concatenate([np.repeat(fold, rows), np.full(len(solution.target) - readings, -1)])
     errors = np.empty(len(data.q))
     for index in range(folds):
-        train = row_fold != index
-        state = np.linalg.lstsq(solution.design[train], solution.target[train], rcond=None)[0]
-        test = ~train
-        left = (solution.target[test] - solution.design[test] @ state) / solution.weight[test[:readings]]
-        errors[fold == index] = np.sum(np.nan_to_num(left).reshape(-1, rows) ** 2, axis=1) / len(data.points)
+        is_left_out = row_fold == index
+        unknowns = np.linalg.lstsq(solution.design[~is_left_out], solution.target[~is_left_out], rcond=None)[0]
+        white_residual = solution.target[is_left_out] - solution.design[is_left_out] @ unknowns
+        residual = white_residual / solution.weight[is_left_out[:readings]]
+        # a point without readings has weight 0: 0/0
+        errors[fold == index] = np.sum(np.nan_to_num(residual).reshape(-1, rows) ** 2, axis=1) / len(data.points)
     return errors
 
 

@@ -407,7 +407,10 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
 
 
 def evidence_of(structure: Structure, values: Array, data: Measurements, placement: Placement) -> float:
-    """Return the log evidence of a structure near some values of its parameters."""
+    """Return the log evidence of a structure near some values (p,) of its parameters, SI.
+
+    :raises PostprocError: the springs have no equilibrium under a measured load.
+    """
     prior, columns = prior_of(structure), np.arange(len(structure.parameters))
     return learn(linearise(structure, values, data, placement), prior, columns).evidence
 
@@ -536,7 +539,7 @@ def _stacking_weights(equations: LinearEquations, members: Sequence[Member], row
     square = residual @ residual.T / residual.shape[1]
     size = np.trace(square) / len(square)
     rows = np.linalg.cholesky(square + 1e-9 * size * np.eye(len(square))).T
-    # a heavy equation "sum of the weights = 1"
+    # an equation "sum of the weights = 1", a thousand times as heavy as the errors; the sum is set to one afterwards
     sum_weight = np.sqrt(1e3 * size)
     matrix = np.vstack([rows, np.full(len(rows), sum_weight)])
     solution, _ = nnls(matrix, np.append(np.zeros(len(rows)), sum_weight), maxiter=1000)
@@ -563,37 +566,9 @@ def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurement
     is_constant = _is_constant_over_pose(mean.structure, spread)
     kept = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link) & ~is_constant)
     transform = projection(equations, kept, spread)
-    structure = replace(mean.structure, parameters=tuple(parameters[index] for index in kept))
-    displacement, _ = predict(structure, values[kept], data, placement)
-    residual = (measured_displacements(data, placement) - displacement) * visible(data)
-    whitening_matrices = whitening(data)
-    white_residual = whiten(whitening_matrices, residual).ravel()
-    weighted_fits = [
-        (weight, member.regression, member.regression.solve(equations)) for weight, member in mean.weighted_members
-    ]
-    dof = float(
-        sum(
-            weight * regression.degrees_of_freedom(equations, member_values)
-            for weight, regression, member_values in weighted_fits
-        )
-    )
-    influence = np.asarray(
-        sum(
-            weight * regression.influence(equations, member_values)
-            for weight, regression, member_values in weighted_fits
-        )
-    )
+    dof, influence = _effective_parameters(mean)
     wider = 2.0 * design_effect(equations, influence, held_out_residual) * posterior + jackknife
-    fit = Fit(
-        structure=structure,
-        values=values[kept],
-        covariance=transform @ posterior @ transform.T,
-        residual=residual,
-        chi2=float(white_residual @ white_residual),
-        dof=max(1, round(equations.count - dof)),
-        design=equations.design[:, kept],
-        target=equations.target,
-    )
+    fit = _fit_of(mean, kept, transform @ posterior @ transform.T, dof, data, placement)
     square_errors, table = equations.mean_squares(held_out_residual), _candidate_table(mean)
     is_narrower = np.sqrt(np.diag(posterior)) < _PRIOR_SHARE * spread
     left_out = held_out_residual.reshape(len(data.loaded_states), len(data.points), 3)
@@ -603,11 +578,51 @@ def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurement
         candidates=table,
         reason=_choice_reason(table, float(square_errors.mean())),
         held_out=square_errors,
-        left_out=unwhiten(whitening_matrices, left_out),
+        left_out=unwhiten(whitening(data), left_out),
         influence=transform @ influence,
         determined=dof,
         held_by_prior=tuple(parameters[index] for index in np.flatnonzero((spread > 0.0) & ~is_narrower)),
         evidence=solution.whole.evidence,
+    )
+
+
+def _effective_parameters(mean: Mean) -> tuple[float, Array]:
+    """Return the effective number of parameters of a mean, and its derivatives (p, rows) by the whitened readings.
+
+    Both are means over the structures by their weights.
+    """
+    equations = mean.equations
+    weighted_fits = [
+        (weight, member.regression, member.regression.solve(equations)) for weight, member in mean.weighted_members
+    ]
+    number = sum(
+        weight * regression.degrees_of_freedom(equations, values) for weight, regression, values in weighted_fits
+    )
+    influence = sum(weight * regression.influence(equations, values) for weight, regression, values in weighted_fits)
+    return float(number), np.asarray(influence)
+
+
+def _fit_of(mean: Mean, kept: Ints, covariance: Array, dof: float, data: Measurements, placement: Placement) -> Fit:
+    """Return a mean as a fit of some of its parameters; the others are zero.
+
+    :param kept: (k,) their indices.
+    :param covariance: (k, k) of them [SI].
+    :param dof: effective number of parameters.
+    """
+    equations, values = mean.equations, mean.solve()[kept]
+    structure = replace(mean.structure, parameters=tuple(mean.structure.parameters[index] for index in kept))
+    displacement, _ = predict(structure, values, data, placement)
+    residual = (measured_displacements(data, placement) - displacement) * visible(data)
+    white_residual = whiten(whitening(data), residual).ravel()
+    return Fit(
+        structure=structure,
+        values=values,
+        covariance=covariance,
+        residual=residual,
+        chi2=float(white_residual @ white_residual),
+        dof=max(1, round(equations.count - dof)),
+        design=equations.design[:, kept],
+        target=equations.target,
     )
 
 
@@ -668,7 +683,7 @@ def projection(equations: LinearEquations, keep: Ints, spread: Array) -> Array:
     :param keep: (k,) indices of the kept parameters.
     :param spread: (p,) prior standard deviations: changes of kept parameters that are large against them are avoided.
     """
-    square = spread[keep, None] * equations.normal(np.arange(len(spread)))[0][keep]
+    square = spread[keep, None] * equations.normal(np.arange(len(spread))).square[keep]
     normal = square[:, keep] * spread[keep] + np.eye(len(keep))
     matrix = spread[keep, None] * np.linalg.solve(normal, square)
     matrix[:, keep] = np.eye(len(keep))

@@ -10,7 +10,7 @@ L·(cos q2, sin q2), and Eq. (3) holds for P0 = −(a_x, a_y): the spring is lon
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -151,11 +151,24 @@ class CompensatorGeometry(Struct, frozen=True, eq=False):
     warnings: tuple[str, ...]
 
 
-def joint_axis_radius(q2: Array, p1: Array) -> tuple[Array, Array, Array]:
-    """Return the circle of P1 about joint axis 2: L (...) [m], axes (..., 3, 3) and centre P2 (..., 3) [m].
+class JointCircle(NamedTuple):
+    """Circle of P1 about joint axis 2, in the tracker frame.
 
-    By Eq. (6) of Klimchik et al., with a transpose that is missing in print: the SVD is of Σ û p̂ᵀ. The axes of the
-    mechanism, x towards P1 at q2 = 0 and y towards P1 at +90°, are columns in the tracker frame, right-handed.
+    :param length: (...) L, its radius [m].
+    :param axes: (..., 3, 3) axes of the mechanism as columns, right-handed: x towards P1 at q2 = 0, y towards P1 at
+        +90°.
+    :param centre: (..., 3) P2 [m].
+    """
+
+    length: Array
+    axes: Array
+    centre: Array
+
+
+def joint_axis_radius(q2: Array, p1: Array) -> JointCircle:
+    """Return the circle of P1 about joint axis 2.
+
+    By Eq. (6) of Klimchik et al., with a transpose that is missing in print: the SVD is of Σ û p̂ᵀ.
 
     :param q2: (m,) angles of joint 2 [rad].
     :param p1: (..., m, 3) positions of P1 in the tracker frame [m].
@@ -166,10 +179,10 @@ def joint_axis_radius(q2: Array, p1: Array) -> tuple[Array, Array, Array]:
     left, _, right = np.linalg.svd(u_hat.T @ p_hat)
     left, right = left.swapaxes(-1, -2), right.swapaxes(-1, -2)
     signs = np.ones(left.shape[:-1])
-    signs[..., 2] = np.linalg.det(right @ left)
+    signs[..., 2] = np.linalg.det(right @ left)  # −1 where the product would be a reflection
     axes = (right * signs[..., None, :]) @ left
     length = np.sum(p_hat * (u_hat @ axes.swapaxes(-1, -2)), axis=(-2, -1)) / np.sum(u_hat**2)
-    return length, axes, mean - length[..., None] * (axes @ u.mean(axis=0))
+    return JointCircle(length, axes, mean - length[..., None] * (axes @ u.mean(axis=0)))
 
 
 def swivel_axis(p0: Array) -> tuple[Array, Array]:
@@ -403,7 +416,7 @@ def _unit_vectors(angle: Array) -> Array:
 
 
 def _circle_residuals(readings: MarkerReadings) -> tuple[Array, Array]:
-    """Return the residuals of the circle fits [m]: of P1 (m, 3); of other markers (k, m, 2), radial and axial."""
+    """Return the residuals of the circles [m]: of P1 (m, 3), and of the other markers (k, m, 2), radial and axial."""
     length, axes, centre_p2 = joint_axis_radius(readings.q2, readings.p1)
     residual_p1 = readings.p1 - centre_p2 - length * _unit_vectors(readings.q2) @ axes.T
     centre_p0, normal = swivel_axis(readings.p0)

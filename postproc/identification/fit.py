@@ -26,6 +26,7 @@ negative. The posterior covariance (DᵀD/φ + S⁻²)⁻¹ never exceeds S².
 from __future__ import annotations
 
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -235,6 +236,19 @@ _MEDIAN_OF_THREE = 1.538
 """Median length of a vector of three standard normal numbers."""
 
 
+class NormalEquations(NamedTuple):
+    """Sums over equations with design D, weights W and target y; of one set of equations, or of each of several.
+
+    :param square: (..., p, p) DᵀWD.
+    :param right: (..., p) DᵀWy.
+    :param square_sum: (...) yᵀWy.
+    """
+
+    square: Array
+    right: Array
+    square_sum: Array
+
+
 class LinearEquations(Struct, frozen=True, eq=False, dict=True):
     """Whitened equations design·values = target.
 
@@ -260,18 +274,18 @@ class LinearEquations(Struct, frozen=True, eq=False, dict=True):
         return int(np.count_nonzero(np.linalg.norm(self.design, axis=1) > 0.0))
 
     @cached_property
-    def by_configuration(self) -> tuple[Array, Array, Array]:
-        """DᵀWD (C, p, p), DᵀWy (C, p) and yᵀWy (C,) of each configuration: D design, W weights, y target."""
+    def by_configuration(self) -> NormalEquations:
+        """The normal equations of each configuration: (C, p, p), (C, p) and (C,)."""
         product = self.design * self.weight[:, None]
         masks = [self.config == index for index in range(self.configs)]
-        return (
+        return NormalEquations(
             np.array([product[rows].T @ self.design[rows] for rows in masks]),
             np.array([product[rows].T @ self.target[rows] for rows in masks]),
             np.array([float(self.weight[rows] @ self.target[rows] ** 2) for rows in masks]),
         )
 
-    def normal(self, columns: Ints, excluded_configs: Ints | None = None) -> tuple[Array, Array, float]:
-        """Return DᵀWD (n, n), DᵀWy (n,) and yᵀWy of n parameters: D design, W weights, y target.
+    def normal(self, columns: Ints, excluded_configs: Ints | None = None) -> NormalEquations:
+        """Return the normal equations of n parameters: (n, n), (n,) and ().
 
         :param columns: (n,) indices of these parameters.
         :param excluded_configs: configurations to leave out.
@@ -282,14 +296,14 @@ class LinearEquations(Struct, frozen=True, eq=False, dict=True):
                 part[excluded_configs].sum(axis=0) for part in self.by_configuration
             )
             square, right = square - excluded_square, right - excluded_right
-            square_sum = square_sum - float(excluded_square_sum)
-        return square[np.ix_(columns, columns)], right[columns], square_sum
+            square_sum = square_sum - excluded_square_sum
+        return NormalEquations(square[np.ix_(columns, columns)], right[columns], square_sum)
 
     @cached_property
-    def _sum(self) -> tuple[Array, Array, float]:
-        """DᵀWD (p, p), DᵀWy (p,) and yᵀWy of all configurations together."""
+    def _sum(self) -> NormalEquations:
+        """The normal equations of all configurations together: (p, p), (p,) and ()."""
         square, right, square_sum = self.by_configuration
-        return square.sum(axis=0), right.sum(axis=0), float(square_sum.sum())
+        return NormalEquations(square.sum(axis=0), right.sum(axis=0), np.asarray(square_sum.sum()))
 
     def residual(self, values: Array, rows: Array | slice = slice(None)) -> Array:
         """Return the residuals target − design·values of some rows, all by default; `values` (p,), SI."""
@@ -317,15 +331,22 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
         )
     design = whiten(whitening_matrices, slopes).reshape(-1, len(values))
     white_residual = whiten(whitening_matrices, (displacement - prediction) * visible(data))
-    size = np.linalg.norm(white_residual, axis=2)  # of the residual of each point
-    usual_size = float(np.median(size[size > 0.0])) / _MEDIAN_OF_THREE if np.any(size > 0.0) else 1.0
-    # 1e-300 keeps zero out of the denominator
-    weight = np.minimum(1.0, _HUBER * max(usual_size, 1e-12) / np.maximum(size, 1e-300))
+    weight = _robust_weights(np.linalg.norm(white_residual, axis=2))
     is_visible = np.repeat((visible(data)[..., 0] > 0.0).ravel(), 3)
     config = np.repeat(data.state_config[data.loaded_states], 3 * len(data.points))
     design = design * is_visible[:, None]
     target = white_residual.ravel() + design @ values
     return LinearEquations(design, target, config, np.repeat(weight.ravel(), 3))
+
+
+def _robust_weights(size: Array) -> Array:
+    """Return the weights (L, P) of points by the sizes (L, P) of their whitened residuals: less than 1 for gross ones.
+
+    Source: Huber, "Robust estimation of a location parameter", 1964. The usual size comes from the median.
+    """
+    usual_size = float(np.median(size[size > 0.0])) / _MEDIAN_OF_THREE if np.any(size > 0.0) else 1.0
+    # 1e-300 keeps zero out of the denominator
+    return np.minimum(1.0, _HUBER * max(usual_size, 1e-12) / np.maximum(size, 1e-300))
 
 
 _LEAST_COMPLIANCE = 1e-9
@@ -511,7 +532,10 @@ class Regression(Struct, frozen=True, eq=False):
         return float(len(active) - np.trace(np.linalg.inv(normal[np.ix_(active, active)])))
 
     def _normal(self, equations: LinearEquations, excluded_configs: Ints | None = None) -> tuple[Array, Array]:
-        """Return the normal equations (n, n), (n,) for the values divided by their prior standard deviation."""
+        """Return the normal equations, readings and prior together, for values over their prior standard deviation.
+
+        :returns: (n, n) matrix and (n,) right side.
+        """
         square, right, _ = equations.normal(self.columns, excluded_configs)
         normal = square * np.outer(self.spread, self.spread) / self.noise + np.eye(len(self.columns))
         return normal, right * self.spread / self.noise + self.mean / self.spread
@@ -531,9 +555,9 @@ def learn(equations: LinearEquations, prior: Prior, columns: Ints) -> Regression
     size, mean = prior.size[columns], prior.mean[columns]
     kinds = [name for index, name in enumerate(prior.kinds) if (prior.kind[columns] == index).any()]
     members = [np.flatnonzero(prior.kind[columns] == prior.kinds.index(name)) for name in kinds]
-    square, right, square_sum = equations.normal(columns)
+    square, right, target_square = equations.normal(columns)
     # normal equations for the deviations from the mean, in units of the sizes
-    square_sum = square_sum - 2.0 * float(mean @ right) + float(mean @ square @ mean)
+    square_sum = float(target_square) - 2.0 * float(mean @ right) + float(mean @ square @ mean)
     right = (right - square @ mean) * size
     square = square * np.outer(size, size)
     count = equations.count
@@ -551,15 +575,17 @@ def learn(equations: LinearEquations, prior: Prior, columns: Ints) -> Regression
         return factor
 
     def cost(logs: Array) -> tuple[float, Array]:
-        """Return −log evidence, up to a constant, and its derivatives by the logarithms of factors and φ."""
+        """Return −log evidence, up to a constant, and its derivatives by the logarithms of factors and φ.
+
+        :param logs: natural logarithms of the factors of the kinds, and of φ.
+        """
         factor, noise = factors(logs), float(np.exp(logs[-1]))
         normal = np.eye(len(columns)) + factor[:, None] * square * factor / noise
         lower = np.linalg.cholesky(normal)
         inverse = np.linalg.inv(normal)
         values = inverse @ (factor * right) / noise
-        residual_sum = (
-            square_sum - 2.0 * float(factor * values @ right) + float((factor * values) @ square @ (factor * values))
-        )
+        scaled = factor * values
+        residual_sum = square_sum - 2.0 * float(scaled @ right) + float(scaled @ square @ scaled)
         value = 0.5 * (residual_sum / noise + values @ values + count * logs[-1]) + float(np.log(np.diag(lower)).sum())
         information_share = 1.0 - np.diag(inverse)  # of the readings in what is known of each parameter
         slope = [float((information_share[rows] - values[rows] ** 2).sum()) for rows in members]

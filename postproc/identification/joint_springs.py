@@ -309,18 +309,19 @@ def compensator_from_levels(levels: Levels, law: Compensator) -> SpringOfJoint2 
     # singular but for rounding
     if np.linalg.cond(normal * np.outer(scale, scale)) > 1e12:
         return None
-    inverse: Array = np.asarray(np.linalg.inv(normal))
-    return SpringOfJoint2(inverse @ design.T @ weight @ stiffness, inverse)
+    spring_covariance: Array = np.asarray(np.linalg.inv(normal))
+    return SpringOfJoint2(spring_covariance @ design.T @ weight @ stiffness, spring_covariance)
 
 
 def fit_joints(
     robot: RobotModel, data: Measurements, placement: Placement, start: SpringOfJoint2 | None
 ) -> tuple[Fit, list[UnobservableParameter]]:
-    """Return the fit of k1…k6, and K_c and s₀ of a compensator, and the parameters that the readings do not determine.
+    """Fit k1…k6, and K_c and s₀ of a compensator, omitting what the readings do not determine.
 
-    These are omitted from the fit one after the other, the worst first: the robot's values are kept for them.
+    Parameters are omitted one after the other, the worst first: the robot's values are kept for them.
 
     :param start: gear and compensator of joint 2 to begin with; None: those of the robot.
+    :returns: the fit of the others; the parameters that are omitted.
     :raises MeasurementError: there are fewer readings than unknowns, or they determine none of the compliances.
     """
     parameters: list[Parameter] = [*JOINT_COMPLIANCES, *(COMPENSATOR if robot.compensator is not None else ())]
@@ -332,15 +333,11 @@ def fit_joints(
             advice="Measure more configurations or points: 15 configurations of 3 points are usual.",
         )
     open_entries: list[UnobservableParameter] = []
-    is_first_fit, is_prior_refuted = True, False
+    is_prior_refuted = False
     while True:
         structure = Structure(tuple(parameters), robot)
-        values = structure.start()
-        if is_first_fit and start is not None and CompensatorStiffness() in parameters and start.values[0] > 0.0:
-            # all parameters are there: k1 … k6, then K_c and s₀·K_c
-            gear_stiffness, spring_stiffness, preload = start.values
-            values[1], values[6], values[7] = 1.0 / gear_stiffness, spring_stiffness, preload
-        fit = _attempt(structure, data, placement, values)
+        fit = _attempt(structure, data, placement, _start_values(structure, start))
+        start = None  # of the first fit only
         unobservable = not_observable(fit, data)
         if (
             unobservable
@@ -357,11 +354,24 @@ def fit_joints(
         else:
             parameters.remove(worst.parameter)
             open_entries.append(worst)
-        is_first_fit = False
         if not parameters:
             raise MeasurementError(
                 "none of the compliances can be determined", file=data.file, advice=open_entries[0].advice
             )
+
+
+def _start_values(structure: Structure, start: SpringOfJoint2 | None) -> Array:
+    """Return start values (p,) of a fit, SI: those of the robot, and for joint 2 and its compensator those of `start`.
+
+    :param structure: with k2 if it has K_c.
+    :param start: gear and compensator of joint 2; None, or a gear without stiffness: those of the robot.
+    """
+    values = structure.start()
+    if start is not None and CompensatorStiffness() in structure.parameters and start.values[0] > 0.0:
+        gear_stiffness, spring_stiffness, preload = start.values
+        rows = [structure.parameters.index(parameter) for parameter in (JOINT_COMPLIANCES[1], *COMPENSATOR)]
+        values[rows] = 1.0 / gear_stiffness, spring_stiffness, preload
+    return values
 
 
 def _refutes_prior_spring(fit: Fit, data: Measurements, placement: Placement) -> bool:
@@ -387,7 +397,7 @@ def _attempt(structure: Structure, data: Measurements, placement: Placement, val
 
 
 def flange_displacements(data: Measurements, placement: Placement) -> Array:
-    """Return displacements (L, 6) of the load point: position [m], rotation [rad], root axes.
+    """Return measured displacements (L, 6) of the load point by the loads: position [m], rotation [rad], root axes.
 
     NaN for a loaded state with fewer than three points that have readings with and without load.
 
@@ -427,14 +437,7 @@ def fit_serial(robot: RobotModel, data: Measurements, placement: Placement) -> F
     serial_robot = replace(robot, compensator=None)
     displacement = flange_displacements(data, placement)
     has_displacement = np.isfinite(displacement).all(axis=1)
-    tool = np.eye(4)
-    tool[:3, 3] = data.load_point
-    config = data.state_config[data.loaded_states]
-    x = elastostatics.coordinates(serial_robot, data.q[config])
-    _, jacobian = kinematics.tcp(serial_robot.actual, x, tool)
-    jacobian = jacobian[:, :, list(serial_robot.actuated)]
-    torque = np.einsum("lij,li->lj", jacobian, data.wrench[data.loaded_states])
-    design = (jacobian * torque[:, None])[has_displacement].reshape(-1, 6)
+    design = _twists_by_compliance(serial_robot, data)[has_displacement].reshape(-1, 6)
     target = displacement[has_displacement].ravel()
     if len(target) <= 6:
         raise MeasurementError(
@@ -449,6 +452,27 @@ def fit_serial(robot: RobotModel, data: Measurements, placement: Placement) -> F
     sigma = np.sqrt(float(pose_residual @ pose_residual) / (len(target) - 6))
     structure = Structure(JOINT_COMPLIANCES, serial_robot)
     covariance = covariance_of(design / sigma, structure.usual())
+    return _fit_of_points(structure, values, covariance, data, placement)
+
+
+def _twists_by_compliance(robot: RobotModel, data: Measurements) -> Array:
+    """Return the twists (L, 6, 6) of the load point per unit of each joint compliance, J_k·τ_k, at first order."""
+    tool = np.eye(4)
+    tool[:3, 3] = data.load_point
+    x = elastostatics.coordinates(robot, data.q[data.state_config[data.loaded_states]])
+    _, jacobian = kinematics.tcp(robot.actual, x, tool)
+    jacobian = jacobian[:, :, list(robot.actuated)]
+    torque = np.einsum("lij,li->lj", jacobian, data.wrench[data.loaded_states])
+    return np.asarray(jacobian * torque[:, None])
+
+
+def _fit_of_points(
+    structure: Structure, values: Array, covariance: Array, data: Measurements, placement: Placement
+) -> Fit:
+    """Return joint compliances that were fitted to poses as a fit, with the residuals of the points.
+
+    :param values: (6,) compliances [rad/(N·m)], and `covariance` (6, 6) of them.
+    """
     # no equilibrium without stiffness: compliances are at least 1e-9 rad/(N·m) in the prediction of the points
     prediction, slopes = predict(structure, np.maximum(values, 1e-9), data, placement)
     residual = (measured_displacements(data, placement) - prediction) * visible(data)

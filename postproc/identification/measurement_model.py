@@ -312,8 +312,10 @@ class Structure(Struct, frozen=True, eq=False, dict=True):
 
 
 def predict(structure: Structure, values: Array, data: Measurements, placement: Placement) -> tuple[Array, Array]:
-    """Return displacements of the points (L, P, 3) [m] in root axes and their derivatives (L, P, 3, p).
+    """Return the displacements of the points by the loads, and their derivatives by the parameters.
 
+    :param values: (p,) SI.
+    :returns: (L, P, 3) displacements in root axes [m]; (L, P, 3, p) derivatives per SI unit.
     :raises NotConvergedError: the springs have no equilibrium under a load; the message names it.
     """
     config = data.state_config[data.loaded_states]
@@ -341,7 +343,7 @@ def predict(structure: Structure, values: Array, data: Measurements, placement: 
 def _predict(
     structure: Structure, robot: RobotModel, active: list[int], states: Ints, data: Measurements, placement: Placement
 ) -> tuple[Array, Array]:
-    """Return the displacements (n, P, 3) [m] of the points in root axes, and their derivatives (n, P, 3, a).
+    """Return the displacements (n, P, 3) [m] of the points in root axes, and derivatives (n, P, 3, a) per SI unit.
 
     :param robot: with the values of the parameters.
     :param active: indices of the a parameters for derivatives.
@@ -380,7 +382,13 @@ def _point_motions(pose: Array, twist: Array, lever: Array) -> tuple[Array, Arra
 def _equilibrium(
     structure: Structure, robot: RobotModel, active: list[int], q: Array, tool: Array, wrench: Array
 ) -> tuple[Array, Array]:
-    """Return the pose (L, 4, 4) of the load point under load and its derivative (L, 6, p), a twist per parameter."""
+    """Return the pose (L, 4, 4) [m] of the load point under load, and twists (L, 6, a) [m, rad] of it per parameter.
+
+    :param active: indices of the a parameters.
+    :param q: (L, 6) joint angles [rad]; `wrench` (L, 6) at the load point, root axes [N, N·m].
+    :param tool: (4, 4) the load point in the flange frame [m].
+    :raises NotConvergedError: the springs have no equilibrium.
+    """
     parameters = [structure.parameters[index] for index in active]
     deflection, twist = elastostatics.deflection_by_parameter(robot, q, tool, wrench, parameters)
     return deflection.pose, twist

@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -55,14 +55,16 @@ _COMMENT = f"Written by `postproc identify`. Units are in the names; every entry
 
 
 def model_file(result: Identification, prior: ModelFile, source: str, geometry_source: str | None) -> ModelFile:
-    """Return the content of `model.toml`: identified values with intervals, the prior's where none was identified."""
+    """Return the content of `model.toml`: identified values with intervals, the prior's where none was identified.
+
+    :param source: of the identified values, in words.
+    :param geometry_source: of the compensator's geometry if it was identified from markers, else None.
+    :raises MeasurementError: the readings do not determine the values in units of the file.
+    """
     parameters, values, covariance = to_file_units(result.fit)
-    half = NORMAL_95 * np.sqrt(np.diag(covariance))
+    half_widths = NORMAL_95 * np.sqrt(np.diag(covariance))
+    tables = _parameter_tables(parameters, values, half_widths, source)
     unknown = {entry.parameter for entry in result.missing}
-    tables: dict[str, Any] = {"joints": {}, "links": {}, "compensator": {}, "masses": {}}
-    for parameter, value, reach in zip(parameters, values.tolist(), half.tolist(), strict=True):
-        if value > 0.0 or not parameter.sparse:  # a part of a gear that is zero is in [covariance] alone
-            parameter.write(tables, value, reach, source)
     observable_tables = {
         joint.joint: tables["joints"][joint.joint]
         for joint in JOINT_COMPLIANCES
@@ -101,6 +103,20 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         geometry_nominal=prior.geometry_nominal,
         speeds=prior.speeds,
     )
+
+
+def _parameter_tables(
+    parameters: Sequence[Parameter], values: Array, half_widths: Array, source: str
+) -> dict[str, Any]:
+    """Return the tables of `model.toml` that hold identified parameters: name → content, empty without parameters.
+
+    :param values: (p,) in units of the file, and `half_widths` (p,) of their 95 % intervals.
+    """
+    tables: dict[str, Any] = {"joints": {}, "links": {}, "compensator": {}, "masses": {}}
+    for parameter, value, half_width in zip(parameters, values.tolist(), half_widths.tolist(), strict=True):
+        if value > 0.0 or not parameter.sparse:  # a part of a gear that is zero is in [covariance] alone
+            parameter.write(tables, value, half_width, source)
+    return tables
 
 
 def _joint_springs(tables: Mapping[str, dict[str, Any]], prior: ModelFile, source: str) -> dict[str, JointSpring]:
@@ -362,47 +378,44 @@ def _states(data: Measurements) -> list[record.State]:
 
 
 def _entries_of(result: Identification, values: dict[Parameter, tuple[float, float]]) -> dict[str, record.Parameter]:
-    """Return the parameters of `identification.json`: k1…k6, K⁰_θ2, K_c, s₀ always, the others if identified."""
+    """Return the parameters of `identification.json`: k1…k6, K⁰_θ2, K_c, s₀ always, the others if identified.
+
+    :param values: identified parameter → value and half width of its 95 % interval, in units of files.
+    """
     prior, unknown = result.prior, {entry.parameter for entry in result.missing}
     springs = COMPENSATOR if prior.compensator is not None else ()
     of_prior: dict[Parameter, float] = {p: prior.value(p) for p in (*JOINT_COMPLIANCES, *springs)} | dict(prior.terms)
     prior_mean = {p: prior.value(p) for p in values if np.isfinite(prior.prior_sigma(p))}
     standard = (*JOINT_COMPLIANCES, *(springs if result.fit.structure.prior.compensator is not None else ()))
     entries: dict[str, record.Parameter] = {}
-
-    def put(
-        name: str, value: tuple[float, float] | None, unit: str, prior_value: float | None, source: str | None = None
-    ) -> None:
-        """Add a parameter.
-
-        :param value: with its u95; None: the data do not show it, and it has the value of the prior.
-        """
-        if value is None:
-            entries[name] = record.Parameter(
-                prior_value, None, unit, observable=False, prior=prior_value, source="prior"
-            )
-        else:
-            is_determined = bool(value[1] <= value[0])
-            entries[name] = record.Parameter(*value, unit, True, is_determined, prior_value, source)
-
     for parameter in dict.fromkeys((*standard, *values)):
         value = None if parameter in unknown else values.get(parameter)
-        prior_value = (
-            parameter.file_value(of_prior | prior_mean)[0] if parameter in standard or parameter in prior_mean else None
-        )
-        put(
-            parameter.name,
-            value,
-            parameter.unit,
-            prior_value,
-            record.ABOUT_THE_PRIOR if parameter in prior_mean else None,
-        )
+        prior_value = None
+        if parameter in standard or parameter in prior_mean:
+            prior_value, _ = parameter.file_value(of_prior | prior_mean)
+        source = record.ABOUT_THE_PRIOR if parameter in prior_mean else None
+        entries[parameter.name] = _entry(value, parameter.unit, prior_value, source)
         if parameter == JOINT_COMPLIANCES[-1]:
             k2 = entries[JOINT_COMPLIANCES[1].name]
             if k2.value is not None and k2.prior is not None:
-                reach = None if k2.ci95 is None else (PER_URAD / k2.value, PER_URAD * k2.ci95 / k2.value**2)
-                put("K_theta2_0", reach, "N·m/rad", PER_URAD / k2.prior)
+                stiffness = None if k2.ci95 is None else (PER_URAD / k2.value, PER_URAD * k2.ci95 / k2.value**2)
+                entries["K_theta2_0"] = _entry(stiffness, "N·m/rad", PER_URAD / k2.prior)
     return entries
+
+
+def _entry(
+    value: tuple[float, float] | None, unit: str, prior_value: float | None, source: str | None = None
+) -> record.Parameter:
+    """Return the entry of a parameter.
+
+    :param value: with the half width of its 95 % interval; None: the readings do not show it, and it has the value of
+        the prior.
+    :param prior_value: None if the prior does not have it.
+    """
+    if value is None:
+        return record.Parameter(prior_value, None, unit, observable=False, prior=prior_value, source="prior")
+    size, half_width = value
+    return record.Parameter(size, half_width, unit, True, bool(half_width <= size), prior_value, source)
 
 
 def _k2_curve(result: Identification) -> list[tuple[float, float]]:
@@ -413,16 +426,16 @@ def _k2_curve(result: Identification) -> list[tuple[float, float]]:
     q2 = np.linspace(result.levels.q2.min(), result.levels.q2.max(), 41)
     stiffness = 1.0 / model.compliance[model.actuated[1]]
     spring_stiffness = np.zeros_like(q2) if model.compensator is None else model.compensator.stiffness_about_joint(q2)
-    return [
-        (float(a), float(c)) for a, c in zip(q2 * DEG_PER_RAD, PER_URAD / (stiffness + spring_stiffness), strict=True)
-    ]
+    compliance = PER_URAD / (stiffness + spring_stiffness)
+    return list(zip((q2 * DEG_PER_RAD).tolist(), compliance.tolist(), strict=True))
 
 
 def _correlation(covariance: Array) -> list[list[float]]:
-    """Return the correlations of a covariance; 0 for what has no variance."""
-    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    safe = np.where(deviation > 0.0, deviation, 1.0)
-    return [[round(float(v), 4) for v in row] for row in covariance / np.outer(safe, safe)]
+    """Return the correlations (p, p) of a covariance (p, p), to four decimals; 0 for parameters without variance."""
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    divisor = np.where(sigma > 0.0, sigma, 1.0)
+    correlation = covariance / np.outer(divisor, divisor)
+    return [[round(value, 4) for value in row] for row in correlation.tolist()]
 
 
 _UNCERTAIN_NOTE = "   (not determined: the interval is larger than the value)"
@@ -457,7 +470,10 @@ class IdentifiedFolder(Struct, frozen=True, eq=False):
 
 
 def with_compensator_geometry(robot: RobotModel, path: Path) -> RobotModel:
-    """Return the robot with L, a_x, a_y from a file of `identify compensator`."""
+    """Return the robot with L, a_x, a_y from a file of `identify compensator`; the spring is that of the robot.
+
+    :raises MeasurementError: the file is unusable.
+    """
     length, ax, ay = compensator_geometry.load(path)
     old = robot.compensator
     law = Compensator(
@@ -470,12 +486,29 @@ def with_compensator_geometry(robot: RobotModel, path: Path) -> RobotModel:
     return replace(robot, compensator=law)
 
 
-def starting_robot(setup: Experiment, experiment: Path) -> tuple[Path, ModelFile, RobotModel]:
-    """Return folder, content of `model.toml` and model of the robot where the search starts, with the payload."""
+class StartingRobot(NamedTuple):
+    """The robot where the search starts, with the payload of the experiment and without springs that are not linear.
+
+    :param folder: of its model.
+    :param content: of its `model.toml`.
+    :param model: built from it.
+    """
+
+    folder: Path
+    content: ModelFile
+    model: RobotModel
+
+
+def starting_robot(setup: Experiment, experiment: Path) -> StartingRobot:
+    """Return the robot that an experiment names, as the search starts from it.
+
+    :param experiment: path of `experiment.toml`: paths in it are relative to its folder.
+    :raises ModelError: there is no such robot, or its model is wrong.
+    """
     folder = robots.find(setup.robot, experiment.parent)
     stored_robot = robots.load(folder)
     content = constant_springs_only(read_prior(folder, setup.payload, experiment.name))
-    return folder, content, robots.assemble(stored_robot.name, content, stored_robot.nominal)
+    return StartingRobot(folder, content, robots.assemble(stored_robot.name, content, stored_robot.nominal))
 
 
 def identify_folder(

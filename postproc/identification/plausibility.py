@@ -10,6 +10,7 @@ Hysteresis: loads that are applied on the way up and again on the way down show 
 from __future__ import annotations
 
 from itertools import permutations
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -32,128 +33,184 @@ from postproc.identification.measurement_model import (
 )
 from postproc.identification.outlying_configuration import check_configurations
 from postproc.identification.readings import Measurements
-from postproc.program import Ints
+from postproc.program import Bools, Ints
 from postproc.robot import JOINT_COMPLIANCES, JOINTS, RobotModel
 
 _GROSS = 6.0
 """Standard deviations beyond which a reading counts as a gross error."""
+_DISTANCE = 1.5
+"""Distance of a reading from others over the noise of one coordinate, about: three coordinates (assumed)."""
+_LARGEST_OF_MANY = 1.3
+"""Factor on the limit for the largest of all residuals, of points with three coordinates (assumed)."""
+_MEDIAN_SIZE = 0.6745
+"""Median size of a standard normal number."""
 
 
-def check_placement(robot: RobotModel, data: Measurements) -> tuple[Measurements, Placement, list[str]]:
+class CheckedPlacement(NamedTuple):
+    """Readings that were checked, and where they are.
+
+    :param data: readings without gross errors.
+    :param placement: frame of the device and points on the flange.
+    :param outliers: a sentence for each reading that was left out.
+    """
+
+    data: Measurements
+    placement: Placement
+    outliers: list[str]
+
+
+def check_placement(robot: RobotModel, data: Measurements) -> CheckedPlacement:
     """Check points and frames of readings before anything is fitted to them.
 
-    :returns: the readings without gross errors, the placement, and a line for each reading that was left out.
     :raises MeasurementError: the readings are unusable.
     """
     check_points(data)
     data, outliers = remove_gross_errors(data)  # one would spoil the means that are judged next
-    return data, check_frames(robot, data), outliers
+    return CheckedPlacement(data, check_frames(robot, data), outliers)
 
 
 def remove_gross_errors(data: Measurements) -> tuple[Measurements, list[str]]:
-    """Return the measurements without readings that contradict their repeats or the rigid body, and a line for each."""
-    lines: list[str] = []
+    """Remove readings that contradict their repeats or the rigid body.
+
+    :returns: the measurements without them; a sentence for each.
+    """
     sigma = max(data.sigma, _robust_sigma(data))
-    faulty_rows: list[int] = []
-    for state in range(len(data.load)):
-        for point in range(len(data.points)):
-            rows = np.flatnonzero((data.state == state) & (data.point == point))
-            if len(rows) < 3:
-                continue
-            distances = np.linalg.norm(data.position[rows] - np.median(data.position[rows], axis=0), axis=1)
-            outlier_rows = rows[distances > _GROSS * 1.5 * sigma]
-            if 0 < len(outlier_rows) < 0.5 * len(rows):
-                faulty_rows += outlier_rows.tolist()
-                lines += [
-                    f"{data.name(int(row))} is {distance * MM_PER_M:.2f} mm from its repeats: left out"
-                    for row, distance in zip(outlier_rows, distances[distances > _GROSS * 1.5 * sigma], strict=True)
-                ]
+    faulty_rows, sentences = _off_repeats(data, sigma)
     data = data.drop(faulty_rows)
     if len(data.points) >= 3:
-        faulty_rows, names = _rigid_body(data, sigma)
-        data, lines = data.drop(faulty_rows), lines + names
-    return data, lines
+        faulty_rows, body_sentences = _rigid_body(data, sigma)
+        data, sentences = data.drop(faulty_rows), sentences + body_sentences
+    return data, sentences
+
+
+def _off_repeats(data: Measurements, sigma: float) -> tuple[list[int], list[str]]:
+    """Return the rows of readings that are far from most of their three or more repeats, and a sentence for each.
+
+    :param sigma: noise of one coordinate [m].
+    """
+    faulty_rows: list[int] = []
+    sentences: list[str] = []
+    for state, point in np.ndindex(len(data.load), len(data.points)):
+        rows = np.flatnonzero((data.state == state) & (data.point == point))
+        if len(rows) < 3:
+            continue
+        distances = np.linalg.norm(data.position[rows] - np.median(data.position[rows], axis=0), axis=1)
+        is_outlier = distances > _GROSS * _DISTANCE * sigma
+        if 0 < np.count_nonzero(is_outlier) < 0.5 * len(rows):
+            faulty_rows += rows[is_outlier].tolist()
+            sentences += [
+                f"{data.name(int(row))} is {distance * MM_PER_M:.2f} mm from its repeats: left out"
+                for row, distance in zip(rows[is_outlier], distances[is_outlier], strict=True)
+            ]
+    return faulty_rows, sentences
 
 
 def _robust_sigma(data: Measurements) -> float:
-    """Return the noise of one coordinate from the repeats, insensitive to outliers [m]."""
+    """Return the noise of one coordinate from the repeats, insensitive to outliers [m]; 0 without repeats."""
     mean, count = data.means()
     has_repeats = count[data.state, data.point] >= 2
     if not has_repeats.any():
         return 0.0
-    left = (data.position - mean[data.state, data.point])[has_repeats]
-    shrink = np.sqrt(1.0 - 1.0 / np.median(count[count >= 2]))
-    return float(np.median(np.abs(left)) / 0.6745 / shrink)
+    deviation = (data.position - mean[data.state, data.point])[has_repeats]
+    # n repeats deviate from their mean by less than from the true value
+    shrinkage = np.sqrt(1.0 - 1.0 / np.median(count[count >= 2]))
+    return float(np.median(np.abs(deviation)) / _MEDIAN_SIZE / shrinkage)
 
 
 def _rigid_body(data: Measurements, sigma: float) -> tuple[list[int], list[str]]:
-    """Return readings with wrong distances to the other points of their set, if the others agree; and a line for
-    each.
+    """Return the rows of readings whose distances to the other points of their set are wrong, and a sentence for each.
+
+    Only one reading of a set can be told apart: the distances among the others must be right.
+
+    :param sigma: noise of one coordinate [m].
     """
-    faulty_rows, names = [], []
+    sets = _complete_sets(data)
+    if len(sets) < 3:
+        return [], []
+    faulty_rows, sentences = [], []
+    distances = np.array([_distances(data.position[rows]) for rows in sets])
+    errors = np.abs(distances - np.median(distances, axis=0))
+    limit = _GROSS * np.sqrt(2.0) * sigma  # a distance has the noise of two points
+    for rows, set_errors in zip(sets, errors, strict=True):
+        worst = int(np.argmax(set_errors.sum(axis=1)))
+        other_errors = np.delete(np.delete(set_errors, worst, axis=0), worst, axis=1)
+        if set_errors[worst].max() > limit and other_errors.max() <= limit:
+            row = int(rows[worst])
+            faulty_rows.append(row)
+            sentences.append(
+                f"{data.name(row)} is {set_errors[worst].max() * MM_PER_M:.2f} mm off in its distance to the other "
+                "points: left out"
+            )
+    return faulty_rows, sentences
+
+
+def _complete_sets(data: Measurements) -> list[Ints]:
+    """Return the rows (P,) of readings of each set (one state, one repeat) that has all P points, in their order."""
     sets = []
     for state in range(len(data.load)):
         for repeat in np.unique(data.repeat[data.state == state]):
             rows = np.flatnonzero((data.state == state) & (data.repeat == repeat) & data.used)
             if len(rows) == len(data.points):
                 sets.append(rows[np.argsort(data.point[rows])])
-    if len(sets) < 3:
-        return [], []
-    position = data.position[np.array(sets)]
-    distances = np.linalg.norm(position[:, :, None] - position[:, None], axis=3)
-    errors = np.abs(distances - np.median(distances, axis=0))
-    limit = _GROSS * np.sqrt(2.0) * sigma
-    for rows, set_errors in zip(sets, errors, strict=True):
-        fault_counts = (set_errors > limit).sum(axis=1)
-        worst = int(np.argmax(set_errors.sum(axis=1)))
-        other_errors = np.delete(np.delete(set_errors, worst, axis=0), worst, axis=1)
-        if fault_counts[worst] >= 1 and other_errors.max() <= limit:
-            row = int(rows[worst])
-            faulty_rows.append(row)
-            names.append(
-                f"{data.name(row)} is {set_errors[worst].max() * MM_PER_M:.2f} mm off in its distance to the other "
-                "points: left out"
-            )
-    return faulty_rows, names
+    return sets
 
 
 def remove_worst_residual(data: Measurements, placement: Placement, fit: Fit) -> tuple[Measurements, list[str]]:
-    """Return the measurements without the reading of the largest residual of a fit if it is a gross error, and its
-    line.
+    """Remove the reading with the largest residual of a fit if it is a gross error.
 
-    A residual is gross if it exceeds six standard deviations and six times what the others usually are. Whether the
-    loaded or the unloaded reading is wrong follows from the unloaded one's distance from the geometry.
+    A residual is gross if it exceeds six standard deviations and six times what the others usually are.
+
+    :returns: the measurements without it, or without all its repeats if they agree; a sentence for each.
     """
     white = whiten(whitening(data), fit.residual)
     size = np.linalg.norm(white, axis=2)
-    sigma = float(np.median(np.abs(white))) / 0.6745
-    row, point = np.unravel_index(int(np.argmax(size)), size.shape)
-    if size[row, point] <= _GROSS * max(1.0, sigma) * 1.3:
+    sigma = float(np.median(np.abs(white))) / _MEDIAN_SIZE
+    row, point = (int(index) for index in np.unravel_index(int(np.argmax(size)), size.shape))
+    limit = _GROSS * max(1.0, sigma)
+    if size[row, point] <= limit * _LARGEST_OF_MANY:
         return data, []
-    state = int(data.loaded_states[row])
-    config = int(data.state_config[state])
-    unloaded_state = int(data.unloaded_states[config])
-    deviation = placement.residual[:, point] - np.median(placement.residual[:, point], axis=0)
-    rest_error = float(np.linalg.norm(deviation[config]))
-    rest_usual = float(np.median(np.linalg.norm(deviation, axis=1)))
-    load_states = np.flatnonzero((data.state_config == config) & (data.load != 0))
-    is_common = len(load_states) > 1 and all(
-        size[np.flatnonzero(data.loaded_states == load_state)[0], point] > _GROSS * max(1.0, sigma)
-        for load_state in load_states
-    )
-    gross = float(np.linalg.norm(fit.residual[row, point]))
-    culprit = unloaded_state if is_common or rest_error > max(0.5 * gross, 3.0 * rest_usual) else state
-    candidates = np.flatnonzero((data.state == culprit) & (data.point == point) & data.used)
-    has_worst_repeat = _worst_repeat(data, candidates, fit.residual[row, point], placement, culprit == state)
-    names = [
-        f"{data.name(int(reading))} is {gross * MM_PER_M:.2f} mm from what the model predicts: left out"
-        for reading in has_worst_repeat
+    residual, state = fit.residual[row, point], int(data.loaded_states[row])
+    gross = float(np.linalg.norm(residual))
+    is_common = _is_common_to_loads(data, size[:, point] > limit, state)
+    is_unloaded_wrong = is_common or _is_unloaded_wrong(placement, int(data.state_config[state]), point, gross)
+    wrong_state = int(data.unloaded_states[data.state_config[state]]) if is_unloaded_wrong else state
+    candidates = np.flatnonzero((data.state == wrong_state) & (data.point == point) & data.used)
+    wrong_rows = _worst_repeat(data, candidates, residual, placement, not is_unloaded_wrong)
+    sentences = [
+        f"{data.name(reading)} is {gross * MM_PER_M:.2f} mm from what the model predicts: left out"
+        for reading in wrong_rows
     ]
-    return data.drop([int(reading) for reading in has_worst_repeat]), names
+    return data.drop(wrong_rows), sentences
+
+
+def _is_common_to_loads(data: Measurements, is_gross: Bools, state: int) -> bool:
+    """Return whether all loads of a state's configuration, of which there are several, have a gross residual.
+
+    :param is_gross: (L,) whether the residual of the point is gross in each loaded state.
+    """
+    is_of_config = data.state_config[data.loaded_states] == data.state_config[state]
+    return bool(np.count_nonzero(is_of_config) > 1 and is_gross[is_of_config].all())
+
+
+def _is_unloaded_wrong(placement: Placement, config: int, point: int, gross: float) -> bool:
+    """Return whether the reading of a point without load, rather than that with load, has a gross error.
+
+    It has if it is further off the geometry than half the error, and than three times what others are.
+
+    :param gross: size of the error [m].
+    """
+    deviation = placement.residual[:, point] - np.median(placement.residual[:, point], axis=0)
+    distance = np.linalg.norm(deviation, axis=1)
+    return bool(distance[config] > max(0.5 * gross, 3.0 * float(np.median(distance))))
 
 
 def _worst_repeat(data: Measurements, rows: Ints, residual: Array, placement: Placement, has_load: bool) -> list[int]:
-    """Return the repeats with the error: the one that deviates most in its direction, or all if they agree."""
+    """Return the repeats with the error: the one that deviates most in its direction, or all if they agree.
+
+    :param rows: of the readings of one point in one state, at least one.
+    :param residual: (3,) measured minus predicted displacement of the point, root axes [m].
+    :param has_load: whether the state is loaded: its error has the direction of the residual, else the opposite one.
+    """
     if len(rows) == 1:
         return [int(rows[0])]
     direction = placement.root_in_device[:3, :3] @ (residual / np.linalg.norm(residual)) * (1.0 if has_load else -1.0)
@@ -163,6 +220,8 @@ def _worst_repeat(data: Measurements, rows: Ints, residual: Array, placement: Pl
     return [int(row) for row in rows]
 
 
+_SWAPPED = 0.2
+"""Share of the change of distances that remains, at most, once swapped names are put right (assumed)."""
 _BODY = 2e-3
 """Change of the distance between two points of one rigid body [m] that exceeds any noise (assumed)."""
 _MAX_DISTANCE = 0.015
@@ -180,32 +239,23 @@ _KILOGRAMS = (6.0, 16.0)
 
 
 def check_points(data: Measurements) -> None:
-    """Refuse sets of readings (one state, one repeat) in which the names of two points are swapped.
+    """Check that no set of readings (one state, one repeat) fits only if the names of points are swapped.
 
-    :raises MeasurementError: names the rows.
+    :raises MeasurementError: one does; it names the points and the line of the set.
     """
     count = len(data.points)
-    if count < 2:
+    sets = _complete_sets(data)
+    if count < 2 or not sets:
         return
-    sets: dict[tuple[int, float], Ints] = {}
-    for state in range(len(data.load)):
-        for repeat in np.unique(data.repeat[data.state == state]):
-            rows = np.flatnonzero((data.state == state) & (data.repeat == repeat))
-            if len(rows) == count:
-                sets[state, float(repeat)] = rows[np.argsort(data.point[rows])]
-    if not sets:
-        return
-    distances = np.array([_distances(data.position[rows]) for rows in sets.values()])
+    distances = np.array([_distances(data.position[rows]) for rows in sets])
     median_distances = np.median(distances, axis=0)
-    for rows, set_distances in zip(sets.values(), distances, strict=True):
+    for rows, set_distances in zip(sets, distances, strict=True):
         largest_change = float(np.abs(set_distances - median_distances).max())
         if largest_change <= _BODY:
             continue
         for order in permutations(range(count)):
-            if (
-                list(order) != list(range(count))
-                and np.abs(set_distances[np.ix_(order, order)] - median_distances).max() < 0.2 * largest_change
-            ):
+            swapped_change = np.abs(set_distances[np.ix_(order, order)] - median_distances).max()
+            if list(order) != list(range(count)) and swapped_change < _SWAPPED * largest_change:
                 swapped_names = [data.points[index] for index in range(count) if order[index] != index]
                 raise MeasurementError(
                     f"{data.name(int(rows[0])).partition(': ')[2].rpartition(',')[0]}: the distances between the "
@@ -280,7 +330,7 @@ _SAME_SCALE = 0.2
 
 
 def _frame_change(robot: RobotModel, data: Measurements) -> int | None:
-    """Return the configuration from which on readings are best explained by another frame; None if none does.
+    """Return the row of the configuration from which on another frame explains the readings best; None if none does.
 
     After a small move several splits are within the limit: a configuration on the wrong side adds little to its part.
     """
@@ -296,7 +346,7 @@ def _frame_change(robot: RobotModel, data: Measurements) -> int | None:
 
 
 def _rms(robot: RobotModel, data: Measurements, rows: Ints) -> float:
-    """Return the residual RMS [m] of markers that are located by these configurations; inf: they cannot be."""
+    """Return the residual RMS [m] of the points if located by some rows of configurations; inf if they cannot be."""
     try:
         return locate(robot, data.take_configurations(rows)).rms
     except (PostprocError, np.linalg.LinAlgError):
@@ -380,21 +430,34 @@ def _check_single_loads(
 
 
 def displacement_ratio(robot: RobotModel, data: Measurements, placement: Placement) -> float:
-    """Return how many times as far as those of a robot the points moved, median over the loads."""
+    """Return the ratio of the measured displacements to those of a robot's joint springs, median over the loads."""
     displacement, prediction, _ = _visible_displacements(robot, data, placement)
     return float(np.median(_ratios(displacement, prediction)))
 
 
-def _visible_displacements(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Array, Array, Ints]:
-    """Return displacements (n, P, 3) [m], measured and of a robot's joint springs, and their rows of loaded states."""
-    structure, seen = Structure(JOINT_COMPLIANCES, robot), visible(data)
-    rows = np.flatnonzero(seen.any(axis=(1, 2)))
-    prediction = predict(structure, structure.start(), data, placement)[0] * seen
-    return measured_displacements(data, placement)[rows], prediction[rows], rows
+class _VisibleDisplacements(NamedTuple):
+    """Displacements of points in the n loaded states with readings; 0 for points without.
+
+    :param measured: (n, P, 3) root axes [m].
+    :param predicted: (n, P, 3) of the joint springs of a robot [m].
+    :param rows: (n,) of the loaded states.
+    """
+
+    measured: Array
+    predicted: Array
+    rows: Ints
+
+
+def _visible_displacements(robot: RobotModel, data: Measurements, placement: Placement) -> _VisibleDisplacements:
+    """Return measured displacements, and those of a robot's joint springs."""
+    structure, visibility = Structure(JOINT_COMPLIANCES, robot), visible(data)
+    rows = np.flatnonzero(visibility.any(axis=(1, 2)))
+    prediction, _ = predict(structure, structure.start(), data, placement)
+    return _VisibleDisplacements(measured_displacements(data, placement)[rows], (prediction * visibility)[rows], rows)
 
 
 def _ratios(displacement: Array, prediction: Array) -> Array:
-    """Return the ratios (n,) of displacements (n, P, 3) along predicted ones to these."""
+    """Return the ratios (n,) of displacements (n, P, 3) along predicted ones (n, P, 3) to these, by projection."""
     return np.asarray(np.sum(displacement * prediction, axis=(1, 2)) / np.sum(prediction**2, axis=(1, 2)))
 
 
@@ -418,44 +481,64 @@ _MIN_LOOP = 1e-5
 """Smallest half width of a loop [rad] that is reported (assumed)."""
 
 
-def loops(robot: RobotModel, data: Measurements, placement: Placement) -> list[str]:
-    """Return the hysteresis of each joint in sentences; none if no load was measured before and after a larger one."""
+def hysteresis_warnings(robot: RobotModel, data: Measurements, placement: Placement) -> list[str]:
+    """Return a sentence for each joint with hysteresis; none if no load was measured before and after a larger one.
+
+    Of the same load the displacement after a larger one differs from that before by twice the half width of each
+    joint's loop, in the direction of its torque. The half widths, which are ≥ 0, are found by least squares.
+    """
     from scipy.optimize import nnls
 
-    up, down_rows = load_loops(data)
-    if len(up) == 0:
+    before, after = load_loops(data)
+    if len(before) == 0:
         return []
     displacement, visibility = measured_displacements(data, placement), visible(data)[..., 0]
-    is_visible = (visibility[up] * visibility[down_rows]).astype(bool)
-    count = np.maximum(data.means()[1][data.loaded_states], 1.0)
-    noise = data.sigma * np.sqrt(1.0 / count[up] + 1.0 / count[down_rows])
-    torque = joint_torques(robot, data)
-    flank = np.sign(torque[up]) * (np.abs(torque[up]) > _TORQUE * np.abs(torque).max(axis=0))
-    x = elastostatics.coordinates(robot, data.q[data.state_config[data.loaded_states[up]]])
-    columns = np.empty((*is_visible.shape, 3, 6))
-    for index, point in enumerate(placement.points):
-        tool = np.eye(4)
-        tool[:3, 3] = point
-        jacobian = kinematics.tcp(robot.actual, x, tool)[1][:, :3, list(robot.actuated)]
-        columns[:, index] = jacobian * flank[:, None]
-    rows = (columns / noise[..., None, None])[is_visible].reshape(-1, 6)
-    target = ((displacement[down_rows] - displacement[up]) / noise[..., None])[is_visible].ravel()
-    scale = norm(rows.T)
+    is_visible = (visibility[before] * visibility[after]).astype(bool)
+    _, reading_counts = data.means()
+    count = np.maximum(reading_counts[data.loaded_states], 1.0)
+    noise = data.sigma * np.sqrt(1.0 / count[before] + 1.0 / count[after])
+    columns = _motions_by_loops(robot, data, placement, before)
+    design = (columns / noise[..., None, None])[is_visible].reshape(-1, 6)
+    target = ((displacement[after] - displacement[before]) / noise[..., None])[is_visible].ravel()
+    scale = norm(design.T)
     joints = np.flatnonzero(scale > 0.0)
-    solution, _ = nnls(rows[:, joints] / scale[joints], target)
-    inverse = np.linalg.pinv((rows[:, joints] / scale[joints]).T @ (rows[:, joints] / scale[joints]))
-    clear = solution > _CERTAIN * np.sqrt(np.diag(inverse))
-    half = 0.5 * solution / scale[joints]
+    scaled_design = design[:, joints] / scale[joints]
+    solution, _ = nnls(scaled_design, target)
+    variance = np.diag(np.linalg.pinv(scaled_design.T @ scaled_design))
+    is_certain = solution > _CERTAIN * np.sqrt(variance)
+    half_width = 0.5 * solution / scale[joints]
     return [
-        f"loads up and down differ: looks like {half[row] * MM_PER_M:.3f} mrad of backlash or friction in "
+        f"loads up and down differ: looks like {half_width[row] * MM_PER_M:.3f} mrad of backlash or friction in "
         f"{JOINTS[joint]}"
         for row, joint in enumerate(joints.tolist())
-        if clear[row] and half[row] > _MIN_LOOP
+        if is_certain[row] and half_width[row] > _MIN_LOOP
     ]
 
 
+def _motions_by_loops(robot: RobotModel, data: Measurements, placement: Placement, states: Ints) -> Array:
+    """Return the motions (n, P, 3, 6) of the points per radian of each joint in the direction of its torque [m/rad].
+
+    Zero for joints with so little torque that the flank of their gear is not known.
+
+    :param states: (n,) rows of the loaded states.
+    """
+    torque = joint_torques(robot, data)
+    direction = np.sign(torque[states]) * (np.abs(torque[states]) > _TORQUE * np.abs(torque).max(axis=0))
+    x = elastostatics.coordinates(robot, data.q[data.state_config[data.loaded_states[states]]])
+    motions = np.empty((len(states), len(placement.points), 3, 6))
+    for index, point in enumerate(placement.points):
+        tool = np.eye(4)
+        tool[:3, 3] = point
+        _, jacobian = kinematics.tcp(robot.actual, x, tool)
+        motions[:, index] = jacobian[:, :3, list(robot.actuated)] * direction[:, None]
+    return motions
+
+
 def load_loops(data: Measurements) -> tuple[Ints, Ints]:
-    """Return pairs of rows of the loaded states: the same load of a configuration before and after a larger one."""
+    """Return pairs of loaded states with the same load of a configuration, before and after a larger one.
+
+    :returns: (m,) rows of the loaded states before the larger load, and (m,) of those after it.
+    """
     load, config = data.wrench[data.loaded_states], data.state_config[data.loaded_states]
     number, size = data.load[data.loaded_states], norm(load)
     pairs = [
@@ -466,11 +549,16 @@ def load_loops(data: Measurements) -> tuple[Ints, Ints]:
         and norm(load[first] - load[second]) < _SAME_LOAD * size[first]
         and _has_larger_load(size, number, config, first, second)
     ]
-    up, down_rows = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    return up, down_rows
+    before, after = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    return before, after
 
 
 def _has_larger_load(size: Array, number: Array, config: Ints, first: int, second: int) -> bool:
-    """Return whether a larger load was applied between two states of a configuration."""
+    """Return whether a larger load was applied between two states of a configuration.
+
+    :param size: (L,) of the load of each loaded state [N, N·m], `number` (L,) of it, `config` (L,) row of its
+        configuration.
+    :param first: row of one state, and `second` of one after it.
+    """
     rows = (config == config[first]) & (number > number[first]) & (number < number[second])
     return bool((size[rows] > _LARGER * size[first]).any())

@@ -33,7 +33,7 @@ from postproc.identification.measurement_model import (
     measured_displacements,
 )
 from postproc.identification.moved_device import moved_device
-from postproc.identification.plausibility import check_loads, displacement_ratio, loops
+from postproc.identification.plausibility import check_loads, displacement_ratio, hysteresis_warnings
 from postproc.identification.readings import Measurements, gaps
 from postproc.identification.stated_loads import doubt_of_loads
 from postproc.identification.stated_points import displaced_points
@@ -156,7 +156,7 @@ def identify(
     workspace = over_workspace(_robot_with_bound(fit, model_error), data)
     judgement = judge(data, fit, choice, workspace, displacement_ratio(prior, data, placement))
     judgement = judgement.reserved(displaced_points(data, placement)).reserved(checked.doubt)
-    warnings += judgement.notes + loops(prior, data, placement)
+    warnings += judgement.notes + hysteresis_warnings(prior, data, placement)
     return Identification(
         method="enhanced",
         prior=prior,

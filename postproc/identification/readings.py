@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from postproc import files
 from postproc.cell import Frame, Length
 from postproc.errors import MeasurementError, choices, combined_error
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array
+from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array
 from postproc.program import WRENCH, Bools, Ints
 from postproc.robot import JOINTS
 
@@ -131,7 +131,10 @@ class Angles(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     A3_per_J2: Literal[-1, 0, 1] = 0
 
     def __post_init__(self) -> None:
-        """Refuse another number of signs than six."""
+        """Check that there are six signs.
+
+        :raises ValueError: there are not; the reader of the file names the place.
+        """
         if len(self.sign) != len(JOINTS):
             raise ValueError("[angles] sign needs six numbers, 1 or -1")
 
@@ -272,24 +275,21 @@ class Measurements(Struct, frozen=True, eq=False):
         return order
 
     def means(self) -> tuple[Array, Array]:
-        """Return mean positions (S, P, 3) [m] of the readings used (zero if none), and how many there are (S, P).
-
-        Sums are taken over one key for each pair of state and point.
-        """
-        shape = (len(self.load), len(self.points))
-        key = (self.state * shape[1] + self.point)[self.used]
-        count = np.bincount(key, minlength=shape[0] * shape[1]).astype(float)
+        """Return mean positions (S, P, 3) [m] of the readings used (zero if none), and how many there are (S, P)."""
+        states, points = len(self.load), len(self.points)
+        pair = (self.state * points + self.point)[self.used]  # row in the flattened table of states and points
+        count = np.bincount(pair, minlength=states * points).astype(float)
         total = np.stack(
-            [np.bincount(key, weights=self.position[self.used, axis], minlength=len(count)) for axis in range(3)]
+            [np.bincount(pair, weights=self.position[self.used, axis], minlength=len(count)) for axis in range(3)]
         )
         mean = (total / np.maximum(count, 1.0)).T
-        return mean.reshape(*shape, 3), count.reshape(shape)
+        return mean.reshape(states, points, 3), count.reshape(states, points)
 
     def scatter(self) -> tuple[float, int]:
         """Return the sum of squares of the repeats about their means [m²] and its degrees of freedom."""
         mean, count = self.means()
-        left = (self.position - mean[self.state, self.point])[self.used]
-        return float(np.sum(left**2)), int(3 * np.sum(np.maximum(count - 1, 0)))
+        deviation = (self.position - mean[self.state, self.point])[self.used]
+        return float(np.sum(deviation**2)), int(3 * np.sum(np.maximum(count - 1, 0)))
 
     def first_line(self, configuration: int) -> int:
         """Return the first line of the file with readings of a configuration, by its row in `q`."""
@@ -349,6 +349,10 @@ _LARGEST = (
 """Largest size of a cell of each column: beyond it no robot, no load and no measuring device is."""
 _SAME_ANGLE = 1e-3
 """Difference [deg] of the angles of one configuration that is the rounding of their display."""
+_SAME_FORCE = 0.05
+"""Difference [N, N·m] of the components of one load case that is the rounding of their display."""
+_LEAST_SPAN = 10e-3
+"""Span of all positions [m] below which the robot did not move, or the file is in metres (assumed)."""
 _NO_LOAD = 1e-6
 """Forces below this [N, N·m] are none but for rounding."""
 
@@ -360,34 +364,45 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     :raises MeasurementError: a reading is missing, given twice, not a number, belongs to a point that the
         experiment does not name; a loaded state without its unloaded one; angles in radians, lengths not in mm.
     """
-    numbers, texts, lines = files.read_csv(path, COLUMNS, (), MeasurementError, ("point",), AXES)
     file_name = str(path)
-    numbers, texts, lines = _drop_empty_rows(numbers, texts, lines, file_name)
-    if len(lines) == 0:
+    rows = _drop_empty_rows(files.read_csv(path, COLUMNS, (), MeasurementError, ("point",), AXES), file_name)
+    if len(rows.lines) == 0:
         raise MeasurementError("no readings", file=file_name, advice="Fill in X, Y and Z.")
-    files.check_sizes(path, numbers, lines, _LARGEST, MeasurementError)
+    files.check_sizes(path, rows.numbers, rows.lines, _LARGEST, MeasurementError)
     if experiment.readings == "displacements":
-        numbers, texts, lines = _add_unloaded_states(numbers, texts, lines, file_name)
-    names = tuple(experiment.points)
-    _check_points(texts["point"], names, lines, file_name)
+        rows = _add_unloaded_states(rows, file_name)
+    _check_points(rows.texts["point"], tuple(experiment.points), rows.lines, file_name)
+    data = _measurements(rows, experiment, path)
+    _check_units(data.q * DEG_PER_RAD, data, file_name)
+    _check_complete(data, file_name, loads)
+    return data
+
+
+def _measurements(rows: files.CsvTable, experiment: Experiment, path: Path) -> Measurements:
+    """Return the readings by states: rows with the same configuration and load.
+
+    :param rows: of the file, all with X, Y, Z and a point of the experiment.
+    :raises MeasurementError: rows of one configuration have different angles, or rows of one state different forces.
+    """
+    numbers, config_numbers, lines = rows.numbers, rows.numbers["config"], rows.lines
     angles = experiment.angles.to_robot(np.column_stack([numbers[name] for name in JOINTS]))
     wrench = np.column_stack([numbers[name] for name in WRENCH])
-    config, inverse = np.unique(numbers["config"], return_inverse=True)
-    pairs, first, state = np.unique(
-        np.column_stack([inverse, numbers["load"]]), axis=0, return_index=True, return_inverse=True
+    config, config_of_row = np.unique(config_numbers, return_inverse=True)
+    states, first_of_state, state = np.unique(
+        np.column_stack([config_of_row, numbers["load"]]), axis=0, return_index=True, return_inverse=True
     )
     state = state.ravel()
-    first_of_config = np.array([np.flatnonzero(inverse == c)[0] for c in range(len(config))])
-    _check_equal(angles, first_of_config[inverse], _SAME_ANGLE, JOINTS, numbers["config"], lines, file_name)
-    _check_equal(wrench, first[state], 0.05, WRENCH, numbers["config"], lines, file_name)
-    q = angles[first_of_config]
-    data = Measurements(
+    first_of_config = np.array([np.flatnonzero(config_of_row == index)[0] for index in range(len(config))])
+    _check_equal(angles, first_of_config[config_of_row], _SAME_ANGLE, JOINTS, config_numbers, lines, str(path))
+    _check_equal(wrench, first_of_state[state], _SAME_FORCE, WRENCH, config_numbers, lines, str(path))
+    names = tuple(experiment.points)
+    return Measurements(
         file=path.name,
         config=config,
-        q=q * RAD_PER_DEG,
-        state_config=pairs[:, 0].astype(np.int64),
-        load=pairs[:, 1],
-        wrench=wrench[first],
+        q=angles[first_of_config] * RAD_PER_DEG,
+        state_config=states[:, 0].astype(np.int64),
+        load=states[:, 1],
+        wrench=wrench[first_of_state],
         points=names,
         guess=np.array([experiment.points[name].position() for name in names]),
         load_point=experiment.load_point.position(),
@@ -395,16 +410,13 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
         load_point_error=experiment.load_point_sigma_mm * M_PER_MM,
         sigma=experiment.sigma,
         state=state,
-        point=np.array([names.index(name) for name in texts["point"]]),
+        point=np.array([names.index(name) for name in rows.texts["point"]]),
         repeat=numbers["repeat"],
         position=np.column_stack([numbers[axis] for axis in AXES]) * M_PER_MM,
         line=lines,
         used=np.ones(len(lines), dtype=bool),
         are_displacements=experiment.readings == "displacements",
     )
-    _check_units(q, data, file_name)
-    _check_complete(data, file_name, loads)
-    return data
 
 
 def _check_points(points: Sequence[str], names: Sequence[str], lines: Array, file_name: str) -> None:
@@ -422,13 +434,12 @@ def _check_points(points: Sequence[str], names: Sequence[str], lines: Array, fil
             )
 
 
-def _drop_empty_rows(
-    numbers: dict[str, Array], texts: dict[str, list[str]], lines: Array, file_name: str
-) -> tuple[dict[str, Array], dict[str, list[str]], Array]:
-    """Return the columns without the rows whose X, Y, Z are all empty: points that the device did not see.
+def _drop_empty_rows(table: files.CsvTable, file_name: str) -> files.CsvTable:
+    """Return the rows without those whose X, Y, Z are all empty: points that the device did not see.
 
     :raises MeasurementError: a row has one or two of them.
     """
+    numbers, texts, lines = table
     is_empty = np.column_stack([np.isnan(numbers[axis]) for axis in AXES])
     faults = [
         MeasurementError(
@@ -442,7 +453,7 @@ def _drop_empty_rows(
     if faults:
         raise combined_error(faults)
     rows = np.flatnonzero(~is_empty.any(axis=1))
-    return (
+    return files.CsvTable(
         {name: column[rows] for name, column in numbers.items()},
         {name: [column[row] for row in rows] for name, column in texts.items()},
         lines[rows],
@@ -453,13 +464,14 @@ _LARGEST_DISPLACEMENT = 0.2
 """Largest difference of displacements under loads [m] (assumed)."""
 
 
-def _add_unloaded_states(
-    numbers: dict[str, Array], texts: dict[str, list[str]], lines: Array, file_name: str
-) -> tuple[dict[str, Array], dict[str, list[str]], Array]:
-    """Return the columns with a state without load for each configuration and point, whose displacement is zero.
+def _add_unloaded_states(table: files.CsvTable, file_name: str) -> files.CsvTable:
+    """Return the rows with one more for each configuration and point, without load, whose displacement is zero.
+
+    Its line is that of the first row of the same configuration and point.
 
     :raises MeasurementError: there are rows without load already.
     """
+    numbers, texts, lines = table
     if np.any(numbers["load"] == 0.0):
         raise MeasurementError(
             "load 0 has rows, but X, Y, Z are displacements from the position without load",
@@ -468,15 +480,15 @@ def _add_unloaded_states(
             advice='Remove these rows, or leave out `readings = "displacements"` and give positions.',
         )
     pairs = [(config, name) for config, name in zip(numbers["config"].tolist(), texts["point"], strict=True)]
-    first = [pairs.index(pair) for pair in dict.fromkeys(pairs)]
-    zero_columns = {name: column[first] for name, column in numbers.items()}
+    first_rows = [pairs.index(pair) for pair in dict.fromkeys(pairs)]
+    zero_columns = {name: column[first_rows] for name, column in numbers.items()}
     for name in ("load", *WRENCH, *AXES):
-        zero_columns[name] = np.zeros(len(first))
-    zero_columns["repeat"] = np.ones(len(first))
-    return (
+        zero_columns[name] = np.zeros(len(first_rows))
+    zero_columns["repeat"] = np.ones(len(first_rows))
+    return files.CsvTable(
         {name: np.concatenate([numbers[name], zero_columns[name]]) for name in numbers},
-        {"point": [*texts["point"], *(texts["point"][row] for row in first)]},
-        np.concatenate([lines, lines[first]]),
+        {"point": [*texts["point"], *(texts["point"][row] for row in first_rows)]},
+        np.concatenate([lines, lines[first_rows]]),
     )
 
 
@@ -489,9 +501,12 @@ def _check_equal(
     lines: Array,
     file_name: str,
 ) -> None:
-    """Check that values (n, k) equal those of their reference rows (n,).
+    """Check that values equal those of their reference rows.
 
-    :raises MeasurementError: one differs by more than the tolerance.
+    :param values: (n, k) of the rows of a file, in columns of these `names` (k,).
+    :param reference: (n,) reference row of each.
+    :param config: (n,) number of the configuration of each row, and `lines` (n,) its line, for messages.
+    :raises MeasurementError: one differs by more than the tolerance; it names the row.
     """
     differs = np.abs(values - values[reference]) > tolerance
     if differs.any():
@@ -505,14 +520,16 @@ def _check_equal(
         )
 
 
-def _check_units(q: Array, data: Measurements, file_name: str) -> None:
-    """Check that angles are in degrees and positions in mm.
+def _check_units(angles: Array, data: Measurements, file_name: str) -> None:
+    """Check that angles are in degrees and positions in mm; a single configuration shows neither.
 
+    :param angles: (C, 6) of the configurations, as they are in degrees if the file is right.
     :raises MeasurementError: their size speaks against it.
     """
-    if len(q) >= 2 and np.abs(q).max() <= 2.0 * np.pi:
+    largest_angle = float(np.abs(angles).max())
+    if len(angles) >= 2 and largest_angle <= 2.0 * np.pi:
         raise MeasurementError(
-            f"no joint angle is larger than {np.abs(q).max():.3f}: these look like radians",
+            f"no joint angle is larger than {largest_angle:.3f}: these look like radians",
             file=file_name,
             advice="Give A1…A6 in degrees.",
         )
@@ -525,7 +542,7 @@ def _check_units(q: Array, data: Measurements, file_name: str) -> None:
                 advice='Give displacements by the load in mm, root axes, or leave out `readings = "displacements"`.',
             )
         return
-    if len(q) >= 2 and span < 10.0 * M_PER_MM:
+    if len(angles) >= 2 and span < _LEAST_SPAN:
         raise MeasurementError(
             f"all readings lie within {span / M_PER_MM:.3g} mm: these look like metres, or the robot did not move",
             file=file_name,
@@ -561,9 +578,11 @@ def _check_complete(data: Measurements, file_name: str, loads: bool) -> None:
 
 
 def _check_sets(data: Measurements, file_name: str) -> None:
-    """Refuse a point without any reading, and a load without a point that was read in its configuration without load.
+    """Check that each point has a reading, and each load a point that was read with and without it.
 
     A single repeat may lack a point: readings that are there count (`gaps`).
+
+    :raises MeasurementError: a point has none, or a load has no such point.
     """
     absent = [name for index, name in enumerate(data.points) if index not in data.point]
     if absent:

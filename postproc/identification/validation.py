@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -325,18 +326,31 @@ def _coverage(torque: Array, comparison: _Displacements) -> Coverage:
 
 
 def _limits(comparison: _Displacements, rows: Bools, doubt: float) -> tuple[float, float]:
-    """Return the limits of the share inside, for some of the displacements (L, P)."""
+    """Return the lower and upper limit of the share of displacements inside the bound, see `limits`.
+
+    :param rows: (L, P) the displacements that count.
+    """
     return limits(*_counts_by_configuration(comparison.error_ratio <= 1.0, rows, comparison.config), doubt)
 
 
 def _counts_by_configuration(is_inside: Bools, rows: Bools, config: Ints) -> tuple[Array, Array]:
-    """Return how many displacements (L, P) of each configuration are inside, and how many there are, of some rows."""
+    """Return how many displacements of each configuration are inside the bound (C,), and how many there are (C,).
+
+    Only configurations with displacements that count have a row.
+
+    :param is_inside: (L, P), and `rows` (L, P) the displacements that count.
+    :param config: (L,) row of the configuration.
+    """
     total, inside_count = (np.bincount(config, weights=mask.sum(axis=1)) for mask in (rows, is_inside & rows))
     return np.asarray(inside_count[total > 0.0], dtype=float), np.asarray(total[total > 0.0], dtype=float)
 
 
 def limits(inside_counts: Array, counts: Array, doubt: float) -> tuple[float, float]:
-    """Return the limits of the share of all displacements that is inside, from those of some configurations.
+    """Return the lower and upper limit of the share of all displacements that is inside, from some configurations.
+
+    Displacements of one configuration are alike, so they count as fewer independent ones: as many as give the scatter
+    of the configurations. Source: Korn and Graubard, Survey Methodology 24, 1998, with the limits of Clopper and
+    Pearson, Biometrika 26, 1934.
 
     :param inside_counts: (C,) how many displacements of each are inside, of `counts` (C,).
     :param doubt: probability with which the share is below the lower limit, and above the upper one.
@@ -364,7 +378,10 @@ def _rms(values: Array) -> float:
 
 
 def _prediction(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Array, Array]:
-    """Return predicted displacements (L, P, 3) of the points and their bounds (L, P) [m]."""
+    """Return predicted displacements (L, P, 3) of the points by the loads, root axes, and their bounds (L, P) [m].
+
+    :raises NotConvergedError: the springs have no equilibrium under a load.
+    """
     q, wrench = data.q[data.state_config[data.loaded_states]], data.wrench[data.loaded_states]
     at_load = np.eye(4)
     at_load[:3, 3] = data.load_point
@@ -477,8 +494,8 @@ def split_signs(torque: Array) -> Array:
 
 def inside(torque: Array, torque_range: Coverage) -> Bools:
     """Return (T,) whether torques (T, 6) [N·m] are covered on all joints, and not below the smallest loads."""
-    lacks_sign, exceeds_range, low = _faults(torque, torque_range)
-    return np.asarray(~((lacks_sign | exceeds_range).any(axis=(1, 2)) | low))
+    faults = _faults(torque, torque_range)
+    return np.asarray(~((faults.lacks_sign | faults.exceeds_range).any(axis=(1, 2)) | faults.is_small))
 
 
 def job_share(program: str, torque: Array, weight: Array, torque_range: Coverage) -> JobShare:
@@ -487,40 +504,55 @@ def job_share(program: str, torque: Array, weight: Array, torque_range: Coverage
     :param torque: (T, 6) joint torques of the cutting forces at places along its cutting moves [N·m].
     :param weight: (T,) share of the cutting path of each place, sum 1.
     """
-    lacks_sign, exceeds_range, low = _faults(torque, torque_range)
-    entries = [UncoveredShare("all torques below those of the smallest loads", float(weight @ low))]
+    faults = _faults(torque, torque_range)
+    entries = [UncoveredShare("all torques below those of the smallest loads", float(weight @ faults.is_small))]
     for joint, side in np.ndindex(6, 2):
         subject = f"{SIGNS[side]} torque on {JOINTS[joint]}"
         count = int(torque_range.configurations[joint, side])
-        sign_text = (
-            f"{subject}: {count} of {MIN_CONFIGURATIONS} configurations needed have it"
-            if count
-            else f"{subject}: no reading has it"
-        )
         if torque_range.refuted[joint, side]:
             sign_text = f"{subject}: there the readings contradict the model"
+        elif count:
+            sign_text = f"{subject}: {count} of {MIN_CONFIGURATIONS} configurations needed have it"
+        else:
+            sign_text = f"{subject}: no reading has it"
         size_text = f"{subject} beyond {torque_range.largest[joint, side]:.0f} N·m"
         entries += [
-            UncoveredShare(sign_text, float(weight @ lacks_sign[:, joint, side])),
-            UncoveredShare(size_text, float(weight @ exceeds_range[:, joint, side])),
+            UncoveredShare(sign_text, float(weight @ faults.lacks_sign[:, joint, side])),
+            UncoveredShare(size_text, float(weight @ faults.exceeds_range[:, joint, side])),
         ]
     reasons = sorted((reason for reason in entries if reason.share > 0.0), key=lambda entry: -entry.share)
     return JobShare(program, float(weight @ inside(torque, torque_range)), tuple(reasons))
 
 
-def _faults(torque: Array, torque_range: Coverage) -> tuple[Bools, Bools, Bools]:
-    """Return why torques (T, 6) are not covered: sign (T, 6, 2), too large (T, 6, 2), all too small (T,)."""
+class _Faults(NamedTuple):
+    """Why the torques at T places are not covered.
+
+    :param lacks_sign: (T, 6, 2) torques with a sign, negative or positive, that the readings do not cover.
+    :param exceeds_range: (T, 6, 2) torques beyond the largest with this sign.
+    :param is_small: (T,) places where all torques are below those of the smallest load.
+    """
+
+    lacks_sign: Bools
+    exceeds_range: Bools
+    is_small: Bools
+
+
+def _faults(torque: Array, torque_range: Coverage) -> _Faults:
+    """Return why torques (T, 6) [N·m] are not covered."""
     sides, is_covered = split_signs(torque), torque_range.is_covered
     acts = sides > LEAST_TORQUE
-    return (
-        acts & ~is_covered,
-        acts & is_covered & (sides > torque_range.largest),
-        _level(sides, torque_range.largest) < torque_range.least,
+    return _Faults(
+        lacks_sign=acts & ~is_covered,
+        exceeds_range=acts & is_covered & (sides > torque_range.largest),
+        is_small=_level(sides, torque_range.largest) < torque_range.least,
     )
 
 
 def _level(sides: Array, largest: Array) -> Array:
-    """Return the torque (N,) on the most loaded joint, divided by the largest one covered with that sign."""
+    """Return the torque (N,) on the most loaded joint, divided by the largest one covered with that sign.
+
+    :param sides: (N, 6, 2) torques by sign, as positive numbers; `largest` (6, 2) covered ones [N·m].
+    """
     ratio = np.divide(sides, largest, out=np.zeros_like(sides), where=largest > 0.0)
     return np.asarray(ratio.max(axis=(1, 2)))
 

@@ -313,14 +313,17 @@ def expected_accuracy(
     return Accuracy(float(np.sqrt(mean)), (lower, upper), np.sqrt(variance), parameters, half_width)
 
 
-def not_visible(readings: Readings, information: Array, count: int) -> tuple[int, ...]:
-    """Return the joints whose compliance no plan of `count` poses could determine.
+def unidentifiable_joints(information: Array, count: int) -> tuple[int, ...]:
+    """Return the joints, from 0, whose compliance no plan of `count` poses could determine.
 
-    :param information: (N, 6, 6) of many poses that can be measured.
+    Even if all poses were as good as the best one, the 95 % interval of the compliance would be wider than `UNCERTAIN`
+    times the compliance, which the identification does not accept.
+
+    :param information: (N, 6, 6) of many poses that can be measured, on the six compliances relative to their values.
     """
-    # even if all poses were as good as the best one, the interval would be wider than the identification accepts
-    total = np.diagonal(information, axis1=1, axis2=2).max(axis=0) * count
-    return tuple(int(joint) for joint in np.flatnonzero(total < (NORMAL_95 / UNCERTAIN) ** 2))
+    best_information = np.diagonal(information, axis1=1, axis2=2).max(axis=0)
+    least_information = (NORMAL_95 / UNCERTAIN) ** 2
+    return tuple(int(joint) for joint in np.flatnonzero(best_information * count < least_information))
 
 
 def _compliance_slopes(joint2: Joint2, keep: list[int], q: Array) -> Array:
@@ -328,16 +331,15 @@ def _compliance_slopes(joint2: Joint2, keep: list[int], q: Array) -> Array:
 
     Parameters are the compliances, that of joint 2 without its compensator; then K_c and s₀K_c, if they are free.
 
-    :param keep: joints of the p compliances, from 0.
+    :param keep: joints of the p compliances, from 0; joint 2 is among them.
     """
-    size = len(keep)
-    joint2_columns = joint2.parameters(q[:, 1])
-    matrix = np.zeros((len(q), size, size + joint2_columns.shape[1] - 1))
-    matrix[:, range(size), range(size)] = 1.0
-    two = keep.index(1)
-    matrix[:, two, two] = joint2_columns[:, 0]
-    matrix[:, two, size:] = joint2_columns[:, 1:]
-    return matrix
+    size, row = len(keep), keep.index(1)
+    by_joint2 = joint2.parameters(q[:, 1])
+    slopes = np.zeros((len(q), size, size + by_joint2.shape[1] - 1))
+    slopes[:, range(size), range(size)] = 1.0
+    slopes[:, row, row] = by_joint2[:, 0]
+    slopes[:, row, size:] = by_joint2[:, 1:]
+    return slopes
 
 
 def _inverse(normal: Array) -> Array:

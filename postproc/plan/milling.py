@@ -130,9 +130,11 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
 
 
 def _thin_rows(rows: Ints, length: Array) -> tuple[Ints, Array]:
-    """Return at most `_SAMPLES` of the rows (n,) of a path, evenly, and the lengths of path that they represent [m].
+    """Return at most `_SAMPLES` of the rows of a path, evenly, and the lengths of path that they represent [m].
 
-    :param length: (n,) of the path before each row [m].
+    Each is the middle one of a piece of the path.
+
+    :param rows: (n,) of the path, and `length` (n,) of the path before each of them [m].
     """
     step = -(-len(rows) // _SAMPLES)  # rounded up
     begin = np.arange(0, len(rows), step)
@@ -187,33 +189,8 @@ def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> Te
     """
     if len(tests) <= count:
         return tests
-    regressor = tests.regressor * scale
-    square = np.einsum("tki,tkj->tij", regressor, regressor)
-    row, column = np.triu_indices(6)
-    # an entry off the diagonal counts for two: distances of features are those of the matrices
-    features = square[:, row, column] * np.where(row == column, 1.0, np.sqrt(2.0))
-    q2 = tests.q[:, 1:2] - np.average(tests.q[:, 1:2], axis=0, weights=tests.weight)
-    features = np.hstack([features, _SHARE_OF_Q2 * q2 * float(np.linalg.norm(features, axis=1).mean())])
-    rng = np.random.default_rng(seed)
-    centres = features[[int(rng.choice(len(tests), p=tests.weight))]]
-    for _ in range(count - 1):  # k-means++ (Arthur and Vassilvitskii 2007)
-        distance = _squared_distances(features, centres).min(axis=1) * tests.weight
-        if distance.sum() <= 0.0:
-            break
-        centres = np.vstack([centres, features[int(rng.choice(len(tests), p=distance / distance.sum()))]])
-    cluster = np.zeros(len(tests), dtype=np.int64)  # of each pose
-    for _ in range(_ROUNDS):
-        cluster = _squared_distances(features, centres).argmin(axis=1)
-        total = np.bincount(cluster, weights=tests.weight, minlength=len(centres))
-        weighted_sums = [np.bincount(cluster, tests.weight * feature, len(centres)) for feature in features.T]
-        # 1e-300 keeps zero out of the denominator
-        mean = np.stack(weighted_sums, axis=1) / np.maximum(total, 1e-300)[:, None]
-        centres = np.where(total[:, None] > 0.0, mean, centres)
-    distance = _squared_distances(features, centres)
-    clusters = np.unique(cluster)
-    rows = np.array([np.flatnonzero(cluster == c)[distance[cluster == c, c].argmin()] for c in clusters])
-    weight = np.bincount(cluster, weights=tests.weight, minlength=len(centres))[clusters]
-    sample = replace(tests.take(rows), weight=np.asarray(weight, dtype=float))
+    rows, weight = _cluster(_features(tests, scale), tests.weight, count, seed)
+    sample = replace(tests.take(rows), weight=weight)
     full_trace, sample_trace = (np.trace(poses.second_moment * np.outer(scale, scale)) for poses in (tests, sample))
     factor = np.sqrt(full_trace / sample_trace) if sample_trace > 0.0 else 1.0
     return TestPoses(
@@ -228,8 +205,51 @@ def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> Te
     )
 
 
+def _features(tests: TestPoses, scale: Array) -> Array:
+    """Return the inputs of the criterion at T test poses (T, 22): A₀ᵀA₀ by its 21 entries, and q2, to cluster by.
+
+    :param scale: (6,) compliances of the robot [rad/(N·m)].
+    """
+    regressor = tests.regressor * scale
+    square = np.einsum("tki,tkj->tij", regressor, regressor)
+    row, column = np.triu_indices(6)
+    # an entry off the diagonal counts for two: distances of features are those of the matrices
+    features = square[:, row, column] * np.where(row == column, 1.0, np.sqrt(2.0))
+    q2 = tests.q[:, 1:2] - np.average(tests.q[:, 1:2], axis=0, weights=tests.weight)
+    return np.hstack([features, _SHARE_OF_Q2 * q2 * float(np.linalg.norm(features, axis=1).mean())])
+
+
+def _cluster(features: Array, weight: Array, count: int, seed: int) -> tuple[Ints, Array]:
+    """Cluster points by k-means, begun with k-means++ (Arthur and Vassilvitskii 2007).
+
+    :param features: (T, k) of the points, and `weight` (T,) of them, sum 1.
+    :param count: number of clusters at most.
+    :returns: row of the point nearest to the mean of each cluster (C,); weight of each cluster (C,).
+    """
+    rng = np.random.default_rng(seed)
+    centres = features[[int(rng.choice(len(features), p=weight))]]
+    for _ in range(count - 1):
+        distance = _squared_distances(features, centres).min(axis=1) * weight
+        if distance.sum() <= 0.0:
+            break
+        centres = np.vstack([centres, features[int(rng.choice(len(features), p=distance / distance.sum()))]])
+    cluster = np.zeros(len(features), dtype=np.int64)  # of each point
+    for _ in range(_ROUNDS):
+        cluster = _squared_distances(features, centres).argmin(axis=1)
+        total = np.bincount(cluster, weights=weight, minlength=len(centres))
+        weighted_sums = [np.bincount(cluster, weight * feature, len(centres)) for feature in features.T]
+        # 1e-300 keeps zero out of the denominator
+        mean = np.stack(weighted_sums, axis=1) / np.maximum(total, 1e-300)[:, None]
+        centres = np.where(total[:, None] > 0.0, mean, centres)
+    distance = _squared_distances(features, centres)
+    clusters = np.unique(cluster)
+    rows = np.array([np.flatnonzero(cluster == c)[distance[cluster == c, c].argmin()] for c in clusters])
+    cluster_weight = np.bincount(cluster, weights=weight, minlength=len(centres))[clusters]
+    return rows, np.asarray(cluster_weight, dtype=float)
+
+
 def _squared_distances(features: Array, centres: Array) -> Array:
-    """Return the squared distances (T, C) of features (T, k) from centres (C, k)."""
+    """Return the squared distances (T, C) of features (T, k) from centres (C, k): |f|² − 2 f·c + |c|², ≥ 0."""
     return np.asarray(
         np.maximum((features**2).sum(1)[:, None] - 2.0 * features @ centres.T + (centres**2).sum(1)[None], 0.0)
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -29,8 +30,8 @@ from postproc.plan.criterion import (
     directions,
     expected_accuracy,
     measured_information,
-    not_visible,
     out_of_reach,
+    unidentifiable_joints,
 )
 from postproc.plan.milling import TestPoses, representatives
 from postproc.plan.search import (
@@ -182,13 +183,24 @@ def free_moves(site: Site, q: Array) -> Bools:
     return is_free
 
 
-def least_travel(site: Site, q: Array) -> tuple[Ints, float, Ints]:
-    """Return the order of least travel time through configurations (n, 6) [rad], from the start of the robot.
+class Travel(NamedTuple):
+    """A way through n configurations from the start of the robot.
+
+    :param order: (n,) rows of the configurations.
+    :param seconds: duration.
+    :param blocked: each k for which the direct move to `order[k]` would hit something.
+    """
+
+    order: Ints
+    seconds: float
+    blocked: Ints
+
+
+def least_travel(site: Site, q: Array) -> Travel:
+    """Return the order of least travel time through configurations (n, 6) [rad].
 
     Nearest neighbour, then 2-opt and or-opt until nothing improves (Croes 1958, Or 1976). Blocked moves are avoided as
     far as possible.
-
-    :returns: order (n,), seconds, and each k for which the direct move to order[k] would hit something.
     """
     stops = np.vstack([site.start, q])
     seconds = travel_times(site, stops)
@@ -204,7 +216,7 @@ def least_travel(site: Site, q: Array) -> tuple[Ints, float, Ints]:
     moves = list(pairwise(tour))
     duration = float(sum(seconds[begin, end] for begin, end in moves))
     blocked_moves = [k for k, (begin, end) in enumerate(moves) if is_blocked[begin, end]]
-    return order, duration, np.array(blocked_moves, dtype=np.int64)
+    return Travel(order, duration, np.array(blocked_moves, dtype=np.int64))
 
 
 def _tour_cost(tour: list[int], cost: Array) -> float:
@@ -218,7 +230,7 @@ def _shorter_tour(tour: list[int], cost: Array) -> list[int] | None:
     :param tour: nodes in order; the first one stays.
     :param cost: (n, n) of the moves between nodes.
     """
-    limit = _tour_cost(tour, cost) - 1e-9  # less is rounding
+    limit = _tour_cost(tour, cost) - 1e-9  # a smaller gain is rounding
     for i in range(1, len(tour)):
         for j in range(i + 1, len(tour) + 1):
             reversed_tour = tour[:i] + tour[i:j][::-1] + tour[j:]
@@ -511,7 +523,7 @@ def _planning_problem(
             f"poses can be measured at {len(candidates)} of the levels of q2 tried only, {levels} are asked for",
             advice="Ask for fewer with --q2-levels, or move the obstacles.",
         )
-    hidden_joints = _hidden_joints(readings, candidates, options.configurations, earlier_data)
+    hidden_joints = _hidden_joints(candidates, options.configurations, earlier_data)
     warnings = hidden_by_rig(site, tests, scale, hidden_joints)
     if hidden_joints:
         keep = tuple(joint for joint in range(6) if joint not in hidden_joints)
@@ -548,26 +560,25 @@ def _planning_problem(
     return _Problem(with_joint2(joint2), readings, joint2, earlier_data, warnings)
 
 
-def _hidden_joints(
-    readings: Readings, candidates: Candidates, configurations: int, earlier_data: MeasuredLoads | None
-) -> tuple[int, ...]:
+def _hidden_joints(candidates: Candidates, configurations: int, earlier_data: MeasuredLoads | None) -> tuple[int, ...]:
     """Return the joints, from 0, whose compliance neither candidates nor earlier readings can determine.
 
     :param configurations: number of configurations of the plan.
     """
     information = candidates.information.reshape(-1, 6, 6)
     if earlier_data is None:
-        return not_visible(readings, information, configurations)
+        return unidentifiable_joints(information, configurations)
     information = np.concatenate([information, earlier_data.information])
-    return not_visible(readings, information, configurations + len(earlier_data.q))
+    return unidentifiable_joints(information, configurations + len(earlier_data.q))
 
 
 def _largest_torques(data: Measurements, readings: Readings) -> Array:
     """Return the torques (C, 6) of the largest load of each configuration that was loaded [N·m]."""
     config, load = data.state_config[data.loaded_states], data.wrench[data.loaded_states]
-    order = np.argsort(norm(load))[::-1]
-    first = order[np.unique(config[order], return_index=True)[1]]
-    return readings.torque(data.q[config[first]], load[first, :3])
+    descending = np.argsort(norm(load))[::-1]
+    _, first = np.unique(config[descending], return_index=True)
+    largest = descending[first]  # row of the largest load of each configuration
+    return readings.torque(data.q[config[largest]], load[largest, :3])
 
 
 def _joint2(
@@ -592,9 +603,9 @@ def _joint2(
 
 
 def _search(task: Task, options: Options, report: Progress) -> tuple[Plan, bool]:
-    """Return the best plan, and whether Ctrl-C ended the search.
+    """Return the best plan, and whether Ctrl-C ended the search (then it is the best one so far).
 
-    :raises KeyboardInterrupt: before there is a plan.
+    :raises KeyboardInterrupt: Ctrl-C before there is a plan.
     """
     best: Plan | None = None
     steps = options.starts + _FINALISTS * options.rounds // 2
@@ -610,12 +621,25 @@ def _search(task: Task, options: Options, report: Progress) -> tuple[Plan, bool]
     return best, False
 
 
-def _order_plan(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tuple[Array, ...], Ints]:
-    """Return the plan rounded as printed, in the order of least travel, with forces, travel time and detours.
+class _OrderedPlan(NamedTuple):
+    """A plan in the order in which it is measured.
 
-    :returns: plan; forces (n, 3) at the load point, root axes [N]; seconds of travel; via configurations (k, 6) before
-        each pose; rows of poses without a free path.
+    :param plan: rounded as printed.
+    :param force: (n, 3) at the load point, root axes [N].
+    :param seconds: of travel.
+    :param via: via configurations (k, 6) before each pose [rad].
+    :param blocked: rows of poses without a free path.
     """
+
+    plan: Plan
+    force: Array
+    seconds: float
+    via: tuple[Array, ...]
+    blocked: Ints
+
+
+def _order_plan(problem: _Problem, plan: Plan) -> _OrderedPlan:
+    """Return the plan in the order of least travel."""
     site = problem.task.site
     q2 = np.round(plan.q2 * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
     q = np.round(plan.q * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
@@ -624,7 +648,7 @@ def _order_plan(problem: _Problem, plan: Plan) -> tuple[Plan, Array, float, tupl
     force = without_negative_zero(np.round(site.rig.force * direction(tilt), _FORCE_DECIMALS))
     value = problem.task.criterion_at(q2).value(problem.readings.information_of(q, force), level)
     via, blocked_rows = detours(site, q, hit)
-    return Plan(q, tilt, level, q2, value), force, seconds, via, blocked_rows
+    return _OrderedPlan(Plan(q, tilt, level, q2, value), force, seconds, via, blocked_rows)
 
 
 def _check_identifiable(parameters: int, options: Options, points: int, data: Measurements | None) -> None:

@@ -63,7 +63,11 @@ class Candidates(Struct, frozen=True, eq=False):
 
 
 def draw(site: Site, count: int, rng: np.random.Generator, q2: float | None = None) -> tuple[Array, Array]:
-    """Return random joint angles (count, 6) [rad] within ±180° and tilts of the load (count, 2), feasible or not."""
+    """Return random configurations, feasible or not.
+
+    :param q2: [rad]; None: at random too.
+    :returns: (count, 6) joint angles within ±180° and the limits [rad]; (count, 2) tilts of the load [rad].
+    """
     lower, upper = np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi)
     q = rng.uniform(lower, upper, (count, 6))
     if q2 is not None:
@@ -75,7 +79,10 @@ def draw(site: Site, count: int, rng: np.random.Generator, q2: float | None = No
 
 
 def feasible_at(site: Site, q2: float, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return up to `count` random feasible configurations (k, 6) and tilts of the load (k, 2) at one q2 [rad]."""
+    """Return up to `count` random feasible configurations at one q2 [rad].
+
+    :returns: (k, 6) joint angles [rad]; (k, 2) tilts of the load [rad].
+    """
     feasible_q, feasible_tilt, feasible_count = [], [], 0
     for _ in range(_ROUNDS):
         q, tilt = draw(site, _ROUND, rng, q2)

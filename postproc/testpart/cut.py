@@ -11,6 +11,7 @@ The forces are those of the deflected tool: it cuts less wide and less deep than
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -39,6 +40,19 @@ _SCALE_STEP = 1e-3
 """Relative change of the forces for the derivative by their scale."""
 LIFT_STEP = 1e-4
 """Lift of the program over the block for the derivative by it [m]: forces are nearly linear in the depth of cut."""
+
+
+class TwistSlopes(NamedTuple):
+    """Twist of the tool from nominal in n states, and its derivatives; root axes [m, rad].
+
+    :param twist: (n, 6).
+    :param by_parameter: (n, 6, p) by linear values of parameters, per SI unit.
+    :param by_scale: (n, 6) by the factor of the cutting forces.
+    """
+
+    twist: Array
+    by_parameter: Array
+    by_scale: Array
 
 
 class Surfaces(Columns, frozen=True, eq=False):
@@ -183,7 +197,11 @@ class States(Columns, frozen=True, eq=False):
     by_lift: Array
 
     def twist(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float) -> Array:
-        """Return the displacement (n, 6) of the tool from nominal under forces times a scale, root axes [m, rad]."""
+        """Return the displacement (n, 6) of the tool from nominal under its forces, root axes [m, rad].
+
+        :param scale: factor of the cutting forces; the weight is not scaled.
+        :raises NotConvergedError: the springs have no equilibrium.
+        """
         wrench = scale * self.wrench + self.weight_wrench
         displacement = twist_between(self.pose, elastostatics.deflect(robot, self.q, self.tool, wrench).pose)
         if (spring := robot_in_cell.tool_spring) is not None:
@@ -192,8 +210,8 @@ class States(Columns, frozen=True, eq=False):
 
     def derivatives(
         self, robot_in_cell: RobotInCell, robot: RobotModel, parameters: tuple[Parameter, ...], scale: float
-    ) -> tuple[Array, Array, Array]:
-        """Return the twist (n, 6), its derivatives by linear parameters (n, 6, p) [SI], and by the scale (n, 6).
+    ) -> TwistSlopes:
+        """Return the twist and its derivatives by linear parameters [SI] and by the scale of the forces.
 
         By differences of equilibria: the exact derivatives need Pinocchio, which is not available on Windows.
 
@@ -207,7 +225,7 @@ class States(Columns, frozen=True, eq=False):
             changed_robot = robot.with_values({parameter: value + step})
             by_parameter[:, :, column] = (self.twist(robot_in_cell, changed_robot, scale) - twist) / step
         twist_at_step = self.twist(robot_in_cell, robot, scale + _SCALE_STEP)
-        return twist, by_parameter, (twist_at_step - twist) / _SCALE_STEP
+        return TwistSlopes(twist, by_parameter, (twist_at_step - twist) / _SCALE_STEP)
 
     def twist_by_lift(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float) -> Array:
         """Return the derivative (n, 6) of the twist by the lift of the program over the block [1, rad/m].

@@ -13,6 +13,7 @@ wall at +v is down-milling, at −v up-milling. Lengths in metres.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -280,12 +281,25 @@ def hanging_places(low: Array, high: Array, top: float) -> Array:
     return np.column_stack([low[:2] + share * (high - low)[:2], np.full(len(share), top + _HANG_HEIGHT)])
 
 
-def middle_line(feature: Feature, cutting: Cutting) -> tuple[Array, Array, float]:
-    """Return both ends (2,) of the middle line of a feature in `$BASE`, and half its width with half a wall [m]."""
-    middle, half = outline(feature.kind, cutting)
+class MiddleLine(NamedTuple):
+    """Middle line of a feature, seen along Z.
+
+    :param begin: (2,) its first end in `$BASE` [m].
+    :param end: (2,) its other end [m].
+    :param half_width: of the feature, with half a wall [m].
+    """
+
+    begin: Array
+    end: Array
+    half_width: float
+
+
+def middle_line(feature: Feature, cutting: Cutting) -> MiddleLine:
+    """Return the middle line of a feature in the block."""
+    middle, half_width = outline(feature.kind, cutting)
     long = half_length(cutting.diameter)
     ends = to_base(feature, 0.0, np.array([[-long, middle, 0.0], [long, middle, 0.0]]))[:, :2]
-    return ends[0], ends[1], half
+    return MiddleLine(ends[0], ends[1], half_width)
 
 
 def touch_off_places(features: Sequence[Feature], cutting: Cutting, low: Array, high: Array) -> Array:

@@ -6,6 +6,8 @@ The unknowns are the parameters of the robot and the scale of the forces. What t
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from postproc.chunks import Columns
@@ -87,10 +89,25 @@ def light_pass_variance(readings: Readings, displacement: Array) -> Array:
     return np.where(is_light_pass, (_LIGHT_PASS_ERROR * displacement) ** 2, 0.0)
 
 
+class Solution(NamedTuple):
+    """The most probable unknowns for fixed forces.
+
+    :param local: linear model there.
+    :param z: (p,) change of the parameters from the prior, units of files.
+    :param scale: factor of the forces.
+    :param gamma: unmodelled error γ as a share of the displacement of the tool.
+    """
+
+    local: LinearPrediction
+    z: Array
+    scale: float
+    gamma: float
+
+
 def solve(
     prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, z: Array, scale: float, free: Bools
-) -> tuple[LinearPrediction, Array, float, float]:
-    """Return the linear model at the most probable unknowns for fixed forces, and there z (p,), the scale and γ.
+) -> Solution:
+    """Return the most probable unknowns for fixed forces.
 
     Each round solves the linear least squares with the prior, and linearises anew at its solution.
 
@@ -112,7 +129,7 @@ def solve(
         z, scale = solution[:-1], max(1.0 + float(solution[-1]), MIN_SHARE)
         if float(np.abs(local.slopes @ (solution - last_solution)).max()) < _STEP_TOLERANCE:
             break
-    return linearise(prior, readings, states, robot_in_cell, z, scale), z, scale, gamma
+    return Solution(linearise(prior, readings, states, robot_in_cell, z, scale), z, scale, gamma)
 
 
 def unmodelled_share(readings: Readings, local: LinearPrediction, whole: Array, target: Array) -> float:
@@ -154,9 +171,12 @@ def posterior(readings: Readings, local: LinearPrediction, gamma: float, whole: 
 def cross_validation_errors(
     readings: Readings, local: LinearPrediction, gamma: float, whole: Array, z: Array, scale: float
 ) -> tuple[Array, Array]:
-    """Return the error (n,) of each point predicted from all others, and its variance (n,).
+    """Return the error (n,) of each point predicted from all others [m], and its variance (n,) [m²].
 
     Source: Rasmussen and Williams, "Gaussian Processes for Machine Learning", 2006, Eq. (5.12).
+
+    :param local: linear model at z (p,), the change of the parameters from the prior, and the scale of the forces.
+    :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
     """
     target = readings.probed.deviation - local.value + local.slopes @ np.append(z, scale - 1.0)
     inverse = np.linalg.inv(local.slopes @ whole @ local.slopes.T + noise_of(readings, local, gamma))

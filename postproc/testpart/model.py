@@ -55,6 +55,8 @@ _VAGUE_LIFT = 0.25
 (assumed)."""
 _CHECKABLE = 4
 """Fewest touch-off points that can contradict each other."""
+_NARROWED = 0.9
+"""Share of its prior standard deviation below which the scale of the forces counts as observable (assumed)."""
 _SURPRISE = 3.29
 """Standard deviations of χ² beyond which the readings do not agree with a model."""
 
@@ -143,9 +145,9 @@ class PartIdentification(Record, frozen=True, kw_only=True, omit_defaults=True):
 
 
 def file_values(fit: Fit) -> tuple[Array, Array]:
-    """Return the values of the parameters in units of files (p,), and the covariance (p + 1, p + 1).
+    """Return the values of the parameters in units of files (p,), and the covariance (p + 1, p + 1) with the scale.
 
-    The last row is that of the relative error of the scale of the forces.
+    The last row and column are of the relative error of the scale of the forces.
     """
     prior, robot = fit.prior, fit.robot
     robot_values = {parameter: robot.value(parameter) for parameter in prior.order}
@@ -207,22 +209,10 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
     parameters, held_names = _parameters(fit)
     scale = Parameter(
         float(fit.scale), float(NORMAL_95 * np.sqrt(fit.covariance[-1, -1])), "1",
-        observable=bool(fit.sigma[-1] < 0.9), prior=1.0,
+        observable=bool(fit.sigma[-1] < _NARROWED), prior=1.0,
     )  # fmt: skip
     load, u95 = fit.u95()
     deviation = readings.probed.deviation
-    points = [
-        ProbedPoint(name, *(round(float(value) * MM_PER_M, 5) for value in row))
-        for name, *row in zip(
-            readings.probed.name,
-            deviation + readings.datum,
-            fit.prior_prediction + readings.datum,
-            fit.prediction + readings.datum,
-            fit.error,
-            fit.spread,
-            strict=True,
-        )
-    ]
     return PartIdentification(
         verdict=_verdict(fit, outliers),
         robot=prior.robot.name,
@@ -244,15 +234,33 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
             for level, bound in zip(load, u95, strict=True)
         ],
         touch_off=_touch_off_errors(fit),
-        points=points,
+        points=_probed_points(fit),
         held_by_prior=held_names,
         outliers=list(outliers),
         warnings=_remarks(fit, held_names, outliers),
     )
 
 
+def _probed_points(fit: Fit) -> list[ProbedPoint]:
+    """Return the points with their deviations, measured and predicted from the top as it was touched off, in mm."""
+    readings = fit.readings
+    columns = (
+        readings.probed.deviation + readings.datum,
+        fit.prior_prediction + readings.datum,
+        fit.prediction + readings.datum,
+        fit.error,
+        fit.spread,
+    )
+    return [
+        ProbedPoint(name, *(round(float(value) * MM_PER_M, 5) for value in row))
+        for name, *row in zip(readings.probed.name, *columns, strict=True)
+    ]
+
+
 def _parameters(fit: Fit) -> tuple[dict[str, Parameter], list[str]]:
-    """Return the parameters with their intervals, and the names of those that keep their prior."""
+    """Return the parameters by name with their 95 % intervals, in units of files; the names of those that keep their
+    prior.
+    """
     values, covariance = file_values(fit)
     half_width = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
     parameters, held_names = {}, []

@@ -193,7 +193,7 @@ def test_a_loop_has_the_half_width_by_which_the_gear_lags(experiment, loop):
     flank = np.sign(joint_torques_of(true, q, f)[:, 3])
     _, raw = simulator.measure(Returning(true, flank, loop, f), q, f, rng, SIGMA, levels=shares)
     data = harness.load(simulator.write(place / "loop", q, f, raw, SIGMA, levels=shares))
-    (told,) = plausibility.loops(harness.PRIOR, data, locate(harness.PRIOR, data))
+    (told,) = plausibility.hysteresis_warnings(harness.PRIOR, data, locate(harness.PRIOR, data))
     assert told.endswith("backlash or friction in A4")
     assert float(told.split("looks like ")[1].split(" ")[0]) == pytest.approx(loop * 1e3, rel=0.1, abs=0.0006)
 

@@ -5,7 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.plan import search
-from postproc.plan.criterion import Criterion, Joint2, expected_accuracy, not_visible
+from postproc.plan.criterion import Criterion, Joint2, expected_accuracy, unidentifiable_joints
 from postproc.plan.sensitivity import Readings, direction, direction_slope
 from tests.plan import setting
 
@@ -202,4 +202,4 @@ def test_a_compliance_is_hidden_if_all_poses_together_leave_it_wider_than_half_i
     enough = (1.96 / 0.5) ** 2 / 8  # of eight poses, all as good as the best one
     each[:, 3, 3] = 0.1 * share * enough
     each[4, 3, 3] = share * enough
-    assert not_visible(readings, each, 8) == missing
+    assert unidentifiable_joints(each, 8) == missing
