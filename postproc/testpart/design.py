@@ -8,6 +8,8 @@ Features are taken one by one, each the one that gains most for its time, and th
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
@@ -49,6 +51,8 @@ _TESTS = 48
 """Places of features over the whole block (assumed)."""
 _EXCHANGES = 20
 """Limit of the rounds of exchanges (assumed)."""
+_LEAST_GAIN = 1e-4
+"""Share of the criterion by which an exchange must lower it; less is no gain on a part (assumed)."""
 MOST_CHANGE = 1.0
 """Relative change of a parameter beyond which it counts as not shown."""
 _DETECTION_SIGMAS = 5.1
@@ -223,7 +227,7 @@ def candidates(
             _reachable_features(prior, robot_in_cell, kinds, all_features, loads_by_kind, cutting, sigma)
             for robot_in_cell in placements
         ]
-        largest_deflection = max(deflection for reachable in by_placement for _, _, deflection, _ in reachable)
+        largest_deflection = max(entry.deflection for reachable in by_placement for entry in reachable)
         trim = float(np.round(_TRIM * largest_deflection, 4))
         if trim <= cutting.trim:
             break
@@ -261,31 +265,46 @@ def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array],
     return fitting
 
 
-_Reachable = list[tuple[Feature, Array, float, States]]
-"""Reachable features with their information, displacement and most loaded state."""
+class _ReachableFeature(NamedTuple):
+    """A feature that the robot reaches in a placement.
+
+    :param feature: kind and place.
+    :param information: (m, m) of its probed points on the unknowns, with one position of the part.
+    :param deflection: largest displacement of the tool at them [m].
+    :param state: the one with this displacement.
+    """
+
+    feature: Feature
+    information: Array
+    deflection: float
+    state: States
 
 
-def _join_candidates(by_placement: list[_Reachable], cutting: Cutting) -> Candidates:
-    """Return the candidates of all placements: the position of the part in each is an unknown of its own."""
+def _join_candidates(by_placement: list[list[_ReachableFeature]], cutting: Cutting) -> Candidates:
+    """Return the candidates of all placements: the position of the part in each is a set of unknowns of its own.
+
+    The unknowns that all have in common come first.
+    """
     entries = [entry for placement in by_placement for entry in placement]
     number = np.repeat(np.arange(len(by_placement)), [len(placement) for placement in by_placement])
-    features_in_order = tuple(feature for feature, _, _, _ in entries)
+    features_in_order = tuple(entry.feature for entry in entries)
     seconds = {kind: features.seconds(kind, cutting) for kind in {feature.kind for feature in features_in_order}}
-    small = np.array([information for _, information, _, _ in entries])
-    common = small.shape[1] - _POSES
-    information = np.zeros((len(entries), common + _POSES * len(by_placement), common + _POSES * len(by_placement)))
+    of_placement = np.array([entry.information for entry in entries])
+    common = of_placement.shape[1] - _POSES
+    size = common + _POSES * len(by_placement)
+    information = np.zeros((len(entries), size, size))
     for k in range(len(by_placement)):
         rows = np.flatnonzero(number == k)
         unknowns = np.append(np.arange(common), common + _POSES * k + np.arange(_POSES))
-        information[np.ix_(rows, unknowns, unknowns)] = small[rows]
+        information[np.ix_(rows, unknowns, unknowns)] = of_placement[rows]
     return Candidates(
         features_in_order,
         number,
         information,
         np.array([seconds[feature.kind] for feature in features_in_order]),
         _do_not_touch(features_in_order, cutting),
-        np.array([deflection for _, _, deflection, _ in entries]),
-        States.join([state for _, _, _, state in entries]),
+        np.array([entry.deflection for entry in entries]),
+        States.join([entry.state for entry in entries]),
     )
 
 
@@ -297,12 +316,12 @@ def _reachable_features(
     loads_by_kind: list[Loads],
     cutting: Cutting,
     sigma: float,
-) -> _Reachable:
+) -> list[_ReachableFeature]:
     """Return those of the features that the robot reaches in a placement.
 
     :raises PlanError: there is none.
     """
-    reachable: _Reachable = []
+    reachable: list[_ReachableFeature] = []
     for kind, load in zip(kinds, loads_by_kind, strict=True):
         features_of_kind = [feature for feature in all_features if feature.kind == kind]
         if features_of_kind:
@@ -324,7 +343,7 @@ def _features_of_kind(
     load: Loads,
     cutting: Cutting,
     sigma: float,
-) -> _Reachable:
+) -> list[_ReachableFeature]:
     """Return the features of one kind that the robot reaches, with information, displacement and most loaded state.
 
     :param load: on the tool in a feature of this kind, in its axes.
@@ -367,7 +386,9 @@ def _features_of_kind(
         feature for feature, is_reached in zip(features_of_kind, reachable.tolist(), strict=True) if is_reached
     ]
     return [
-        (feature, information[k], float(deflection[k].max()), states.take(np.array([k * count + worst_probe[k]])))
+        _ReachableFeature(
+            feature, information[k], float(deflection[k].max()), states.take(np.array([k * count + worst_probe[k]]))
+        )
         for k, feature in enumerate(reached_features)
     ]
 
@@ -407,15 +428,26 @@ def _information(
     return np.swapaxes(columns, 1, 2) @ np.linalg.solve(noise, columns), deflection
 
 
+class _ReachedStates(NamedTuple):
+    """States at n points of features, as far as the robot reaches these.
+
+    :param states: of the features that are reached.
+    :param is_reached: (n / count,) of each feature, which has `count` points.
+    :param rotation: (n, 3, 3) axes of `$BASE` as columns in the root.
+    """
+
+    states: States
+    is_reached: Bools
+    rotation: Array
+
+
 def _states(
     robot_in_cell: RobotInCell, tip: Array, wrenches: tuple[Array, Array], cutting: Cutting, count: int
-) -> tuple[States, Bools, Array]:
-    """Return the states at points of features that the robot reaches, True for these features, and axes of `$BASE`.
+) -> _ReachedStates:
+    """Return the states at points of features that the robot reaches within its joint limits.
 
     :param tip: (n, 3) positions of the tip in `$BASE` [m], `count` for each feature.
     :param wrenches: (n, 6) on the tips, and (n, 6) their derivative by the lift, `$BASE` axes.
-    :returns: states of the features that are reached; (n / count,) True for these; (n, 3, 3) axes of `$BASE` as columns
-        in the root.
     """
     text = f"G21 G90 G17 G94\nT{cutting.tool} M6\nG0 X0 Y0 Z0\nG1 X0 Y0 Z1 F100\n"
     motions = read_text(text, robot_in_cell)
@@ -450,7 +482,7 @@ def _states(
         np.zeros(len(rows)),
         by_lift,
     )
-    return states, reachable, rotation
+    return _ReachedStates(states, reachable, rotation)
 
 
 def _is_in_box(feature: Feature, cutting: Cutting, box: tuple[Array, Array]) -> bool:
@@ -588,10 +620,25 @@ def choose(
     :param tests: poses at which the expected error counts.
     :param count: number of features at most.
     :param weight_information: (m, m) of a gauge that reads the displacement by a weight; 0: none.
+    :raises MeasurementError: no feature can be chosen.
     """
     unknowns = candidates_in_block.information.shape[1]
     criterion = Criterion.of(prior, robot_in_cell, tests, unknowns)
     start = _prior_information(prior, unknowns) + weight_information
+    rows = _best_one_by_one(candidates_in_block, criterion, start, count)
+    for _ in range(_EXCHANGES):
+        if not _exchange(candidates_in_block, criterion, start, rows):
+            break
+    return evaluate(
+        candidates_in_block, prior, robot_in_cell, tests, np.array(rows, dtype=np.int64), weight_information
+    )
+
+
+def _best_one_by_one(candidates_in_block: Candidates, criterion: Criterion, start: Array, count: int) -> list[int]:
+    """Return the rows of at most `count` features that do not touch, each the one with the largest gain per second.
+
+    :param start: (m, m) information without features.
+    """
     rows: list[int] = []
     whole = start
     for _ in range(count):
@@ -602,26 +649,30 @@ def choose(
         best = int(free[np.argmax(gain / candidates_in_block.seconds[free])])
         rows.append(best)
         whole = whole + candidates_in_block.information[best]
-    for _ in range(_EXCHANGES):
-        is_changed = False
-        for place in range(len(rows)):
-            other_rows = rows[:place] + rows[place + 1 :]
-            other_information = start + candidates_in_block.information[other_rows].sum(axis=0)
-            time_left = candidates_in_block.seconds[rows].sum() - candidates_in_block.seconds[other_rows].sum()
-            free = np.flatnonzero(
-                candidates_in_block.is_apart[:, other_rows].all(axis=1)
-                & (candidates_in_block.seconds <= time_left + 1e-9)
-            )
-            best = int(free[np.argmin(criterion(other_information + candidates_in_block.information[free]))])
-            if float(criterion(other_information + candidates_in_block.information[best])) < (1.0 - 1e-4) * float(
-                criterion(other_information + candidates_in_block.information[rows[place]])
-            ):
-                rows[place], is_changed = best, True
-        if not is_changed:
-            break
-    return evaluate(
-        candidates_in_block, prior, robot_in_cell, tests, np.array(rows, dtype=np.int64), weight_information
-    )
+    return rows
+
+
+def _exchange(candidates_in_block: Candidates, criterion: Criterion, start: Array, rows: list[int]) -> bool:
+    """Put a better feature that takes no longer in the place of each one, if there is one; return whether one changed.
+
+    :param start: (m, m) information without features.
+    :param rows: of the features, which are changed.
+    """
+    is_changed = False
+    for place in range(len(rows)):
+        other_rows = rows[:place] + rows[place + 1 :]
+        other_information = start + candidates_in_block.information[other_rows].sum(axis=0)
+        time_left = candidates_in_block.seconds[rows].sum() - candidates_in_block.seconds[other_rows].sum()
+        # what is not longer but for rounding: the feature itself is among them
+        is_short = candidates_in_block.seconds <= time_left + 1e-9
+        free = np.flatnonzero(candidates_in_block.is_apart[:, other_rows].all(axis=1) & is_short)
+        best = int(free[np.argmin(criterion(other_information + candidates_in_block.information[free]))])
+        new_value, old_value = (
+            float(criterion(other_information + candidates_in_block.information[row])) for row in (best, rows[place])
+        )
+        if new_value < (1.0 - _LEAST_GAIN) * old_value:
+            rows[place], is_changed = best, True
+    return is_changed
 
 
 def evaluate(
@@ -636,7 +687,10 @@ def evaluate(
 
     :param tests: poses at which the expected error counts.
     :param weight_information: (m, m) of a gauge that reads the displacement by a weight; 0: none.
+    :raises MeasurementError: there is no feature.
     """
+    if not len(rows):
+        raise MeasurementError("no feature was chosen", file="--block", advice="Give a larger block.")
     unknowns = candidates_in_block.information.shape[1]
     criterion = Criterion.of(prior, robot_in_cell, tests, unknowns)
     start = _prior_information(prior, unknowns)
@@ -647,21 +701,15 @@ def evaluate(
         tests.states.twist(robot_in_cell, prior.robot, 1.0)[:, :3]
         - tests.states.twist(robot_in_cell, prior.robot, 0.0)[:, :3]
     )
-    if not len(rows):
-        raise MeasurementError("no feature was chosen", file="--block", advice="Give a larger block.")
+
+    def order(row: int) -> tuple[float, float, float]:
+        """Return the key by which features are cut: by placement, along Y, then along X."""
+        feature = candidates_in_block.feature[row]
+        return candidates_in_block.placement[row], feature.y, feature.x
+
     return Design(
         candidates_in_block,
-        np.array(
-            sorted(
-                rows.tolist(),
-                key=lambda k: (
-                    candidates_in_block.placement[k],
-                    candidates_in_block.feature[k].y,
-                    candidates_in_block.feature[k].x,
-                ),
-            ),
-            dtype=np.int64,
-        ),
+        np.array(sorted(rows.tolist(), key=order), dtype=np.int64),
         np.sqrt(np.diag(covariance)[:size]),
         np.sqrt(np.diag(covariance_without_weight)[:size]) if np.any(weight_information) else None,
         _visible_changes(prior, whole + weight_information - start),

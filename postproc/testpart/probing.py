@@ -113,11 +113,8 @@ def read(path: Path) -> ProbedSurfaces:
         ("feature", PROGRAM),
         ("deviation_mm", BASE, MASS),
     )
-    mass = np.nan_to_num(numbers.get(MASS, np.zeros(len(lines))))
-    if not ((mass >= 0.0) & (mass <= _MOST_MASS)).all():
-        row = int(lines[np.argmax(~((mass >= 0.0) & (mass <= _MOST_MASS)))])
-        raise MeasurementError(f"{MASS} is not between 0 and {_MOST_MASS:g}", file=str(path), line=row)
-    base = np.nan_to_num(numbers.get(BASE, np.full(len(lines), -1.0)), nan=-1.0)
+    mass = _masses(numbers, lines, path)
+    base = np.nan_to_num(numbers.get(BASE, np.full(len(lines), -1.0)), nan=-1.0)  # −1: `[base]` of the cell
     if (PROGRAM in texts) != (BASE in numbers) or (base % 1.0).any():
         advice = "Keep the columns program and base."
         raise MeasurementError("the rows do not name program and placement", file=str(path), line=1, advice=advice)
@@ -148,6 +145,20 @@ def read(path: Path) -> ProbedSurfaces:
             numbers, texts["feature"], normal, base, mass, np.flatnonzero(is_filled & is_top), row_numbers, str(path)
         ),
     )
+
+
+def _masses(numbers: dict[str, Array], lines: Array, path: Path) -> Array:
+    """Return the mass (n,) [kg] of the weight of each row of a table, 0 without one.
+
+    :param numbers: columns by name; `lines` (n,) of the file.
+    :raises MeasurementError: one is negative or too large.
+    """
+    mass = np.nan_to_num(numbers.get(MASS, np.zeros(len(lines))))
+    is_invalid = ~((mass >= 0.0) & (mass <= _MOST_MASS))
+    if is_invalid.any():
+        line = int(lines[np.argmax(is_invalid)])
+        raise MeasurementError(f"{MASS} is not between 0 and {_MOST_MASS:g}", file=str(path), line=line)
+    return mass
 
 
 def _normals(numbers: dict[str, Array], rows: Ints, lines: Ints, file: str) -> Array:
