@@ -178,8 +178,10 @@ def _add_force_factor(
 
     Without a factor that counts, sensitivities and covariance of the parameters alone.
 
-    :param slopes: (N, 3, P) sensitivities to the parameters.
-    :param forces: from `_reaction`.
+    :param slopes: (N, 3, P) sensitivities of the position to the parameters.
+    :param wrench: (N, 6) at the TCP; `is_proportional` (N,) places where the factor acts on it.
+    :param forces: spread of the wrench, which is not used, and (N, 3, 6) displacement per wrench; empty if the forces
+        are certain.
     :returns: (N, 3, P + 1) and (P + 1, P + 1), or (N, 3, P) and (P, P).
     """
     assert robot.covariance is not None
@@ -189,9 +191,10 @@ def _add_force_factor(
     _, displacement = forces
     by_factor = np.einsum("nij,nj->ni", displacement, wrench) * is_proportional[:, None]
     size = len(matrix)
-    joint = np.empty((size + 1, size + 1))
-    joint[:size, :size], joint[size], joint[:, size] = matrix, factor.covariance, factor.covariance
-    return np.concatenate([slopes, by_factor[:, :, None]], axis=2), joint
+    whole_matrix = np.empty((size + 1, size + 1))
+    whole_matrix[:size, :size] = matrix
+    whole_matrix[size], whole_matrix[:, size] = factor.covariance, factor.covariance
+    return np.concatenate([slopes, by_factor[:, :, None]], axis=2), whole_matrix
 
 
 def _other_covariances(robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools) -> dict[str, Array]:

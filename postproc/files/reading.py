@@ -502,8 +502,8 @@ def _numeric(values: Sequence[str], *, empty_is_nan: bool) -> tuple[Array, NDArr
 
 
 _NORMAL = re.compile(rb"facet\s+normal[^\r\n]*", re.IGNORECASE)
-_BINARY_HEADER, _BINARY_FACET = 84, 50
-"""Bytes of a binary STL file before its facets, and of each facet."""
+_BINARY_TITLE, _BINARY_HEADER, _BINARY_FACET = 80, 84, 50
+"""Bytes of a binary STL file before the number of its facets, before its facets, and of each facet."""
 
 
 def read_mesh(path: Path, error: type[InputError], kind: str) -> Any:
@@ -551,7 +551,7 @@ def _plain_stl(content: bytes) -> bytes:
 
     :raises ValueError: a binary file ends too early.
     """
-    count = int.from_bytes(content[80:84], "little")
+    count = int.from_bytes(content[_BINARY_TITLE:_BINARY_HEADER], "little")
     if len(content) >= _BINARY_HEADER and len(content) == _BINARY_HEADER + _BINARY_FACET * count:
         return content
     if content.lstrip()[:5].lower() != b"solid":

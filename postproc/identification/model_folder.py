@@ -415,7 +415,15 @@ def _entry(
     if value is None:
         return record.Parameter(prior_value, None, unit, observable=False, prior=prior_value, source="prior")
     size, half_width = value
-    return record.Parameter(size, half_width, unit, True, bool(half_width <= size), prior_value, source)
+    return record.Parameter(
+        size,
+        half_width,
+        unit,
+        observable=True,
+        determined=bool(half_width <= size),
+        prior=prior_value,
+        source=source,
+    )
 
 
 def _k2_curve(result: Identification) -> list[tuple[float, float]]:

@@ -127,7 +127,10 @@ class Readings(Struct, frozen=True, eq=False):
         return np.ascontiguousarray(np.swapaxes(velocity, 2, 3)).reshape(len(q), -1, 6)
 
     def torque(self, q: Array, load: Array) -> Array:
-        """Return the torques (N, 6) [N·m] of forces (N, 3) at the load point, root axes [N]."""
+        """Return the torques on A1…A6 (N, 6) [N·m] at joint angles q (N, 6) [rad].
+
+        :param load: (N, 3) forces at the load point, root axes [N].
+        """
         arm_pose = self.arm.pose(q)
         at_load = arm_pose.velocity(arm_pose.point(self.load_point[None]))[:, 0]
         return np.asarray(np.einsum("nij,nj->ni", at_load, load))

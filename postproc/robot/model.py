@@ -237,7 +237,7 @@ class OverPose(Struct, frozen=True, eq=False):
         return cls(np.array(turns, dtype=float), **amplitude)
 
     def compliance(self, q: Array) -> Array:
-        """Return the compliance (6, n) in addition to the mean one at joint angles (6, n) [rad]."""
+        """Return the compliance (6, n) [rad/(N·m)] in addition to the mean one at joint angles q (6, n) [rad]."""
         phase = self.turns @ q
         return np.asarray(self.cos @ np.cos(phase) + self.sin @ np.sin(phase))
 

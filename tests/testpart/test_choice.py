@@ -186,7 +186,7 @@ def test_the_position_of_the_part_in_each_placement_is_an_unknown_of_its_own():
     def entry(k):
         small = rng.normal(size=(common + 7, common + 7))
         feature = Feature(kinds[k % 2], 0.05 * k, 0.02 * k, 0.0)
-        return feature, small, 1e-4 * k, replace(state, q=np.full((1, 6), float(k)))
+        return design._ReachableFeature(feature, small, 1e-4 * k, replace(state, q=np.full((1, 6), float(k))))
 
     by_placement = [[entry(k) for k in range(3)], [entry(k) for k in (3, 4)]]
     found = design._join_candidates(by_placement, CUTTING)
