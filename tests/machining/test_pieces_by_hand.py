@@ -310,12 +310,18 @@ def test_a_move_without_knots_has_one_wrench_of_zero():
 
 
 @pytest.mark.parametrize(("height", "limit"), [(0.0, 2.9), (1.0, 4.632), (2.0, 4.9), (9.0, 4.9)])
-def test_points_ahead_of_an_upright_tool_are_near_its_side_or_outside_of_it(height, limit):
-    """A tool of radius 5 with a corner of 2 moves along +x by 1; the margin is 0.1 [mm]. Behind it nothing is ahead."""
-    tip, axis = np.array([[0.0, 0, 3e-3], [1e-3, 0, 3e-3]]), np.tile(UP, (2, 1))
-    distance = 1e-3 * np.array([[[limit - 0.01, limit + 0.01, -limit - 0.01, 8.0, -8.0]]])
-    x, level = distance + 1e-3, np.full((1, 1, 5), 3e-3 + 1e-3 * height)
-    found = tilted._is_ahead(Cutter(5e-3, 2e-3, 2), tip, axis, np.array([0]), (x, 0.0 * x), level, 1e-4)
+@pytest.mark.parametrize("axis", [(1.0, 0.0), (0.0, 1.0), (-0.6, 0.8)])
+def test_points_ahead_of_an_upright_tool_are_near_its_side_or_outside_of_it(height, limit, axis):
+    """A tool of radius 5 with a corner of 2 moves along x, y or between by 1; the margin is 0.1 [mm].
+
+    Behind it nothing is ahead.
+    """
+    along = np.array(axis) / np.hypot(*axis)
+    tip = np.array([[0.0, 0.0, 3e-3], [*(1e-3 * along), 3e-3]])
+    distance = 1e-3 * np.array([[[limit - 0.01, limit + 0.01, -limit - 0.01, 8.0, -8.0]]]) + 1e-3
+    level = np.full((1, 1, 5), 3e-3 + 1e-3 * height)
+    points = distance * along[0], distance * along[1]
+    found = tilted._is_ahead(Cutter(5e-3, 2e-3, 2), tip, np.tile(UP, (2, 1)), np.array([0]), points, level, 1e-4)
     assert found.ravel().tolist() == [False, True, False, True, False]
 
 

@@ -556,21 +556,24 @@ def test_a_tool_that_leans_may_touch_what_is_its_radius_and_a_millimetre_below_i
 
 @pytest.mark.parametrize("shape", CUTTERS)
 @pytest.mark.parametrize("lean", [-12.0, 0.0, 12.0])
-def test_what_a_leaning_tool_enters_next_is_its_front(shape, lean):
-    """On a path along x, leaning back, upright or forwards: cells at its side ahead of the tip, and none behind it.
+@pytest.mark.parametrize("heading", [0.0, 70.0, 215.0])
+def test_what_a_leaning_tool_enters_next_is_its_front(shape, lean, heading):
+    """Leaning back, upright or forwards along the path: cells at its side ahead of the tip, and none behind it.
 
     With the lean the side at the surface is displaced along the path; cells a cell from the side may be either.
     """
     stock, cutter = stocks.from_box(*BOX, 0.5e-3), CUTTERS[shape]
-    x = np.linspace(0.025, 0.0262, 13)
-    tips = np.column_stack([x, np.full(13, 0.02), np.full(13, -6e-3)])
-    axis = np.array([math.sin(math.radians(lean)), 0.0, math.cos(math.radians(lean))])
+    along = np.array([math.cos(math.radians(heading)), math.sin(math.radians(heading)), 0.0])
+    tips = np.array([0.03, 0.02, -6e-3]) + np.linspace(-1.2e-3, 0.0, 13)[:, None] * along
+    axis = math.sin(math.radians(lean)) * along + [0.0, 0.0, math.cos(math.radians(lean))]
     swept = tilted.sweep(stock, cutter, tips, np.tile(axis, (13, 1)), 0.0)
     columns = stock.high.shape[1]
 
     def of(footprint):
+        """Return distances (n,) of cells from the tip, along the path and across it [m]."""
         row, column = np.divmod(footprint.cell, columns)
-        return stock.x + (column + 0.5) * 0.5e-3 - tips[-1, 0], stock.y + (row + 0.5) * 0.5e-3 - 0.02
+        x, y = stock.x + (column + 0.5) * 0.5e-3 - 0.03, stock.y + (row + 0.5) * 0.5e-3 - 0.02
+        return x * along[0] + y * along[1], y * along[0] - x * along[1]
 
     surface = 6e-3 * math.tan(math.radians(lean))  # of the axis at the surface, along the path
     ahead, across = of(swept.front)
