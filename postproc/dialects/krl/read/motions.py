@@ -542,7 +542,7 @@ def _circle_columns(
     if not len(circle_rows):
         return _CircleColumns(nan_rows, nan_rows, nan_rows[:, 0], drops_via_orientation)
     circles = _circles(trace, rows, circle_rows, ends, text_ends)
-    angle = _programmed_angles(moves, circle_rows)
+    angle = _programmed_angles(moves, circle_rows, len(rows))
     has_angle = ~np.isnan(angle)
     ends_elsewhere = has_angle & ~(np.abs(angle - circles.arcs.angle) < _END_TOLERANCE)
     _check_circular_angles(targets, circle_rows[ends_elsewhere], ends)
@@ -572,11 +572,16 @@ def _circles(trace: Trace, rows: MotionColumns, circle_rows: Ints, ends: EndPose
     return Circles(circle_rows, start, ends.pose[circle_rows], via, arcs)
 
 
-def _programmed_angles(moves: Mapping[int, MotionStatement], circle_rows: Ints) -> Array:
-    """Return CA (n,) [rad] of n circles; NaN without it."""
-    statements = (moves.get(row) for row in circle_rows.tolist())
-    angles = [np.nan if move is None or move.angle is None else move.angle for move in statements]
-    return np.array(angles) * RAD_PER_DEG
+def _programmed_angles(moves: Mapping[int, MotionStatement], circle_rows: Ints, count: int) -> Array:
+    """Return CA (n,) [rad] of n circles; NaN without it.
+
+    :param count: number of motions of the program.
+    """
+    angles = np.full(count, np.nan)
+    for row, move in moves.items():  # only these may have one: circles that are read in bulk have none
+        if move.angle is not None:
+            angles[row] = move.angle * RAD_PER_DEG
+    return angles[circle_rows]
 
 
 def _check_circular_angles(targets: TextTargets, circle_rows: Ints, ends: EndPoses) -> None:
