@@ -21,6 +21,10 @@ _SAME_MM = 1e-6
 """Start and end of a full circle that are this near are one point but for the last digits."""
 _LEAST_MM = 1e-3
 """Radius [mm] below which start and end are the rounding of one point."""
+_UNEVEN = 0.02
+"""Points whose angles differ by less, of their mean, are evenly spaced (assumed)."""
+_MARGIN = 1e-3
+"""A whole turn may be exceeded by this share, for the digits of points."""
 _OFF_CIRCLE = 100.0
 """A point whose distance from a circle is so many times that of start and first point is not of the arc (assumed)."""
 
@@ -159,6 +163,8 @@ def arc_point_count(circle: Circle, start: Array, points: Array, digit_mm: float
         sweeps = sweeps[:count]
     if count <= 1:
         return 1
-    close = circle.radius * (1.0 - np.cos(np.minimum(sweeps[1:], np.pi) / 2.0)) < TOLERANCE_MM
-    is_even = count > 2 and np.ptp(sweeps) < 0.02 * sweeps.mean() and sweeps.sum() < 2.0 * np.pi * 1.001
-    return count if close.all() or is_even else None
+    # chords that leave the arc by less than the tolerance are of it either way
+    is_close = circle.radius * (1.0 - np.cos(np.minimum(sweeps[1:], np.pi) / 2.0)) < TOLERANCE_MM
+    is_one_turn = sweeps.sum() < 2.0 * np.pi * (1.0 + _MARGIN)
+    is_even = count > 2 and np.ptp(sweeps) < _UNEVEN * sweeps.mean() and is_one_turn
+    return count if is_close.all() or is_even else None

@@ -189,10 +189,10 @@ class NewProgram:
         millionths = np.rint(feed * 10.0**_DECIMALS)
         invalid_rows = np.flatnonzero(~(millionths > 0.0))
         if len(invalid_rows):
-            at, speed = int(motions.line[self.row[path[invalid_rows[0]]]]), feed[invalid_rows[0]]
+            line, speed = int(motions.line[self.row[path[invalid_rows[0]]]]), feed[invalid_rows[0]]
             problem = "a move has no feed" if np.isnan(speed) else f"the feed is too small: {speed * 60e3:g} mm/min"
             raise ProgramError(
-                problem, file=self.program.documents[0].name, line=at, advice="Give F above 0.06 mm/min."
+                problem, file=self.program.documents[0].name, line=line, advice="Give F above 0.06 mm/min."
             )
         return path, millionths
 

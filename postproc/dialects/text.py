@@ -51,16 +51,16 @@ def line_spans(text: str, piece: int = _PIECE) -> tuple[Ints, Ints]:
 
     The line end is not part of the line. What follows the last line end is a line only if it is not empty.
 
-    :param piece: characters that are looked at together, and those to the end of the line.
+    :param piece: characters that are looked begin together, and those to the end of the line.
     """
-    starts, stops, at = [], [], 0
+    starts, stops, begin = [], [], 0
     while True:
-        piece_end = text.find("\n", at + piece) + 1 or len(text)  # a line end of several characters ends with LF
-        first, last = _spans(text[at:piece_end])
-        starts.append(first + at)
-        stops.append(last + at)
-        at = piece_end
-        if at == len(text):
+        piece_end = text.find("\n", begin + piece) + 1 or len(text)  # a line end of several characters ends with LF
+        first, last = _spans(text[begin:piece_end])
+        starts.append(first + begin)
+        stops.append(last + begin)
+        begin = piece_end
+        if begin == len(text):
             return np.concatenate(starts), np.concatenate(stops)
 
 

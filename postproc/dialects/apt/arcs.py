@@ -61,6 +61,7 @@ class PendingArc(Struct, frozen=True, eq=False):
         sweep = self.circle.sweep(place, end) + 2.0 * np.pi * self.turns
         if self.angle is None:
             return sweep
+        # files state the angle to some digits, or with whole turns that start and end do not show
         whole_turns = round((self.angle - sweep) / (2.0 * np.pi)) * 2.0 * np.pi
         if abs(sweep + whole_turns - self.angle) * self.circle.radius > _DIFFERENCE_MM or sweep + whole_turns <= 0.0:
             degrees = f"{np.rad2deg(self.angle):.3f}° stated, {np.rad2deg(sweep):.3f}° to the end"
@@ -69,7 +70,10 @@ class PendingArc(Struct, frozen=True, eq=False):
 
 
 def turns_of(count: float | str) -> int:
-    """Return the number of turns of a helix behind TIMES, which is 1 for less than a whole one."""
+    """Return the number of turns of a helix behind TIMES, which is 1 for less than a whole one.
+
+    :raises StatementError: it is not a whole number, or out of range.
+    """
     if not isinstance(count, float) or count != int(count) or not 1.0 <= count <= _MOST_TURNS:
         raise StatementError("TIMES is not a number of turns", ARC_ADVICE)
     return int(count)
@@ -100,7 +104,11 @@ def circle_of(numbers: Array, unit: float, *, is_right_hand: bool) -> Circle:
 
 
 def stated_angle(words: list[float | str]) -> tuple[Array, float]:
-    """Return the circle (7,) of MOVARC as numbers, and its angle [rad]."""
+    """Return the circle of MOVARC as numbers (7,), centre, axis and radius, and the angle of the arc [rad].
+
+    :param words: values behind ``MOVARC/``.
+    :raises StatementError: they are not those of an arc.
+    """
     if len(words) != 9 or words[7] != "ANGLE":
         raise StatementError("MOVARC is not understood", "Write MOVARC/x,y,z,i,j,k,r,ANGLE,a.")
     numbers = numbers_of([*words[:7], words[8]], 8)

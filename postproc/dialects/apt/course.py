@@ -67,6 +67,7 @@ class Part(Struct, frozen=True, eq=False):
 class Course(Struct, eq=False):
     """Result of the execution.
 
+    :ivar tools: numbers of the tools, in order of their first use.
     :ivar unforced: whether the first move comes from `[start]` at feed.
     :ivar stated: whether the program states its units.
     :ivar after_end: rows of statements behind the end, which are not executed.

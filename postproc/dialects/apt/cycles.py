@@ -138,6 +138,8 @@ def cycle_words(words: Sequence[float | str], rates: Sequence[str]) -> CycleWord
 def _normalise_depth(couplets: Sequence[float | str]) -> tuple[list[float | str], bool]:
     """Return a cycle with FEDTO in the words of the other cycles, and whether it returns to the height before the hole.
 
+    An RTRCTO that repeats RETURN, and a CLEAR next to RAPTO and RETURN, which is a coordinate, are left out.
+
     :param couplets: word, value, word, value …
     """
     automatic = ("RTRCTO", "AUTO")

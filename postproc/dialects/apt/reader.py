@@ -13,6 +13,7 @@ post "Common ISO 4343 APT"; files of CATIA V5, Siemens NX and SolidWorks CAM.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -24,6 +25,7 @@ from postproc.dialects.apt.course import ARC, RAPID, Course, Fault, Part
 from postproc.dialects.apt.statements import Statements
 from postproc.dialects.apt.survey import survey
 from postproc.dialects.apt.walk import execute
+from postproc.dialects.circles import ArcColumns
 from postproc.dialects.dialect import CamFormat
 from postproc.errors import ForceError, InputError, Issue, ProgramError, combined_error
 from postproc.frames import M_PER_MM, RAD_PER_DEG, S_PER_MIN, Array, inverse, norm
@@ -68,21 +70,24 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
     source = statements.split(document)
     base, tool_frames = cell.base.pose(), [cell.tool.pose()]
     course = execute(source, cell)
-    notes, comments, wrong = _comments(source, course)
-    wrong += [_changed_system(source, line) for line in systems.changed_axis_systems(source.comments)]
+    notes, comments, errors = _comments(source, course)
+    errors += [_changed_system(source, line) for line in systems.changed_axis_systems(source.comments)]
     moves = _Moves(course.parts)
     faults = list(course.faults)
     faults += _opposite_directions(moves, source)
-    if faults or wrong:
-        raise combined_error([*(_error(source, fault.row, fault.problem, fault.advice) for fault in faults), *wrong])
+    if faults or errors:
+        raise combined_error([*(_error(source, fault.row, fault.problem, fault.advice) for fault in faults), *errors])
     if not course.parts:
         advice = "Check that the file is the right one and complete."
         raise ProgramError("the program moves nothing", file=document.name, advice=advice)
     numbers = {number: row for row, number in enumerate(course.tools, 1)} if cell.tools else {}
     tool_frames += [cell.tools[f"{number:g}"].pose() for number in numbers]
-    home = np.array(cell.machine.home_joints or np.full(6, np.nan)) * RAD_PER_DEG
-    at_home = inverse(base) @ forward_kinematics(home) @ np.stack(tool_frames) if cell.machine.home_joints else None
-    motion_moves, motions = _motions(moves, source, cell, numbers, (home, at_home))
+    home = None
+    if cell.machine.home_joints is not None:
+        joints = np.array(cell.machine.home_joints) * RAD_PER_DEG
+        home = _Home(joints, inverse(base) @ forward_kinematics(joints) @ np.stack(tool_frames))
+    motion_moves = _motion_moves(moves, numbers)
+    motions = _motions(moves, motion_moves, source, cell, numbers, home)
     return Program(
         name=name,
         dialect="apt",
@@ -99,6 +104,7 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
 
 
 def _error(source: Statements, row: int, problem: str, advice: str | None) -> ProgramError:
+    """Return the error of a statement, by its row, with its line and text."""
     line = int(source.line[row])
     return ProgramError(problem, file=source.document.name, line=line, text=source.text(row), advice=advice)
 
@@ -110,8 +116,16 @@ def _changed_system(source: Statements, line: int) -> ProgramError:
     return ProgramError(problem, file=source.document.name, line=line, advice=advice)
 
 
-def _comments(source: Statements, course: Course) -> tuple[list[ForceNote], list[tuple[int, str]], list[InputError]]:
-    """Return the forces of ``$$`` comments and of PPRINT, the other comments by line, and the errors."""
+class _Comments(NamedTuple):
+    """Force comments of a file, its other comments with their 1-based lines, and errors of force comments."""
+
+    notes: list[ForceNote]
+    plain_comments: list[tuple[int, str]]
+    faults: list[InputError]
+
+
+def _comments(source: Statements, course: Course) -> _Comments:
+    """Return the comments up to the end of the program: those after ``$$``, and forces in PPRINT."""
     notes: list[ForceNote] = []
     plain_comments: list[tuple[int, str]] = []
     faults: list[InputError] = []
@@ -130,11 +144,15 @@ def _comments(source: Statements, course: Course) -> tuple[list[ForceNote], list
             notes.append(note)
         elif text and not is_printed:
             plain_comments.append((line, text))
-    return notes, plain_comments, faults
+    return _Comments(notes, plain_comments, faults)
 
 
 class _Moves:
-    """All moves as arrays (N, …), see `walk.Part`; `part` (N,) is the index of the part."""
+    """All moves as arrays (N, …), see `course.Part`.
+
+    :ivar row: (N,) statements; `end`: (N, 3) [mm]; `axis`: (N, 3) direction of the tool there.
+    :ivar part: (N,) index of the part; `begin`: (N, 3) where each begins [mm]; `turns`: (N,) whether the tool turns.
+    """
 
     def __init__(self, parts: Sequence[Part]) -> None:
         no_arrays = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
@@ -153,30 +171,51 @@ class _Moves:
         return np.array([getattr(part, name) for part in self.parts])[self.part]
 
 
-def _motions(
-    moves: _Moves, source: Statements, cell: Cell, numbers: dict[float, int], home: tuple[Array, Array | None]
-) -> tuple[Ints, Motions]:
-    """Return which moves are motions (M,), and these.
+class _Home(NamedTuple):
+    """The home position of the cell: joint angles (6,) [rad], and poses (tools, 4, 4) of the tool in `$BASE` [m]."""
+
+    joints: Array
+    poses: Array
+
+
+def _tools(moves: _Moves, numbers: dict[float, int]) -> Ints:
+    """Return the index of the tool of each move (N,); `numbers`: index of a tool by its number."""
+    part_tools = [0 if part.tool is None else numbers.get(part.tool, 0) for part in moves.parts]
+    return np.array(part_tools)[moves.part]
+
+
+def _motion_moves(moves: _Moves, numbers: dict[float, int]) -> Ints:
+    """Return the moves (M,) that are motions: the first one, and those of some length or other effect.
 
     :param numbers: index of each tool of the program, by its number.
-    :param home: joint angles (6,) [rad] of the home position and its poses by tool (tools, 4, 4); None without home.
     """
-    code, free, at_home = moves.per_move("code"), moves.per_move("free"), moves.per_move("home")
-    tool = np.array([numbers.get(part.tool, 0) if part.tool is not None else 0 for part in moves.parts])[moves.part]
-    tool_changes = np.diff(tool, prepend=tool[:1]) != 0
-    short = norm(moves.end - moves.begin) <= _SAME_MM
-    motion_moves = np.flatnonzero(
-        ~short | moves.turns | (code == ARC) | free | tool_changes | (np.arange(len(code)) == 0)
-    )
-    code, free, at_home, tool = code[motion_moves], free[motion_moves], at_home[motion_moves], tool[motion_moves]
+    tool = _tools(moves, numbers)
+    is_tool_change = np.diff(tool, prepend=tool[:1]) != 0
+    is_long = norm(moves.end - moves.begin) > _SAME_MM
+    is_first = np.arange(len(tool)) == 0
+    is_arc, is_free = moves.per_move("code") == ARC, moves.per_move("free")
+    return np.flatnonzero(is_long | moves.turns | is_arc | is_free | is_tool_change | is_first)
+
+
+def _motions(
+    moves: _Moves, motion_moves: Ints, source: Statements, cell: Cell, numbers: dict[float, int], home: _Home | None
+) -> Motions:
+    """Return the moves that are motions, in `$BASE`.
+
+    :param motion_moves: (M,) moves that are motions.
+    :param numbers: index of each tool of the program, by its number.
+    :param home: None: the cell has none.
+    """
+    code, free, at_home = (moves.per_move(name)[motion_moves] for name in ("code", "free", "home"))
+    tool = _tools(moves, numbers)[motion_moves]
     count = len(motion_moves)
     target = _targets(moves, motion_moves, cell.tool_pose_in_program())
     joints = np.broadcast_to(np.nan, (count, 6))  # takes no memory
-    if at_home.any() and home[1] is not None:
+    if at_home.any() and home is not None:
         joints = joints.copy()
-        joints[at_home] = home[0]
-        target[at_home] = home[1][tool[at_home]]
-    centre, normal, sweep = _arcs(moves.parts, moves.part[motion_moves], code == ARC)
+        joints[at_home] = home.joints
+        target[at_home] = home.poses[tool[at_home]]
+    arcs = _arcs(moves.parts, moves.part[motion_moves], code == ARC)
     rapid = code == RAPID
     feed = np.where(rapid, cell.gcode.rapid_m_per_s, moves.per_move("feed")[motion_moves] * (M_PER_MM / S_PER_MIN))
     feed[free] = np.nan
@@ -188,9 +227,9 @@ def _motions(
         line=source.line[moves.row[motion_moves]],
         target=Poses.of(target),
         joints=Runs.of(joints),
-        centre=centre,
-        normal=normal,
-        sweep=sweep,
+        centre=arcs.centre,
+        normal=arcs.normal,
+        sweep=arcs.sweep,
         feed=feed,
         base=constant(0, count),
         tool=tool,
@@ -199,7 +238,7 @@ def _motions(
         status=unset,
         turn=unset,
     )
-    return motion_moves, read_only(motions)
+    return read_only(motions)
 
 
 def _targets(moves: _Moves, motion_moves: Ints, orientation: Array) -> Array:
@@ -220,21 +259,22 @@ def _targets(moves: _Moves, motion_moves: Ints, orientation: Array) -> Array:
     return target
 
 
-def _arcs(parts: Sequence[Part], part: Ints, is_arc: Bools) -> tuple[Array, Array, Array]:
-    """Return centre (M, 3) [m], unit axis (M, 3) and angle (M,) [rad] of arcs in `$BASE`; NaN for other motions.
+def _arcs(parts: Sequence[Part], part: Ints, is_arc: Bools) -> ArcColumns:
+    """Return the arcs of motions.
 
     :param part: (M,) index in `parts` of each motion.
     :param is_arc: (M,) which motions are arcs.
     """
     empty = np.broadcast_to(np.nan, (len(part), 3))  # takes no memory
     if not is_arc.any():
-        return empty, empty, empty[:, 0]
-    centre, normal, sweep = empty.copy(), empty.copy(), empty[:, 0].copy()
+        return ArcColumns(empty, empty, empty[:, 0])
+    columns = ArcColumns.unset(len(part))
     for n in np.flatnonzero(is_arc).tolist():
         circle = parts[part[n]].circle
         if circle is not None:
-            centre[n], normal[n], sweep[n] = circle.centre * M_PER_MM, circle.axis, parts[part[n]].sweep
-    return centre, normal, sweep
+            columns.centre[n], columns.normal[n] = circle.centre * M_PER_MM, circle.axis
+            columns.sweep[n] = parts[part[n]].sweep
+    return columns
 
 
 def _reference(axis: Array) -> Array:
@@ -259,14 +299,17 @@ def _opposite_directions(moves: _Moves, source: Statements) -> list[Fault]:
 
 def _notes_before_motions(notes: Sequence[ForceNote], motions: Motions) -> tuple[ForceNote, ...]:
     """Return the force notes with the index of the motion that each precedes."""
-    motion_rows = np.searchsorted(motions.line, [note.line for note in notes]).tolist()
-    return tuple(replace(note, before=at) for note, at in zip(notes, motion_rows, strict=True))
+    indices = np.searchsorted(motions.line, [note.line for note in notes]).tolist()
+    return tuple(replace(note, before=index) for note, index in zip(notes, indices, strict=True))
 
 
 def _events(
     course: Course, comments: Sequence[tuple[int, str]], source: Statements, motion_moves: Ints, motions: Motions
 ) -> Iterator[Event]:
-    """Yield comments and other events in order of their lines."""
+    """Yield comments and other events in order of their lines.
+
+    :param comments: line and text; `motion_moves`: (M,) moves that are motions.
+    """
     course_events = [
         (int(source.line[e.row]), int(np.searchsorted(motion_moves, e.before)), e.kind, e.value, e.text)
         for e in course.events
@@ -274,13 +317,16 @@ def _events(
     ]
     lines = [line for line, _ in comments]
     motion_index = np.searchsorted(motions.line, lines).tolist()
-    texts = [(line, at, "comment", 0.0, text) for (line, text), at in zip(comments, motion_index, strict=True)]
-    for line, at, kind, value, text in sorted([*course_events, *texts], key=lambda event: (event[1], event[0])):
-        yield Event(at, kind, line, value, text)  # type: ignore[arg-type]
+    texts = [(line, before, "comment", 0.0, text) for (line, text), before in zip(comments, motion_index, strict=True)]
+    for line, before, kind, value, text in sorted([*course_events, *texts], key=lambda event: (event[1], event[0])):
+        yield Event(before, kind, line, value, text)  # type: ignore[arg-type]
 
 
 def _issues(course: Course, source: Statements, moves: _Moves, motion_moves: Ints) -> Iterator[Issue]:
-    """Yield information and warnings on how the file was read."""
+    """Yield information and warnings on how the file was read.
+
+    :param motion_moves: (M,) moves that are motions.
+    """
     if not course.stated:
         yield Issue("info", "units", "No UNITS are programmed: millimetres are assumed.")
     csys_lines = [line for line, text in source.comments if systems.is_moved(text)]

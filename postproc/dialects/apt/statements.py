@@ -156,12 +156,11 @@ def _plain_gotos(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, 
         rows = rows[chars[ends[rows] + column] == letter]
     if not len(rows):
         return no_points
-    # counts before each character: their differences between the ends of a statement are the counts in it
-    other_character_count = np.cumsum(np.append(0, ~_NUMERIC[chars]), dtype=np.int64)
-    rows = rows[other_character_count[ends[rows + 1]] - other_character_count[ends[rows]] == len(_GOTO)]
-    comma_count = np.cumsum(np.append(0, chars == _COMMA), dtype=np.int64)
-    count = comma_count[ends[rows + 1]] - comma_count[ends[rows]] + 1
-    rows = rows[(count == 3) | (count == 6)]
+    other_character_count = _counts(~_NUMERIC[chars], ends, rows)
+    rows = rows[other_character_count == len(_GOTO)]  # no others than those of the word and the slash
+    count = _counts(chars == _COMMA, ends, rows) + 1
+    has_point = (count == 3) | (count == 6)
+    rows, count = rows[has_point], count[has_point]
     for _ in range(2):  # once more without the statements that turn out not to be plain
         # 1 where the numbers of a statement begin and −1 where they end: the sum is 1 between them
         boundary = np.zeros(len(chars) + 1, dtype=np.int8)
@@ -173,11 +172,10 @@ def _plain_gotos(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, 
         length = width[rows] - len(_GOTO)
         begin = np.concatenate([[0], np.cumsum(length)])
         word_count = np.diff(np.searchsorted(first, begin))
-        count = comma_count[ends[rows + 1]] - comma_count[ends[rows]] + 1
         is_complete = word_count == count
         if is_complete.all():
             break
-        rows = rows[is_complete]  # a number is missing between two commas
+        rows, count = rows[is_complete], count[is_complete]  # a number is missing between two commas
     if not len(rows):
         return no_points
     values = parsed_numbers(text, first, last)
@@ -191,6 +189,16 @@ def _plain_gotos(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, 
     numbers[row, ragged_range(count)] = values
     large_rows = distinct(row[np.abs(values) >= LIMIT])
     return np.delete(rows, large_rows), np.delete(numbers, large_rows, axis=0)
+
+
+def _counts(is_counted: np.typing.NDArray[np.bool_], ends: Ints, rows: Ints) -> Ints:
+    """Return the number (n,) of counted characters in each of some statements.
+
+    :param is_counted: (C,) which characters of all statements are counted.
+    :param ends: (S + 1,) positions, see `Statements`; `rows`: (n,) the statements.
+    """
+    count_before = np.cumsum(np.append(0, is_counted), dtype=np.int64)
+    return np.asarray(count_before[ends[rows + 1]] - count_before[ends[rows]])
 
 
 _NUMBER = re.compile(r"[-+]?(?:\d{1,30}\.?\d{0,30}|\.\d{1,30})(?:[ED][-+]?\d{1,3})?")

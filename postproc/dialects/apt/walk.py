@@ -99,8 +99,14 @@ class _Walk:
     :ivar rapid: whether the next move is rapid.
     :ivar feed: [mm/min], or [mm/turn] if `per_turn`; `speed`: of the spindle [1/min].
     :ivar pending: circle of an arc whose end is the next GOTO; `closed`: circle of the last arc, which may go on.
-    :ivar leaving: (3,) direction of INDIRV; `cycle`: active drilling cycle.
+    :ivar leaving: (3,) direction of INDIRV; `cycle`: active drilling cycle; `is_cycle_refused`: one with a fault.
+    :ivar sequences: first lines of the NC sequences of Creo; `undivided`: those in which arcs have one point.
+    :ivar system: values of MSYS; `work_offset`: of ZERO; None: not stated.
+    :ivar in_fixture: TRNTYP/WORLD; `is_tilted_setup`: CSYS with a tilted tool.
+    :ivar is_axis_open: the direction of the tool must be stated again.
     :ivar number: number of moves so far; `ended`: row of FINI, `parted`: of PARTNO, −1 without.
+    :ivar inches: row of the first feed in inches; None: there is none.
+    :ivar path_ended: whether END-OF-PATH was the last statement with an effect.
     :ivar doubt: whether the last statement had a fault, so that the next arc cannot be checked.
     """
 
@@ -183,12 +189,12 @@ class _Walk:
         if first < last and self.ended < 0:
             self.path_ended = False
             try:
-                self._goto(statements.points[first:last], statements.numbers[first:last])
+                self._add_gotos(statements.points[first:last], statements.numbers[first:last])
             except StatementError as cause:
                 row = cause.args[2] if len(cause.args) > 2 else int(statements.points[first])
                 self.course.faults.append(Fault(row, *cause.args[:2]))
 
-    def _goto(self, row: Ints, numbers: Array) -> None:
+    def _add_gotos(self, row: Ints, numbers: Array) -> None:
         """Add the moves of GOTO statements: the end of a pending arc, holes of a cycle, or straight moves.
 
         :param row: (n,) their rows; `numbers`: (n, 6) x, y, z, i, j, k; NaN where the direction is not stated.
@@ -207,33 +213,36 @@ class _Walk:
             raise StatementError("GOTO without a direction behind MULTAX/OFF of a tilted tool", advice, int(row[0]))
         end, axis = numbers[:, :3] * self.unit, self._axes(row, numbers[:, 3:])
         self.is_axis_open = False
-        first_left = 0
+        first_left = 0  # first statement that is not part of an arc
         closed_contour, self.closed = self.closed, None
         if closed_contour is not None and closed_contour.fault_at(end[0]) is None:
             raise StatementError(*_AMBIGUOUS, int(row[0]))
         if self.pending is not None:
             pending, self.pending = self.pending, None
-            first_left = 1 if self.doubt else self._arc(pending, row, end, axis)
+            first_left = 1 if self.doubt else self._add_pending_arc(pending, row, end, axis)
         if self.cycle is not None:
             for n in range(first_left, len(row)):
-                self._drill(int(row[n]), end[n], axis[n], self.cycle)
+                self._add_hole(int(row[n]), end[n], axis[n], self.cycle)
             self.rapid = False
         elif self.is_cycle_refused:  # these are holes: a missing feed would be an error that is none
             self.place, self.known, self.rapid = end[-1], True, False
         elif first_left < len(row):
-            if self.rapid or not self.known:
-                self._single_move(int(row[first_left]), end[first_left], axis[first_left])
-                first_left += 1
-            if first_left < len(row):
-                self._add(
-                    row[first_left:],
-                    end[first_left:],
-                    axis[first_left:],
-                    LINE,
-                    self._feed_per_minute(int(row[first_left])),
-                )
+            self._add_straight_moves(row[first_left:], end[first_left:], axis[first_left:])
         self.axis = axis[-1]
         self.doubt = False
+
+    def _add_straight_moves(self, row: Ints, end: Array, axis: Array) -> None:
+        """Add straight moves; the first may be rapid, or come from a place that is not known.
+
+        :param row: (n,) their statements, n > 0; `end`: (n, 3) [mm]; `axis`: (n, 3) direction of the tool there.
+        :raises StatementError: a move has no feed; its third argument is the row.
+        """
+        first = 0
+        if self.rapid or not self.known:
+            self._add_single_move(int(row[0]), end[0], axis[0])
+            first = 1
+        if first < len(row):
+            self._add_moves(row[first:], end[first:], axis[first:], LINE, self._feed_per_minute(int(row[first])))
 
     def _axes(self, row: Ints, words: Array) -> Array:
         """Return the directions of the tool (n, 3): those of GOTO, or the last one before where it states none.
@@ -256,7 +265,7 @@ class _Walk:
         latest = np.maximum.accumulate(np.append(0, np.where(is_stated, np.arange(1, len(row) + 1), 0)))
         return np.asarray(unit[latest][1:])
 
-    def _single_move(self, row: int, end: Array, axis: Array) -> None:
+    def _add_single_move(self, row: int, end: Array, axis: Array) -> None:
         """Add a move that is rapid, or that is the first after the start or after GOHOME.
 
         :param end: (3,) [mm]; `axis` (3,): direction of the tool there.
@@ -299,7 +308,7 @@ class _Walk:
             raise StatementError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.", row)
         return self.feed * self.speed
 
-    def _arc(self, pending: PendingArc, row: Ints, end: Array, axis: Array) -> int:
+    def _add_pending_arc(self, pending: PendingArc, row: Ints, end: Array, axis: Array) -> int:
         """Add the arc of a CIRCLE to the points that follow it; return how many of them belong to it.
 
         :param row: (n,) statements of the points; `end` (n, 3) [mm]; `axis` (n, 3): direction of the tool there.
@@ -341,10 +350,11 @@ class _Walk:
         arc_circle = Circle(circle.centre_at_height(self.place), circle.axis, circle.radius)
         self._add_move(row, end, axis, ARC, self._feed_per_minute(row), circle=arc_circle, sweep=sweep)
 
-    def _drill(self, row: int, top: Array, axis: Array, cycle: Cycle) -> None:
+    def _add_hole(self, row: int, top: Array, axis: Array, cycle: Cycle) -> None:
         """Add the moves of the active cycle at a hole; heights are above its top.
 
         :param top: (3,) of the hole [mm]; `axis` (3,): direction of the tool.
+        :raises StatementError: the position is not known, or the tool turns; its third argument is the row.
         """
         if not self.known:
             raise StatementError("a cycle before the position is known", "Write RAPID and a GOTO before it.", row)
@@ -361,7 +371,7 @@ class _Walk:
                 self._add_move(row, top + axis * retract_height, axis, RAPID, 0.0, exact=True)
         self._add_move(row, top - axis * cycle.depth, axis, LINE, cycle.feed, exact=True)
         if cycle.dwell > 0.0:
-            self._event(row, "dwell", cycle.dwell)
+            self._add_event(row, "dwell", cycle.dwell)
         self._add_move(row, top + axis * (height if cycle.back is None else cycle.back), axis, RAPID, 0.0)
 
     def _check_same_axis(self, row: int, axis: Array) -> None:
@@ -378,10 +388,10 @@ class _Walk:
         :param row: its statement; `code`: `RAPID`, `LINE` or `ARC`; `feed` [mm/min].
         :param properties: further fields of `Part`.
         """
-        self._add(np.array([row]), end[None], axis[None], code, feed, **properties)
+        self._add_moves(np.array([row]), end[None], axis[None], code, feed, **properties)
         self.axis = axis
 
-    def _add(self, row: Ints, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
+    def _add_moves(self, row: Ints, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
         """Add moves to the course; the last of their ends becomes the place of the tool.
 
         :param row: (n,) rows of the statements; `end` (n, 3) places [mm], `axis` (n, 3) directions of the tool.
@@ -391,7 +401,7 @@ class _Walk:
         self.number += len(row)
         self.place = end[-1]
 
-    def _event(self, row: int, kind: EventKind, value: float = 0.0, text: str = "") -> None:
+    def _add_event(self, row: int, kind: EventKind, value: float = 0.0, text: str = "") -> None:
         """Record an event after the moves so far."""
         self.course.events.append(Happening(self.number, row, kind, value, text))
 
@@ -405,23 +415,23 @@ class _Walk:
             if code.startswith(word):
                 if word == "PARTNO" and self.parted < 0:
                     self.parted = row
-                self._event(row, "comment", text=self._text_behind(row, word))
+                self._add_event(row, "comment", text=self._text_behind(row, word))
                 return
         if code.startswith("INSERT"):
-            self._insert(row, "INSERT")
+            self._read_insert(row, "INSERT")
             return
         major, slash, minor_words = code.partition("/")
         self.path_ended = major == "END-OF-PATH"
         if major != "GOTO":
             self.closed = None
         if code.startswith("TOOLPATH/"):
-            self._event(row, "comment", text=self._text_behind(row, "TOOL"))
+            self._add_event(row, "comment", text=self._text_behind(row, "TOOL"))
             return
         if major == "TLON,GOFWD":
-            self._leave_by_arc(row, minor_words)
+            self._read_tangent_arc(row, minor_words)
             return
         if major == "CSI_INSERT_CUSTOM_GCODE":
-            self._insert(row, major)
+            self._read_insert(row, major)
             return
         if major in WITHOUT_EFFECT or major.startswith("CSI_SET_"):
             return
@@ -453,8 +463,13 @@ class _Walk:
             raise StatementError(f"{subject} without a number", "Check the values behind /.")
         return numbers[0]
 
-    def _checked_goto(self, row: int, words: list[float | str]) -> None:
-        """Read a GOTO with several points, or whose direction of the tool needs a check."""
+    def _read_goto(self, row: int, words: list[float | str]) -> None:
+        """Read a GOTO with several points, or whose direction of the tool needs a check.
+
+        Up to 100 points of three numbers may follow a circle (Creo).
+
+        :raises StatementError: the numbers are not those of points.
+        """
         points = numbers_of(words, *((3, 6) if self.pending is None else range(3, 301, 3)))
         if len(points) in (3, 6) and (len(points) == 3 or abs(norm(points[3:]) - 1.0) < UNIT_LENGTH):
             numbers = np.append(points, np.full(6 - len(points), np.nan))[None]
@@ -462,23 +477,32 @@ class _Walk:
             numbers = np.hstack([points.reshape(-1, 3), np.full((len(points) // 3, 3), np.nan)])
         else:
             numbers = points[None]
-        self._goto_or_fault(np.full(len(numbers), row), numbers)
+        self._add_gotos_of_statement(np.full(len(numbers), row), numbers)
 
-    def _goto_or_fault(self, row: Ints, numbers: Array) -> None:
-        """Add moves to points; an error loses the row that `_goto` names, because all points are in this statement."""
+    def _add_gotos_of_statement(self, row: Ints, numbers: Array) -> None:
+        """Add moves to points of one statement.
+
+        :param row: (n,) the row of the statement; `numbers`: (n, 6) see `_add_gotos`.
+        :raises StatementError: without the row that `_add_gotos` names, because all points are in this statement.
+        """
         try:
-            self._goto(row, numbers)
+            self._add_gotos(row, numbers)
         except StatementError as cause:
             raise StatementError(*cause.args[:2]) from cause
 
-    def _step(self, row: int, words: list[float | str]) -> None:
-        """Read GODLTA: a move by a step from the place of the tool."""
+    def _read_step(self, row: int, words: list[float | str]) -> None:
+        """Read GODLTA: a move by a step from the place of the tool.
+
+        :raises StatementError: the position is not known.
+        """
         step = numbers_of(words, 3) * self.unit
         if not self.known:
             raise StatementError("GODLTA before the position is known", "Write RAPID and a GOTO before it.")
-        self._goto_or_fault(np.array([row]), np.append((self.place + step) / self.unit, np.full(3, np.nan))[None])
+        self._add_gotos_of_statement(
+            np.array([row]), np.append((self.place + step) / self.unit, np.full(3, np.nan))[None]
+        )
 
-    def _start_place(self, row: int, words: list[float | str]) -> None:
+    def _read_start(self, row: int, words: list[float | str]) -> None:
         """Read FROM: a first move to the place, if the position of the tool is unknown.
 
         :raises StatementError: the tool is elsewhere.
@@ -490,9 +514,9 @@ class _Walk:
                 raise StatementError("FROM at another place than the tool", "Write RAPID and GOTO instead.")
             return
         self.rapid = True
-        self._goto_or_fault(np.array([row]), np.append(numbers, np.full(6 - len(numbers), np.nan))[None])
+        self._add_gotos_of_statement(np.array([row]), np.append(numbers, np.full(6 - len(numbers), np.nan))[None])
 
-    def _home(self, row: int, words: list[float | str]) -> None:
+    def _read_home(self, row: int, words: list[float | str]) -> None:
         """Read GOHOME: retract to clearance_Z, then go to the home position of the cell.
 
         :raises StatementError: the cell states neither.
@@ -500,18 +524,18 @@ class _Walk:
         machine = self.cell.machine
         if words:
             self.rapid = True
-            self._goto_or_fault(np.array([row]), np.append(numbers_of(words, 3), np.full(3, np.nan))[None])
+            self._add_gotos_of_statement(np.array([row]), np.append(numbers_of(words, 3), np.full(3, np.nan))[None])
             return
         if machine.home_joints is None and machine.clearance_Z is None:
             advice = "Give [machine] home or clearance_Z in the cell."
             raise StatementError("GOHOME: where it goes is not known", advice)
         if self.known and machine.clearance_Z is not None:
-            self._retract(row, machine.clearance_Z)
+            self._add_retract(row, machine.clearance_Z)
         if machine.home_joints is not None:
             self._add_move(row, self.place, self.axis, RAPID, 0.0, free=True, home=True)
             self.known = False
 
-    def _rise(self, row: int, words: list[float | str]) -> None:
+    def _read_retract(self, row: int, words: list[float | str]) -> None:
         """Read RETRCT: retract to clearance_Z of the cell.
 
         :raises StatementError: the cell states none.
@@ -521,9 +545,9 @@ class _Walk:
             advice = "Give [machine] clearance_Z in the cell, and write RETRCT without values."
             raise StatementError("RETRCT: how high it goes is not known", advice)
         if self.known:
-            self._retract(row, clearance)
+            self._add_retract(row, clearance)
 
-    def _retract(self, row: int, clearance: float) -> None:
+    def _add_retract(self, row: int, clearance: float) -> None:
         """Add a rapid move along the tool axis up to the height `clearance` [mm], if the tool is below it.
 
         :raises StatementError: the tool axis is nearly horizontal.
@@ -535,23 +559,33 @@ class _Walk:
         rise = (clearance - self.place[2]) / self.axis[2]
         self._add_move(row, self.place + self.axis * rise, self.axis, RAPID, 0.0)
 
-    def _next_rapid(self, row: int, words: list[float | str]) -> None:
-        """Read RAPID: the next move is rapid."""
+    def _read_rapid(self, row: int, words: list[float | str]) -> None:
+        """Read RAPID: the next move is rapid.
+
+        :raises StatementError: it has values.
+        """
         del row
         if words:
             raise StatementError("RAPID with values", "Write RAPID alone.")
         self.rapid = True
 
     def _read_feed(self, row: int, words: list[float | str]) -> None:
-        """Read FEDRAT: the feed, per minute or per turn."""
+        """Read FEDRAT: the feed, per minute or per turn.
+
+        :raises StatementError: it is not understood.
+        """
         units = [value for value in words if isinstance(value, str)]
         if units == ["INVERS", "OFF"]:
             return
-        feed, per_turn = self._rate(row, words, "FEDRAT")
+        feed, per_turn = self._feed_of(row, words, "FEDRAT")
         self.feed, self.per_turn = feed, per_turn
 
-    def _rate(self, row: int, words: list[float | str], subject: str) -> tuple[float, bool]:
-        """Return a feed [mm/min or mm/turn], and whether it is per turn."""
+    def _feed_of(self, row: int, words: list[float | str], subject: str) -> tuple[float, bool]:
+        """Return a feed [mm/min or mm/turn], and whether it is per turn.
+
+        :param words: one number, and perhaps its unit; `subject`: for messages.
+        :raises StatementError: it is not understood, or not above zero.
+        """
         units = [value for value in words if isinstance(value, str)]
         numbers = [value for value in words if isinstance(value, float)]
         factors = {**_PER_MINUTE, **_PER_TURN, "PERMIN": self.unit, "PERREV": self.unit}
@@ -564,7 +598,7 @@ class _Walk:
             raise StatementError(f"{subject} is not above zero", None)
         return numbers[0] * factors[word], word in (*_PER_TURN, "PERREV")
 
-    def _units(self, row: int, words: list[float | str]) -> None:
+    def _read_units(self, row: int, words: list[float | str]) -> None:
         """Read UNITS.
 
         :raises StatementError: the unit is unknown, or changes after a motion.
@@ -578,16 +612,22 @@ class _Walk:
         self.unit = unit
         self.course.stated = True
 
-    def _multiaxis(self, row: int, words: list[float | str]) -> None:
-        """Read MULTAX: whether GOTO has a direction of the tool."""
+    def _read_multiaxis(self, row: int, words: list[float | str]) -> None:
+        """Read MULTAX: whether GOTO has a direction of the tool.
+
+        :raises StatementError: it is not understood.
+        """
         del row
         if words not in ([], ["ON"], ["OFF"]):
             raise StatementError("MULTAX is not understood", "Write MULTAX/ON or MULTAX/OFF.")
         if words == ["OFF"] and self.system_of_file is None:
             self.is_axis_open = bool(self.axis[2] < 1.0 - UNIT_LENGTH**2)
 
-    def _tool_axis(self, row: int, words: list[float | str]) -> None:
-        """Read a direction of the tool, a unit vector (3,)."""
+    def _read_tool_axis(self, row: int, words: list[float | str]) -> None:
+        """Read a direction of the tool, a unit vector (3,).
+
+        :raises StatementError: it does not have length 1.
+        """
         axis = numbers_of(words, 3)
         if abs(norm(axis) - 1.0) > UNIT_LENGTH:
             raise StatementError("the direction of the tool does not have length 1", "Check i, j, k.")
@@ -598,8 +638,11 @@ class _Walk:
         """Set the direction of the moves to come; the tool turns there with the next move."""
         self.axis, self.is_axis_open = axis, False
 
-    def _circle(self, row: int, words: list[float | str]) -> None:
-        """Read a circle, which the next GOTO follows: 6, 7 or 11 numbers, by the writer of the file."""
+    def _read_circle(self, row: int, words: list[float | str]) -> None:
+        """Read a circle, which the next GOTO follows: 6, 7 or 11 numbers, by the writer of the file.
+
+        :raises StatementError: the numbers are not those of a circle, or no arc is possible here.
+        """
         turns = 1
         if words[-2:-1] == ["TIMES"]:
             turns, words = turns_of(words[-1]), words[:-2]
@@ -609,14 +652,17 @@ class _Walk:
                 raise StatementError(*UNKNOWN_START)
             numbers = np.append(numbers, axis_distance(numbers, self.place / self.unit))
         is_nx = len(numbers) == 11
-        self._pend(row, numbers, is_right_hand=not is_nx, several=len(words) == 7, turns=turns - 1)
+        self._set_pending_arc(row, numbers, is_right_hand=not is_nx, several=len(words) == 7, turns=turns - 1)
 
-    def _move_arc(self, row: int, words: list[float | str]) -> None:
-        """Read MOVARC: a circle and the angle of the arc on it, whose end the next GOTO states."""
+    def _read_arc(self, row: int, words: list[float | str]) -> None:
+        """Read MOVARC: a circle and the angle of the arc on it, whose end the next GOTO states.
+
+        :raises StatementError: the numbers are not those of an arc, or no arc is possible here.
+        """
         numbers, angle = stated_angle(words)
-        self._pend(row, numbers, is_right_hand=True, angle=angle)
+        self._set_pending_arc(row, numbers, is_right_hand=True, angle=angle)
 
-    def _pend(self, row: int, numbers: Array, *, is_right_hand: bool, **properties: Any) -> None:
+    def _set_pending_arc(self, row: int, numbers: Array, *, is_right_hand: bool, **properties: Any) -> None:
         """Keep a circle for the GOTO that follows.
 
         :param numbers: (7,) centre, axis, radius, in the unit of the file.
@@ -631,13 +677,19 @@ class _Walk:
             raise StatementError("an arc in rapid", ARC_ADVICE)
         self.pending = PendingArc(row, circle, **properties)
 
-    def _direction(self, row: int, words: list[float | str]) -> None:
-        """Read INDIRV: the direction in which the next arc leaves its start."""
+    def _read_direction(self, row: int, words: list[float | str]) -> None:
+        """Read INDIRV: the direction in which the next arc leaves its start.
+
+        :raises StatementError: it is no direction.
+        """
         del row
         self.leaving = numbers_of(words, 3)
 
-    def _leave_by_arc(self, row: int, code: str) -> None:
-        """Read TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…): an arc that leaves along INDIRV."""
+    def _read_tangent_arc(self, row: int, code: str) -> None:
+        """Read TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…): an arc that leaves along INDIRV.
+
+        :raises StatementError: it is not understood, or the arc has a fault.
+        """
         direction, self.leaving = self.leaving, None
         circle, end = tangent_arc(code, direction, self.place if self.known else None, self.unit)
         try:
@@ -645,8 +697,11 @@ class _Walk:
         except StatementError as cause:
             raise StatementError(*cause.args[:2]) from cause
 
-    def _cycles(self, row: int, values: list[float | str]) -> None:
-        """Read CYCLE: begin or end drilling at the points of GOTO."""
+    def _read_cycle(self, row: int, values: list[float | str]) -> None:
+        """Read CYCLE: begin or end drilling at the points of GOTO.
+
+        :raises StatementError: the cycle is not supported, or has no feed.
+        """
         if values == ["INIT"]:
             return
         self.is_cycle_refused = False
@@ -656,7 +711,7 @@ class _Walk:
         self.cycle, self.is_cycle_refused = None, True
         words = cycle_words(values, (*_PER_MINUTE, *_PER_TURN))
         if words.rates:
-            rate, per_turn = self._rate(row, list(words.rates), "the feed of the cycle")
+            rate, per_turn = self._feed_of(row, list(words.rates), "the feed of the cycle")
             feed = rate * self.speed if per_turn else rate
         else:
             feed = self._feed_per_minute(row)
@@ -664,14 +719,18 @@ class _Walk:
             raise StatementError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.")
         self.cycle, self.is_cycle_refused = words.cycle(self.unit, feed), False
 
-    def _spin(self, row: int, words: list[float | str]) -> None:
-        """Read SPINDL: speed [1/min], direction, or OFF."""
+    def _read_spindle(self, row: int, words: list[float | str]) -> None:
+        """Read SPINDL: speed [1/min], direction, or OFF.
+
+        :param words: values behind ``SPINDL/``; without a speed that of the last SPINDL holds.
+        :raises StatementError: a word is not supported, or the speed is missing.
+        """
         unknown = {value for value in words if isinstance(value, str)} - _SPINDLE
         if unknown:
             raise StatementError(f"SPINDL with {min(unknown)} is not supported", "Give the speed as SPINDL/n,RPM,CLW.")
         if "OFF" in words:
             self.spindle = "spindle_off"
-            self._event(row, "spindle_off")
+            self._add_event(row, "spindle_off")
             return
         numbers = [value for value in words if isinstance(value, float)]
         if len(numbers) > 1 or (not numbers and not self.speed):
@@ -681,14 +740,14 @@ class _Walk:
             self.spindle = "spindle_ccw"
         elif "CLW" in words or self.spindle == "spindle_off":
             self.spindle = "spindle_on"
-        self._event(row, "spindle_ccw" if self.spindle == "spindle_ccw" else "spindle_on", self.speed)
+        self._add_event(row, "spindle_ccw" if self.spindle == "spindle_ccw" else "spindle_on", self.speed)
 
-    def _coolant(self, row: int, words: list[float | str]) -> None:
+    def _read_coolant(self, row: int, words: list[float | str]) -> None:
         """Read COOLNT: on, unless its value is OFF."""
         self.coolant = "OFF" not in words
-        self._event(row, "coolant_on" if self.coolant else "coolant_off")
+        self._add_event(row, "coolant_on" if self.coolant else "coolant_off")
 
-    def _load(self, row: int, words: list[float | str]) -> None:
+    def _read_tool(self, row: int, words: list[float | str]) -> None:
         """Read LOADTL: a tool change, which stops the spindle.
 
         :raises StatementError: the number is invalid, or the cell has no such tool.
@@ -702,8 +761,8 @@ class _Walk:
             raise StatementError("the number of the tool is not a whole number", None)
         if self.spindle != "spindle_off":
             self.spindle = "spindle_off"
-            self._event(row, "spindle_off")
-        self._event(row, "tool_change", number)
+            self._add_event(row, "spindle_off")
+        self._add_event(row, "tool_change", number)
         tools = self.cell.tools
         if tools and f"{number:g}" not in tools:
             raise StatementError(f"tool {number:g} is not in the cell", f"Write [tools.{number:g}] in the cell.")
@@ -714,42 +773,52 @@ class _Walk:
         if tool_differs and self.known:
             self._add_move(row, self.place, self.axis, RAPID, 0.0)
 
-    def _wait(self, row: int, words: list[float | str]) -> None:
-        """Read DELAY as a dwell [s]."""
+    def _read_delay(self, row: int, words: list[float | str]) -> None:
+        """Read DELAY as a dwell [s].
+
+        :raises StatementError: the time is missing, or in turns.
+        """
         words = [value for value in words if value != "DWELL"]
         if "REV" in words:
             raise StatementError("DELAY in turns", "Give it in seconds.")
-        self._event(row, "dwell", float(numbers_of(words, 1)[0]))
+        self._add_event(row, "dwell", float(numbers_of(words, 1)[0]))
 
-    def _stop(self, row: int, words: list[float | str]) -> None:
+    def _read_stop(self, row: int, words: list[float | str]) -> None:
         """Read STOP and OPSTOP: the program waits until it is started again."""
         del words
-        self._event(row, "stop")
+        self._add_event(row, "stop")
 
-    def _skip(self, row: int, words: list[float | str]) -> None:
+    def _read_skip(self, row: int, words: list[float | str]) -> None:
         """Read OPSKIP, and remark that the statements behind it are executed."""
         if words != ["OFF"]:
             message = "OPSKIP: the statements behind it are executed, as with the switch off."
             self.course.remarks.append(Remark(row, "info", "block-delete", message))
 
-    def _auxiliary(self, row: int, words: list[float | str]) -> None:
-        """Read AUXFUN: an M code by its number."""
-        self._machine_code(row, f"M{self._one_number(words, 'AUXFUN'):g}")
+    def _read_auxiliary(self, row: int, words: list[float | str]) -> None:
+        """Read AUXFUN: an M code by its number.
 
-    def _insert(self, row: int, word: str) -> None:
-        """Read INSERT: a comment, a stop or a machine code for one control."""
+        :raises StatementError: the code is missing or not known.
+        """
+        self._execute_machine_code(row, f"M{self._one_number(words, 'AUXFUN'):g}")
+
+    def _read_insert(self, row: int, word: str) -> None:
+        """Read INSERT: a comment, a stop or a machine code for one control.
+
+        :param word: INSERT, or the word of SolidWorks CAM that has its meaning.
+        :raises StatementError: the text may be a code of the control that is not known.
+        """
         text = self._text_behind(row, word).upper()
         if "".join(text.split()) != self.statements.of(row)[len(word) :].lstrip("/").strip("'"):
             raise StatementError("INSERT in more than one line", "Write the text in one line.")
         comment = inserted_comment(text)
         if comment is not None:
-            self._event(row, "comment", text=comment)
+            self._add_event(row, "comment", text=comment)
             if text.startswith("STOP"):
-                self._event(row, "stop")
+                self._add_event(row, "stop")
             return
-        self._machine_code(row, text)
+        self._execute_machine_code(row, text)
 
-    def _machine_code(self, row: int, code: str) -> None:
+    def _execute_machine_code(self, row: int, code: str) -> None:
         """Execute an M code as the APT statement of the same meaning, or as the lines that the cell gives for it.
 
         :raises StatementError: neither exists.
@@ -768,10 +837,13 @@ class _Walk:
                 advice = "Remove it: LOADTL changes the tool, FINI ends the program."
             raise StatementError(f"{code!r} is for one control", advice)
         if cell_lines:
-            self._event(row, "m_code", float(code[1:]))
+            self._add_event(row, "m_code", float(code[1:]))
 
-    def _compensate(self, row: int, words: list[float | str]) -> None:
-        """Read CUTCOM: begin or end radius compensation."""
+    def _read_compensation(self, row: int, words: list[float | str]) -> None:
+        """Read CUTCOM: begin or end radius compensation.
+
+        :raises StatementError: the path may not be that of the centre of the tool.
+        """
         self._end_compensation()
         if words[:1] == ["OFF"]:
             return
@@ -792,7 +864,7 @@ class _Walk:
         message = "CUTCOM has no effect: the path is that of the tool's centre, and the offsets hold wear only."
         self.course.remarks.append(Remark(compensation.row, "info", "radius-compensation", message))
 
-    def _cutter(self, row: int, words: list[float | str]) -> None:
+    def _read_cutter(self, row: int, words: list[float | str]) -> None:
         """Read CUTTER: its first value is the diameter of the cutter."""
         del row
         self.cutter_radius = words[0] * self.unit / 2.0 if words and isinstance(words[0], float) else np.nan
@@ -807,8 +879,11 @@ class _Walk:
             raise StatementError("TRNTYP other than WORLD", "Let the CAM system write all coordinates in one system.")
         self.in_fixture = True
 
-    def _setup(self, row: int, words: list[float | str]) -> None:
-        """Read the axes of a setup: rows of (3, 4), whose third column is the direction of the tool."""
+    def _read_setup_axes(self, row: int, words: list[float | str]) -> None:
+        """Read the axes of a setup: rows of (3, 4), whose third column is the direction of the tool.
+
+        :raises StatementError: they are no axes, or the system of the coordinates is not known.
+        """
         del row
         rows = numbers_of(words, 12).reshape(3, 4)
         if np.abs(rows[:, :3] @ rows[:, :3].T - np.eye(3)).max() > UNIT_LENGTH:
@@ -820,13 +895,16 @@ class _Walk:
         self.is_tilted_setup = bool(axis[2] < 1.0 - UNIT_LENGTH**2)
         self._set_axis(axis)
 
-    def _mode(self, row: int, words: list[float | str]) -> None:
-        """Read MODE; only MILL is supported."""
+    def _read_mode(self, row: int, words: list[float | str]) -> None:
+        """Read MODE; only MILL is supported.
+
+        :raises StatementError: it is another one.
+        """
         del row
         if words != ["MILL"]:
             raise StatementError("MODE is not understood", "Only milling programs (MODE/MILL) are supported.")
 
-    def _coordinate_system(self, row: int, words: list[float | str]) -> None:
+    def _read_coordinate_system(self, row: int, words: list[float | str]) -> None:
         """Read MSYS, which is $BASE of the cell.
 
         :raises StatementError: it changes within the program.
@@ -839,13 +917,16 @@ class _Walk:
             self.course.remarks.append(Remark(row, "info", "coordinate-system", message))
         self.system = words
 
-    def _section_axes(self, row: int, words: list[float | str]) -> None:
-        """Read the axes and the origin of a section of Autodesk: its coordinates are in them."""
+    def _read_section_axes(self, row: int, words: list[float | str]) -> None:
+        """Read the axes and the origin of a section of Autodesk: its coordinates are in them.
+
+        :raises StatementError: they are not those of the program.
+        """
         del row
         if not np.array_equal(numbers_of(words, 12), np.append(np.eye(3), np.zeros(3))):
             raise StatementError("MCS: the coordinates of this section are in axes of its own", COORDINATES_ADVICE)
 
-    def _work_offset(self, row: int, words: list[float | str]) -> None:
+    def _read_work_offset(self, row: int, words: list[float | str]) -> None:
         """Read ZERO: the work offset, which is $BASE of the cell.
 
         :raises StatementError: it changes within the program.
@@ -859,14 +940,14 @@ class _Walk:
             self.course.remarks.append(Remark(row, "info", "coordinate-system", message))
         self.work_offset = offset
 
-    def _end(self, row: int, words: list[float | str]) -> None:
+    def _read_end(self, row: int, words: list[float | str]) -> None:
         """Read FINI: switch spindle and coolant off."""
         del words
         self.ended = row
         if self.spindle != "spindle_off":
-            self._event(row, "spindle_off")
+            self._add_event(row, "spindle_off")
         if self.coolant:
-            self._event(row, "coolant_off")
+            self._add_event(row, "coolant_off")
 
     def _ignore(self, row: int, words: list[float | str]) -> None:
         """Ignore a statement that has no effect on the motion."""
@@ -877,51 +958,51 @@ _SPINDLE = {"RPM", "CLW", "CCLW", "ON", "OFF"}
 _LEADING_ZEROS = re.compile(r"^M0+(?=\d)")
 _M_CODE = re.compile(r"M\d{1,9}")
 _STATEMENTS: Mapping[str, tuple[Any, list[float | str]]] = {
-    **dict.fromkeys(("M0", "M1"), (_Walk._stop, [])),
-    "M3": (_Walk._spin, ["CLW"]),
-    "M4": (_Walk._spin, ["CCLW"]),
-    "M5": (_Walk._spin, ["OFF"]),
-    **dict.fromkeys(("M7", "M8"), (_Walk._coolant, ["ON"])),
-    "M9": (_Walk._coolant, ["OFF"]),
+    **dict.fromkeys(("M0", "M1"), (_Walk._read_stop, [])),
+    "M3": (_Walk._read_spindle, ["CLW"]),
+    "M4": (_Walk._read_spindle, ["CCLW"]),
+    "M5": (_Walk._read_spindle, ["OFF"]),
+    **dict.fromkeys(("M7", "M8"), (_Walk._read_coolant, ["ON"])),
+    "M9": (_Walk._read_coolant, ["OFF"]),
 }
 """Statements that do what an M code does which `[m_codes]` does not take."""
 _HANDLERS: Mapping[str, Any] = {
-    "GOTO": _Walk._checked_goto,
-    "GODLTA": _Walk._step,
-    "FROM": _Walk._start_place,
-    "GOHOME": _Walk._home,
-    "RETRCT": _Walk._rise,
-    "RAPID": _Walk._next_rapid,
+    "GOTO": _Walk._read_goto,
+    "GODLTA": _Walk._read_step,
+    "FROM": _Walk._read_start,
+    "GOHOME": _Walk._read_home,
+    "RETRCT": _Walk._read_retract,
+    "RAPID": _Walk._read_rapid,
     "FEDRAT": _Walk._read_feed,
-    "UNITS": _Walk._units,
-    "UNIT": _Walk._units,
-    "CUTTER": _Walk._cutter,
-    "CSYS": _Walk._setup,
+    "UNITS": _Walk._read_units,
+    "UNIT": _Walk._read_units,
+    "CUTTER": _Walk._read_cutter,
+    "CSYS": _Walk._read_setup_axes,
     "TRNTYP": _Walk._check_transformation,
     "SETUP": _Walk._ignore,
-    "MULTAX": _Walk._multiaxis,
-    "TLAXIS": _Walk._tool_axis,
-    "CIRCLE": _Walk._circle,
-    "MOVARC": _Walk._move_arc,
-    "INDIRV": _Walk._direction,
-    "CYCLE": _Walk._cycles,
-    "SPINDL": _Walk._spin,
-    "COOLNT": _Walk._coolant,
-    "LOADTL": _Walk._load,
-    "LOAD": _Walk._load,
-    "DELAY": _Walk._wait,
-    "DWELL": _Walk._wait,
-    "STOP": _Walk._stop,
-    "OPSTOP": _Walk._stop,
-    "OPSKIP": _Walk._skip,
-    "AUXFUN": _Walk._auxiliary,
-    "CUTCOM": _Walk._compensate,
-    "MODE": _Walk._mode,
-    "MSYS": _Walk._coordinate_system,
-    "MCS": _Walk._section_axes,
-    "ZERO": _Walk._work_offset,
-    "END": _Walk._end,
-    "FINI": _Walk._end,
+    "MULTAX": _Walk._read_multiaxis,
+    "TLAXIS": _Walk._read_tool_axis,
+    "CIRCLE": _Walk._read_circle,
+    "MOVARC": _Walk._read_arc,
+    "INDIRV": _Walk._read_direction,
+    "CYCLE": _Walk._read_cycle,
+    "SPINDL": _Walk._read_spindle,
+    "COOLNT": _Walk._read_coolant,
+    "LOADTL": _Walk._read_tool,
+    "LOAD": _Walk._read_tool,
+    "DELAY": _Walk._read_delay,
+    "DWELL": _Walk._read_delay,
+    "STOP": _Walk._read_stop,
+    "OPSTOP": _Walk._read_stop,
+    "OPSKIP": _Walk._read_skip,
+    "AUXFUN": _Walk._read_auxiliary,
+    "CUTCOM": _Walk._read_compensation,
+    "MODE": _Walk._read_mode,
+    "MSYS": _Walk._read_coordinate_system,
+    "MCS": _Walk._read_section_axes,
+    "ZERO": _Walk._read_work_offset,
+    "END": _Walk._read_end,
+    "FINI": _Walk._read_end,
     "REWIND": _Walk._ignore,
 }
 
