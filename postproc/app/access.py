@@ -27,7 +27,7 @@ class Access(Struct, frozen=True):
 
     @property
     def hosts(self) -> tuple[str, str]:
-        """Names of this machine that browsers may use; others are refused (DNS rebinding)."""
+        """Host names with port that browsers may use, by address and by name; others are refused (DNS rebinding)."""
         return (f"127.0.0.1:{self.port}", f"localhost:{self.port}")
 
     @property

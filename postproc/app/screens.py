@@ -188,7 +188,10 @@ def _controls(field: Field) -> dict[str, Any]:
 
 
 def _spans(text: str) -> list[tuple[str, str, str]] | None:
-    """Return axis, smallest and largest coordinate of a box as texts; None: the text is a file."""
+    """Return axis, smallest and largest coordinate of a box as texts, one for each axis; None: the text is a file.
+
+    :param text: see `answers.stock`; empty: a box without numbers.
+    """
     parts = [part.partition("=") for part in (text or "X=,Y=,Z=").split(",")]
     if [axis for axis, _, _ in parts] != list("XYZ"):
         return None
@@ -250,6 +253,9 @@ def setup(
 ) -> Page:
     """Return the page that asks what a program needs.
 
+    :param name: of the program; `facts`: what its comments say of tools.
+    :param refusal: why the program cannot be read at all; empty: it can.
+    :param form: questions and answers; `command`: what they amount to in a terminal.
     :param kept_cell: robot and frames of the cell that is used as it is; empty: the page asks for them.
     :param frames: tables of frames that the program needs and that cell lacks, such as ``"tools.2"``.
     :param fault: why nothing was begun though all answers can be used; empty: there is no reason.
@@ -473,6 +479,7 @@ def _shown_table(item: ProcessTable) -> dict[str, Any]:
     title, is_detail = _DETAILS.get(kind, ("", lambda _: False))
 
     def is_folded(field: FormField) -> bool:
+        """Return whether a field is among the details."""
         return field.table == "stock.place" or (field.table != "stock.box" and is_detail(field.key))
 
     return {

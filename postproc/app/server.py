@@ -34,7 +34,7 @@ from postproc.jobs.cell_edit import (
     use_model,
 )
 from postproc.jobs.experiments import model_of, readings_of
-from postproc.jobs.file_form import FormField, own_changes
+from postproc.jobs.file_form import FormField, changes_of_user
 from postproc.jobs.guided_start import is_edited, load_answers
 from postproc.jobs.process_edit import edit_process, process_tables
 from postproc.jobs.program_needs import needs_of
@@ -94,6 +94,11 @@ class Window(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
+    """Answers one request; an `InputError` becomes a page that says what to do.
+
+    :ivar query: values of the address by name.
+    """
+
     server: Window
     timeout = _TIMEOUT_S
     server_version = "postproc"
@@ -122,7 +127,7 @@ class _Handler(BaseHTTPRequestHandler):
         except (OSError, ValueError) as cause:
             text, status = f"{cause}. Try again.", 500
         except Exception as cause:
-            text, status = _fault_text(cause), 500
+            text, status = _report_fault(cause), 500
         self.close_connection = True
         return self._page(screens.message("That did not work", text), status)
 
@@ -270,7 +275,10 @@ class _Handler(BaseHTTPRequestHandler):
         return None
 
     def program(self) -> None:
-        """Send the page of a program."""
+        """Send the page of a program.
+
+        :raises InputError: there is no such program.
+        """
         workspace, name = self.server.workspace, self.query.get("name", "")
         workspace.program(name)
         item = next((item for item in workspace.items() if item.name == name), None)
@@ -284,11 +292,17 @@ class _Handler(BaseHTTPRequestHandler):
         self._page(screens.program(item, workspace, other_programs, self.server.runs.latest(name), command))
 
     def run(self) -> None:
-        """Send the page of a command."""
+        """Send the page of a command.
+
+        :raises InputError: there is no such command.
+        """
         self._page(screens.running(self.server.runs.run_of_number(self.query.get("number", ""))))
 
     def run_state(self) -> None:
-        """Send as JSON the exit code of a command, what it has printed, and how far it is."""
+        """Send as JSON the exit code of a command, what it has printed, and how far it is.
+
+        :raises InputError: there is no such command.
+        """
         run = self.server.runs.run_of_number(self.query.get("number", ""))
         content = {"code": run.code, "text": run.text, "share": run.share, "progress": run.progress}
         self._send(200, json.dumps(content).encode(), "application/json")
@@ -309,7 +323,11 @@ class _Handler(BaseHTTPRequestHandler):
         return self._page(page, 400 if fault else 200)
 
     def process(self, fault: str = "", texts: Mapping[str, str] = _NOTHING) -> None:
-        """Send tools, material and stock of a program, with posted values as `cell` does, or the list of programs."""
+        """Send tools, material and stock of a program, with posted values as `cell` does, or the list of programs.
+
+        :param fault: why posted values were not written; `texts`: these values, by the name of the field.
+        :raises InputError: there is no such program, or it cannot be read.
+        """
         workspace, name = self.server.workspace, self.query.get("name", "")
         if not name:
             rows = [(item.name, self._process_in_words(item.name)) for item in workspace.items()]
@@ -336,7 +354,10 @@ class _Handler(BaseHTTPRequestHandler):
         self._page(screens.robots(self.query.get("name", ""), workspace, readings_of(workspace.folder)))
 
     def readings(self) -> None:
-        """Send the page of readings: the model identified from them, and the commands that use it."""
+        """Send the page of readings: the model identified from them, and the commands that use it.
+
+        :raises InputError: there are no such readings.
+        """
         workspace, name = self.server.workspace, self.query.get("name", "")
         self._page(screens.readings(name, workspace, workspace.readings(name)))
 
@@ -359,7 +380,10 @@ class _Handler(BaseHTTPRequestHandler):
         self._file(self.server.part.file(self.query.get("name", "")))
 
     def result(self) -> None:
-        """Send a file of the folder of results."""
+        """Send a file of the folder of results.
+
+        :raises InputError: there is no such file.
+        """
         self._file(self.server.workspace.result(self.query.get("name", "")))
 
     def _file(self, path: Path) -> None:
@@ -377,6 +401,7 @@ class _Handler(BaseHTTPRequestHandler):
         workspace, name = self.server.workspace, self.query.get("name", "")
 
         def next_page() -> str:
+            """Return the list of programs if the program will be corrected by itself, else its set-up."""
             is_automatic = self.server.automatic.is_on and workspace.cell.is_file() and self._has_forces(name)
             return "/" if is_automatic else f"/setup?name={quote(name)}"
 
@@ -401,7 +426,10 @@ class _Handler(BaseHTTPRequestHandler):
         self.questions(screens.posted_answers(self.form()))
 
     def convert(self) -> None:
-        """Correct a program again, with the options of the form."""
+        """Correct a program again, with the options of the form.
+
+        :raises InputError: there is no such program, or the command cannot begin.
+        """
         form = self.form()
         arguments = self.server.workspace.conversion(self._program_name(form))
         for option in screens.FORM_OPTIONS:
@@ -413,7 +441,10 @@ class _Handler(BaseHTTPRequestHandler):
         self.begin(form["name"], f"Correct {form['name']}", arguments)
 
     def place(self) -> None:
-        """Begin to search the best place of the part of a program."""
+        """Begin to search the best place of the part of a program.
+
+        :raises InputError: there is no such program, or the command cannot begin.
+        """
         name = self._program_name(self.form())
         folder = f"{RESULTS}/place-{Path(name).stem}"
         self.begin(name, f"Best place for {name}", self.server.workspace.cell_arguments("place", name, output=folder))
@@ -449,7 +480,10 @@ class _Handler(BaseHTTPRequestHandler):
         self._redirect("/")
 
     def compare(self) -> None:
-        """Begin to compare a program with another one, of the folder or of its results."""
+        """Begin to compare a program with another one, of the folder or of its results.
+
+        :raises InputError: there is no such program, or the command cannot begin.
+        """
         form = self.form()
         name, other_program = self._program_name(form), form.get("other", "")
         if other_program.startswith(f"{RESULTS}/"):
@@ -463,14 +497,20 @@ class _Handler(BaseHTTPRequestHandler):
         self.begin(name, f"Compare {name}", arguments)
 
     def identify(self) -> None:
-        """Begin to identify a model from readings."""
+        """Begin to identify a model from readings.
+
+        :raises InputError: there are no such readings, or the command cannot begin.
+        """
         form, workspace = self.form(), self.server.workspace
         name = form.get("name", "")
         arguments = identification(workspace, workspace.readings(name), form)
         self.begin(f"model {name}", f"Model from {name}", arguments, page=f"/readings?name={quote(name)}")
 
     def validate(self) -> None:
-        """Begin to check a model with readings that it was not identified from."""
+        """Begin to check a model with readings that it was not identified from.
+
+        :raises InputError: there are no such readings, or the command cannot begin.
+        """
         form, workspace = self.form(), self.server.workspace
         name = form.get("name", "")
         entry = workspace.readings(name)
@@ -542,7 +582,8 @@ class _Handler(BaseHTTPRequestHandler):
         texts = screens.posted_fields(form, fields_of(path, frames))
 
         def write() -> None:
-            edit(path, own_changes(fields_of(path, frames), texts, screens.shown_texts(form)), frames)
+            """Write what the user changed in the form, not what others have changed in the file meanwhile."""
+            edit(path, changes_of_user(fields_of(path, frames), texts, screens.shown_texts(form)), frames)
 
         try:
             self.server.runs.edit(write)
@@ -560,12 +601,13 @@ class _Handler(BaseHTTPRequestHandler):
         path, needs = workspace.process_to_edit(name), needs_of(workspace.sole_program(name))
 
         def fields() -> list[FormField]:
+            """Return the fields of the process file as it is now."""
             return [field for table in process_tables(path, needs) for field in table.fields]
 
         texts = screens.posted_fields(form, fields())
         try:
             self.server.runs.edit(
-                lambda: edit_process(path, needs, own_changes(fields(), texts, screens.shown_texts(form)))
+                lambda: edit_process(path, needs, changes_of_user(fields(), texts, screens.shown_texts(form)))
             )
         except InputError as cause:
             return self.process(str(cause), texts)
@@ -599,8 +641,11 @@ class _Handler(BaseHTTPRequestHandler):
         return self.server.workspace.sole_program(form.get("name", "")).name
 
 
-def _fault_text(fault: Exception) -> str:
-    """Write the traceback of a fault to stderr and into a file; return the message for the user."""
+def _report_fault(fault: Exception) -> str:
+    """Write the traceback of a fault of postproc to stderr and into a file; return the message for the user.
+
+    Nothing is raised if neither can be written: the message then names no file.
+    """
     text = "".join(traceback.format_exception(fault))
     with contextlib.suppress(OSError, ValueError, AttributeError):  # a window without a console has no stderr
         sys.stderr.write(text)

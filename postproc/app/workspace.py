@@ -149,7 +149,10 @@ class Workspace(Struct, frozen=True):
         return self.path_in_folder(_path_in_folder(self.results / f"place-{Path(name).stem}", "place.toml"))
 
     def path_in_folder(self, path: Path) -> Path:
-        """Return a path that no link of a folder leads out of `folder`."""
+        """Return a path that no link of a folder leads out of `folder`.
+
+        :raises InputError: one does.
+        """
         if not path.resolve().is_relative_to(self.folder):
             raise InputError(f"{path.name} is not in {self.folder.name}")
         return path

@@ -68,7 +68,10 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return the command that is named; an unknown one is an error that offers the nearest."""
+        """Return name, command and remaining arguments, as click does.
+
+        :raises click.UsageError: there is no such command; the message offers the nearest.
+        """
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as cause:
@@ -107,6 +110,9 @@ class LazyGroup(click.Group):
         """Run a command.
 
         Unusable input is a message and exit code 1, an unusable option 2, an interrupt 130, a fault a line and a file.
+
+        :raises click.UsageError: an option is unusable or missing.
+        :raises click.ClickException: anything else that stops the command.
         """
         from postproc.errors import OptionError, PostprocError
 

@@ -265,6 +265,29 @@ _SAME_OPTIONS = (
 """Options whose answers have their name."""
 
 
+def _answers_of_options(options: dict[str, Any], only_tool: int | None) -> dict[str, Any]:
+    """Return the answers that options of `init` give to the questions of `guided_start`, by key of the question.
+
+    :param only_tool: number of the tool of programs that have but one, whose `$TOOL` answers for `--tool` too.
+    """
+    values = {name: options[name] for name in _SAME_OPTIONS if options[name] is not None}
+    values |= {f"tool.{number}": frame for number, frame in options["tools"].items()}
+    if only_tool in options["tools"]:
+        values.setdefault("tool", options["tools"][only_tool])
+    values |= {f"work_offset.{code}": frame for code, frame in options["work_offsets"].items()}
+    for table in ("base_data", "tool_data"):
+        values |= {f"{table}.{number}": frame for number, frame in options[table].items()}
+    values |= {f"m_code.{code}": "none" for code in options["m_codes"]}
+    values |= {f"rotary_point.{letter}": point for letter, point in options["rotary_points"].items()}
+    texts = {
+        "rotary_axes": options["rotary"],
+        "rotary_kind": options["rotary_kind"],
+        "dwell_unit": options["dwell_unit"],
+    }
+    texts |= {"radius_offsets": options["radius_offsets"]} if _is_stated("radius_offsets") else {}
+    return values | {name: value for name, value in texts.items() if value is not None}
+
+
 def _request_for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> CellRequest:
     """Return the request for a cell that these programs need; ask for what no option says.
 
@@ -284,23 +307,7 @@ def _request_for_programs(cell: Path, programs: list[Path], options: dict[str, A
     needs = guided_start.merge_needs(needs_of_programs)
     if options["config_dat"] is not None:
         needs = replace(needs, frames=())  # the file of the controller states them
-    answers = guided_start.Answers()
-    answers.values |= {name: options[name] for name in _SAME_OPTIONS if options[name] is not None}
-    answers.values |= {f"tool.{number}": frame for number, frame in options["tools"].items()}
-    if needs.only_tool in options["tools"]:
-        answers.values.setdefault("tool", options["tools"][needs.only_tool])
-    answers.values |= {f"work_offset.{code}": frame for code, frame in options["work_offsets"].items()}
-    for table in ("base_data", "tool_data"):
-        answers.values |= {f"{table}.{number}": frame for number, frame in options[table].items()}
-    answers.values |= {f"m_code.{code}": "none" for code in options["m_codes"]}
-    answers.values |= {f"rotary_point.{letter}": point for letter, point in options["rotary_points"].items()}
-    texts = {
-        "rotary_axes": options["rotary"],
-        "rotary_kind": options["rotary_kind"],
-        "dwell_unit": options["dwell_unit"],
-    }
-    texts |= {"radius_offsets": options["radius_offsets"]} if _is_stated("radius_offsets") else {}
-    answers.values |= {name: value for name, value in texts.items() if value is not None}
+    answers = guided_start.Answers(_answers_of_options(options, needs.only_tool))
     unanswered_questions: list[guided_start.Question] = []
     while question := guided_start.next_question(
         needs, answers, {item.key for item in unanswered_questions}, process=False

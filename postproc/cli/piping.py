@@ -53,6 +53,8 @@ def convert_piped(program: str, settings: Settings, files: dict[str, Any], name:
     """Convert a program from or to a pipe; what is printed goes to stderr if stdout has the program.
 
     :param files: options of `find_jobs`.
+    :param name: of the program; None: that of the file.
+    :raises click.ClickException: several files are written, which one pipe cannot take.
     """
     from postproc import report
     from postproc.cli.outcomes import print_failures

@@ -20,7 +20,10 @@ class _Robots(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Take a first word that is no command for the name of a robot: ``robots NAME`` is ``robots show NAME``."""
+        """Return name, command and remaining arguments, as click does.
+
+        A first word that is no command is the name of a robot: ``robots NAME`` is ``robots show NAME``.
+        """
         if args[0] not in self.commands:
             args = ["show", *args]
         return super().resolve_command(ctx, args)

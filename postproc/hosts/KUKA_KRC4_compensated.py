@@ -374,7 +374,11 @@ def _cell_file(folder: Path) -> Path:
 
 
 def _ask(folder: str, name: str) -> str:
-    """Ask the user for the folder to write into."""
+    """Return the folder to write into, which the user chooses.
+
+    :param folder: in which the dialog begins; `name`: of the program.
+    :raises HostError: the user chose none.
+    """
     from robodk.robodialogs import getSaveFolder
 
     answer = getSaveFolder(folder, f"Save {name} and its report in...")

@@ -36,6 +36,10 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose errors are messages for the user of FreeCAD; argparse itself would end FreeCAD."""
 
     def error(self, message: str) -> NoReturn:
+        """Refuse arguments of the post, instead of ending the program.
+
+        :raises HostError: always, with the arguments that are understood.
+        """
         raise HostError(f"Arguments of the post: {message}. Understood are:\n{self.format_help()}")
 
 
@@ -264,7 +268,10 @@ def _stl(shape: Any) -> bytes:
 
 
 def _blocks(objects: list[Any]) -> list[Block]:
-    """Return the program as blocks of G-code, each with the operation and command it is from."""
+    """Return the program as blocks of G-code, each with the operation and command it is from.
+
+    :raises HostError: an object has no path.
+    """
     blocks = [Block("G17 G21 G40 G49 G80 G90 G94", "start")]
     for item in objects:
         if not hasattr(item, "Path"):

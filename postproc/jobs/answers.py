@@ -28,7 +28,10 @@ _FRAME_LENGTHS = (3, 6)
 
 
 def numbers(text: str) -> Numbers:
-    """Return numbers with commas between."""
+    """Return numbers with commas between.
+
+    :raises InputError: a word is no number.
+    """
     try:
         values = tuple(float(word) for word in text.replace(";", ",").split(",") if word.strip())
     except ValueError:
@@ -61,12 +64,18 @@ def number(text: str) -> float:
 
 
 def frame(text: str) -> Numbers | int:
-    """Return X, Y, Z[, A, B, C], or the number of a frame of the controller."""
+    """Return X, Y, Z[, A, B, C], or the number of a frame of the controller.
+
+    :raises InputError: the text is neither.
+    """
     return int(text) if text.strip().isdecimal() else numbers(text)
 
 
 def full_frame(text: str) -> Numbers | int:
-    """Return a frame as `frame` does; three numbers or six."""
+    """Return a frame as `frame` does; three numbers or six.
+
+    :raises InputError: the text is none.
+    """
     value = frame(text)
     if not isinstance(value, int) and len(value) not in _FRAME_LENGTHS:
         raise InputError(f"{text!r}: {len(value)} numbers", advice="Give X,Y,Z or X,Y,Z,A,B,C in mm and degrees.")
@@ -74,7 +83,10 @@ def full_frame(text: str) -> Numbers | int:
 
 
 def stated_frame(text: str) -> Numbers:
-    """Return X, Y, Z or X, Y, Z, A, B, C: a number of a frame is no answer to what that frame is."""
+    """Return X, Y, Z or X, Y, Z, A, B, C: a number of a frame is no answer to what that frame is.
+
+    :raises InputError: the text is none.
+    """
     value = full_frame(text)
     if isinstance(value, int):
         raise InputError(f"{text!r}: one number", advice="Give X,Y,Z or X,Y,Z,A,B,C in mm and degrees.")
@@ -82,7 +94,10 @@ def stated_frame(text: str) -> Numbers:
 
 
 def numbered_frames(texts: Sequence[str]) -> dict[int, Numbers]:
-    """Return frames by number from texts such as ``3=1500,0,700``."""
+    """Return frames by number from texts such as ``3=1500,0,700``.
+
+    :raises InputError: a text has another form, or a frame is given twice.
+    """
     frames: dict[int, Numbers] = {}
     for text in texts:
         name, _, words = text.partition("=")
@@ -93,14 +108,21 @@ def numbered_frames(texts: Sequence[str]) -> dict[int, Numbers]:
 
 
 def _add_frame(frames: dict[Any, Numbers], key: Any, value: Numbers, name: str) -> None:
-    """Add a frame; refuse a second, different one."""
+    """Add a frame; refuse a second, different one.
+
+    :param frames: gets the frame; `key`: its number or code; `name`: for messages.
+    :raises InputError: there is a different one.
+    """
     if (first_value := frames.setdefault(key, value)) != value:
         first, second = (",".join(f"{word:g}" for word in words) for words in (first_value, value))
         raise InputError(f"{name} is given twice, {first} and {second}: leave one of them out")
 
 
 def tools(texts: Sequence[str]) -> dict[int, Numbers]:
-    """Return $TOOL by T number from texts such as ``1=0,0,412.5`` or ``1=412.5``, which is its Z."""
+    """Return $TOOL by T number from texts such as ``1=0,0,412.5`` or ``1=412.5``, which is its Z.
+
+    :raises InputError: a text has another form, or a tool is given twice.
+    """
     frames: dict[int, Numbers] = {}
     for text in texts:
         name, equals, words = text.partition("=")
@@ -113,7 +135,10 @@ def tools(texts: Sequence[str]) -> dict[int, Numbers]:
 
 
 def work_offsets(texts: Sequence[str]) -> dict[str, Numbers]:
-    """Return frames in $BASE by the code of the work offset from texts such as ``G55=300,0,0``."""
+    """Return frames in $BASE by the code of the work offset from texts such as ``G55=300,0,0``.
+
+    :raises InputError: a text has another form, or an offset is given twice.
+    """
     offsets: dict[str, Numbers] = {}
     for text in texts:
         name, _, words = text.partition("=")
@@ -126,7 +151,10 @@ def work_offsets(texts: Sequence[str]) -> dict[str, Numbers]:
 
 
 def m_codes(texts: Sequence[str]) -> list[str]:
-    """Return M codes from texts such as ``M31`` or ``31``."""
+    """Return M codes from texts such as ``M31`` or ``31``.
+
+    :raises InputError: a text is no M code, or is one that the cell cannot state.
+    """
     codes = []
     for text in texts:
         name = text.strip().upper().removeprefix("M")
@@ -139,14 +167,20 @@ def m_codes(texts: Sequence[str]) -> list[str]:
 
 
 def line(text: str) -> str:
-    """Return a line of the robot's language in which brackets and strings are closed."""
+    """Return a line of the robot's language in which brackets and strings are closed.
+
+    :raises InputError: they are not, or the line moves the robot.
+    """
     if fault := lines_fault([text]) or motion_fault([text]):
         raise InputError(fault)
     return text
 
 
 def switch(text: str) -> tuple[list[str], list[str]]:
-    """Return the lines that switch on and off, from the text "ON|OFF"; none for "hand"."""
+    """Return the lines that switch on, and those that switch off, from the text "ON|OFF"; none for "hand".
+
+    :raises InputError: the text has another form.
+    """
     if text.strip() == BY_HAND:
         return [], []
     lines = [line(part.strip()) for part in text.split("|")]
@@ -168,7 +202,10 @@ def tolerance(text: str) -> float | None:
 
 
 def payload(text: str) -> Numbers | None:
-    """Return mass [kg] and centre X, Y, Z in the flange frame [mm] (zero if not given); None for an empty answer."""
+    """Return mass [kg] and centre X, Y, Z in the flange frame [mm] (zero if not given); None for an empty answer.
+
+    :raises InputError: the text has another form, or the mass is not above zero.
+    """
     if not text.strip():
         return None
     values = _finite(numbers(text), text)
@@ -180,7 +217,10 @@ def payload(text: str) -> Numbers | None:
 
 
 def robot(text: str) -> str:
-    """Return the name of a robot model, or the path of a model folder, that exists."""
+    """Return the name of a robot model, or the path of a model folder, that exists.
+
+    :raises InputError: there is none.
+    """
     try:
         find(text)
     except ModelError as cause:
@@ -189,7 +229,7 @@ def robot(text: str) -> str:
 
 
 def one_of(*values: str) -> Any:
-    """Return a function that takes one of some words."""
+    """Return a function that takes a text and returns it if it is one of some words."""
 
     def parse(text: str) -> str:
         """Return an answer.
@@ -205,7 +245,10 @@ def one_of(*values: str) -> Any:
 
 
 def place(text: str) -> Numbers:
-    """Return X, Y, Z [mm]."""
+    """Return X, Y, Z [mm].
+
+    :raises InputError: the text has another form.
+    """
     values = numbers(text)
     if len(values) != len(_AXES):
         raise InputError(f"{text!r}: {len(values)} numbers", advice="Give X,Y,Z in mm.")
@@ -213,7 +256,10 @@ def place(text: str) -> Numbers:
 
 
 def points(texts: Sequence[str]) -> dict[str, Numbers]:
-    """Return points in $BASE by rotary axis from texts such as ``A=0,0,-120``."""
+    """Return points in $BASE by rotary axis from texts such as ``A=0,0,-120``.
+
+    :raises InputError: a text has another form, or an axis is given twice.
+    """
     places: dict[str, Numbers] = {}
     for text in texts:
         letter, _, words = text.partition("=")
@@ -224,7 +270,10 @@ def points(texts: Sequence[str]) -> dict[str, Numbers]:
 
 
 def material(text: str) -> str:
-    """Return the name of a material of the table."""
+    """Return the name of a material of the table.
+
+    :raises InputError: it is not in the table.
+    """
     name = text.strip()
     names = list(table())
     if name not in names:
@@ -244,7 +293,10 @@ _SHAPES = ("flat", "ball", "bull", "drill")
 
 
 def cutter(text: str) -> CutterShape:
-    """Return a cutter from ``flat,12``, ``ball,6``, ``bull,12,1`` (diameter, corner radius) or ``drill,8``."""
+    """Return a cutter from ``flat,12``, ``ball,6``, ``bull,12,1`` (diameter, corner radius) or ``drill,8``.
+
+    :raises InputError: the text has another form, or its lengths are not those of a cutter.
+    """
     words = text.replace(",", " ").split()
     advice = (
         "Give shape and diameter in mm: flat,12 or ball,6 or drill,8; of a bull tool its corner radius too: bull,12,1."
@@ -258,7 +310,10 @@ def cutter(text: str) -> CutterShape:
 
 
 def flutes(text: str) -> int:
-    """Return a number of cutting edges, 1 to 100."""
+    """Return a number of cutting edges, 1 to 100.
+
+    :raises InputError: it is none.
+    """
     word = text.strip()
     if not word.isdecimal() or not 1 <= int(word) <= 100:
         raise InputError(f"{text!r}: give the number of cutting edges, such as 3")
@@ -266,7 +321,10 @@ def flutes(text: str) -> int:
 
 
 def speed(text: str) -> float:
-    """Return a spindle speed above 0 [1/min]."""
+    """Return a spindle speed above 0 [1/min].
+
+    :raises InputError: it is none.
+    """
     if not (value := number(text)) > 0.0:
         raise InputError(f"{text!r}: give the spindle speed in 1/min, such as 12000")
     return value
@@ -276,7 +334,10 @@ _SPAN = re.compile(r"\s*([XYZ])\s*=\s*([-+.\deE]+)\s*:\s*([-+.\deE]+)\s*", re.IG
 
 
 def stock(text: str) -> StockTable:
-    """Return a stock from ``X=0:100,Y=0:80,Z=-20:0`` ($BASE, mm), or the path of a mesh that exists."""
+    """Return a stock from ``X=0:100,Y=0:80,Z=-20:0`` ($BASE, mm), or the path of a mesh that exists.
+
+    :raises InputError: the text is neither.
+    """
     parts = [_SPAN.fullmatch(part) for part in text.split(",")]
     if len(parts) == len(_AXES) and all(parts):
         spans = {part[1].upper(): (number(part[2]), number(part[3])) for part in parts if part is not None}
@@ -296,7 +357,10 @@ def box_text(box: Box) -> str:
 
 
 def rotary_axes(text: str) -> list[str]:
-    """Return one or two letters, from the part outwards, of ``CB`` or ``C,B``."""
+    """Return one or two letters, from the part outwards, of ``CB`` or ``C,B``.
+
+    :raises InputError: the text is no such letters.
+    """
     letters = [letter for letter in text.upper() if letter.isalpha()]
     if not 1 <= len(letters) <= 2 or len(set(letters)) != len(letters) or set(letters) - set("ABC"):
         raise InputError(f"{text!r}: no rotary axes", advice="Give one or two of A, B, C, from the part outwards: C,B.")

@@ -15,9 +15,7 @@ from postproc.dialects.dialect import Calling
 from postproc.errors import PostprocError
 from postproc.jobs import inputs
 from postproc.jobs.programs import find_jobs, is_utf8, process_of, states_forces
-from postproc.jobs.watching import QUIET
-
-Signature = tuple[tuple[str, int, int], ...]
+from postproc.jobs.watching import QUIET, FileStamp, Signature
 
 
 class Arrivals:
@@ -127,17 +125,16 @@ def _program_files(path: Path) -> list[Path]:
 
 
 def _signature(paths: Collection[Path]) -> Signature:
-    """Return names, sizes and times of files, see `_stamp`."""
+    """Return names, sizes and times of files."""
     return tuple(_stamp(path) for path in paths)
 
 
-def _stamp(path: Path) -> tuple[str, int, int]:
-    """Return name, size and time of change [ns] of a file; size −1 if it is missing."""
+def _stamp(path: Path) -> FileStamp:
+    """Return name, size and time of change of a file, which may be missing."""
     try:
-        status = path.stat()
+        return FileStamp.of(path)
     except OSError:
-        return path.name, -1, 0
-    return path.name, status.st_size, status.st_mtime_ns
+        return FileStamp(path.name, -1, 0)
 
 
 def _is_readable(path: Path) -> bool:

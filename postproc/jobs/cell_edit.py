@@ -54,7 +54,10 @@ def fields_of(path: Path, frames: Sequence[str] = ()) -> list[FormField]:
 
 
 def table_help(table: str) -> str:
-    """Return what a table of the cell states."""
+    """Return what a table of the cell states, as help for its form.
+
+    :param table: such as ``"base"`` or ``"tools.2"``.
+    """
     name, _, number = table.partition(".")
     return FRAMES[name][1].format(number) if number else table_schema("cell", name).help
 
@@ -120,7 +123,12 @@ def edit(path: Path, texts: Mapping[str, str], frames: Sequence[str] = ()) -> bo
 
 
 def robot_of(path: Path, model: Path) -> tuple[str, bool]:
-    """Return the robot that a cell file names, and whether it is a model folder; empty: the cell is unusable."""
+    """Return the robot that a cell file names, and whether it is the one of a model folder.
+
+    Of a cell that is unusable they are an empty text and False.
+
+    :param model: the model folder.
+    """
     try:
         cell = cells.load(path)
         return cell.robot, robots.find(cell.robot, Path(cell.folder)).resolve() == model.resolve()
@@ -197,6 +205,10 @@ def set_robot(path: Path, robot: str) -> bool:
         return False
 
     def check(trial_path: Path) -> None:
+        """Read a cell file and its robot.
+
+        :raises PostprocError: one of them is unusable.
+        """
         cell = cells.load(trial_path)
         load_robot(cell.robot, cell.folder)
 

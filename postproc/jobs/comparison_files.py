@@ -99,7 +99,8 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     cell = _use_stated_tolerance(cell, request, second_program)
     folder = request.output or request.nominal.parent / "corrected"
     stem = f"{request.corrected.stem}.compare"
-    names = pairs, page, record = f"{stem}.pairs.csv", f"{stem}.report.html", f"{stem}.report.json"
+    pairs, page, record = f"{stem}.pairs.csv", f"{stem}.report.html", f"{stem}.report.json"
+    names = (pairs, page, record)
     protect(request.reads(), folder, names)
     if not request.overwrite:
         refuse(foreign(folder, names, record))
@@ -142,6 +143,9 @@ def _ask_for_forces(request: CompareRequest, origin: provenance.Provenance) -> N
     """Refuse to compare without forces if the force file of the second program is next to one of the programs.
 
     Without it, a target and one that was inserted next to it cannot be told apart: offsets would be wrong.
+
+    :param origin: that the second program states.
+    :raises InputError: the file is there.
     """
     endings = {*extensions(), PROCESS}
     for folder in dict.fromkeys((request.nominal.parent, request.corrected.parent)):
@@ -167,7 +171,10 @@ def _stated_ends(path: Path) -> Bools | None:
 
 
 def _refuse_part(path: Path, program: Program) -> None:
-    """Raise for a file that is only a part of a divided program, or one of its modules."""
+    """Refuse a file that is only a part of a divided program, or one of its modules.
+
+    :raises InputError: it is one.
+    """
     origin = _origin(program)
     if "module" in origin.options:
         raise InputError(
@@ -185,7 +192,10 @@ def _refuse_part(path: Path, program: Program) -> None:
 
 
 def _refuse_corrected_program(path: Path, program: Program) -> None:
-    """Raise for a nominal program that postproc corrected, or that calls one: its targets are corrected already."""
+    """Refuse a nominal program that postproc corrected, or that calls one: its targets are corrected already.
+
+    :raises InputError: it is one.
+    """
     writer = registry.dialect_of_name(program.dialect).writer
     if writer is None:
         return

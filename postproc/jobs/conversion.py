@@ -5,7 +5,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -208,8 +208,7 @@ def convert(
         result, process = convert_program(job, settings, cell, robot, program, progress)
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
-        result, subprogram_files, copies = _add_subprograms(task, settings, cell, robot, result)
-        output = _output_of(job, settings, cell, result, subprogram_files, copies, process)
+        output = _output_of(job, settings, cell, _add_subprograms(task, settings, cell, robot, result), process)
         _check_unchanged(origin, output.summary)
         is_computed = True
         staged_files = files.stage(job.output, output.contents)
@@ -349,16 +348,15 @@ def _output_of(
     job: Job,
     settings: Settings,
     cell: Cell,
-    result: Result,
-    subprogram_files: Sequence[str],
-    copies: Mapping[str, bytes],
+    marked: _MarkedResult,
     process: ProcessForces | None,
 ) -> _ProgramOutput:
     """Return the files to write for a result.
 
-    :param subprogram_files: names of the files of subprograms.
-    :param copies: files that are written as they were read: name → content.
+    :param process: forces that the process computes; None: there is no process.
+    :raises InputError: the mesh of the part is unusable.
     """
+    result, subprogram_files, copies = marked
     mode, needed_files = settings.mode, result.program.needed
     has_tolerance = mode == "convert" or settings.tolerance_mm is not None
     tolerance = cell.output.tolerance_mm * M_PER_MM if has_tolerance else None
@@ -369,11 +367,8 @@ def _output_of(
     contents |= _tables_of(result, stem)
     surface = None
     if settings.part is not None and len(result):
-        from postproc.report.surface import glb, ply
-
         surface = surface_of(result, settings.part, job.process, cell.part_in_root())
-        for ending, encode in (("ply", ply), ("glb", glb)):
-            contents[f"{stem}surface.{ending}"] = encode(surface, cell.tolerance)
+        contents |= _surface_files(surface, cell.tolerance, stem)
     content = report.summary(result, tolerance, cell.part_tolerance, surface)
     origin = origin_of(result.program.documents, settings.cell, cell, job.forces, "corrected")
     record = _record(origin, settings.cell, cell)
@@ -393,6 +388,7 @@ def _output_of(
     file_entries: list[files.FileEntry] = []
 
     def rendered(entries: list[files.FileEntry]) -> bytes:
+        """Return the report with the list of files, and keep that list."""
         file_entries.extend(entries)
         return files.json_bytes(replace(content, files=entries))
 
@@ -405,6 +401,16 @@ def _output_of(
         shared_files=(*subprogram_files, *copies),
         read=tuple(map(str, [*read, *(required_file.path for required_file in needed_files)])),
     )
+
+
+def _surface_files(surface: Surface, tolerance: float, stem: str) -> dict[str, bytes | Iterable[bytes]]:
+    """Return the files of a surface: file name → content.
+
+    :param tolerance: of the path [m], for the colours; `stem`: see `_tables_of`.
+    """
+    from postproc.report.surface import glb, ply  # imported with the surface only
+
+    return {f"{stem}surface.{ending}": encode(surface, tolerance) for ending, encode in (("ply", ply), ("glb", glb))}
 
 
 def _tables_of(result: Result, stem: str) -> dict[str, bytes | Iterable[bytes]]:
@@ -454,15 +460,24 @@ def surface_of(result: Result, part: Path, process: Path | None, mesh_frame: Arr
     return surface(result, corners, cutters, mesh_frame, coarse, tool=tool_of_target)
 
 
-def _add_subprograms(
-    task: Task, settings: Settings, cell: Cell, robot: RobotModel, result: Result
-) -> tuple[Result, list[str], dict[str, bytes]]:
+class _MarkedResult(NamedTuple):
+    """A result with its line of origin and the files of its subprograms.
+
+    :ivar subprogram_files: names of the files that contain only subprograms.
+    :ivar copies: files that are written as they were read: name → content.
+    """
+
+    result: Result
+    subprogram_files: list[str]
+    copies: dict[str, bytes]
+
+
+def _add_subprograms(task: Task, settings: Settings, cell: Cell, robot: RobotModel, result: Result) -> _MarkedResult:
     """Return a result with its line of origin, and with subprograms that do not clash with those of other programs.
 
     A subprogram that was written differently for another program is renamed. Each renaming may cause new clashes, so
     this is repeated until there are none.
 
-    :returns: the result, the names of the files of its subprograms, and files that are written as they were read.
     :raises InputError: see `output_plan.copy_subprograms`.
     """
     job, read = task.job, result.program.documents
@@ -471,25 +486,35 @@ def _add_subprograms(
         marked_result = mark_origin(result, job, settings, cell, own_names)
         subprogram_files = subprograms(result, job, own_names)
         if not marked_result.documents or settings.mode == "predict":
-            return marked_result, subprogram_files, {}
+            return _MarkedResult(marked_result, subprogram_files, {})
         names = [document.name for document in marked_result.documents]
         copies = needed_copies(task, result.program.needed, [*names, *own_names.values()])
         texts = {document.name: document.to_bytes() for document in marked_result.documents} if job.keeps_text else {}
         conflicts = differing_files(task, texts | copies, subprogram_files, copies, read)
         if not conflicts:
             warnings = needed_warnings(task, result.program.needed, copies, texts | copies)
-            return replace(marked_result, issues=(*marked_result.issues, *warnings)), subprogram_files, copies
+            issues = (*marked_result.issues, *warnings)
+            return _MarkedResult(replace(marked_result, issues=issues), subprogram_files, copies)
         documents, new_names = copy_subprograms(task, result.documents, conflicts, subprogram_files, copies)
         _check_same_motions(result, documents, robot, cell)
         own_names |= {new: own_names.get(old, old) for new, old in new_names.items()}
-        issues = [
-            issue for issue in result.issues if issue.kind != "shared-file" or issue.subject not in new_names.values()
-        ]
-        for new, old in sorted(new_names.items()):
-            if old in conflicts:
-                note = f"{old} is written as {new}: it differs from the one written for {conflicts[old]}."
-                issues.append(Issue("info", "own-copy", note))
-        result = replace(result, documents=documents, issues=tuple(issues))
+        result = replace(result, documents=documents, issues=_issues_of_copies(result.issues, new_names, conflicts))
+
+
+def _issues_of_copies(
+    issues: Sequence[Issue], new_names: Mapping[str, str], conflicts: Mapping[str, str]
+) -> tuple[Issue, ...]:
+    """Return the issues of a program whose subprograms were renamed: with a note for each copy that is its own.
+
+    :param new_names: new file name → old file name.
+    :param conflicts: file name → program for which it was written differently.
+    """
+    kept_issues = [issue for issue in issues if issue.kind != "shared-file" or issue.subject not in new_names.values()]
+    for new, old in sorted(new_names.items()):
+        if old in conflicts:
+            note = f"{old} is written as {new}: it differs from the one written for {conflicts[old]}."
+            kept_issues.append(Issue("info", "own-copy", note))
+    return tuple(kept_issues)
 
 
 def _check_same_motions(result: Result, new_documents: Sequence[Document], robot: RobotModel, cell: Cell) -> None:
@@ -523,7 +548,10 @@ def _check_same_motions(result: Result, new_documents: Sequence[Document], robot
 
 
 def failure(job: Job, cause: Exception) -> Outcome:
-    """Return the outcome of a program that an exception ended; a fault of postproc itself has a traceback."""
+    """Return the outcome of a program that an exception ended.
+
+    A fault of postproc itself has a traceback; faults of inputs, of memory and of files have their message alone.
+    """
     program = str(job.program)
     if isinstance(cause, PostprocError):
         return Outcome(program, FAILED, message=str(cause))

@@ -45,7 +45,7 @@ class ModelFolder(Struct, frozen=True):
 
 
 class _IdentificationVerdict(Struct, frozen=True):
-    """What every kind of identification states."""
+    """Warnings and verdict, which the record of every kind of identification has."""
 
     warnings: list[str]
     verdict: record.Verdict | None = None

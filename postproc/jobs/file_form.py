@@ -20,6 +20,8 @@ from postproc.jobs.first_steps import schema_file
 
 Kind = Literal["number", "count", "choice", "text", "span", "flag"]
 """What a field takes: a number, a whole number, a word of a list, a text, two numbers "0, 100", or "true"."""
+_LARGEST_INTEGER = 1e15
+"""Whole numbers below are exact as floats, and are written as such."""
 _KINDS: dict[str, Kind] = {"number": "number", "integer": "count", "string": "text", "boolean": "flag"}
 
 
@@ -46,7 +48,7 @@ class FormField(Struct, frozen=True):
 
     @property
     def name(self) -> str:
-        """Return the name of the field."""
+        """Return the name of the field in forms and messages: table and key, such as ``"tools.1.diameter_mm"``."""
         return f"{self.table}.{self.key}"
 
 
@@ -117,7 +119,10 @@ def _table(document: Any, table: str) -> Any:
 
 
 def _field(table: str, key: str, part: Mapping[str, Any], value: Any, *, is_required: bool) -> FormField | None:
-    """Return the field of a key; None: it has no form that a line can take."""
+    """Return the field of a key; None: it has no form that a line can take.
+
+    :param part: schema of the key; `value`: its value in the file, or None.
+    """
     options = [part, *part.get("anyOf", ())]
     described_kind = next((kind for kind in options if kind.get("type") in _KINDS or "enum" in kind), None)
     pair = next((kind for kind in options if len(kind.get("prefixItems", ())) == 2), None)
@@ -158,20 +163,24 @@ def edit_text(text: str, document: Any, fields: Sequence[FormField], texts: Mapp
     is_edited = False
     for field in fields:
         value_text = texts.get(field.name, field.text).strip()
-        if field.is_required and not value_text and any(texts.get(item.name, item.text).strip()
-                                                        for item in fields if item.table == field.table):  # fmt: skip
+        if field.is_required and not value_text and _has_values(field.table, fields, texts):
             raise InputError(f"{field.name} is missing", advice=f"Give it: {field.help or field.key}.")
         if value_text == field.text:
             continue
         is_edited = True
         if value_text:
-            _made_table(document, field.table)[field.key] = _value(field, value_text)
+            _ensured_table(document, field.table)[field.key] = _value(field, value_text)
         else:
             _remove(document, field)
     return tomlkit.dumps(document) if is_edited else text
 
 
-def _made_table(document: Any, table: str) -> Any:
+def _has_values(table: str, fields: Sequence[FormField], texts: Mapping[str, str]) -> bool:
+    """Return whether a field of a table has a text, as posted or else as in the file."""
+    return any(texts.get(field.name, field.text).strip() for field in fields if field.table == table)
+
+
+def _ensured_table(document: Any, table: str) -> Any:
     """Return a table of a document; one that is not there is added."""
     content = document
     for key in table.split("."):
@@ -218,10 +227,10 @@ def _number(name: str, text: str) -> float | int:
         value = math.nan
     if not math.isfinite(value):
         raise InputError(f"{name} = {text!r} is no number", advice="Give a number such as 350 or -12.5.")
-    return int(value) if value.is_integer() and abs(value) < 1e15 else value
+    return int(value) if value.is_integer() and abs(value) < _LARGEST_INTEGER else value
 
 
-def own_changes(fields: Sequence[FormField], texts: Mapping[str, str], shown: Mapping[str, str]) -> dict[str, str]:
+def changes_of_user(fields: Sequence[FormField], texts: Mapping[str, str], shown: Mapping[str, str]) -> dict[str, str]:
     """Return the values that a user changed in a form; edits of the file by others meanwhile are kept.
 
     :param fields: those of the file now.

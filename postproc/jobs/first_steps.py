@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from os.path import relpath
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -228,7 +228,9 @@ def usual_base(robot: str) -> Numbers:
 
     :raises ModelError: there is no such robot.
     """
+    # X offsets of the axes A2 to A5 from the axes before them
     reach = float(np.abs(load_robot(robot).nominal.placement[1:5, 0, 3]).sum()) * MM_PER_M
+    # somewhat more than half of the reach in front of the robot, at a quarter of it in height (assumed)
     return round(0.55 * reach, -2), 0.0, round(0.25 * reach, -2)
 
 
@@ -365,6 +367,7 @@ def _text(
     :param robot_path: name of a shipped robot, or path of its model folder.
     :param turn: constant turn of the tool about its axis [deg].
     :param config: path of `$config.dat`, or None.
+    :param tools: `$TOOL` by T number; empty: that of the cell holds for all.
     """
     language = robot.language if robot.language in _LINES else "krl"
     return f"""\
@@ -641,17 +644,20 @@ def _shape_notes(problems: Sequence[str]) -> Iterator[str]:
         yield f"{subject} left out: {first_of(names, _MOST_NAMES)}: {reason}{advice}"
 
 
-def _meshes(
-    geometry: Sequence[Geometry], urdf: Path, arm: AdoptedModel
-) -> tuple[dict[tuple[int, str], LinkShape], list[str]]:
+class _LinkMeshes(NamedTuple):
+    """Shapes by the joint that moves the link (−1: base) and "visual" or "collision", and notes for the user."""
+
+    shapes: dict[tuple[int, str], LinkShape]
+    notes: list[str]
+
+
+def _meshes(geometry: Sequence[Geometry], urdf: Path, arm: AdoptedModel) -> _LinkMeshes:
     """Return the shapes of the links in the frames of the model: those that are drawn, simplified, and solids.
 
     A link without <collision> gets the convex hull of its drawing, one without <visual> is drawn by its solid.
-
-    :returns: shapes by the joint that moves the link (−1: base) and "visual" or "collision", and notes for the user.
     """
     if not geometry:
-        return {}, ["the URDF names no shapes: pages draw the arm as solids of revolution"]
+        return _LinkMeshes({}, ["the URDF names no shapes: pages draw the arm as solids of revolution"])
     visuals, problems = shapes.read([shape for shape in geometry if shape.drawn], urdf)
     solids_read, solid_problems = shapes.read([shape for shape in geometry if not shape.drawn], urdf)
     visuals, solids_read = (
@@ -666,15 +672,21 @@ def _meshes(
     link_shapes = [shape for shape, _ in simplified]
     notes = [*_shape_notes(problems + solid_problems)]
     if link_shapes:
-        count, old_count = (sum(len(shape.faces) for shape in group) for group in (link_shapes, drawings))
-        points = sum(len(shape.points) for shape in link_shapes)
-        size = 16 * (count + points)  # three numbers of 4 bytes each, in base64
         largest_mm = max(displacement for _, displacement in simplified) * MM_PER_M
-        change_text = "" if count == old_count else f" of {old_count}, corners moved by at most {largest_mm:.2g} mm"
-        notes.append(
-            f"shapes of {len(link_shapes)} links: {count} triangles{change_text}; {size / 1000:.0f} kB in a page"
-        )
+        notes.append(_size_note(link_shapes, drawings, largest_mm))
     elif notes:
         notes.append("pages draw the arm as solids of revolution")
     surfaces = {(shape.carrier, "visual"): shape for shape in link_shapes}
-    return surfaces | {(shape.carrier, "collision"): shape for shape in all_solids}, notes
+    return _LinkMeshes(surfaces | {(shape.carrier, "collision"): shape for shape in all_solids}, notes)
+
+
+def _size_note(simplified: Sequence[LinkShape], drawings: Sequence[LinkShape], largest_mm: float) -> str:
+    """Return the note on triangles and size of the shapes that pages draw.
+
+    :param drawings: the shapes before they were simplified; `largest_mm`: largest displacement of their corners [mm].
+    """
+    count, old_count = (sum(len(shape.faces) for shape in group) for group in (simplified, drawings))
+    points = sum(len(shape.points) for shape in simplified)
+    size = 16 * (count + points)  # three numbers of 4 bytes each, in base64
+    change_text = "" if count == old_count else f" of {old_count}, corners moved by at most {largest_mm:.2g} mm"
+    return f"shapes of {len(simplified)} links: {count} triangles{change_text}; {size / 1000:.0f} kB in a page"

@@ -16,7 +16,7 @@ touch, decide which of "none", "tool", "base", "both" is the simplest that expla
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -145,7 +145,11 @@ def check_frames(path: Path, cell_file: Path, sigma_mm: float) -> FrameCheck:
 
 
 def _frames_by_points(check: FrameCheck, tool: Array, base: Array, centre: Array) -> Iterator[tuple[str, Array]]:
-    """Yield the frames that agree with the points; `centre` of the points in the root (3,) [m]."""
+    """Yield the frames that agree with the points: table of the cell, and X, Y, Z, A, B, C (6,) [mm, deg].
+
+    :param tool: (4, 4) `$TOOL` of the cell, `base`: (4, 4) its `$BASE` [m].
+    :param centre: (3,) of the points in the root [m].
+    """
     if check.tool is not None:
         pose = tool.copy()
         pose[:3, 3] -= check.tool[0]
@@ -176,38 +180,50 @@ def judge(touches: TouchedPoints, flange: Array, nominal_point: Array, tip: Arra
         "base": np.hstack([shift_columns, turn_columns]),
         "both": np.hstack([tool_columns, shift_columns, turn_columns]),
     }
-    distances = norm(residual.reshape(-1, 3))
-    plausible_suspects: list[Suspect] = []
-    residual_left = {}
-    for name, matrix in matrices.items():
-        values = np.linalg.lstsq(matrix, residual, rcond=_RANK_TOLERANCE)[0] if matrix.shape[1] else np.zeros(0)
-        residual_left[name] = residual - matrix @ values
-        degrees_of_freedom = len(residual) - (
-            np.linalg.matrix_rank(matrix, tol=_RANK_TOLERANCE) if matrix.shape[1] else 0
-        )
-        if degrees_of_freedom > 0 and residual_left[name] @ residual_left[name] / sigma**2 <= chi2.ppf(
-            _CONFIDENCE, degrees_of_freedom
-        ):
-            plausible_suspects.append(name)  # type: ignore[arg-type]
-    suspect: Suspect = "contradiction"
-    if plausible_suspects:
-        suspect = (
-            "undecided" if plausible_suspects[0] == "tool" and "base" in plausible_suspects else plausible_suspects[0]
-        )
+    residual_left = {name: _residual_left(matrix, residual) for name, matrix in matrices.items()}
+    suspect = _simplest_suspect(matrices, residual_left, sigma)
     visible_length = _smallest_residual(tool_columns, matrices["base"])
     if suspect == "none" and visible_length < _LEAST_VISIBLE:
         suspect = "unturned" if angle_between(flange[:1], flange).max() < _LEAST_TURN else "one-axis"
-    if suspect in ("none", "unturned", "one-axis", "contradiction", "undecided"):
-        best_hypothesis = "both" if suspect == "contradiction" else "tool" if suspect == "undecided" else "none"
-        residual_distances = norm(residual_left[best_hypothesis].reshape(-1, 3))
-        if suspect != "undecided":
-            hidden = _INTERVAL_FACTOR * sigma / visible_length if suspect == "none" else None
-            return FrameCheck(suspect, touches, distances, residual_distances, hidden=hidden)
+    # the frames whose errors are stated; of two that explain the points equally well both are
+    frames = {"tool": ("tool",), "base": ("base",), "both": ("both",), "undecided": ("tool", "base")}.get(suspect, ())
     parts: dict[str, Any] = {}
-    for name in ("tool", "base") if suspect == "undecided" else (suspect,):
+    for name in frames:
         parts |= _parts(name, matrices[name], residual, sigma)
-    frame_name = "tool" if suspect == "undecided" else suspect
-    return FrameCheck(suspect, touches, distances, norm(residual_left[frame_name].reshape(-1, 3)), **parts)
+    if suspect == "none":
+        parts["hidden"] = _INTERVAL_FACTOR * sigma / visible_length
+    best_hypothesis = frames[0] if frames else "both" if suspect == "contradiction" else "none"
+    distances, distances_left = (norm(values.reshape(-1, 3)) for values in (residual, residual_left[best_hypothesis]))
+    return FrameCheck(suspect, touches, distances, distances_left, **parts)
+
+
+def _residual_left(matrix: Array, residual: Array) -> Array:
+    """Return the residuals (3 n,) [m] that the best errors of a hypothesis leave.
+
+    :param matrix: (3 n, k) residuals by unit errors; without columns there is no error.
+    """
+    if not matrix.shape[1]:
+        return residual
+    return np.asarray(residual - matrix @ np.linalg.lstsq(matrix, residual, rcond=_RANK_TOLERANCE)[0])
+
+
+def _simplest_suspect(matrices: Mapping[str, Array], residual_left: Mapping[str, Array], sigma: float) -> Suspect:
+    """Return the first hypothesis that the residuals do not contradict by a χ² test, the simplest being first.
+
+    :param matrices: name of each hypothesis → (3 n, k) residuals by unit errors.
+    :param residual_left: (3 n,) [m] by hypothesis; `sigma`: standard deviation of a coordinate [m].
+    """
+    plausible_suspects: list[Suspect] = []
+    for name, matrix in matrices.items():
+        rank = np.linalg.matrix_rank(matrix, tol=_RANK_TOLERANCE) if matrix.shape[1] else 0
+        degrees_of_freedom = len(matrix) - rank
+        chi_square = residual_left[name] @ residual_left[name] / sigma**2
+        if degrees_of_freedom > 0 and chi_square <= chi2.ppf(_CONFIDENCE, degrees_of_freedom):
+            plausible_suspects.append(name)  # type: ignore[arg-type]
+    if not plausible_suspects:
+        return "contradiction"
+    is_undecided = plausible_suspects[0] == "tool" and "base" in plausible_suspects
+    return "undecided" if is_undecided else plausible_suspects[0]
 
 
 def _smallest_residual(of_tool: Array, of_base: Array) -> float:

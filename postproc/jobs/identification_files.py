@@ -110,7 +110,7 @@ class Work(Struct, frozen=True, kw_only=True):
 def validate_model(
     model: Path, measurements: Path, experiment: Path, work: Work | None = None
 ) -> tuple[Validation, str]:
-    """Validate a model folder by readings that it was not identified from; return the comparison and its table.
+    """Return the comparison of a model with readings that it was not identified from, and its table as text.
 
     :param work: job for which it is stated how much of it the readings cover.
     :raises PostprocError: the files are unusable.

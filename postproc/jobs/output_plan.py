@@ -181,10 +181,10 @@ def differing_files(
     program_of_file: dict[str, str] = {}
     for record in task.records:
         for name in texts.keys() & record.files.keys() - program_of_file.keys() if not record.is_renewed else ():
-            sum_ = record.files[name]
-            if sum_ == digest([texts[name]]):
+            file_digest = record.files[name]
+            if file_digest == digest([texts[name]]):
                 continue
-            same_source = name in source_contents and sum_ == digest([source_contents[name]])
+            same_source = name in source_contents and file_digest == digest([source_contents[name]])
             if not (name in record.copied and name not in copies and same_source):
                 program_of_file[name] = record.program
     return program_of_file
@@ -375,19 +375,12 @@ class OutputPlan:
         protect([*job.reads(), *map(Path, outcome.read)], job.output, names)
         planned_names = job.writes(mode)
         unplanned_names = [name for name in names if name not in planned_names]
-        for name in unplanned_names:
-            divided_program = next(
-                (divided_program for divided_program in task.names if _is_part_name(name, divided_program)), None
-            )
-            if divided_program is not None:
-                raise InputError(
-                    f"{job.program} also writes {name}, which may be a file of {divided_program}, which is also "
-                    "written in this run",
-                    advice="Rename one, or convert them one by one with different -o folders.",
-                )
+        _refuse_names_of_parts(task, unplanned_names)
         self._refuse_called_names(job, [name for name in unplanned_names if name not in outcome.shared_files])
         sums = {entry.name: entry.sha256 for entry in outcome.summary.files or ()}
-        changed_names = [name for name in outcome.shared_files if _sum(job.output / name) not in ("", sums[name])]
+        changed_names = [
+            name for name in outcome.shared_files if _file_digest(job.output / name) not in ("", sums[name])
+        ]
         if not self._overwrite:
             foreign_files = self._foreign_files(
                 job, [name for name in unplanned_names if name not in outcome.shared_files or name in changed_names]
@@ -399,14 +392,7 @@ class OutputPlan:
                     if not folder.is_from_other_program(job, path, only_pending=path.name not in outcome.shared_files)
                 ]
             )
-        lower_names = {name.lower() for name in names}
-        inputs = {_key(path) for path in job.reads()}
-        obsolete = [
-            name
-            for name in _existing_names(job, recorded_files(job.output / job.report(mode)))
-            if name.lower() not in lower_names and PurePath(name).name == name and _key(job.output / name) not in inputs
-        ]
-        obsolete = [name for name in obsolete if not folder.owners(job, name)]
+        obsolete = [name for name in _obsolete_names(job, mode, names) if not folder.owners(job, name)]
         if not self._overwrite:
             refuse(foreign(job.output, obsolete, job.report(mode)))
         partners = folder.programs_needing(changed_names) - {job.report(mode)} if changed_names else frozenset()
@@ -536,7 +522,7 @@ class _Folder:
         records: dict[str, Record] = {}
         file_names = {path.name for path in self._path.glob("*")}
         for path in sorted(self._path.glob("*.report.json")):
-            digests = {name: sum_ for name, sum_ in recorded_files(path).items() if name in file_names}
+            digests = {name: file_digest for name, file_digest in recorded_files(path).items() if name in file_names}
             program = path.name.removesuffix(".report.json")
             records[path.name] = Record(program, self._path, digests, frozenset(recorded_names(path, COPIED_KEY)))
         return records
@@ -554,7 +540,7 @@ class _Folder:
             Record(
                 record.program,
                 record.at,
-                {name: sum_ for name, sum_ in record.files.items() if not name.endswith(_REPORTS)},
+                {name: file_digest for name, file_digest in record.files.items() if not name.endswith(_REPORTS)},
                 record.copied,
                 report in self._pending,
             )
@@ -617,7 +603,7 @@ class _Folder:
     def is_from_other_program(self, job: Job, path: Path, *, only_pending: bool = False) -> bool:
         """Return whether a file is intact as written for another program."""
         owners = self.owners(job, path.name, only_pending=only_pending)
-        return bool(owners) and _sum(path) in {record.files[path.name] for record in owners}
+        return bool(owners) and _file_digest(path) in {record.files[path.name] for record in owners}
 
     def caller(self, job: Job, path: Path) -> Record | None:
         """Return the record of a program of an earlier run that needs a file unchanged, or None.
@@ -626,19 +612,48 @@ class _Folder:
         """
         pending = self.owners(job, path.name, only_pending=True)
         records = [record for record in self.owners(job, path.name) if record not in pending]
-        file_digest = _sum(path) if records else ""
+        file_digest = _file_digest(path) if records else ""
         if not file_digest or self._job_files(job).get(path.name) == file_digest:
             return None
-        if job.keeps_text and any(source.name == path.name and _sum(source) == file_digest for source in job.reads()):
+        if job.keeps_text and any(
+            source.name == path.name and _file_digest(source) == file_digest for source in job.reads()
+        ):
             return None
         return next((record for record in records if record.files[path.name] == file_digest), None)
 
     def is_needed_copy(self, job: Job, path: Path) -> bool:
         """Return whether a file is an intact, unchanged copy that another program needs."""
         return any(
-            path.name in record.copied and record.files[path.name] == _sum(path)
+            path.name in record.copied and record.files[path.name] == _file_digest(path)
             for record in self.owners(job, path.name)
         )
+
+
+def _refuse_names_of_parts(task: Task, names: Iterable[str]) -> None:
+    """Refuse files that may be parts of another program that this run divides.
+
+    :param names: files that the program of the task writes in addition to those that are planned.
+    :raises InputError: one of them may be such a part.
+    """
+    for name in names:
+        divided_program = next((program for program in task.names if _is_part_name(name, program)), None)
+        if divided_program is not None:
+            raise InputError(
+                f"{task.job.program} also writes {name}, which may be a file of {divided_program}, which is also "
+                "written in this run",
+                advice="Rename one, or convert them one by one with different -o folders.",
+            )
+
+
+def _obsolete_names(job: Job, mode: Mode, new_names: Iterable[str]) -> list[str]:
+    """Return the files of an earlier run of a job that this run does not replace, and that are no inputs of it."""
+    lower_names = {name.lower() for name in new_names}
+    inputs = {_key(path) for path in job.reads()}
+    return [
+        name
+        for name in _existing_names(job, recorded_files(job.output / job.report(mode)))
+        if name.lower() not in lower_names and PurePath(name).name == name and _key(job.output / name) not in inputs
+    ]
 
 
 def protect(inputs: Iterable[Path], folder: Path, names: Iterable[str]) -> None:
@@ -745,7 +760,7 @@ def _key(path: Path) -> str:
     return str(files.resolve(path)).lower()
 
 
-def _sum(path: Path) -> str:
+def _file_digest(path: Path) -> str:
     """Return the SHA-256 of a file; empty if it cannot be read."""
     try:
         return digest([path.read_bytes()])

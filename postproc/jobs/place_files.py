@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 from msgspec import Struct
@@ -109,7 +110,10 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
 
 
 def _clearance(request: PlaceRequest, cell: Cell) -> float | None:
-    """Return the distance to keep [mm]; None: the cell has no bodies."""
+    """Return the distance to keep [mm]; None: the cell has no bodies.
+
+    :raises InputError: a distance is asked for, and the cell has no bodies.
+    """
     if cell.collision is not None:
         return cell.collision.clearance_mm if request.clearance_mm is None else request.clearance_mm
     if request.clearance_mm is not None:
@@ -140,13 +144,26 @@ def region_of(text: str | None, cell: Cell) -> Region:
     return Region(tuple(low[axis] for axis in AXES), tuple(high[axis] for axis in AXES))
 
 
-def _bounds(part: str) -> tuple[str, float, float]:
-    """Return axis, lower and upper bound of one part of --region."""
+class _AxisBounds(NamedTuple):
+    """Bounds of an axis of the place [mm, deg]."""
+
+    axis: str
+    lower: float
+    upper: float
+
+
+def _bounds(part: str) -> _AxisBounds:
+    """Return the bounds that one part of --region states, ``AXIS=LOW:HIGH``.
+
+    :raises OptionError: it has another form, or the bounds are exchanged or too large.
+    """
     match = _BOUNDS.fullmatch(part)
     advice = f"Write --region X=1200:2000,Y=-600:600,A=-90:90, the smaller number first; axes: {', '.join(AXES)}."
     option = f"--region {part.strip()!r}"
     try:
-        axis, lower, upper = "" if match is None else match[1], *map(float, () if match is None else match.groups()[1:])
+        if match is None:
+            raise ValueError  # noqa: TRY301 - like a word that is no number
+        axis, lower, upper = match[1], float(match[2]), float(match[3])
     except ValueError:
         raise OptionError(f"{option}: not AXIS=LOW:HIGH with numbers in mm or degrees", advice=advice) from None
     if axis not in AXES:
@@ -155,11 +172,15 @@ def _bounds(part: str) -> tuple[str, float, float]:
         raise OptionError(f"{option}: {lower:g} is larger than {upper:g}", advice=advice)
     if max(abs(lower), abs(upper)) > _LARGEST_COORDINATE:
         raise OptionError(f"{option}: farther than {_LARGEST_COORDINATE:g}", advice=advice)
-    return axis, lower, upper
+    return _AxisBounds(axis, lower, upper)
 
 
 def _cell_with_start(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Cell, str | None]:
-    """Return a cell with [start]: its own, or the one of the first program, and how that was chosen."""
+    """Return a cell with [start]: its own, or the one chosen for the first program; and a sentence on the choice.
+
+    :returns: the cell, and the sentence; None: the cell has its own.
+    :raises PostprocError: the program cannot be read, or no start can be chosen.
+    """
     if cell.start is not None:
         return cell, None
     job = next(job for job in find_jobs(list(request.programs)) if not job.callers)
@@ -226,10 +247,20 @@ def _moved_cell(cell: Cell, base: Frame) -> Cell:
     return msgspec.structs.replace(cell, base=base, base_data=cell.base_data | moved_frames)
 
 
-def _samples(
-    request: PlaceRequest, cell: Cell, robot: RobotModel
-) -> tuple[Sequence[PathSamples], list[Path], list[str]]:
-    """Read the programs; return samples of their paths, their files, and the numbers of the frames that move with them.
+class _SampledPrograms(NamedTuple):
+    """Programs of a search.
+
+    :ivar samples: of their paths; `paths`: their files.
+    :ivar frame_numbers: numbers of the frames of the controller that move with them.
+    """
+
+    samples: Sequence[PathSamples]
+    paths: list[Path]
+    frame_numbers: list[str]
+
+
+def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> _SampledPrograms:
+    """Read the programs, and return samples of their paths.
 
     A robot program is read a second time, with `[base]` and all frames equal to it shifted, each by another length. The
     shift that is found in its `$BASE` shows which of these frames it uses.
@@ -255,7 +286,7 @@ def _samples(
             }
         samples.append(PathSamples.of(program, robot_in_cell, source))
         paths.append(path)
-    return samples, paths, [number for number in shifted_frames if number in used_numbers]
+    return _SampledPrograms(samples, paths, [number for number in shifted_frames if number in used_numbers])
 
 
 def _shifted_program(path: Path, robot: RobotModel, shifted_cell: Cell) -> Program:

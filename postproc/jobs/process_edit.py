@@ -41,7 +41,7 @@ class ProcessTable(Struct, frozen=True):
 
 
 def process_tables(path: Path, needs: ProgramNeeds) -> list[ProcessTable]:
-    """Return the tables of a process file, and those that its program needs besides.
+    """Return the tables of a process file, and those that its program needs in addition.
 
     :param path: may be missing.
     :raises ForceError: it cannot be read.

@@ -23,6 +23,7 @@ from msgspec.structs import replace
 from postproc import cell as cells
 from postproc import correction, forces, machining, toolpath
 from postproc.cell import Cell, Collision
+from postproc.chunks import Runs
 from postproc.collision import cylinders
 from postproc.correction import HeldFeed, Result
 from postproc.errors import ForceError, InputError, Issue
@@ -281,6 +282,28 @@ def stock(process: ProcessForces) -> bytes:
     return bytes(as_trimesh(*process.mesh()).export(file_type="glb"))
 
 
+def _real_cut_message(
+    nominal_wrench: Runs, real_wrench: Runs, nominal: ProcessSource, real: ProcessSource, rounds: int
+) -> str:
+    """Return the sentence that compares forces and removed material of the deflected tool with the nominal ones.
+
+    :param nominal_wrench: (n, 6) on the nominal path; `real_wrench`: (m, 6) of the deflected tool [N, N·m].
+    :param rounds: number of rounds of the iteration.
+    """
+    nominal_force, real_force = (
+        float(norm(wrench[:, :3]).max(initial=0.0)) for wrench in (nominal_wrench, real_wrench)
+    )
+    nominal_volume, real_volume = (
+        0.0 if source.process_forces is None else source.process_forces.removed_volume * 1e9  # mm³
+        for source in (nominal, real)
+    )
+    return (
+        f"forces of the deflected tool ({rounds} round{'s' * (rounds != 1)}): largest force {real_force:.0f} N, "
+        f"{nominal_force:.0f} N on the nominal path; removed {real_volume:.0f} mm³ of {nominal_volume:.0f}. The "
+        "corrected program has the nominal engagement."
+    )
+
+
 def predict_in_material(
     program: Program, robot: RobotModel, cell: Cell, source: ProcessSource
 ) -> tuple[Result, ProcessSource]:
@@ -321,16 +344,7 @@ def predict_in_material(
     result = correction.process(program, robot, cell, cut, "predict")
     if result.failed or source.process_forces is None:
         return result, cut
-    nominal_force, real_force = (float(norm(wrench[:, :3]).max(initial=0.0)) for wrench in (path.wrench, result.wrench))
-    nominal_volume, real_volume = (
-        0.0 if forces_source.process_forces is None else forces_source.process_forces.removed_volume * 1e9
-        for forces_source in (source, cut)
-    )
-    message = (
-        f"forces of the deflected tool ({rounds} round{'s' * (rounds != 1)}): largest force {real_force:.0f} N, "
-        f"{nominal_force:.0f} N on the nominal path; removed {real_volume:.0f} mm³ of {nominal_volume:.0f}. The "
-        "corrected program has the nominal engagement."
-    )
+    message = _real_cut_message(path.wrench, result.wrench, source, cut, rounds)
     note = Issue("info" if is_settled else "warning", "real-cut", message)
     hits = [issue for issue in source.process_forces.issues if issue.kind in ("rapid-in-material", "collision")]
     result_as_engagement = correction.process(program, robot, cell, source, "predict")
@@ -366,6 +380,7 @@ def convert_with_held_feed(
     path = toolpath.segments(program, RobotInCell.of(robot, cell).start_flange)
 
     def trial(slow_program: Program) -> Result:
+        """Return the conversion of the program with other feeds."""
         return correction.process(slow_program, robot, cell, source, linearize_arcs=linearize_arcs, to=to)
 
     return hold_tolerance(program, path.length, cell, source.process.law().exponent, trial)
@@ -525,6 +540,7 @@ def identify_forces(
     :param process: process.toml with the tool.
     :param tool: number or name of the tool; None: the only one.
     :raises PostprocError: the readings are unusable, or the file must not be replaced.
+    :returns: the coefficients, and the written files.
     """
     page = output.with_suffix(".html")
     protect([readings_path, process], output.parent, [output.name, page.name])

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -264,7 +264,9 @@ def _cutting(program: Program) -> Ints:
 
 
 def _span(program: Program) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
-    """Return the smallest and the largest X, Y, Z of cutting moves in `$BASE` [mm]; None: the program does not cut.
+    """Return the corners (smallest X, Y, Z; largest X, Y, Z) of the box of cutting moves in `$BASE` [mm].
+
+    None: the program does not cut.
 
     The start of a move counts with its X and Y only: a plunge starts above the material.
     """
@@ -307,6 +309,19 @@ _ASSUMED_ANSWERS: Mapping[str, Any] = {"home": [0.0, 0.0, _CLEARANCE_MM], **_WIT
 With a home place no tilted tool retracts."""
 
 
+class _TrialOutcome(NamedTuple):
+    """Outcome of trial readings.
+
+    :ivar program: as it is read; None: it is refused.
+    :ivar refusal: why; empty: it can be read, or frames of the controller are missing.
+    :ivar settings: settings without which it is refused.
+    """
+
+    program: Program | None
+    refusal: str = ""
+    settings: tuple[str, ...] = ()
+
+
 class _Trial:
     """Trial readings of a program with cells that lack one setting or the other, to see which ones it needs.
 
@@ -320,8 +335,8 @@ class _Trial:
         reader = registry.dialect_of_name(dialect)
         self.frames = reader.numbered_frames(documents) if isinstance(reader, WithNumberedFrames) else ()
 
-    def outcome(self) -> tuple[Program | None, str, tuple[str, ...]]:
-        """Return the program, or None with the reason of its refusal, and the settings without which it is refused."""
+    def outcome(self) -> _TrialOutcome:
+        """Return the program as it is read with the first answers that are not refused, and the settings it needs."""
         if registry.dialect_of_name(self.dialect).writer is not None:
             return self._read_robot_program()
         answers, refusals = dict(_ASSUMED_ANSWERS), []
@@ -334,24 +349,24 @@ class _Trial:
                 break
             refusals.append(refusal)
         else:
-            return None, min(refusals, key=len), ()  # the shorter text: another unit adds faults of its own
+            return _TrialOutcome(None, min(refusals, key=len))  # the shorter text: another unit adds faults of its own
         settings = [
             setting
             for setting in answers
             if self._read({key: value for key, value in answers.items() if key != setting}, kind)[0] is None
         ]
-        return program, "", tuple(settings)
+        return _TrialOutcome(program, settings=tuple(settings))
 
     def needed_frames(self) -> tuple[str, ...]:
         """Return the frames by number without which the program, which can be read with all, is refused."""
         return tuple(frame for frame in self.frames if self._read({}, frames={*self.frames} - {frame})[0] is None)
 
-    def _read_robot_program(self) -> tuple[Program | None, str, tuple[str, ...]]:
+    def _read_robot_program(self) -> _TrialOutcome:
         """Return a robot program as `outcome` does, never with a reason.
 
         It may be unreadable here only because frames of the controller are missing, so that is no refusal.
         """
-        return self._read({})[0], "", ()
+        return _TrialOutcome(self._read({})[0])
 
     def _read(
         self, answers: Mapping[str, Any], kind: str = _ROTARY_KINDS[0], frames: Collection[str] | None = None

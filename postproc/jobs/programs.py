@@ -132,20 +132,20 @@ def find_jobs(
 
     :param inputs: of a folder, the files with a known extension are taken; of a pattern too, unless `dialect` says how
         to read whatever it matches.
-    :param dialect: how to read all of them; None = by extension.
+    :param dialect: how to read all of them; None = job_callers extension.
     :param forces: CSV file (for one program), process.toml (for all), or a folder that holds NAME.csv or
         NAME.forces.csv for each.
     :param output: folder to write into; None = a folder `corrected` next to each program.
     :param name: of the written program, for one program; None = that of the file, made valid where it is a new one.
     :param to: dialect to write in; None = that of the program if it is written, else KRL.
     :raises InputError: an input names nothing or no known kind of program, it cannot be written in that dialect, the
-        name cannot be given, or that of a file given by itself is not UTF-8.
+        name cannot be given, or that of a file given job_callers itself is not UTF-8.
     """
     programs = _unique(path for name in inputs for path in _expand(name, dialect))
     programs = _leave_out_parts(programs, {resolve(Path(name)) for name in inputs}, dialect)
     callers = _callers([path for path in programs if str(path) not in inputs], programs, dialect)
     main_programs = [path for path in programs if path not in callers]
-    csv = _force_files(main_programs, forces)
+    file_of_program = _force_files(main_programs, forces)
     if name is not None and len(main_programs) > 1:
         raise OptionError(f"one name for {len(main_programs)} programs", advice="Give --name with one program.")
     jobs = []
@@ -156,8 +156,9 @@ def find_jobs(
         read_as = dialect or registry.dialect_of_file(path).name
         written_as, writer = registry.written_in(read_as, to)
         valid_name = writer.valid(path.stem) if name is None and written_as != read_as else name
-        by = tuple(callers.get(path, ()))
-        jobs.append(Job(path, read_as, folder, csv.get(path), valid_name, to, named=str(path) in inputs, callers=by))
+        forces, job_callers = file_of_program.get(path), tuple(callers.get(path, ()))
+        is_named = str(path) in inputs
+        jobs.append(Job(path, read_as, folder, forces, valid_name, to, named=is_named, callers=job_callers))
     return jobs
 
 
@@ -228,7 +229,11 @@ def _unique(paths: Iterable[Path]) -> list[Path]:
 
 
 def _force_files(programs: Sequence[Path], forces: Path | None) -> dict[Path, Path | None]:
-    """Return the force file of each program."""
+    """Return the force file of each program; None: it has none.
+
+    :param forces: one file for all programs, or a folder with a file for each.
+    :raises ForceError: a table of forces for several programs, or a folder without a file for any of them.
+    """
     if forces is None:
         return dict.fromkeys(programs)
     if not forces.is_dir():
@@ -378,7 +383,7 @@ class Outcome(Struct, frozen=True):
 
 
 def load_setup(settings: Settings) -> tuple[Cell, RobotModel]:
-    """Read the cell and its robot.
+    """Return the cell of the settings, and its robot.
 
     :raises CellError: the cell is unusable.
     :raises ModelError: the robot model is unusable.

@@ -102,7 +102,10 @@ def _outcomes(
     cluster: Cluster | None,
     progress: Callable[[int, int], None] | None,
 ) -> Iterator[Outcome]:
-    """Yield the outcomes of a plan until all is done or a signal asks for the end."""
+    """Yield the outcomes of a plan until all is done or a signal asks for the end.
+
+    :param worker_count: number of local processes; `cluster`: used instead; `progress`: see `convert_all`.
+    """
     if cluster is not None:
         from postproc.jobs.workers import ClusterWorkers  # imported where there is one, like processes
 
@@ -125,7 +128,10 @@ def _outcomes(
 def _outcomes_of(
     plan: OutputPlan, workers: Workers, settings: Settings, cell: Cell, robot: RobotModel
 ) -> Iterator[Outcome]:
-    """Yield the outcomes of a plan that workers execute."""
+    """Yield the outcomes of a plan that workers execute.
+
+    :param workers: processes that do the tasks; `settings`, `cell`, `robot`: for a task that none could do.
+    """
     results: SimpleQueue[Any] = SimpleQueue()
     running: dict[Any, Task] = {}
 
@@ -172,17 +178,13 @@ def _caller_outcome(job: Job, outcomes: Sequence[Outcome], settings: Settings) -
     file = str(job.output / job.program.name)
     partners = ", ".join(sorted(Path(outcome.program).name for outcome in outcomes if file in outcome.written_files))
     unchanged = any(file in outcome.copied_files for outcome in outcomes)
-    result = (
-        f"written with {partners}, unchanged"
-        if unchanged
-        else f"corrected with {partners}"
-        if partners
-        else "not written with them"
-    )
-    if partners == callers:
-        result = "written with it, unchanged" if unchanged else "corrected with it"
+    names = "it" if partners == callers else partners
     if settings.mode == "predict":
         result = "read with them"
+    elif unchanged:
+        result = f"written with {names}, unchanged"
+    else:
+        result = f"corrected with {names}" if partners else "not written with them"
     message = f"{job.program}: called by {callers}: {result}. Name the file to convert it alone."
     return Outcome(str(job.program), GOOD, message=message)
 

@@ -50,6 +50,7 @@ def read_with_start(
     """Read a program as `read_program` does; a cell without [start] gets the one that is chosen for the program.
 
     :raises ProgramError: it is not understood, or its motions depend on where it starts.
+    :returns: the program, and the cell with its start.
     """
     if cell.start is not None:
         return read_program(path, robot, cell, dialect, name), cell

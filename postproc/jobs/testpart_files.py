@@ -123,8 +123,9 @@ def block_of(text: str) -> Box:
 
 
 def flat_tool(process: Process, number: int | None) -> tuple[str, ToolTable]:
-    """Return the flat end mill of a process.
+    """Return the flat end mill of a process: key of its table, and the table.
 
+    :param number: of the tool; None: the only one.
     :raises ForceError: there is none of that number, it has none, or it is not flat.
     """
     tool = process.tool(None if number is None else str(number))
@@ -176,7 +177,7 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     )
     tests = _tests(request, robot_in_cell, process, candidates)
     progress("choice of features")
-    low, high = (np.array([span[side] for span in (box.X, box.Y, box.Z)]) * M_PER_MM for side in (0, 1))
+    low, high = (np.array([span[side] for span in (box.X, box.Y, box.Z)]) * M_PER_MM for side in (0, 1))  # corners
     weight_places = features.hanging_places(low, high, cutting.top) if request.weight_kg else np.zeros((0, 3))
     weight_readings = design.gauge_information(
         prior, robots_in_cell, cutting, request.weight_kg, weight_places, request.sigma_mm * M_PER_MM
@@ -194,10 +195,8 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     contents["testpart.html"] = design_page(selection, prior, cutting, parts, box, cell.robot)
     warnings = questions(request.weight_kg, robot, cutting, tool.flutes)
     data = _data(selection, prior, cutting, parts) | {"warnings": list(warnings)}
-    paths = files.write_whole(
-        request.output,
-        files.add_record(contents, _RECORD, lambda entries: files.json_bytes({**data, "files": entries})),
-    )
+    contents = files.add_record(contents, _RECORD, lambda entries: files.json_bytes({**data, "files": entries}))
+    paths = files.write_whole(request.output, contents)
     return TestPartFiles(selection, prior, cutting, parts, tuple(paths), warnings)
 
 
@@ -503,7 +502,7 @@ def programs_of(probe_data: ProbedSurfaces, paths: tuple[Path, ...]) -> dict[Pat
 
 
 def compare_part(request: PartRequest, model: str | None = None) -> tuple[PartIdentification, Agreement]:
-    """Compare a model with a probed part.
+    """Compare a model with a probed part; return the fit with its agreement, and the agreement itself.
 
     :param model: name or folder of the model, instead of that of the cell.
     :raises PostprocError: an input is unusable.

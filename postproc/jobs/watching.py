@@ -19,7 +19,7 @@ from functools import lru_cache, partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Event
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 from msgspec.structs import replace
@@ -56,7 +56,26 @@ SCAN = 0.5
 """Time between two scans [s] (assumed)."""
 STATE = ".postproc-watch.json"
 
-Signature = tuple[tuple[str, int, int], ...]
+
+class FileStamp(NamedTuple):
+    """Name, size [bytes] and time of change [ns] of a file; the size is −1 if it is missing."""
+
+    name: str
+    size: int
+    changed_ns: int
+
+    @classmethod
+    def of(cls, path: Path) -> FileStamp:
+        """Return the stamp of a file.
+
+        :raises OSError: it is not there, or cannot be reached.
+        """
+        status = path.stat()
+        return cls(path.name, status.st_size, status.st_mtime_ns)
+
+
+Signature = tuple[FileStamp, ...]
+"""Names, sizes and times of the files of a program: equal ones have not changed."""
 
 
 class Entry(msgspec.Struct, frozen=True):
@@ -133,7 +152,7 @@ def _pause(folder: Path, stop: Event) -> Callable[[], object]:
 
 
 def _status(path: Path) -> tuple[int, int]:
-    """Return size and time of a file; zeros if it is not there."""
+    """Return size [bytes] and time of change [ns] of a file; zeros if it is not there."""
     try:
         status = path.stat()
     except OSError:
@@ -286,7 +305,7 @@ class _Watcher:
 
     def convert(self, ready: Sequence[Path]) -> Iterator[tuple[Outcome, Job]]:
         """Convert programs, and record each as soon as its files are written."""
-        states = {path: (self.seen[path][0], self._sum(path)) for path in ready}
+        states = {path: (self.seen[path][0], self._program_digest(path)) for path in ready}
         jobs: list[Job] = []
         try:
             jobs = self._jobs(ready)
@@ -418,11 +437,11 @@ class _Watcher:
     def _signature(self, path: Path) -> Signature | None:
         """Return names, sizes and times of the files of a program; None if one is not there any more."""
         try:
-            return tuple((file.name, (status := file.stat()).st_size, status.st_mtime_ns) for file in self._reads(path))
+            return tuple(map(FileStamp.of, self._reads(path)))
         except FileNotFoundError:
             return None
 
-    def _sum(self, path: Path) -> str | None:
+    def _program_digest(self, path: Path) -> str | None:
         """Return the SHA-256 of the files of a program; None, with a remark to the user, if one cannot be opened."""
         try:
             return provenance.digest(file.read_bytes() for file in self._reads(path))
@@ -435,14 +454,14 @@ class _Watcher:
 
         :param signature: of the program in this scan.
         """
-        total = self._sum(path)
-        if total is None:
+        digest = self._program_digest(path)
+        if digest is None:
             return False
         entry = self.entries.get(path.name)
-        if not self._is_written(path) if entry is None else (entry.sum, entry.setup) != (total, self.setup):
-            return True
-        self.finished[path] = signature
-        return False
+        is_converted = self._is_written(path) if entry is None else (entry.sum, entry.setup) == (digest, self.setup)
+        if is_converted:
+            self.finished[path] = signature
+        return not is_converted
 
     def _is_written(self, path: Path) -> bool:
         """Return whether the output folder has the program as these files and options make it.
@@ -471,15 +490,15 @@ class _Watcher:
         except (PostprocError, OSError, ValueError, KeyError, TypeError, StopIteration):
             return False
 
-    def _record(self, path: Path, outcome: Outcome, signature: Signature, total: str | None) -> None:
+    def _record(self, path: Path, outcome: Outcome, signature: Signature, digest: str | None) -> None:
         """Record in the state file that a program has been converted, or could not be.
 
-        :param signature: of the program before the conversion; `total`: sum of its contents then, None: not readable.
+        :param signature: of the program before the conversion; `digest`: of its contents then, None: not readable.
         """
         self.finished[path] = signature
-        if total is not None:
-            cause = reason(outcome) if outcome.summary is None and outcome.code == FAILED else ""
-            self.entries[path.name] = Entry(total, outcome.code, self.setup, cause)
+        if digest is not None:
+            fault = reason(outcome) if outcome.summary is None and outcome.code == FAILED else ""
+            self.entries[path.name] = Entry(digest, outcome.code, self.setup, fault)
             files.write_whole(self.output, {STATE: msgspec.json.encode(self.entries)})
 
     def _read_entries(self) -> dict[str, Entry]:

@@ -208,7 +208,10 @@ def _receive(tasks: SimpleQueue[tuple[Task, Settings]]) -> None:
 
 @lru_cache(maxsize=1)
 def _setup(settings: Settings) -> tuple[Cell, RobotModel]:
-    """Return cell and robot of the settings; read once for all tasks with the same settings."""
+    """Return cell and robot of the settings; read once for all tasks with the same settings.
+
+    :raises PostprocError: one of them cannot be read.
+    """
     return load_setup(settings)
 
 
@@ -343,7 +346,10 @@ class ClusterWorkers:
 
 
 def _connect(cluster: Cluster) -> Any:
-    """Return a client of a scheduler that has workers."""
+    """Return a client of a scheduler that has workers.
+
+    :raises PostprocError: Dask is not installed, or no scheduler with workers answers.
+    """
     try:
         import distributed
     except ImportError:
@@ -406,7 +412,10 @@ def _work_function() -> Callable[[str, bytes], Outcome | OtherCode]:
 
 
 def _security(cluster: Cluster) -> Any:
-    """Return the certificates of ``tls://``; None for ``tcp://``."""
+    """Return the certificates of ``tls://``; None for ``tcp://``.
+
+    :raises PostprocError: they are missing or cannot be used.
+    """
     from distributed.security import Security
 
     if not cluster.address.startswith("tls://"):

@@ -94,6 +94,7 @@ def named_like_rapid(modules_of_task: Iterable[Module]) -> Routine | None:
 def _modules_of(file: Path) -> tuple[Module, ...]:
     """Return the modules of a file.
 
+    :raises CellError: it cannot be read.
     :raises ProgramError: it is no valid RAPID.
     """
     document = _document(file)
@@ -101,7 +102,7 @@ def _modules_of(file: Path) -> tuple[Module, ...]:
         return modules(document.text)
     except RapidSyntaxError as cause:
         starts, stops = line_spans(document.text)
-        row = int((starts <= cause.start).sum()) - 1
+        row = int((starts <= cause.start).sum()) - 1  # the last line that begins at the fault or before it
         line_text = document.text[starts[row] : stops[row]].strip()
         advice = "Check the file in RobotStudio, or leave it out of [rapid] modules."
         raise ProgramError(cause.problem, file=file.name, line=row + 1, text=line_text, advice=advice) from None

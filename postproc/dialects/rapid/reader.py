@@ -535,6 +535,7 @@ class _FromCell:
         self.pose = pose
 
     def __repr__(self) -> str:
+        """Return a text by which the reader compares it with other values of tools and work objects."""
         return f"cell {self.pose.tolist()}"
 
 

@@ -301,7 +301,7 @@ class _Rewriter:
         self._rewrite_point(move.target, self.place[k], self.turn[k], k, uses)
 
     def _straighten(self, move: Move) -> None:
-        """Write a line in place of a circle."""
+        """Write a line in place of a circle: another instruction, without the point on the circle."""
         statement = move.statement
         if move.via is None:
             return

@@ -402,7 +402,10 @@ def _arithmetic_value(word: str, left: Value, right: Value) -> Value:
 def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return value and type of a function call.
 
-    :raises UnknownValueError: its value is known at run time only.
+    Present() of a parameter is known from the call of its routine, Dim() from the declaration of an array; other
+    functions are computed from the values of their arguments.
+
+    :raises UnknownValueError: its value is known at run time only, or its arguments are not those of the function.
     """
     if expression.value == "PRESENT" and expression.items and expression.items[0].value is not None:
         is_given = scope.presence.get(base_name(expression.items[0].value))
@@ -414,10 +417,11 @@ def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
     function = _FUNCTIONS.get(expression.value)
     if function is None:
         raise UnknownValueError(f"the function {expression.value} gives its value at run time")
-    positional = [evaluate(a.value, scope) for a in expression.items if not a.name and a.value is not None]
-    options = {a.name: number(a.value, scope) for a in expression.items if a.name and a.value is not None}
+    stated_arguments = [argument for argument in expression.items if argument.value is not None]
+    values = [evaluate(argument.value, scope)[0] for argument in stated_arguments if not argument.name]
+    options = {argument.name: number(argument.value, scope) for argument in stated_arguments if argument.name}
     try:
-        return function([value for value, _ in positional], options)
+        return function(values, options)
     except (ValueError, TypeError, IndexError, ZeroDivisionError, OverflowError):
         raise UnknownValueError(f"the call of {expression.value} is not understood") from None
 
