@@ -489,17 +489,30 @@ def _check_separable(
         raise ForceError(f"these readings do not separate {undetermined_names}", file=file, advice=advice)
 
 
-def _prior_coefficients(prior: MaterialTable | None, is_excited: Bools, file: str) -> tuple[Array, Array, list[str]]:
-    """Return values (6,) and standard deviations (6,) from the process for coefficients without readings, and warnings.
+class _PriorCoefficients(NamedTuple):
+    """Coefficients that are taken from the process, in the order of `NAMES`.
+
+    :param value: (6,) their values; 0 for coefficients that readings depend on.
+    :param sigma: (6,) their standard deviations; 0 likewise.
+    :param warnings: which ones they are.
+    """
+
+    value: Array
+    sigma: Array
+    warnings: list[str]
+
+
+def _prior_coefficients(prior: MaterialTable | None, is_excited: Bools, file: str) -> _PriorCoefficients:
+    """Return the values from the process for coefficients without readings.
 
     :param prior: material of the process; None: it has none.
-    :param is_excited: (6,) True for coefficients that readings depend on; they are 0 in both results.
+    :param is_excited: (6,) True for coefficients that readings depend on.
     :param file: name of the readings, for messages.
     :raises ForceError: no reading depends on some coefficients, and the process has no linear material.
     """
     value, sigma = np.zeros(6), np.zeros(6)
     if is_excited.all():
-        return value, sigma, []
+        return _PriorCoefficients(value, sigma, [])
     prior_names = ", ".join(name for name, has_readings in zip(NAMES, is_excited, strict=True) if not has_readings)
     linear_material = None if prior is None else six_numbers(prior, file)
     if linear_material is None:
@@ -510,7 +523,7 @@ def _prior_coefficients(prior: MaterialTable | None, is_excited: Bools, file: st
     sigma[~is_excited] = np.abs(prior_value[~is_excited]) * prior_sigma
     percent = 196 * prior_sigma  # half width of the 95 % interval
     warning = f"no reading depends on {prior_names}: taken from [material] of the process, ±{percent:.0f} %"
-    return value, sigma, [warning]
+    return _PriorCoefficients(value, sigma, [warning])
 
 
 def as_toml(material: IdentifiedMaterial, tool: ToolTable, name: str) -> bytes:

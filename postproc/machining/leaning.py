@@ -7,6 +7,8 @@ map has the levels of flat surfaces exactly.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from postproc.frames import Array, norm
@@ -65,8 +67,21 @@ def _largest_depth(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> flo
     return float((level - z)[in_material].max(initial=0.0))
 
 
-def _rings(stock: Stock, cutter: Cutter, tip: Array, axis: Array, radius: float) -> tuple[Ints, Array, Array]:
-    """Return k circles about the axis near the stock: row of `tip` (k,), radius (k,) and height above the tip (k,) [m].
+class _Rings(NamedTuple):
+    """k circles about the axis of a tool, on its surface.
+
+    :param pose: (k,) row of the pose of the tool.
+    :param radius: (k,) [m].
+    :param height: (k,) above the tip [m].
+    """
+
+    pose: Ints
+    radius: Array
+    height: Array
+
+
+def _rings(stock: Stock, cutter: Cutter, tip: Array, axis: Array, radius: float) -> _Rings:
+    """Return circles about the axis, on the surface of the tool and near the stock.
 
     :param tip: (n, 3) positions of the tip [m], and `axis` (n, 3) unit directions to the spindle, frame of the map.
     :param radius: of the tool as it is compared [m].
@@ -86,7 +101,7 @@ def _rings(stock: Stock, cutter: Cutter, tip: Array, axis: Array, radius: float)
     height = np.concatenate([end_height + inner_cutter.height(end_radii), shank_heights])
     centre = tip[:, None] + height[:, None] * axis[:, None]
     pose, ring = np.nonzero(((centre > low) & (centre < high)).all(axis=2))
-    return pose, ring_radii[ring], height[ring]
+    return _Rings(pose, ring_radii[ring], height[ring])
 
 
 def _perpendicular_directions(direction: Array) -> tuple[Array, Array]:

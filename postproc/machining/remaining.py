@@ -9,6 +9,7 @@ removed piece by piece. For all other bodies the coarse cells and the times at w
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
@@ -221,6 +222,19 @@ def _boxes(level: Array) -> list[tuple[float, ...]]:
     return boxes
 
 
+class _SweptVolume(NamedTuple):
+    """A body along z and the path of its lower end.
+
+    :param body: its shape.
+    :param begin: (L, 3) positions of its lower end where segments begin [m].
+    :param end: (L, 3) where they end [m].
+    """
+
+    body: Cutter
+    begin: Array
+    end: Array
+
+
 class Guard(Struct, eq=False):
     """Parts of the tool that must stay clear of the stock.
 
@@ -268,14 +282,13 @@ class Guard(Struct, eq=False):
             return False
         return part.height - self.need >= float(cutter.height(np.array([reach]))[0])
 
-    def _swept_volume(self, part: Part, begin: Array, end: Array, need: float) -> tuple[Cutter, Array, Array]:
-        """Return all points within `need` [m] of a part as a body along z, and the path of its lower end.
+    def _swept_volume(self, part: Part, begin: Array, end: Array, need: float) -> _SweptVolume:
+        """Return all points within `need` [m] of a part as a body along z, and its path.
 
         :param begin: (L, 3) positions of the tip where segments begin, and `end` (L, 3) where they end [m].
-        :returns: the body, and the positions of its lower end where segments begin (L, 3) and end (L, 3) [m].
         """
         offset = np.array([0.0, 0.0, part.height - need])  # from the tip to the lower end
-        return Cutter(part.radius + need, need, 1), begin + offset, end + offset
+        return _SweptVolume(Cutter(part.radius + need, need, 1), begin + offset, end + offset)
 
     def _compare_pieces(
         self, part: Part, stock: Stock, segments: StraightSegments, rows: slice, cutter: Cutter, *, removes: bool

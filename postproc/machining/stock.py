@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -36,6 +36,15 @@ _SUBDIVISION = 4
 """Number of columns and of rows into which a cell is divided to find the share of it that a mesh covers (assumed)."""
 _MOST_PAIRS = 4_000_000
 """Largest number of pairs of triangle and cell that are processed at once: it limits memory."""
+
+
+class MapBounds(NamedTuple):
+    """The outer edges of a map [m]."""
+
+    x_low: float
+    x_high: float
+    y_low: float
+    y_high: float
 
 
 class Stock(Struct, frozen=True, eq=False):
@@ -79,10 +88,10 @@ class Stock(Struct, frozen=True, eq=False):
         return float(self.high[solid].max()) if solid.any() else float("-inf")
 
     @property
-    def bounds(self) -> tuple[float, float, float, float]:
-        """X and y of the outer edges: smallest x, largest x, smallest y, largest y [m]."""
+    def bounds(self) -> MapBounds:
+        """The outer edges of the map."""
         rows, columns = self.high.shape
-        return self.x, self.x + columns * self.cell, self.y, self.y + rows * self.cell
+        return MapBounds(self.x, self.x + columns * self.cell, self.y, self.y + rows * self.cell)
 
 
 def refine(stock: Stock, factor: int) -> Stock:
@@ -159,8 +168,23 @@ def level_slopes(high: Floats) -> NDArray[np.int16]:
     return np.zeros((*high.shape, 2), dtype=np.int16)
 
 
-def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> tuple[float, float, int, int]:
-    """Return origin x, y [m] and numbers of cells in x, y of a map with a border.
+class _MapExtent(NamedTuple):
+    """The cells of a map.
+
+    :param x: smallest x of the map [m].
+    :param y: smallest y [m].
+    :param column_count: number of cells along x.
+    :param row_count: number of cells along y.
+    """
+
+    x: float
+    y: float
+    column_count: int
+    row_count: int
+
+
+def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> _MapExtent:
+    """Return the cells of a map around a box, with a border.
 
     :param lower: (3,) and `upper` (3,): corners of a box around the stock, frame of the map [m].
     :param cell: width of a cell [m].
@@ -174,7 +198,8 @@ def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> tuple[flo
         # a fifth more than needed, for the border and the rounding to two digits
         advice = f"Give [stock] resolution_mm = {max(1.2 * min_cell_mm, 1e-3):.2g} or more."
         raise ForceError(f"the map of the stock would have {count[0]} × {count[1]} cells", file=file, advice=advice)
-    return float(lower[0]) - _BORDER * cell, float(lower[1]) - _BORDER * cell, int(count[0]), int(count[1])
+    x, y = (float(corner) - _BORDER * cell for corner in lower[:2])
+    return _MapExtent(x, y, int(count[0]), int(count[1]))
 
 
 def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> Stock:
@@ -635,15 +660,28 @@ def _footprint(
     return Footprint(index[is_full], level[is_full], segment, rim, coverage, rim_level, path)
 
 
-def window_cells(stock: Stock, corner: Ints, window: Ints) -> tuple[Ints, Ints, Ints]:
-    """Return the cells in k windows as indices in the flat map (k, h, w), with rows (k, h, 1) and columns (k, 1, w).
+class WindowCells(NamedTuple):
+    """The cells in k windows of w columns and h rows.
+
+    :param index: (k, h, w) in the flat map.
+    :param row: (k, h, 1) of the map.
+    :param column: (k, 1, w) of the map.
+    """
+
+    index: Ints
+    row: Ints
+    column: Ints
+
+
+def window_cells(stock: Stock, corner: Ints, window: Ints) -> WindowCells:
+    """Return the cells of a map in k windows.
 
     :param corner: (k, 2) column and row of the first cell of each window.
     :param window: (2,) number of columns w and of rows h of all windows.
     """
     column = corner[:, 0, None, None] + np.arange(window[0])
     row = corner[:, 1, None, None] + np.arange(window[1])[:, None]
-    return row * stock.high.shape[1] + column, row, column
+    return WindowCells(row * stock.high.shape[1] + column, row, column)
 
 
 def cell_middles(stock: Stock, begin: Array, row: Ints, column: Ints) -> tuple[Floats, Floats]:
@@ -720,15 +758,28 @@ def _lowest_position(
     return np.asarray(0.5 * (a + b), dtype=np.float32)
 
 
-def _largest_coverage(cell: Ints, coverage: Floats, level: Floats) -> tuple[Ints, Floats, Floats]:
-    """Return each cell once (k,), with the largest share that a segment covers (k,), and its level there (k,) [m].
+class _Coverage(NamedTuple):
+    """Cells that a cylinder covers in part, each once.
+
+    :param cell: (k,) index in the flat map.
+    :param share: (k,) largest share of it that a segment covers.
+    :param level: (k,) lower side of the tool there, on that segment [m].
+    """
+
+    cell: Ints
+    share: Floats
+    level: Floats
+
+
+def _largest_coverage(cell: Ints, coverage: Floats, level: Floats) -> _Coverage:
+    """Return each cell once, with the largest share of it that a segment covers.
 
     :param cell: (r,) index in the flat map; `coverage` (r,) share of it and `level` (r,) [m] of one segment.
     """
     # sorted by cell, then by coverage: the last entry of each cell is the largest
     order = np.lexsort((coverage, cell))
     largest = order[np.flatnonzero(np.diff(cell[order], append=-1))]
-    return cell[largest], coverage[largest], level[largest]
+    return _Coverage(cell[largest], coverage[largest], level[largest])
 
 
 def _cut_in_part(stock: Stock, cell: Ints, coverage: Floats, level: Floats) -> None:

@@ -9,6 +9,7 @@ of the tool where they end: cells there are only partly cut, and stay whole unti
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct, field
@@ -556,10 +557,23 @@ def _dot(a: list[float], b: list[float]) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _engagement_sizes(turn: Turn, cuts: Floats) -> tuple[Array, Array, Array, Array]:
-    """Return smallest and largest angle in material [rad], depth and width of cut [m], (n,) each; NaN angles in air.
+class _EngagementSizes(NamedTuple):
+    """Sizes of the engagement at n stations.
 
-    The width of cut is the extent of the edge in material across the feed.
+    :param enter: (n,) smallest angle of the turn in material [rad]; NaN in air.
+    :param leave: (n,) largest one [rad]; NaN in air.
+    :param depth: (n,) depth of cut [m].
+    :param width: (n,) width of cut: extent of the edge in material across the feed [m].
+    """
+
+    enter: Array
+    leave: Array
+    depth: Array
+    width: Array
+
+
+def _engagement_sizes(turn: Turn, cuts: Floats) -> _EngagementSizes:
+    """Return the angles in material, depth and width of cut at n stations.
 
     :param cuts: (n, P) length of edge that cuts at the points of a turn [m].
     """
@@ -583,4 +597,4 @@ def _engagement_sizes(turn: Turn, cuts: Floats) -> tuple[Array, Array, Array, Ar
     )
     right, left = extent(lateral.min(axis=0), lateral.max(axis=0))
     depth = cutting.product_in_blocks(cuts, turn.tall).max(axis=1) if turn.side.start > 0 else cuts.max(axis=1)
-    return enter, leave, depth.astype(float), np.where(has_contact, left - right, 0.0)
+    return _EngagementSizes(enter, leave, depth.astype(float), np.where(has_contact, left - right, 0.0))

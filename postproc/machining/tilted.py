@@ -10,6 +10,7 @@ lower side over a cell is a convex function of its place as it moves.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -131,13 +132,24 @@ class TiltedPath(Columns, frozen=True, eq=False):
         return np.concatenate([self.begin, self.end[-1:]]), np.concatenate([self.begin_axis, self.end_axis[-1:]])
 
 
-def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) -> tuple[Loads, Floats, Bools]:
+class TiltedLoads(NamedTuple):
+    """Mean loads of a tool that leans or turns, at S stations.
+
+    :param loads: in `local_axes`.
+    :param cuts: (S, P) length of edge that cuts at each sample point [m].
+    :param is_axial: (S,) True where the travel is along the spindle.
+    """
+
+    loads: Loads
+    cuts: Floats
+    is_axial: Bools
+
+
+def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) -> TiltedLoads:
     """Return the mean loads of a tool that leans or turns at the S stations of a path.
 
     :param tooth: (S,) time from one tooth to the next [s].
     :param hand: (S,) 1 for M3, −1 for M4.
-    :returns: loads in `local_axes`; length of edge that cuts at each sample point (S, P) [m]; True for stations (S,)
-        at which the travel is along the spindle.
     """
     axes, is_axial = local_axes(path.heading, path.axis)
     edge_axes = axes.copy()
@@ -161,7 +173,7 @@ def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) 
     descent_sine = np.maximum(-np.einsum("ni,ni->n", path.heading, path.axis), 0.0).astype(np.float32)
     # a cell of the map is cell² / cos(tilt) on a surface square to the tool: a square as large has this width
     turn_loads = mean_loads(turn, engagement, chip, descent_sine, stock.cell / np.sqrt(path.axis[:, 2]))
-    return turn_loads, engagement.length * chip.share, is_axial
+    return TiltedLoads(turn_loads, engagement.length * chip.share, is_axial)
 
 
 class SweptCells(Struct, frozen=True, eq=False):
@@ -254,10 +266,21 @@ def _is_ahead(
     return np.asarray((distance > cutter.radius - rounding - margin) & (outwards > 0.0))
 
 
-def _lowest_levels(
-    cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array, y: Array
-) -> tuple[Array, Bools, Array]:
-    """Return the lowest level of a tool over cells in L moves from one pose to the next, each (L, h, w).
+class _Levels(NamedTuple):
+    """Levels of a tool over cells in L moves from one pose to the next.
+
+    :param low: (L, h, w) the lowest one [m]; infinite where the tool does not come.
+    :param sinks: (L, h, w) True where it still sinks at the end of the move.
+    :param high: (L, h, w) the highest level of its upper side [m]; minus infinite where the tool does not come.
+    """
+
+    low: Array
+    sinks: Bools
+    high: Array
+
+
+def _lowest_levels(cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array, y: Array) -> _Levels:
+    """Return the lowest levels of a tool over cells in L moves from one pose to the next.
 
     The slope of the lower side with the move is known at both ends, so that its minimum between them is found from two
     planes or from a parabola.
@@ -265,8 +288,6 @@ def _lowest_levels(
     :param tip: (n, 3) positions of the tip [m], and `axis` (n, 3) unit directions to the spindle at the poses.
     :param rows: (L,) first pose of each move.
     :param x: (L, h, w) and y: positions of cells from the tip at that pose [m].
-    :returns: levels, infinite where the tool does not come; True where it still sinks at the end of the move; and the
-        upper side of the tool.
     """
     shift = tip[rows + 1] - tip[rows]
     turn = axis[rows + 1] - axis[rows]
@@ -287,20 +308,28 @@ def _lowest_levels(
         share = sa / (sa - sb)
         bottom = 0.5 * (a + 0.5 * sa * share + b - 0.5 * sb * (1.0 - share))
     level[has_minimum] = np.minimum(bottom, level[has_minimum])
-    return level, np.isfinite(low_b) & (slope_b < 0.0), np.maximum(high_a, high_b)
+    return _Levels(level, np.isfinite(low_b) & (slope_b < 0.0), np.maximum(high_a, high_b))
 
 
-def _lower_and_upper_sides(
-    cutter: Cutter, axis: Array, x: Array, y: Array, shift: Array, turn: Array
-) -> tuple[Array, Array, Array]:
-    """Return the lower and the upper side of a tool on vertical lines, and the rate of the lower one.
+class _Sides(NamedTuple):
+    """Where a tool is on vertical lines, in one pose.
 
-    All are (L, h, w) [m]. Sides are heights above the tip; the rate is that at this pose, per move.
+    :param low: (L, h, w) its lower side, as height above the tip [m]; infinite where the line misses the tool.
+    :param high: (L, h, w) its upper side [m]; minus infinite there.
+    :param slope: (L, h, w) rate at which the lower side rises, per move [m]; 0 there.
+    """
+
+    low: Array
+    high: Array
+    slope: Array
+
+
+def _lower_and_upper_sides(cutter: Cutter, axis: Array, x: Array, y: Array, shift: Array, turn: Array) -> _Sides:
+    """Return the lower and the upper side of a tool on vertical lines.
 
     :param axis: (L, 3) unit directions to the spindle.
     :param x: (L, h, w) and y: (L, h, w) of the lines from the tip [m].
     :param shift: (L, 3) displacement of the tip in a move, and turn: (L, 3) change of the axis in it.
-    :returns: infinite, minus infinite and 0 where a line misses the tool.
     """
     ax, ay, az = (axis[:, k, None, None] for k in range(3))
     axial = x * ax + y * ay  # of the point at the height of the tip, along the axis
@@ -319,7 +348,7 @@ def _lower_and_upper_sides(
     elif corner > 0.0:
         low, is_met = _corner_side(cutter, axial, az, x * x + y * y, low, high, is_met)
     slope = _slope_of_lower_side(cutter, axis, (x, y, low), axial, shift, turn)
-    return np.where(is_met, low, np.inf), np.where(is_met, high, -np.inf), np.where(is_met, slope, 0.0)
+    return _Sides(np.where(is_met, low, np.inf), np.where(is_met, high, -np.inf), np.where(is_met, slope, 0.0))
 
 
 def _slope_of_lower_side(

@@ -281,8 +281,21 @@ def _half_turn_count(cutter: Cutter, step: float) -> int:
     return cutter.teeth * max(int(np.ceil(np.pi * cutter.radius / step / cutter.teeth)), least_count)
 
 
-def _points_of_turn(edge: Edge, cutter: Cutter, half_count: int) -> tuple[Ints, Array, Array]:
-    """Return the sample points of a turn: piece of edge (P,), angle (P,) and width of the angle (P,) [rad].
+class _TurnPoints(NamedTuple):
+    """The P sample points of a turn of an edge.
+
+    :param piece: (P,) piece of the edge.
+    :param phi: (P,) angle of the turn [rad].
+    :param width: (P,) width of the angle that a point stands for [rad].
+    """
+
+    piece: Ints
+    phi: Array
+    width: Array
+
+
+def _points_of_turn(edge: Edge, cutter: Cutter, half_count: int) -> _TurnPoints:
+    """Return the sample points of a turn.
 
     A piece on the rim has 2 · `half_count` points. One on a smaller circle has fewer by a power of 2, so that points
     are about as far apart there.
@@ -300,7 +313,7 @@ def _points_of_turn(edge: Edge, cutter: Cutter, half_count: int) -> tuple[Ints, 
         piece.append(np.full(count, piece_number))
         phi.append((np.arange(count) + 0.5) * (2.0 * np.pi / count))
         width.append(np.full(count, 2.0 * np.pi / count))
-    return np.concatenate(piece), np.concatenate(phi), np.concatenate(width)
+    return _TurnPoints(np.concatenate(piece), np.concatenate(phi), np.concatenate(width))
 
 
 def _can_have_chip(edge: Edge, row: Ints, angle: Array, descent: float | None) -> Bools:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -501,8 +502,21 @@ class ToolPoses(Struct, frozen=True, eq=False):
         return tip, direction
 
 
-def _divided_at_shift(motion: Ints, first: Array, last: Array, shift: Shift) -> tuple[Ints, Array, Array]:
-    """Return segments divided at the places of a displacement: motion (k,), and places (k,) of begin and end.
+class _DividedSegments(NamedTuple):
+    """Parts of segments between places of a displacement, in order.
+
+    :param motion: (k,) of each part.
+    :param first: (k,) place on the motion where it begins, in [0, 1].
+    :param last: (k,) place where it ends.
+    """
+
+    motion: Ints
+    first: Array
+    last: Array
+
+
+def _divided_at_shift(motion: Ints, first: Array, last: Array, shift: Shift) -> _DividedSegments:
+    """Return segments divided at the places of a displacement.
 
     :param motion: (L,) of the segments, in order; `first` (L,) and `last` (L,) places where they begin and end.
     :param shift: displacement of the tip, given at places on the path.
@@ -513,14 +527,29 @@ def _divided_at_shift(motion: Ints, first: Array, last: Array, shift: Shift) -> 
     part_motion = motion[segment]
     begin = np.maximum(first[segment], keys[:-1] - part_motion)
     end = np.minimum(last[segment], keys[1:] - part_motion)
-    has_length = end - begin > 1e-9
-    return part_motion[has_length], begin[has_length], end[has_length]
+    has_length = end - begin > 1e-9  # others are places that differ by rounding
+    return _DividedSegments(part_motion[has_length], begin[has_length], end[has_length])
+
+
+class _SegmentVectors(NamedTuple):
+    """Two points and two directions of each of L segments, in the frame of the map.
+
+    :param first_point: (L, 3) [m].
+    :param second_point: (L, 3) [m].
+    :param first_direction: (L, 3) unit vectors.
+    :param second_direction: (L, 3) unit vectors.
+    """
+
+    first_point: Array
+    second_point: Array
+    first_direction: Array
+    second_direction: Array
 
 
 def _to_map(
     program: Program, motion: Ints, frame: Array, points: tuple[Array, Array], directions: tuple[Array, Array]
-) -> tuple[Array, Array, Array, Array]:
-    """Return two points and two directions of L segments in the frame of the map, each (L, 3).
+) -> _SegmentVectors:
+    """Return two points and two directions of L segments in the frame of the map.
 
     :param motion: (L,) rows of `Motions`.
     :param frame: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.
@@ -535,7 +564,7 @@ def _to_map(
         pose = to_map if row == home else to_map @ inverse(program.bases[home]) @ program.bases[row]
         for k, vector in enumerate(vectors):
             vector[of_base] = vector[of_base] @ pose[:3, :3].T + (pose[:3, 3] if k < len(points) else 0.0)
-    return vectors[0], vectors[1], vectors[2], vectors[3]
+    return _SegmentVectors(*vectors)
 
 
 _SPINDLE = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
