@@ -608,7 +608,11 @@ TURNED_OFFSET_ADVICE = "X, Y, Z are machine axes there: turn [base] instead, so 
 
 
 def _check_indexed_axes(rotary: Rotary, work_offsets: Mapping[str, Frame], file: str) -> None:
-    """Check that indexed axes have a place, and that nothing contradicts them."""
+    """Check that indexed axes have a place, and that nothing contradicts them.
+
+    :param file: of the cell, for messages.
+    :raises CellError: an axis has no place or direction, TCP codes are given, or the work offset G54 is turned.
+    """
     if rotary.kind != "indexed":
         return
     if rotary.tcp_on:

@@ -49,7 +49,10 @@ def leave_at_once() -> None:
 
 @contextlib.contextmanager
 def defer() -> Iterator[None]:
-    """Note signals that ask for the end; raise `Interrupt` when all that belongs together is done."""
+    """Note signals that ask for the end; raise them when all that belongs together is done.
+
+    :raises Interrupt: a signal came.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -74,9 +77,12 @@ def defer() -> Iterator[None]:
 
 @contextlib.contextmanager
 def allow() -> Iterator[None]:
-    """Inside `defer`: raise `Interrupt` at once, but only once, so that nothing disturbs the cleaning up.
+    """Inside `defer`: raise a signal at once, but only once, so that nothing disturbs the cleaning up.
 
-    Also where the exception got lost (a destructor and some libraries swallow it) or became another one.
+    It is raised again at the end where the exception got lost (a destructor and some libraries swallow it) or became
+    another one.
+
+    :raises Interrupt: a signal came.
     """
     if not _State.holding or threading.current_thread() is not threading.main_thread():
         yield
@@ -132,7 +138,10 @@ def _leave(number: int, _frame: FrameType | None) -> None:
 
 
 def _note(number: int, _frame: FrameType | None) -> None:
-    """Handle a signal during the work: raise `Interrupt` where it is expected, else keep it for later."""
+    """Handle a signal during the work: raise it where it is expected, else keep it for later.
+
+    :raises Interrupt: inside `allow`.
+    """
     _State.number = number
     if _State.hearing:
         _State.hearing = False
@@ -140,7 +149,10 @@ def _note(number: int, _frame: FrameType | None) -> None:
 
 
 def _hear() -> None:
-    """Let signals raise `Interrupt` from now on; one that has come already does so at once."""
+    """Let signals raise `Interrupt` from now on.
+
+    :raises Interrupt: a signal has come already.
+    """
     _State.hearing = True
     if _State.number is not None:
         _State.hearing = False

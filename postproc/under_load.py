@@ -117,6 +117,12 @@ def _reach(robot: RobotModel) -> float:
 
 
 def _check(program: Program, motion: Ints, bad: Bools, kind: str, message: str) -> None:
+    """Check that no motion is bad: the error names all of them.
+
+    :param motion: (n,) rows of `Motions`, and `bad` (n,) True for those that are.
+    :param kind: of the issue, and `message` its text.
+    :raises ImpossiblePathError: a motion is bad.
+    """
     if bad.any():
         raise ImpossiblePathError(program.motions.issue("error", kind, message, motion[bad]))
 

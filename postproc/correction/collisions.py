@@ -9,6 +9,7 @@ tool does not turn; here they are compared on the others.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -152,14 +153,26 @@ def _mesh_questions(scene: Scene) -> Iterator[Issue]:
             yield Issue("warning", "mesh-units", message, subject=body.name)
 
 
-def _refine_arcs(path: PathUnderLoad, commanded_q: Array) -> tuple[Toolpath, Array, Array]:
+class _DensePath(NamedTuple):
+    """A path with more samples on arcs.
+
+    :param sample: n samples.
+    :param q: (n, 6) nominal joint angles [rad].
+    :param commanded_q: (n, 6) commanded joint angles [rad].
+    """
+
+    sample: Toolpath
+    q: Array
+    commanded_q: Array
+
+
+def _refine_arcs(path: PathUnderLoad, commanded_q: Array) -> _DensePath:
     """Return a path with more samples on arcs, so that chords between samples are off by `_SAGITTA` at most.
 
     Between samples the joints are taken to move in proportion, so that the tip moves nearly along a chord. Arcs without
     force have a sample each 45° or less: with R = 25 mm such a chord is off by 1.9 mm.
 
     :param commanded_q: (N, 6) commanded joint angles at the samples of the path [rad].
-    :returns: n samples, their joint angles (n, 6) and the commanded ones (n, 6) [rad].
     :raises ImpossiblePathError: an arc leaves the reach of the robot between two samples.
     """
     arcs, sample = path.motions.segments.arcs, path.sample
@@ -170,7 +183,7 @@ def _refine_arcs(path: PathUnderLoad, commanded_q: Array) -> tuple[Toolpath, Arr
     begin = np.where(np.append(False, motion[1:] == motion[:-1]), np.roll(t, 1), 0.0)
     parts = np.ceil(chord_count[motion] * (t - begin) - _ROUNDING).astype(np.int64).clip(1)
     if (parts == 1).all():
-        return sample, q, commanded_q
+        return _DensePath(sample, q, commanded_q)
     row, share = toolpath.even_places(np.arange(len(motion)), parts)
     dense_t = np.where(share == 1.0, t[row], begin[row] + share * (t - begin)[row])
     dense = toolpath.at(path.program, path.motions.segments, motion[row], dense_t)
@@ -180,7 +193,8 @@ def _refine_arcs(path: PathUnderLoad, commanded_q: Array) -> tuple[Toolpath, Arr
         raise ImpossiblePathError(unreachable(path.program, motion[row[list(cause.rows)]])) from None
     correction = commanded_q - q  # smooth along an arc: between two samples it is taken to change evenly
     previous_correction = correction[np.maximum(previous_samples(path.program, motion)[row], 0)]
-    return dense, dense_q, dense_q + previous_correction + share[:, None] * (correction[row] - previous_correction)
+    dense_commanded_q = dense_q + previous_correction + share[:, None] * (correction[row] - previous_correction)
+    return _DensePath(dense, dense_q, dense_commanded_q)
 
 
 def _retracts(path: PathUnderLoad, sample: Toolpath, run: Run) -> Bools:

@@ -8,6 +8,7 @@ the piece of a line between two samples every 2 mm and half a degree.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -234,12 +235,26 @@ def stretches_to_examine(path: PathUnderLoad, q: Array, speed: Array) -> tuple[S
     return _arc_stretches(path, q, is_fast), _line_stretches(path, q, is_fast)
 
 
-def _margins_and_steps(path: PathUnderLoad, q: Array, rows: Ints) -> tuple[Array, Array, Array]:
-    """Return margins at the samples before `rows` (n,), margins at `rows`, and changes between them: (9, n) each.
+class _Margins(NamedTuple):
+    """Margins of n motions between samples, (9, n) each.
 
-    Rows of the margins are A1…A6 to their nearer limits [rad]; |A5| [rad]; the distance of the wrist centre from the
-    axis of A1 [m]; A3 from the stretched arm [rad]. Rows of the changes are |difference| of these quantities, of A1…A6
-    that of the angle.
+    :param start: at the samples before.
+    :param end: at the samples.
+    :param step: sizes of the changes between them, of A1…A6 those of the angle.
+    """
+
+    start: Array
+    end: Array
+    step: Array
+
+
+def _margins_and_steps(path: PathUnderLoad, q: Array, rows: Ints) -> _Margins:
+    """Return margins at the samples before `rows` (n,) and at `rows`, and the changes between them.
+
+    Rows of the arrays are A1…A6 to their nearer limits [rad]; |A5| [rad]; the distance of the wrist centre from the
+    axis of A1 [m]; A3 from the stretched arm [rad].
+
+    :param q: (N, 6) joint angles at all samples [rad]; the arm is at [start] before the first.
     """
     robot, form = path.robot_in_cell.robot, kinematics.closed_form(path.robot_in_cell.robot)
     states, margins = [], []
@@ -252,7 +267,7 @@ def _margins_and_steps(path: PathUnderLoad, q: Array, rows: Ints) -> tuple[Array
         margin[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
         states.append(state)
         margins.append(margin)
-    return margins[0], margins[1], np.abs(states[1] - states[0])
+    return _Margins(margins[0], margins[1], np.abs(states[1] - states[0]))
 
 
 def _arc_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:

@@ -7,6 +7,7 @@ tolerance, targets are inserted and the next draft is made.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -76,12 +77,23 @@ def corrected_commands(path: PathUnderLoad) -> Commands:
     return Commands(q, Poses(position, angles), theta)
 
 
-def uncorrected_deviations(path: PathUnderLoad, rows: Ints, theta: Array) -> tuple[Array, Array, Array | None]:
-    """Return the deviation and displacement of the tool at samples (n,) without correction, `$BASE` [m].
+class UncorrectedDeviations(NamedTuple):
+    """Deviations of the tool tip at n samples without correction, `$BASE` [m].
+
+    :param deviation: (n, 3) from nominal.
+    :param displacement: (n, 3) by the wrench alone; the same array where the robot at rest is nominal.
+    :param by_tool: (n, 3) of that, the deflection of holder, spindle and tool; None if they are rigid.
+    """
+
+    deviation: Array
+    displacement: Array
+    by_tool: Array | None
+
+
+def uncorrected_deviations(path: PathUnderLoad, rows: Ints, theta: Array) -> UncorrectedDeviations:
+    """Return the deviation and displacement of the tool at samples (n,) without correction.
 
     :param theta: (N, nv) approximate deflections of the springs: start values.
-    :returns: (n, 3) deviation of the tip from nominal; (n, 3) its displacement by the wrench alone; (n, 3) of that,
-        the deflection of holder, spindle and tool, or None if they are rigid.
     :raises ImpossiblePathError: there is no equilibrium somewhere.
     """
     is_rigid_tool, rest_is_nominal = path.robot_in_cell.tool_spring is None, path.robot_in_cell.rest_is_nominal
@@ -98,13 +110,17 @@ def uncorrected_deviations(path: PathUnderLoad, rows: Ints, theta: Array) -> tup
         return (deviation, *by_wrench) if is_rigid_tool else (deviation, *by_wrench, by_tool)
 
     columns = _solve_in_chunks(path, deviations, rows)
-    return columns[0], columns[0 if rest_is_nominal else 1], None if is_rigid_tool else columns[-1]
+    by_wrench = columns[0 if rest_is_nominal else 1]
+    return UncorrectedDeviations(columns[0], by_wrench, None if is_rigid_tool else columns[-1])
 
 
 def _solve_in_chunks(
     path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]], rows: Ints
 ) -> tuple[Array, ...]:
-    """Return the results of a function of samples (n,), in chunks; the error lists all motions without equilibrium."""
+    """Return the results of a function of samples (n,), in chunks.
+
+    :raises ImpossiblePathError: there is no equilibrium somewhere; it lists the motions.
+    """
     try:
         return in_chunks(function, rows)
     except NotConvergedError as cause:
@@ -319,22 +335,36 @@ def _with_simulation(result: Result, draft: Draft, simulation: SimulatedPath) ->
     )
 
 
-def _uncorrected_at_targets(task: Task, draft: Draft) -> tuple[Array, Array, Array | None, float]:
-    """Return deviation, deflection and that of the tool at the targets without correction, and the largest deviation.
+class _UncorrectedTargets(NamedTuple):
+    """Deviations of the tool tip at the K targets without correction, `$BASE` [m].
 
-    :returns: (K, 3) each, `$BASE` [m], the third None if the tool is rigid; the largest distance from nominal [m]: of a
-        prediction along the whole path, else at the targets.
+    :param deviation: (K, 3) from nominal.
+    :param deflection: (K, 3) by the wrench alone.
+    :param by_tool: (K, 3) of that, by holder, spindle and tool; None if they are rigid.
+    :param largest: largest distance from nominal: of a prediction along the whole path, else at the targets.
+    """
+
+    deviation: Array
+    deflection: Array
+    by_tool: Array | None
+    largest: float
+
+
+def _uncorrected_at_targets(task: Task, draft: Draft) -> _UncorrectedTargets:
+    """Return the deviations at the targets without correction.
+
+    :raises ImpossiblePathError: there is no equilibrium somewhere.
     """
     path, row = draft.path, draft.selection.row
     if task.mode != "predict":
         deviation, deflection, by_tool = uncorrected_deviations(path, row, draft.theta)
-        return deviation, deflection, by_tool, float(norm(deviation).max(initial=0.0))
+        return _UncorrectedTargets(deviation, deflection, by_tool, float(norm(deviation).max(initial=0.0)))
     deviation, deflection, by_tool = uncorrected_deviations(path, np.arange(len(path)), draft.theta)
     largest = float(norm(deviation).max(initial=0.0))
     target_deviation = deviation[row]
     # one array where the load is the only cause of deviation: both have the same values
     deflection = target_deviation if deflection is deviation else deflection[row]
-    return target_deviation, deflection, by_tool if by_tool is None else by_tool[row], largest
+    return _UncorrectedTargets(target_deviation, deflection, by_tool if by_tool is None else by_tool[row], largest)
 
 
 def _causes_at_rest(robot: RobotModel, cell: Cell) -> tuple[str, ...]:
@@ -362,10 +392,23 @@ def _printed_numbers(task: Task, draft: Draft) -> Array:
     return numbers
 
 
-def _loads(draft: Draft) -> tuple[Array, Array, Array]:
-    """Return joint angles (K, 6) [rad], tool (4, 4) or (K, 4, 4) [m] and wrench (K, 6) [N, N·m] in the root."""
+class _TargetLoads(NamedTuple):
+    """Loads at the K targets.
+
+    :param q: (K, 6) joint angles [rad].
+    :param tool: (4, 4) or (K, 4, 4) in the flange frame [m].
+    :param wrench: (K, 6) on the tool at its tip, in the root [N, N·m].
+    """
+
+    q: Array
+    tool: Array
+    wrench: Array
+
+
+def _loads(draft: Draft) -> _TargetLoads:
+    """Return the loads at the targets of a draft."""
     path, row = draft.path, draft.selection.row
-    return draft.q[row], path.tool(row), path.wrench_in_root(row)
+    return _TargetLoads(draft.q[row], path.tool(row), path.wrench_in_root(row))
 
 
 def _reversals(draft: Draft) -> Reversals:
@@ -376,10 +419,23 @@ def _reversals(draft: Draft) -> Reversals:
     return Reversals(points.row[cuts], points.before[cuts], points.joint[cuts], points.step[cuts])
 
 
+class _Expectation(NamedTuple):
+    """What is expected on the part.
+
+    :param bound: (K,) bound of the prediction (95 %) at targets [m]; None if the model has none.
+    :param errors: on the part; None likewise.
+    :param issues: on the model and the loads.
+    """
+
+    bound: Array | None
+    errors: ExpectedErrors | None
+    issues: list[Issue]
+
+
 def _expected_errors(
     task: Task, draft: Draft, deviation: Array, reversals: Reversals, cut_length: Array
-) -> tuple[Array | None, ExpectedErrors | None, list[Issue]]:
-    """Return the bound (K,) of the prediction (95 %), the expected errors on the part, and issues; None where unknown.
+) -> _Expectation:
+    """Return the bound of the prediction and the expected errors on the part.
 
     :param draft: with corrected commands.
     :param deviation: (K, 3) of the uncorrected tip from nominal, `$BASE` [m].
@@ -389,11 +445,11 @@ def _expected_errors(
     path, row = draft.path, draft.selection.row
     robot, program = path.robot_in_cell.robot, path.program
     if path.motions.forces.spread is not None and robot.covariance is None:
-        return None, None, [Issue("info", "no-bound", _NO_BOUND)]
+        return _Expectation(None, None, [Issue("info", "no-bound", _NO_BOUND)])
     motion = draft.selection.targets.motion
     issues = list(checks.torque_warnings(program, robot, motion, *_loads(draft)))
     if robot.covariance is None:
-        return None, None, issues
+        return _Expectation(None, None, issues)
     is_scaled = path.robot_in_cell.has_model_factor(path.motions.forces, path.sample.motion[row])
     reverses = _joints_near_reversal(reversals, len(row))
     part_errors = _PartErrors(task, draft, deviation, cut_length)
@@ -402,8 +458,8 @@ def _expected_errors(
     )
     if not np.isfinite(bound).all():
         issues.append(program.motions.issue("error", "no-bound", _NOT_FINITE, motion[~np.isfinite(bound)]))
-        return None, None, issues
-    return bound, part_errors.expected(uncorrected_error, corrected_error), issues
+        return _Expectation(None, None, issues)
+    return _Expectation(bound, part_errors.expected(uncorrected_error, corrected_error), issues)
 
 
 class _PartErrors:

@@ -12,6 +12,8 @@ d/2 · sin(turn/2) (the middle of the quadratic Bézier curve through corner −
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
@@ -73,17 +75,28 @@ class CommandedPath(Struct, frozen=True, eq=False):
         return cls(path.sample, path.arcs, position, start, SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance)
 
 
+class ChosenSamples(NamedTuple):
+    """The K samples that become targets, in order.
+
+    :param row: (K,) rows of the samples.
+    :param kind: (K,) `LIN`, `CIRC`, `PTP` or `SPL`.
+    :param via: (K,) row of the sample that is the auxiliary point of a CIRC, −1 elsewhere.
+    """
+
+    row: Ints
+    kind: Ints
+    via: Ints
+
+
 def choose_samples(
     path: CommandedPath, kind: Ints, is_whole: Bools, is_dense: Bools, least_arc: tuple[float, float]
-) -> tuple[Ints, Ints, Ints]:
+) -> ChosenSamples:
     """Choose which samples become targets.
 
     :param kind: (M,) kind of each motion to be written; arcs to be written as lines are given as `LIN`.
     :param is_whole: (M,) motions that are written as one target because their text is kept.
     :param is_dense: (M,) motions of which every sample becomes a target.
     :param least_arc: smallest arc of the controller, see `dialects.dialect.Writer`; smaller ones become lines.
-    :returns: (K,) rows of the samples, in order; (K,) `LIN`, `CIRC`, `PTP` or `SPL`; (K,) row of the sample that is the
-        auxiliary point of a CIRC, −1 elsewhere.
     """
     sample, arcs = path.sample, path.arcs
     is_target, kinds, via = sample.is_end | is_dense[sample.motion], kind[sample.motion], np.full(len(sample), -1)
@@ -97,7 +110,7 @@ def choose_samples(
         is_arc = ~_is_flat(start, path.position[middle], path.position[end], *least_arc)
         is_target[end], kinds[end], via[end] = True, np.where(is_arc, CIRC, LIN), np.where(is_arc, middle, -1)
     row = np.flatnonzero(is_target)
-    return row, kinds[row], via[row]
+    return ChosenSamples(row, kinds[row], via[row])
 
 
 def arc_pieces(path: CommandedPath) -> Pieces:
@@ -122,8 +135,21 @@ def arc_pieces(path: CommandedPath) -> Pieces:
     return arcs.with_enough_pieces(number)
 
 
-def _piece_samples(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Ints]:
-    """Return the start points (n, 3) of all pieces of stretches, `$BASE` [m], and the samples at middle and end (n,).
+class _PieceSamples(NamedTuple):
+    """Pieces of arcs.
+
+    :param start: (n, 3) point where each begins, `$BASE` [m].
+    :param middle: (n,) sample in its middle.
+    :param end: (n,) sample at its end.
+    """
+
+    start: Array
+    middle: Ints
+    end: Ints
+
+
+def _piece_samples(path: CommandedPath, stretch: Ints) -> _PieceSamples:
+    """Return the pieces of stretches of arcs.
 
     A piece has an even number of consecutive samples; it starts at the last sample of the piece before.
 
@@ -139,7 +165,8 @@ def _piece_samples(path: CommandedPath, stretch: Ints) -> tuple[Array, Ints, Int
     begin = path.position[row - 1]
     is_first = (piece == 0) & (np.repeat(arcs.begin[stretch], number) == 0.0)
     begin[is_first] = path.start[sample.motion[row[is_first]]]
-    return begin, row + samples_of_piece // 2 - 1, row + samples_of_piece - 1
+    # `row` is the first sample after the start: of an even number of samples, that of the middle is half as far
+    return _PieceSamples(begin, row + samples_of_piece // 2 - 1, row + samples_of_piece - 1)
 
 
 def _divide_lines(path: CommandedPath, motions: Ints) -> Ints:
@@ -258,8 +285,21 @@ def corners_of_targets(program: Program, targets: Targets, start: Array) -> tupl
     return _corners(bend[1:], length, _is_continuous(program, targets.motion, targets.kind)), arrive
 
 
-def _piece_geometry(targets: Targets, start: Array, row: Ints) -> tuple[Array, Array, Array]:
-    """Return the unit directions (n, 3) at the start and the end of the pieces to targets, and their lengths (n,) [m].
+class _PieceGeometry(NamedTuple):
+    """Geometry of the pieces to n targets.
+
+    :param leave: (n, 3) unit direction at the start of each, `$BASE`; zero for a piece without length.
+    :param arrive: (n, 3) the same at the end.
+    :param length: (n,) [m].
+    """
+
+    leave: Array
+    arrive: Array
+    length: Array
+
+
+def _piece_geometry(targets: Targets, start: Array, row: Ints) -> _PieceGeometry:
+    """Return the directions at both ends of the pieces to targets, and their lengths, with rounded coordinates.
 
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
     :param row: (n,) rows of the targets.
@@ -279,7 +319,7 @@ def _piece_geometry(targets: Targets, start: Array, row: Ints) -> tuple[Array, A
         leave[arcs] = tangent / radius[:, None]
         arrive[arcs] = (cosine * tangent - sine * radial) / radius[:, None]
         length[arcs] = radius * angle
-    return leave, arrive, length
+    return _PieceGeometry(leave, arrive, length)
 
 
 def corners_of_motions(program: Program, path: Segments, motion: Ints) -> Corners:

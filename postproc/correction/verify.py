@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -285,23 +286,49 @@ def simulate(
     )
 
 
-def _conditions_of_probes(path: PathUnderLoad, targets: Targets, probes: _Probes) -> tuple[Bools, Bools, Bools]:
-    """Return which probes (n,) follow a step of the force, are in a jump of it, and must hold the tolerance."""
+class _Conditions(NamedTuple):
+    """Conditions of n probes.
+
+    :param step: (n,) True for probes that follow a step of the force.
+    :param jump: (n,) True for those in a jump of it.
+    :param is_judged: (n,) True for those that must hold the tolerance.
+    """
+
+    step: Bools
+    jump: Bools
+    is_judged: Bools
+
+
+def _conditions_of_probes(path: PathUnderLoad, targets: Targets, probes: _Probes) -> _Conditions:
+    """Return the conditions of the probes."""
     m, forces, length = path.program.motions, path.motions.forces, path.motions.segments.length
     # at the start, and at an axis target, no correction was possible
     has_no_correction = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.robot_in_cell.rest_is_nominal)
     motion, is_inner, end = probes.motion, probes.share < 1.0, targets.t[probes.target]
     step = forces.behind_step(motion, end) & is_inner
     jump = (length[motion] * (end - targets.begin(probes.target)) < _JUMP_LENGTH) & is_inner
-    return step, jump, ~(has_no_correction[motion] & is_inner) & ~step
+    return _Conditions(step, jump, ~(has_no_correction[motion] & is_inner) & ~step)
+
+
+class _Deviation(NamedTuple):
+    """Deviation of the loaded tip from nominal along the written program.
+
+    :param at_targets: (K, 3) at the targets, `$BASE` [m].
+    :param distance: (n,) at all probes [m].
+    :param near_limit: True if a joint is near its largest speed.
+    """
+
+    at_targets: Array
+    distance: Array
+    near_limit: bool
 
 
 def _deviation(
     path: PathUnderLoad, selection: TargetSelection, theta: Array, readback: ReadBackProgram, probes: _Probes
-) -> tuple[Array, Array, bool]:
-    """Return the deviation of the loaded tip from nominal, and whether a joint is near its largest speed.
+) -> _Deviation:
+    """Return the deviation of the loaded tip from nominal along the written program.
 
-    :returns: (K, 3) at the targets, `$BASE` [m]; (n,) distance at all probes [m]; True if a joint is near its speed.
+    :param theta: (N, nv) approximate deflections of the springs at the samples of the path.
     :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.
     """
     robot_in_cell, output_program = path.robot_in_cell, readback.program
@@ -311,7 +338,12 @@ def _deviation(
     last_state: tuple[Array, Array] | None = None  # joint angles and position at the end of the chunk before
 
     def errors_in_chunk(target: Ints, motion: Ints, t: Array, share: Array) -> tuple[Array, Bools]:
-        """Return the distances of the loaded tip from nominal at probes (n,) [m], and which are near a joint speed."""
+        """Return the distances (n,) of the loaded tip from nominal at probes [m], and which (n,) are near a joint speed.
+
+        :param target: (n,) target to which each probe leads; `motion` and `t` (n,) its place on the nominal path.
+        :param share: (n,) share of the written piece to the target.
+        :raises NotConvergedError: a commanded pose is out of reach, or there is no equilibrium.
+        """
         nonlocal last_state
         output_motion, is_inside = readback.row[target], share < 1.0
         nominal_sample = selection.row[target]  # at a target its sample, inside a piece the next sample
@@ -342,7 +374,7 @@ def _deviation(
         line = int(path.program.motions.line[probes.motion[cause.rows[0]]])
         message = f"the written program cannot be simulated: {cause}"
         raise UnusableTextError(Issue("error", "read-back", message, source_line=line)) from None
-    return deviation, distance, bool(is_fast.any())
+    return _Deviation(deviation, distance, bool(is_fast.any()))
 
 
 def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackProgram) -> _Probes:

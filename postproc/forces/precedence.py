@@ -96,7 +96,10 @@ def small_forces(program: Program, knots: Knots) -> Iterator[Issue]:
 
 
 def _note_of_motion(program: Program) -> Ints:
-    """Return the force comment (M,) that holds on each motion, as index of `Program.notes`; −1 before the first."""
+    """Return the force comment (M,) that holds on each motion, as index of `Program.notes`; −1 before the first.
+
+    :raises ValueError: the reader of the program has not set the first motion of a comment.
+    """
     first = [note.before for note in program.notes]
     if min(first, default=0) < 0:
         raise ValueError(f"the reader of {program.dialect} leaves ForceNote.before unset")
