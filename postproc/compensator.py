@@ -6,6 +6,8 @@ Eq. (3), (4). All angles are joint 2's, KUKA sign [rad]; lengths m, stiffness N/
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import force_setattr
@@ -15,6 +17,21 @@ from postproc.frames import Array, sine_and_cosine
 
 _NO_SPRING = 1e-12
 """Stiffness [N/m] used instead of zero as a divisor."""
+
+
+class _Crank(NamedTuple):
+    """The crank of a compensator at n angles.
+
+    :param area: |P0P2|·L [m²].
+    :param sine: (n,) of the crank angle.
+    :param cosine: (n,) of the crank angle.
+    :param length: (n,) |P0P1| [m].
+    """
+
+    area: float
+    sine: Array
+    cosine: Array
+    length: Array
 
 
 class Compensator(Struct, frozen=True):
@@ -45,16 +62,16 @@ class Compensator(Struct, frozen=True):
                 advice="L must be positive and shorter than |P0P2|; stiffness and free length must not be negative.",
             )
 
-    def _parts(self, q2: Array) -> tuple[float, Array, Array, Array]:
-        """Return |P0P2|·L [m²], and for q2 (n,) sine and cosine (n,) of the crank angle, and |P0P1| (n,) [m]."""
+    def _parts(self, q2: Array) -> _Crank:
+        """Return the crank at q2 (n,) [rad]."""
         a_l = float(np.hypot(self.ax, self.ay)) * self.L
         angle = np.arctan2(self.ay, self.ax) - q2
         sine, cosine = sine_and_cosine(angle)
-        return a_l, sine, cosine, np.sqrt(self.ax**2 + self.ay**2 + self.L**2 + 2.0 * a_l * cosine)
+        return _Crank(a_l, sine, cosine, np.sqrt(self.ax**2 + self.ay**2 + self.L**2 + 2.0 * a_l * cosine))
 
     def length(self, q2: Array) -> Array:
         """Return s = |P0P1| [m], Eq. (3)."""
-        return self._parts(q2)[3]
+        return self._parts(q2).length
 
     def energy(self, q2: Array) -> Array:
         """Return the spring energy U_c = ½·K_c·(s − s₀)² [J]."""

@@ -338,7 +338,7 @@ def _deviation(
     last_state: tuple[Array, Array] | None = None  # joint angles and position at the end of the chunk before
 
     def errors_in_chunk(target: Ints, motion: Ints, t: Array, share: Array) -> tuple[Array, Bools]:
-        """Return the distances (n,) of the loaded tip from nominal at probes [m], and which (n,) are near a joint speed.
+        """Return distances (n,) of the loaded tip from nominal at probes [m], and which (n,) are near a joint speed.
 
         :param target: (n,) target to which each probe leads; `motion` and `t` (n,) its place on the nominal path.
         :param share: (n,) share of the written piece to the target.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 from postproc.identification.record import RESERVATION, IdentificationRecord, Parameter
 from postproc.report.formatting import two_digit_decimals
@@ -211,8 +212,21 @@ def _percent_text(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share < 1.0 else f"{100.0 * share:.0f} %"
 
 
-def value_texts(entry: Parameter) -> tuple[str, str, str]:
-    """Return value, interval and unit as texts: as many decimals as the interval has, large values in millions."""
+class ValueTexts(NamedTuple):
+    """A parameter as texts.
+
+    :param value: the value; a dash without one.
+    :param interval: half width of its 95 % interval, or that it is a prior.
+    :param unit: the unit of both.
+    """
+
+    value: str
+    interval: str
+    unit: str
+
+
+def value_texts(entry: Parameter) -> ValueTexts:
+    """Return a parameter as texts: as many decimals as the interval has, large values in millions."""
     is_large = entry.value is not None and abs(entry.value) >= _LARGE
     scale, unit = (1e6, f"10⁶ {entry.unit}") if is_large else (1.0, entry.unit)
     if entry.value is None:
@@ -221,7 +235,7 @@ def value_texts(entry: Parameter) -> tuple[str, str, str]:
         value = f"{entry.value / scale:.3g}"
     else:
         value = f"{entry.value / scale:.{two_digit_decimals(entry.ci95 / scale)}f}"
-    return (
+    return ValueTexts(
         value,
         "prior" if entry.ci95 is None else f"± {entry.ci95 / scale:.2g}",
         unit.replace("urad", "µrad").replace("um/", "µm/"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from msgspec.structs import astuple
 
@@ -161,16 +162,27 @@ def programs_table(rows: Sequence[tuple[str, Summary | None, str]], display: Dis
     return "\n".join([display.table(head, cells, right=range(1, 6)), *_reason_lines(rows)])
 
 
-def _error_texts(verdict: Verdict) -> tuple[str, str, str]:
-    """Return the expected errors uncorrected and corrected [mm], and the chance that the correction helps, as texts.
+class _ErrorTexts(NamedTuple):
+    """Errors of a program as texts; dashes where they are not known.
 
-    Dashes where they are not known.
+    :param uncorrected: expected error without correction [mm].
+    :param corrected: with correction [mm].
+    :param chance: that the correction helps.
     """
+
+    uncorrected: str
+    corrected: str
+    chance: str
+
+
+def _error_texts(verdict: Verdict) -> _ErrorTexts:
+    """Return the expected errors of a program and the chance that the correction helps, as texts."""
     better = verdict.better
     if better is None:
-        return "-", "-", "-"
+        return _ErrorTexts("-", "-", "-")
     chance = "-" if better.chance is None else chance_in_words(better.chance)
-    return _largest_length_text([better.uncorrected_mm]), _largest_length_text([better.corrected_mm]), chance
+    uncorrected, corrected = (_largest_length_text([error]) for error in (better.uncorrected_mm, better.corrected_mm))
+    return _ErrorTexts(uncorrected, corrected, chance)
 
 
 def _largest_length_text(lengths_mm: Sequence[float | None]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -295,15 +296,28 @@ def _round_scale(factor: float) -> float:
     return max(1.0, float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= factor)))
 
 
-def _drawn_path(comparison: Comparison, rows: Ints) -> tuple[Array, Array, Ints]:
-    """Return points of the nominal path (n, 3) and offsets of the other one (n, 3), both [m], and their places (n,).
+class _DrawnPath(NamedTuple):
+    """Points of both paths as they are drawn.
+
+    :param point: (n, 3) of the nominal path [m].
+    :param offset: (n, 3) of the other path from there [m].
+    :param place: (n,) row of the pairs shown to which each leads.
+    """
+
+    point: Array
+    offset: Array
+    place: Ints
+
+
+def _drawn_path(comparison: Comparison, rows: Ints) -> _DrawnPath:
+    """Return points of the nominal path and offsets of the other one.
 
     Between consecutive pairs both paths are followed: arcs are drawn as arcs.
 
     :param rows: (s,) pairs shown, in order.
     """
     if comparison.curves is None:
-        return comparison.target[rows, :3, 3], comparison.offset[rows], np.arange(len(rows))
+        return _DrawnPath(comparison.target[rows, :3, 3], comparison.offset[rows], np.arange(len(rows)))
     parts = np.where(np.isnan(comparison.path_distance[rows]), 1, comparison.curves.parts(_CHORD)[rows])
     parts = np.where(np.diff(rows, prepend=-2) == 1, np.minimum(parts, max(1, _MOST_POINTS // len(rows))), 1)
     place = np.repeat(np.arange(len(rows)), parts)
@@ -314,7 +328,7 @@ def _drawn_path(comparison: Comparison, rows: Ints) -> tuple[Array, Array, Ints]
     inner = np.flatnonzero(parts_left)
     if len(inner):
         nominal_point[inner], corrected_point[inner] = comparison.curves.at(u[inner])
-    return nominal_point, corrected_point - nominal_point, place
+    return _DrawnPath(nominal_point, corrected_point - nominal_point, place)
 
 
 def _path_line(points: Array, name: str, colour: str, place: Ints) -> Lines:

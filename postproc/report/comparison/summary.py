@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -539,12 +540,23 @@ def pairs_csv(comparison: Comparison) -> Iterator[bytes]:
         yield rows_of_csv(columns)
 
 
-def _rows_of_pairs(comparison: Comparison) -> tuple[Ints, Ints, Ints, Ints]:
-    """Return state, nominal motion and corrected motion (n,) of all targets, and their order (n,) in the table.
+class _TableRows(NamedTuple):
+    """The n targets of the table.
 
-    A state is an index in `_STATES`, a motion −1 where there is none. Pairs come first, in the order of
-    `comparison.pair`, then the other states.
+    :param state: (n,) index in `_STATES`.
+    :param nominal: (n,) nominal motion, −1 where there is none.
+    :param corrected: (n,) motion of the second program, −1 where there is none.
+    :param order: (n,) of the targets in the table.
     """
+
+    state: Ints
+    nominal: Ints
+    corrected: Ints
+    order: Ints
+
+
+def _rows_of_pairs(comparison: Comparison) -> _TableRows:
+    """Return all targets: pairs first, in the order of `comparison.pair`, then the other states."""
     pair, nominal_alone_row = comparison.pair, np.append(comparison.only_nominal, comparison.passed_rows)
     inserted_rows, corrected_alone_row = comparison.inserted_rows, comparison.additional_rows
     nominal_row = np.concatenate(
@@ -566,7 +578,7 @@ def _rows_of_pairs(comparison: Comparison) -> tuple[Ints, Ints, Ints, Ints]:
     neighbour = np.append(-1, pair[:, 1])[np.searchsorted(pair[:, 0], nominal_alone_row)]
     # by motion of the second program; at the same one, the nominal targets that follow it come after its own row
     sort_row = np.concatenate([corrected_row[state < 2], neighbour, corrected_alone_row])
-    return state, nominal_row, corrected_row, np.lexsort((np.isin(state, (2, 4)), sort_row))
+    return _TableRows(state, nominal_row, corrected_row, np.lexsort((np.isin(state, (2, 4)), sort_row)))
 
 
 def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, corrected_row: Ints) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import groupby
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from msgspec.structs import astuple
@@ -341,12 +341,25 @@ def _cut_tiles(process: ProcessForces) -> Tiles:
     )
 
 
-def _stations_in_contact(cuts: Cuts) -> tuple[Ints, Ints, Ints, Array]:
+class _ContactStations(NamedTuple):
+    """The n stations in contact with the stock.
+
+    :param run: (n,) number of the run of stations without a gap.
+    :param row: (n,) of the cuts.
+    :param motion: (n,) row of `Motions`.
+    :param t: (n,) place on it, in [0, 1].
+    """
+
+    run: Ints
+    row: Ints
+    motion: Ints
+    t: Array
+
+
+def _stations_in_contact(cuts: Cuts) -> _ContactStations:
     """Return the stations in contact with the stock.
 
     Where the engagement is the same along a motion, the process has one station: it is shown at both ends.
-
-    :returns: (n,) each: the number of its run of stations without a gap, row of `cuts`, motion, place t on it.
     """
     # a motion with one station has it twice here: at t = 0 and at t = 1
     order = np.lexsort((cuts.t, cuts.motion))
@@ -359,7 +372,7 @@ def _stations_in_contact(cuts: Cuts) -> tuple[Ints, Ints, Ints, Array]:
     contact = cuts.rate[rows] > 0.0
     starts_run = np.append(0, (np.diff(motion) > 1) | ~contact[1:] | ~contact[:-1])
     run = np.cumsum(starts_run)
-    return run[contact], rows[contact], motion[contact], t[contact]
+    return _ContactStations(run[contact], rows[contact], motion[contact], t[contact])
 
 
 def _drawn_rows(values: Array, run: Ints) -> Ints:

@@ -7,6 +7,8 @@ that, on a wall also below.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from postproc.frames import Array, norm
@@ -72,12 +74,23 @@ def is_touching(from_contact: Array, axis: Array, normal: Array, cutter: Cutter)
     return np.asarray(np.where(is_level, on_level, np.where(is_wall, on_wall, np.hypot(height, lateral) <= limit)))
 
 
-def nearest_place(path: CutPath, centre: Array, normal: Array) -> tuple[Ints, Array, Array]:
+class NearestPlace(NamedTuple):
+    """Places of the path from which a tool can touch n facets.
+
+    :param row: (n,) of the result, at the end of the piece; −1: none.
+    :param share: (n,) of that piece.
+    :param distance: (n,) of the tip from the centre of the facet [m]; infinite without a place.
+    """
+
+    row: Ints
+    share: Array
+    distance: Array
+
+
+def nearest_place(path: CutPath, centre: Array, normal: Array) -> NearestPlace:
     """Return the nearest place of the path from which a tool of any shape can touch each of n facets.
 
     :param centre: (n, 3) centres of the facets [m], `normal` (n, 3) their outward normals.
-
-    :returns: row of the result at the end of its piece (−1: none), share of that piece, and distance of the tip [m].
     """
     _, nearest = path.tree.query(centre)
     a = path.axis[nearest]  # one spindle direction for all candidates of a facet: it changes little between them
@@ -98,7 +111,8 @@ def nearest_place(path: CutPath, centre: Array, normal: Array) -> tuple[Ints, Ar
     facets = np.arange(len(centre))
     sample, smallest = index[facets, best], distance[facets, best]
     row = np.where(np.isfinite(smallest), path.row[sample], -1)
-    return row, path.share[sample] + step_share[facets, best] * path.share_step[sample], smallest
+    share = path.share[sample] + step_share[facets, best] * path.share_step[sample]
+    return NearestPlace(row, share, smallest)
 
 
 def _can_touch(height: Array, outward_distance: Array, up: Array) -> Bools:

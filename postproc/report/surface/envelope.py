@@ -197,15 +197,27 @@ class _Line(NamedTuple):
         return corner_distance - cutter.corner, rate / np.maximum(corner_distance, 1e-300)
 
 
-def _first_entry(line: _Line, facet: Ints, start: float, limit: Array, cutter: Cutter) -> tuple[Array, Ints, Array]:
+class _Entries(NamedTuple):
+    """Lowest entries of P lines into tools, at n facets.
+
+    :param height: (n,) lowest entry at each facet [m]; infinite if there is none below the limit.
+    :param line: (n,) its line; −1 without one.
+    :param lower_bound: (P,) lower bound of the entry of each line [m]; infinite if it begins in the tool or does not
+        approach it.
+    """
+
+    height: Array
+    line: Ints
+    lower_bound: Array
+
+
+def _first_entry(line: _Line, facet: Ints, start: float, limit: Array, cutter: Cutter) -> _Entries:
     """Return the lowest entries of lines into tools.
 
     Newton's method on all lines at once; a line ends when it enters, passes its limit, or no longer approaches.
 
     :param facet: (P,) facet of each line, and start: s at which all begin [m].
     :param limit: (n,) largest entry that counts [m]; lowered in place to the lowest entry, so that lines above end.
-    :returns: (n,) lowest entry at each facet, infinite if there is none below the limit; (n,) its line; and (P,) a
-        lower bound of the entry of each line, infinite if it begins in the tool or does not approach it.
     """
     distance, slope = line.distance(np.full(len(facet), start), cutter)
     approaches = (distance > 0.0) & (slope < _GRAZING)
@@ -228,7 +240,7 @@ def _first_entry(line: _Line, facet: Ints, start: float, limit: Array, cutter: C
     # reversed: the lowest of each facet is written last
     order = entered_rows[np.lexsort((s[entered_rows], facet[entered_rows]))][::-1]
     entry[facet[order]], best[facet[order]] = s[order], order
-    return entry, best, lower_bound
+    return _Entries(entry, best, lower_bound)
 
 
 def _seeds(path: CutPath, facets: _Facets, cutter: Cutter) -> tuple[Array, Array]:

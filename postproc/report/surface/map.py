@@ -174,14 +174,26 @@ def _nearest_places(paths: list[tuple[CutPath, Cutter | None]], centre: Array, n
     return _Place(row, share)
 
 
-def _deepest_surfaces(surfaces: list[RemainingSurface], count: int) -> tuple[Array, Array, Array, _Place]:
+class _DeepestSurface(NamedTuple):
+    """The surface that remains at F facets after all tools; heights are NaN where no tool touches.
+
+    :param programmed: (F,) height of the programmed surface over the facet [m].
+    :param uncorrected_change: (F,) its change by the deviation without correction [m].
+    :param corrected_change: (F,) the same with the program as written [m].
+    :param place: that leaves the surface as written.
+    """
+
+    programmed: Array
+    uncorrected_change: Array
+    corrected_change: Array
+    place: _Place
+
+
+def _deepest_surfaces(surfaces: list[RemainingSurface], count: int) -> _DeepestSurface:
     """Return the surface that remains at F facets after all tools.
 
     :param surfaces: of each tool.
     :param count: F.
-    :returns: (F,) height of the programmed surface over the facet [m]; (F,) its change by the deviation without
-        correction, and with the program as written [m]; the place that leaves the surface as written. Heights are NaN
-        where no tool touches.
     """
     programmed_height, deflected_heights = np.full(count, np.inf), np.full((2, count), np.inf)
     row, share = np.full(count, -1), np.zeros(count)
@@ -194,7 +206,7 @@ def _deepest_surfaces(surfaces: list[RemainingSurface], count: int) -> tuple[Arr
         )
     programmed_height[row < 0] = np.nan
     deflected_heights[:, row < 0] = np.nan
-    return (
+    return _DeepestSurface(
         programmed_height,
         deflected_heights[0] - programmed_height,
         deflected_heights[1] - programmed_height,

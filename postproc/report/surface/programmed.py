@@ -6,6 +6,8 @@ tool, or the distance of its end from the mesh if that is shorter.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from msgspec import Struct
 from scipy.spatial import cKDTree
@@ -99,25 +101,32 @@ def cut_depths(mesh: Mesh, path: CutPath, centre: Array, normal: Array, cutter: 
     return depth, deepest_row
 
 
-def _tools_inside(path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> tuple[Ints, Ints, Array, Array]:
-    """Return m tools of the programmed path that contain the centre of a facet: candidates for the deepest cut.
+class _Tools(NamedTuple):
+    """m tools, each at a facet.
 
-    :returns: facet (m,), row of the result (m,), tip (m, 3) [m] and axis (m, 3) of each.
+    :param facet: (m,).
+    :param row: (m,) of the result.
+    :param tip: (m, 3) [m].
+    :param axis: (m, 3) unit vectors from the tip to the spindle.
     """
+
+    facet: Ints
+    row: Ints
+    tip: Array
+    axis: Array
+
+
+def _tools_inside(path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> _Tools:
+    """Return m tools of the programmed path that contain the centre of a facet: candidates for the deepest cut."""
     _, nearest = path.tree.query(centre)
     tip_on_facet = touching_tips(path.axis[nearest], centre, normal, cutter)
     tools = [_tools_near(tip_on_facet - depth * normal, path, centre, normal, cutter) for depth in _PROBES]
     facet, row, tip, axis = (np.concatenate(columns) for columns in zip(*tools, strict=True))
-    return facet, row, tip, axis
+    return _Tools(facet, row, tip, axis)
 
 
-def _tools_near(
-    probe_point: Array, path: CutPath, centre: Array, normal: Array, cutter: Cutter
-) -> tuple[Ints, Ints, Array, Array]:
-    """Return the tools with their tips next to points (n, 3) [m], one for each facet, that contain its centre.
-
-    :returns: as `_tools_inside` does.
-    """
+def _tools_near(probe_point: Array, path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> _Tools:
+    """Return the tools with their tips next to points (n, 3) [m], one for each facet, that contain its centre."""
     _, sample = path.tree.query(probe_point, k=min(_SAMPLES_OF_FACET, len(path.point)))
     sample = sample.reshape(len(centre), -1)
     tip, _ = path.nearest_points(probe_point, sample)
@@ -125,7 +134,7 @@ def _tools_near(
     is_inside = _is_inside(centre[:, None] - tip, axis, cutter)
     is_inside &= np.einsum("nki,ni->nk", axis, normal) >= OVERHANG
     facet, column = np.nonzero(is_inside)
-    return facet, path.row[sample[facet, column]], tip[facet, column], axis[facet, column]
+    return _Tools(facet, path.row[sample[facet, column]], tip[facet, column], axis[facet, column])
 
 
 def _is_inside(from_tip: Array, axis: Array, cutter: Cutter) -> Bools:
