@@ -663,12 +663,12 @@ def _footprint(
 class WindowCells(NamedTuple):
     """The cells in k windows of w columns and h rows.
 
-    :param index: (k, h, w) in the flat map.
+    :param cell: (k, h, w) index in the flat map.
     :param row: (k, h, 1) of the map.
     :param column: (k, 1, w) of the map.
     """
 
-    index: Ints
+    cell: Ints
     row: Ints
     column: Ints
 

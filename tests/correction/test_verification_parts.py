@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from postproc.correction import verify
 from postproc.correction.verify import _Probes
 from postproc.errors import Issue, ProgramError
+from postproc.poses import Poses
 from postproc.program import CIRC, LIN
 from tests.programs import program
 
@@ -155,13 +156,13 @@ def test_a_written_program_is_looked_at_between_targets_where_it_may_leave_its_p
 
     monkeypatch.setattr(verify, "number_of_places", number_of_places)
     targets = targets_of(motion, t)
-    targets.pose = pose
+    targets.pose = Poses.of(pose)
     Sized = type("Sized", (SimpleNamespace,), {"__len__": lambda self: len(motion)})
     targets = Sized(**vars(targets))
     output_motions = SimpleNamespace(kind=np.append([LIN, LIN], output_kind))
     path = SimpleNamespace(
         program=SimpleNamespace(motions=SimpleNamespace(kind=kind)),
-        sample=SimpleNamespace(pose=sample_pose),
+        sample=SimpleNamespace(pose=Poses.of(sample_pose)),
         robot_in_cell=SimpleNamespace(tolerance=TOLERANCE),
     )
     readback = SimpleNamespace(
@@ -280,7 +281,7 @@ def test_a_joint_that_is_too_fast_at_several_places_is_named_once_with_the_lines
         return Issue("error", f"joint-speed-A{axis}", f"A{axis} on {line}", line, count=2, lines=(line, 99))
 
     joints = SimpleNamespace(q="q")
-    sample = SimpleNamespace(pose=np.zeros((1, 4, 4)))
+    sample = SimpleNamespace(pose=Poses.of(np.zeros((1, 4, 4))))
     segments = SimpleNamespace(turn="turn")
     loaded = SimpleNamespace(sample=sample, joints=joints, motions=SimpleNamespace(segments=segments))
     places = {
