@@ -14,3 +14,8 @@ def lin(x: float, y: float, z: float = 0.0, more: str = "") -> str:
 def circ(via: tuple[float, float], end: tuple[float, float]) -> str:
     """Return a CIRC at Z 0 through an auxiliary point to its end."""
     return f"CIRC {{X {via[0]:.5f},Y {via[1]:.5f},Z 0}},{{X {end[0]:.5f},Y {end[1]:.5f},Z 0,{TURNED}}}"
+
+
+def line_of(text: str, part: str) -> int:
+    """Return the number of the first line that contains a part."""
+    return next(number for number, line in enumerate(text.splitlines(), 1) if part in line)

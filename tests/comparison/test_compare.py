@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests import commands
+from tests.comparison.krl_moves import line_of
 from tests.html_page import read_page
 from tests.places import CELL_FILE
 
@@ -78,10 +79,6 @@ def edited(text, before, after, count=1):
 
 def compare(nominal, corrected, *more, code=0):
     return json.loads(run("compare", nominal, corrected, "-o", "found", "--json", *more, code=code))
-
-
-def line_of(text, part):
-    return next(number for number, line in enumerate(text.splitlines(), 1) if part in line)
 
 
 def targets():

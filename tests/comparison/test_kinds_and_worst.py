@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests import commands
-from tests.comparison.krl_moves import TURNED
+from tests.comparison.krl_moves import TURNED, line_of
 from tests.places import CELL_FILE
 
 PART = f"""DEF part( )
@@ -57,10 +57,6 @@ def compared(text):
     return commands.comparison("nominal/part.src", "edited/part.src", cell=CELL_FILE, code=(0, 3))
 
 
-def line_of(text, part):
-    return next(number for number, line in enumerate(text, 1) if part in line)
-
-
 @pytest.mark.parametrize("options", [(), ("--linearize-arcs",)])
 def test_motions_as_convert_writes_them_are_of_the_same_kinds(options):
     content = compared(lines(*options))
@@ -75,8 +71,8 @@ def test_a_spline_that_became_lines_is_told():
     (issue,) = content["issues"]
     assert (issue["kind"], issue["count"], content["verdict"]["state"]) == ("kind", 3, "warning")
     assert (issue["source_line"], issue["corrected_line"]) == (
-        line_of(PART.splitlines(), "SPL {"),
-        line_of(text, "SLIN"),
+        line_of(PART, "SPL {"),
+        line_of("\n".join(text), "SLIN"),
     )
     assert content["splines"] == 0
 
@@ -102,7 +98,7 @@ def test_the_worst_target_is_named_with_its_lines_in_both_programs(off):
     z = re.search(r"Z (-?[\d.]+)", text[number])
     text[number] = text[number].replace(z[0], f"Z {float(z[1]) + off:.4f}")
     content = compared(text)
-    source = line_of(PART.splitlines(), "X 60")
+    source = line_of(PART, "X 60")
     where = f"nominal/part.src:{source} and edited/part.src:{number + 1}: "
     told = [reason for reason in content["verdict"]["reasons"] if reason.startswith(where)]
     assert any("under the forces given" in reason for reason in told)

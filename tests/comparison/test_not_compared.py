@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests import commands
-from tests.comparison.krl_moves import TURNED
+from tests.comparison.krl_moves import TURNED, line_of
 from tests.places import CELL_FILE
 
 JOB = """DEF job( )
@@ -41,8 +41,8 @@ run = partial(commands.printed, cell=CELL_FILE)
 comparison = partial(commands.comparison, "nominal/job.src", "corrected/job.src", cell=CELL_FILE)
 
 
-def line_of(path, part):
-    return next(number for number, line in enumerate(Path(path).read_text().splitlines(), 1) if part in line)
+def line_of_file(path, part):
+    return line_of(Path(path).read_text(), part)
 
 
 def test_motions_that_stay_as_they_are_are_named_with_both_lines():
@@ -53,11 +53,11 @@ def test_motions_that_stay_as_they_are_are_named_with_both_lines():
     for text in ("LIN $POS_ACT", "LIN {X 80"):
         (issue,) = [issue for issue in told if text in issue["message"]]
         for side in ("source", "corrected"):
-            assert issue[f"{side}_line"] == line_of(issue[f"{side}_file"], text)
+            assert issue[f"{side}_line"] == line_of_file(issue[f"{side}_file"], text)
         where = f"nominal/job.src:{issue['source_line']} and corrected/job.src:{issue['corrected_line']}: not compared"
         assert any(reason.startswith(where) for reason in content["verdict"]["reasons"])
     behind = [issue for issue in told if "the way to this target" in issue["message"]]
-    assert [issue["source_line"] for issue in behind] == [line_of("nominal/job.src", "LIN {X 60,Y 40")]
+    assert [issue["source_line"] for issue in behind] == [line_of_file("nominal/job.src", "LIN {X 60,Y 40")]
     assert content["verdict"]["state"] == "warning"
     assert content["differences"]["not_compared"] == 4
     assert (content["only_nominal"], content["only_corrected"]) == (0, 0)
@@ -80,7 +80,7 @@ def test_one_that_was_changed_must_not_be_run(before, after):
     content = comparison("--keep-unresolved", code=3)
     assert content["verdict"]["state"] == "failed"
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "unresolved-differs"]
-    assert issue["source_line"] == line_of("nominal/job.src", before.strip())
+    assert issue["source_line"] == line_of_file("nominal/job.src", before.strip())
 
 
 def test_in_a_divided_program_they_are_named_by_their_file():
@@ -93,7 +93,7 @@ def test_in_a_divided_program_they_are_named_by_their_file():
     content = json.loads(run("compare", *arguments))
     (issue,) = [issue for issue in content["issues"] if "LIN $POS_ACT" in issue["message"]]
     assert issue["corrected_file"] not in ("jobMain.src", "job1.src")
-    assert issue["corrected_line"] == line_of(Path("corrected") / issue["corrected_file"], "LIN $POS_ACT")
+    assert issue["corrected_line"] == line_of_file(Path("corrected") / issue["corrected_file"], "LIN $POS_ACT")
 
 
 def test_a_call_of_a_program_that_is_nowhere_is_told_where_one_program_alone_makes_it():
@@ -131,4 +131,4 @@ def test_statements_that_feed_or_guard_one_must_be_the_same(before, after, motio
     path.write_text("".join(lines).replace(before, after, 1))
     content = comparison("--keep-unresolved", code=0 if motion is None else 3)
     told = [issue for issue in content["issues"] if issue["kind"] == "unresolved-differs"]
-    assert [issue["corrected_line"] for issue in told] == ([] if motion is None else [line_of(path, motion)])
+    assert [issue["corrected_line"] for issue in told] == ([] if motion is None else [line_of_file(path, motion)])

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests import commands
+from tests.comparison.krl_moves import line_of
 from tests.kr270 import CELL_TEXT
 
 ROBODK_HEAD = """&ACCESS RVP
@@ -80,10 +81,6 @@ def input_files(work_folder):
     Path("forces.csv").write_text(
         FORCES.format(first=line_of(text, "LIN {X 40.000,Y 0.0"), last=len(text.splitlines()) - 2)
     )
-
-
-def line_of(text, part):
-    return next(number for number, line in enumerate(text.splitlines(), 1) if part in line)
 
 
 run = partial(commands.printed, cell="cell.toml", code=(0, 3))

@@ -39,7 +39,7 @@ def cell(tolerance, least=LEAST, unheld="program"):
     return replace(CELL, part=Part(tolerance_mm=tolerance), output=output)
 
 
-def convert(folder, program, given, material='name = "al_7075_t6_carbide"', more=""):
+def hold_feed(folder, program, given, material='name = "al_7075_t6_carbide"', more=""):
     (folder / "process.toml").write_text(process(tool(16, 3) + more, BOX, 1.0, material))
     source = process_forces.read(folder / "process.toml", given)
     return process_forces.convert_with_held_feed(program, ROBOT, given, source, linearize_arcs=False, to=None)
@@ -61,7 +61,7 @@ def test_brute_force_over_feeds_finds_the_same_time(tmp_path, tolerance, materia
     given = cell(tolerance)
     given = replace(given, gcode=replace(given.gcode, approximation_mm=0.0))
     program = read(tmp_path, text(), cell=given)
-    result = convert(tmp_path, program, given, material)
+    result = hold_feed(tmp_path, program, given, material)
     feeds = np.geomspace(PROGRAMMED, LEAST, 9)
     errors = []
     for feed in feeds:
@@ -95,7 +95,7 @@ def test_with_blended_corners_no_feeds_that_hold_the_tolerance_are_faster(tmp_pa
     rounded by more. So the feed at which all moves together hold the tolerance is no limit for a move between others,
     and the brute force varies each feed among the others as they are."""
     given = cell(0.6)
-    held = convert(tmp_path, read(tmp_path, text(), cell=given), given, KIENZLE).held_feed
+    held = hold_feed(tmp_path, read(tmp_path, text(), cell=given), given, KIENZLE).held_feed
     source = process_forces.read(tmp_path / "process.toml", given)
     cuts = np.flatnonzero(held.is_lowered)
     length, found = held.length[cuts], held.feed[cuts] * 60e3
@@ -124,7 +124,7 @@ def test_with_blended_corners_no_feeds_that_hold_the_tolerance_are_faster(tmp_pa
 
 def test_the_written_feeds_are_the_lowered_ones_and_hold_the_tolerance(tmp_path):
     given = cell(0.6)
-    result = convert(tmp_path, read(tmp_path, text(), cell=given), given)
+    result = hold_feed(tmp_path, read(tmp_path, text(), cell=given), given)
     held = result.held_feed
     assert held.is_lowered.sum() == 5
     assert not held.is_exceeded.any()
@@ -178,7 +178,7 @@ def test_without_need_nothing_is_lowered_and_nothing_is_tried(tmp_path):
 @pytest.mark.parametrize("unheld", ["program", "lowest"])
 def test_a_move_that_no_feed_holds_keeps_its_feed_or_gets_the_least_and_is_named(tmp_path, unheld):
     given = cell(0.2, least=900.0, unheld=unheld)
-    result = convert(tmp_path, read(tmp_path, text(), cell=given), given)
+    result = hold_feed(tmp_path, read(tmp_path, text(), cell=given), given)
     held = result.held_feed
     cutting = np.flatnonzero(np.isfinite(held.without_feed))
     assert len(cutting) == 5
@@ -245,7 +245,7 @@ def test_each_feed_is_that_of_bisection(tmp_path, seed):
 def test_a_feed_below_the_least_stays_as_it_is(tmp_path):
     given = cell(0.2, least=3000.0)
     program = read(tmp_path, text(), cell=given)
-    held = convert(tmp_path, program, given).held_feed
+    held = hold_feed(tmp_path, program, given).held_feed
     np.testing.assert_array_equal(held.feed, program.motions.feed)
     assert held.is_exceeded.any()
 
@@ -272,7 +272,7 @@ SPINDLE = "rpm = 6000\n"
 def test_krl_keeps_its_text_and_gets_the_feeds_between_its_lines(tmp_path):
     given = cell(0.7)
     program = krl(tmp_path, *CUTS)
-    result = convert(tmp_path, program, given, more=SPINDLE)
+    result = hold_feed(tmp_path, program, given, more=SPINDLE)
     assert not result.failed, result.issues
     held = result.held_feed
     assert held.is_lowered.sum() == 5
@@ -295,7 +295,7 @@ def test_krl_keeps_its_text_and_gets_the_feeds_between_its_lines(tmp_path):
 )
 def test_krl_whose_feeds_cannot_be_changed_is_refused_with_the_reason(tmp_path, lines, why):
     with pytest.raises(ProgramError, match=why):
-        convert(tmp_path, krl(tmp_path, *lines), cell(0.3), more=SPINDLE)
+        hold_feed(tmp_path, krl(tmp_path, *lines), cell(0.3), more=SPINDLE)
 
 
 def test_what_it_needs_is_named():
