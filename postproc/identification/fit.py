@@ -499,6 +499,13 @@ class Regression(Struct, frozen=True, eq=False):
         values[self.columns[order]] = scaled_values * self.spread[order]
         return values
 
+    def unbounded_values(self, equations: LinearEquations, excluded_configs: Ints | None = None) -> Array:
+        """Return the most probable values (p,), SI, as `solve` does, if all parameters may be negative."""
+        normal, right = self._normal(equations, excluded_configs)
+        values = np.zeros(self.size)
+        values[self.columns] = np.linalg.solve(normal, right) * self.spread
+        return values
+
     def covariance(self, equations: LinearEquations) -> Array:
         """Return the posterior covariance (p, p), SI."""
         normal, _ = self._normal(equations)

@@ -35,6 +35,7 @@ from postproc.identification.measurement_model import (
 from postproc.identification.moved_device import moved_device
 from postproc.identification.plausibility import check_loads, displacement_ratio, hysteresis_warnings
 from postproc.identification.readings import Measurements, gaps
+from postproc.identification.stated_levels import doubt_of_levels
 from postproc.identification.stated_loads import doubt_of_loads
 from postproc.identification.stated_points import displaced_points
 from postproc.identification.uncertainty import (
@@ -156,6 +157,8 @@ def identify(
     workspace = over_workspace(_robot_with_bound(fit, model_error), data)
     judgement = judge(data, fit, choice, workspace, displacement_ratio(prior, data, placement))
     judgement = judgement.reserved(displaced_points(data, placement)).reserved(checked.doubt)
+    if choice is not None:
+        judgement = judgement.reserved(doubt_of_levels(choice.fit, data, placement))
     warnings += judgement.notes + hysteresis_warnings(prior, data, placement)
     return Identification(
         method="enhanced",

@@ -1,0 +1,150 @@
+"""Loads of one level that are stated wrong, while those of the others are right: a scale, a mass or a pulley.
+
+The gears then seem to stiffen or to soften, and the model explains the readings by gears that are not linear. But a
+wrong load moves all joints and links by the same factor, and a gear by the torque on its joint, which differs from pose
+to pose. So both are fitted together: all candidate parameters of the choice, gears of either sign, and the logarithm of
+a factor on the loads of a level. The evidence with and without the factor, and its jackknife over the configurations,
+say whether the readings ask for it. A factor that all loads have in common leaves no trace: every compliance has it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from msgspec.structs import replace
+
+from postproc.frames import Array, norm
+from postproc.identification.choice import full_structure
+from postproc.identification.fit import Fit, LinearEquations, Prior, Regression, learn, linearise, prior_of
+from postproc.identification.measurement_model import Placement, Structure, predict, visible, whiten, whitening
+from postproc.identification.readings import Measurements
+from postproc.identification.uncertainty import levels
+from postproc.kinematics.forward import GRAVITY
+from postproc.program import Ints
+from postproc.robot import CompensatorStiffness
+
+_USUAL = 0.2
+"""Standard deviation of the logarithm of the factor on a level that is stated wrong (assumed)."""
+_STEP = 0.02
+"""Logarithm of the factor for its difference quotient: displacements are linear in the load to some per cent."""
+_LEAST = 0.05
+"""Smallest logarithm of a factor that is no error of load cells and scales (assumed)."""
+_SIGMAS = 2.0
+"""Jackknife standard deviations that the factor must be beyond `_LEAST`."""
+_EVIDENCE = 10.0
+"""Gain of log evidence from which a factor is reported."""
+_ALIKE = 10.0
+"""Difference of log evidence below which it is not known which of two levels is wrong."""
+
+
+class _Factor(NamedTuple):
+    """Factor on the loads of a level.
+
+    :param level: number of the level, as `uncertainty.levels` has it.
+    :param log: natural logarithm of the factor.
+    :param sigma: its jackknife standard deviation.
+    :param gain: log evidence with the factor, less that without.
+    """
+
+    level: int
+    log: float
+    sigma: float
+    gain: float
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the readings ask for a factor that is not 1."""
+        return self.gain > _EVIDENCE and abs(self.log) - _SIGMAS * self.sigma > _LEAST
+
+
+def doubt_of_levels(fit: Fit, data: Measurements, placement: Placement) -> str:
+    """Return, as a clause, which level of loads fits better with a factor, and what to check; empty if none does.
+
+    :param fit: of the springs that were chosen.
+    """
+    load = norm(data.wrench[data.loaded_states])
+    level = levels(load)
+    if level.max() == 0:
+        return ""
+    factors = sorted(_factors(fit, data, placement, level), key=lambda factor: -factor.gain)
+    if not factors[0].is_clear:
+        return ""
+    parts = [
+        _text(factor, float(np.median(load[level == factor.level])))
+        for factor in factors
+        if factor.is_clear and factor.gain > factors[0].gain - _ALIKE
+    ]
+    return f"the loads near {', or those near '.join(parts)}: check their scale, mass or pulley"
+
+
+def _text(factor: _Factor, load: float) -> str:
+    """Return the level, the load that fits, and the factor.
+
+    :param load: median of the level as stated [N].
+    """
+    value = float(np.exp(factor.log))
+    return (
+        f"{load:.0f} N ({load / GRAVITY:.3g} kg) fit the others as about {value * load:.0f} N "
+        f"({value * load / GRAVITY:.3g} kg), {value:.2f} times as large"
+    )
+
+
+def _factors(fit: Fit, data: Measurements, placement: Placement, level: Ints) -> list[_Factor]:
+    """Return the factor on each level, fitted with all candidate parameters.
+
+    :param level: (L,) of the loaded states.
+    """
+    structure, values = _all_parameters(fit, data)
+    equations, prior = linearise(structure, values, data, placement), prior_of(structure)
+    size = len(values)
+    without = learn(equations, prior, np.arange(size)).evidence
+    prior = _with_factor(prior)
+    factors = []
+    for number in range(int(level.max()) + 1):
+        column = _by_factor(structure, values, data, placement, data.loaded_states[level == number])
+        extended = replace(equations, design=np.column_stack([equations.design, column]))
+        regression = learn(extended, prior, np.arange(size + 1))
+        log = float(regression.unbounded_values(extended)[-1])
+        factors.append(_Factor(number, log, _jackknife(regression, extended), regression.evidence - without))
+    return factors
+
+
+def _all_parameters(fit: Fit, data: Measurements) -> tuple[Structure, Array]:
+    """Return the structure with all candidate parameters and those of a fit, and their values (p,) [SI]."""
+    has_free_compensator = CompensatorStiffness() in fit.parameter_values
+    structure, _ = full_structure(fit.structure.prior, data, fit.structure.in_gears, has_free_compensator)
+    parameters = tuple(dict.fromkeys((*structure.parameters, *fit.structure.parameters)))
+    structure = replace(structure, parameters=parameters)
+    values_at_start = dict(zip(parameters, structure.start().tolist(), strict=True))
+    return structure, np.array([(values_at_start | fit.parameter_values)[parameter] for parameter in parameters])
+
+
+def _with_factor(prior: Prior) -> Prior:
+    """Return the prior with the logarithm of a factor after the other parameters."""
+    return replace(
+        prior,
+        mean=np.append(prior.mean, 0.0),
+        size=np.append(prior.size, _USUAL),
+        kind=np.append(prior.kind, -1),
+        signed=np.append(prior.signed, True),
+    )
+
+
+def _by_factor(structure: Structure, values: Array, data: Measurements, placement: Placement, states: Ints) -> Array:
+    """Return the derivatives (rows,) of the whitened displacements by the logarithm of a factor on the loads of states.
+
+    :param values: (p,) of the structure, SI.
+    """
+    wrench = data.wrench.copy()
+    wrench[states] *= np.exp(_STEP)
+    prediction, _ = predict(structure, values, data, placement)
+    scaled, _ = predict(structure, values, replace(data, wrench=wrench), placement)
+    return whiten(whitening(data), (scaled - prediction) * visible(data) / _STEP).ravel()
+
+
+def _jackknife(regression: Regression, equations: LinearEquations) -> float:
+    """Return the jackknife standard deviation of the last parameter, over the configurations."""
+    count = equations.configs
+    values = np.array([regression.unbounded_values(equations, np.array([index]))[-1] for index in range(count)])
+    return float(np.sqrt((count - 1) / count * np.sum((values - values.mean()) ** 2)))
