@@ -221,6 +221,7 @@ def test_a_jump_that_an_input_decides_is_followed_where_it_skips_no_move(jump, i
         ("a" * 27 + "._b", "it has 30", "a" * 27), ("Move" + "x" * 24, "word of RAPID", "P_Move" + "x" * 22),
         ("9" * 28, "letter", "P" + "9" * 27), ("x€", "other", "x"),
     ],
+    ids=lambda value: str(len(str(value))),
 )  # fmt: skip
 def test_names_are_those_that_the_controller_accepts(name, fault, valid):
     """28 letters, digits and underscores: the module has a prefix of four, and 32 are allowed."""
@@ -244,6 +245,7 @@ def test_names_are_those_that_the_controller_accepts(name, fault, valid):
         ("speed_1.v_tcp:=5;", "speed_1 is used by the moves"), ("zone_x:=5;", None), ("mytool_0:=5;", None),
         ("tool_0b:=5;", None), ("TPWrite\\Num:=5;", None),
     ],
+    ids=lambda value: str(len(str(value))),
 )  # fmt: skip
 def test_lines_of_the_cell_between_moves(line, fault):
     problem = language.line_fault(line)
