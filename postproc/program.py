@@ -561,6 +561,8 @@ class Program(Struct, frozen=True, eq=False):
     :param carriage: the linear axis that carries the robot; None: there is none.
     :param with_path: (M,) True for arcs with whose direction of travel the tool turns: its orientation as seen from
         there is what changes by one rotation. None: there are none.
+    :param turn_speeds: (M, 3) largest speeds at which motions may turn the tool [rad/s]: any turn (RAPID, v_ori), that
+        of its x axis and that about it (`$VEL.ORI1`, `$VEL.ORI2`); infinite where none is stated. None: none is.
     :param unforced: rows of feed moves that come from `[start]` of the cell: an error if a force acts there.
     :param unresolved: motions that are left unchanged: `motions` has no row for them.
     :param unfollowed: calls of routines that cut, and have no rows either: an error if a force acts there.
@@ -589,6 +591,7 @@ class Program(Struct, frozen=True, eq=False):
     wrist: Turning | None = None
     carriage: Carriage | None = None
     with_path: Bools | None = None
+    turn_speeds: Runs | None = None
     unforced: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     unresolved: tuple[UnresolvedMotion, ...] = ()
     unfollowed: tuple[UnfollowedCall, ...] = ()

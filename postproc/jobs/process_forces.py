@@ -60,12 +60,15 @@ Trial = Callable[[Program], Result]
 _MESHES = (".stl", ".glb", ".ply", ".obj")
 
 
-def hold_tolerance(program: Program, length: Array, cell: Cell, exponent: float, trial: Trial) -> Result:
+def hold_tolerance(
+    program: Program, length: Array, tip_speed: Array, cell: Cell, exponent: float, trial: Trial
+) -> Result:
     """Return the result with the highest feeds, at most the programmed ones, that hold the tolerance of the part.
 
     A motion that the least feed does not hold keeps its feed, or gets the least one: `[output] unheld` of the cell.
 
     :param length: (M,) length of the motions [m].
+    :param tip_speed: (M,) at the programmed feeds, see `toolpath.tip_speeds` [m/s].
     :param exponent: mc of the material: chip forces grow with feed^(1 − mc).
     :param trial: converts the program with the feeds of its motions.
     :raises InputError: the model states no uncertainty, so that no error is expected.
@@ -78,8 +81,9 @@ def hold_tolerance(program: Program, length: Array, cell: Cell, exponent: float,
         advice = 'Give sigma_percent or a covariance in its model.toml, or write feed = "program".'
         raise InputError('[output] feed = "hold": the robot model states no uncertainty', advice=advice)
     uses_min_feed = cell.output.unheld == "lowest"
+    error = _largest_by_motion(result)
     search = _Search(
-        program, cell.part_tolerance, min_feed, 1.0 - exponent, _largest_by_motion(result), uses_min_feed=uses_min_feed
+        program, tip_speed, cell.part_tolerance, min_feed, 1.0 - exponent, error, uses_min_feed=uses_min_feed
     )
     floor_error = np.full(len(m), np.nan)
     if search.open.any():
@@ -154,10 +158,19 @@ class _Search:
     """
 
     def __init__(
-        self, program: Program, tolerance: float, min_feed: float, power: float, error: Array, *, uses_min_feed: bool
+        self,
+        program: Program,
+        tip_speed: Array,
+        tolerance: float,
+        min_feed: float,
+        power: float,
+        error: Array,
+        *,
+        uses_min_feed: bool,
     ) -> None:
         """Begin with the programmed feeds.
 
+        :param tip_speed: (M,) at the programmed feeds [m/s]: higher feeds are no faster.
         :param tolerance: of the part [m]; `min_feed`: least feed [m/s]; `power`: chip forces grow with feed^power.
         :param error: (M,) expected errors at the programmed feeds [m].
         :param uses_min_feed: motions that no feed holds get the least one; else they keep theirs.
@@ -165,8 +178,8 @@ class _Search:
         m = program.motions
         self.nominal_program, self.power, self.feed = program, power, m.feed
         self.limit, self.uses_min_feed = tolerance, uses_min_feed
-        self.high, self.error_high = m.feed.copy(), error
-        self.min_feeds = np.minimum(m.feed, np.ceil(min_feed / _STEP) * _STEP)
+        self.high, self.error_high = tip_speed.copy(), error
+        self.min_feeds = np.minimum(tip_speed, np.ceil(min_feed / _STEP) * _STEP)
         self.low, self.error_low = self.min_feeds.copy(), np.zeros(len(m))
         self.was_good, self.was_bad = np.zeros(len(m), dtype=bool), np.zeros(len(m), dtype=bool)
         self.open: Bools = np.asarray(~m.rapid & (error > tolerance) & (self.low < self.high))
@@ -383,7 +396,8 @@ def convert_with_held_feed(
         """Return the conversion of the program with other feeds."""
         return correction.process(slow_program, robot, cell, source, linearize_arcs=linearize_arcs, to=to)
 
-    return hold_tolerance(program, path.length, cell, source.process.law().exponent, trial)
+    tip_speed = toolpath.tip_speeds(program, path)
+    return hold_tolerance(program, path.length, tip_speed, cell, source.process.law().exponent, trial)
 
 
 def _overshoot(residual: Array, change: Array, weight: Array) -> float:

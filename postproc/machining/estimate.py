@@ -18,7 +18,7 @@ from postproc.frames import M_PER_MM, MM_PER_INCH, MM_PER_M, Array, inverse, nor
 from postproc.machining import stock as stocks
 from postproc.machining.branches import check_branches, near_stock
 from postproc.machining.material import CuttingLaw
-from postproc.machining.override import override_issues
+from postproc.machining.override import override_issues, slow_turn_issues
 from postproc.machining.process import Process, box_corners
 from postproc.machining.profiles import smooth_steps, thin_out
 from postproc.machining.remaining import Ceiling, Guard, StockInTime
@@ -43,7 +43,7 @@ from postproc.machining.tool_path import (
     unread_cuts,
 )
 from postproc.program import PTP, Bools, Ints, Program, distinct
-from postproc.toolpath import Segments
+from postproc.toolpath import Segments, tip_speeds
 
 _LARGEST_TILT, _SECOND_TILT = np.radians(60.0), np.radians(20.0)
 """Largest angles between z of the map and a tool that turns while it cuts (assumed). Each new map blurs the stock a
@@ -168,9 +168,13 @@ def estimate(
         tool cuts, a tool that turns while it cuts leaves material above itself.
     """
     refuse_unread_cuts(program)
+    programmed_feed = program.motions.feed
+    program = replace(program, motions=replace(program.motions, feed=tip_speeds(program, path)))
     law, tools = process.law(), tool_states(program, process)
     directions = Directions.of(program, path, axis)
-    task = _Task(program, path, process, axis, law, tools, directions, stock, base_axes, shift, guard, progress)
+    task = _Task(
+        program, programmed_feed, path, process, axis, law, tools, directions, stock, base_axes, shift, guard, progress
+    )
 
     def forces_up_to_tilt(max_tilt: float) -> ProcessForces:
         """Return the forces, with finer cells where a first sweep shows that they are needed.
@@ -200,12 +204,14 @@ def estimate(
 class _Task(NamedTuple):
     """What the forces of a program depend on, see `estimate`.
 
+    :param program: with the speeds of the tip for feeds, see `toolpath.tip_speeds`; `programmed_feed` (M,) [m/s].
     :param law: forces of the material per length of cutting edge and chip.
     :param tools: tool and spindle speed of each motion.
     :param directions: of the tools along the motions.
     """
 
     program: Program
+    programmed_feed: Array
     path: Segments
     process: Process
     axis: str
@@ -293,6 +299,7 @@ def _forces_and_thin_passes(
         check_branches(program, engaged_motions, is_near)
     issues += [
         *override_issues(program),
+        *slow_turn_issues(program, task.programmed_feed, engaged_motions),
         *stock_base_issues(program),
         *(_beside_stock_issues(program, segments, bounds, margin) if has_one_map else []),
         *swept.issues,

@@ -1,12 +1,15 @@
-"""Overrides and times that a robot program sets itself: its feeds then differ from those that it states."""
+"""Overrides, times and speeds of turning that a robot program sets: its feeds then differ from those that it states."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
 
+import numpy as np
+
 from postproc.errors import Issue
-from postproc.program import Program
+from postproc.frames import MM_PER_MIN, Array
+from postproc.program import Ints, Program
 
 _OVERRIDES = {
     "krl": re.compile(
@@ -17,6 +20,8 @@ _OVERRIDES = {
 """Statements that set the override in per cent, by dialect."""
 _TIME = re.compile(r"^[ \t]*TIME_BLOCK[ \t]+END[ \t]*=", re.IGNORECASE | re.MULTILINE)
 """Statement of KRL that gives motions of a spline block the time that they take, instead of a feed."""
+_TURN_SPEEDS = {"krl": "$VEL.ORI1 or $VEL.ORI2", "rapid": "v_ori"}
+"""What limits how fast the tool turns, by dialect."""
 _FULL = 100.0
 """Override with which the robot moves as the program states [%]."""
 
@@ -47,6 +52,23 @@ def override_issues(program: Program) -> Iterator[Issue]:
                 "State the feed by $VEL.CP, without TIME_BLOCK"
             )
             yield Issue("warning", "override", message, subject=f"{document.name} TIME_BLOCK")
+
+
+def slow_turn_issues(program: Program, programmed_feed: Array, cuts: Ints) -> Iterator[Issue]:
+    """Yield a note where the tool turns on cuts as fast as the program lets it, which slows its tip.
+
+    :param program: with the speeds of the tip for feeds; `programmed_feed` (M,) [m/s].
+    :param cuts: (n,) motions that cut.
+    """
+    share = program.motions.feed[cuts] / programmed_feed[cuts]
+    rows = cuts[np.argsort(share, kind="stable")[: np.count_nonzero(share < 1.0)]]
+    if len(rows):
+        feed, tip_speed = (column[rows[0]] * MM_PER_MIN for column in (programmed_feed, program.motions.feed))
+        message = (
+            f"{_TURN_SPEEDS[program.dialect]} slows the tip of a tool that turns while it cuts, here from {feed:.0f} "
+            f"to {tip_speed:.0f} mm/min: forces are those of the slower feed"
+        )
+        yield program.motions.issue("info", "slow-turn", message, rows)
 
 
 def _is_full_override(text: str) -> bool:

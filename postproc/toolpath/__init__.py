@@ -38,6 +38,7 @@ from postproc.toolpath.sampling import (
     places,
     swivel_pieces,
 )
+from postproc.toolpath.tip_speed import tip_speeds, turn_seconds
 
 __all__ = [
     "Arcs",
@@ -68,6 +69,8 @@ __all__ = [
     "starts",
     "swivel_pieces",
     "tangent",
+    "tip_speeds",
     "tool_of",
+    "turn_seconds",
     "wrench_in_root",
 ]

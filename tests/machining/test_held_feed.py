@@ -170,7 +170,9 @@ def test_without_need_nothing_is_lowered_and_nothing_is_tried(tmp_path):
         tried.append(changed)
         return correction.process(changed, ROBOT, given, None)
 
-    result = process_forces.hold_tolerance(program, np.ones(len(program.motions)), given, 0.0, trial)
+    result = process_forces.hold_tolerance(
+        program, np.ones(len(program.motions)), program.motions.feed, given, 0.0, trial
+    )
     assert tried == [program]
     np.testing.assert_array_equal(result.held_feed.feed, program.motions.feed)
 
@@ -229,7 +231,7 @@ def test_each_feed_is_that_of_bisection(tmp_path, seed):
     def trial(changed):
         return Fake(changed, np.arange(count), np.where(changed.motions.rapid, 0.0, error(changed.motions.feed)))
 
-    held = process_forces.hold_tolerance(program, np.ones(count), given, 0.0, trial).held_feed
+    held = process_forces.hold_tolerance(program, np.ones(count), program.motions.feed, given, 0.0, trial).held_feed
     low, high = np.full(count, LEAST / 60e3), program.motions.feed.copy()
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -240,6 +242,28 @@ def test_each_feed_is_that_of_bisection(tmp_path, seed):
     cuts = np.flatnonzero(~program.motions.rapid)
     assert (held.feed[cuts] <= best[cuts] * (1 + 1e-9)).all()
     np.testing.assert_allclose(held.feed[cuts], best[cuts], rtol=0.01)  # `_CLOSE`
+
+
+def test_a_motion_that_its_turn_slows_is_lowered_from_the_speed_of_its_tip(tmp_path):
+    """Its error is that of the tip at any higher feed; where that holds the tolerance, the feed stays."""
+    given = cell(0.1)
+    program = read(tmp_path, text(), cell=given)
+    count = len(program.motions)
+    cuts = np.flatnonzero(~program.motions.rapid)
+    tip_speed = program.motions.feed.copy()
+    tip_speed[cuts] *= np.linspace(0.2, 1.0, len(cuts))
+    limit = 0.5 * PROGRAMMED / 60e3  # the feed whose error is the tolerance [m/s]
+
+    def trial(changed):
+        error = 1e-4 * np.minimum(changed.motions.feed, tip_speed) / limit
+        return Fake(changed, np.arange(count), np.where(changed.motions.rapid, 0.0, error))
+
+    held = process_forces.hold_tolerance(program, np.ones(count), tip_speed, given, 0.0, trial).held_feed
+    is_within = tip_speed[cuts] <= limit
+    assert is_within.any()
+    assert not is_within.all()
+    np.testing.assert_array_equal(held.feed[cuts[is_within]], program.motions.feed[cuts[is_within]])
+    np.testing.assert_allclose(held.feed[cuts[~is_within]], limit, rtol=0.01)  # `_CLOSE`
 
 
 def test_a_feed_below_the_least_stays_as_it_is(tmp_path):

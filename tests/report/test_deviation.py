@@ -7,9 +7,11 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import cell
+from postproc.chunks import Runs
 from postproc.correction import read
 from postproc.elastostatics import Reversals
 from postproc.errors import Issue
+from postproc.frames import rotation_from_vector
 from postproc.poses import Poses
 from postproc.program import CIRC, Document, Event
 from postproc.report import page, summary
@@ -127,6 +129,24 @@ def test_length_and_time_run_along_the_path():
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(result.nominal[:, :3, 3], axis=0), axis=1))])
     np.testing.assert_allclose(at["length"], length * 1e3, rtol=1e-6)
     np.testing.assert_allclose(at["time"], length / 0.02, rtol=1e-6)
+
+
+def test_a_turn_at_the_stated_speed_takes_its_time():
+    """2° about z of the tool at 10 °/s are 0.2 s on each piece; where the way at 20 mm/s takes longer, it counts."""
+    base = fabricated.result(30)
+    turned = base.nominal[:].copy()
+    turned[:, :3, :3] = turned[:, :3, :3] @ rotation_from_vector(np.radians(2.0) * np.arange(30)[:, None] * [0, 0, 1.0])
+    length = np.linalg.norm(np.diff(base.nominal[:, :3, 3], axis=0), axis=1)
+    count = len(base.program.motions)
+    for limit, seconds in ((10.0, np.maximum(0.2, length / 0.02)), (1e4, length / 0.02)):
+        speeds = Runs.of(np.tile([np.radians(limit), np.inf, np.inf], (count, 1)))
+        result = fabricated.with_changes(
+            base, nominal=Poses.of(turned), program=replace(base.program, turn_speeds=speeds)
+        )
+        at = _read(result).columns()
+        np.testing.assert_allclose(np.diff(at["time"]), seconds, rtol=1e-5)
+        is_moved = length > 0.0
+        np.testing.assert_allclose(at["speed"][1:][is_moved], 1e3 * (length / seconds)[is_moved], rtol=1e-5)
 
 
 @pytest.mark.parametrize("worst", [31_234, 199_999, 1])

@@ -5,6 +5,7 @@ What arguments mean: ABB, Technical reference manual, RAPID Instructions, Functi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from msgspec import Struct
@@ -72,6 +73,7 @@ class Move(Struct, frozen=True, eq=False):
     """An executed motion.
 
     :ivar speed: of the TCP [mm/s], `duration` [s] if that is given instead, else 0.
+    :ivar turn_speed: largest speed at which the tool turns (v_ori) [deg/s]; infinite if it is not stated.
     :ivar zone: approximation distance [mm]; 0 for a stop.
     :ivar tool_name: of the data that are the tool, as they are declared; empty for a component of other data.
     """
@@ -83,6 +85,7 @@ class Move(Struct, frozen=True, eq=False):
     joints: bool
     speed: float
     duration: float
+    turn_speed: float
     zone: float
     tool: Value
     tool_name: str
@@ -121,6 +124,7 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
         joints=form.joints,
         speed=speed,
         duration=duration,
+        turn_speed=_turn_speed(expressions[speed_index], options, scope, setting),
         zone=_zone(expressions[zone_index], options, scope),
         tool=_frame(expressions[zone_index + 1], "TOOLDATA", scope, frames),
         tool_name=_data_name(expressions[zone_index + 1], scope),
@@ -174,6 +178,23 @@ def _speed_and_duration(
     if isinstance(tcp, bool) or not isinstance(tcp, float) or not 0.0 < tcp < _LARGEST:
         raise UnknownValueError("the speed of the TCP must be more than 0")
     return min(tcp * share, limit), 0.0
+
+
+def _turn_speed(expression: Expression, options: dict[str, Argument], scope: Scope, setting: Setting) -> float:
+    """Return v_ori of the speeddata of a move [deg/s]; infinite if it is not known, or the move has a duration.
+
+    VelSet changes it in proportion; the option V gives another speed of the TCP only, T another one of all.
+    """
+    if "T" in options:
+        return math.inf
+    try:
+        value, _ = evaluate(expression, scope)
+    except UnknownValueError:
+        return math.inf
+    speed = value[1] if isinstance(value, list) and len(value) == len(FIELDS["SPEEDDATA"]) else None
+    if not isinstance(speed, float) or isinstance(speed, bool) or speed <= 0.0:
+        return math.inf
+    return speed * setting.speed[0]
 
 
 def _zone(expression: Expression, options: dict[str, Argument], scope: Scope) -> float:

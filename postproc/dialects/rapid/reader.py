@@ -33,7 +33,7 @@ from postproc.dialects.rapid.syntax import Instruction as RapidInstruction
 from postproc.dialects.rapid.values import NONE, UnknownValueError, Value, record_numbers
 from postproc.dialects.text import line_spans
 from postproc.errors import InputError, Issue, ProgramError, combined_error, first_of, line_names
-from postproc.frames import M_PER_MM, Array, inverse, norm, xyzabc_from_pose
+from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse, norm, xyzabc_from_pose
 from postproc.poses import Poses
 from postproc.program import (
     CIRC,
@@ -135,6 +135,7 @@ class _Reader:
             issues=tuple(self._issues(expanded)),
             by_wrist=path.by_wrist if path.by_wrist.any() else None,
             with_path=path.with_path if path.with_path.any() else None,
+            turn_speeds=_turn_speeds(execution.moves),
             layout=Layout(path.numbers, expanded.text, is_plain, tuple(execution.moves), comments, data_names),
         )
 
@@ -554,6 +555,13 @@ def _tool_names(moves: list[Move], tool: Ints, count: int) -> tuple[tuple[str, .
 def _single(values: list[float]) -> Array:
     """Return numbers rounded to single precision, as the controller stores them."""
     return np.array(values).astype(np.float32).astype(np.float64)
+
+
+def _turn_speeds(moves: list[Move]) -> Runs | None:
+    """Return `Program.turn_speeds` of moves; None if no move has one."""
+    speeds = np.full((len(moves), 3), np.inf)
+    speeds[:, 0] = _single([move.turn_speed for move in moves]) * RAD_PER_DEG
+    return Runs.of(speeds) if np.isfinite(speeds).any() else None
 
 
 def _pose(value: Value) -> Array:

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from postproc import kinematics
+from postproc import kinematics, toolpath
 from postproc.collision import Body
 from postproc.correction import Result
 from postproc.dialects.text import line_spans
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from postproc.machining import ProcessForces
     from postproc.report.surface import Surface
 
+_SLOW = 1.0 + 1e-6
+"""A piece of path that takes longer than at its feed by this factor is slowed by the turn of the tool."""
 _BINS = 60
 """Bars of the histogram."""
 _STOCK_CELLS = 40_000
@@ -425,21 +427,24 @@ def shown_targets(result: Result, linked_rows: Ints) -> ShownTargets:
     position, leads_to = drawn_path(result)  # of each point, the row of the target that it leads to
     step = norm(np.diff(position, axis=0, prepend=position[:1]))
     path_length = np.cumsum(step)[np.flatnonzero(np.diff(leads_to, append=len(result)))]
-    seconds = np.cumsum(_durations(result, np.diff(path_length, prepend=0.0)))
+    duration = _durations(result, np.diff(path_length, prepend=0.0))
     row = page_rows(result, linked_rows)
-    columns = _place_columns(result, row, path_length, seconds)
+    columns = _place_columns(result, row, path_length, duration)
     return ShownTargets(row, path_length, Columns.of(columns), _path_columns(result, position, leads_to, row))
 
 
-def _place_columns(result: Result, row: Ints, path_length: Array, seconds: Array) -> dict[str, Array | Ints | Bools]:
+def _place_columns(result: Result, row: Ints, path_length: Array, duration: Array) -> dict[str, Array | Ints | Bools]:
     """Return the columns (P,) of the places of a page by name; millimetres, degrees, newtons, seconds.
 
     Names of a letter and an axis: c correction, b deviation before, a after; components of both also along the feed.
 
     :param row: (P,) row of the result that each place is.
-    :param path_length: (K,) length of the path up to each target [m], `seconds` (K,) the time.
+    :param path_length: (K,) length of the path up to each target [m], `duration` (K,) the time from the one before [s].
     """
     m, motion = result.program.motions, result.motion
+    length, feed, seconds = np.diff(path_length, prepend=0.0)[row], m.feed[motion[row]], duration[row]
+    is_slow = (length > 0.0) & (seconds * feed > length * _SLOW)
+    speed = np.where(is_slow, length / np.where(is_slow, seconds, 1.0), feed)
     correction_mm, coordinates = correction(result, row) * MM_PER_M, xyzabc_from_pose(result.nominal[row])
     axes = _feed_axes(result, row)
     columns: dict[str, Array | Ints | Bools] = {
@@ -449,8 +454,8 @@ def _place_columns(result: Result, row: Ints, path_length: Array, seconds: Array
         "tool": m.tool[motion[row]],
         "t": result.t[row],
         "length": path_length[row] * MM_PER_M,
-        "time": seconds[row],
-        "speed": m.feed[motion[row]] * MM_PER_M,
+        "time": np.cumsum(duration)[row],
+        "speed": speed * MM_PER_M,
         "before": norm(result.deviation_before[row]) * MM_PER_M,
         "after": norm(result.deviation_after[row]) * MM_PER_M,
         "u95": (np.full(len(row), np.nan) if result.bound is None else result.bound[row]) * MM_PER_M,
@@ -501,7 +506,8 @@ def _path_columns(result: Result, position: Array, leads_to: Ints, row: Ints) ->
 
 
 def _durations(result: Result, length: Array) -> Array:
-    """Return the time (K,) [s] to each target: at the feed, or with the slowest joint at its full speed.
+    """Return the time (K,) [s] to each target: at the feed or, if longer, the turn of the tool at the speed of turning
+    that the program states; of PTP with the slowest joint at its full speed.
 
     :param length: (K,) length of the path to each target [m].
     """
@@ -509,7 +515,23 @@ def _durations(result: Result, length: Array) -> Array:
     feed, kind = motions.feed[result.motion], motions.kind[result.motion]
     joint_time = largest(np.diff(result.q, axis=0, prepend=result.q[:1]) / result.robot.speed)
     has_feed = (kind != PTP) & (feed > 0.0)
-    return np.where(has_feed, length / np.where(has_feed, feed, 1.0), joint_time)
+    feed_time = length / np.where(has_feed, feed, 1.0)
+    return np.where(has_feed, np.maximum(feed_time, _turn_times(result)), joint_time)
+
+
+def _turn_times(result: Result) -> Array:
+    """Return the least time (K,) [s] of the turn of the tool from the target before, at the speeds that the program
+    states; 0 where it states none or the frames change.
+    """
+    program, motion = result.program, result.motion
+    seconds = np.zeros(len(result))
+    if program.turn_speeds is None or len(result) == 0:
+        return seconds
+    base, tool, rotation = program.motions.base[motion], program.motions.tool[motion], result.nominal.rotation
+    is_same = (base[1:] == base[:-1]) & (tool[1:] == tool[:-1])
+    turning = toolpath.turn_seconds(rotation[:-1], rotation[1:], program.turn_speeds.take(motion[1:]))
+    seconds[1:] = np.where(is_same, turning, 0.0)
+    return seconds
 
 
 def _feed_axes(result: Result, row: Ints) -> Array:

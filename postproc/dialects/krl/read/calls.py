@@ -17,7 +17,7 @@ from postproc.dialects.krl.read.effects import Effects
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.known import NO_VALUE, Scope, UnknownValue, VariableValue, inexact_error
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Level, Run, UntracedCall
-from postproc.dialects.krl.read.state import FIELDS, RELEVANT, STORED_VARIABLES
+from postproc.dialects.krl.read.state import FIELDS, RELEVANT, STORED_VARIABLES, fields_of
 from postproc.dialects.krl.read.variables import WHOLE, convert_to_type
 from postproc.errors import Issue, ProgramError
 
@@ -104,6 +104,8 @@ class Calls:
             self.run.called_routines.add(callee.routine)
         if _has_no_effects(effects):
             result = None if self._obstacle(place, call, *callee, effects) else self._run_exactly(place, call, *callee)
+            if effects.turn_speed is not None and (result is None or not is_certain):
+                self.run.settings.forget_turn_speeds(self.run.row)
             return unknown if result is None else result
         if is_certain and not self._obstacle(place, call, *callee, effects):
             result = self._run_exactly(place, call, *callee)
@@ -176,7 +178,7 @@ class Calls:
             if reference.name in FIELDS:
                 problem = f"{reference.name} is given to {call.name}, which may change it"
                 self.run.settings.make_uncertain(
-                    self.run.row, [FIELDS[reference.name]], place.error(problem, SETTING_ADVICE)
+                    self.run.row, fields_of(reference.name), place.error(problem, SETTING_ADVICE)
                 )
             else:
                 self.run.variables.forget(self.run.stored_name(reference.name), str(place))
@@ -204,10 +206,12 @@ class Calls:
         for variable, write_place in effects.writes.items():
             if variable in RELEVANT:
                 problem = f"{name} may change {variable} ({write_place})"
-                fields = [FIELDS[variable]] if variable in FIELDS else ["base", "tool"]
+                fields = fields_of(variable) if variable in FIELDS else ["base", "tool"]
                 self.run.settings.make_uncertain(self.run.row, fields, place.error(problem, SETTING_ADVICE))
             else:
                 self.run.variables.forget(variable, str(write_place))
+        if effects.turn_speed is not None:
+            self.run.settings.forget_turn_speeds(self.run.row)
 
     def _check_motion(self, place: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> None:
         """Refuse the call of a routine of the program itself that moves the robot and is not in the trace.

@@ -46,7 +46,9 @@ _RETURN_POSITIONS = frozenset({"$AXIS_RET", "$POS_RET"})
 """Where the robot left its path when it was stopped by an interrupt (KUKA, System Variables)."""
 _RAPID = ("PTP", "SPTP")
 _COMPONENT = {"$VEL": "CP", "$APO": "CDIS"}
-"""System variables of which but one component matters, and which."""
+"""System variables of which one component matters to the path, and which."""
+_TURN_SPEEDS = ("ORI1", "ORI2")
+"""Components of `$VEL` that limit how fast the tool turns."""
 
 
 class Effects(Struct, eq=False):
@@ -56,6 +58,7 @@ class Effects(Struct, eq=False):
     :ivar volatile_writes: names that may get another value at any time afterwards, by interrupts, triggers and cyclic
         statements, and where.
     :ivar motion: where the robot moves; None if it does not.
+    :ivar turn_speed: where it sets `$VEL.ORI1` or `$VEL.ORI2`; None if it does not.
     :ivar interrupt_motion: where a GLOBAL interrupt moves the robot that it declares; None if none does.
     :ivar return_motion: place of a motion back to where an interrupt stopped the robot; None if there is none.
     :ivar force_comment: place of a force comment; None if there is none.
@@ -70,6 +73,7 @@ class Effects(Struct, eq=False):
     writes: dict[str, Place] = {}
     volatile_writes: dict[str, Place] = {}
     motion: Place | None = None
+    turn_speed: Place | None = None
     interrupt_motion: Place | None = None
     return_motion: Place | None = None
     force_comment: Place | None = None
@@ -96,6 +100,7 @@ class Effects(Struct, eq=False):
         """Add the effects of a called routine or an action that do not depend on when it runs."""
         self.absent_calls = effects.absent_calls | self.absent_calls
         self.motion = self.motion or effects.motion
+        self.turn_speed = self.turn_speed or effects.turn_speed
         self.return_motion = self.return_motion or effects.return_motion
         self.resume = self.resume or effects.resume
 
@@ -324,6 +329,8 @@ class _Statement(Struct, eq=False):
             self.note_write(stmt.name)
         elif isinstance(stmt, Assignment):
             component = _COMPONENT.get(stmt.target.name)
+            if stmt.target.name == "$VEL" and stmt.target.field in _TURN_SPEEDS:
+                self.effects.turn_speed = self.effects.turn_speed or self.place
             if component is None or stmt.target.field in (None, component):
                 self.note_write(stmt.target.name)
         self._note_calls(stmt.values)

@@ -245,7 +245,7 @@ class MotionReader:
                 state = self.settings.state_after_assignment(state, place, item.target, item.value)
             elif not item.target.name.startswith(_NO_EFFECT):
                 raise place.error(f"{item.target.name} in WITH is not understood", advice="Check its spelling.")
-        if state != self.settings.state:
+        if state.without_turn_speeds() != self.settings.state.without_turn_speeds():
             for value in points:
                 self._check_independence_of_with(place, "WITH", value)
         uses_distance = "C_DIS" in tail.approximation or ("C_SPL" in tail.approximation and kind != PTP)

@@ -60,7 +60,7 @@ class OrderedMotions(NamedTuple):
 
     :ivar rows: (R,) motions.
     :ivar in_force: settings in force at each; but for the `numbers`, since plain settings have no states of their own.
-    :ivar numbers: (R, 2) speed and distance of approximation, see `plain_settings.NUMBERS`, as runs of equal ones.
+    :ivar numbers: (R, 4) speed, distance of approximation, turn speeds (`plain_settings.NUMBERS`), as runs.
     :ivar moves: row → statement, of those that are not plain.
     """
 
@@ -74,7 +74,7 @@ class _MergedSettings(NamedTuple):
     """The order of all R motions, and the settings in force.
 
     :ivar places: (R,) places in execution order of the plain motions, and then of the statements.
-    :ivar in_force: settings at each motion, in execution order; `numbers` (R, 2) its `NUMBERS`.
+    :ivar in_force: settings at each motion, in execution order; `numbers` (R, 4) its `NUMBERS`.
     """
 
     places: Ints
@@ -128,6 +128,14 @@ class MotionsAndLayout(NamedTuple):
     motions: Motions
     layout: Layout
     issues: list[Issue]
+
+
+def stated_turn_speeds(numbers: Runs) -> Runs | None:
+    """Return `Program.turn_speeds` of the `NUMBERS` (R, 4) of motions; None if no motion has one."""
+    speeds = numbers.values[:, 2:]
+    if not np.isfinite(speeds).any():
+        return None
+    return Runs(np.column_stack([np.full(len(speeds), np.inf), speeds]), numbers.run)
 
 
 def motions_and_layout(
@@ -376,7 +384,7 @@ def settings_at(settings: Settings, line: Ints) -> list[LineSettings]:
             is_speed_assumed=False,
             **dict(zip(NUMBERS, values, strict=True)),
         )
-        entries.append(LineSettings(state, base, tool))
+        entries.append(LineSettings(state.without_turn_speeds(), base, tool))
     return entries
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Aggregate, Call, Value, Word
 from postproc.dialects.krl.layout import ORIENTATIONS
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.known import NO_VALUE, VariableValue
-from postproc.dialects.krl.read.state import FIELDS, Reasons, State
+from postproc.dialects.krl.read.state import FIELDS, TURN_SPEEDS, Reasons, State
 from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import ProgramError
-from postproc.frames import M_PER_MM
+from postproc.frames import M_PER_MM, RAD_PER_DEG
 
 FASTEST = 100.0
 """A speed above this [m/s] is a slip of the unit."""
@@ -37,6 +39,11 @@ _OF_PTP = frozenset({"SAPO_PTP"})
 """Functions that give `$APO` no distance for paths."""
 
 
+def turn_speed(number: float | None) -> float:
+    """Return the turn speed [rad/s] of a number [deg/s]; infinite if it is not known, or no speed."""
+    return number * RAD_PER_DEG if number is not None and number > 0.0 else math.inf
+
+
 class PathSettings:
     """Follows assignments to these variables."""
 
@@ -47,9 +54,13 @@ class PathSettings:
     def state_with_speed(self, state: State, place: Place, field: str | None, value: Value | VariableValue) -> State:
         """Return the state after ``$VEL.CP = value``.
 
-        :param field: CP; None for ``$VEL = {…}``; an assignment to another component changes nothing.
+        :param field: CP, ORI1 or ORI2; None for ``$VEL = {…}``.
         :raises ProgramError: no path can be driven at that speed.
         """
+        for component_name, name in zip(("ORI1", "ORI2"), TURN_SPEEDS, strict=True):
+            component = self._assigned_component(place, field, component_name, value)
+            if component is not None:
+                state = state.with_values(**{name: turn_speed(self.variables.number(component))})
         if isinstance(value, Call) and value.name == "SVEL_CP" and value.arguments:
             value = value.arguments[0]
         component = self._assigned_component(place, field, "CP", value)

@@ -13,7 +13,8 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.read.path_settings import FASTEST
+from postproc.dialects.krl.read.path_settings import FASTEST, turn_speed
+from postproc.dialects.krl.read.state import TURN_SPEEDS
 from postproc.frames import M_PER_MM, Array
 from postproc.program import Ints
 
@@ -21,21 +22,23 @@ _NUMBER = r"[0-9]{1,6}+(?:\.[0-9]{0,9}+)?"
 # system variables whose value a motion depends on, and others of which it does not; possessive, for one pass
 _SETTING = re.compile(
     rf"""\$(?:
-    (?P<name>VEL\.CP | APO\.CDIS)[ \t]*+=[ \t]*+(?P<number>{_NUMBER})
-    | (?:VEL\.ORI[12] | APO\.(?:CVEL|CPTP|CORI) | ACC\.(?:CP|ORI[12]))[ \t]*+=[ \t]*+{_NUMBER}
+    (?P<name>VEL\.(?:CP|ORI[12]) | APO\.CDIS)[ \t]*+=[ \t]*+(?P<number>{_NUMBER})
+    | (?:APO\.(?:CVEL|CPTP|CORI) | ACC\.(?:CP|ORI[12]))[ \t]*+=[ \t]*+{_NUMBER}
     | (?:OUT|ANOUT|VEL_AXIS|ACC_AXIS)\[[0-9]{{1,4}}+\][ \t]*+=[ \t]*+(?:TRUE | FALSE | {_NUMBER})
     )[ \t]*+(?:;[^\r\n]*+)?[\r\n]""",
     re.ASCII | re.IGNORECASE | re.VERBOSE,
 )
-NUMBERS = ("speed", "cdis")
+NUMBERS = ("speed", "cdis", *TURN_SPEEDS)
 """Fields of the `State` that plain assignments set."""
+_ROWS = {"VEL.CP": 0, "APO.CDIS": 1, "VEL.ORI1": 2, "VEL.ORI2": 3}
+"""Which of the `NUMBERS` a variable sets."""
 
 
 class PlainSettings(Struct, frozen=True, eq=False):
     """Plain assignments, S of them.
 
     :param line: (S,) 1-based lines, in order.
-    :param values: (2, S) what they give the `NUMBERS`, in the unit of the `State`; NaN where they give none.
+    :param values: (4, S) what they give the `NUMBERS`, in the unit of the `State`; NaN where they give none.
     """
 
     line: Ints
@@ -66,15 +69,22 @@ def scan(source: Source) -> PlainSettings:
     line = np.searchsorted(source.starts, offsets, side="right")
     begin = source.starts[line - 1]
     values = np.full((len(NUMBERS), len(starts)), np.nan)
-    is_speed = np.array([name is not None and name[0] in "Vv" for name in names])
-    is_distance = np.array([name is not None and name[0] in "Aa" for name in names])
-    value = np.array([0.0 if number is None else float(number) for number in numbers])
-    values[0, is_speed] = value[is_speed]
-    values[1, is_distance] = value[is_distance] * M_PER_MM
-    is_plain_line = ~is_speed | ((value > 0.0) & (value <= FASTEST))
+    is_plain_line = np.ones(len(starts), dtype=bool)
+    for index, (name, number) in enumerate(zip(names, numbers, strict=True)):
+        if name is not None:
+            row, value = _ROWS[name.upper()], float(number)
+            values[row, index] = _in_unit_of_state(row, value)
+            is_plain_line[index] = row != 0 or 0.0 < value <= FASTEST
     for index in np.flatnonzero(begin != offsets).tolist():
         is_plain_line[index] &= not text[begin[index] : starts[index]].strip(" \t")
     return PlainSettings(line[is_plain_line], values[:, is_plain_line])
+
+
+def _in_unit_of_state(row: int, number: float) -> float:
+    """Return a number of the text in the unit of the `State`; `row` is its place in `NUMBERS`."""
+    if row == 0:
+        return number
+    return number * M_PER_MM if row == 1 else turn_speed(number)
 
 
 def is_plain(source: Source, line: int) -> bool:
@@ -83,7 +93,7 @@ def is_plain(source: Source, line: int) -> bool:
     match = _SETTING.match(source.text, start)
     if match is None:
         return False
-    is_speed = match["name"] is not None and match["name"][0] in "Vv"
+    is_speed = match["name"] is not None and match["name"].upper() == "VEL.CP"
     return not is_speed or 0.0 < float(match["number"]) <= FASTEST
 
 

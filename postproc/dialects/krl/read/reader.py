@@ -47,7 +47,13 @@ from postproc.dialects.krl.read.joins import (
 from postproc.dialects.krl.read.known import InexactError
 from postproc.dialects.krl.read.main_routine import MainRoutine, Start, course_of
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged_motions
-from postproc.dialects.krl.read.motions import OrderedMotions, motions_and_layout, ordered_motions, setting_errors
+from postproc.dialects.krl.read.motions import (
+    OrderedMotions,
+    motions_and_layout,
+    ordered_motions,
+    setting_errors,
+    stated_turn_speeds,
+)
 from postproc.dialects.krl.read.next_run import changed_data_issues, kept_values
 from postproc.dialects.krl.read.plain_lines import PlainLines, plain_of, plain_rows_of_trace
 from postproc.dialects.krl.read.unresolved import SeparatedMotions, depends_on_start, without_unresolved
@@ -258,6 +264,7 @@ class _Reading(Struct, frozen=True, eq=False):
             carriage=layout.carriage,
             with_path=layout.turns_with_path if layout.turns_with_path.any() else None,
             by_wrist=layout.is_wrist_led if layout.is_wrist_led.any() else None,
+            turn_speeds=stated_turn_speeds(sequence.numbers),
             after=predecessors,
             joins=(*(join.ends for join in joins), *rounds),
             branches=branches(course, sequence.rows.line),

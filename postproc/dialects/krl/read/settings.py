@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 from postproc.cell import Cell
@@ -13,7 +14,7 @@ from postproc.dialects.krl.read.frames import Frames
 from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue
 from postproc.dialects.krl.read.path_settings import MODES, PathSettings
 from postproc.dialects.krl.read.plain_settings import PlainAssignments, no_settings
-from postproc.dialects.krl.read.state import FIELDS, Reasons, State
+from postproc.dialects.krl.read.state import FIELDS, TURN_SPEEDS, Reasons, State
 from postproc.dialects.krl.read.variables import ZERO, Variables, component
 from postproc.errors import ProgramError
 from postproc.frames import M_PER_MM
@@ -97,6 +98,10 @@ class Settings:
         for field in fields:
             state = self._reasons.state_with_unknown(state, field, reason)
         self.change_state(line, state)
+
+    def forget_turn_speeds(self, line: int) -> None:
+        """Take `$VEL.ORI1` and `$VEL.ORI2` for not stated from a line of the program on."""
+        self.change_state(line, self.state.with_values(**dict.fromkeys(TURN_SPEEDS, math.inf)))
 
     def refuse_uncertain(self, state: State, fields: Iterable[str]) -> None:
         """Refuse a motion that depends on fields of its state whose values are not known.

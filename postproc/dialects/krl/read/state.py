@@ -5,6 +5,7 @@ Sources: KUKA's `BAS.SRC` (what #INITMOV, #CP_PARAMS, #FRAMES … set) and the s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -33,6 +34,9 @@ FIELDS = {
     "$SPL_ORI_JOINT_AUTO": "by_wrist",
 }
 """What of the `State` a variable sets; the others of `RELEVANT` must not change at all."""
+TURN_SPEEDS = ("swivel_speed", "rotation_speed")
+"""Fields that `$VEL.ORI1` and `$VEL.ORI2` set. One that is not known is infinite: forces depend on it, not the path,
+and no motion is refused for it."""
 RELEVANT = frozenset({*FIELDS, "$IPO_MODE", "$ROBROOT", "$WORLD", "$EX_AX_IGNORE"})
 """System variables that a motion depends on."""
 STORED_VARIABLES = frozenset({"$H_POS", "$FLAG"})
@@ -45,6 +49,8 @@ class State(Struct, frozen=True):
     :ivar base: row of `Frames.bases`; −1−k when it is not known, for the reason `Reasons.errors[k]`.
     :ivar tool: row of `Frames.tools`; likewise.
     :ivar speed: `$VEL.CP` [m/s].
+    :ivar swivel_speed: `$VEL.ORI1`, largest speed of the tool direction [rad/s]; infinite where it is not stated.
+    :ivar rotation_speed: `$VEL.ORI2`, largest speed about the tool direction [rad/s]; infinite where it is not stated.
     :ivar is_speed_assumed: True while `$VEL.CP` is the controller's default.
     :ivar cdis: `$APO.CDIS` [m].
     :ivar orientation: `$ORI_TYPE`.
@@ -60,6 +66,8 @@ class State(Struct, frozen=True):
     base: int = 0
     tool: int = 0
     speed: float = DEFAULT_SPEED
+    swivel_speed: float = math.inf
+    rotation_speed: float = math.inf
     is_speed_assumed: bool = True
     cdis: float = DEFAULT_CDIS * M_PER_MM
     orientation: str = "#VAR"
@@ -78,7 +86,12 @@ class State(Struct, frozen=True):
 
     def differing_fields(self, other_state: State) -> set[str]:
         """Return the names of the fields whose values differ from those of another state."""
-        return {field for field in FIELDS.values() if getattr(self, field) != getattr(other_state, field)}
+        fields = (*FIELDS.values(), *TURN_SPEEDS)
+        return {field for field in fields if getattr(self, field) != getattr(other_state, field)}
+
+    def without_turn_speeds(self) -> State:
+        """Return the state with infinite turn speeds, to compare what else is in force."""
+        return replace(self, swivel_speed=math.inf, rotation_speed=math.inf)
 
 
 class MotionStates(Struct, frozen=True, eq=False):
@@ -122,6 +135,8 @@ class Reasons:
 
     def state_with_unknown(self, state: State, field: str, reason: ProgramError) -> State:
         """Return a state in which a field is not known, and store the reason for it."""
+        if field in TURN_SPEEDS:
+            return state.with_values(**{field: math.inf})
         self.errors.append(reason)
         if field in ("base", "tool"):
             return state.with_values(**{field: -len(self.errors)})
@@ -140,6 +155,11 @@ class Reasons:
             for uncertain_field, index in state.uncertain_fields:
                 if uncertain_field == field:
                     raise self.errors[index]
+
+
+def fields_of(variable: str) -> list[str]:
+    """Return the fields of the `State` that a variable sets."""
+    return [FIELDS[variable], *(TURN_SPEEDS if variable == "$VEL" else ())]
 
 
 def fields_used(kind: int, *, has_axis_target: bool, is_approximated: bool) -> list[str]:

@@ -1,0 +1,62 @@
+"""The speed of the tip that a controller holds where the tool turns: a program states how fast it may turn.
+
+A controller moves and turns the tool in one time, the longer one of the two. Speeds of turning are `$VEL.ORI1` and
+`$VEL.ORI2` of KRL (swivel and rotation; KUKA, System Variables) and `v_ori` of a speeddata of RAPID (ABB, 3HAC16581).
+The tool direction of KUKA is X of the tool, as `$TOOL_DIRECTION` is delivered.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from postproc.chunks import in_chunks
+from postproc.frames import Array, norm, rotation_vector
+from postproc.program import CIRC, LIN, Ints, Program
+from postproc.toolpath.path import Segments, at
+from postproc.toolpath.sampling import even_places
+
+_PARTS = 8
+"""Parts of a motion whose turns are added: none is half a turn, after which another rotation would be shorter."""
+_SHORTEST = 1e-9
+"""A motion whose tip moves by less [m] only turns the tool."""
+
+
+def tip_speeds(program: Program, path: Segments) -> Array:
+    """Return the speed of the tip (M,) [m/s]: the feed, or less where the tool would turn faster than it may.
+
+    PTP, pieces of splines, whose length is not known, and motions that only turn the tool keep their feed (PTP: NaN).
+
+    :param path: geometry of the motions.
+    """
+    feed, limits = program.motions.feed, program.turn_speeds
+    if limits is None:
+        return feed
+    has_feed = np.isin(program.motions.kind, (LIN, CIRC)) & (path.length > _SHORTEST) & (feed > 0.0)
+    seconds = path.length / np.where(has_feed, feed, 1.0)
+    least_limit = limits.values.min(axis=1)[limits.run]
+    rows = np.flatnonzero(has_feed & (path.turn / least_limit > seconds))  # `turn` is an upper bound
+
+    def turning_seconds(motion: Ints) -> tuple[Array]:
+        """Return how long the tool turns on motions (n,) [s]."""
+        places, t = even_places(motion, np.full(len(motion), _PARTS), "both ends")
+        inner_rotation = np.asarray(at(program, path, places, t).pose.rotation)
+        rotation = inner_rotation.reshape(len(motion), _PARTS + 1, 3, 3)
+        part_limits = np.repeat(limits.take(motion)[:, None], _PARTS, axis=1)
+        return (turn_seconds(rotation[:, :-1], rotation[:, 1:], part_limits).sum(axis=1),)
+
+    (turning,) = in_chunks(turning_seconds, rows)
+    is_slow = turning > seconds[rows] * (1.0 + 1e-9)
+    speed = feed.copy()
+    speed[rows[is_slow]] = path.length[rows[is_slow]] / turning[is_slow]
+    return speed
+
+
+def turn_seconds(start: Array, end: Array, limits: Array) -> Array:
+    """Return the least time (...) [s] of a turn of the tool.
+
+    :param start: (..., 3, 3) orientations of the tool frame; `end`: (..., 3, 3), less than half a turn from these.
+    :param limits: (..., 3) largest speeds [rad/s]: see `Program.turn_speeds`.
+    """
+    turn = rotation_vector(np.swapaxes(start, -1, -2) @ end)
+    swivel, rotation = norm(turn[..., 1:]), np.abs(turn[..., 0])
+    return np.asarray((np.stack([norm(turn), swivel, rotation], axis=-1) / limits).max(axis=-1))
