@@ -20,12 +20,13 @@ from postproc.chunks import Runs
 from postproc.elastostatics import Compensation, ToolSpring
 from postproc.errors import Issue, PostprocError
 from postproc.forces import ForceSource, PathForces
-from postproc.frames import M_PER_MM, MM_PER_M, Array, inverse, norm, product, rigid_displacement
+from postproc.frames import M_PER_MM, MM_PER_M, Array, inverse, norm, product
 from postproc.kinematics import ByWrist, JointPath, UnreachableError
 from postproc.poses import Poses
 from postproc.program import CIRC, PTP, Bools, Ints, Program, read_only
 from postproc.robot import RobotModel
 from postproc.toolpath import DisplacementEstimate, Pieces, Segments, Toolpath
+from postproc.touched_frames import TouchedFrames
 
 _GRID = np.radians(np.arange(-180.0, 180.0, 30.0))
 """Angles of A2, A3 and A5 [rad] that the reach is sought over; `_MARGIN` covers what is between."""
@@ -132,13 +133,13 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
 
     :param robot: the robot with the cell's payload.
     :param cell: the cell.
-    :param rest_shift: (4, 4) displacement in the root [m] that was taken out of the model of the arm: what frames that
-        the controller measured contain of it. None: nothing was.
+    :param touched_frames: displacement that was taken out of the model of the arm, since frames that the controller
+        measured contain it. None: nothing was.
     """
 
     robot: RobotModel
     cell: Cell
-    rest_shift: Array | None = None
+    touched_frames: TouchedFrames | None = None
 
     @classmethod
     def of(cls, robot: RobotModel, cell: Cell) -> RobotInCell:
@@ -228,7 +229,7 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
 
         :raises ImpossiblePathError: a target is out of reach.
         """
-        if self.cell.frames != "controller" or self.rest_is_nominal or self.rest_shift is not None:
+        if self.cell.frames != "controller" or self.rest_is_nominal or self.touched_frames is not None:
             return self
         cuts, q = self._cut_ends(program, segments)
         if len(cuts) == 0:
@@ -236,8 +237,8 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         tool = toolpath.tool_of(program, cuts)
         nominal_tip = kinematics.tcp(self.robot.nominal, q, tool)[0][:, :3, 3]
         shift = elastostatics.loaded_tip(self.robot, q, tool, np.zeros((len(q), 6))) - nominal_tip
-        rest_shift = rigid_displacement(nominal_tip, shift, segments.length[cuts])
-        return RobotInCell(self.robot.with_root(inverse(rest_shift)), self.cell, rest_shift)
+        frames = TouchedFrames.of(nominal_tip, shift, segments.length[cuts], program.motions.base[cuts])
+        return RobotInCell(self.robot.with_root(inverse(frames.shift)), self.cell, frames)
 
     def _cut_ends(self, program: Program, segments: Segments) -> tuple[Ints, Array]:
         """Return cutting motions (n,), of many a part, and the joint angles (n, 6) at their ends [rad].

@@ -494,6 +494,10 @@ class _PartErrors:
         load = draft.q[sample], path.tool(sample), path.wrench_in_root(sample), *_load_uncertainty(path, sample)
         loads = elastostatics.loads(*load, reverses, is_scaled)
         sources = elastostatics.sources_of_error(path.robot_in_cell.robot, *loads)
+        frames = path.robot_in_cell.touched_frames
+        if frames is not None:
+            slopes = frames.slopes(path.pose_in_root(sample)[:, :3, 3])
+            sources = sources.with_parameters(slopes, frames.covariance)
         uncorrected, corrected = (
             toolpath.directions_in_root(path.program, motion, offset[target])
             for offset in (self.deviation, self.remaining_deviation)

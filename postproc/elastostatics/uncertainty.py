@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import kinematics
 from postproc.chunks import in_chunks
@@ -122,6 +123,16 @@ class SourcesOfError(Struct, frozen=True, eq=False):
         """(n, 3, 3) covariance by all sources but the forces."""
         by_parameters = self.slopes @ self.covariance @ np.swapaxes(self.slopes, 1, 2)
         return sum(self.other.values(), by_parameters)
+
+    def with_parameters(self, slopes: Array, covariance: Array) -> SourcesOfError:
+        """Return the errors with k more parameters.
+
+        :param slopes: (n, 3, k) displacement for one unit of each; `covariance` (k, k), independent of the others.
+        """
+        size = len(self.covariance)
+        joint = np.zeros((size + len(covariance), size + len(covariance)))
+        joint[:size, :size], joint[size:, size:] = self.covariance, covariance
+        return replace(self, slopes=np.concatenate([self.slopes, slopes], axis=2), covariance=joint)
 
     def covariances(self) -> list[Array]:
         """Return the covariance (n, 3, 3) of the position for each correlation of the forces that is possible."""

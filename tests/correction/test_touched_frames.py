@@ -84,6 +84,11 @@ def converted(model, cell, mode="convert"):
 
 def error_on_part(arm, result, base, start):
     """Largest distance [mm] of the arm's loaded tip from the part at the cut targets of a written program."""
+    return max(errors_on_part(arm, result, base, start))
+
+
+def errors_on_part(arm, result, base, start):
+    """Distances [mm] of the arm's loaded tip from the part at the cut targets of a written program."""
     errors, numbers = [], result.printed
     for row in np.flatnonzero(~result.rapid):
         q = arm.inverse(base @ abc(*numbers[row]), TOOL, start)
@@ -91,7 +96,7 @@ def error_on_part(arm, result, base, start):
         tip = arm.loaded_tcp(q, TOOL, force)[:3, 3]
         point = PART[:3, :3] @ result.nominal[row][:3, 3] + PART[:3, 3]
         errors.append(np.linalg.norm(tip - point) * 1e3)
-    return max(errors)
+    return errors
 
 
 @pytest.mark.parametrize(("payload", "tilt_deg", "residual"), [(30.0, 0.0, 0.03), (0.0, 0.01, 0.06), (60.0, -0.1, 0.5)])
@@ -112,6 +117,25 @@ def test_a_base_that_this_arm_touched_contains_its_displacement_at_rest(tmp_path
         (issue,) = questions
         stated = float(re.search(r"is off by some ([\d.]+) mm[.]", issue.message)[1])
         assert 0.5 * stated < off < 2.0 * stated
+
+
+@pytest.mark.parametrize(
+    ("payload", "tilt_deg"), [(30.0, 0.0), (90.0, 0.0), (0.0, 0.1), (0.0, -0.3), (60.0, -0.1), (60.0, 0.1)]
+)
+def test_expected_error_contains_what_touched_points_leave(tmp_path, payload, tilt_deg):
+    arm, model = arm_and_robot(tmp_path, payload, tilt_deg)
+    base = three_point_base(arm, CELL.start_joints)
+    result = converted(model, cell_with(base, "controller", payload))
+    without = converted(model, cell_with(base, "model", payload))
+    errors = errors_on_part(arm, result, base, CELL.start_joints)
+    cuts = ~result.rapid
+    # what the bound has in addition to that of a frame without error: the same model and forces
+    of_frame = 1e3 * np.sqrt(np.maximum(result.bound[cuts] ** 2 - without.bound[cuts] ** 2, 0.0))
+    assert (errors <= result.bound[cuts] * 1e3).all()
+    assert (errors <= result.errors.after[cuts] * 1e3).all()
+    assert max(errors) <= of_frame.max() * 1.05  # bounds of sums are not quite sums of squares
+    assert of_frame.max() < 2.5 * max(errors)
+    assert result.errors.chance <= without.errors.chance
 
 
 def test_frames_of_the_model_are_exact_for_it(tmp_path):
