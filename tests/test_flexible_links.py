@@ -13,9 +13,8 @@ from postproc.elastostatics.equilibrium import springs_at_target
 from postproc.errors import ModelError
 from postproc.robot import parameters
 from postproc.robot.model_file import Gravity, Stiffening
-from tests.kr270 import CONTENT, FOLDER, NO_TOOL, ROBOT
+from tests.kr270 import CONTENT, FOLDER, ROBOT, SIDE_TOOL
 
-NO_TOOL[:3, 3] = [0.2, -0.06, 0.18]
 PARAMETERS = ["k1", "k2", "k1@500", "K_c", "s_0", "A2.RX", "A5.Z"]
 
 
@@ -47,7 +46,7 @@ def test_links_that_hardly_bend_change_nothing():
     stiff = flexible(1e-9, 1e-9, joints=CONTENT.joints)
     assert stiff.actual.nv == 6 + 7 * 9
     for function in (elastostatics.deflect, elastostatics.linear_deflection):
-        one, other = function(stiff, q, NO_TOOL, wrench), function(ROBOT, q, NO_TOOL, wrench)
+        one, other = function(stiff, q, SIDE_TOOL, wrench), function(ROBOT, q, SIDE_TOOL, wrench)
         if function is elastostatics.deflect:
             one, other = one.twist, other.twist
         np.testing.assert_allclose(one, other, atol=2e-8)
@@ -58,15 +57,15 @@ def test_links_that_hardly_bend_change_nothing():
 def test_inverse_and_compensation_undo_the_deflection(in_gears, reference):
     model = flexible(gravity=Gravity(reference, in_gears))
     q, wrench = cases()
-    found = elastostatics.deflect(model, q, NO_TOOL, wrench)
+    found = elastostatics.deflect(model, q, SIDE_TOOL, wrench)
     x = (elastostatics.coordinates(model, q) + found.theta).T
-    stands = kinematics.posture(model.loaded, x, kinematics.components(NO_TOOL), weigh=True)
+    stands = kinematics.posture(model.loaded, x, kinematics.components(SIDE_TOOL), weigh=True)
     load = np.einsum("ikn,ni->kn", stands.jacobian(), wrench)
     theta = springs_at_target(model, x, load, balance.static_torque(model, x, stands))
     np.testing.assert_allclose(theta, found.theta.T, atol=2e-8)
-    target = kinematics.tcp(model.nominal, q, NO_TOOL)[0]
-    command = elastostatics.compensate(model, target, q, NO_TOOL, wrench)
-    reached = elastostatics.deflect(model, command.q, NO_TOOL, wrench).pose
+    target = kinematics.tcp(model.nominal, q, SIDE_TOOL)[0]
+    command = elastostatics.compensate(model, target, q, SIDE_TOOL, wrench)
+    reached = elastostatics.deflect(model, command.q, SIDE_TOOL, wrench).pose
     np.testing.assert_allclose(reached, target, atol=1e-7)
 
 
@@ -76,8 +75,8 @@ def test_tangent_compliance_is_the_derivative_of_the_equilibrium():
     small = np.eye(6) * 0.5
     for column in range(6):
         wrench = np.repeat(small[None, column], 3, axis=0)
-        plus, minus = (elastostatics.deflect(model, q, NO_TOOL, sign * wrench).twist for sign in (1, -1))
-        tangent = elastostatics.tangent_compliance(model, q, NO_TOOL, 0 * wrench)[:, :, column]
+        plus, minus = (elastostatics.deflect(model, q, SIDE_TOOL, sign * wrench).twist for sign in (1, -1))
+        tangent = elastostatics.tangent_compliance(model, q, SIDE_TOOL, 0 * wrench)[:, :, column]
         np.testing.assert_allclose(plus - minus, tangent, rtol=1e-3, atol=1e-8)
 
 
@@ -100,7 +99,7 @@ def newton_step(model, q, wrench):
     feels = -rest if model.subtract_reference and model.carries_weight else 0.0 * rest
 
     def given(theta):
-        _, jacobian = kinematics.tcp(model.loaded, x0 + theta, NO_TOOL)
+        _, jacobian = kinematics.tcp(model.loaded, x0 + theta, SIDE_TOOL)
         torque = np.einsum("nij,ni->nj", jacobian, wrench) - held(model.loaded, x0 + theta)
         return balance.spring_deflection(model, (x0 + theta).T, (torque + rest * model.subtract_reference).T, feels.T)[
             0
@@ -108,7 +107,7 @@ def newton_step(model, q, wrench):
 
     h, size = 1e-5, x0.shape[1]
     slope = np.stack([(given(h * e) - given(-h * e)) / (2 * h) for e in np.eye(size)], axis=2)
-    _, jacobian = kinematics.tcp(model.loaded, x0, NO_TOOL)
+    _, jacobian = kinematics.tcp(model.loaded, x0, SIDE_TOOL)
     step = np.linalg.solve(np.eye(size) - slope, given(np.zeros_like(x0))[:, :, None])
     return (jacobian @ step)[..., 0]
 
@@ -118,7 +117,7 @@ def test_linear_deflection_is_the_first_newton_step_by_finite_differences(gravit
     model = flexible(gravity=gravity).with_payload(40.0, [0.1, 0.0, 0.2])
     q, wrench = cases(5)
     expected = newton_step(model, q, wrench)
-    linear = elastostatics.linear_deflection(model, q, NO_TOOL, wrench)
+    linear = elastostatics.linear_deflection(model, q, SIDE_TOOL, wrench)
     np.testing.assert_allclose(linear, expected, atol=1e-7 * np.abs(expected).max())
 
 
@@ -127,8 +126,8 @@ def test_linear_deflection_is_that_of_the_solver_but_for_the_load_stiffness(grav
     """They differ by C·H of load and weights; the tangent alone would be off by a fifth."""
     model = flexible(gravity=gravity).with_payload(40.0, [0.1, 0.0, 0.2])
     q, wrench = cases()
-    nonlinear = elastostatics.deflect(model, q, NO_TOOL, wrench).twist[:, :3]
-    linear = elastostatics.linear_deflection(model, q, NO_TOOL, wrench)[:, :3]
+    nonlinear = elastostatics.deflect(model, q, SIDE_TOOL, wrench).twist[:, :3]
+    linear = elastostatics.linear_deflection(model, q, SIDE_TOOL, wrench)[:, :3]
     assert np.all(np.linalg.norm(linear - nonlinear, axis=1) < 0.01 * np.linalg.norm(nonlinear, axis=1))
 
 
@@ -137,8 +136,8 @@ def test_linear_deflection_of_stiffening_gears_meets_the_equilibrium_with_the_sq
     q, wrench = cases(force=1000.0)
     gap = []
     for size in (1.0, 2.0):
-        found = elastostatics.deflect(model, q, NO_TOOL, size * wrench).twist[:, :3]
-        linear = elastostatics.linear_deflection(model, q, NO_TOOL, size * wrench)[:, :3]
+        found = elastostatics.deflect(model, q, SIDE_TOOL, size * wrench).twist[:, :3]
+        linear = elastostatics.linear_deflection(model, q, SIDE_TOOL, size * wrench)[:, :3]
         gap.append(np.linalg.norm(linear - found, axis=1) / np.linalg.norm(found, axis=1))
     assert np.median(gap[0]) < 2e-3  # the tangent compliance under the load times the load: 0.03
     assert np.median(gap[1] / gap[0]) == pytest.approx(2.0, abs=0.3)
@@ -161,7 +160,7 @@ def test_sensitivity_of_the_bound_is_that_of_the_deflection():
     covariance = robot.Covariance.of(PARAMETERS, np.eye(len(PARAMETERS)))
     model = replace(flexible(), covariance=covariance)
     q, wrench = cases(force=100.0)
-    slopes = elastostatics.sensitivity(model, q, NO_TOOL, wrench)
+    slopes = elastostatics.sensitivity(model, q, SIDE_TOOL, wrench)
 
     def joint(name, step, part=0.0):
         old = flexible_content().joints[name]
@@ -191,7 +190,7 @@ def test_sensitivity_of_the_bound_is_that_of_the_deflection():
     for index, name in enumerate(PARAMETERS):
         h, change = steps[name]
         plus, minus = (
-            elastostatics.deflect(flexible(**change(sign * h)), q, NO_TOOL, wrench).twist[:, :3] for sign in (1, -1)
+            elastostatics.deflect(flexible(**change(sign * h)), q, SIDE_TOOL, wrench).twist[:, :3] for sign in (1, -1)
         )
         slope = (plus - minus) / (2 * h)
         np.testing.assert_allclose(slopes[:, :, index], slope, atol=3e-2 * np.abs(slope).max(), err_msg=name)
@@ -203,7 +202,7 @@ def test_bound_counts_masses_and_compensator_where_gears_feel_them_at_rest(gravi
     names = ["A2.mass", "A3.mass", "A6.mass", "K_c"]
     model = replace(flexible(gravity=gravity), covariance=robot.Covariance.of(names, np.eye(4)))
     q, wrench = cases(force=100.0)
-    slopes = elastostatics.sensitivity(model, q, NO_TOOL, wrench)
+    slopes = elastostatics.sensitivity(model, q, SIDE_TOOL, wrench)
     felt = gravity != Gravity()
     assert (np.abs(slopes[:, :, :3]).max() > 1e-8) == felt
     if not felt:
@@ -218,7 +217,7 @@ def test_bound_counts_masses_and_compensator_where_gears_feel_them_at_rest(gravi
 
 
 def by_load(model, q, wrench):
-    there, here = (elastostatics.deflect(model, q, NO_TOOL, share * wrench).pose for share in (1.0, 0.0))
+    there, here = (elastostatics.deflect(model, q, SIDE_TOOL, share * wrench).pose for share in (1.0, 0.0))
     return (there - here)[:, :3, 3]
 
 
@@ -241,16 +240,16 @@ def test_95_percent_of_random_parameters_stay_within_the_bound():
     values = np.array([CONTENT.joints[j].compliance_urad_per_Nm for j in robot.JOINTS])
     model = replace(ROBOT, covariance=robot.Covariance.of(names, np.diag((spread * values) ** 2)))
     q, wrench = cases(30, 600.0)
-    bound = elastostatics.position_bound(model, q, NO_TOOL, wrench)
-    nominal = elastostatics.deflect(model, q, NO_TOOL, wrench).twist[:, :3]
+    bound = elastostatics.position_bound(model, q, SIDE_TOOL, wrench)
+    nominal = elastostatics.deflect(model, q, SIDE_TOOL, wrench).twist[:, :3]
     inside = []
     for _ in range(200):
         drawn = values * (1 + spread * rng.normal(size=6))
         other = replace(model, stiffness=np.diag(1e6 / drawn))
-        error = elastostatics.deflect(other, q, NO_TOOL, wrench).twist[:, :3] - nominal
+        error = elastostatics.deflect(other, q, SIDE_TOOL, wrench).twist[:, :3] - nominal
         inside.append(np.linalg.norm(error, axis=1) <= bound)
     assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
-    assert elastostatics.position_bound(replace(ROBOT, covariance=None), q, NO_TOOL, wrench) is None
+    assert elastostatics.position_bound(replace(ROBOT, covariance=None), q, SIDE_TOOL, wrench) is None
 
 
 @pytest.mark.parametrize("name", ["k9", "A2.RQ", "k2@x", "K_theta2_0", "A2.RX"])  # A2.RX: the robot has no such spring

@@ -10,12 +10,11 @@ from postproc import elastostatics, files, robot
 from postproc.errors import ModelError
 from postproc.robot.folder import assemble
 from postproc.robot.model_file import CovarianceTable, ForcesEntry
-from tests.kr270 import CONTENT, FOLDER, NO_TOOL
+from tests.kr270 import CONTENT, FOLDER, STRAIGHT_TOOL
 
 NAMES = ["k1", "k2", "k3", "k4", "k5", "k6"]
 LAW = (700.0, 200.0, 50.0, 20.0, 10.0, 1.0, 0.0, 10.0)
 ENTRY = ForcesEntry(source="test", cutting_N_per_mm2=LAW[:3], edge_N_per_mm=LAW[3:6], mc=LAW[6], sigma_percent=LAW[7])
-NO_TOOL[2, 3] = 0.35
 Q = np.radians([[0.0, -70.0, 110.0, 0.0, 50.0, 0.0], [20.0, -60.0, 90.0, 10.0, 60.0, 0.0]])
 WRENCH = np.array([[300.0, -150.0, 80.0, 0.0, 0.0, 0.0], [-50.0, 250.0, -120.0, 0.0, 0.0, 4.0]])
 
@@ -35,11 +34,11 @@ def model(by_force, variance=0.01):
 
 def bound(own, scaled):
     spread = 0.1 * np.abs(WRENCH)[:, :, None] * np.eye(6)
-    return elastostatics.position_bound(own, Q, NO_TOOL, WRENCH, spread, is_proportional=np.array(scaled))
+    return elastostatics.position_bound(own, Q, STRAIGHT_TOOL, WRENCH, spread, is_proportional=np.array(scaled))
 
 
 def moved(own):
-    return np.linalg.norm(elastostatics.deflect(own, Q, NO_TOOL, WRENCH).twist[:, :3], axis=1)
+    return np.linalg.norm(elastostatics.deflect(own, Q, STRAIGHT_TOOL, WRENCH).twist[:, :3], axis=1)
 
 
 def test_what_is_known_of_the_product_alone_is_known_of_the_deflection():

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from postproc import kinematics
-from tests.kr270 import FOLDER, NO_TOOL, ROBOT
+from tests.kr270 import FOLDER, ROBOT, tool_at
 from tests.oracle.arm import Arm
 
 ORACLE = Arm.load(FOLDER)
-NO_TOOL[:3, 3] = [0.05, -0.02, 0.35]
+OFF_AXIS_TOOL = tool_at(0.05, -0.02, 0.35)
 
 
 def jacobian(q, tool):
@@ -45,11 +45,13 @@ def test_margin_is_the_smallest_distance_of_each_joint_to_either_limit_of_the_ur
 
 def test_singular_value_is_the_smallest_along_the_path_whatever_the_tool_of_each_row():
     q = np.radians([[0, -70, 110, 0, 50, 0], [20, -60, 100, 30, -40, 10], [0, -70, 110, 0, 3, 0]])
-    assert kinematics.smallest_singular_value(ROBOT, q, NO_TOOL) == pytest.approx(smallest(q[2], NO_TOOL), rel=1e-9)
-    tools = np.stack([NO_TOOL, np.eye(4), NO_TOOL])
+    assert kinematics.smallest_singular_value(ROBOT, q, OFF_AXIS_TOOL) == pytest.approx(
+        smallest(q[2], OFF_AXIS_TOOL), rel=1e-9
+    )
+    tools = np.stack([OFF_AXIS_TOOL, np.eye(4), OFF_AXIS_TOOL])
     expected = min(smallest(angles, tool) for angles, tool in zip(q[:2], tools[:2], strict=True))
     assert kinematics.smallest_singular_value(ROBOT, q[:2], tools[:2]) == pytest.approx(expected, rel=1e-9)
-    assert np.isnan(kinematics.smallest_singular_value(ROBOT, q[:0], NO_TOOL))
+    assert np.isnan(kinematics.smallest_singular_value(ROBOT, q[:0], OFF_AXIS_TOOL))
 
 
 @pytest.mark.parametrize("place", [0, 7, 12_345, 29_999])
@@ -57,8 +59,8 @@ def test_the_narrowest_place_of_a_long_path_is_found_between_the_rows_looked_at_
     """A5 runs smoothly through its smallest angle at one row of 30 000."""
     q = np.tile(np.radians([0.0, -70.0, 110.0, 0.0, 0.0, 0.0]), (30_000, 1))
     q[:, 4] = np.radians(5.0) + np.radians(1e-4) * np.abs(np.arange(30_000) - place)
-    found = kinematics.smallest_singular_value(ROBOT, q, NO_TOOL)
-    assert found == pytest.approx(smallest(q[place], NO_TOOL), rel=1e-9)
+    found = kinematics.smallest_singular_value(ROBOT, q, OFF_AXIS_TOOL)
+    assert found == pytest.approx(smallest(q[place], OFF_AXIS_TOOL), rel=1e-9)
 
 
 @pytest.mark.parametrize("place", range(1, 9))
@@ -66,4 +68,6 @@ def test_every_row_of_a_short_path_is_looked_at(place):
     """One row alone has A5 near zero; those next to it say nothing of it, and the first one has a smaller value."""
     q = np.tile(np.radians([0.0, -70.0, 110.0, 0.0, 50.0, 0.0]), (9, 1))
     q[0, 4], q[place, 4] = np.radians(20.0), np.radians(3.0)
-    assert kinematics.smallest_singular_value(ROBOT, q, NO_TOOL) == pytest.approx(smallest(q[place], NO_TOOL), rel=1e-9)
+    assert kinematics.smallest_singular_value(ROBOT, q, OFF_AXIS_TOOL) == pytest.approx(
+        smallest(q[place], OFF_AXIS_TOOL), rel=1e-9
+    )

@@ -16,7 +16,7 @@ from postproc.identification.fit import gauss_newton, to_file_units
 from postproc.identification.measurement_model import Structure, measured_displacements, predict
 from postproc.robot import parameters
 from samples.paper_study import harness, simulator
-from tests.kr270 import CONTENT, FOLDER, NO_TOOL, ROBOT
+from tests.kr270 import CONTENT, FOLDER, ROBOT, SIDE_TOOL
 from tests.test_flexible_links import cases, flexible
 
 JOINT = st.sampled_from(robot.JOINTS)
@@ -182,7 +182,7 @@ def test_a_new_kind_is_one_class(tmp_path, monkeypatch):
     job, wrench = cases(force=300.0)
     model = replace(fit.robot, covariance=robot.Covariance(found, covariance))
     without = replace(fit.robot, covariance=robot.Covariance(found[:6], covariance[:6, :6]))
-    bound, less = (elastostatics.position_bound(each, job, NO_TOOL, wrench) for each in (model, without))
+    bound, less = (elastostatics.position_bound(each, job, SIDE_TOOL, wrench) for each in (model, without))
     assert np.all(bound > 0)
     assert not np.allclose(bound, less, rtol=1e-3)
 

@@ -9,9 +9,8 @@ from msgspec.structs import replace
 from postproc import elastostatics, robot
 from postproc.frames import rotation_from_vector
 from postproc.robot import Backlash, LostMotion
-from tests.kr270 import NO_TOOL, ROBOT
+from tests.kr270 import ROBOT, STRAIGHT_TOOL
 
-NO_TOOL[2, 3] = 0.35
 POSE = np.radians([[10.0, -70.0, 100.0, 20.0, 50.0, 0.0]])
 ANGLE = 50e-6
 
@@ -30,7 +29,7 @@ def _total(model: robot.RobotModel, q: np.ndarray, wrench: np.ndarray) -> np.nda
 
     def work(angles: np.ndarray) -> np.ndarray:
         frames, flange = model.loaded.joint_frames(angles)
-        tip = flange @ NO_TOOL
+        tip = flange @ STRAIGHT_TOOL
         weight = np.zeros(len(angles))
         for joint in range(6):
             turn = rotation_from_vector(angles[:, joint, None] * model.loaded.axis[joint])
@@ -48,7 +47,7 @@ def _total(model: robot.RobotModel, q: np.ndarray, wrench: np.ndarray) -> np.nda
 def test_reversals_are_where_the_total_torque_changes_its_sign():
     q, wrench = _sweep()
     torque = _total(ROBOT, q, wrench)
-    found = elastostatics.reversals(ROBOT, q, NO_TOOL, wrench)
+    found = elastostatics.reversals(ROBOT, q, STRAIGHT_TOOL, wrench)
     expected = {
         (row + 1, joint)
         for joint in range(6)
@@ -66,12 +65,12 @@ def test_the_step_is_what_the_tool_moves_as_the_gear_turns_over(kind):
     """Against the equilibrium on both sides of the reversal, at a torque that hardly bends the springs."""
     model = replace(ROBOT, terms=((kind("A1", 1.0), ANGLE),))
     q, wrench = _sweep()
-    found = elastostatics.reversals(model, q, NO_TOOL, wrench)
+    found = elastostatics.reversals(model, q, STRAIGHT_TOOL, wrench)
     (at,) = np.flatnonzero(found.joint == 0)
     small = np.zeros((2, 6))
     small[:, 1] = (-20.0, 20.0)
     both = np.repeat(POSE, 2, axis=0)
-    loose, tight = (elastostatics.deflect(each, both, NO_TOOL, small).twist[:, :3] for each in (model, ROBOT))
+    loose, tight = (elastostatics.deflect(each, both, STRAIGHT_TOOL, small).twist[:, :3] for each in (model, ROBOT))
     step = np.linalg.norm(np.diff(loose - tight, axis=0))
     assert found.step[at] == pytest.approx(step, rel=1e-3)
     assert found.step[at] > 1e-4
@@ -85,7 +84,7 @@ def test_backlash_under_the_weights_turns_over_with_the_total_torque():
     q, wrench = _sweep()
     wrench[:, 2] = 6.0 * wrench[:, 1]
     torque = _total(ROBOT, q, wrench)
-    found = elastostatics.reversals(model, q, NO_TOOL, wrench)
+    found = elastostatics.reversals(model, q, STRAIGHT_TOOL, wrench)
     for joint in (2, 3, 4):
         expected = np.flatnonzero(torque[1:, joint] * torque[:-1, joint] < 0.0) + 1
         assert len(expected) == 1
@@ -97,7 +96,7 @@ def test_backlash_under_the_weights_turns_over_with_the_total_torque():
 def test_a_torque_that_only_comes_near_zero_does_not_reverse():
     q, wrench = _sweep()
     wrench[:, 1] = np.abs(wrench[:, 1]) + 30.0
-    found = elastostatics.reversals(ROBOT, q, NO_TOOL, wrench)
+    found = elastostatics.reversals(ROBOT, q, STRAIGHT_TOOL, wrench)
     assert 0 not in found.joint
 
 
@@ -106,7 +105,7 @@ def test_the_bound_counts_the_flank_only_where_it_is_not_known():
     lost = LostMotion("A1", 300.0)
     model = replace(ROBOT, terms=((lost, ANGLE),), covariance=replace(ROBOT.covariance, matrix=np.zeros((7, 7))))
     q, wrench = _sweep(9)
-    bound = elastostatics.position_bound(model, q, NO_TOOL, wrench)
+    bound = elastostatics.position_bound(model, q, STRAIGHT_TOOL, wrench)
     assert bound[4] == pytest.approx(1.96 * ANGLE * _lever(), rel=0.03)
     assert bound[[0, 8]].max() < 0.1 * bound[4]
     assert (np.diff(bound[:5]) > 0.0).all()
@@ -117,7 +116,7 @@ def test_the_bound_counts_the_flank_only_where_it_is_not_known():
     assert bound[3] == pytest.approx(1.96 * np.sqrt(np.mean(drawn**2)) * ANGLE * _lever(), rel=0.03)
     turning = np.zeros((9, 6), dtype=bool)
     turning[0, 0] = True
-    assert elastostatics.position_bound(model, q, NO_TOOL, wrench, turning=turning)[0] == pytest.approx(
+    assert elastostatics.position_bound(model, q, STRAIGHT_TOOL, wrench, turning=turning)[0] == pytest.approx(
         bound[4], rel=1e-6
     )
 
@@ -125,13 +124,13 @@ def test_the_bound_counts_the_flank_only_where_it_is_not_known():
 def test_the_bound_counts_what_the_payload_does():
     payload = ROBOT.with_payload(150.0, np.array([0.0, 0.0, 0.2]))
     only = replace(payload, covariance=robot.Covariance.of(["k3"], [[(0.25 * 0.416) ** 2]]))
-    bound = elastostatics.position_bound(only, POSE, NO_TOOL, np.zeros((1, 6)))[0]
+    bound = elastostatics.position_bound(only, POSE, STRAIGHT_TOOL, np.zeros((1, 6)))[0]
     softer = replace(only, stiffness=np.diag(np.diag(only.stiffness) / np.array([1.0, 1.0, 1.001, 1.0, 1.0, 1.0])))
-    moved = [elastostatics.deflect(each, POSE, NO_TOOL, np.zeros((1, 6))).twist[0, :3] for each in (only, softer)]
+    moved = [elastostatics.deflect(each, POSE, STRAIGHT_TOOL, np.zeros((1, 6))).twist[0, :3] for each in (only, softer)]
     assert bound == pytest.approx(1.96 * 250.0 * np.linalg.norm(moved[1] - moved[0]), rel=0.03)
 
 
 def _lever() -> float:
     """Distance of the tip from the axis of A1."""
-    tip = (ROBOT.nominal.joint_frames(POSE)[1][0] @ NO_TOOL)[:3, 3]
+    tip = (ROBOT.nominal.joint_frames(POSE)[1][0] @ STRAIGHT_TOOL)[:3, 3]
     return float(np.hypot(tip[0], tip[1]))

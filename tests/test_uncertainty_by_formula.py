@@ -13,12 +13,12 @@ from postproc.elastostatics.equilibrium import linear_compliance
 from postproc.elastostatics.reversals import flank_covariance
 from postproc.elastostatics.uncertainty import LENGTH_95, length_bound, loads, sources_of_error
 from postproc.robot import Backlash, LostMotion
-from tests.kr270 import NO_TOOL, ROBOT
+from tests.kr270 import ROBOT, tool_at
 
-NO_TOOL[:3, 3] = 0.1, -0.05, 0.35
+OFF_AXIS_TOOL = tool_at(0.1, -0.05, 0.35)
 Q = np.radians([[10.0, -70.0, 100.0, 20.0, 50.0, 0.0], [-30.0, -60.0, 90.0, 80.0, -40.0, 60.0]])
 WRENCH = np.array([[300.0, -200.0, 400.0, 20.0, -30.0, 10.0], [-100.0, 500.0, -50.0, -10.0, 15.0, 25.0]])
-REACTION = linear_compliance(ROBOT, Q, NO_TOOL, WRENCH)[:, :3]
+REACTION = linear_compliance(ROBOT, Q, OFF_AXIS_TOOL, WRENCH)[:, :3]
 
 
 @pytest.mark.parametrize("values", [(1.0, 1.0, 1.0), (1.0, 0.5, 0.2), (1.0, 0.9, 0.1), (4.0, 4.0, 0.0)])
@@ -43,7 +43,7 @@ def test_length_95_is_the_root_of_the_chi_square_of_three():
 
 def sources(model=ROBOT, spread=None, in_series=None, proportional=(False, False)):
     """Errors at both poses without what turns."""
-    return sources_of_error(model, *loads(Q, NO_TOOL, WRENCH, spread, in_series, None, np.array(proportional)))
+    return sources_of_error(model, *loads(Q, OFF_AXIS_TOOL, WRENCH, spread, in_series, None, np.array(proportional)))
 
 
 def test_certain_forces_have_no_error():
@@ -116,15 +116,15 @@ def test_sources_of_the_robot_add_up_as_covariances():
     by_parameters = errors.slopes @ ROBOT.covariance.matrix @ errors.slopes.transpose(0, 2, 1)
     np.testing.assert_allclose(errors.by_robot, by_parameters + sum(errors.other.values()), rtol=1e-12)
     assert set(sources().other) == {"lost motion of the gears"}
-    bound = uncertainty.position_bound(model, Q, NO_TOOL, WRENCH)
+    bound = uncertainty.position_bound(model, Q, OFF_AXIS_TOOL, WRENCH)
     np.testing.assert_allclose(bound, length_bound(errors.by_robot), rtol=1e-9)
-    assert uncertainty.position_bound(replace(model, covariance=None), Q, NO_TOOL, WRENCH) is None
+    assert uncertainty.position_bound(replace(model, covariance=None), Q, OFF_AXIS_TOOL, WRENCH) is None
 
 
 def lever(joint: int, row: int) -> np.ndarray:
     """What a radian of a joint displaces the tip by at a pose (3,), by differences [m]."""
     step = 1e-6 * np.eye(6)[joint]
-    plus, minus = (ROBOT.nominal.joint_frames((Q[row] + s * step)[None])[1][0] @ NO_TOOL for s in (1, -1))
+    plus, minus = (ROBOT.nominal.joint_frames((Q[row] + s * step)[None])[1][0] @ OFF_AXIS_TOOL for s in (1, -1))
     return (plus[:3, 3] - minus[:3, 3]) / 2e-6
 
 
@@ -141,16 +141,16 @@ def test_flanks_that_are_not_known_scatter_the_tool_by_the_lever_of_the_joint(ki
         torque[n, 1] += WRENCH[n, 3:] @ a3
     turning = np.zeros((2, 6), dtype=bool)
     turning[1, 2] = True
-    found = flank_covariance(model, Q, NO_TOOL, WRENCH, turning)
+    found = flank_covariance(model, Q, OFF_AXIS_TOOL, WRENCH, turning)
     for n in range(2):
         expected = np.zeros((3, 3))
         for column, (joint, value) in enumerate(zip((0, 2), values.values(), strict=True)):
             share = 1.0 if turning[n, joint] else 1.0 - np.tanh(torque[n, column] / 300.0) ** 2
             expected += value**2 * share * np.outer(lever(joint, n), lever(joint, n))
         np.testing.assert_allclose(found[n], expected, rtol=1e-6, atol=1e-16)
-    assert not flank_covariance(ROBOT, Q, NO_TOOL, WRENCH, turning).any()
+    assert not flank_covariance(ROBOT, Q, OFF_AXIS_TOOL, WRENCH, turning).any()
     zero = replace(ROBOT, terms=((kind("A1", 300.0), 0.0),))
-    assert not flank_covariance(zero, Q, NO_TOOL, WRENCH, turning).any()
+    assert not flank_covariance(zero, Q, OFF_AXIS_TOOL, WRENCH, turning).any()
 
 
 def forces_on_a1(torques) -> np.ndarray:
@@ -173,7 +173,7 @@ def forces_on_a1(torques) -> np.ndarray:
 )
 def test_a_direction_changes_between_the_last_and_the_next_torque_that_counts(torques, expected):
     q = np.repeat(Q[:1], 4, axis=0)
-    found = elastostatics.reversals(ROBOT, q, NO_TOOL, forces_on_a1(torques))
+    found = elastostatics.reversals(ROBOT, q, OFF_AXIS_TOOL, forces_on_a1(torques))
     pairs = [(int(a), int(b)) for a, b, j in zip(found.before, found.row, found.joint, strict=True) if j == 0]
     assert pairs == expected
     assert (np.diff(found.row) >= 0).all()
@@ -183,7 +183,7 @@ def test_a_direction_changes_between_the_last_and_the_next_torque_that_counts(to
 def test_a_gear_with_lost_motion_changes_its_flank_beyond_its_own_torque(torque):
     model = replace(ROBOT, terms=((LostMotion("A1", torque), 1e-4), (Backlash("A6", 1e-3), 0.0)))
     q = np.repeat(Q[:1], 4, axis=0)
-    found = elastostatics.reversals(model, q, NO_TOOL, forces_on_a1((5.0, 3.0, -3.0, -5.0)))
+    found = elastostatics.reversals(model, q, OFF_AXIS_TOOL, forces_on_a1((5.0, 3.0, -3.0, -5.0)))
     (at,) = np.flatnonzero(found.joint == 0)
     assert (found.before[at], found.row[at]) == ((1, 2) if torque == 2.0 else (0, 3))
     assert found.step[at] == pytest.approx(2e-4 * np.linalg.norm(lever(0, 0)), rel=1e-6)

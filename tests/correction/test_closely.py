@@ -16,13 +16,12 @@ from postproc.correction import inspection
 from postproc.poses import Poses
 from postproc.program import CIRC, LIN
 from postproc.under_load import MotionsUnderLoad, PathUnderLoad, RobotInCell
-from tests.kr270 import CELL, FOLDER, NO_TOOL, ROBOT
+from tests.kr270 import CELL, FOLDER, ROBOT, STRAIGHT_TOOL
 from tests.oracle.arm import Arm
 from tests.programs import program
 
 CELL_WITH_START = changed(CELL, start=cells.Start(joints=(0.0, -70.0, 110.0, 0.0, 50.0, 0.0)))
 ARM = Arm.load(FOLDER)
-NO_TOOL[2, 3] = 0.35
 RNG = np.random.default_rng(8)
 POSTURES = np.radians(RNG.uniform([-60, -100, 80, -80, 20, -80], [60, -50, 120, 80, 80, 80], size=(6, 6)))
 NORMALS = RNG.normal(size=(6, 3))
@@ -30,7 +29,7 @@ NORMALS = RNG.normal(size=(6, 3))
 
 def circle(posture, normal, radius_mm, feed, begin_deg=0.0, sweep_deg=360.0):
     """An arc about the tip of a posture (its tool frame is `$BASE`), and (n, 6) joint angles along it, every 3°."""
-    base, normal = ARM.nominal_tcp(posture, NO_TOOL), normal / np.linalg.norm(normal)
+    base, normal = ARM.nominal_tcp(posture, STRAIGHT_TOOL), normal / np.linalg.norm(normal)
     along = np.cross(normal, [0.6, 0.0, 0.8])
     along /= np.linalg.norm(along)
     across = np.cross(normal, along)
@@ -38,7 +37,7 @@ def circle(posture, normal, radius_mm, feed, begin_deg=0.0, sweep_deg=360.0):
     spots = radius_mm * (np.cos(angles)[:, None] * along + np.sin(angles)[:, None] * across)
     made = program(
         [("PTP", *spots[0]), ("CIRC", *spots[-1], 0, 0, 0, sweep_deg, normal)],
-        bases=base[None], tools=NO_TOOL[None], orientation=np.eye(3),
+        bases=base[None], tools=STRAIGHT_TOOL[None], orientation=np.eye(3),
     )  # fmt: skip
     made.motions.feed[1] = feed
     made.motions.status[0] = 2 + 4 * (posture[4] < 0.0)
@@ -46,7 +45,7 @@ def circle(posture, normal, radius_mm, feed, begin_deg=0.0, sweep_deg=360.0):
     for spot in spots:
         pose = base.copy()
         pose[:3, 3] += base[:3, :3] @ spot / 1000.0
-        joints.append(ARM.inverse(pose, NO_TOOL, joints[-1] if joints else posture))
+        joints.append(ARM.inverse(pose, STRAIGHT_TOOL, joints[-1] if joints else posture))
     return made, np.array(joints)
 
 
@@ -88,7 +87,7 @@ def test_a_wrist_singularity_in_the_middle_of_an_arc_is_found(begin):
     """The wrist is straight at one place of a circle of 20 mm."""
     straight = POSTURES[0].copy()
     straight[4] = 0.0
-    base = ARM.nominal_tcp(straight, NO_TOOL)
+    base = ARM.nominal_tcp(straight, STRAIGHT_TOOL)
     normal = np.array([0.0, 1.0, 0.0])
     centre, radius = np.array([-20.0, 0.0, 0.0]), 20.0
 
@@ -97,7 +96,7 @@ def test_a_wrist_singularity_in_the_middle_of_an_arc_is_found(begin):
 
     made = program(
         [("PTP", *spot(np.radians(begin))), ("CIRC", *spot(np.radians(begin + 190.0)), *centre, 190.0, normal)],
-        bases=base[None], tools=NO_TOOL[None], orientation=np.eye(3),
+        bases=base[None], tools=STRAIGHT_TOOL[None], orientation=np.eye(3),
     )  # fmt: skip
     made.motions.feed[1], made.motions.status[0] = 1e-4, 2
     assert errors(made) == ["wrist-singularity"]

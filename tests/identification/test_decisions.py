@@ -15,9 +15,8 @@ from postproc.identification.joint_springs import UnobservableParameter
 from postproc.identification.measurement_model import Structure
 from postproc.robot import JOINT_COMPLIANCES, CompensatorPreload, CompensatorStiffness
 from samples.paper_study import harness
-from tests.identification.test_joint_springs import ARM, SPRINGS, forces, placed, posed, readings
+from tests.identification.test_joint_springs import ARM, LOADED_TIP, SPRINGS, forces, placed, posed, readings
 from tests.identification.test_judgement import fit_of
-from tests.kr270 import NO_TOOL
 
 BARE = replace(harness.PRIOR, compensator=None)
 SPRING = (CompensatorStiffness(), CompensatorPreload())
@@ -98,7 +97,7 @@ def test_joints_without_torque_are_those_below_a_fiftieth_of_the_largest():
     wrench = np.zeros_like(data.wrench)
     wrench[1::2, 2] = -500.0  # vertical: nothing on A1
     data = replace(data, wrench=wrench)
-    torque = np.max([np.abs(ARM.gradient(lambda x: -500.0 * ARM.tcp(x, NO_TOOL)[2, 3], q)) for q in data.q], axis=0)
+    torque = np.max([np.abs(ARM.gradient(lambda x: -500.0 * ARM.tcp(x, LOADED_TIP)[2, 3], q)) for q in data.q], axis=0)
     expected = [joint for joint in range(6) if torque[joint] < 0.02 * torque.max()]
     assert 0 in expected
     assert [JOINT_COMPLIANCES.index(joint) for joint in joint_springs.unloaded_joints(BARE, data)] == expected
@@ -110,7 +109,7 @@ def test_all_candidates_have_their_kind_and_gears_have_torques_of_their_joint():
     wrench = np.zeros_like(data.wrench)
     wrench[1::2, 2] = -500.0
     data = replace(data, wrench=wrench)
-    torque = np.max([np.abs(ARM.gradient(lambda x: -500.0 * ARM.tcp(x, NO_TOOL)[2, 3], q)) for q in data.q], axis=0)
+    torque = np.max([np.abs(ARM.gradient(lambda x: -500.0 * ARM.tcp(x, LOADED_TIP)[2, 3], q)) for q in data.q], axis=0)
     loaded = [joint for joint in range(6) if torque[joint] >= 0.02 * torque.max()]
     assert 0 not in loaded
     for in_gears in (False, True):
@@ -234,7 +233,7 @@ def test_the_extended_set_has_the_compliance_of_joint_2_at_each_level():
     for n in range(9):
         springs = SPRINGS.copy()
         springs[1] = k2[level[n]]
-        torque = ARM.gradient(lambda x, n=n: wrench[n, :3] @ ARM.tcp(x, NO_TOOL)[:3, 3], q[n])
+        torque = ARM.gradient(lambda x, n=n: wrench[n, :3] @ ARM.tcp(x, LOADED_TIP)[:3, 3], q[n])
         for state, x in ((2 * n, q[n]), (2 * n + 1, q[n] + springs * torque)):
             flange = ARM.tcp(x, np.eye(4))
             rows = np.flatnonzero(data.state == state)

@@ -16,7 +16,7 @@ from postproc.identification.measurement_model import Placement, Structure, loca
 from postproc.identification.readings import Measurements
 from postproc.robot import JOINT_COMPLIANCES
 from samples.paper_study import harness
-from tests.kr270 import NO_TOOL
+from tests.kr270 import tool_at
 from tests.oracle.arm import Arm
 
 ARM = Arm.load(robot.find("kuka_kr270"))
@@ -24,7 +24,7 @@ SPRINGS = np.array([0.3, 0.2, 0.5, 3.0, 5.0, 2.5]) * 1e-6
 """Of the robot that is measured [rad/(N·m)]."""
 POINTS = np.array([[0.0, 0.0, 0.12], [0.3, 0.0, 0.05], [-0.1, 0.25, 0.02], [0.1, -0.2, 0.3]])
 LOAD_POINT = np.array([0.02, -0.03, 0.35])
-NO_TOOL[:3, 3] = LOAD_POINT
+LOADED_TIP = tool_at(*LOAD_POINT)
 
 
 def posed(seed, count):
@@ -38,7 +38,7 @@ def readings(wrench, count=10, seed=1, springs=SPRINGS, points=POINTS, device=No
     q, device = posed(seed, count), np.eye(4) if device is None else device
     place = np.empty((2 * count, len(points), 3))
     for n, angles in enumerate(q):
-        work = ARM.gradient(lambda x, n=n: wrench[n, :3] @ ARM.tcp(x, NO_TOOL)[:3, 3], angles)
+        work = ARM.gradient(lambda x, n=n: wrench[n, :3] @ ARM.tcp(x, LOADED_TIP)[:3, 3], angles)
         torque = work + ARM.moment_torque(angles, wrench[n, 3:])
         for state, x in ((2 * n, angles), (2 * n + 1, angles + springs * torque)):
             flange = device @ ARM.tcp(x, np.eye(4))
@@ -84,7 +84,7 @@ def test_the_serial_method_finds_the_springs_of_a_serial_chain(moments):
         before, after = before @ DEVICE[:3, :3], after @ DEVICE[:3, :3]  # in root axes
         turn, _ = Rotation.align_vectors(after - after.mean(axis=0), before - before.mean(axis=0))
         np.testing.assert_allclose(moved[n, 3:], turn.as_rotvec(), atol=1e-9)
-        tip = ARM.tcp(angles, NO_TOOL)[:3, 3]
+        tip = ARM.tcp(angles, LOADED_TIP)[:3, 3]
         np.testing.assert_allclose(
             moved[n, :3], turn.apply(tip - before.mean(axis=0)) + after.mean(axis=0) - tip, atol=1e-9
         )
@@ -103,7 +103,7 @@ def test_uncertainty_of_the_serial_method_is_that_of_least_squares():
     moved, wrench = joint_springs.flange_displacements(data, placed(data)), data.wrench[1::2]
     rows = []
     for n, angles in enumerate(data.q):
-        position = np.array([ARM.gradient(lambda x, a=a: ARM.tcp(x, NO_TOOL)[a, 3], angles) for a in range(3)])
+        position = np.array([ARM.gradient(lambda x, a=a: ARM.tcp(x, LOADED_TIP)[a, 3], angles) for a in range(3)])
         turning = np.array([ARM.moment_torque(angles, axis) for axis in np.eye(3)])
         rows.append(np.vstack([position, turning]) * (wrench[n, :3] @ position))
     design, target = np.vstack(rows), moved.ravel()
@@ -280,7 +280,7 @@ def test_unmodelled_errors_by_level_are_sums_over_configurations():
                 position = np.array(
                     [ARM.gradient(lambda x, a=a, s=shift: ARM.tcp(x, s)[a, 3], data.q[n]) for a in range(3)]
                 )
-                torque = ARM.gradient(lambda x, n=n: wrench[n, :3] @ ARM.tcp(x, NO_TOOL)[:3, 3], data.q[n])
+                torque = ARM.gradient(lambda x, n=n: wrench[n, :3] @ ARM.tcp(x, LOADED_TIP)[:3, 3], data.q[n])
                 slopes += position * torque / len(points)
             own.append(np.trace(slopes @ fit.covariance @ slopes.T))
         assert result.own[level] == pytest.approx(np.sqrt(np.mean(own)), rel=0.02)  # linear in the load
@@ -291,9 +291,9 @@ def test_loads_in_the_workspace_are_those_that_were_measured_and_no_joint_gets_m
     data = readings(wrench)
     sigma = 0.02 * harness.PRIOR.compliance * 1e6
     model = replace(harness.PRIOR, covariance=robot.Covariance(robot.JOINT_COMPLIANCES, np.diag(sigma**2)))
-    q, direction = uncertainty._poses(model, NO_TOOL)
+    q, direction = uncertainty._poses(model, LOADED_TIP)
     assert len(q) == 100
-    tips = np.array([ARM.tcp(angles, NO_TOOL)[:3, 3] for angles in q])
+    tips = np.array([ARM.tcp(angles, LOADED_TIP)[:3, 3] for angles in q])
     assert tips[:, 2].min() > 0.0
     assert np.hypot(tips[:, 0], tips[:, 1]).min() > 0.6  # a quarter of the reach, about
     assert np.hypot(tips[:, 0], tips[:, 1]).min() < 0.9
@@ -301,7 +301,7 @@ def test_loads_in_the_workspace_are_those_that_were_measured_and_no_joint_gets_m
     np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0)
 
     def torques(angles, force):
-        return np.abs(ARM.gradient(lambda x: force @ ARM.tcp(x, NO_TOOL)[:3, 3], angles))
+        return np.abs(ARM.gradient(lambda x: force @ ARM.tcp(x, LOADED_TIP)[:3, 3], angles))
 
     measured = np.max([torques(angles, wrench[n, :3]) for n, angles in enumerate(data.q)], axis=0)
     largest = np.linalg.norm(wrench[:, :3], axis=1).max()

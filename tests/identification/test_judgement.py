@@ -22,8 +22,7 @@ from postproc.identification.measurement_model import (
 from postproc.identification.uncertainty import Workspace, WorkspaceLevel, judge
 from postproc.robot import JOINT_COMPLIANCES
 from samples.paper_study import harness
-from tests.identification.test_joint_springs import ARM, POINTS, SPRINGS, forces, placed, posed, readings
-from tests.kr270 import NO_TOOL
+from tests.identification.test_joint_springs import ARM, LOADED_TIP, POINTS, SPRINGS, forces, placed, posed, readings
 
 FINE = Workspace((WorkspaceLevel(500.0, 1e-3, 1e-4, 0.1, 1.0),), 400.0, "", (0.0,) * 6)
 
@@ -218,8 +217,8 @@ def test_the_cause_of_a_wide_bound_is_the_joint_with_the_largest_variance_there(
     """By differences of the arm: the displacement of the tool by each compliance, its variance summed over axes."""
     q = posed(5, 1)[0]
     wrench = np.array([200.0, -300.0, 500.0, 0, 0, 0])
-    torque = ARM.gradient(lambda x: wrench[:3] @ ARM.tcp(x, NO_TOOL)[:3, 3], q)
-    slopes = np.array([ARM.gradient(lambda x, a=a: ARM.tcp(x, NO_TOOL)[a, 3], q) for a in range(3)]) * torque
+    torque = ARM.gradient(lambda x: wrench[:3] @ ARM.tcp(x, LOADED_TIP)[:3, 3], q)
+    slopes = np.array([ARM.gradient(lambda x, a=a: ARM.tcp(x, LOADED_TIP)[a, 3], q) for a in range(3)]) * torque
     for joint in range(5):
         # the joint gives a little more than all others together
         sigma = np.full(6, 1e-9) / np.linalg.norm(slopes, axis=0)
@@ -230,13 +229,13 @@ def test_the_cause_of_a_wide_bound_is_the_joint_with_the_largest_variance_there(
             harness.PRIOR, covariance=robot.Covariance(JOINT_COMPLIANCES, np.diag((1e6 * sigma) ** 2)),
             discrepancy=None,
         )  # fmt: skip
-        cause = uncertainty._cause(model, q, NO_TOOL, wrench, 1e-3)
+        cause = uncertainty._cause(model, q, LOADED_TIP, wrench, 1e-3)
         assert cause == (
             f"most of it comes from A{joint + 1}, whose readings do not determine {JOINT_COMPLIANCES[joint].title}"
         )
     for off, named in ((0.49e-3, False), (0.51e-3, True)):
         model = replace(model, discrepancy=robot.Discrepancy(np.array([100.0, 900.0]), np.array([off, off])))
-        cause = uncertainty._cause(model, q, NO_TOOL, wrench, 1e-3)
+        cause = uncertainty._cause(model, q, LOADED_TIP, wrench, 1e-3)
         assert cause.startswith("the unmodelled error is 0.510 of 1.000 mm") == named
 
 

@@ -17,7 +17,7 @@ from tests.dialects.test_rapid import read as read_rapid
 from tests.dialects.test_rapid_reading import at, module, tail
 from tests.kr270 import ROBOT
 from tests.machining.setting import AL7075
-from tests.machining.test_robot_tools import CELL as CELL_TEXT
+from tests.machining.test_robot_tools import TWO_TOOLS_CELL
 
 TEETH, DEPTH, RPM = 3, 3.0, 8000.0
 PROCESS = f"""[material]
@@ -112,7 +112,7 @@ def test_turn_speed_that_does_not_bind_changes_nothing(tmp_path, forces, motion)
 
 def test_correction_is_that_of_the_same_program_with_the_slower_feed(tmp_path):
     """Text and feed of the written program stay; its correction is that of 11.111 mm/s."""
-    (tmp_path / "cell.toml").write_text(CELL_TEXT.format(length=320.0))
+    (tmp_path / "cell.toml").write_text(TWO_TOOLS_CELL.format(length=320.0))
     (tmp_path / "process.toml").write_text(PROCESS)
     options = ("--cell", tmp_path / "cell.toml", "--process", tmp_path / "process.toml", "-o", tmp_path / "out")
     written = {}
