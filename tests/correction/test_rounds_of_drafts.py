@@ -11,6 +11,7 @@ from msgspec import Struct
 
 from postproc.correction import checks
 from postproc.errors import Issue
+from postproc.poses import Poses
 
 process = importlib.import_module("postproc.correction.process")
 
@@ -45,8 +46,7 @@ class Script:
         ]
         missed = self.missed[number] if number < len(self.missed) else 0
         rows = (np.arange(missed), np.zeros(missed), np.zeros(missed))
-        pose = np.tile(np.eye(4), (2, 1, 1))
-        pose[:, :3, 3] = number
+        pose = Poses.fixed(np.full((2, 3), float(number)), np.eye(3))
         path = SimpleNamespace(sample=SimpleNamespace(pose=pose), number=number)
         simulation = SimpleNamespace(missed=rows) if self.simulated else None
         return SimpleNamespace(
