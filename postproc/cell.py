@@ -400,8 +400,8 @@ class Cell(CellFile, frozen=True):
         """Tolerance of the part [m], 95 %; None: not stated."""
         return None if self.part.tolerance_mm is None else self.part.tolerance_mm * M_PER_MM
 
-    def tool_pose_in_program(self) -> Array:
-        """Return the (3, 3) orientation of the tool frame in the program frame of 3-axis G-code.
+    def tool_orientation(self) -> Array:
+        """Return the orientation (3, 3) of the tool frame in the program frame of 3-axis G-code.
 
         The tool axis points along −Z of the program frame; `redundancy_deg` turns the tool about program Z.
         """

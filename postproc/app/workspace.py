@@ -281,7 +281,7 @@ def _written_stems(name: str) -> frozenset[str]:
     """Return the names without extension, lower case, that the files of a program may have."""
     stem = Path(name).stem
     return frozenset(
-        text.lower() for text in (stem, *(registry.written_in(language)[1].valid(stem) for language in _LANGUAGES))
+        text.lower() for text in (stem, *(registry.written_in(language)[1].valid_name(stem) for language in _LANGUAGES))
     )
 
 

@@ -40,7 +40,7 @@ _SMALLEST_MESH = 12e-3
 in inch, a part of 12 m in metres."""
 STOCK = "stock"
 """Name of the stock in messages, next to the names of bodies."""
-_MOST_STOCKS = 200
+MOST_STOCKS = 200
 """Largest number of stocks that one group of bodies is compared with; pairs undecided by then count as too close
 (assumed)."""
 
@@ -457,7 +457,7 @@ class _StockSearch:
         while open_samples.any():
             first = int(motion[np.argmax(open_samples)])
             contacts = self._contacts_with_stock(first, open_samples)
-            is_decided = self.stock_count >= _MOST_STOCKS
+            is_decided = self.stock_count >= MOST_STOCKS
             yield from (contact for contact in contacts if contact.motion == first or is_decided)
             later_motions = np.unique([contact.motion for contact in contacts if contact.motion != first])
             if is_decided or not len(later_motions):

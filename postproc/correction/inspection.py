@@ -189,7 +189,7 @@ _NEAR_WRIST = 1.0 * RAD_PER_DEG
 _NEAR_ELBOW = 20.0 * RAD_PER_DEG
 """Change of A3 that is counted between two samples (assumed): it changes with the root of the distance to the stretched
 arm, so fast that the steps between samples do not bound it."""
-_CHUNK = 8192
+SAMPLES_AT_ONCE = 8192
 """Number of places examined in one batch: some megabytes of temporary arrays."""
 _STEPS = 2.0
 """A smooth quantity exceeds its values at the samples by less than one step between them; two for safety."""
@@ -372,7 +372,7 @@ def dense_places(
         return
     end_samples = np.flatnonzero(sample.is_end)
     sample_place = sample.motion + sample.t
-    group = np.cumsum(stretches.parts + 1) // _CHUNK  # of each stretch: batches have whole stretches
+    group = np.cumsum(stretches.parts + 1) // SAMPLES_AT_ONCE  # of each stretch: batches have whole stretches
     for batch in np.split(np.arange(len(group)), np.flatnonzero(np.diff(group)) + 1):
         stretch, share = toolpath.even_places(batch, stretches.parts[batch], "both ends")
         begin, end = stretches.begin[stretch], stretches.end[stretch]

@@ -38,7 +38,7 @@ class Writer(Protocol):
         """Return the reason why the controller refuses a program name, or None if it is valid."""
         ...
 
-    def valid(self, name: str) -> str:
+    def valid_name(self, name: str) -> str:
         """Return the name itself if the controller accepts it, otherwise a valid name as close as possible."""
         ...
 

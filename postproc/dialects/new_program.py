@@ -256,12 +256,12 @@ class NewProgram:
 
 
 def check_name(
-    program: Program, language: str, fault_of: Callable[[str], str | None], valid: Callable[[str], str]
+    program: Program, language: str, fault_of: Callable[[str], str | None], valid_name: Callable[[str], str]
 ) -> None:
     """Refuse a program whose name the controller would not accept.
 
     :param language: for the message.
-    :param fault_of: see `dialects.dialect.Writer`, and `valid`.
+    :param fault_of: see `dialects.dialect.Writer`, and `valid_name`.
     :raises ProgramError: the name is invalid; the message gives the reason and a valid name.
     """
     fault = fault_of(program.name)
@@ -269,7 +269,7 @@ def check_name(
         raise ProgramError(
             f"{program.name!r} cannot be the name of a {language} program: {fault}",
             file=program.documents[0].name,
-            advice=f"Rename the file, for example to {valid(program.name)}.",
+            advice=f"Rename the file, for example to {valid_name(program.name)}.",
         )
 
 

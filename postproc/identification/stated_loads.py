@@ -33,7 +33,7 @@ from postproc.robot import JOINT_COMPLIANCES, RobotModel
 
 _ROUNDS = 2
 """Turns of the forces and fits of the springs in turn: the second moves the angle by half a degree."""
-_DOUBTFUL, _CERTAIN = 0.75, 0.5
+DOUBTFUL_RATIO, CERTAIN_RATIO = 0.75, 0.5
 """Ratios of the residuals with turned forces to those as stated. Of 601 simulated robots with springs of links,
 backlash and couplings, whose forces were stated right, one is below 0.8 and none below 0.75."""
 _DOUBTFUL_POINT = 0.6
@@ -98,10 +98,10 @@ def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement) 
         with suppress(PostprocError):  # no equilibrium: it does not explain the readings
             hypotheses.append(best_hypothesis(prior, data, placement, stated))
     best = min(hypotheses)
-    if best.ratio > _DOUBTFUL:
+    if best.ratio > DOUBTFUL_RATIO:
         return ""
     text = f"the loads fit {1.0 / best.ratio:.1f} times better {best.clause}"
-    if best.ratio < _CERTAIN:
+    if best.ratio < CERTAIN_RATIO:
         raise MeasurementError(
             "; ".join(filter(None, (text, displaced_points(data, placement)))), file=data.file, advice=best.advice
         )

@@ -467,6 +467,7 @@ def coverage(torque: Array, config: Ints, is_refuted: Bools | None = None) -> Co
 
     :param torque: (L, 6) joint torques of each loaded state [N·m].
     :param config: (L,) configuration of each state.
+    :param is_refuted: (6, 2) joint and direction of whose torques the readings contradict the bound; None: of none.
     """
     sides = split_signs(torque)
     acts = sides > LEAST_TORQUE

@@ -354,7 +354,7 @@ class OutputPlan:
         :raises InputError: names the first of them, and that program.
         """
         for path in (job.output / name for name in names):
-            owner = self._folders[job.output].caller(job, path)
+            owner = self._folders[job.output].dependent_record(job, path)
             if owner is not None:
                 raise InputError(
                     f"this file was written for {owner.program}, which needs it",
@@ -605,10 +605,10 @@ class _Folder:
         owners = self.owners(job, path.name, only_pending=only_pending)
         return bool(owners) and _file_digest(path) in {record.files[path.name] for record in owners}
 
-    def caller(self, job: Job, path: Path) -> Record | None:
-        """Return the record of a program of an earlier run that needs a file unchanged, or None.
+    def dependent_record(self, job: Job, path: Path) -> Record | None:
+        """Return the record of a program of an earlier run that needs a file of the output folder as it is, or None.
 
-        A file that is the source of this job, unchanged, is not meant: its routines without motions stay the same.
+        None also for a file that is the source of this job: its routines without motions stay the same.
         """
         pending = self.owners(job, path.name, only_pending=True)
         records = [record for record in self.owners(job, path.name) if record not in pending]

@@ -106,7 +106,7 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
     folder, stem = request.output.parent, request.output.stem
     names = csv, src, html, record = (
         request.output.name,
-        f"{KRL.writer.valid(stem)}.src",
+        f"{KRL.writer.valid_name(stem)}.src",
         f"{stem}.html",
         f"{stem}.json",
     )

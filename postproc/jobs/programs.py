@@ -155,7 +155,7 @@ def find_jobs(
         folder = path.parent / "corrected" if output is None else output
         read_as = dialect or registry.dialect_of_file(path).name
         written_as, writer = registry.written_in(read_as, to)
-        valid_name = writer.valid(path.stem) if name is None and written_as != read_as else name
+        valid_name = writer.valid_name(path.stem) if name is None and written_as != read_as else name
         forces, job_callers = file_of_program.get(path), tuple(callers.get(path, ()))
         is_named = str(path) in inputs
         jobs.append(Job(path, read_as, folder, forces, valid_name, to, named=is_named, callers=job_callers))

@@ -54,7 +54,7 @@ def upright_joints(cell: Cell, robot: RobotModel, turn: float, height: float) ->
     pose = cell.base.pose()
     pose[:3, 3] += pose[:3, 2] * (height / MM_PER_M)
     turned_cell = replace(cell, gcode=replace(cell.gcode, redundancy_deg=turn))
-    pose[:3, :3] = pose[:3, :3] @ turned_cell.tool_pose_in_program()
+    pose[:3, :3] = pose[:3, :3] @ turned_cell.tool_orientation()
     branch = inverse_kinematics.branch_of(cell.start_joints[None])[0]
     joints: Array = inverse_kinematics.branches((pose @ inverse(cell.tool.pose()))[None])[0, branch]
     return joints

@@ -23,7 +23,7 @@ from postproc.machining.tool import Cutter
 from postproc.machining.tool_path import StraightSegments
 from postproc.program import Bools, Ints
 
-_SIDE_CELLS = 128
+MOST_SIDE_CELLS = 128
 """Coarse cells along a side of the stock (assumed)."""
 _HALF_DIAGONAL = 0.7072
 """Half of the diagonal of a cell, √2 / 2 of its width, rounded up: a tool that touches a cell reaches its middle."""
@@ -87,7 +87,7 @@ class Ceiling:
     def __init__(self, stock: Stock) -> None:
         """Begin with a map of the uncut stock, which is kept and not copied."""
         self.stock = stock
-        self._factor = max(1, -(-max(stock.high.shape) // _SIDE_CELLS))
+        self._factor = max(1, -(-max(stock.high.shape) // MOST_SIDE_CELLS))
         self.cell = self._factor * stock.cell
         self._level = self._highest_material(slice(None), slice(None))
         self._start_level = self._level.copy()

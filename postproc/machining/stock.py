@@ -34,7 +34,7 @@ _STEP = 0.25
 """Distance from the middle of a cell of the two levels from which its slope is computed, in cells (assumed)."""
 _SUBDIVISION = 4
 """Number of columns and of rows into which a cell is divided to find the share of it that a mesh covers (assumed)."""
-_MOST_PAIRS = 4_000_000
+MOST_PAIRS = 4_000_000
 """Largest number of pairs of triangle and cell that are processed at once: it limits memory."""
 
 
@@ -233,7 +233,7 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
     x, y, nx, ny = _map_extent(vertices.min(axis=0), vertices.max(axis=0), cell, file)
     high, low, share = (np.zeros((ny, nx), dtype=np.float32) for _ in range(3))
     floor = np.full((ny, nx), np.inf, dtype=np.float32)
-    rows_at_once = max(1, _MOST_PAIRS // (nx * _SUBDIVISION * _SUBDIVISION))
+    rows_at_once = max(1, MOST_PAIRS // (nx * _SUBDIVISION * _SUBDIVISION))
     face_bottom, face_top = (np.asarray(edge(vertices[faces, 1], axis=1)) for edge in (np.min, np.max))
     for first in range(0, ny, rows_at_once):
         row_count = min(rows_at_once, ny - first)
@@ -309,7 +309,7 @@ def _points_in_boxes(
     begin = 0
     while begin < len(point_count):
         last_count = running_count[begin - 1] if begin else 0
-        end = max(begin + 1, int(np.searchsorted(running_count, last_count + _MOST_PAIRS, side="right")))
+        end = max(begin + 1, int(np.searchsorted(running_count, last_count + MOST_PAIRS, side="right")))
         rows = np.repeat(np.arange(begin, end), point_count[begin:end])
         # number of each point within the box of its triangle
         index = np.arange(len(rows)) - np.repeat(
@@ -425,7 +425,7 @@ _WHOLE_SHARE = np.float32(0.999)
 """A cell that is cut over at least this share of its area counts as fully cut (assumed)."""
 _EQUAL_LEVEL = np.float32(1e-6)
 """Levels of a cell that differ by less [m] are equal: those under one place of the tool differ by rounding only."""
-_MOST_CELLS_AT_ONCE = 200_000
+MOST_CELLS_AT_ONCE = 200_000
 """Largest number of cells under segments that are processed at once: it limits memory."""
 
 
@@ -619,8 +619,8 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tu
     done = 0
     while done < len(order):
         # sorted by size, the last window of a batch is the largest: its size limits the cells of the batch
-        rows = order[done : done + max(1, _MOST_CELLS_AT_ONCE // int(size[order[done]]))]
-        rows = rows[: max(1, _MOST_CELLS_AT_ONCE // int(size[rows[-1]]))]
+        rows = order[done : done + max(1, MOST_CELLS_AT_ONCE // int(size[order[done]]))]
+        rows = rows[: max(1, MOST_CELLS_AT_ONCE // int(size[rows[-1]]))]
         done += len(rows)
         window = np.minimum(count[rows].max(axis=0), map_size)
         corner = np.minimum(first[rows], map_size - window)

@@ -211,7 +211,9 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
         is_cut, last = low < material, rows == len(tip) - 2
         front = sinks & last[:, None, None]
         if last.any():  # where a tool leans back, and at its rim, what it enters next is not below it
-            front[last] |= _is_ahead(cutter, tip, axis, rows[last], (x[last], y[last]), material[last], stock.cell)
+            front[last] |= _is_outward_side(
+                cutter, tip, axis, rows[last], (x[last], y[last]), material[last], stock.cell
+            )
         parts.append((index[is_cut], low[is_cut], high[is_cut], front[is_cut]))
     if not parts:
         return SweptCells(Footprint.empty(), Footprint.empty(), 0.0, 0.0, 0.0)
@@ -233,7 +235,7 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
     )
 
 
-def _is_ahead(
+def _is_outward_side(
     cutter: Cutter,
     tip: Array,
     axis: Array,
@@ -257,10 +259,16 @@ def _is_ahead(
         point[1] - shift[:, 1, None, None],
         level - tip[rows + 1, 2, None, None],
     ]
-    a, d, v = ([vectors[:, k, None, None] for k in range(3)] for vectors in (axis[rows + 1], turn, shift))
-    along, lean = (sum(p * u for p, u in zip(place, direction, strict=True)) for direction in (a, d))
-    to_side = [p - along * u for p, u in zip(place, a, strict=True)]
-    outwards = sum(n * (step + along * change - u * lean) for n, step, change, u in zip(to_side, v, d, a, strict=True))
+    end_axis, axis_change, tip_change = (
+        [vectors[:, k, None, None] for k in range(3)] for vectors in (axis[rows + 1], turn, shift)
+    )
+    along, lean = (sum(p * u for p, u in zip(place, vector, strict=True)) for vector in (end_axis, axis_change))
+    to_side = [p - along * u for p, u in zip(place, end_axis, strict=True)]
+    # velocity of the point of the tool: that of the tip, and ω × r with the change of the axis, ω × axis
+    outwards = sum(
+        normal * (tip_step + along * axis_step - u * lean)
+        for normal, tip_step, axis_step, u in zip(to_side, tip_change, axis_change, end_axis, strict=True)
+    )
     rounding = cutter.corner - np.sqrt(cutter.corner**2 - np.clip(cutter.corner - along, 0.0, cutter.corner) ** 2)
     distance = np.sqrt(sum(n * n for n in to_side))
     return np.asarray((distance > cutter.radius - rounding - margin) & (outwards > 0.0))

@@ -32,16 +32,16 @@ from postproc.robot import RobotModel
 from postproc.toolpath import cut_lengths, flange_from_tcp
 
 _BLOCK = 0.010
-"""Shortest block of several motions [m]; the length of the path over `_MOST_BLOCKS` if that is longer (assumed)."""
-_MOST_BLOCKS = 1000
+"""Shortest block of several motions [m]; the length of the path over `MOST_BLOCKS` if that is longer (assumed)."""
+MOST_BLOCKS = 1000
 """Most blocks of a path: time and memory of the map are in proportion to them."""
-_BINS = 6
+BINS_OF_BLOCK = 6
 """Most bins of a block (assumed)."""
-_MOST_BINS = 2500
+MOST_BINS = 2500
 """Most bins of all blocks together: each is solved for every turn of the tool."""
-_CHUNK = 4096
+SAMPLES_AT_ONCE = 4096
 """Samples solved together."""
-_MOST_POSES = 2500
+MOST_POSES = 2500
 """Samples of a path at which collisions are looked for with every turn; more only where the line goes."""
 _PER_MM = 1.0 * RAD_PER_DEG
 """Largest change of the turn at feed per millimetre [rad] (assumed)."""
@@ -102,7 +102,7 @@ class Blocks(Struct, frozen=True, eq=False):
         jump = m.kind == PTP
         length = np.where(jump, 0.0, segments.length)
         starts_run = np.concatenate([[True], jump[1:] | jump[:-1] | (m.rapid[1:] != m.rapid[:-1])])
-        step = max(_BLOCK, float(length.sum()) / _MOST_BLOCKS)
+        step = max(_BLOCK, float(length.sum()) / MOST_BLOCKS)
         block = _block_of_motion(length, starts_run, step)
         of_sample = block[motion]
         distance = samples.sample.distance
@@ -156,7 +156,7 @@ def _bins(block: Ints, travel: Array) -> tuple[Ints, Array]:
     :param travel: (N,) length of the path from the sample before [m].
     """
     count = np.bincount(block)
-    bin_count = np.minimum(count, min(_BINS, max(1, _MOST_BINS // len(count))))
+    bin_count = np.minimum(count, min(BINS_OF_BLOCK, max(1, MOST_BINS // len(count))))
     start = np.concatenate([[0], np.cumsum(count)[:-1]])
     bin_in_block = (np.arange(len(block)) - start[block]) * bin_count[block] // count[block]
     first = np.flatnonzero((np.diff(bin_in_block, prepend=-1) != 0) | (np.diff(block, prepend=-1) != 0))
@@ -324,16 +324,16 @@ class _Chunk(NamedTuple):
 
 
 def _chunks(samples: PathSamples, blocks: Blocks) -> Iterator[_Chunk]:
-    """Yield the samples of the path in chunks of whole bins, `_CHUNK` samples or one bin."""
+    """Yield the samples of the path in chunks of whole bins, `SAMPLES_AT_ONCE` samples or one bin."""
     motions, count = samples.program.motions, len(blocks.first)
-    pose_rows = np.arange(0, len(samples), max(1, len(samples) // _MOST_POSES))
+    pose_rows = np.arange(0, len(samples), max(1, len(samples) // MOST_POSES))
     pose_rows = distinct(np.concatenate([pose_rows, blocks.last, [len(samples) - 1]]))
     free = motions.kind[samples.sample.motion] == PTP
     bounds = np.append(blocks.first, len(samples))
     tools = components(inverse(samples.program.tools))
     from_bin = 0
     while from_bin < count:
-        to_bin = int(np.searchsorted(bounds, bounds[from_bin] + _CHUNK, side="right")) - 1
+        to_bin = int(np.searchsorted(bounds, bounds[from_bin] + SAMPLES_AT_ONCE, side="right")) - 1
         to_bin = min(max(to_bin, from_bin + 1), count)
         begin, end = int(bounds[from_bin]), int(bounds[to_bin])
         lead = int(begin > 0)

@@ -126,9 +126,8 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
         "warnings": list(result.warnings),
     }
     if result.before is not None:
-        is_determined = math.isfinite(
-            result.before.rms
-        )  # not while a parameter is unidentifiable from the readings so far
+        # infinite while a parameter is unidentifiable from the readings so far
+        is_determined = math.isfinite(result.before.rms)
         content["measured_so_far"] = {"rms_mm": result.before.rms * MM_PER_M if is_determined else None}
     return content | _comparison_content(result, criterion)
 

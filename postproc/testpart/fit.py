@@ -121,8 +121,12 @@ class Fit(Struct, frozen=True, eq=False):
         return self.prior.robot_with_change(self.z)
 
     def compare_with_prior(self, prior: Prior) -> Surprise:
-        """Compare the readings with the prediction of a prior: for a fit of `prior.widen()`."""
-        unmodelled = self.gamma * self.displacement
+        """Compare the readings with the prediction of a prior, for a fit that began with `prior.widen()`.
+
+        The changes of the parameters are estimated as a step from the prior with the spread `prior.drift`: the Bayesian
+        linear model with that prior covariance.
+        """
+        unmodelled = self.gamma * self.displacement  # standard deviation of what the model lacks [m]
         # of a model from a part the error elsewhere is no error at the part
         if (discrepancy := prior.robot.discrepancy) is not None and not prior.covariance[-1, :-1].any():
             wrench = np.pad(self.load[:, None], ((0, 0), (0, 5)))
@@ -133,12 +137,13 @@ class Fit(Struct, frozen=True, eq=False):
         slopes = self.slopes
         precision = np.linalg.inv(slopes @ prior.covariance @ slopes.T + noise)
         score, information = slopes.T @ precision @ self.prior_error, slopes.T @ precision @ slopes
+        # of changes in units of their drift: the unit matrix is the precision of the prior
         posterior = np.linalg.inv(np.eye(len(information)) + np.outer(prior.drift, prior.drift) * information)
         return Surprise(
-            float(self.prior_error @ precision @ self.prior_error),
-            _chance(score, information),
-            prior.drift * (posterior @ (prior.drift * score)),
-            prior.drift * np.sqrt(np.maximum(np.diag(posterior), 0.0)),
+            chi2=float(self.prior_error @ precision @ self.prior_error),
+            chance=_chance(score, information),
+            change=prior.drift * (posterior @ (prior.drift * score)),
+            spread=prior.drift * np.sqrt(np.maximum(np.diag(posterior), 0.0)),
         )
 
     @property

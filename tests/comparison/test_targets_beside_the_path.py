@@ -14,7 +14,7 @@ from tests.comparison.test_named import CELL, ROBOT
 from tests.programs import program
 
 PLACE = RobotInCell.of(ROBOT, CELL)
-DOWN = CELL.tool_pose_in_program()
+DOWN = CELL.tool_orientation()
 DENSE = np.linspace(0.0, 1.0, 801)
 
 

@@ -15,7 +15,7 @@ from tests.programs import program
 
 FAST_RAPIDS = replace(CELL, gcode=replace(CELL.gcode, rapid_m_per_s=10.0))
 """In it, no feed is that of rapid moves, which are slowed where no force acts."""
-DOWN = CELL.tool_pose_in_program()
+DOWN = CELL.tool_orientation()
 
 
 def issues_of(moves, notes=(), mode="predict", **changes):
@@ -197,7 +197,7 @@ def test_a_first_move_that_turns_the_hand_by_half_a_turn_is_told():
     from msgspec.structs import replace as changed
 
     cell = changed(CELL, gcode=changed(CELL.gcode, redundancy_deg=0.0))
-    made = program(FINE, orientation=cell.tool_pose_in_program())
+    made = program(FINE, orientation=cell.tool_orientation())
     told = {issue.kind: issue for issue in correction.process(made, ROBOT, cell, mode="predict").issues}
     issue = told["first-move-A6"]
     assert (issue.level, issue.source_line) == ("warning", 1)

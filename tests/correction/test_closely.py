@@ -115,7 +115,7 @@ def test_a_slow_circle_about_a_wrist_singularity_passes(case):
 
 def test_a_line_that_passes_a_limit_between_its_samples_is_refused():
     """A line across the plane of A1: reach, and with it A2 and A3, have their extreme between its ends."""
-    made = program([("PTP", 0, 190.5, 0), ("LIN", 0, 209.5, 0)], orientation=CELL_WITH_START.tool_pose_in_program())
+    made = program([("PTP", 0, 190.5, 0), ("LIN", 0, 209.5, 0)], orientation=CELL_WITH_START.tool_orientation())
     motions = MotionsUnderLoad.of(made, RobotInCell.of(ROBOT, CELL_WITH_START), None)
     path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     assert len(path) == 2
@@ -137,7 +137,9 @@ def arcs_and_lines():
         (0, 0, 1)), ("PTP", 0, 0, 60), ("LIN", 0, 100, 60),
     ]  # fmt: skip
     made = program(
-        moves, [(3, (900.0, 500.0, -700.0, 0.0, 0.0, 0.0), "FEED")], orientation=CELL_WITH_START.tool_pose_in_program()
+        moves,
+        [(3, (900.0, 500.0, -700.0, 0.0, 0.0, 0.0), "FEED")],
+        orientation=CELL_WITH_START.tool_orientation(),
     )
     turned = made.motions.target[:]
     turned[8, :3, :3] = turned[8, :3, :3] @ np.array([[np.cos(1), 0, np.sin(1)], [0, 1, 0], [-np.sin(1), 0, np.cos(1)]])

@@ -94,7 +94,7 @@ def test_few_stocks_are_enough_where_nothing_comes_close(reaching):
 def test_what_is_not_decided_by_the_most_stocks_counts_as_close_pairs(reaching, monkeypatch):
     rng = np.random.default_rng(2)
     states, stock = states_of(rng), ShrinkingStock(rng, 20)
-    monkeypatch.setattr(collisions, "_MOST_STOCKS", 3)
+    monkeypatch.setattr(collisions, "MOST_STOCKS", 3)
     found = {
         contact.motion
         for contact in collisions._StockSearch(None, [], states, stock, 0.0).contacts(np.ones(60, dtype=bool))
@@ -102,7 +102,7 @@ def test_what_is_not_decided_by_the_most_stocks_counts_as_close_pairs(reaching, 
     exact = {int(m) for m, angle in zip(states.motion, states.q[1:, 0], strict=True) if angle < stock.size[m]}
     assert found > exact
     assert 3 <= len(stock.motions) <= 6
-    monkeypatch.setattr(collisions, "_MOST_STOCKS", 1)
+    monkeypatch.setattr(collisions, "MOST_STOCKS", 1)
     undivided = {
         contact.motion
         for contact in collisions._StockSearch(None, [], states, stock, 0.0).contacts(states.q[1:, 0] > 0)

@@ -42,7 +42,7 @@ def interpolated(values, motion, t):
 @pytest.mark.parametrize("chunk", [8192, 7, 1])
 def test_places_between_samples_have_the_pose_of_the_path_and_the_correction_between_samples(monkeypatch, chunk):
     """The arm by Pinocchio; whole turns are those of the samples."""
-    monkeypatch.setattr(inspection, "_CHUNK", chunk)
+    monkeypatch.setattr(inspection, "SAMPLES_AT_ONCE", chunk)
     stretches = Stretches(
         np.array([1, 2, 4, 6, 8]),
         np.array([0.0, 0.3, 0.0, 0.0, 0.5]),

@@ -15,7 +15,7 @@ from tests.kr270 import CELL, ROBOT
 from tests.places import SAMPLES
 from tests.programs import program
 
-DOWN = CELL.tool_pose_in_program()
+DOWN = CELL.tool_orientation()
 
 
 @pytest.mark.parametrize("name", ["pocket.nc", "long_lin.src", "inline.src"])

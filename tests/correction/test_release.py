@@ -26,7 +26,7 @@ _NUMBER = r"-?\d+\.?\d*"
 
 
 def process_moves(made=None, cell=CELL):
-    made = program(MOVES, notes=FORCE, orientation=CELL.tool_pose_in_program()) if made is None else made
+    made = program(MOVES, notes=FORCE, orientation=CELL.tool_orientation()) if made is None else made
     return correction.process(made, ROBOT, cell)
 
 

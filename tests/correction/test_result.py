@@ -116,7 +116,7 @@ def test_deflection_is_by_the_force_alone_and_deviation_is_from_nominal(referenc
     made = program(
         [("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("LIN", 30, 0, 0)],
         notes=[(3, force)],
-        orientation=CELL.tool_pose_in_program(),
+        orientation=CELL.tool_orientation(),
     )
     result = correction.process(made, model, CELL, mode="predict")
     base = np.array([1500.0, -200.0, 700.0]) / 1e3

@@ -56,7 +56,7 @@ def test_tool_axis_points_down_in_the_program_frame(axis: str) -> None:
     unit = np.zeros(3)
     unit["XYZ".index(axis[1])] = 1.0 if axis[0] == "+" else -1.0
     np.testing.assert_allclose(rotation @ unit, [0.0, 0.0, -1.0], atol=1e-15)
-    np.testing.assert_array_equal(rotation, cell.tool_pose_in_program())
+    np.testing.assert_array_equal(rotation, cell.tool_orientation())
 
 
 def test_a_first_cutting_move_with_all_axes_is_a_straight_move() -> None:
@@ -233,7 +233,7 @@ def test_g54_is_the_base_itself_and_others_come_from_the_cell() -> None:
     np.testing.assert_allclose(position[:3], [[1, 2, 3], [101, 2, 3], [101, 0, 3]], atol=1e-12)
     np.testing.assert_allclose(position[3], [10, 20, 30], atol=1e-12)
     pose = CELL.work_offsets["G56"].pose()
-    np.testing.assert_allclose(program.motions.target[3, :3, :3], pose[:3, :3] @ CELL.tool_pose_in_program())
+    np.testing.assert_allclose(program.motions.target[3, :3, :3], pose[:3, :3] @ CELL.tool_orientation())
 
 
 def test_axes_left_open_after_a_change_of_offset_stay_where_the_machine_is() -> None:

@@ -277,7 +277,7 @@ def test_names_are_those_of_rapid():
     assert language.fault_of("a" * 28) is None
     for name in ("a" * 29, "_a", "1a", "ä", "a b", "while", "MoveTo", "stop", ""):
         assert language.fault_of(name) is not None, name
-        assert language.fault_of(language.valid(name)) is None, name
+        assert language.fault_of(language.valid_name(name)) is None, name
 
 
 @pytest.mark.parametrize(
@@ -286,7 +286,7 @@ def test_names_are_those_of_rapid():
      ("a" * 30, "a" * 28), ("a" * 27 + "--b", "a" * 27), ("if", "P_if"), ("Trigg" + "a" * 23, "P_Trigg" + "a" * 21)],
 )  # fmt: skip
 def test_a_name_is_kept_if_it_is_valid_or_becomes_a_similar_one(name, valid):
-    assert language.valid(name) == valid
+    assert language.valid_name(name) == valid
     assert language.fault_of(valid) is None
 
 

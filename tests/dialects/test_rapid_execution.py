@@ -284,9 +284,9 @@ def test_calls_in_one_another_are_followed_to_a_depth(calls, is_refused):
 def test_a_program_that_runs_too_long_is_refused_at_the_statement(monkeypatch):
     """ConfL, HOME, FOR, four rounds, a move: 8 statements."""
     code = ["FOR i FROM 1 TO 4 DO", "Incr x;", "ENDFOR", move("x")]
-    monkeypatch.setattr(execution, "_MOST_STATEMENTS", 8)
+    monkeypatch.setattr(execution, "MOST_STATEMENTS", 8)
     assert positions(code) == [5]
-    monkeypatch.setattr(execution, "_MOST_STATEMENTS", 7)
+    monkeypatch.setattr(execution, "MOST_STATEMENTS", 7)
     error = refusal(code)
     assert error.problem == "the program runs for more than 7 statements"
     assert error.text == code[-1]
@@ -298,7 +298,7 @@ def test_a_program_that_runs_too_long_is_refused_at_the_statement(monkeypatch):
     ids=["FOR", "WHILE"],
 )
 def test_loops_without_moves_are_followed_for_so_many_rounds(monkeypatch, code):
-    monkeypatch.setattr(execution, "_MOST_ROUNDS", 6)
+    monkeypatch.setattr(execution, "MOST_ROUNDS", 6)
     rounds = 6 if code[0].startswith("FOR") else 5  # WHILE looks at its condition once more
     assert positions([line.format(rounds) for line in code] + [move("x")]) == [rounds + 1]
     assert "it is too long" in refusal([line.format(rounds + 1) for line in code] + [move("x")]).problem

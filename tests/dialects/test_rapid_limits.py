@@ -229,7 +229,7 @@ def test_names_are_those_that_the_controller_accepts(name, fault, valid):
         assert language.fault_of(name) is None
     else:
         assert fault in language.fault_of(name)
-    assert language.valid(name) == valid
+    assert language.valid_name(name) == valid
     assert language.fault_of(valid) is None
 
 

@@ -86,11 +86,11 @@ def test_axes_of_flange_and_measuring_device_are_named(tmp_path):
 
 def test_a_turn_that_links_could_imitate_is_a_reservation_of_the_model(tmp_path, monkeypatch):
     data = stated(readings(tmp_path), turn(-15.0, 2))
-    monkeypatch.setattr(module, "_CERTAIN", 0.0)
+    monkeypatch.setattr(module, "CERTAIN_RATIO", 0.0)
     result = identify(harness.PRIOR, data, depth="joints")
     assert "times better turned by 1" in result.judgement.reservation
     assert "$ROBROOT" in result.judgement.reservation
-    monkeypatch.setattr(module, "_DOUBTFUL", 0.0)
+    monkeypatch.setattr(module, "DOUBTFUL_RATIO", 0.0)
     assert judged(data) == ""
 
 

@@ -51,7 +51,7 @@ def segments(seed, count=12):
 @pytest.mark.parametrize("corner", [(0.013, -0.024), (-0.05, 0.004), (0.0, 0.0)])
 def test_windows_hold_all_cells_within_reach_of_each_segment(monkeypatch, most, corner):
     """Each segment over the map is in one batch; small windows come first, and a batch is limited in cells."""
-    monkeypatch.setattr(stocks, "_MOST_CELLS_AT_ONCE", most)
+    monkeypatch.setattr(stocks, "MOST_CELLS_AT_ONCE", most)
     stock = made_stock(x=corner[0], y=corner[1])
     begin, end = segments(2)
     moved = np.array([*corner, 0.0]) - [0.013, -0.024, 0.0]
@@ -271,7 +271,7 @@ def prism(angle, size=(0.012, 0.008, 0.006)):
 @pytest.mark.parametrize("angle", [0.0, 0.4, 1.1])
 def test_a_map_of_a_mesh_has_its_volume_and_levels(monkeypatch, most, angle):
     """To the sixteenth of a cell along its sides; in batches of any size."""
-    monkeypatch.setattr(stocks, "_MOST_PAIRS", most)
+    monkeypatch.setattr(stocks, "MOST_PAIRS", most)
     vertices, faces = prism(angle)
     stock = stocks.from_mesh(vertices, faces, 0.5e-3)
     volume, side = 0.012 * 0.008 * 0.006, 2 * (0.012 + 0.008) * 0.006
@@ -371,7 +371,7 @@ def test_rectangles_of_one_level_are_all_cells_once():
 
 
 def test_the_coarse_stock_is_the_highest_material_and_sinks_where_it_is_removed(monkeypatch):
-    monkeypatch.setattr(remaining, "_SIDE_CELLS", 14)
+    monkeypatch.setattr(remaining, "MOST_SIDE_CELLS", 14)
     stock = made_stock(6)
     ceiling = Ceiling(stock)
     assert ceiling.cell == pytest.approx(3 * CELL_SIZE)  # 40 cells in 14 at most

@@ -321,7 +321,7 @@ def test_points_ahead_of_an_upright_tool_are_near_its_side_or_outside_of_it(heig
     distance = 1e-3 * np.array([[[limit - 0.01, limit + 0.01, -limit - 0.01, 8.0, -8.0]]]) + 1e-3
     level = np.full((1, 1, 5), 3e-3 + 1e-3 * height)
     points = distance * along[0], distance * along[1]
-    found = tilted._is_ahead(Cutter(5e-3, 2e-3, 2), tip, np.tile(UP, (2, 1)), np.array([0]), points, level, 1e-4)
+    found = tilted._is_outward_side(Cutter(5e-3, 2e-3, 2), tip, np.tile(UP, (2, 1)), np.array([0]), points, level, 1e-4)
     assert found.ravel().tolist() == [False, True, False, True, False]
 
 
@@ -329,14 +329,14 @@ def test_points_ahead_of_a_turning_tool_are_on_the_side_to_which_its_axis_turns(
     """About the tip: at 8 mm above it the tool moves towards +x, at the height of the tip not at all."""
     tip, lean = np.zeros((2, 3)), np.array([[0.0, 0.0, 1.0], [np.sin(0.1), 0.0, np.cos(0.1)]])
     x, level = 1e-3 * np.array([[[7.0, -7.0, 7.0]]]), 1e-3 * np.array([[[8.0, 8.0, -8.0]]])
-    found = tilted._is_ahead(Cutter(5e-3, 0.0, 2), tip, lean, np.array([0]), (x, 0.0 * x), level, 1e-4)
+    found = tilted._is_outward_side(Cutter(5e-3, 0.0, 2), tip, lean, np.array([0]), (x, 0.0 * x), level, 1e-4)
     assert found.ravel().tolist() == [True, False, False]
 
 
 @pytest.mark.parametrize("most", [30, 400, 10**6])
 def test_windows_contain_all_cells_near_their_segments_and_batches_are_limited(monkeypatch, most):
     """Each segment whose window is on the map is once in a batch, small windows first."""
-    monkeypatch.setattr(stocks, "_MOST_CELLS_AT_ONCE", most)
+    monkeypatch.setattr(stocks, "MOST_CELLS_AT_ONCE", most)
     stock = stocks.from_box(*BLOCK, 2e-3)
     rng = np.random.default_rng(6)
     begin = rng.uniform([-0.02, -0.02, -0.01], [0.08, 0.06, 0.0], (40, 3))
@@ -429,7 +429,7 @@ def test_the_map_of_a_wedge_is_its_plane_however_many_rows_are_taken_at_once(mon
     faces = np.array([face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))])
     whole = stocks.from_mesh(np.array(corners), faces, 2e-3)
     rows, columns = whole.high.shape
-    monkeypatch.setattr(stocks, "_MOST_PAIRS", rows_at_once * columns * stocks._SUBDIVISION**2)
+    monkeypatch.setattr(stocks, "MOST_PAIRS", rows_at_once * columns * stocks._SUBDIVISION**2)
     stock = stocks.from_mesh(np.array(corners), faces, 2e-3)
     y = stock.y + 2e-3 * (np.arange(rows) + 0.5)
     inside = (y > 1e-3) & (y < 0.019)

@@ -136,8 +136,8 @@ def test_axes_point_where_their_names_say():
 def test_long_paths_have_longer_blocks_and_fewer_bins(path, monkeypatch, blocks_at_most, bins_at_most):
     """A block is a share of the whole path at least; the bins of all blocks together are limited, one each at least."""
     samples, _ = path
-    monkeypatch.setattr(turn_map, "_MOST_BLOCKS", blocks_at_most)
-    monkeypatch.setattr(turn_map, "_MOST_BINS", bins_at_most)
+    monkeypatch.setattr(turn_map, "MOST_BLOCKS", blocks_at_most)
+    monkeypatch.setattr(turn_map, "MOST_BINS", bins_at_most)
     blocks = Blocks.of(samples)
     step = max(0.010, LENGTHS.sum() / blocks_at_most)
     rapid = [True, *np.isinf(FEEDS)]

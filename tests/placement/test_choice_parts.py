@@ -261,7 +261,7 @@ def test_an_error_without_a_refused_turn_has_no_reasons(path, mode):
 def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_farthest(path, monkeypatch, limited):
     """Of each turn the sample with the smallest distance counts, of these the largest."""
     samples, _, branch = path
-    monkeypatch.setattr(turn_map, "_BINS", 1)
+    monkeypatch.setattr(turn_map, "BINS_OF_BLOCK", 1)
     blocks = Blocks.of(samples)
     row = int(np.argmax(np.diff([*blocks.first, len(samples)])))
     reasons = np.zeros((len(blocks.first), 12), dtype=int)

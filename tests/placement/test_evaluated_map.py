@@ -81,8 +81,8 @@ def maps(request):
         offset = np.radians([150.0, 180.0])
     bodies = Touching()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(turn_map, "_CHUNK", 1 if request.param == "one turn" else 9)
-        patch.setattr(turn_map, "_MOST_POSES", 10)
+        patch.setattr(turn_map, "SAMPLES_AT_ONCE", 1 if request.param == "one turn" else 9)
+        patch.setattr(turn_map, "MOST_POSES", 10)
         evaluated = turn_map.evaluate(samples, blocks, branch, base, offset, bodies)
     singles = [SampleBySample(samples, branch, base + turn) for turn in offset]
     for single in singles:

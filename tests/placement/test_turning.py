@@ -222,7 +222,7 @@ def test_a_collision_between_samples_of_the_map_is_found_where_the_line_goes(mon
     """A post beside a long cut: with every 1000th sample in the map alone, the line is checked at all of them."""
     text = "G21 G90\n(FORCE FX=-110 FY=-190 FZ=130 FRAME=FEED)\nG0 X1300 Y-400 Z60\nG1 Z0 F600\nG1 Y400 F2000\nG0 Z60\n"
     own = with_bodies(cell(base=(0.0, 0.0, 500.0), redundancy="best"), ((1450, 1470), (-5, 5), (100, 600)))
-    for name, few in (("_MOST_POSES", 1), ("_BINS", 1), ("_MOST_BLOCKS", 1)):
+    for name, few in (("MOST_POSES", 1), ("BINS_OF_BLOCK", 1), ("MOST_BLOCKS", 1)):
         monkeypatch.setattr(turn_map, name, few)
     result = process_text(text, own)
     assert not result.failed, result.issues

@@ -13,7 +13,7 @@ from postproc.under_load import ImpossiblePathError
 from tests.kr270 import CELL, ROBOT
 from tests.programs import program
 
-DOWN = CELL.tool_pose_in_program()
+DOWN = CELL.tool_orientation()
 UP = (0.0, 0.0, 1.0)
 APPROACH = [("PTP", 0, 0, 50), ("LIN", 0, 0, 0)]
 

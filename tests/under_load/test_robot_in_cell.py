@@ -19,7 +19,7 @@ from tests.oracle.arm import Arm
 from tests.programs import program
 
 ARM = Arm.load(FOLDER)
-DOWN = CELL.tool_pose_in_program()
+DOWN = CELL.tool_orientation()
 SOFT = cells.ToolCompliance(0.3, 0.2, 0.05, 20.0, 10.0, 5.0)
 PAYLOAD = cells.Payload(mass_kg=80.0, X=50.0, Y=-100.0, Z=150.0)
 BASES = frames.pose_from_xyzabc([[1500.0, -200, 700, 0, 0, 0], [1450.0, -150, 750, 30, -4, 6]])

@@ -209,7 +209,7 @@ def _motions(
     code, free, at_home = (moves.per_move(name)[motion_moves] for name in ("code", "free", "home"))
     tool = _tools(moves, numbers)[motion_moves]
     count = len(motion_moves)
-    target = _targets(moves, motion_moves, cell.tool_pose_in_program())
+    target = _targets(moves, motion_moves, cell.tool_orientation())
     joints = np.broadcast_to(np.nan, (count, 6))  # takes no memory
     if at_home.any() and home is not None:
         joints = joints.copy()

@@ -247,9 +247,13 @@ class TipControl:
     """
 
     def __init__(self, rotary: Rotary | None) -> None:
+        """Take the codes that the cell states, or the usual ones; without rotary axes (None) no code is one."""
         self.changes: list[tuple[int, float]] = []
-        self._on, self._off = ((), ()) if rotary is None else (tuple(rotary.tcp_on), tuple(rotary.tcp_off))
-        if rotary is not None and not rotary.tcp_on:
+        self._on: tuple[str, ...] = ()
+        self._off: tuple[str, ...] = ()
+        if rotary is not None and rotary.tcp_on:
+            self._on, self._off = tuple(rotary.tcp_on), tuple(rotary.tcp_off)
+        elif rotary is not None:
             self._on, self._off = tip_codes(rotary), TCP_OFF
 
     def read(self, row: int, code: str) -> bool:

@@ -242,7 +242,7 @@ def _cell_frames(
         home = inverse(base) @ forward_kinematics(_home_joints(cell)) @ np.stack(list(tools.values()))
     return CellFrames(
         start=inverse(base) @ forward_kinematics(cell.start_joints) @ tools[None],
-        orientation=cell.tool_pose_in_program(),
+        orientation=cell.tool_orientation(),
         offsets={code: np.eye(4) if frame is None else frame.pose() for code, frame in offsets.items()},
         tools={number: row for row, number in enumerate(tools) if number is not None},
         home=home,

@@ -102,7 +102,7 @@ class _Writer:
         """Return why the controller would refuse a name for a program, or None if it would not."""
         return fault_of(name)
 
-    def valid(self, name: str) -> str:
+    def valid_name(self, name: str) -> str:
         """Return a name unchanged if the controller accepts it, otherwise one as close to it as possible."""
         return valid_name(name)
 

@@ -37,9 +37,9 @@ class _Writer:
         """Return why the controller would refuse a name for a program, or None if it would not."""
         return language.fault_of(name)
 
-    def valid(self, name: str) -> str:
+    def valid_name(self, name: str) -> str:
         """Return the name itself if the controller accepts it, otherwise a similar valid one."""
-        return language.valid(name)
+        return language.valid_name(name)
 
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None

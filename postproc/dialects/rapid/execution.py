@@ -64,7 +64,7 @@ from postproc.dialects.rapid.values import (
 from postproc.errors import MAX_ERRORS, PostprocError
 from postproc.program import FORCE_COMMENT, PTP
 
-_MOST_STATEMENTS = 3_000_000
+MOST_STATEMENTS = 3_000_000
 """Statements executed before a program counts as endless: three times those of 10⁶ motions."""
 _DEEPEST = 60
 """Calls in one another before they count as endless: each takes several frames of Python."""
@@ -85,7 +85,7 @@ class RapidError(PostprocError):
 
 _LATE_CALLS = ("%", "CALLBYVAR")
 """Calls of routines by a name that the program puts together."""
-_MOST_ROUNDS = 10_000
+MOST_ROUNDS = 10_000
 """Rounds of a loop without moves that are followed (assumed)."""
 _KEEP = "Leave it out, or convert the G-code or APT of this part."
 _NUMBERS = "Give the data as numbers in this file, or name the module that has them in [rapid] modules of the cell."
@@ -339,12 +339,12 @@ class Execution:
         """Execute the statements of a block in order.
 
         :param routine: in which they are executed; `depth`: number of calls around it.
-        :raises RapidError: more than `_MOST_STATEMENTS` were executed.
+        :raises RapidError: more than `MOST_STATEMENTS` were executed.
         """
         for statement in statements:
             self.statement_count += 1
-            if self.statement_count > _MOST_STATEMENTS:
-                problem = f"the program runs for more than {_MOST_STATEMENTS} statements"
+            if self.statement_count > MOST_STATEMENTS:
+                problem = f"the program runs for more than {MOST_STATEMENTS} statements"
                 raise RapidError(problem, statement.start, _KEEP)
             self._execute_statement(statement, scope, routine, depth)
 
@@ -499,10 +499,10 @@ class Execution:
         try:
             if loop.name:
                 values = _loop_values(loop, scope)
-                if len(values) <= _MOST_ROUNDS:
+                if len(values) <= MOST_ROUNDS:
                     self._follow_rounds(loop, values, scope, routine, depth)
                     return
-            for _ in range(0 if loop.name else _MOST_ROUNDS):
+            for _ in range(0 if loop.name else MOST_ROUNDS):
                 if not truth(loop.bounds[0], scope):
                     return
                 self._execute_block(loop.body, scope, routine, depth)
@@ -801,7 +801,7 @@ def _loop_values(loop: Loop, scope: Scope) -> list[float]:
     if step == 0.0 or (end - begin) * step < 0.0:
         return []
     count = (end - begin) / step
-    if count > _MOST_STATEMENTS:
+    if count > MOST_STATEMENTS:
         raise UnknownValueError("there are too many")
     if abs(count - round(count)) < ROUNDING * max(count, 1.0) and not (begin.is_integer() and step.is_integer()):
         raise UnknownValueError("whether there is a last round depends on the rounding of the controller")

@@ -75,19 +75,19 @@ def fault_of(name: str) -> str | None:
     return None
 
 
-def valid(name: str) -> str:
+def valid_name(name: str) -> str:
     """Return the name itself if the controller accepts it, otherwise a similar valid one.
 
-    >>> valid("part_1"), valid("1001"), valid("Gehäuse oben.2"), valid("stop")
+    >>> valid_name("part_1"), valid_name("1001"), valid_name("Gehäuse oben.2"), valid_name("stop")
     ('part_1', 'P1001', 'Gehaeuse_oben_2', 'P_stop')
     """
     if fault_of(name) is None:
         return name
     plain = unicodedata.normalize("NFKD", name.translate(_UMLAUTS)).encode("ascii", "ignore").decode()
-    valid_name = re.sub(r"\W+", "_", plain).strip("_") or "PROGRAM"
-    valid_name = f"P{valid_name}" if valid_name[0].isdigit() else valid_name
-    valid_name = valid_name[:MAX_LENGTH].rstrip("_")
-    return valid_name if fault_of(valid_name) is None else f"P_{valid_name}"[:MAX_LENGTH]
+    word = re.sub(r"\W+", "_", plain).strip("_") or "PROGRAM"
+    word = f"P{word}" if word[0].isdigit() else word
+    word = word[:MAX_LENGTH].rstrip("_")
+    return word if fault_of(word) is None else f"P_{word}"[:MAX_LENGTH]
 
 
 NO_EXTERNAL_AXES = "[9E+09,9E+09,9E+09,9E+09,9E+09,9E+09]"

@@ -33,7 +33,7 @@ from postproc.dialects.rapid.language import (
     configuration,
     fault_of,
     quaternions,
-    valid,
+    valid_name,
 )
 from postproc.errors import CellError, Issue, group_issues
 from postproc.frames import MM_PER_M, Array
@@ -91,7 +91,7 @@ def write(
     :raises ProgramError: the name is not valid in RAPID; a move has no feed, or one that would be printed as 0.
     :raises CellError: a line of the cell is not RAPID.
     """
-    check_name(program, "RAPID", fault_of, valid)
+    check_name(program, "RAPID", fault_of, valid_name)
     return _NewModule(program, targets, joints, cell, comment_forces).write()
 
 

@@ -47,7 +47,7 @@ class Points:
             raise combined_error(faults)
         count = len(points)
         target = np.tile(np.eye(4), (count, 1, 1))
-        target[:, :3, :3] = cell.tool_pose_in_program()
+        target[:, :3, :3] = cell.tool_orientation()
         target[:, :3, 3] = np.array(points).reshape(count, 3) * MM
         first = np.arange(count) == 0
         nan, none = np.full(count, np.nan), np.full(count, -1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from msgspec import Struct
 
@@ -52,7 +54,7 @@ class Position(Struct, frozen=True, eq=False):
     @property
     def is_complete(self) -> bool:
         """Whether no component is missing."""
-        return not any(value != value for value in self.values)
+        return not any(math.isnan(value) for value in self.values)
 
     @property
     def largest_coordinate(self) -> float:

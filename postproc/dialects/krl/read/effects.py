@@ -187,7 +187,10 @@ class Analysis:
     def _first_dependent_place(
         self, module: Module, routine: Routine, checked_routines: set[Routine]
     ) -> tuple[Place | None, bool]:
-        """Return that statement, and whether the routine certainly moves to a complete target."""
+        """Return the statement of `first_dependent_place`, and whether a complete target certainly comes first.
+
+        :param checked_routines: those searched already, which are not searched again; this one is added.
+        """
         checked_routines.add(routine)
         depth = 0
         for line in sorted([*routine.motion_lines.tolist(), *routine.other_lines]):
