@@ -18,6 +18,6 @@ def test_a_planted_fault_is_found_and_does_not_stay():
     numbers = programs_of(broken, executed)
     assert numbers == [0, 1, 2]
     assert judgement(broken, numbers, usual)[0] == "wrong"
-    harmless = fault("flow", "level.loops -= 1")._replace(new="level.loops -= 1")
+    harmless = fault("flow", "level.loop_depth -= 1")._replace(new="level.loop_depth -= 1")
     assert judgement(harmless, numbers, usual)[0] == "not found"
     assert [outcome_of(seed)[0] for seed in seeds] == [outcome for _, outcome in usual]
