@@ -36,12 +36,11 @@ from postproc.identification.joint_springs import UNCERTAIN, is_physical, unload
 from postproc.identification.measurement_model import (
     Placement,
     Structure,
+    displacement_residuals,
     joint_torques,
     levels_of,
-    measured_displacements,
     predict,
     unwhiten,
-    visible,
     whiten,
     whitening,
 )
@@ -612,7 +611,7 @@ def _fit_of(mean: Mean, kept: Ints, covariance: Array, dof: float, data: Measure
     equations, values = mean.equations, mean.solve()[kept]
     structure = replace(mean.structure, parameters=tuple(mean.structure.parameters[index] for index in kept))
     displacement, _ = predict(structure, values, data, placement)
-    residual = (measured_displacements(data, placement) - displacement) * visible(data)
+    residual = displacement_residuals(displacement, data, placement)
     white_residual = whiten(whitening(data), residual).ravel()
     return Fit(
         structure=structure,

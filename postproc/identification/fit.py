@@ -37,6 +37,7 @@ from postproc.identification import over_pose
 from postproc.identification.measurement_model import (
     Placement,
     Structure,
+    displacement_residuals,
     measured_displacements,
     predict,
     visible,
@@ -161,11 +162,11 @@ def gauss_newton(
 
 def _fit_at(structure: Structure, values: Array, data: Measurements, placement: Placement) -> Fit:
     """Return the fit with parameters (p,) [SI]: residuals, and the covariance of the equations linearised there."""
-    displacement, whitening_matrices = measured_displacements(data, placement), whitening(data)
+    whitening_matrices = whitening(data)
     size = len(structure.parameters)
     prediction, slopes = predict(structure, values, data, placement)
     design = whiten(whitening_matrices, slopes).reshape(-1, size)
-    residual = (displacement - prediction) * visible(data)
+    residual = displacement_residuals(prediction, data, placement)
     white_residual = whiten(whitening_matrices, residual).ravel()
     return Fit(
         structure=structure,
@@ -320,7 +321,7 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
 
     :raises PostprocError: the springs have no equilibrium under a measured load.
     """
-    displacement, whitening_matrices = measured_displacements(data, placement), whitening(data)
+    whitening_matrices = whitening(data)
     prediction, slopes = predict(structure, values, data, placement)
     is_finite = np.isfinite(slopes).all(axis=(1, 2, 3)) & np.isfinite(prediction).all(axis=(1, 2))
     if not is_finite.all():
@@ -330,7 +331,7 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
             "equilibrium under this load"
         )
     design = whiten(whitening_matrices, slopes).reshape(-1, len(values))
-    white_residual = whiten(whitening_matrices, (displacement - prediction) * visible(data))
+    white_residual = whiten(whitening_matrices, displacement_residuals(prediction, data, placement))
     weight = _robust_weights(np.linalg.norm(white_residual, axis=2))
     is_visible = np.repeat((visible(data)[..., 0] > 0.0).ravel(), 3)
     config = np.repeat(data.state_config[data.loaded_states], 3 * len(data.points))

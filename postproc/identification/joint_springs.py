@@ -29,12 +29,11 @@ from postproc.identification.measurement_model import (
     Placement,
     Structure,
     device_to_root,
+    displacement_residuals,
     joint_torques,
     kabsch,
     levels_of,
-    measured_displacements,
     predict,
-    visible,
     whiten,
     whitening,
 )
@@ -475,7 +474,7 @@ def _fit_of_points(
     """
     # no equilibrium without stiffness: compliances are at least 1e-9 rad/(N·m) in the prediction of the points
     prediction, slopes = predict(structure, np.maximum(values, 1e-9), data, placement)
-    residual = (measured_displacements(data, placement) - prediction) * visible(data)
+    residual = displacement_residuals(prediction, data, placement)
     whitening_matrices = whitening(data)
     white_residual = whiten(whitening_matrices, residual).ravel()
     white_design = whiten(whitening_matrices, slopes).reshape(-1, 6)

@@ -202,6 +202,14 @@ def measured_displacements(data: Measurements, placement: Placement) -> Array:
     return visible(data) * in_root_axes(placement, mean[data.loaded_states] - mean[unloaded_state])
 
 
+def displacement_residuals(prediction: Array, data: Measurements, placement: Placement) -> Array:
+    """Return measured − predicted displacements (L, P, 3) [m], root axes; 0 where a point has no reading of both.
+
+    :param prediction: (L, P, 3) of the loaded states, see `predict` [m].
+    """
+    return np.asarray((measured_displacements(data, placement) - prediction) * visible(data))
+
+
 def visible(data: Measurements) -> Array:
     """Return 1 where a point has readings with and without load, else 0: (L, P, 1), for L loaded states."""
     _, count = data.means()

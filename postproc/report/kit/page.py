@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
@@ -17,9 +17,6 @@ from numpy.typing import NDArray
 
 from postproc.frames import Array
 from postproc.report.kit.parts import Note, Part, Section, safe_json
-
-if TYPE_CHECKING:
-    from jinja2 import Template
 
 _TYPES = {"f": "<f4", "i": "<i4", "b": "|u1"}
 
