@@ -123,8 +123,8 @@ def singularities(
     has_jump &= (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)
     has_jump &= ~np.isin(sample.motion, sparse_motions)
     samples, is_flip = np.flatnonzero(has_jump), np.zeros(len(q), dtype=np.bool_)
-    # at a wrist singularity A4 and A6 turn most
-    is_flip[samples] = np.isin(np.argmax(np.abs(q[samples] - q[samples - 1]), axis=1), (3, 5))
+    fastest_joint = np.argmax(np.abs(q[samples] - q[samples - 1]), axis=1)
+    is_flip[samples] = np.isin(fastest_joint, (3, 5))  # at a wrist singularity A4 and A6 turn most
     advice = f"Move the part or {_turn_advice(program)}."
     flip_problem = "wrist singularity: A5 passes through or near 0°, A4 and A6 turn by more than 45° at once"
     for is_bad, kind, problem in (
@@ -209,7 +209,7 @@ def start_joints(program: Program, robot: RobotModel, start: Array) -> Iterator[
 
 
 def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issue]:
-    """Yield a warning for A4 and A6 if the first PTP turns them by about half a turn or more.
+    """Yield a warning for A4 and A6 if the first PTP turns them by about half a turn or more: cables wind up.
 
     :param path: joint angles of the samples.
     :param start: (6,) joint angles of [start] of the cell [rad].
@@ -303,7 +303,7 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     feed = m.feed[sample.motion[1:]]
     motion_step = np.diff(sample.motion)
     unchanged_frames = [rows[sample.motion[1:]] == rows[sample.motion[:-1]] for rows in (m.base, m.tool)]
-    has_same_frames = unchanged_frames[0] & unchanged_frames[1] & (motion_step <= 1) | (motion_step == 0)
+    has_same_frames = (unchanged_frames[0] & unchanged_frames[1] & (motion_step <= 1)) | (motion_step == 0)
     nominal_travel = norm(np.diff(sample.pose.position, axis=0))
     travel = np.maximum(nominal_travel, norm(np.diff(position, axis=0)))
     # a run that turns the tool more than it moves it is timed by the controller's orientation speed, not by the feed
@@ -324,7 +324,7 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     return speed
 
 
-def joint_speeds(program: Program, robot: RobotModel, sample: Toolpath, speed: Array) -> Iterator[Issue]:
+def joint_speed_limits(program: Program, robot: RobotModel, sample: Toolpath, speed: Array) -> Iterator[Issue]:
     """Yield issues where joint speeds at the programmed feed exceed the limits of the robot.
 
     If a program relies on the default speed, which may be set differently on the controller, it is only a warning.

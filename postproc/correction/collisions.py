@@ -140,7 +140,7 @@ def _clearance_of_run(
 
 
 def _mesh_questions(scene: Scene) -> Iterator[Issue]:
-    """Yield a question for each mesh that is too small to be in millimetres."""
+    """Yield a question for each mesh of an obstacle or holder that is too small to be in millimetres."""
     for body in scene.bodies:
         if body.kind != "mesh" or body.of == "arm":
             continue
@@ -198,7 +198,7 @@ def _refine_arcs(path: PathUnderLoad, commanded_q: Array) -> _DensePath:
 
 
 def _retracts(path: PathUnderLoad, sample: Toolpath, run: Run) -> Bools:
-    """Return which samples (n,) of a run the tool reaches along its own axis, away from the part: it leaves its cut.
+    """Return which samples (n,) of a run the tool reaches along its axis, away from the part: it leaves its cut.
 
     :param sample: samples of the whole path.
     """

@@ -84,7 +84,8 @@ def slow_rapids(
     slowable = positioning | is_capped
     if not slowable.any():
         return None
-    share_of_limit = _SPEED_SHARE * _NEXT_SHARE ** (0 if before is None else before.count)
+    times_slowed = 0 if before is None else before.count
+    share_of_limit = _SPEED_SHARE * _NEXT_SHARE**times_slowed
     share, joint = _largest_speeds(path, q, position, slowable, share_of_limit)
     is_fast, on_fast_line = share > 1.0, slowable & np.isin(m.line, list(fast_lines))
     if before is not None and on_fast_line.any():  # else what is too fast cannot be slowed
@@ -96,13 +97,11 @@ def slow_rapids(
     feed[fast] *= share_of_limit / share[fast]
     slow_joint = np.full(len(m), -1) if before is None else before.joint.copy()
     slow_joint[fast] = joint[fast]
-    as_read = program.feed_as_read
-    if as_read is None and is_capped[fast].any():
-        as_read = m.feed
-    slow = replace(program, motions=replace(m, feed=feed), feed_as_read=as_read)
-    return replace(path.motions, program=slow), Slowing(
-        slow_joint, is_capped, 1 if before is None else before.count + 1
-    )
+    feed_as_read = program.feed_as_read
+    if feed_as_read is None and is_capped[fast].any():
+        feed_as_read = m.feed
+    slow_program = replace(program, motions=replace(m, feed=feed), feed_as_read=feed_as_read)
+    return replace(path.motions, program=slow_program), Slowing(slow_joint, is_capped, times_slowed + 1)
 
 
 def _largest_speeds(
@@ -116,7 +115,7 @@ def _largest_speeds(
     share, joint = np.zeros(len(slowable)), np.zeros(len(slowable), dtype=np.int64)
 
     def add(motion: Ints, speed: Array) -> None:
-        """Note the largest share of its speed limit on each motion, and the joint that has it.
+        """Keep in `share` and `joint` the largest share of its speed limit on each motion, and the joint that has it.
 
         :param motion: (n,) row of the motion of each speed.
         :param speed: (n, 6) of the joints [rad/s].
@@ -353,52 +352,92 @@ def issues_between_samples(
             yield from checks.joint_limits(program, robot, places, place_joints)
             yield from checks.singularities(program, robot, places, place_joints, sparse_motions)
             speed = checks.joint_speed(program, places, path.motions.segments.turn, place_joints, place_position)
-            yield from checks.joint_speeds(program, robot, places, speed)
+            yield from checks.joint_speed_limits(program, robot, places, speed)
     except ImpossiblePathError as cause:
         yield cause.issue
 
 
-def dense_places(
-    path: PathUnderLoad, q: Array, position: Array, stretches: Stretches
-) -> Iterator[tuple[Toolpath, Array, Array]]:
-    """Yield places on stretches, in batches of n, with commanded joint angles (n, 6) [rad] and positions (n, 3) [m].
+class DensePlaces(NamedTuple):
+    """n places between samples of a path.
+
+    :param sample: the places, with nominal poses.
+    :param q: (n, 6) commanded joint angles [rad].
+    :param position: (n, 3) commanded positions, `$BASE` [m].
+    """
+
+    sample: Toolpath
+    q: Array
+    position: Array
+
+
+def dense_places(path: PathUnderLoad, q: Array, position: Array, stretches: Stretches) -> Iterator[DensePlaces]:
+    """Yield the places on stretches in batches of about `SAMPLES_AT_ONCE`, each of whole stretches.
 
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m]: the
         correction of both is taken for linear between samples.
     :raises ImpossiblePathError: a place is out of reach.
     """
-    program, robot, sample, joints = path.program, path.robot_in_cell.robot, path.sample, path.joints
     if len(stretches.motion) == 0:
         return
-    end_samples = np.flatnonzero(sample.is_end)
-    sample_place = sample.motion + sample.t
+    end_samples = np.flatnonzero(path.sample.is_end)
+    sample_place = path.sample.motion + path.sample.t
     group = np.cumsum(stretches.parts + 1) // SAMPLES_AT_ONCE  # of each stretch: batches have whole stretches
     for batch in np.split(np.arange(len(group)), np.flatnonzero(np.diff(group)) + 1):
         stretch, share = toolpath.even_places(batch, stretches.parts[batch], "both ends")
         begin, end = stretches.begin[stretch], stretches.end[stretch]
         motion, t = stretches.motion[stretch], begin + (end - begin) * share
-        places = toolpath.at(program, path.motions.segments, motion, t)
-        flange = toolpath.flange_from_tcp(program, motion, places.pose[:], t)
-        place_joints = kinematics.branch_joints(robot, flange, joints.branch[end_samples[motion]])
-        is_out_of_reach = any_column(np.isnan(place_joints))
-        if is_out_of_reach.any():
-            raise ImpossiblePathError(unreachable(program, motion[is_out_of_reach]))
-        # only the samples around the places of this batch are needed for interpolation
-        first_sample, last_sample = np.searchsorted(sample_place, [(motion + t).min(), (motion + t).max()]).tolist()
-        neighbours = slice(max(first_sample - 1, 0), last_sample + 1)
-        nominal_joints, position_correction = (
-            joints.q[neighbours],
-            position[neighbours] - sample.pose.position[neighbours],
-        )
-        values = np.column_stack([nominal_joints, q[neighbours] - nominal_joints, position_correction])
-        neighbour_values = np.column_stack(
-            [np.interp(motion + t, sample_place[neighbours], column) for column in values.T]
-        )
+        places = toolpath.at(path.program, path.motions.segments, motion, t)
+        nominal_q = _nominal_joints(path, places, path.joints.branch[end_samples[motion]])
+        path_q, q_correction, position_correction = _between_samples(path, q, position, sample_place, motion + t)
         # the branch gives angles within one turn: those of the path are the nearest by whole turns
-        place_joints += (
-            2.0 * np.pi * np.round((neighbour_values[:, :6] - place_joints) / (2.0 * np.pi)) + neighbour_values[:, 6:12]
-        )
-        yield places, place_joints, places.pose.position + neighbour_values[:, 12:]
+        whole_turns = 2.0 * np.pi * np.round((path_q - nominal_q) / (2.0 * np.pi))
+        commanded_q = nominal_q + (whole_turns + q_correction)
+        yield DensePlaces(places, commanded_q, places.pose.position + position_correction)
+
+
+def _nominal_joints(path: PathUnderLoad, places: Toolpath, branch: Ints) -> Array:
+    """Return the nominal joint angles (n, 6) [rad] at n places, each within one turn.
+
+    :param branch: (n,) branch of the inverse kinematics.
+    :raises ImpossiblePathError: a place is out of reach.
+    """
+    flange = toolpath.flange_from_tcp(path.program, places.motion, places.pose[:], places.t)
+    q = kinematics.branch_joints(path.robot_in_cell.robot, flange, branch)
+    is_out_of_reach = any_column(np.isnan(q))
+    if is_out_of_reach.any():
+        raise ImpossiblePathError(unreachable(path.program, places.motion[is_out_of_reach]))
+    return q
+
+
+class _InterpolatedValues(NamedTuple):
+    """Values at n places, linear between the samples of a path.
+
+    :param nominal_q: (n, 6) joint angles of the nominal path [rad].
+    :param q_correction: (n, 6) commanded minus nominal joint angles [rad].
+    :param position_correction: (n, 3) commanded minus nominal position, `$BASE` [m].
+    """
+
+    nominal_q: Array
+    q_correction: Array
+    position_correction: Array
+
+
+def _between_samples(
+    path: PathUnderLoad, q: Array, position: Array, sample_place: Array, place: Array
+) -> _InterpolatedValues:
+    """Return joint angles and corrections at places (n,), interpolated between the samples of the path.
+
+    :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
+    :param sample_place: (N,) motion + t of the samples, and `place` (n,) of the places.
+    """
+    # only the samples around the places are needed: there may be 10⁶ in all
+    first_sample, last_sample = np.searchsorted(sample_place, [place.min(), place.max()]).tolist()
+    neighbours = slice(max(first_sample - 1, 0), last_sample + 1)
+    nominal_q = path.joints.q[neighbours]
+    position_correction = position[neighbours] - path.sample.pose.position[neighbours]
+    values = np.column_stack([nominal_q, q[neighbours] - nominal_q, position_correction])
+    at_places = np.column_stack([np.interp(place, sample_place[neighbours], column) for column in values.T])
+    return _InterpolatedValues(at_places[:, :6], at_places[:, 6:12], at_places[:, 12:])
 
 
 def origin_issues(program: Program, mode: Mode) -> list[Issue]:
@@ -555,7 +594,7 @@ def path_issues(path: PathUnderLoad, command: Commands) -> list[Issue]:
         *checks.status_and_turn(program, robot, sample, path.joints.q),
         *checks.joint_limits(program, robot, sample, q),
         *checks.singularities(program, robot, sample, q, arcs.motion),
-        *checks.joint_speeds(program, robot, sample, speed),
+        *checks.joint_speed_limits(program, robot, sample, speed),
         *checks.joints_at_joins(program, sample, q, start),
         *checks.corrections_at_joins(program, sample, command.pose, path.wrench),
         *checks.correction_size(program, sample.motion, norm(position - sample.pose.position), limit),

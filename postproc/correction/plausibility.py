@@ -134,8 +134,9 @@ def force_questions(program: Program, forces: PathForces, cell: Cell, robot: Rob
     m = program.motions
     motion = np.repeat(np.arange(len(m)), np.diff(forces.first))  # of each force
     cutting = ~np.asarray(m.rapid)[motion]  # a rapid move begins with the force that ends on it
-    size, moment = (norm(forces.wrench.values[:, columns])[forces.wrench.run] for columns in (slice(3), slice(3, 6)))
-    size, moment = size * cutting, moment * cutting
+    wrench = forces.wrench
+    size = norm(wrench.values[:, :3])[wrench.run] * cutting
+    moment = norm(wrench.values[:, 3:])[wrench.run] * cutting
     rating = rated_payload(robot.title, robot.name)
     if rating is not None and (too_strong := size > rating * GRAVITY).any():
         name = robot.title or robot.name
@@ -190,7 +191,8 @@ def _spindle_questions(program: Program, cell: Cell, rows: Ints) -> Iterator[Iss
     switches = [event for event, kind in zip(program.events, kinds, strict=True) if kind in _SWITCHING]
     last_switch = np.searchsorted([event.before for event in switches], rows, side="right") - 1
     # before the first switch, `last_switch` is −1: the entry at the end
-    is_off = np.array([kind == "spindle_off" for kind in kinds if kind in _SWITCHING] + [True])[last_switch]
+    switches_off = [kind == "spindle_off" for kind in kinds if kind in _SWITCHING]
+    is_off = np.array([*switches_off, True])[last_switch]
     if is_off.any():
         index = int(last_switch[np.argmax(is_off)])
         cause = f"line {switches[index].line} switches it off" if index >= 0 else "nothing switches it on before"
@@ -250,9 +252,8 @@ def tool_changes(program: Program, axis: str) -> Iterator[Issue]:
             continue
         depth = (points - tip[:3, 3]) @ down  # of the cuts below the new tip
         lateral_offset = points - tip[:3, 3] - depth[:, None] * down
-        is_over = (lateral_offset.min(axis=0) - _CUT_MARGIN <= 0.0).all() and (
-            lateral_offset.max(axis=0) + _CUT_MARGIN >= 0.0
-        ).all()
+        smallest_offset, largest_offset = lateral_offset.min(axis=0), lateral_offset.max(axis=0)
+        is_over = (smallest_offset <= _CUT_MARGIN).all() and (largest_offset >= -_CUT_MARGIN).all()
         if depth.max() < 0.0 or (is_over and depth.min() < 0.0):
             message = (
                 f"the new tool is {extra_length * MM_PER_M:.4g} mm longer: where it is mounted its tip is at "

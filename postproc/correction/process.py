@@ -6,7 +6,7 @@ tolerance, targets are inserted and the next draft is made.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,14 @@ from postproc.chunks import in_chunks
 from postproc.correction import checks, collisions, inspection, plausibility
 from postproc.correction.result import ExpectedErrors, Mode, Result
 from postproc.correction.targets import CommandedPath, Commands, TargetSelection, arc_pieces, choose_targets
-from postproc.correction.verify import ReadBackProgram, SimulatedPath, UnusableTextError, read_back, simulate
+from postproc.correction.verify import (
+    Exceedances,
+    ReadBackProgram,
+    SimulatedPath,
+    UnusableTextError,
+    read_back,
+    simulate,
+)
 from postproc.dialects import registry
 from postproc.dialects.dialect import Writer
 from postproc.elastostatics import Reversals
@@ -44,7 +51,7 @@ _NO_BALANCE = "no loaded equilibrium: the pose is singular or the load too large
 
 
 def programmed_commands(path: PathUnderLoad) -> Commands:
-    """Return the uncorrected commands of the program; poses in `$BASE`."""
+    """Return the uncorrected commands of the program, with springs that are not deflected; poses in `$BASE`."""
     theta = np.broadcast_to(0.0, (len(path), path.robot_in_cell.robot.actual.nv))
     return Commands(path.joints.q, path.sample.pose, theta)
 
@@ -67,13 +74,14 @@ def corrected_commands(path: PathUnderLoad) -> Commands:
         q[row], theta[row] = compensation.q, compensation.theta
         return command[:, :3, 3], xyzabc_from_pose(command)[:, 3:]
 
-    movable, unmoved = np.flatnonzero(~is_axis_target), np.flatnonzero(is_axis_target)
-    position, angles = _solve_in_chunks(path, commands_at, movable)
-    if len(unmoved):
-        q[unmoved] = path.joints.q[unmoved]
-        parts, nominal = (position, angles), path.sample.pose
-        position, angles = nominal.position.copy(), nominal.xyzabc(slice(None))[:, 3:]
-        position[movable], angles[movable] = parts
+    corrected_rows, uncorrected_rows = np.flatnonzero(~is_axis_target), np.flatnonzero(is_axis_target)
+    corrected_position, corrected_angles = _solve_in_chunks(path, commands_at, corrected_rows)
+    if not len(uncorrected_rows):
+        return Commands(q, Poses(corrected_position, corrected_angles), theta)
+    q[uncorrected_rows] = path.joints.q[uncorrected_rows]
+    nominal = path.sample.pose
+    position, angles = nominal.position.copy(), nominal.xyzabc(slice(None))[:, 3:]
+    position[corrected_rows], angles[corrected_rows] = corrected_position, corrected_angles
     return Commands(q, Poses(position, angles), theta)
 
 
@@ -96,22 +104,28 @@ def uncorrected_deviations(path: PathUnderLoad, rows: Ints, theta: Array) -> Unc
     :param theta: (N, nv) approximate deflections of the springs: start values.
     :raises ImpossiblePathError: there is no equilibrium somewhere.
     """
-    is_rigid_tool, rest_is_nominal = path.robot_in_cell.tool_spring is None, path.robot_in_cell.rest_is_nominal
+    robot_in_cell = path.robot_in_cell
 
     def deviations(row: Ints) -> tuple[Array, ...]:
-        """Return (n, 3) for samples, `$BASE` [m]: the deviation, then two parts of it that are there if they differ.
+        """Return deviation (n, 3), then displacement and part by the tool (n, 3), unless they are left out, see below.
 
-        The parts are the displacement by the wrench, if the robot at rest is not nominal, and that by a soft tool.
+        All are in `$BASE` [m].
         """
         q, wrench, start_theta = path.joints.q[row], path.wrench_in_root(row), theta[row]
         tip, by_tool = path.tip_in_base(row, q, wrench, start_theta)
-        deviation = tip - path.sample.pose.position[row]
-        by_wrench = () if rest_is_nominal else (tip - path.tip_in_base(row, q, np.zeros_like(wrench), start_theta)[0],)
-        return (deviation, *by_wrench) if is_rigid_tool else (deviation, *by_wrench, by_tool)
+        columns = [tip - path.sample.pose.position[row]]
+        if not robot_in_cell.rest_is_nominal:
+            columns.append(tip - path.tip_in_base(row, q, np.zeros_like(wrench), start_theta)[0])
+        if robot_in_cell.tool_spring is not None:
+            columns.append(by_tool)
+        return tuple(columns)
 
-    columns = _solve_in_chunks(path, deviations, rows)
-    by_wrench = columns[0 if rest_is_nominal else 1]
-    return UncorrectedDeviations(columns[0], by_wrench, None if is_rigid_tool else columns[-1])
+    # columns that would equal another one or zero are neither computed nor kept: there may be 10⁶ samples
+    deviation, *other_columns = _solve_in_chunks(path, deviations, rows)
+    displacement = deviation if robot_in_cell.rest_is_nominal else other_columns[0]
+    return UncorrectedDeviations(
+        deviation, displacement, None if robot_in_cell.tool_spring is None else other_columns[-1]
+    )
 
 
 def _solve_in_chunks(
@@ -272,23 +286,17 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
     :param corrected_draft: the draft with corrected commands; of a nominal program the same one.
     """
     path, row, targets, program = draft.path, draft.selection.row, draft.selection.targets, draft.path.program
-    deviation, deflection, by_tool, path_deviation = _uncorrected_at_targets(task, draft)
+    uncorrected = _uncorrected_at_targets(task, draft)
     reversals = _reversals(corrected_draft)
     cut_length = draft.cut_lengths()
-    bound, errors, error_issues = _expected_errors(task, corrected_draft, deviation, reversals, cut_length)
-    q, causes_at_rest = draft.q[row], _causes_at_rest(task.robot, path.robot_in_cell.cell)
-    questions: list[Issue] = []
-    if causes_at_rest and task.mode != "nominal":
-        shift, cell = norm(deviation - deflection), path.robot_in_cell.cell
-        questions += plausibility.frame_question(program, targets.motion, shift, causes_at_rest, cell)
-
+    expectation = _expected_errors(task, corrected_draft, uncorrected.deviation, reversals, cut_length)
     correction = norm(targets.pose.position - path.sample.pose.position[row])
     result = Result(
         program=program,
         robot=task.robot,
         axis=path.robot_in_cell.spindle,
         mode=task.mode,
-        issues=group_issues([*draft.issues, *error_issues, *questions]),
+        issues=group_issues([*draft.issues, *expectation.issues, *_frame_questions(task, draft, uncorrected)]),
         motion=targets.motion,
         t=targets.t,
         cut_length=cut_length,
@@ -296,20 +304,20 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         nominal=path.sample.pose if len(row) == len(path) else path.sample.pose.take(row),
         printed=_printed_numbers(task, draft),
         wrench=path.wrench.of_rows(row),
-        deflection=deflection,
-        deflection_by_tool=by_tool,
-        deviation_before=deviation,
-        deviation_after=deviation,
-        bound=bound,
-        errors=errors,
-        q=q,
+        deflection=uncorrected.deflection,
+        deflection_by_tool=uncorrected.by_tool,
+        deviation_before=uncorrected.deviation,
+        deviation_after=uncorrected.deviation,
+        bound=expectation.bound,
+        errors=expectation.errors,
+        q=draft.q[row],
         joint_margin=kinematics.joint_margin(task.robot, draft.q),
-        singular_value=kinematics.smallest_singular_value(task.robot, q, path.tool(row)),
-        between=path_deviation,
+        singular_value=kinematics.smallest_singular_value(task.robot, draft.q[row], path.tool(row)),
+        between=uncorrected.largest,
         rounding=draft.selection.programmed_rounding,
         programmed=draft.selection.programmed_rounding,
         reversals=reversals,
-        causes=(("the cutting forces",) if path.wrench.values.any() else ()) + causes_at_rest,
+        causes=_causes_of_deviation(task, path),
         is_stock_known=path.motions.forces.by_law is not None,
         exact_forces=path.motions.forces.spread is None,
         turn=task.turn,
@@ -365,6 +373,22 @@ def _uncorrected_at_targets(task: Task, draft: Draft) -> _UncorrectedTargets:
     # one array where the load is the only cause of deviation: both have the same values
     deflection = target_deviation if deflection is deviation else deflection[row]
     return _UncorrectedTargets(target_deviation, deflection, by_tool if by_tool is None else by_tool[row], largest)
+
+
+def _frame_questions(task: Task, draft: Draft, uncorrected: _UncorrectedTargets) -> Iterator[Issue]:
+    """Yield the question whether `$BASE` contains the deviation without a force; none for a nominal program."""
+    robot_in_cell = draft.path.robot_in_cell
+    causes = _causes_at_rest(task.robot, robot_in_cell.cell)
+    if causes and task.mode != "nominal":
+        shift = norm(uncorrected.deviation - uncorrected.deflection)
+        motion = draft.selection.targets.motion
+        yield from plausibility.frame_question(draft.path.program, motion, shift, causes, robot_in_cell.cell)
+
+
+def _causes_of_deviation(task: Task, path: PathUnderLoad) -> tuple[str, ...]:
+    """Return the causes of deviation from nominal without correction, in words."""
+    by_force = ("the cutting forces",) if path.wrench.values.any() else ()
+    return by_force + _causes_at_rest(task.robot, path.robot_in_cell.cell)
 
 
 def _causes_at_rest(robot: RobotModel, cell: Cell) -> tuple[str, ...]:
@@ -462,6 +486,19 @@ def _expected_errors(
     return _Expectation(bound, part_errors.expected(uncorrected_error, corrected_error), issues)
 
 
+class _TargetErrors(NamedTuple):
+    """Errors of the position at n targets [m].
+
+    :param bound: (n,) bound of the prediction (95 %).
+    :param uncorrected: (n,) expected error without correction.
+    :param corrected: (n,) the same with correction.
+    """
+
+    bound: Array
+    uncorrected: Array
+    corrected: Array
+
+
 class _PartErrors:
     """Errors on the part at the K targets of a draft, by chunks of targets, and their sums over all chunks.
 
@@ -482,8 +519,8 @@ class _PartErrors:
         self.extra_rounding = _extra_rounding(draft)
         self.gain, self.largest_errors = elastostatics.ChanceOfGain(), np.zeros(2)
 
-    def at_targets(self, target: Ints, reverses: Bools, is_scaled: Bools) -> tuple[Array, Array, Array]:
-        """Return bound and expected errors without and with correction, (n,) each [m]; add to the sums over all.
+    def at_targets(self, target: Ints, reverses: Bools, is_scaled: Bools) -> _TargetErrors:
+        """Return the errors at targets; add them to the sums over all, `gain` and `largest_errors`.
 
         :param target: (n,) rows of targets.
         :param reverses: (n, 6) joints that may be on either flank of their gear.
@@ -491,8 +528,16 @@ class _PartErrors:
         """
         draft, path = self.draft, self.draft.path
         sample, motion = draft.selection.row[target], draft.selection.targets.motion[target]
-        load = draft.q[sample], path.tool(sample), path.wrench_in_root(sample), *_load_uncertainty(path, sample)
-        loads = elastostatics.loads(*load, reverses, is_scaled)
+        spread, tool_compliance = _load_uncertainty(path, sample)
+        loads = elastostatics.loads(
+            draft.q[sample],
+            path.tool(sample),
+            path.wrench_in_root(sample),
+            spread,
+            tool_compliance,
+            reverses,
+            is_scaled,
+        )
         sources = elastostatics.sources_of_error(path.robot_in_cell.robot, *loads)
         frames = path.robot_in_cell.touched_frames
         if frames is not None:
@@ -507,8 +552,9 @@ class _PartErrors:
         expectation = elastostatics.expected_errors(sources, uncorrected, corrected)
         for k, error in enumerate((expectation.with_known_robot, expectation.with_known_forces)):
             total = error + self.extra_rounding[target] + self.path_excess[target]
-            self.largest_errors[k] = max(self.largest_errors[k], np.max(total, initial=0.0, where=cut_length > 0.0))
-        return expectation.bound, expectation.before, expectation.after
+            largest_error = np.max(total, initial=0.0, where=cut_length > 0.0)
+            self.largest_errors[k] = max(self.largest_errors[k], largest_error)
+        return _TargetErrors(expectation.bound, expectation.before, expectation.after)
 
     def expected(self, uncorrected_error: Array, corrected_error: Array) -> ExpectedErrors:
         """Return the expected errors on the part, after all targets were added.
@@ -533,15 +579,15 @@ def _errors_left(task: Task, draft: Draft) -> tuple[Array, Array]:
 
     Both are zero without a simulation, and for a nominal program, which is judged by an exact correction.
     """
-    number = len(draft.selection.row)
+    count = len(draft.selection.row)
     if draft.simulation is None or task.mode == "nominal":
-        return np.broadcast_to(0.0, (number, 3)), np.zeros(number)
+        return np.broadcast_to(0.0, (count, 3)), np.zeros(count)
     return draft.simulation.deviation, draft.simulation.path_distance
 
 
-def _joints_near_reversal(reversals: Reversals, number: int) -> Bools:
-    """Return which joints (K, 6) may be on either flank of their gear: at K = `number` targets next to a reversal."""
-    reverses = np.zeros((number, 6), dtype=bool)
+def _joints_near_reversal(reversals: Reversals, count: int) -> Bools:
+    """Return which joints may be on either flank of their gear at each target, (count, 6): next to a reversal."""
+    reverses = np.zeros((count, 6), dtype=bool)
     reverses[reversals.row, reversals.joint] = reverses[reversals.before, reversals.joint] = True
     return reverses
 
@@ -557,7 +603,7 @@ def _load_uncertainty(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Arr
     """Return the uncertainty of loads at samples (n,): the spread of the wrench and the compliance of the tool.
 
     :returns: the spread as in `elastostatics.position_bound`, or None if no force states one; (n, 6, 6) compliance in
-        root axes, or None if the tool is rigid.
+        root axes [m/N, rad/(N·m)], or None if the tool is rigid.
     """
     spread, spring = path.motions.forces.spread_in_root(path.sample.take(row)), path.robot_in_cell.tool_spring
     return spread, None if spring is None else spring.matrices(path.pose_in_root(row)[:, :3, :3])
@@ -702,31 +748,66 @@ def _check_language(file: str, robot: RobotModel, language: str) -> None:
         )
 
 
+class _Division(NamedTuple):
+    """Places of a path that are sampled in addition to the ends of motions.
+
+    :param pieces: the pieces of its arcs.
+    :param extra_places: motion (n,) and t (n,) of places on straight motions.
+    """
+
+    pieces: Pieces
+    extra_places: tuple[Ints, Array]
+
+
 def _refine_until_tolerated(task: Task, motions: MotionsUnderLoad) -> tuple[Task, Draft]:
     """Draft the program; insert targets each round where its simulation exceeds the tolerance.
 
-    :returns: the task, with an issue if rapid moves were slowed, and the draft.
+    :returns: the task, with an issue if moves were slowed, and the draft.
     """
-    pieces, extra_places = _first_pieces(task, motions), motions.swing_places
-    first_issues, slowing = task.initial_issues, None
+    division = _Division(_first_pieces(task, motions), motions.swing_places)
+    drafts = _SlowedDrafts(task, motions)
     for _ in range(_ROUNDS):
-        draft = _written_draft(task, PathUnderLoad.of(motions, pieces, extra_places))
+        draft = drafts.draft(division)
+        if draft.simulation is None or task.mode == "nominal" or len(draft.simulation.exceedances.motion) == 0:
+            break
+        division = _refine(task, draft.path, draft.simulation.exceedances, division.extra_places)
+    return drafts.task, draft
+
+
+class _SlowedDrafts:
+    """Drafts of a program whose moves are slowed while joints of the written program are too fast.
+
+    :ivar task: the task, with an issue once moves were slowed.
+    :ivar motions: the motions at the feeds that were reached so far: later drafts begin with these.
+    :ivar slowing: the motions that were slowed so far; None if none was.
+    """
+
+    def __init__(self, task: Task, motions: MotionsUnderLoad) -> None:
+        self.task, self.motions = task, motions
+        self.slowing: inspection.Slowing | None = None
+        self._issues_before = task.initial_issues
+
+    def draft(self, division: _Division) -> Draft:
+        """Return the draft of a division of the path, slowed `_SLOWINGS` times at most; update the attributes."""
+        draft = self._written(division)
         for _ in range(_SLOWINGS):
             too_fast = [issue for issue in draft.issues if issue.kind.startswith(checks.JOINT_SPEED)]
             if not too_fast:
                 break
             fast_lines = {line for issue in too_fast for line in (issue.source_line or 0, *issue.lines)}
             q, position = draft.q, draft.path.sample.pose.position
-            slow_motions = inspection.slow_rapids(draft.path, q, position, slowing, fast_lines)
+            slow_motions = inspection.slow_rapids(draft.path, q, position, self.slowing, fast_lines)
             if slow_motions is None:
                 break
-            motions, slowing = slow_motions
-            task = replace(task, initial_issues=(*first_issues, slowing.issue(motions.program.motions)))
-            draft = _written_draft(task, PathUnderLoad.of(motions, pieces, extra_places))
-        if draft.simulation is None or task.mode == "nominal" or len(draft.simulation.missed[0]) == 0:
-            break
-        pieces, extra_places = _refine(task, draft.path, draft.simulation.missed, extra_places)
-    return task, draft
+            self.motions, self.slowing = slow_motions
+            issue = self.slowing.issue(self.motions.program.motions)
+            self.task = replace(self.task, initial_issues=(*self._issues_before, issue))
+            draft = self._written(division)
+        return draft
+
+    def _written(self, division: _Division) -> Draft:
+        """Return the draft of a division of the path at the present feeds."""
+        return _written_draft(self.task, PathUnderLoad.of(self.motions, division.pieces, division.extra_places))
 
 
 def _first_pieces(task: Task, motions: MotionsUnderLoad) -> Pieces:
@@ -738,12 +819,9 @@ def _first_pieces(task: Task, motions: MotionsUnderLoad) -> Pieces:
     return pieces
 
 
-def _refine(
-    task: Task, path: PathUnderLoad, exceedances: tuple[Ints, Array, Array], extra_places: tuple[Ints, Array]
-) -> tuple[Pieces, tuple[Ints, Array]]:
+def _refine(task: Task, path: PathUnderLoad, exceedances: Exceedances, extra_places: tuple[Ints, Array]) -> _Division:
     """Return finer pieces of arcs and more places on straight motions where the path left the tolerance.
 
-    :param exceedances: motion (n,), t (n,) and distance from the path (n,) [m] of these places.
     :param extra_places: motion and t of the places that were inserted before; the new ones are appended.
     """
     motion, t, distance = exceedances
@@ -752,7 +830,9 @@ def _refine(
     parts = np.sqrt(distance[is_on_arc] / (SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance))
     parts = np.clip(np.ceil(parts), 2, _MOST_PARTS).astype(np.int64)
     pieces = path.arcs.finer(motion[is_on_arc], t[is_on_arc], parts)
-    return pieces, (np.append(extra_places[0], motion[~is_on_arc]), np.append(extra_places[1], t[~is_on_arc]))
+    is_straight = ~is_on_arc
+    places = np.append(extra_places[0], motion[is_straight]), np.append(extra_places[1], t[is_straight])
+    return _Division(pieces, places)
 
 
 def _commands(task: Task, path: PathUnderLoad) -> Commands:

@@ -173,6 +173,8 @@ def _divide_lines(path: CommandedPath, motions: Ints) -> Ints:
     """Divide lines (n,) at their largest error until every piece fits; return the samples at which pieces end.
 
     All pieces of all lines are divided at once: `left` and `right` are rows of the points that bound each.
+
+    :returns: samples, in no order.
     """
     count = np.bincount(path.sample.motion, minlength=len(path.start))
     # the points of a line are its start, in a row of its own, and its samples
@@ -184,25 +186,35 @@ def _divide_lines(path: CommandedPath, motions: Ints) -> Ints:
     left, right = first, first + size - 1
     piece_ends: list[Ints] = []
     while len(left):
-        count = right - left - 1
-        piece = np.repeat(np.arange(len(left)), count)
-        candidate = ragged_range(count, left + 1)
-        share = (t[candidate] - t[left][piece]) / (t[right] - t[left])[piece]
-        start, end = position[left], position[right]
-        distance = norm(position[candidate] - start[piece] - share[:, None] * (end - start)[piece])
-        # sorted by piece, then by distance: the last point of each piece is the farthest
-        order = np.lexsort((distance, piece))
-        farthest_rows = order[np.cumsum(count[count > 0]) - 1]
-        largest_distance, division = np.zeros(len(left)), np.full(len(left), -1)
-        largest_distance[piece[farthest_rows]], division[piece[farthest_rows]] = (
-            distance[farthest_rows],
-            candidate[farthest_rows],
-        )
+        largest_distance, farthest = _farthest_points(t, position, left, right)
         is_divided = largest_distance > path.limit
         piece_ends.append(right[~is_divided])
-        division = division[is_divided]
+        division = farthest[is_divided]
         left, right = np.concatenate([left[is_divided], division]), np.concatenate([division, right[is_divided]])
     return np.asarray(row[np.concatenate(piece_ends)])
+
+
+def _farthest_points(t: Array, position: Array, left: Ints, right: Ints) -> tuple[Array, Ints]:
+    """Return the largest distance (n,) of inner points of pieces from where a straight piece is at their t, and whose.
+
+    A piece without inner points has the distance 0 and the row −1.
+
+    :param t: (P,) place of each point on its motion, and `position` (P, 3) its position [m].
+    :param left: (n,) row of the first point of each piece, and `right` (n,) of its last one.
+    """
+    count = right - left - 1
+    piece = np.repeat(np.arange(len(left)), count)
+    inner = ragged_range(count, left + 1)
+    share = (t[inner] - t[left][piece]) / (t[right] - t[left])[piece]
+    start, end = position[left], position[right]
+    distance = norm(position[inner] - start[piece] - share[:, None] * (end - start)[piece])
+    # sorted by piece, then by distance: the last point of each piece is the farthest
+    order = np.lexsort((distance, piece))
+    last_of_piece = order[np.cumsum(count[count > 0]) - 1]
+    largest_distance, farthest = np.zeros(len(left)), np.full(len(left), -1)
+    largest_distance[piece[last_of_piece]] = distance[last_of_piece]
+    farthest[piece[last_of_piece]] = inner[last_of_piece]
+    return largest_distance, farthest
 
 
 def _is_flat(a: Array, b: Array, c: Array, distance: float, angle: float) -> Bools:
@@ -213,9 +225,11 @@ def _is_flat(a: Array, b: Array, c: Array, distance: float, angle: float) -> Boo
     chord, first = c - a, b - a
     length, height = norm(chord), norm(np.cross(chord, first))
     # |chord × first| is the length of the chord times the sagitta
-    flat = height < _FLAT * length
-    small = np.minimum(length, norm(first)) < distance
-    return np.asarray((length > 0.0) & (flat | small | (height < np.tan(angle) * (chord * first).sum(axis=1))))
+    is_flat = height < _FLAT * length
+    is_short = np.minimum(length, norm(first)) < distance
+    # the tangent of the angle at a is |chord × first| / (chord · first)
+    is_narrow = height < np.tan(angle) * (chord * first).sum(axis=1)
+    return np.asarray((length > 0.0) & (is_flat | is_short | is_narrow))
 
 
 _ROUNDING_SHARE = 0.2
@@ -263,13 +277,12 @@ def _is_continuous(program: Program, motion: Ints, kind: Ints) -> Bools:
     """
     m = program.motions
     following = np.append(motion[1:], -1)
-    is_same_frame = (
-        (following - motion <= 1) & (m.base[following] == m.base[motion]) & (m.tool[following] == m.tool[motion])
-    )
-    if program.after is not None:  # at the start of branches, or where the position of the robot is unknown
-        is_same_frame &= (following == motion) | (program.after[following] == motion)
-    path = (kind != PTP) & (kind != SPL)
-    return np.asarray((following >= 0) & is_same_frame & path & np.append(path[1:], False))
+    is_same_frame = (m.base[following] == m.base[motion]) & (m.tool[following] == m.tool[motion])
+    follows_at_once = (following >= 0) & (following - motion <= 1)
+    if program.after is not None:  # not at the start of branches, or where the position of the robot is unknown
+        follows_at_once &= (following == motion) | (program.after[following] == motion)
+    is_path_motion = (kind != PTP) & (kind != SPL)
+    return np.asarray(follows_at_once & is_same_frame & is_path_motion & np.append(is_path_motion[1:], False))
 
 
 def corners_of_targets(program: Program, targets: Targets, start: Array) -> tuple[Corners, Array]:
@@ -381,6 +394,8 @@ def _round_down(distance: Array) -> Array:
     return np.asarray(smaller.max(axis=1) * M_PER_MM)
 
 
+_STATUS_BITS, _TURN_BITS = 0b111, 0b111111
+"""Bits of S that state the posture (overhead, elbow, wrist), and of T that state the signs of A1 to A6."""
 _UNCHANGED = 1e-7
 """A correction below this [m, rad] is none: the text of a target is left to the byte where the program keeps it."""
 
@@ -416,9 +431,8 @@ def choose_targets(
     kind = np.where(m.kind == CIRC, LIN, m.kind) if linearize_arcs else m.kind
     is_dense = ~is_whole & (toolpath.swivel_pieces(program, path.motions.segments, path.robot_in_cell.tolerance) > 1)
     samples = choose_samples(commanded_path, kind, is_whole, is_dense, least_arc)
-    is_cartesian = np.isnan(
-        m.joints[sample.motion[samples[0]], 0]
-    )  # axis targets are written from their own joint angles
+    # axis targets are written from their own joint angles
+    is_cartesian = np.isnan(m.joints[sample.motion[samples.row], 0])
     row, target_kind, via_row = (values[is_cartesian] for values in samples)
     motion = sample.motion[row]
     via, arcs = np.broadcast_to(np.nan, (len(row), 3)), via_row >= 0
@@ -456,6 +470,7 @@ def _unchanged_motions(path: PathUnderLoad, command: Commands) -> tuple[Bools, B
     # the text of a circle is kept if its start is that of the text: no change since the last motion that is no circle,
     # whose end is printed as it was
     rows, differs = np.arange(len(m)), np.where(is_arc, path_differs, end_differs)
+    # −2 before any change and −1 before any line: arcs from the start of the program on are kept too
     last_change = np.maximum.accumulate(np.where(differs, rows, -2))
     last_line = np.maximum.accumulate(np.where(is_arc, -1, rows))
     keeps_end = np.where(is_arc, last_change < last_line, ~end_differs)
@@ -478,6 +493,9 @@ def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Array
     status, turn = np.full(len(motion), -1), np.full(len(motion), -1)
     status[ptp], turn[ptp] = kinematics.status_of(robot, q[ptp]), kinematics.turn_of(q[ptp])
     if program.keeps_text:
-        for target_bits, programmed_bits, bits in ((status, m.status[motion], 7), (turn, m.turn[motion], 63)):
-            target_bits[:] = np.where(programmed_bits >= 0, programmed_bits & ~bits | target_bits, -1)
+        for target_bits, programmed_bits, computed_bits in (
+            (status, m.status[motion], _STATUS_BITS),
+            (turn, m.turn[motion], _TURN_BITS),
+        ):
+            target_bits[:] = np.where(programmed_bits >= 0, programmed_bits & ~computed_bits | target_bits, -1)
     return status, turn

@@ -100,7 +100,8 @@ def _other_module(path: PathUnderLoad, whole: Program, row: Ints, modules: Modul
     :param whole: the program in one piece, as read; `row` (K,) its motions that end at targets.
     """
     robot_in_cell, m = path.robot_in_cell, whole.motions
-    begins = [0, *(int(row[first - 1]) for first in modules.first[1:])]
+    # the first motion of each further module moves to the last target of the module before
+    begins = [0, *(int(row[first_target - 1]) for first_target in modules.first[1:])]
     fields = [name for name in m.__struct_fields__ if name not in ("line", "base", "tool")]
     for document, begin, end in zip(modules.documents, begins, [*begins[1:], len(m) - 1], strict=True):
         try:
@@ -110,6 +111,7 @@ def _other_module(path: PathUnderLoad, whole: Program, row: Ints, modules: Modul
         except ProgramError:
             return document.name
         module_motions, rows = led_by_wrist(module, robot_in_cell).motions, np.arange(begin, end + 1)
+        # the first motion comes from [start], and only its target is compared, with a tolerance
         pairs = [(getattr(module_motions, name)[1:], getattr(m, name)[rows[1:]]) for name in fields]
         pairs += [
             (module.bases[module_motions.base], whole.bases[m.base[rows]]),
@@ -143,8 +145,10 @@ def _mismatch(program: Program, targets: Targets, output_program: Program, row: 
         return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
 
     def pose_error(target: Ints) -> tuple[Array]:
-        read, pose = m.target.take(row[target]), targets.pose.take(target)
-        return (np.maximum(largest(read.position - pose.position), angle_between(read.rotation, pose.rotation)),)
+        """Return the larger of position [m] and angle [rad] by which poses of targets (n,) differ as read back."""
+        pose_as_read, pose = m.target.take(row[target]), targets.pose.take(target)
+        angle = angle_between(pose_as_read.rotation, pose.rotation)
+        return (np.maximum(largest(pose_as_read.position - pose.position), angle),)
 
     differs = (m.kind[row] != targets.kind) | (in_chunks(pose_error, np.arange(len(row)))[0] > _PRECISION)
     for frames, expected_frames, frame, expected_frame in (
@@ -200,6 +204,19 @@ _TARGET_ERROR = f"the simulated program misses a target by {{left}} (allowed {_T
 _PATH_ERROR = "the simulated program leaves its path between targets by {left} (allowed {allowed})"
 
 
+class Exceedances(NamedTuple):
+    """Places where the path error uses too much of the tolerance, and more targets may help.
+
+    :param motion: (n,) row of `Motions`.
+    :param t: (n,) place on that motion.
+    :param distance: (n,) of the tip from the path [m].
+    """
+
+    motion: Ints
+    t: Array
+    distance: Array
+
+
 class SimulatedPath(Struct, frozen=True, eq=False):
     """Simulated path of the written program.
 
@@ -209,8 +226,7 @@ class SimulatedPath(Struct, frozen=True, eq=False):
     :param path_distance: (K,) largest distance from the nominal path on the way to each target [m], where correction
         was possible.
     :param rounding: (K,) how far approximate positioning passes each target [m].
-    :param missed: places where the path error uses too much of the tolerance, and more targets may help: row of
-        `Motions` (n,), t (n,) on it, distance of the tip from the path (n,) [m].
+    :param exceedances: places where more targets may help.
     :param issues: why the program must not be released (level error), or what to look at.
     """
 
@@ -219,7 +235,7 @@ class SimulatedPath(Struct, frozen=True, eq=False):
     deviation: Array
     path_distance: Array
     rounding: Array
-    missed: tuple[Ints, Array, Array]
+    exceedances: Exceedances
     issues: tuple[Issue, ...]
 
     @property
@@ -264,7 +280,7 @@ def simulate(
     )
     probes = _probes(path, selection, readback)
     deviation, distance, near_limit = _deviation(path, selection, theta, readback, probes)
-    too_fast = tuple(_joint_speeds(path, selection, readback)) if near_limit else ()
+    too_fast = tuple(_joint_speed_issues(path, selection, readback)) if near_limit else ()
     step, jump, is_judged = _conditions_of_probes(path, targets, probes)
     issues: list[Issue] = []
     if is_corrected:
@@ -281,17 +297,17 @@ def simulate(
         deviation,
         path_distance,
         rounding,
-        (probes.motion[is_beyond_tolerance], probes.t[is_beyond_tolerance], distance[is_beyond_tolerance]),
+        Exceedances(probes.motion[is_beyond_tolerance], probes.t[is_beyond_tolerance], distance[is_beyond_tolerance]),
         tuple(issues),
     )
 
 
 class _Conditions(NamedTuple):
-    """Conditions of n probes.
+    """By what the tolerance is exceeded at n probes, if it is, and whether it must hold there.
 
-    :param step: (n,) True for probes that follow a step of the force.
-    :param jump: (n,) True for those in a jump of it.
-    :param is_judged: (n,) True for those that must hold the tolerance.
+    :param step: (n,) True just behind the start of a motion whose force is another one than at the end before.
+    :param jump: (n,) True inside a piece that is too short to be divided: the force jumps there.
+    :param is_judged: (n,) True where the tolerance must hold.
     """
 
     step: Bools
@@ -300,14 +316,17 @@ class _Conditions(NamedTuple):
 
 
 def _conditions_of_probes(path: PathUnderLoad, targets: Targets, probes: _Probes) -> _Conditions:
-    """Return the conditions of the probes."""
-    m, forces, length = path.program.motions, path.motions.forces, path.motions.segments.length
-    # at the start, and at an axis target, no correction was possible
-    has_no_correction = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.robot_in_cell.rest_is_nominal)
-    motion, is_inner, end = probes.motion, probes.share < 1.0, targets.t[probes.target]
-    step = forces.behind_step(motion, end) & is_inner
-    jump = (length[motion] * (end - targets.begin(probes.target)) < _JUMP_LENGTH) & is_inner
-    return _Conditions(step, jump, ~(has_no_correction[motion] & is_inner) & ~step)
+    """Return which probes are behind a step or inside a jump of the force, and which must hold the tolerance.
+
+    The others are inside a piece that begins where no correction was possible, or behind a step.
+    """
+    m, motion, is_inner = path.program.motions, probes.motion, probes.is_inside
+    begin, end = targets.begin(probes.target), targets.t[probes.target]
+    step = path.motions.forces.behind_step(motion, end) & is_inner
+    jump = (path.motions.segments.length[motion] * (end - begin) < _JUMP_LENGTH) & is_inner
+    # [start] and axis targets are not corrected: a motion from there begins as far off as the robot is without a force
+    begins_uncorrected = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.robot_in_cell.rest_is_nominal)
+    return _Conditions(step, jump, ~(begins_uncorrected[motion] & is_inner) & ~step)
 
 
 class _Deviation(NamedTuple):
@@ -331,50 +350,74 @@ def _deviation(
     :param theta: (N, nv) approximate deflections of the springs at the samples of the path.
     :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.
     """
-    robot_in_cell, output_program = path.robot_in_cell, readback.program
-    driven_program = DrivenProgram(output_program, robot_in_cell, readback.segments)
-    place = path.sample.motion + path.sample.t
-    deviation = np.zeros((len(selection.targets), 3))
-    last_state: tuple[Array, Array] | None = None  # joint angles and position at the end of the chunk before
-
-    def errors_in_chunk(target: Ints, motion: Ints, t: Array, share: Array) -> tuple[Array, Bools]:
-        """Return distances (n,) of the loaded tip from nominal at probes [m], and which (n,) are near a joint speed.
-
-        :param target: (n,) target to which each probe leads; `motion` and `t` (n,) its place on the nominal path.
-        :param share: (n,) share of the written piece to the target.
-        :raises NotConvergedError: a commanded pose is out of reach, or there is no equilibrium.
-        """
-        nonlocal last_state
-        output_motion, is_inside = readback.row[target], share < 1.0
-        nominal_sample = selection.row[target]  # at a target its sample, inside a piece the next sample
-        nominal_sample[is_inside] = np.searchsorted(place, motion[is_inside] + t[is_inside] - _SAME_SAMPLE)
-        nominal = toolpath.at(path.program, path.motions.segments, motion, t)
-        wrench = toolpath.wrench_in_root(output_program, output_motion, path.motions.forces.at(nominal))
-        pose, q = driven_program.commanded_poses(output_motion, share, path.joints.branch[nominal_sample])
-        if np.isnan(q).any():
-            raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
-        tip = driven_program.loaded_tip(
-            output_motion, q, wrench, driven_program.carriage_displacement(output_motion, share), theta[nominal_sample]
-        )
-        position = pose[:, :3, 3]
-        last_q, last_position = (q[:1], position[:1]) if last_state is None else last_state
-        travel = norm(np.diff(position, axis=0, prepend=last_position))
-        joint_time = (np.abs(np.diff(q, axis=0, prepend=last_q)) / robot_in_cell.robot.speed).max(axis=1, initial=0.0)
-        is_fast = (joint_time * np.nan_to_num(output_program.motions.feed[output_motion]) > _SPEED_SHARE * travel) & (
-            travel > _NO_TRAVEL
-        )
-        last_state = q[-1:], position[-1:]
-        error = driven_program.to_base(output_motion, tip) - nominal.pose.position
-        deviation[target[~is_inside]] = error[~is_inside]
-        return norm(error), is_fast
-
+    errors = _ProbeErrors(path, selection, theta, readback)
     try:
-        distance, is_fast = in_chunks(errors_in_chunk, probes.target, probes.motion, probes.t, probes.share)
+        distance, is_fast = in_chunks(errors.at_probes, probes.target, probes.motion, probes.t, probes.share)
     except NotConvergedError as cause:
         line = int(path.program.motions.line[probes.motion[cause.rows[0]]])
         message = f"the written program cannot be simulated: {cause}"
         raise UnusableTextError(Issue("error", "read-back", message, source_line=line)) from None
-    return _Deviation(deviation, distance, bool(is_fast.any()))
+    return _Deviation(errors.at_targets, distance, bool(is_fast.any()))
+
+
+class _ProbeErrors:
+    """Path errors at the probes of a written program, by chunks of probes in order.
+
+    :ivar at_targets: (K, 3) deviation from nominal at the targets of the chunks so far, `$BASE` [m].
+    """
+
+    def __init__(
+        self, path: PathUnderLoad, selection: TargetSelection, theta: Array, readback: ReadBackProgram
+    ) -> None:
+        self._path, self._selection, self._theta, self._readback = path, selection, theta, readback
+        self._sample_place = path.sample.motion + path.sample.t
+        self._driven_program = DrivenProgram(readback.program, path.robot_in_cell, readback.segments)
+        self._last_state: tuple[Array, Array] | None = None  # joint angles and position at the last probe so far
+        self.at_targets = np.zeros((len(selection.targets), 3))
+
+    def at_probes(self, target: Ints, motion: Ints, t: Array, share: Array) -> tuple[Array, Bools]:
+        """Return distances (n,) of the loaded tip from nominal at probes [m], and which (n,) are near a joint speed.
+
+        Sets the rows of `at_targets` of these probes. The parameters are those of `_Probes`.
+
+        :raises NotConvergedError: a commanded pose is out of reach, or there is no equilibrium.
+        """
+        path, readback, driven_program = self._path, self._readback, self._driven_program
+        output_motion, is_inside = readback.row[target], share < 1.0
+        sample = self._nominal_samples(target, motion + t, is_inside)
+        nominal = toolpath.at(path.program, path.motions.segments, motion, t)
+        wrench = toolpath.wrench_in_root(readback.program, output_motion, path.motions.forces.at(nominal))
+        pose, q = driven_program.commanded_poses(output_motion, share, path.joints.branch[sample])
+        if np.isnan(q).any():
+            raise NotConvergedError("a commanded pose is out of reach", np.flatnonzero(np.isnan(q).any(axis=1)))
+        displacement = driven_program.carriage_displacement(output_motion, share)
+        tip = driven_program.loaded_tip(output_motion, q, wrench, displacement, self._theta[sample])
+        error = driven_program.to_base(output_motion, tip) - nominal.pose.position
+        self.at_targets[target[~is_inside]] = error[~is_inside]
+        return norm(error), self._is_fast(q, pose[:, :3, 3], readback.program.motions.feed[output_motion])
+
+    def _nominal_samples(self, target: Ints, place: Array, is_inside: Bools) -> Ints:
+        """Return the sample (n,) of the nominal path at each probe: that of its target, inside a piece the next one.
+
+        :param place: (n,) motion + t of the probes.
+        """
+        sample = self._selection.row[target]
+        sample[is_inside] = np.searchsorted(self._sample_place, place[is_inside] - _SAME_SAMPLE)
+        return sample
+
+    def _is_fast(self, q: Array, position: Array, feed: Array) -> Bools:
+        """Return on the way to which probes (n,) a joint is near its largest speed; keep the last state for later ones.
+
+        :param q: (n, 6) commanded joint angles [rad], `position` (n, 3) commanded positions [m].
+        :param feed: (n,) programmed feeds [m/s]; NaN for joint motions, which are never fast.
+        """
+        last_q, last_position = (q[:1], position[:1]) if self._last_state is None else self._last_state
+        self._last_state = q[-1:], position[-1:]
+        travel = norm(np.diff(position, axis=0, prepend=last_position))
+        speed_limit = self._path.robot_in_cell.robot.speed
+        joint_time = (np.abs(np.diff(q, axis=0, prepend=last_q)) / speed_limit).max(axis=1, initial=0.0)
+        is_fast = joint_time * np.nan_to_num(feed) > _SPEED_SHARE * travel
+        return np.asarray(is_fast & (travel > _NO_TRAVEL))
 
 
 def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackProgram) -> _Probes:
@@ -387,6 +430,7 @@ def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackP
     targets, m = selection.targets, readback.program.motions
 
     def correction(target: Ints) -> Array:
+        """Return the correction (n, 3) of targets (n,), `$BASE` [m]."""
         return targets.pose.position[target] - path.sample.pose.position[selection.row[target]]
 
     rows = np.arange(len(targets))
@@ -451,15 +495,13 @@ def _tolerance_issues(
     )
     for level, kind, is_case, message in cases:
         if is_case.any():
-            largest_error, tolerance_mm = (
-                np.nanmax(distance[is_case]) * MM_PER_M,
-                path.robot_in_cell.tolerance * MM_PER_M,
-            )
+            largest_error = np.nanmax(distance[is_case]) * MM_PER_M
+            tolerance_mm = path.robot_in_cell.tolerance * MM_PER_M
             message = message.format(left=f"{largest_error:.4f} mm", allowed=f"{tolerance_mm:g} mm")
             yield path.program.motions.issue(level, kind, message, probes.motion[is_case])
 
 
-def _joint_speeds(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackProgram) -> Iterator[Issue]:
+def _joint_speed_issues(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackProgram) -> Iterator[Issue]:
     """Yield issues of joint speeds beyond the limits in the written program, by its samples and places between them.
 
     The issues name the output line, and the source line of the target there.
@@ -469,16 +511,16 @@ def _joint_speeds(path: PathUnderLoad, selection: TargetSelection, readback: Rea
     loaded_path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     speed = inspection.commanded_speed(loaded_path, loaded_path.joints.q, loaded_path.sample.pose.position)
     _, lines = inspection.stretches_to_examine(loaded_path, loaded_path.joints.q, speed)
-    issues = list(checks.joint_speeds(output_program, robot, loaded_path.sample, speed))
+    issues = list(checks.joint_speed_limits(output_program, robot, loaded_path.sample, speed))
     for places, place_joints, position in inspection.dense_places(
         loaded_path, loaded_path.joints.q, loaded_path.sample.pose.position, lines
     ):
         speed = checks.joint_speed(output_program, places, loaded_path.motions.segments.turn, place_joints, position)
-        issues += checks.joint_speeds(output_program, robot, places, speed)
-    kinds = set()
+        issues += checks.joint_speed_limits(output_program, robot, places, speed)
+    first_of_kind: dict[str, Issue] = {}
     for issue in issues:
-        if issue.kind not in kinds:
-            kinds.add(issue.kind)
-            target = int(np.argmax(output_program.motions.line[readback.row] == issue.source_line))
-            line = int(path.program.motions.line[selection.targets.motion[target]])
-            yield replace(issue, output_line=issue.source_line, source_line=line, lines=(line,))
+        first_of_kind.setdefault(issue.kind, issue)
+    for issue in first_of_kind.values():
+        target = int(np.argmax(output_program.motions.line[readback.row] == issue.source_line))
+        line = int(path.program.motions.line[selection.targets.motion[target]])
+        yield replace(issue, output_line=issue.source_line, source_line=line, lines=(line,))

@@ -312,7 +312,7 @@ def test_joints_that_are_too_fast_are_named_with_the_feed_that_is_slow_enough(is
     speed[1, 1], speed[2, 1], speed[3, 4] = 1.2 * ROBOT.speed[1], 1.5 * ROBOT.speed[1], 2.0 * ROBOT.speed[4]
     speed[2, 0] = ROBOT.speed[0]
     made = replace(MADE, issues=(Issue("warning", "default-speed", ""),)) if is_default else MADE
-    issues = list(checks.joint_speeds(made, ROBOT, sample(range(5)), speed))
+    issues = list(checks.joint_speed_limits(made, ROBOT, sample(range(5)), speed))
     level = "warning" if is_default else "error"
     assert lines(issues) == {"joint-speed-A2": (level, 2, 2), "joint-speed-A5": (level, 4, 1)}
     limit = np.degrees(ROBOT.speed[1])

@@ -335,7 +335,7 @@ def test_joint_speeds_beyond_the_limit_are_errors_with_the_speed(axis):
     slow = replace(MADE, motions=replace(MADE.motions, rapid=np.zeros(4, dtype=bool)))
 
     def found(made, speed=speed):
-        return list(checks.joint_speeds(made, ROBOT, sampled((1, 2, 3)), speed))
+        return list(checks.joint_speed_limits(made, ROBOT, sampled((1, 2, 3)), speed))
 
     (issue,) = found(slow)
     assert (issue.kind, issue.level, issue.lines) == (f"joint-speed-A{axis + 1}", "error", (4,))

@@ -391,7 +391,7 @@ def test_states_are_distances_of_joints_to_their_limits_and_of_the_arm_to_singul
 
 CHECKS = (
     "start_joints", "first_move", "height_of_start", "half_turns", "posture", "status_and_turn", "joint_limits",
-    "singularities", "joint_speeds", "joints_at_joins", "corrections_at_joins", "correction_size",
+    "singularities", "joint_speed_limits", "joints_at_joins", "corrections_at_joins", "correction_size",
 )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ WORD = {LIN: "LIN", SPL: "SPL", PTP: "PTP"}
 KINDS = {
     "joint_limits": {LIN: "joint-limit-A1", SPL: "joint-limit-A1", PTP: "joint-limit-A1"},
     "singularities": {LIN: "wrist-singularity", SPL: "wrist-singularity", PTP: NO_SINGULARITY},
-    "joint_speeds": {LIN: "joint-speed-A1", SPL: "joint-speed-A1", PTP: OWN_SPEED},
+    "joint_speed_limits": {LIN: "joint-speed-A1", SPL: "joint-speed-A1", PTP: OWN_SPEED},
     "correction_size": {LIN: "correction-size", SPL: "correction-size", PTP: NO_FORCE},
 }
 """Check → kind of motion → kind of the issue, or why there is none."""
@@ -41,7 +41,7 @@ def planted(check, kind):
         first, last = near(A1=184.0), near(A1=185.2)
     elif check == "singularities":
         first, last = near(A5=3.0), near(A5=0.1)
-    elif check == "joint_speeds":
+    elif check == "joint_speed_limits":
         model = replace(ROBOT, speed=ROBOT.speed * np.where(np.arange(6) == 0, 1e-4, 1.0))
         settings["feed"] = 0.05
     else:

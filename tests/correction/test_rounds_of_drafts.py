@@ -10,6 +10,7 @@ import pytest
 from msgspec import Struct
 
 from postproc.correction import checks
+from postproc.correction.verify import Exceedances
 from postproc.errors import Issue
 from postproc.poses import Poses
 
@@ -45,18 +46,18 @@ class Script:
             for k in range(count)
         ]
         missed = self.missed[number] if number < len(self.missed) else 0
-        rows = (np.arange(missed), np.zeros(missed), np.zeros(missed))
+        rows = Exceedances(np.arange(missed), np.zeros(missed), np.zeros(missed))
         pose = Poses.fixed(np.full((2, 3), float(number)), np.eye(3))
         path = SimpleNamespace(sample=SimpleNamespace(pose=pose), number=number)
-        simulation = SimpleNamespace(missed=rows) if self.simulated else None
+        simulation = SimpleNamespace(exceedances=rows) if self.simulated else None
         return SimpleNamespace(
             issues=[*issues, Issue("info", "x", "y")], q=f"q {number}", path=path, simulation=simulation, number=number
         )
 
     def closer(self, task, path, missed, places):
-        self.log.append(("closer", path.number, len(missed[0]), places))
+        self.log.append(("closer", path.number, len(missed.motion), places))
         count = sum(entry[0] == "closer" for entry in self.log)
-        return f"pieces {count}", f"places {count}"
+        return process._Division(f"pieces {count}", f"places {count}")
 
     def slowed(self, path, q, position, slowing, fast_lines):
         count = sum(entry[0] == "slowed" for entry in self.log)

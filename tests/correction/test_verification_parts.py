@@ -220,7 +220,7 @@ def simulated(monkeypatch, seed, *, is_corrected, keeps_text, near_limit=False):
         ("corners_of_motions", lambda made, segments, row: corners), ("_probes", lambda *parts: probes),
         ("_deviation", lambda *parts: (deviation, distance, near_limit)), ("_tolerance_issues", left),
         ("_conditions_of_probes", lambda *parts: (step, jump, is_judged)),
-        ("_joint_speeds", lambda *parts: iter(["fast"])),
+        ("_joint_speed_issues", lambda *parts: iter(["fast"])),
     ):  # fmt: skip
         monkeypatch.setattr(verify, name, function)
     monkeypatch.setattr(verify.checks, "blending", blending)
@@ -241,9 +241,9 @@ def test_places_that_use_up_four_fifths_of_the_tolerance_are_missed(monkeypatch,
     result, parts = simulated(monkeypatch, seed, is_corrected=is_corrected, keeps_text=keeps_text)
     target, share, motion, distance, step, jump, is_judged, rounding, programmed, marks, probes = parts
     bad = [n for n in range(30) if is_judged[n] and not jump[n] and share[n] < 1.0 and distance[n] > 0.8 * TOLERANCE]
-    assert result.missed[0].tolist() == [motion[n] for n in bad]
-    np.testing.assert_array_equal(result.missed[1], probes.t[bad])
-    np.testing.assert_array_equal(result.missed[2], distance[bad])
+    assert result.exceedances[0].tolist() == [motion[n] for n in bad]
+    np.testing.assert_array_equal(result.exceedances[1], probes.t[bad])
+    np.testing.assert_array_equal(result.exceedances[2], distance[bad])
     for k in range(10):
         rows = [n for n in range(30) if target[n] == k and is_judged[n]]
         assert result.path_distance[k] == max((distance[n] for n in rows), default=0.0)
@@ -298,8 +298,8 @@ def test_a_joint_that_is_too_fast_at_several_places_is_named_once_with_the_lines
     batches = [("places", "first", "position"), ("places", "second", "position")]
     monkeypatch.setattr(verify.inspection, "dense_places", lambda *parts: batches if parts[3] == "lines" else [])
     monkeypatch.setattr(verify.checks, "joint_speed", lambda made, at, turn, q, position: q if turn == "turn" else None)
-    monkeypatch.setattr(verify.checks, "joint_speeds", lambda made, robot, at, speed: places[speed])
-    found = list(verify._joint_speeds(path, selection, readback))
+    monkeypatch.setattr(verify.checks, "joint_speed_limits", lambda made, robot, at, speed: places[speed])
+    found = list(verify._joint_speed_issues(path, selection, readback))
     named = [(entry.kind, entry.message, entry.output_line, entry.source_line, entry.lines) for entry in found]
     assert named == [
         ("joint-speed-A3", "A3 on 23", 23, 8, (8,)), ("joint-speed-A5", "A5 on 25", 25, 11, (11,)),
