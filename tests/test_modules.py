@@ -434,7 +434,7 @@ def places(text: str, more: str = "") -> list[str]:
     Path("cell.toml").write_text(CELL_FILE.read_text() + MORE + more)
     unit = cells.load(Path("cell.toml"))
     program = read_files({"job.nc": Path("job.nc").read_bytes()}, unit)
-    return [lines[line - 1] for line in program.motions.line[modules._places(program, unit)]]
+    return [lines[line - 1] for line in program.motions.line[modules._possible_ends(program, unit)]]
 
 
 CUT = "G1 Z-1 F500; X20"

@@ -208,11 +208,11 @@ class Krl:
         program: str,
         used_names: Collection[str],
     ) -> tuple[tuple[Document, ...], dict[str, str]] | None:
-        """Return the files of a program with other names for some of its subprograms, see `write.own_copies`.
+        """Return the files of a program with other names for some of its subprograms, see `write.subprogram_copies`.
 
         :returns: the files, and new file name → old file name; None if the names cannot be changed.
         """
-        return write.own_copies(documents, unchanged, stems, program, used_names)
+        return write.subprogram_copies(documents, unchanged, stems, program, used_names)
 
     def read(
         self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str

@@ -2,7 +2,7 @@
 
 from postproc.dialects.krl.write.emit import axis_motion, document, emit, head
 from postproc.dialects.krl.write.modules import divide_into_modules
-from postproc.dialects.krl.write.renaming import own_copies, rename
+from postproc.dialects.krl.write.renaming import rename, subprogram_copies
 from postproc.dialects.krl.write.rewrite import rewrite
 from postproc.dialects.krl.write.splitting import split_files
 
@@ -12,8 +12,8 @@ __all__ = [
     "document",
     "emit",
     "head",
-    "own_copies",
     "rename",
     "rewrite",
     "split_files",
+    "subprogram_copies",
 ]

@@ -65,7 +65,7 @@ def find_cut_points(source: Source, main: Routine) -> CutPoints:
     :raises ProgramError: a statement means something else in a file of its own, or there is no motion.
     """
     text = source.text
-    first = first_call = depth = 0
+    first_motion = first_call = depth = 0  # lines; number of folds and structures that are open
     cuts: list[int] = []
     declarations: list[int] = []
     is_waiting = False  # a TRIGGER waits for its motion, or CONTINUE for its statement
@@ -79,35 +79,40 @@ def find_cut_points(source: Source, main: Routine) -> CutPoints:
         stmt = statement(source, line)
         if stmt.start == stmt.stop or line == main.last:
             continue
-        _check_divisible(source, line, stmt, first)
+        _check_divisible(source, line, stmt, first_motion)
         depth = max(0, depth + (stmt.word in _OPENING) - (stmt.word in _CLOSING))
         if isinstance(stmt, Motion | Spline):
-            first, is_waiting = first or line, False
+            first_motion, is_waiting = first_motion or line, False
         elif isinstance(stmt, Trigger) or stmt.word == "CONTINUE":
             is_waiting = True
-        elif isinstance(stmt, Declaration | IdleDeclaration | Import) or (
-            isinstance(stmt, CyclicInput) and stmt.word == "SIGNAL"
-        ):
+        elif _declares(stmt):
             declarations.append(line)
         elif isinstance(stmt, Event) and not stmt.is_global:
-            first_call = 0
+            first_call = 0  # only a call behind all INTERRUPTs counts
         elif not first_call and stmt.word != "BAS" and calls(stmt.values):
             first_call = line
-    first = first or first_call
-    if not first:
+    first_motion = first_motion or first_call
+    if not first_motion:
         raise division_error(source, "it has no DEF, END or motion", main.first)
-    return CutPoints(main.first, main.last, np.array(cuts, dtype=np.int64), first, declarations)
+    return CutPoints(main.first, main.last, np.array(cuts, dtype=np.int64), first_motion, declarations)
 
 
-def _check_divisible(source: Source, line: int, stmt: Statement, first: int) -> None:
+def _declares(stmt: Statement) -> bool:
+    """Return whether a statement declares names that each file needs which uses them."""
+    is_signal = isinstance(stmt, CyclicInput) and stmt.word == "SIGNAL"
+    return is_signal or isinstance(stmt, Declaration | IdleDeclaration | Import)
+
+
+def _check_divisible(source: Source, line: int, stmt: Statement, first_motion: int) -> None:
     """Refuse a statement that means something else in a file of its own.
 
-    :param first: line of the first motion; 0 if none precedes the statement.
+    :param line: of the statement `stmt`.
+    :param first_motion: line of the first motion; 0 if none precedes the statement.
     :raises ProgramError: it is one.
     """
     if isinstance(stmt, Return | Goto | Label):
         raise division_error(source, f"{stmt.word} leads to another place of it", line)
-    if first and isinstance(stmt, Event) and stmt.is_declaration and not stmt.is_global:
+    if first_motion and isinstance(stmt, Event) and stmt.is_declaration and not stmt.is_global:
         problem = "an interrupt that is not GLOBAL is declared behind the first motion"
         raise division_error(source, problem, line, f"Declare it before the first motion, or: {ADVICE}")
 
@@ -132,17 +137,26 @@ def part_bounds(
     late_declarations = [line for line in cut_points.declarations if line > cuts[0]]
     if late_declarations:
         raise division_error(source, "a declaration follows the first motion", late_declarations[0])
-    while cut_points.end - cuts[-1] > free_lines:
-        next_cuts = cut_points.cuts[cut_points.cuts > cuts[-1]]
-        fitting_cuts = next_cuts[next_cuts <= cuts[-1] + free_lines]
-        cut = int(fitting_cuts[-1]) if len(fitting_cuts) else int(next_cuts[0]) if len(next_cuts) else cut_points.end
-        if not len(fitting_cuts):
+    while cuts[-1] < cut_points.end:
+        cut = _next_cut(cut_points, cuts[-1], free_lines)
+        if cut - cuts[-1] > free_lines:
             message = (
                 f"{base}{len(cuts)}.src has more than {limit} lines: lines {cuts[-1]} to "
                 f"{cut - 1} are a fold, a control structure, a spline or a TRIGGER, which are not cut."
             )
             issues.append(Issue("warning", "long-file", message))
-        if cut == cut_points.end:
-            break
         cuts.append(cut)
-    return [*cuts, cut_points.end], issues
+    return cuts, issues
+
+
+def _next_cut(cut_points: CutPoints, begin: int, free_lines: int) -> int:
+    """Return the line at which a part ends that begins at a line: the last possible one within `free_lines` lines.
+
+    If there is none, it is the first one beyond; the line of END at most.
+    """
+    if cut_points.end - begin <= free_lines:
+        return cut_points.end
+    next_cuts = cut_points.cuts[cut_points.cuts > begin]
+    fitting_cuts = next_cuts[next_cuts <= begin + free_lines]
+    candidates = (*fitting_cuts[-1:], *next_cuts[:1], cut_points.end)
+    return int(candidates[0])

@@ -5,6 +5,9 @@ Only rows that are edited are written, each from the line of its file.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import numpy as np
 from msgspec import Struct
 
@@ -34,19 +37,14 @@ class EditedRows(Struct, frozen=True, eq=False):
 def edited_rows(trace: Trace, edits: Replacements) -> EditedRows:
     """Return the rows of a trace after edits; each edit is within one row."""
     rows = edits.rows()
-    pieces = [line_text(*trace.place(row)) for row in rows.tolist()]
-    begins = np.append(0, np.cumsum([len(piece) for piece in pieces], dtype=np.int64))
-    shift = begins[:-1] - trace.starts(rows)
-    texts: list[str] = []
-    if len(rows):
-        row_edits = edits.shifted(lambda pieces: shift[np.searchsorted(rows, pieces)])
-        text, bounds = row_edits.apply("".join(pieces)), row_edits.new_offsets(begins)
-        texts = [text[start:stop] for start, stop in zip(bounds[:-1].tolist(), bounds[1:].tolist(), strict=True)]
-    indices = [
-        index for index, (new_text, old_text) in enumerate(zip(texts, pieces, strict=True)) if new_text != old_text
+    old_texts = [line_text(*trace.place(row)) for row in rows.tolist()]
+    new_texts = _edited_texts(trace, rows, old_texts, edits)
+    changed_indices = [
+        index
+        for index, (new_text, old_text) in enumerate(zip(new_texts, old_texts, strict=True))
+        if new_text != old_text
     ]
-    texts = [texts[index] for index in indices]
-    rows = rows[indices]
+    rows, texts = rows[changed_indices], [new_texts[index] for index in changed_indices]
     numbers: dict[str, int] = {}
     keys = np.zeros(len(trace), dtype=np.int64)
     keys[rows - 1] = [numbers.setdefault(text, len(numbers) + 1) for text in texts]
@@ -55,9 +53,29 @@ def edited_rows(trace: Trace, edits: Replacements) -> EditedRows:
     return EditedRows(rows, tuple(texts), keys.tolist(), np.append(0, np.cumsum(count)))
 
 
-def line_text(source: Source, first: int, last: int = 0) -> str:
-    """Return a 1-based line of a file with its line end; with `last`, the lines first … last."""
-    last = last or first
+def _edited_texts(trace: Trace, rows: Ints, old_texts: Sequence[str], edits: Replacements) -> list[str]:
+    """Return rows of a trace as text after edits, with their line ends.
+
+    All rows are edited as one text, in which they follow each other.
+
+    :param rows: (E,) rows that have edits, in order; `old_texts` are their lines.
+    """
+    if not len(rows):
+        return []
+    begins = np.append(0, np.cumsum([len(text) for text in old_texts], dtype=np.int64))
+    shift = begins[:-1] - trace.starts(rows)  # from offsets in the file of a row to those in the one text
+    joined_edits = edits.shifted(lambda edit_rows: shift[np.searchsorted(rows, edit_rows)])
+    text, bounds = joined_edits.apply("".join(old_texts)), joined_edits.new_offsets(begins).tolist()
+    return [text[start:stop] for start, stop in pairwise(bounds)]
+
+
+def line_text(source: Source, line: int) -> str:
+    """Return a 1-based line of a file with its line end."""
+    return lines_text(source, line, line)
+
+
+def lines_text(source: Source, first: int, last: int) -> str:
+    """Return the 1-based lines first … last of a file with their line ends; empty if `last` precedes `first`."""
     if last < first:
         return ""
     stop = int(source.starts[last]) if last < len(source.starts) else len(source.text)

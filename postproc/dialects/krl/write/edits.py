@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from postproc.chunks import compact
+from postproc.chunks import compact, ragged_range
 from postproc.decimals import Bytes, fixed_point_text
 from postproc.dialects.krl.language.trace import Trace
 from postproc.frames import Array
@@ -20,11 +20,30 @@ _PIECES = 1 << 16
 """Number of pieces that are replaced at once."""
 
 
+class _Pieces(NamedTuple):
+    """N pieces of a text that are replaced, numbers before texts.
+
+    :ivar starts: (N,) offsets; `stops` (N,) those behind.
+    :ivar lengths: (N,) characters of the new texts.
+    """
+
+    starts: Ints
+    stops: Ints
+    lengths: Ints
+
+
 class Replacements(Struct, eq=False):
     """Pieces of a text to be replaced, in any order; they must not overlap.
 
     Insertions at one place stay in the order in which they were added. In an execution trace a piece is within the
     line of one row, and offsets are those of its file; elsewhere the row is 0.
+
+    Columns of numbers are one array for each call of `add_numbers`.
+
+    :ivar _starts: offsets of the numbers that are replaced; `_stops` those behind.
+    :ivar _lengths: characters of the new numbers; `_numbers` these characters, one after the other.
+    :ivar _rows: rows of the trace of the numbers.
+    :ivar _single: start, stop and new text of each piece from `add`; `_single_rows` their rows.
     """
 
     _starts: list[Ints] = []
@@ -83,16 +102,21 @@ class Replacements(Struct, eq=False):
 
     def new_offsets(self, offsets: Ints) -> Ints:
         """Return the offsets (n,) after all replacements; text inserted at an offset follows it."""
-        starts, growth = [], []
-        for begin, stop, length in zip(self._starts, self._stops, self._lengths, strict=True):
-            starts.append(begin)
-            growth.append(length - (stop - begin))
-        starts.append(np.array([start for start, _, _ in self._single], dtype=np.int64))
-        growth.append(np.array([len(piece) - stop + start for start, stop, piece in self._single], dtype=np.int64))
-        start = np.concatenate(starts)
-        order = np.argsort(start, kind="stable")
-        total = np.append(0, np.cumsum(np.concatenate(growth)[order]))
-        return np.asarray(offsets + total[np.searchsorted(start[order], offsets, side="left")])
+        starts, stops, lengths = self._pieces()
+        order = np.argsort(starts, kind="stable")
+        growth = (lengths - (stops - starts))[order]
+        growth_before = np.append(0, np.cumsum(growth, dtype=np.int64))  # of all pieces before each, then of all
+        return np.asarray(offsets + growth_before[np.searchsorted(starts[order], offsets, side="left")])
+
+    def _pieces(self) -> _Pieces:
+        """Return all pieces that are replaced, in the order in which their new texts are kept."""
+        single = np.array([(start, stop, len(text)) for start, stop, text in self._single], dtype=np.int32)
+        starts, stops, lengths = single.reshape(-1, 3).T
+        return _Pieces(
+            np.concatenate([*self._starts, starts]),
+            np.concatenate([*self._stops, stops]),
+            np.concatenate([*self._lengths, lengths]),
+        )
 
     def apply(self, text: str, count: int = _PIECES) -> str:
         """Return the text with all pieces replaced.
@@ -103,25 +127,25 @@ class Replacements(Struct, eq=False):
             return text
         inserted_text = "".join(piece for _, _, piece in self._single)
         is_ascii = text.isascii() and inserted_text.isascii()
-        starts = np.concatenate([*self._starts, np.array([start for start, _, _ in self._single], dtype=np.int32)])
-        stops = np.concatenate([*self._stops, np.array([stop for _, stop, _ in self._single], dtype=np.int32)])
-        length = np.concatenate(
-            [*self._lengths, np.array([len(piece) for _, _, piece in self._single], dtype=np.int32)]
-        )
-        begin = np.cumsum(length, dtype=np.int64) - length
+        starts, stops, lengths = self._pieces()
+        new_codes = np.concatenate([*self._numbers, _codes(inserted_text, is_ascii)])
+        first_codes = np.cumsum(lengths, dtype=np.int64) - lengths
         order = np.lexsort((stops, starts))
-        codes = np.concatenate([*self._numbers, _codes(inserted_text, is_ascii)])
-        parts, copied_to = [], 0
+        texts, copied_to = [], 0
         for first in range(0, len(order), count):
-            rows = order[first : first + count]
-            end = int(stops[rows[-1]])
-            part_codes = _codes(text[copied_to:end], is_ascii)
-            new_codes = _replace_pieces(
-                part_codes, starts[rows] - copied_to, stops[rows] - copied_to, codes, begin[rows], length[rows]
+            pieces = order[first : first + count]
+            end = int(stops[pieces[-1]])
+            codes = _replace_pieces(
+                _codes(text[copied_to:end], is_ascii),
+                starts[pieces] - copied_to,
+                stops[pieces] - copied_to,
+                new_codes,
+                first_codes[pieces],
+                lengths[pieces],
             )
-            parts.append(new_codes.tobytes().decode("ascii" if is_ascii else "utf-32-le"))
+            texts.append(codes.tobytes().decode("ascii" if is_ascii else "utf-32-le"))
             copied_to = end
-        return "".join([*parts, text[copied_to:]])
+        return "".join([*texts, text[copied_to:]])
 
 
 def _codes(text: str, is_ascii: bool) -> Codes:
@@ -132,23 +156,29 @@ def _codes(text: str, is_ascii: bool) -> Codes:
 
 
 def _replace_pieces(text: Codes, starts: Ints, stops: Ints, pieces: Codes, begin: Ints, length: Ints) -> Codes:
-    """Return a text with other pieces, which are ``pieces[begin : begin + length]``, for ``text[starts:stops]``."""
+    """Return a text up to its last replaced piece, with new pieces in place of ``text[starts:stops]``.
+
+    :param starts: (n,) offsets in the text, ascending; `stops` (n,) those behind.
+    :param pieces: the characters of new pieces; piece i is ``pieces[begin[i] : begin[i] + length[i]]``.
+    """
+    # the result alternates between kept characters of the text (even) and new ones (odd): offset of the first, count
     first = np.empty(2 * len(starts), dtype=np.int64)
     count = np.empty_like(first)
-    # pieces alternate: even ones are kept from the text, odd ones are new; each is (first character, count)
     first[0::2] = np.append(0, stops[:-1])
     count[0::2] = starts - first[0::2]
     first[1::2], count[1::2] = begin, length
-    total = np.cumsum(count)
-    place = np.repeat(first - (total - count), count) + np.arange(total[-1])
     is_new = np.repeat(np.arange(len(first)) % 2 == 1, count)
-    codes = np.empty(len(place), dtype=text.dtype)
-    codes[~is_new], codes[is_new] = text[place[~is_new]], pieces[place[is_new]]
+    offset = ragged_range(count, first)  # of each character of the result, in the text or among the new ones
+    codes = np.empty(len(offset), dtype=text.dtype)
+    codes[~is_new], codes[is_new] = text[offset[~is_new]], pieces[offset[is_new]]
     return codes
 
 
 class InsertedLines(Struct, eq=False):
-    """Collects lines that are inserted and removed. Lines are given by their rows of the trace."""
+    """Collects lines that are inserted and removed. Lines are given by their rows of the trace.
+
+    :ivar _insertion_lines: line before which each new line is; `_inserted_targets` the target on it, −1 if none.
+    """
 
     trace: Trace
     replacements: Replacements
@@ -192,16 +222,13 @@ class InsertedLines(Struct, eq=False):
 
         :param line: (K,) lines on which the targets were; inserted targets get the lines of their own.
         """
-        insertion_lines, inserted_targets = (
-            np.array(self._insertion_lines, dtype=np.int64),
-            np.array(self._inserted_targets, dtype=np.int64),
-        )
-        order = np.argsort(insertion_lines, kind="stable")
-        insertion_lines, inserted_targets = insertion_lines[order], inserted_targets[order]
+        order = np.argsort(self._insertion_lines, kind="stable")
+        insertion_lines = np.array(self._insertion_lines, dtype=np.int64)[order]
+        inserted_targets = np.array(self._inserted_targets, dtype=np.int64)[order]
         removed_lines = np.sort(np.array(self._removed_lines, dtype=np.int64))
         output_line = line + np.searchsorted(insertion_lines, line, side="right") - np.searchsorted(removed_lines, line)
-        target_rows = np.flatnonzero(inserted_targets >= 0)
-        output_line[inserted_targets[target_rows]] = (
-            insertion_lines[target_rows] + target_rows - np.searchsorted(removed_lines, insertion_lines[target_rows])
-        )
+        # insertion n, from 0, has n inserted lines before it
+        insertions = np.flatnonzero(inserted_targets >= 0)
+        next_lines = insertion_lines[insertions]
+        output_line[inserted_targets[insertions]] = next_lines + insertions - np.searchsorted(removed_lines, next_lines)
         return np.asarray(output_line)

@@ -37,6 +37,8 @@ from postproc.version import VERSION
 
 _FRAME_DECIMALS = 6
 """Of `$BASE` and `$TOOL` [mm, deg]: far below the tolerance of any correction, also at a lever of some metres."""
+ANGLE_DECIMALS = 5
+"""Of joint angles [deg]: at a lever of 3 m, 0.3 µm."""
 _PARAMETERS = ("&PARAM TEMPLATE = C:\\KRC\\Roboter\\Template\\vorgabe",)
 _PARAMETERS_KRC2 = (*_PARAMETERS, "&PARAM EDITMASK = *")
 _INITIALISATION = (
@@ -53,7 +55,15 @@ _INITIALISATION = (
     ";ENDFOLD (INI)",
     "",
 )
-_WORDS = Words(";", "WAIT SEC {}", "HALT", lambda joints: axis_motion(joints * DEG_PER_RAD, 5), wait="WAIT SEC 0")
+_WORDS = Words(
+    ";",
+    "WAIT SEC {}",
+    "HALT",
+    lambda joints: axis_motion(joints * DEG_PER_RAD, ANGLE_DECIMALS),
+    wait="WAIT SEC 0",
+)
+_PER_M = 1e6
+"""Millionths of a metre in a metre: the unit of speeds, see `NewProgram.speeds`."""
 
 
 def emit(program: Program, targets: Targets, cell: Cell, comment_forces: TargetForces | None = None) -> WrittenProgram:
@@ -152,7 +162,7 @@ class Emitter:
             f"$BASE={_frame_text(self.program.bases[base])}",
             f"$TOOL={_frame_text(self.program.tools[tool])}",
             *([f"$APO.CDIS={number(MM_PER_M * blend[0])}"] if len(blend) else []),
-            axis_motion(self.cell.start_angles, 5),
+            axis_motion(self.cell.start_angles, ANGLE_DECIMALS),
         ]
 
     def _set_frames(self, k: int) -> None:
@@ -185,13 +195,15 @@ class Emitter:
         return np.isin(np.arange(len(rows)), first)
 
     def _set_distances(self, distances: Array) -> None:
-        """Set `$APO.CDIS` before each target where it changes, or where a called program may have changed it."""
+        """Set `$APO.CDIS` before each target where it changes, or where a called program may have changed it.
+
+        :param distances: (T,) approximation distances of the targets [m]; 0 where the robot stops.
+        """
         blend_rows = np.flatnonzero(distances > 0.0)
-        target_distances = self.targets.blend
-        current = target_distances[target_distances > 0.0][:1]
-        changed_rows = np.append(current, distances[blend_rows])[: len(blend_rows)] != distances[blend_rows]
-        changed_rows = blend_rows[changed_rows | self._follows_call(blend_rows)]
-        for k in changed_rows.tolist():
+        blend_distances = distances[blend_rows]
+        start_distance = self.targets.blend[self.targets.blend > 0.0][:1]  # that `start_lines` sets
+        changes = blend_distances != np.append(start_distance, blend_distances)[: len(blend_rows)]
+        for k in blend_rows[changes | self._follows_call(blend_rows)].tolist():
             self.new_program.before[k].append(f"$APO.CDIS={number(MM_PER_M * distances[k])}")
 
     def _set_speeds(self) -> None:
@@ -199,7 +211,7 @@ class Emitter:
         path, speeds = self.new_program.speeds()
         change_rows = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | self._follows_call(path))
         for k, speed in zip(path[change_rows].tolist(), speeds[change_rows].tolist(), strict=True):
-            self.new_program.before[k].append(f"$VEL.CP={speed / 1e6:.6f}")
+            self.new_program.before[k].append(f"$VEL.CP={speed / _PER_M:.6f}")
 
     def _set_turning(self) -> None:
         """Set `$VEL.ORI1` and `$VEL.ORI2` where the turning speed of the tool changes.
@@ -219,7 +231,7 @@ class Emitter:
         :param k: (n,) rows of the targets; `is_blended` (n,) True where the motion is approximated.
         """
         numbers = self.targets.pose.xyzabc(k)
-        end = _aggregate_parts(numbers)
+        end = _aggregate_parts(numbers)  # the last part is the closing bracket
         spline = b"S" if self.cell.gcode.motions == "SLIN" else b""
         is_blended = is_blended & (not spline or kind != PTP)
         tail: list[Part] = [text_in_rows(b" C_SPL" if spline else b" C_DIS", is_blended)]

@@ -26,9 +26,9 @@ from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import indent, names_in
 from postproc.dialects.krl.language.tree import Definition
-from postproc.dialects.krl.write.edited_rows import EditedRows, line_count, line_text
+from postproc.dialects.krl.write.edited_rows import EditedRows, line_count, line_text, lines_text
 from postproc.errors import Issue
-from postproc.program import Document, Ints
+from postproc.program import Bools, Document, Ints
 
 _Key = tuple[tuple[int, object], ...]
 """Changed lines of a body, each with what it becomes; empty if nothing changes."""
@@ -46,7 +46,7 @@ class FoldedProgram(Struct, frozen=True):
 
     documents: tuple[Document, ...]
     line: Ints
-    is_in_main: np.ndarray
+    is_in_main: Bools
     issues: tuple[Issue, ...]
 
 
@@ -109,26 +109,38 @@ class _Folder(Struct, eq=False):
         key = self._body_key(self.course.body)
         body = self._body_piece(self.course.body)
         self.versions[self.main][key] = _Version(self.main.name, body, [*body.places])
-        begins = self.edited.begins
-        line = np.zeros(len(begins), dtype=np.int64)
-        is_inside = np.zeros(len(begins), dtype=np.bool_)
+        sources = dict.fromkeys([self.main.source, *(routine.source for routine in self.versions)])
+        file_of = {source: _concatenate(self._file_pieces(source)) for source in sources}
+        line, is_in_main = self._lines_in_main(file_of[self.main.source])
         documents = []
-        for source in dict.fromkeys([self.main.source, *(routine.source for routine in self.versions)]):
-            file = _concatenate(self._file_pieces(source))
-            if source is self.main.source:
-                number, first, last = np.array(file.places, dtype=np.int64).reshape(-1, 3).T
-                count = last - first
-                rows_of_file = ragged_range(count, first)
-                line[rows_of_file] = 1 + np.repeat(number - begins[first - 1], count) + begins[rows_of_file - 1]
-                is_inside[rows_of_file] = True
+        for source, file in file_of.items():
             text = self._text(file)
             if source is self.main.source or text != source.text:
                 documents.append(replace(source.document, text=text))
                 self._warn_users(source)
+        return FoldedProgram(tuple(documents), line, is_in_main, tuple(self.issues))
+
+    def _lines_in_main(self, file: _Piece) -> tuple[Ints, Bools]:
+        """Return the line (L + 1,) of the `.src` on which each row begins, and whether it is in that file (L + 1,).
+
+        Rows of routines in other files have the line of their call. Element 0 is of no row.
+
+        :param file: the whole `.src`.
+        """
+        begins = self.edited.begins
+        line = np.zeros(len(begins), dtype=np.int64)
+        is_in_main = np.zeros(len(begins), dtype=np.bool_)
+        piece_line, first, last = np.array(file.places, dtype=np.int64).reshape(-1, 3).T
+        row_count = last - first
+        rows = ragged_range(row_count, first)
+        # from lines of the corrected trace to lines of the file: one number for the rows that follow each other
+        shift = 1 + piece_line - begins[first - 1]
+        line[rows] = np.repeat(shift, row_count) + begins[rows - 1]
+        is_in_main[rows] = True
         for call in self.outside_calls:
-            rows = line[call.body.first : call.body.stop]
-            rows[rows == 0] = line[call.row]
-        return FoldedProgram(tuple(documents), line, is_inside, tuple(self.issues))
+            called_lines = line[call.body.first : call.body.stop]
+            called_lines[called_lines == 0] = line[call.row]
+        return line, is_in_main
 
     def _warn_users(self, source: Source) -> None:
         """Warn of other programs in the folder that call routines of a changed file."""
@@ -175,7 +187,10 @@ class _Folder(Struct, eq=False):
         return self.course.trace.line.item(row - 1)
 
     def _loop_key(self, loop: UnrolledLoop) -> object:
-        """Return a key of the changes in a loop: of its body if all rounds are alike, else of each round."""
+        """Return a key of the changes in a loop: of its body if all rounds are alike, else of each round.
+
+        A loop whose rounds differ is reported to the user.
+        """
         keys = [self._body_key(body) for body in loop.bodies]
         if all(key == keys[0] for key in keys):
             return keys[0] if keys else self._key_of_lines(loop)
@@ -208,7 +223,7 @@ class _Folder(Struct, eq=False):
         versions, routine = self.versions[call.routine], call.routine
         key = self._body_key(call.body)
         if routine in self.course.unchanged_routines and not versions:  # the unchanged text keeps the name
-            text = line_text(routine.source, routine.first + 1, routine.last - 1)
+            text = lines_text(routine.source, routine.first + 1, routine.last - 1)
             versions[()] = _Version(routine.name, _Piece(line_count(text), (text,)))
         if key not in versions:
             versions[key] = _Version(self._unused_name(call) if versions else routine.name)
@@ -217,7 +232,7 @@ class _Folder(Struct, eq=False):
 
     def _counter_values(self, loop: UnrolledLoop) -> list[int]:
         """Return the values of the counter of a FOR, one for each round; zeros for other loops."""
-        return [self.course.counter_value(loop, body.first) if loop.step else 0 for body in loop.bodies]
+        return [self.course.counter_value(loop, body.first) if loop.step != 0 else 0 for body in loop.bodies]
 
     # --- bodies ------------------------------------------------------------------------------------------------------
 
@@ -257,26 +272,35 @@ class _Folder(Struct, eq=False):
 
         It stays a loop if all rounds are corrected alike. Otherwise its rounds are written one after the other.
         """
+        # rows that set the counter of a FOR are in no file: one before each round, and one behind the last
+        counter_rows = int(loop.step != 0)
         if not loop.bodies:
-            return self._rows_piece(loop.first, loop.stop - (loop.step != 0))
-        has_counter = loop.step != 0
+            return self._rows_piece(loop.first, loop.stop - counter_rows)
         keys = [self._body_key(body) for body in loop.bodies]
-        rounds = [self._body_piece(body, body.first + has_counter) for body in loop.bodies]
+        rounds = [self._body_piece(body, body.first + counter_rows) for body in loop.bodies]
         if all(key == keys[0] for key in keys):
             return _concatenate([_text_piece(loop.opener), _merge_rounds(rounds), _text_piece(loop.closer)])
+        return _concatenate(self._unrolled_pieces(loop, keys, rounds))
+
+    def _unrolled_pieces(self, loop: UnrolledLoop, keys: Sequence[_Key], rounds: Sequence[_Piece]) -> Iterator[_Piece]:
+        """Yield the lines of a loop whose rounds are written one after the other, or in groups that are alike.
+
+        A loop with EXIT becomes a LOOP of one round, so that EXIT still leaves it.
+
+        :param keys: of the changes in each round; `rounds` their lines.
+        """
         blanks, end = indent(loop.opener), _line_end(loop.opener)
-        pieces = [_text_piece(f"{blanks}; {loop.opener.strip()} (written out){end}")]
+        yield _text_piece(f"{blanks}; {loop.opener.strip()} (written out){end}")
         if loop.has_exit:
-            pieces.append(_text_piece(f"{blanks}LOOP{end}"))
+            yield _text_piece(f"{blanks}LOOP{end}")
         for first, stop in pairwise([*_run_begins(keys, self._counter_values(loop), loop.step), len(rounds)]):
-            pieces += self._equal_rounds(loop, first, rounds[first:stop])
+            yield from self._equal_rounds(loop, first, rounds[first:stop])
         if self._sets_counter(loop):
-            pieces.append(self._counter_piece(loop, loop.bodies[-1].stop, blanks))
+            yield self._counter_piece(loop, loop.bodies[-1].stop, blanks)
         else:
-            pieces.append(self._rows_piece(loop.bodies[-1].stop, loop.stop))
+            yield self._rows_piece(loop.bodies[-1].stop, loop.stop)
         if loop.has_exit:
-            pieces.append(_text_piece(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}"))
-        return _concatenate(pieces)
+            yield _text_piece(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}")
 
     def _equal_rounds(self, loop: UnrolledLoop, first: int, rounds: Sequence[_Piece]) -> Iterator[_Piece]:
         """Yield the lines of equal rounds: a single one unchanged, several of a FOR as a new FOR.
@@ -284,16 +308,14 @@ class _Folder(Struct, eq=False):
         :param first: number of the first of these rounds, from 0.
         """
         blanks, end = indent(loop.opener), _line_end(loop.opener)
-        if len(rounds) == 1 or not loop.step or loop.has_exit:
-            for number, piece in enumerate(rounds, first):
-                if loop.step:
-                    yield self._counter_piece(loop, loop.bodies[number].first, blanks)
+        bodies, is_for = loop.bodies[first : first + len(rounds)], loop.step != 0
+        if len(rounds) == 1 or not is_for or loop.has_exit:
+            for body, piece in zip(bodies, rounds, strict=True):
+                if is_for:
+                    yield self._counter_piece(loop, body.first, blanks)
                 yield piece
             return
-        begin, last = (
-            self.course.counter_value(loop, loop.bodies[number_of_round].first)
-            for number_of_round in (first, first + len(rounds) - 1)
-        )
+        begin, last = (self.course.counter_value(loop, body.first) for body in (bodies[0], bodies[-1]))
         step = "" if loop.step == 1 else f" STEP {loop.step}"
         yield _text_piece(f"{blanks}FOR {loop.counter}={begin} TO {last}{step}{end}")
         yield _merge_rounds(rounds)
@@ -339,19 +361,26 @@ class _Folder(Struct, eq=False):
         next_line = 1
         for routine in sorted(self.versions, key=lambda routine: routine.first):
             if routine.source is source:
-                yield _text_piece(line_text(source, next_line, routine.first))
+                yield _text_piece(lines_text(source, next_line, routine.first))
                 original, *copies = self.versions[routine].values()
                 yield _version_piece(original)
-                end_text = line_text(source, routine.last)
-                next_line = routine.last + 1
-                yield _text_piece(end_text)
-                line_end = _line_end(line_text(source, routine.first))
+                yield _text_piece(line_text(source, routine.last))
                 for version in copies:
-                    yield _text_piece(line_end if _line_end(end_text) else line_end + line_end)
-                    yield _text_piece(self._definition_line(routine, version.name))
-                    yield _version_piece(version)
-                    yield _text_piece(end_text if _line_end(end_text) else end_text + line_end)
-        yield _text_piece(line_text(source, next_line, len(source.starts)))
+                    yield from self._copy_pieces(routine, version)
+                next_line = routine.last + 1
+        yield _text_piece(lines_text(source, next_line, len(source.starts)))
+
+    def _copy_pieces(self, routine: Routine, version: _Version) -> Iterator[_Piece]:
+        """Yield the lines of a copy of a routine, from the empty line before it to its END."""
+        line_end, end_text = (
+            _line_end(line_text(routine.source, routine.first)),
+            line_text(routine.source, routine.last),
+        )
+        lacks_line_end = not _line_end(end_text)  # END is the last line of the file
+        yield _text_piece(line_end + line_end if lacks_line_end else line_end)
+        yield _text_piece(self._definition_line(routine, version.name))
+        yield _version_piece(version)
+        yield _text_piece(end_text + line_end if lacks_line_end else end_text)
 
     def _definition_line(self, routine: Routine, name: str) -> str:
         """Return the DEF line of a routine with another name; in other files it becomes GLOBAL: calls must find it."""
@@ -374,13 +403,12 @@ class _Folder(Struct, eq=False):
         source, line = self.course.trace.place(first)
         shift = line - first  # from a row to its line in the file
         begin, stop = np.searchsorted(self.edited.rows, [first, last]).tolist()
-        texts = []
-        for row, text in zip(self.edited.rows[begin:stop].tolist(), self.edited.texts[begin:stop], strict=True):
-            texts += [line_text(source, first + shift, row + shift - 1), text] if row > first else [text]
-            first = row + 1
-        if first < last:
-            texts.append(line_text(source, first + shift, last + shift - 1))
-        return "".join(texts)
+        texts: list[str] = []
+        next_row = first
+        for row, new_text in zip(self.edited.rows[begin:stop].tolist(), self.edited.texts[begin:stop], strict=True):
+            texts += [lines_text(source, next_row + shift, row + shift - 1), new_text]
+            next_row = row + 1
+        return "".join([*texts, lines_text(source, next_row + shift, last + shift - 1)])
 
 
 def _run_begins(keys: Sequence[_Key], counts: Sequence[int], step: int) -> list[int]:

@@ -25,10 +25,10 @@ from msgspec.structs import replace
 
 from postproc.cell import Cell
 from postproc.dialects.krl.language.names import MAX_LENGTH
-from postproc.dialects.krl.write.emit import Emitter, axis_motion, calls_program, emit
+from postproc.dialects.krl.write.emit import ANGLE_DECIMALS, Emitter, axis_motion, calls_program, emit
 from postproc.dialects.new_program import LINE_END, no_lines, number
 from postproc.errors import Issue, ProgramError
-from postproc.frames import DEG_PER_RAD, norm
+from postproc.frames import DEG_PER_RAD, Array, norm
 from postproc.program import (
     CIRC,
     SWITCHED_OFF,
@@ -55,8 +55,10 @@ _WHILE_RUNNING = re.compile(r"\s*(INTERRUPT|ANIN|ANOUT)\b", re.IGNORECASE)
 """A statement whose effect ends with the program."""
 _SWITCHING: dict[EventKind, EventKind] = SWITCHED_OFF | {kind: kind for kind in SWITCHED_OFF.values()}
 """Kind of an event → the kind that switches off what it switches: equal for all events of one device."""
-_AXES = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
-"""Column of a tool frame, and sign, that point from the tip to the spindle."""
+_SPINDLE_DIRECTIONS = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
+"""Axis of the tool → column of a tool frame, and sign, that point from the tip to the spindle."""
+_AXIS_DECIMALS = 6
+"""Tool axes, as unit vectors, that are equal in so many decimals are one: at 3 m they differ by 3 µm."""
 _END_RULE = "between two rapid moves, with the tool above everything that the program cuts"
 
 
@@ -88,54 +90,75 @@ def _module_starts(
 ) -> list[int]:
     """Return the targets before which new modules begin: as few as possible.
 
+    :param emitter: writes the undivided program; `output` is what it wrote.
     :raises ProgramError: the text between two places where a module may end is too large for one module.
     """
-    end_motions = _places(program, cell)
+    end_motions = _possible_ends(program, cell)
     next_targets = np.searchsorted(targets.motion, end_motions.astype(targets.motion.dtype), side="right")
-    end_motions, next_targets = (
-        end_motions[(next_targets > 0) & (next_targets < len(targets))],
-        next_targets[(next_targets > 0) & (next_targets < len(targets))],
-    )
-    ends = _line_ends(output)
-    end_offset = np.append(ends[next_targets - 1], output.size)
-    lines = [line for kind in _SWITCHING for line in getattr(cell.gcode, kind) or ()]
-    header_size = sum(len(line) + 2 for line in emitter.header_lines(program.name))
-    capacity = cell.output.program_memory_MB * _MB - header_size - _RESERVE - 2 * sum(map(len, lines))
+    has_targets = (next_targets > 0) & (next_targets < len(targets))  # before the end, and behind it
+    end_motions, next_targets = end_motions[has_targets], next_targets[has_targets]
+    end_offset = np.append(_line_ends(output)[next_targets - 1], output.size)  # of each possible end, and of the text
+    switch_lines = [line for kind in _SWITCHING for line in getattr(cell.gcode, kind) or ()]
+    header_size = sum(len(line) + len(LINE_END) for line in emitter.header_lines(program.name))
+    memory = cell.output.program_memory_MB * _MB
+    capacity = memory - header_size - _RESERVE - 2 * sum(map(len, switch_lines))  # at the start and at the end
     starts: list[int] = []
-    begin, index = header_size, -1
+    begin, end = header_size, -1  # offset at which a module begins; number of the end before it, −1: none
     while end_offset[-1] - begin > capacity:
-        last = int(np.searchsorted(end_offset, begin + capacity, side="right")) - 1
-        if last <= index:
-            source_lines = program.motions.line
-            first = source_lines[0] if index < 0 else source_lines[end_motions[index] + 1]
-            last_line = source_lines[end_motions[index + 1]] if index + 1 < len(end_motions) else source_lines[-1]
-            size = (end_offset[index + 1] - begin + cell.output.program_memory_MB * _MB - capacity) / _MB
-            raise ProgramError(
-                f"the moves from here to line {last_line} alone need a module of {size:.2g} MB, more than "
-                f"program_memory_MB = {cell.output.program_memory_MB:g} of [output]: a module may not end in them",
-                file=program.documents[0].name,
-                line=int(first),
-                advice=f"A module ends {_END_RULE}. Program a retract there, raise tolerance_mm, or divide the job in "
-                "the CAM system.",
-            )
-        index, begin = last, int(end_offset[last])
-        starts.append(int(next_targets[last]))
+        last_fitting_end = int(np.searchsorted(end_offset, begin + capacity, side="right")) - 1
+        if last_fitting_end <= end:
+            first_motion = 0 if end < 0 else int(end_motions[end]) + 1
+            last_motion = int(end_motions[end + 1]) if end + 1 < len(end_motions) else -1
+            size = end_offset[end + 1] - begin + memory - capacity
+            raise _size_error(program, cell, first_motion, last_motion, size / _MB)
+        end, begin = last_fitting_end, int(end_offset[last_fitting_end])
+        starts.append(int(next_targets[end]))
     return starts
 
 
-def _places(program: Program, cell: Cell) -> Ints:
+def _size_error(program: Program, cell: Cell, first: int, last: int, size: float) -> ProgramError:
+    """Return the error that motions first … last need a module that is too large.
+
+    :param last: −1 is the last motion of the program.
+    :param size: of that module [MB].
+    """
+    line = program.motions.line
+    return ProgramError(
+        f"the moves from here to line {line[last]} alone need a module of {size:.2g} MB, more than "
+        f"program_memory_MB = {cell.output.program_memory_MB:g} of [output]: a module may not end in them",
+        file=program.documents[0].name,
+        line=int(line[first]),
+        advice=f"A module ends {_END_RULE}. Program a retract there, raise tolerance_mm, or divide the job in "
+        "the CAM system.",
+    )
+
+
+def _possible_ends(program: Program, cell: Cell) -> Ints:
     """Return the motions (n,) after which a module may end: of consecutive rapid moves, the one that ends highest.
 
-    Its end must be above everything that the program cuts; height is measured along the tool axis there. The last rapid
-    move before a cut does not count.
+    Its end must be above everything that the program cuts. The last rapid move before a cut does not count.
     """
     motions = program.motions
-    cartesian = np.isnan(motions.joints[:, 0])
-    candidates = np.flatnonzero(motions.rapid[:-1] & motions.rapid[1:] & cartesian[:-1])
+    is_cartesian = np.isnan(motions.joints[:, 0])
+    candidates = np.flatnonzero(motions.rapid[:-1] & motions.rapid[1:] & is_cartesian[:-1])
     if not len(candidates):
         return candidates
+    height = _heights_above_cuts(program, cell, candidates)
+    # candidates without a cut between them are one run; in each, the highest, and of equal heights the first
+    run = np.cumsum(~motions.rapid)[candidates]
+    by_height = np.lexsort((candidates, -np.floor(height / _SAME_HEIGHT), run))
+    highest = by_height[np.diff(run[by_height], prepend=-1) != 0]
+    return np.asarray(np.sort(candidates[highest[height[highest] > _SAME_HEIGHT]]))
+
+
+def _heights_above_cuts(program: Program, cell: Cell, candidates: Ints) -> Array:
+    """Return how high motions (n,) end above everything that the program cuts (n,) [m], along the tool axis there.
+
+    Arcs count as whole circles.
+    """
+    motions = program.motions
     base = program.bases[motions.base]
-    column, sign = _AXES[cell.tool.axis]
+    column, sign = _SPINDLE_DIRECTIONS[cell.tool.axis]
     position = np.einsum("nij,nj->ni", base[:, :3, :3], motions.target.position) + base[:, :3, 3]
     tool_axis = sign * np.einsum(
         "nij,nj->ni", base[candidates, :3, :3], motions.target[candidates, :3, :3][:, :, column]
@@ -146,17 +169,18 @@ def _places(program: Program, cell: Cell) -> Ints:
     normal = np.einsum("nij,nj->ni", base[arcs, :3, :3], motions.normal[arcs])
     radius = norm(np.cross(motions.normal[arcs], motions.target.position[arcs] - motions.centre[arcs]))
     height = np.empty(len(candidates))
-    axes, axis_row = np.unique(tool_axis.round(6), axis=0, return_inverse=True)
-    for row, axis in enumerate(axes):
-        axis_candidates = np.flatnonzero(axis_row.ravel() == row)
+    axes, axis_index = np.unique(tool_axis.round(_AXIS_DECIMALS), axis=0, return_inverse=True)
+    for index, axis in enumerate(axes):
+        along_axis = np.flatnonzero(axis_index.ravel() == index)
         arc_heights = centre @ axis + radius * norm(np.cross(normal, axis))
-        highest = max((position[cuts] @ axis).max(initial=-np.inf), arc_heights.max(initial=-np.inf))
-        height[axis_candidates] = position[candidates[axis_candidates]] @ axis - highest
-    # candidates without a cut between them are one run; in each, the highest, and of equal heights the first
-    run = np.cumsum(~motions.rapid)[candidates]
-    chosen_candidates = np.lexsort((candidates, -np.floor(height / _SAME_HEIGHT), run))
-    chosen_candidates = chosen_candidates[np.diff(run[chosen_candidates], prepend=-1) != 0]
-    return np.asarray(np.sort(candidates[chosen_candidates[height[chosen_candidates] > _SAME_HEIGHT]]))
+        highest_cut = max((position[cuts] @ axis).max(initial=-np.inf), arc_heights.max(initial=-np.inf))
+        height[along_axis] = position[candidates[along_axis]] @ axis - highest_cut
+    return height
+
+
+def _text(lines: Sequence[str]) -> str:
+    """Return lines as text, each with its line end."""
+    return "".join(line + LINE_END for line in lines)
 
 
 class _SwitchLines(Struct, frozen=True):
@@ -179,8 +203,9 @@ class _Divider:
         """
         self.new_program, self.emitter, self.undivided, self.joints = emitter.new_program, emitter, undivided, joints
         self.first_targets = (0, *starts)
-        name, tail = emitter.program.name, len(str(len(self.first_targets))) + 1
-        self.names = [f"{name[: MAX_LENGTH - tail]}_{index}" for index in range(1, len(self.first_targets) + 1)]
+        module_count = len(self.first_targets)
+        prefix = emitter.program.name[: MAX_LENGTH - len(f"_{module_count}")]
+        self.names = [f"{prefix}_{number}" for number in range(1, module_count + 1)]
         self.event_targets = [self.new_program.first_target(event) for event in emitter.program.events]
         for event in emitter.program.events:
             if event.kind in ("m_code", "tool_change") and any(
@@ -196,28 +221,24 @@ class _Divider:
 
     def write(self) -> WrittenProgram:
         """Return the written program as one text, with its modules."""
-        text, ends = self.undivided.documents[0].text, _line_ends(self.undivided)
-        head = sum(len(line) + len(LINE_END) for line in self.emitter.header_lines(self.emitter.program.name))
+        (document,), output_line = self.undivided.documents, self.undivided.output_line
+        header = self.emitter.header_lines(self.emitter.program.name)  # each module has one of its own
+        starts = np.array(self.first_targets[1:], dtype=np.int64)
+        # the part of the text that each module has begins behind the line of the target before it
+        offsets = [len(_text(header)), *_line_ends(self.undivided)[starts - 1].tolist(), len(document.text)]
+        lines_before = [len(header), *output_line[starts - 1].tolist()]
         documents, lines, line_count = [], [], 0
-        output_line = self.undivided.output_line
         for index, (first, stop) in enumerate(pairwise((*self.first_targets, len(output_line)))):
             top_lines = self.emitter.header_lines(self.names[index], self._order(index))
-            head_lines = (
-                len(self.emitter.header_lines(self.emitter.program.name)) if first == 0 else int(output_line[first - 1])
-            )
-            top_lines += [] if first == 0 else self._start_lines(first)
-            body = text[
-                head if first == 0 else ends[first - 1] : ends[stop - 1] if stop < len(output_line) else len(text)
-            ]
+            top_lines += self._start_lines(first) if first > 0 else []
             bottom_lines = [*self._switch_off_lines(stop), "END"] if stop < len(output_line) else []
-            module_text = (
-                "".join(line + LINE_END for line in top_lines)
-                + body
-                + "".join(line + LINE_END for line in bottom_lines)
+            part = document.text[offsets[index] : offsets[index + 1]]
+            module = Document(
+                f"{self.names[index]}.src", _text(top_lines) + part + _text(bottom_lines), document.encoding
             )
-            documents.append(Document(f"{self.names[index]}.src", module_text, self.undivided.documents[0].encoding))
-            lines.append(output_line[first:stop] - head_lines + len(top_lines) + line_count)
-            line_count += module_text.count("\n")
+            documents.append(module)
+            lines.append(output_line[first:stop] - lines_before[index] + len(top_lines) + line_count)
+            line_count += module.text.count("\n")
         modules = Modules(tuple(documents), self.first_targets, np.concatenate(lines))
         return replace(self.undivided, modules=modules, issues=(*self.undivided.issues, self._issue(documents)))
 
@@ -243,26 +264,28 @@ class _Divider:
 
         They set system variables, move to the end of the module before, and switch on what was on there.
         """
-        state: dict[str, str] = {}
+        state, words = self._system_variables(k), self.new_program.words
+        lines, cell_lines = [*state, axis_motion(self.joints.q[k - 1] * DEG_PER_RAD, ANGLE_DECIMALS)], list[str]()
+        for switch in self._active_switches(k):
+            if self._is_switched_at(switch.event, k):
+                continue  # the program itself switches it here
+            cell_lines += switch.on_lines
+            lines += [words.wait, *switch.on_lines] if switch.on_lines else [f"; {no_lines(switch.event)}"]
+            lines += [words.dwell.format(number(dwell.value)) for dwell in self._dwells(switch.event)]
+        if calls_program(cell_lines):  # which may have set others
+            lines += state
+        return lines
+
+    def _system_variables(self, k: int) -> list[str]:
+        """Return the lines that set the system variables to their values before target `k`."""
+        line_of_name: dict[str, str] = {}
         previous_lines = (
             line for row in sorted(self.new_program.before) if row < k for line in self.new_program.before[row]
         )
         for line in (*self.emitter.start_lines(), *previous_lines):
-            match = _STATE.match(line)
-            if match:
-                state[match[1].upper()] = line
-        lines, cell_lines = [*state.values(), axis_motion(self.joints.q[k - 1] * DEG_PER_RAD, 5)], list[str]()
-        for switch in self._active_switches(k):
-            if self._is_switched_at(switch.event, k):
-                continue  # the program itself switches it here
-            event = switch.event
-            cell_lines += switch.on_lines
-            lines += [self.new_program.words.wait, *switch.on_lines] if switch.on_lines else [f"; {no_lines(event)}"]
-            lines += [self.new_program.words.dwell.format(number(dwell.value)) for dwell in self._dwells(event)]
-        return [
-            *lines,
-            *(state.values() if calls_program(cell_lines) else ()),
-        ]  # a program that is called may have set others
+            if match := _STATE.match(line):
+                line_of_name[match[1].upper()] = line
+        return list(line_of_name.values())
 
     def _switch_off_lines(self, k: int) -> list[str]:
         """Return the lines at the end of a module, before target `k`, that switch off what is on."""
@@ -303,10 +326,11 @@ class _Divider:
 
     def _dwells(self, event: Event) -> Iterator[Event]:
         """Yield the dwells that follow an event before the same target: they wait until the spindle has its speed."""
-        events, at = self.emitter.program.events, self.event_targets
+        events = self.emitter.program.events
         index = max(position for position, program_event in enumerate(events) if program_event is event)
+        later_events = zip(events[index + 1 :], self.event_targets[index + 1 :], strict=True)
         return (
-            event_after
-            for position, event_after in enumerate(events)
-            if position > index and at[position] == at[index] and event_after.kind == "dwell"
+            later_event
+            for later_event, target in later_events
+            if target == self.event_targets[index] and later_event.kind == "dwell"
         )

@@ -6,7 +6,7 @@ Points of an array to which loops move are corrected in place all at once; motio
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 from msgspec import Struct, field
@@ -140,19 +140,13 @@ class NamedPoints(Struct, eq=False):
             self._names = Names(set().union(*(names_in(file.text) for file in self.sources)))
         new_name = self._names.unused_name(name)
         line = source.line_at(aggregate.start)
-        start, stop, next_line_start = (
-            int(source.starts[line - 1]),
-            int(source.stops[line - 1]),
-            int(source.starts[line]),
-        )
-        old_line = source.text[start:stop]
+        start, stop = source.starts.item(line - 1), source.stops.item(line - 1)
+        next_line_start = source.starts.item(line)  # it is never the last line: ENDDAT follows
+        old_line, line_end = source.text[start:stop], source.text[stop:next_line_start]
         indent = old_line[: len(old_line) - len(old_line.lstrip())]
         kind = self.layout.types.get(name.upper(), "E6POS")
-        self.replacements[source.index].add(
-            next_line_start,
-            next_line_start,
-            f"{indent}DECL {kind} {new_name}={literal}{source.text[stop:next_line_start]}",
-        )
+        new_line = f"{indent}DECL {kind} {new_name}={literal}{line_end}"
+        self.replacements[source.index].add(next_line_start, next_line_start, new_line)
         return new_name
 
     def _replace_by_literal(self, use: Use) -> None:
@@ -211,48 +205,56 @@ def is_used_by_motions_only(name: str, layout: Layout, mentions: Mentions) -> bo
     return is_followed and names.isdisjoint(layout.global_names)
 
 
-def editable_layout(layout: Layout, motions: Motions, mentions: Mentions, files: int, has_one_target: Bools) -> Layout:
+def editable_layout(
+    layout: Layout, motions: Motions, mentions: Mentions, file_count: int, has_one_target: Bools
+) -> Layout:
     """Return the layout with only those `elements` whose numbers can be edited in their declaration.
 
     The other motions to array elements become statements.
 
     :param mentions: see `mentions`.
-    :param files: number of files that are written: the `.src` and its `.dat`.
+    :param file_count: number of files that are written: the `.src` and its `.dat`.
     :param has_one_target: (M,) True for motions with one target, all components of which their text has.
     """
     if not layout.elements:
         return layout
-    points = [move.end for move in layout.statements.values()]
-    points += [move.via for move in layout.statements.values() if move.via is not None]
-    literal_starts = [
-        _text_place(aggregate) for aggregate in (point.position.aggregate for point in points) if aggregate is not None
-    ]
+    use_counts = Counter(_literal_places(layout))
+    editable_elements, statements, relative_spans = [], dict(layout.statements), layout.relative_spans.copy()
     for elements in layout.elements:
-        literal_starts += [(elements.source, 0, start) for start in elements.literal[:, 0].tolist()]
-    literal_counts = Counter(literal_starts)
-    editable_elements, statements, array_rows = [], dict(layout.statements), layout.relative_spans.copy()
-    for elements in layout.elements:
-        is_editable = (
-            elements.source.index < files
+        is_array_editable = (
+            elements.source.index < file_count
             and layout.carriage is None
             and is_used_by_motions_only(elements.name, layout, mentions)
         )
-        is_single_use = np.array(
-            [literal_counts[elements.source, 0, start] == 1 for start in elements.literal[:, 0].tolist()], np.bool_
-        )
-        in_place = has_one_target[elements.row] & is_single_use & is_editable
+        is_single_use = np.array([use_counts[place] == 1 for place in _element_places(elements)], np.bool_)
+        in_place = has_one_target[elements.row] & is_single_use & is_array_editable
         editable_elements.append(
             Elements(elements.row[in_place], elements.literal[in_place], elements.source, elements.name)
         )
-        array_rows[elements.row[~in_place]] = 0
+        relative_spans[elements.row[~in_place]] = 0
         for row, literal in zip(elements.row[~in_place].tolist(), elements.literal[~in_place].tolist(), strict=True):
             statements[row] = _statement_of_element(layout, motions, row, elements, literal)
     return replace(
         layout,
         statements=dict(sorted(statements.items())),
         elements=tuple(editable_elements),
-        relative_spans=array_rows,
+        relative_spans=relative_spans,
     )
+
+
+def _literal_places(layout: Layout) -> Iterator[_TextPlace]:
+    """Yield the place of the literal of each point in statements, and of each array element, once for each use."""
+    for move in layout.statements.values():
+        for point in (move.end, move.via):
+            if point is not None and point.position.aggregate is not None:
+                yield _text_place(point.position.aggregate)
+    for elements in layout.elements:
+        yield from _element_places(elements)
+
+
+def _element_places(elements: Elements) -> Iterator[_TextPlace]:
+    """Yield the place of the literal of each point of an array to which motions lead."""
+    return ((elements.source, 0, start) for start in elements.literal[:, 0].tolist())
 
 
 def _statement_of_element(
@@ -263,18 +265,18 @@ def _statement_of_element(
     :param literal: offsets of the start of the aggregate in the declaration of the element, and behind its end.
     """
     start, stop = layout.target[row].tolist()
-    begin, end = layout.tail[row].tolist()
+    tail_start, tail_stop = layout.tail[row].tolist()
     keyword = int(layout.keyword[row])
     position = position_from_aggregate(parse_aggregate(elements.source, *literal))
     return MotionStatement(
-        int(layout.line[row]),
-        int(motions.kind[row]),
-        (keyword, keyword + len(word_at(layout.source(row).text, keyword, start))),
-        Point(position, start, stop, elements.name),
-        "",
-        None,
-        None,
-        begin,
-        end,
-        bool(motions.blend[row] > 0.0),
+        line=int(layout.line[row]),
+        kind=int(motions.kind[row]),
+        keyword=(keyword, keyword + len(word_at(layout.source(row).text, keyword, start))),
+        end=Point(position, start, stop, elements.name),
+        relative_axes="",
+        via=None,
+        angle=None,
+        tail_start=tail_start,
+        stop=tail_stop,
+        approximated=bool(motions.blend[row] > 0.0),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import PurePath
 
 from msgspec.structs import replace
@@ -23,34 +23,39 @@ def rename(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
     """
     if not documents:
         return ()
-    calls = called_parts(documents[0])
-    if not calls:
-        stem = PurePath(documents[0].name).stem.lower()
-        return tuple(
-            _rename_document(document, name) if PurePath(document.name).stem.lower() == stem else document
-            for document in documents
-        )
+    if called_parts(documents[0]):
+        return tuple(_rename_divided(documents, name))
+    stem = _stem(documents[0])
+    return tuple(_rename_document(document, name) if _stem(document) == stem else document for document in documents)
+
+
+def _rename_divided(documents: Sequence[Document], name: str) -> Iterator[Document]:
+    """Yield the files of a divided program with another name; files of other programs are unchanged.
+
+    :param documents: the main program first.
+    """
     old_base = PurePath(documents[0].name).stem[: -len(MAIN)]
     new_base = name[: MAX_LENGTH - len(MAIN)]
     document_of = {document.name.lower(): document for document in documents}
-    inner_files = files_of_routines(documents[0], lambda name: document_of.get(name.lower()))
-    parts = [*(call for call, _ in calls), *(PurePath(document.name).stem for document in inner_files)]
-    stems = {f"{old_base}{MAIN}": f"{new_base}{MAIN}"} | {part: f"{new_base}{part[len(old_base) :]}" for part in parts}
-    new_stems = {old_stem.lower(): new_stem for old_stem, new_stem in stems.items()}
-    family = [document for document in documents if PurePath(document.name).stem.lower() in new_stems]
-    public = _public_names(family, old_base, new_base)
-    new_documents = []
+    routine_files = files_of_routines(documents[0], lambda name: document_of.get(name.lower()))
+    called_names = [called_name for called_name, _ in called_parts(documents[0])]
+    stems = [f"{old_base}{MAIN}", *called_names, *(PurePath(document.name).stem for document in routine_files)]
+    new_stems = {stem.upper(): f"{new_base}{stem[len(old_base) :]}" for stem in stems}
+    public = _public_names([document for document in documents if _stem(document) in new_stems], old_base, new_base)
     for document in documents:
-        if document not in family:
-            new_documents.append(document)
+        new_stem = new_stems.get(_stem(document))
+        if new_stem is None:
+            yield document
             continue
         text = _replace_names(document.text, new_stems)
         if public:
             text = NAME.sub(lambda match: public.get(match[0].upper(), match[0]), text)
-        new_documents.append(
-            _rename_document(replace(document, text=text), new_stems[PurePath(document.name).stem.lower()])
-        )
-    return tuple(new_documents)
+        yield _rename_document(replace(document, text=text), new_stem)
+
+
+def _stem(document: Document) -> str:
+    """Return the name of a file without extension, upper case."""
+    return PurePath(document.name).stem.upper()
 
 
 def _public_names(documents: Sequence[Document], old_base: str, new_base: str) -> dict[str, str]:
@@ -73,7 +78,7 @@ def _public_names(documents: Sequence[Document], old_base: str, new_base: str) -
 def _replace_names(text: str, new_names: Mapping[str, str]) -> str:
     """Return a text with other names for called programs: those at a line end or before empty brackets.
 
-    :param new_names: old name, lower case → new name.
+    :param new_names: old name, upper case → new name.
     """
     pieces, last = list[str](), 0
     for name, start in scan.name_places(text, new_names):
@@ -82,7 +87,7 @@ def _replace_names(text: str, new_names: Mapping[str, str]) -> str:
         if text[next_offset : next_offset + 1] in ("\r", "\n") or (
             bracket >= 0 and after_sign(text, bracket, len(text), ")") >= 0
         ):
-            pieces += [text[last:start], new_names[name.lower()]]
+            pieces += [text[last:start], new_names[name.upper()]]
             last = start + len(name)
     return "".join([*pieces, text[last:]])
 
@@ -101,16 +106,11 @@ _PATH = "/R1/"
 
 def _stems_with_callers(documents: Sequence[Document], names: set[str]) -> set[str]:
     """Return names of files, upper case, and those of all files that use them, directly or not, except the main one."""
-    main, names = PurePath(documents[0].name).stem.upper(), set(names)
-    while True:  # the callers have callers
-        callers = {
-            PurePath(document.name).stem.upper()
-            for document in documents
-            if not names.isdisjoint(scan.names(document.text))
-        } - {main}
-        if callers <= names:
-            return names
-        names |= callers
+    main, names = _stem(documents[0]), set(names)
+    other_files = [(_stem(document), scan.names(document.text)) for document in documents if _stem(document) != main]
+    while callers := {stem for stem, used_names in other_files if not names.isdisjoint(used_names)} - names:
+        names |= callers  # the callers have callers
+    return names
 
 
 def _new_stems(stems: Collection[str], program: str, used_names: Collection[str]) -> dict[str, str]:
@@ -130,7 +130,7 @@ def _new_stems(stems: Collection[str], program: str, used_names: Collection[str]
     return new_names
 
 
-def own_copies(
+def subprogram_copies(
     documents: Sequence[Document],
     unchanged: Sequence[bytes],
     stems: Sequence[str],
@@ -150,35 +150,30 @@ def own_copies(
         variable), if an unchanged file uses it, or if a file declares something GLOBAL, which would then be declared
         twice.
     """
-    main = PurePath(documents[0].name).stem.upper()
-    old_stems_upper = _stems_with_callers(documents, {stem.upper() for stem in stems})
-    own_stems = {PurePath(document.name).stem.upper() for document in documents}
-    if (
-        main in old_stems_upper
-        or not old_stems_upper <= own_stems
-        or any(not old_stems_upper.isdisjoint(scan.names(text.decode("latin-1"))) for text in unchanged)
+    renamed_stems = _stems_with_callers(documents, {stem.upper() for stem in stems})
+    present_stems = {_stem(document) for document in documents}
+    is_used_unchanged = any(not renamed_stems.isdisjoint(scan.names(text.decode("latin-1"))) for text in unchanged)
+    if is_used_unchanged or _stem(documents[0]) in renamed_stems or not renamed_stems <= present_stems:
+        return None
+    used_names = {name.upper() for name in other_names} | present_stems
+    used_names |= {name for document in documents for name in scan.names(document.text)}
+    renamed_documents = [document for document in documents if _stem(document) in renamed_stems]
+    new_stem_of = _new_stems({PurePath(document.name).stem for document in renamed_documents}, program, used_names)
+    if any(fault_of(name) for name in new_stem_of.values()) or any(
+        scan.global_lines(document.text) for document in renamed_documents
     ):
         return None
-    used_names = {name.upper() for name in other_names} | own_stems
-    used_names |= {name for document in documents for name in scan.names(document.text)}
-    old_stems = {PurePath(d.name).stem for d in documents if PurePath(d.name).stem.upper() in old_stems_upper}
-    new_stem_of = _new_stems(old_stems, program, used_names)
-    if any(fault_of(name) for name in new_stem_of.values()):
-        return None
     new_documents: list[Document] = []
-    names: dict[str, str] = {}
+    old_names: dict[str, str] = {}
     for document in documents:
-        path = PurePath(document.name)
-        text = _replace_routines(document.text, new_stem_of)
-        if text is None or (path.stem.upper() in old_stems_upper and scan.global_lines(document.text)):
+        text, new_stem = _replace_routines(document.text, new_stem_of), new_stem_of.get(_stem(document))
+        if text is None:
             return None
-        name = (
-            f"{new_stem_of[path.stem.upper()]}{path.suffix}" if path.stem.upper() in old_stems_upper else document.name
-        )
+        name = document.name if new_stem is None else f"{new_stem}{PurePath(document.name).suffix}"
         if name != document.name:
-            names[name] = document.name
+            old_names[name] = document.name
         new_documents.append(replace(document, name=name, text=text))
-    return tuple(new_documents), names
+    return tuple(new_documents), old_names
 
 
 def _replace_routines(text: str, new_names: Mapping[str, str]) -> str | None:

@@ -34,7 +34,7 @@ from postproc.dialects.krl.layout import FREE, ORIENTATIONS, Layout
 from postproc.dialects.krl.write.edited_rows import edited_rows
 from postproc.dialects.krl.write.edits import InsertedLines, Replacements
 from postproc.dialects.krl.write.folding import fold
-from postproc.dialects.krl.write.named_points import NamedPoints, Use, editable_layout, mentions
+from postproc.dialects.krl.write.named_points import Mentions, NamedPoints, Use, editable_layout, mentions
 from postproc.dialects.krl.write.target_numbers import DECIMALS, target_numbers
 from postproc.dialects.krl.write.target_statements import (
     LED_BY,
@@ -44,9 +44,10 @@ from postproc.dialects.krl.write.target_statements import (
     consecutive_motions,
     replaced_numbers,
 )
-from postproc.dialects.krl.write.trigger_places import place_triggers
+from postproc.dialects.krl.write.trigger_places import PlacedTriggers, place_triggers
 from postproc.dialects.new_program import number
 from postproc.errors import Issue, ProgramError, group_issues
+from postproc.frames import Array
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, WrittenProgram
 
 _STOP = "The robot stops at an inserted target, as it does at the end of this motion, which has no C_DIS: "
@@ -102,43 +103,59 @@ class _Rewriter:
 
         :raises ValueError: a number is too large to be written.
         """
-        is_last, keep = self.is_last, self.targets.keep
-        if (is_last & keep).all() and not len(_lowered_motions(self.program)):
+        if (self.is_last & self.targets.keep).all() and not len(_lowered_motions(self.program)):
             return WrittenProgram(self.documents, self.program.motions.line[self.row], "krl")
         self.target_numbers = target_numbers(self.layout, self.targets)
-        moves = self.layout.statements
-        has_names = self.layout.elements or any(
-            move.end.name or (move.via and move.via.name) for move in moves.values()
-        )
-        plain_rows = np.delete(self.layout.line, list(moves))
-        self.mentions = mentions(self.layout.course, plain_rows) if has_names else {}
+        self.mentions = self._mentions_of_points()
         self.layout = editable_layout(
             self.layout, self.program.motions, self.mentions, len(self.sources), self._has_one_target()
         )
         self.statements = TargetStatements(self.layout, self.targets, self.target_numbers)
-        is_statement = np.zeros(len(self.program.motions), dtype=np.bool_)
-        is_statement[list(self.layout.statements)] = True
-        is_plain = is_last & ~is_statement[self.row]
-        is_straightened = ~keep & (self.program.motions.kind[self.row] == CIRC) & (self.targets.kind == LIN)
-        for k in np.flatnonzero(is_plain & is_straightened).tolist():
-            self._replace_text(int(self.row[k]), self.statements.absolute_statement(int(self.row[k]), k))
-        is_plain &= ~is_straightened
-        self._replace_numbers(np.flatnonzero(is_plain & ~keep))
-        for k in np.flatnonzero(is_plain & (self._needs_components() | self._may_change_bits())).tolist():
-            self._add_components(int(self.row[k]), k)
-        changes_tail = self.target_numbers.is_free | self.target_numbers.drops_via_orientation
-        has_tail = np.diff(self.layout.tail[self.row])[:, 0] > len(" WITH ")
-        for k in np.flatnonzero(is_last & (changes_tail[self.row] | (is_straightened & has_tail))).tolist():
-            row = int(self.row[k])
-            start, stop = self.layout.tail[row].tolist()
-            tail = self.statements.tail_of_target(row, k)
-            if tail != self.layout.source(row).text[start:stop]:
-                self._replace_text(row, Replacement(start, stop, tail))
+        self._rewrite_plain_lines()
+        self._rewrite_tails()
         if self.layout.statements:
             self._rewrite_statements()
         output_line = self._insert_lines()
         documents, output_line = self._edited_files(output_line)
         return WrittenProgram(documents, output_line, "krl", group_issues(self.issues))
+
+    def _mentions_of_points(self) -> Mentions:
+        """Return where the code names variables, see `mentions`; nothing if no motion names a point."""
+        moves = self.layout.statements
+        has_names = self.layout.elements or any(
+            move.end.name or (move.via and move.via.name) for move in moves.values()
+        )
+        plain_rows = np.delete(self.layout.line, list(moves))
+        return mentions(self.layout.course, plain_rows) if has_names else {}
+
+    def _is_straightened(self) -> Bools:
+        """Return which targets (K,) are lines in place of circles."""
+        is_circle = self.program.motions.kind[self.row] == CIRC
+        return np.asarray(~self.targets.keep & is_circle & (self.targets.kind == LIN))
+
+    def _rewrite_plain_lines(self) -> None:
+        """Change the motions that are plain lines or move to array elements: all but the statements of the layout."""
+        is_statement = np.zeros(len(self.program.motions), dtype=np.bool_)
+        is_statement[list(self.layout.statements)] = True
+        is_plain, is_straightened = self.is_last & ~is_statement[self.row], self._is_straightened()
+        for k in np.flatnonzero(is_plain & is_straightened).tolist():
+            self._replace_text(int(self.row[k]), self.statements.absolute_statement(int(self.row[k]), k))
+        is_plain &= ~is_straightened
+        self._replace_numbers(np.flatnonzero(is_plain & ~self.targets.keep))
+        for k in np.flatnonzero(is_plain & (self._needs_components() | self._may_change_bits())).tolist():
+            self._add_components(int(self.row[k]), k)
+
+    def _rewrite_tails(self) -> None:
+        """Change the text behind the points of motions: approximation and WITH, where corrections need another one."""
+        changes_tail = self.target_numbers.is_free | self.target_numbers.drops_via_orientation
+        may_set_circle_mode = np.diff(self.layout.tail[self.row])[:, 0] > len(" WITH ")
+        is_affected = changes_tail[self.row] | (self._is_straightened() & may_set_circle_mode)
+        for k in np.flatnonzero(self.is_last & is_affected).tolist():
+            row = int(self.row[k])
+            start, stop = self.layout.tail[row].tolist()
+            tail = self.statements.tail_of_target(row, k)
+            if tail != self.layout.source(row).text[start:stop]:
+                self._replace_text(row, Replacement(start, stop, tail))
 
     def _edited_files(self, line: Ints) -> tuple[tuple[Document, ...], Ints]:
         """Return the files with all edits, and the lines of the targets in the `.src` (K,).
@@ -154,18 +171,19 @@ class _Rewriter:
             files[main.name] = replace(main, text=changes.apply(self.sources[0].text))
             return tuple(files.values()), line
         new_rows = edited_rows(self.trace, changes)
-        files_of_course = fold(course, course.main, new_rows)
-        files |= {document.name: document for document in files_of_course.documents}
-        shown_lines = [
-            None if issue.source_line is None else self.trace.shown_line(issue.source_line) for issue in self.issues
-        ]
-        issues = zip(self.issues, shown_lines, strict=True)
-        self.issues = [*(replace(issue, source_line=line) for issue, line in issues), *files_of_course.issues]
-        origin = self.layout.line[self.row]
-        first = new_rows.begins[origin - 1] + 1
-        return tuple(files.values()), files_of_course.line[origin] + np.where(
-            files_of_course.is_in_main[origin], line - first, 0
-        )
+        folded = fold(course, course.main, new_rows)
+        files |= {document.name: document for document in folded.documents}
+        self.issues = [*map(self._with_shown_line, self.issues), *folded.issues]
+        trace_row = self.layout.line[self.row]
+        # lines from the first one that the row of the motion is written as to that of the target
+        lines_below = line - (new_rows.begins[trace_row - 1] + 1)
+        return tuple(files.values()), folded.line[trace_row] + np.where(folded.is_in_main[trace_row], lines_below, 0)
+
+    def _with_shown_line(self, issue: Issue) -> Issue:
+        """Return an issue on a row of the trace with the line of the `.src` to report; one on no row unchanged."""
+        if issue.source_line is None:
+            return issue
+        return replace(issue, source_line=self.trace.shown_line(issue.source_line))
 
     def _has_one_target(self) -> Bools:
         """Return which motions (M,) have a single target, for which their text needs no further components."""
@@ -193,18 +211,19 @@ class _Rewriter:
 
         :param k: (n,) targets whose numbers change.
         """
-        file = np.zeros(len(self.program.motions), dtype=np.int32)
+        file = np.zeros(len(self.program.motions), dtype=np.int32)  # in which the numbers are: 0 is the `.src`
         for elements in self.layout.elements:
             file[elements.row] = elements.source.index
         for part in chunks(len(k)):
             targets = k[part]
-            spans = self.layout.spans(self.row[targets], slice(6)).astype(np.int64)
+            starts, stops = np.moveaxis(self.layout.spans(self.row[targets], slice(6)).astype(np.int64), 2, 0)
             numbers, decimals = self.target_numbers.numbers[targets], self.target_numbers.decimals[targets]
+            trace_rows = np.broadcast_to(self.layout.line[self.row[targets], None], starts.shape)
             for index, replacements in enumerate(self.replacements):
-                in_file = (spans[:, :, 0] >= 0) & (file[self.row[targets]] == index)[:, None]
-                starts, stops = spans[:, :, 0][in_file], spans[:, :, 1][in_file]
-                rows = np.broadcast_to(self.layout.line[self.row[targets], None], in_file.shape)[in_file]
-                replacements.add_numbers(starts, stops, numbers[in_file], decimals[in_file], rows)
+                in_file = (starts >= 0) & (file[self.row[targets]] == index)[:, None]
+                replacements.add_numbers(
+                    starts[in_file], stops[in_file], numbers[in_file], decimals[in_file], trace_rows[in_file]
+                )
         self._replace_via_points(k[self.targets.kind[k] == CIRC])
 
     def _replace_via_points(self, circles: Ints) -> None:
@@ -215,16 +234,17 @@ class _Rewriter:
         self.replacements[0].add_numbers(spans[:, 0], spans[:, 1], numbers, decimals, rows)
 
     def _add_components(self, row: int, k: int) -> None:
-        """Add the components that target `k` needs to the plain line of its motion, and change its S and T."""
+        """Add the components that target `k` needs to the plain line of motion `row`, and change its S and T."""
         literal = self.statements.literal(row)
-        if literal is not None:
-            texts = self.statements.number_texts(k, literal)
-            replaced_names = () if self.targets.keep[k] else CARTESIAN
-            missing_components = {
-                name: text for name, text in texts.items() if name not in replaced_names or name not in literal.places
-            }
-            for piece in replaced_numbers(literal, missing_components):
-                self._replace_text(row, piece)
+        if literal is None:
+            return
+        texts = self.statements.number_texts(k, literal)
+        # numbers that the line of a changed target has are replaced by `_replace_numbers`
+        replaced_names = set() if self.targets.keep[k] else literal.places.keys() & set(CARTESIAN)
+        for piece in replaced_numbers(
+            literal, {name: text for name, text in texts.items() if name not in replaced_names}
+        ):
+            self._replace_text(row, piece)
 
     def _rewrite_statements(self) -> None:
         """Change the statements of motions that are not plain lines."""
@@ -243,25 +263,16 @@ class _Rewriter:
         :param row: of the motion; `k`: of the target at its end.
         :param points: notes which statements use which named points.
         """
-        is_divided = k > 0 and bool(self.row[k - 1] == row)
         becomes_line = move.kind == CIRC and bool(self.targets.kind[k] == LIN)
-        depends_on_start = bool(move.relative_axes) or move.angle is not None
-        start_differs = bool(move.relative_axes or move.is_via_incomplete) and bool(
-            self.target_numbers.start_differs[row]
-        )
-        needs_copy = becomes_line or (is_divided and (depends_on_start or move.kind == CIRC)) or start_differs
-        differs = needs_copy or bool(self.target_numbers.is_changed[k])
+        needs_all_numbers = becomes_line or self._starts_elsewhere(row, k, move)
+        differs = needs_all_numbers or bool(self.target_numbers.is_changed[k])
         if differs and (move.relative_axes or becomes_line):
-            self._replace_text(row, self.statements.absolute_statement(row, k))
-            if move.relative_axes:
-                if move.frame_span is not None:
-                    self._replace_text(row, Replacement(*move.frame_span, ""))
-                self._report("relative-made-absolute", "A relative target is written as an absolute one.", move.line)
+            self._make_absolute(row, k, move)
             return
         if differs and move.angle is not None:
             self._replace_text(row, Replacement(move.end.stop, move.tail_start, ""))
             self._report("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
-        texts = self.statements.end_texts(k, move.end, copy=needs_copy) if differs else None
+        texts = self.statements.end_texts(k, move.end, copy=needs_all_numbers) if differs else None
         self._rewrite_point(
             Use(move.line, move.end, texts, partial(self.statements.whole_literal, k, move.end)), points
         )
@@ -270,6 +281,24 @@ class _Rewriter:
             self._rewrite_point(
                 Use(move.line, move.via, (via or None) if differs else None, partial(aggregate_text, via)), points
             )
+
+    def _starts_elsewhere(self, row: int, k: int, move: MotionStatement) -> bool:
+        """Return whether a statement means another path because its motion begins elsewhere than as read.
+
+        :param row: of the motion, whose last target is `k`.
+        """
+        is_divided = k > 0 and bool(self.row[k - 1] == row)  # it begins at an inserted target
+        depends_on_start = bool(move.relative_axes) or move.angle is not None or move.kind == CIRC
+        counts_from_start = bool(move.relative_axes) or move.is_via_incomplete
+        return (is_divided and depends_on_start) or (counts_from_start and bool(self.target_numbers.start_differs[row]))
+
+    def _make_absolute(self, row: int, k: int, move: MotionStatement) -> None:
+        """Replace instruction and points of a statement by absolute literals of target `k`."""
+        self._replace_text(row, self.statements.absolute_statement(row, k))
+        if move.relative_axes:
+            if move.frame_span is not None:
+                self._replace_text(row, Replacement(*move.frame_span, ""))
+            self._report("relative-made-absolute", "A relative target is written as an absolute one.", move.line)
 
     def _rewrite_point(self, use: Use, points: NamedPoints) -> None:
         """Change the numbers of a point that is written in the statement; note the use of a named point.
@@ -287,33 +316,45 @@ class _Rewriter:
         """Insert targets, force comments and settings as lines of their own; return the line of every target (K,)."""
         line = self.layout.line[self.row]
         lines = InsertedLines(self.trace, self.replacements[0])
-        line_before, trigger_texts = self._place_triggers()
+        line_before, moved_triggers = self._place_triggers()
         forces = self._missing_force_comments(line, line_before)
         free_targets, reset_targets = self._free_orientation_spans()
         lowering_feeds, restoring_feeds = self._feed_statements()
-        line_targets = [*trigger_texts, *forces, *free_targets, *reset_targets, *lowering_feeds, *restoring_feeds]
-        for k in np.flatnonzero(~self.is_last | np.isin(np.arange(len(line)), line_targets)).tolist():
-            next_line = line_before.get(k, int(line[k]))
+        affected = [*moved_triggers, *forces, *free_targets, *reset_targets, *lowering_feeds, *restoring_feeds]
+        for k in np.flatnonzero(~self.is_last | np.isin(np.arange(len(line)), affected)).tolist():
+            row, motion_line = int(self.row[k]), int(line[k])
+            next_line, indent, line_end = (
+                line_before.get(k, motion_line),
+                self._indent(k),
+                self.statements.line_end(row),
+            )
             if k in lowering_feeds:
-                lines.add(next_line, self._indent(k) + lowering_feeds[k] + self.statements.line_end(int(self.row[k])))
+                lines.add(next_line, indent + lowering_feeds[k] + line_end)
             if k in free_targets:
-                lines.add(next_line, self._indent(k) + LED_BY + FREE + self.statements.line_end(int(self.row[k])))
-            for trigger, text in trigger_texts.get(k, ()):
+                lines.add(next_line, indent + LED_BY + FREE + line_end)
+            for trigger, text in moved_triggers.get(k, ()):
                 lines.move_line(trigger.line, next_line, text)
             if k in forces and not self._replace_comment(k, forces[k]):
-                lines.add(next_line, forces[k] + self.statements.line_end(int(self.row[k])))
+                lines.add(next_line, forces[k] + line_end)
             if not self.is_last[k]:
-                text = self.statements.inserted_line(int(self.row[k]), k)
-                lines.add(next_line, text, k)
-                if not self.layout.is_in_spline_block[self.row[k]] and not is_approximated(text):
-                    reason = _BLENDED_STOP if self.layout.is_distance_known[self.row[k]] else _UNSURE
-                    self._report("stop-inserted", reason, int(line[k]))
+                self._insert_target(k, next_line, lines)
             if k in reset_targets:
-                kind = ORIENTATIONS[self.layout.orientation[self.row[k]]]
-                lines.insert_behind(int(line[k]), f"{self._indent(k)}{LED_BY}{kind}")
+                lines.insert_behind(motion_line, indent + LED_BY + ORIENTATIONS[self.layout.orientation[row]])
             if k in restoring_feeds:
-                lines.insert_behind(int(line[k]), self._indent(k) + restoring_feeds[k])
+                lines.insert_behind(motion_line, indent + restoring_feeds[k])
         return lines.output_lines(line)
+
+    def _insert_target(self, k: int, next_line: int, lines: InsertedLines) -> None:
+        """Insert target `k` as a motion before a row of the trace, and report if the robot stops there.
+
+        :param lines: gets the new line.
+        """
+        row = int(self.row[k])
+        text = self.statements.inserted_line(row, k)
+        lines.add(next_line, text, k)
+        if not self.layout.is_in_spline_block[row] and not is_approximated(text):
+            reason = _BLENDED_STOP if self.layout.is_distance_known[row] else _UNSURE
+            self._report("stop-inserted", reason, self.layout.line.item(row))
 
     def _free_orientation_spans(self) -> tuple[set[int], set[int]]:
         """Return the targets before which `$ORI_TYPE` is set to #VAR, and the targets behind which it is reset.
@@ -331,21 +372,20 @@ class _Rewriter:
 
         The former are given by the target before which they are, the latter by the target behind which they are.
         """
-        motions, as_read = self.program.motions, self.program.feed_as_read
-        if as_read is None:
+        feed, feed_as_read = self.program.motions.feed, self.program.feed_as_read
+        rows = _lowered_motions(self.program)
+        if feed_as_read is None or not len(rows):
             return {}, {}
-        rows, line = _lowered_motions(self.program), self.layout.line
-        is_next_line = np.append(False, (np.diff(rows) == 1) & (np.diff(line[rows]) == 1))  # nothing between them
-        has_same_feed = is_next_line & (np.diff(motions.feed[rows], prepend=np.nan) == 0.0)
-        is_run_end = np.append(~is_next_line[1:], True)[: len(rows)]
-        first_targets, last_targets = np.searchsorted(self.row, rows), np.searchsorted(self.row, rows, side="right") - 1
-        lowered_feeds = zip(
-            first_targets[~has_same_feed].tolist(), motions.feed[rows[~has_same_feed]].tolist(), strict=True
+        # the motion before is lowered too, and no line is between them: the feed need not be restored there
+        is_continued = (np.diff(rows) == 1) & (np.diff(self.layout.line[rows]) == 1)
+        has_same_feed = np.append(False, is_continued & (np.diff(feed[rows]) == 0.0))
+        lowering_rows, restoring_rows = rows[~has_same_feed], rows[np.append(~is_continued, True)]
+        first_targets = np.searchsorted(self.row, lowering_rows)
+        last_targets = np.searchsorted(self.row, restoring_rows, side="right") - 1
+        return (
+            _feed_texts(first_targets, feed[lowering_rows]),
+            _feed_texts(last_targets, feed_as_read[restoring_rows]),
         )
-        restored_feeds = zip(last_targets[is_run_end].tolist(), as_read[rows[is_run_end]].tolist(), strict=True)
-        return {k: _FEED.format(number(feed)) for k, feed in lowered_feeds}, {
-            k: _FEED.format(number(feed)) for k, feed in restored_feeds
-        }
 
     def _indent(self, k: int) -> str:
         """Return the text before the instruction on the line of a motion, given by one of its targets."""
@@ -359,11 +399,11 @@ class _Rewriter:
         """
         if self.comment_forces is None:
             return {}
-        comment_line = (
-            line + self.is_last
-        )  # a comment on the line of a motion holds for it, but not for targets inserted before it
-        comment_line[list(line_before)] = list(line_before.values())
-        note = np.searchsorted(self.layout.notes, comment_line) - 1
+        # the first line whose comment does not hold for the target: one on the line of a motion holds for the motion,
+        # but not for the targets inserted before it
+        limit_line = line + self.is_last
+        limit_line[list(line_before)] = list(line_before.values())
+        note = np.searchsorted(self.layout.notes, limit_line) - 1  # the last comment that holds; −1: none
         rows = np.flatnonzero(needs_comment(self.comment_forces, self.targets.kind, note, self.program.notes, 0.0))
         return dict(zip(rows.tolist(), texts(b";", self.comment_forces, rows), strict=True))
 
@@ -390,27 +430,30 @@ class _Rewriter:
             their text.
         """
         line_before: dict[int, int] = {}
-        trigger_texts: dict[int, list[tuple[Trigger, str]]] = {}
-        motions = self.program.motions
-        for row, group in groupby(self.layout.triggers, attrgetter("row")):
-            first, stop = np.searchsorted(self.row, [row, row + 1]).tolist()
+        moved_lines: dict[int, list[tuple[Trigger, str]]] = {}
+        for row, triggers in groupby(self.layout.triggers, attrgetter("row")):
+            first, stop = np.searchsorted(self.row, [row, row + 1]).tolist()  # targets of the motion
             if stop - first < 2:
-                continue
-            places = place_triggers(
-                tuple(group), int(self.layout.line[row]), self.targets.t[first:stop], float(motions.feed[row])
-            )
-            line_before |= dict(zip(range(first, stop), places.target_lines, strict=False))
-            moved_triggers = {trigger for triggers in places.moved_triggers for trigger in triggers}
-            for k, triggers in enumerate(places.moved_triggers, first):
-                if triggers:
-                    trigger_texts[k] = [
-                        (trigger, self._trigger_line(trigger, places.path_texts.get(trigger))) for trigger in triggers
+                continue  # no target is inserted into it
+            speed = float(self.program.motions.feed[row])
+            placed = place_triggers(tuple(triggers), self.layout.line.item(row), self.targets.t[first:stop], speed)
+            line_before |= dict(zip(range(first, stop - 1), placed.target_lines, strict=True))
+            for k, moved_triggers in enumerate(placed.moved_triggers, first):
+                if moved_triggers:
+                    moved_lines[k] = [
+                        (trigger, self._trigger_line(trigger, placed.path_texts.get(trigger)))
+                        for trigger in moved_triggers
                     ]
-            for trigger, path in places.path_texts.items():
-                if trigger not in moved_triggers and trigger.path_span is not None:
-                    self.replacements[0].add(*trigger.path_span, path, trigger.line)
-            self.issues += [Issue("error", "trigger", _LOST_TRIGGER, trigger.line) for trigger in places.lost_triggers]
-        return line_before, trigger_texts
+            self._change_paths(placed)
+            self.issues += [Issue("error", "trigger", _LOST_TRIGGER, trigger.line) for trigger in placed.lost_triggers]
+        return line_before, moved_lines
+
+    def _change_paths(self, placed: PlacedTriggers) -> None:
+        """Change the PATH of the TRIGGERs that stay on their lines."""
+        moved_triggers = {trigger for triggers in placed.moved_triggers for trigger in triggers}
+        for trigger, path in placed.path_texts.items():
+            if trigger not in moved_triggers and trigger.path_span is not None:
+                self.replacements[0].add(*trigger.path_span, path, trigger.line)
 
     def _trigger_line(self, trigger: Trigger, path: str | None) -> str:
         """Return the line of a TRIGGER, with its line end, and with another PATH if `path` is given."""
@@ -425,7 +468,9 @@ class _Rewriter:
         self.issues.append(Issue("info", kind, message, line))
 
 
-_FEED = "$VEL.CP={}"
+def _feed_texts(targets: Ints, feeds: Array) -> dict[int, str]:
+    """Return the statements that set feeds (n,) [m/s], by targets (n,)."""
+    return {k: f"$VEL.CP={number(feed)}" for k, feed in zip(targets.tolist(), feeds.tolist(), strict=True)}
 
 
 def _lowered_motions(program: Program) -> Ints:

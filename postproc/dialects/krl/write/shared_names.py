@@ -68,28 +68,35 @@ class SharedProgram(NamedTuple):
     routine_names: dict[str, str]
 
 
+class DividedProgram(NamedTuple):
+    """A program, and which of its lines will be in which file.
+
+    :ivar source: its `.src`.
+    :ivar data: its `.dat`; None if it has none.
+    :ivar main: its main routine.
+    :ivar subroutines: its other routines, which get files of their own.
+    :ivar file: (L + 1,) number of the file that will contain each line of the `.src`; element 0 is of no line.
+    """
+
+    source: Source
+    data: Document | None
+    main: Routine
+    subroutines: Sequence[Routine]
+    file: Ints
+
+
 class Sharing:
     """Finds what the files of a divided program share, and edits both texts so that all of them see it.
 
     :param base: what GLOBAL names begin with.
-    :param subroutines: its own routines, which get files of their own.
-    :param file: (L + 1,) number of the file that will contain each line of the program.
     :param used_names: names, upper case, that are used already; the new ones join them.
     """
 
-    def __init__(
-        self,
-        base: str,
-        source: Source,
-        data: Document | None,
-        main: Routine,
-        subroutines: Sequence[Routine],
-        file: Ints,
-        used_names: set[str],
-    ) -> None:
+    def __init__(self, base: str, program: DividedProgram, used_names: set[str]) -> None:
         """Find what the main routine and the `.dat` declare."""
-        self.base, self.source, self.main, self.subroutines = base, source, main, subroutines
-        self.file, self.used_names = file, used_names
+        self.base, self.used_names = base, used_names
+        self.source, data, self.main, self.subroutines, self.file = program
+        main = self.main
         self.data = None if data is None else Source.of(data, 1)
         self.data_lines = [] if self.data is None else [item for item in data_lines(self.data) if not item.is_global]
         self.declarations_of_line = {
@@ -257,17 +264,14 @@ class Sharing:
         """Make declarations of the main routine comments, and return them as lines for a `.dat`.
 
         :param new_names: old name, upper case → GLOBAL name.
+        :param edits: of the `.src`; gets the comments.
         """
         declarations = []
         for line in dict.fromkeys(line for line, item in self.main_declarations if item.name in new_names):
             start, stop = self.source.code_span(line)
             text = self.source.text[start:stop]
             edits.add(start, stop, f"; {text}: GLOBAL in the .dat of {self.base}{MAIN}")
-            pieces = Replacements()
-            for item in occurrences(text, 0, len(text)):
-                if item.name in new_names:
-                    pieces.add(item.start, item.stop, new_names[item.name])
-            declarations.append(_global_declaration(pieces.apply(text)))
+            declarations.append(_global_declaration(_with_new_names(text, new_names)))
         return declarations
 
     def _rename_uses(
@@ -277,11 +281,10 @@ class Sharing:
 
         :param new_locals: variables of the main routine, old name → new name; `public` likewise those of the `.dat`.
         :param routines: routines, old name → new name.
+        :param edits: of the `.src`; gets the new names.
         """
-        text, removed_lines = (
-            self.source.text,
-            {line for line, item in self.main_declarations if item.name in new_locals},
-        )
+        text = self.source.text
+        removed_lines = {line for line, item in self.main_declarations if item.name in new_locals}
         for routine in (self.main, *self.subroutines):
             local_names = self.unshared_names if routine is self.main else routine.local_names
             names = {name: new_name for name, new_name in public.items() if name not in local_names}
@@ -302,7 +305,11 @@ class Sharing:
                 edits.add(start, start, "GLOBAL ")
 
     def _data_file(self, public: Mapping[str, str], declarations: Sequence[str]) -> Document | None:
-        """Return the `.dat` with the new GLOBAL names, and with further declarations; None if it has nothing."""
+        """Return the `.dat` with the new GLOBAL names, and with further declarations; None if it has nothing.
+
+        :param public: its variables that become GLOBAL, old name, upper case → new name.
+        :param declarations: lines to be added before its end.
+        """
         if self.data is None:
             if not declarations:
                 return None
@@ -320,19 +327,9 @@ class Sharing:
         for data_line in self.data_lines:
             if not public.keys().isdisjoint(data_line.names):
                 start, stop = self.data.code_span(data_line.line)
-                new_line = text[start:stop]
-                pieces = Replacements()
-                for name in occurrences(new_line, 0, len(new_line)):
-                    if name.name in public:
-                        pieces.add(name.start, name.stop, public[name.name])
-                new_line = pieces.apply(new_line)
-                edits.add(
-                    start,
-                    stop,
-                    _global_declaration(new_line)
-                    if any(item.kind for item in self.declarations_of_line[data_line.line])
-                    else new_line,
-                )
+                new_line = _with_new_names(text[start:stop], public)
+                is_declaration = any(item.kind for item in self.declarations_of_line[data_line.line])
+                edits.add(start, stop, _global_declaration(new_line) if is_declaration else new_line)
         return replace(self.data.document, text=edits.apply(text))
 
 
@@ -349,6 +346,18 @@ def _declared_types(data: Source) -> Iterator[str]:
         start, stop = data.code_span(line)
         if (word_end := after_word(data.text, start, stop, "STRUC", "ENUM")) >= 0:
             yield word_at(data.text, after_blanks(data.text, word_end, stop), stop)
+
+
+def _with_new_names(text: str, new_names: Mapping[str, str]) -> str:
+    """Return code with other names for variables.
+
+    :param new_names: old name, upper case → new name.
+    """
+    edits = Replacements()
+    for item in occurrences(text, 0, len(text)):
+        if item.name in new_names:
+            edits.add(item.start, item.stop, new_names[item.name])
+    return edits.apply(text)
 
 
 def _global_declaration(declaration: str) -> str:

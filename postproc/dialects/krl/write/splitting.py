@@ -15,7 +15,7 @@ Decisions, where KUKA leaves a choice:
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain, count, pairwise
 from pathlib import PurePath
 
@@ -33,7 +33,8 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import names_in, word_at
 from postproc.dialects.krl.language.tree import Definition
 from postproc.dialects.krl.write.division import division_error, find_cut_points, part_bounds
-from postproc.dialects.krl.write.shared_names import Sharing
+from postproc.dialects.krl.write.edited_rows import line_text
+from postproc.dialects.krl.write.shared_names import DividedProgram, Sharing
 from postproc.errors import Issue, combined_error, first_of
 from postproc.program import Document, Ints, WrittenProgram
 
@@ -49,28 +50,22 @@ def add_data_files(sources: Sequence[Document], data: Document | None) -> Iterat
         return
     source = Source.of(data, 1)
     lines = data_lines(source)
-    header = [
-        _line_with_end(source, line)
-        for line in range(1, len(source.starts) + 1)
-        if _line_with_end(source, line)[0] == "&"
-    ]
-    needed_lines = [_needed_lines(lines, document) for document in sources]
-    moved_lines = (
-        set().union(*needed_lines[1:])
-        - needed_lines[0]
-        - {data_line.line for data_line in lines if data_line.is_global}
-    )
-    for index, document in enumerate(sources):
+    all_texts = {line: line_text(source, line) for line in range(1, len(source.starts) + 1)}
+    header = [text for text in all_texts.values() if text[0] == "&"]
+    global_lines = {data_line.line for data_line in lines if data_line.is_global}
+    main, *parts = sources
+    local_lines = [_needed_lines(lines, document) - global_lines for document in parts]
+    moved_lines = set().union(*local_lines) - _needed_lines(lines, main)
+    yield main
+    if any(data_line.names and data_line.line not in moved_lines for data_line in lines):
+        text = "".join(text for line, text in all_texts.items() if line not in moved_lines)
+        stem = PurePath(main.name).stem
+        yield replace(data, name=f"{stem}.dat", text=text_with_name(text, stem))
+    for document, part_lines in zip(parts, local_lines, strict=True):
         yield document
-        stem = PurePath(document.name).stem
-        if index == 0 and any(data_line.names and data_line.line not in moved_lines for data_line in lines):
-            all_lines = range(1, len(source.starts) + 1)
-            text = "".join(_line_with_end(source, line) for line in all_lines if line not in moved_lines)
-            yield replace(data, name=f"{stem}.dat", text=text_with_name(text, stem))
-        texts = [
-            data_line.text for data_line in lines if data_line.line in needed_lines[index] and not data_line.is_global
-        ]
-        if index and texts:
+        texts = [data_line.text for data_line in lines if data_line.line in part_lines]
+        if texts:
+            stem = PurePath(document.name).stem
             text = "".join([*header, f"DEFDAT {stem}\r\n", *texts, "ENDDAT\r\n"])
             yield replace(data, name=f"{stem}.dat", text=text)
 
@@ -93,15 +88,11 @@ def _needed_lines(lines: Sequence[DataLine], document: Document) -> set[int]:
     return numbers
 
 
-def _line_with_end(source: Source, line: int) -> str:
-    """Return a line of a file with its line end."""
-    stop = int(source.starts[line]) if line < len(source.starts) else len(source.text)
-    return source.text[int(source.starts[line - 1]) : stop]
-
-
 _RESUME = "RESUME would break off the whole file that runs"
 _MOST_NAMES = 5
 """Names in one message at most."""
+_FRAME_LINES = 3
+"""Lines that a part has in addition: DEF, the comment that names its main program, and END."""
 
 
 def split_files(
@@ -156,6 +147,7 @@ def _restore_files(documents: Sequence[Document], output: WrittenProgram, limit:
 class _File(Struct, frozen=True, eq=False):
     """A file of a divided program.
 
+    :param name: without extension.
     :param pieces: lines of its own, with their ends, and ranges of lines of the program.
     """
 
@@ -203,22 +195,9 @@ class _Splitter:
         files = self._file_contents()
         file_of, number_of = self._line_places(files)
         data = self.undivided.documents[1] if len(self.undivided.documents) > 1 else None
-        source, data, new_names = Sharing(
-            self.base, self.source, data, self.main, self.subroutines, file_of, self.used_names
-        ).apply()
-        if new_names:
-            names = first_of(
-                [f"{old_routine} is {new_routine}" for old_routine, new_routine in new_names.items()], _MOST_NAMES
-            )
-            message = f"Routines of its own are GLOBAL, for all its files to see them: {names}."
-            self.issues.append(Issue("info", "global-routines", message))
-        if public := [name for name in self._former_global_names() if name.upper() not in new_names]:
-            old_name = self.undivided.documents[0].name
-            message = (
-                f"These files have GLOBAL routines as {old_name} has ({first_of(public, _MOST_NAMES)}), which they "
-                f"replace: remove {old_name} from the controller, where calls could reach its uncorrected routines."
-            )
-            self.issues.append(Issue("warning", "global-routines", message))
+        program = DividedProgram(self.source, data, self.main, self.subroutines, file_of)
+        source, data, new_names = Sharing(self.base, program, self.used_names).apply()
+        self.issues += self._routine_issues(new_names)
         documents = [self._document(file, source) for file in files]
         documents[0] = replace(documents[0], text=text_with_name(documents[0].text, files[0].name))
         return replace(
@@ -227,6 +206,23 @@ class _Splitter:
             output_line=number_of[self.undivided.output_line],
             issues=tuple(self.issues),
         )
+
+    def _routine_issues(self, new_names: Mapping[str, str]) -> Iterator[Issue]:
+        """Yield what the user should know about routines that are GLOBAL.
+
+        :param new_names: routines that become GLOBAL, old name, upper case → new name.
+        """
+        if new_names:
+            names = first_of([f"{old_name} is {new_name}" for old_name, new_name in new_names.items()], _MOST_NAMES)
+            message = f"Routines of its own are GLOBAL, for all its files to see them: {names}."
+            yield Issue("info", "global-routines", message)
+        if public := [name for name in self._former_global_names() if name.upper() not in new_names]:
+            old_file = self.undivided.documents[0].name
+            message = (
+                f"These files have GLOBAL routines as {old_file} has ({first_of(public, _MOST_NAMES)}), which they "
+                f"replace: remove {old_file} from the controller, where calls could reach its uncorrected routines."
+            )
+            yield Issue("warning", "global-routines", message)
 
     def _former_global_names(self) -> Iterator[str]:
         """Yield the names, as spelled, of its routines that were GLOBAL before the division."""
@@ -238,29 +234,38 @@ class _Splitter:
     def _file_contents(self) -> list[_File]:
         """Return the files and their contents: the main program, the parts that it calls, files with routines."""
         cut_points, blocks = find_cut_points(self.source, self.main), self._routine_blocks()
-        text, starts = self.source.text, self.source.starts
-        first = min(routine.first for routine in (self.main, *self.subroutines))
-        last = max(routine.last for routine in (self.main, *self.subroutines))
-        header = [range(line, line + 1) for line in range(1, first) if text[starts[line - 1]] == "&"]
-        declarations = [range(line, line + 1) for line in cut_points.declarations]
-        cuts, issues = part_bounds(self.source, self.base, cut_points, self.limit, len(header) + len(declarations) + 3)
+        first_routine_line = min(routine.first for routine in (self.main, *self.subroutines))
+        is_header = [self.source.text[start] == "&" for start in self.source.starts[: first_routine_line - 1].tolist()]
+        header = [_one_line(line) for line, is_kept in enumerate(is_header, 1) if is_kept]
+        declarations = [_one_line(line) for line in cut_points.declarations]
+        extra_lines = len(header) + len(declarations) + _FRAME_LINES
+        cuts, issues = part_bounds(self.source, self.base, cut_points, self.limit, extra_lines)
         self.issues += issues
-        calls = [f"{self.base}{number}( ){self.line_end}" for number in range(1, len(cuts))]
-        begin = max((block.stop for block in blocks if block.stop <= self.main.first), default=first)
-        head = range(1, first), range(begin, cuts[0])
-        tail = range(self.main.last, self.main.last + 1), range(last + 1, len(starts) + 1)
-        files = [_File(f"{self.base}{MAIN}", (*head, *calls, *tail))]
         end = f"END{self.line_end}"
         bodies: list[tuple[str | range, ...]] = [(*declarations, range(*pair), end) for pair in pairwise(cuts)]
-        bodies += [(end, *group) for group in self._pack_blocks(blocks, self.limit - len(header) - 3)]
-        for body in bodies:
-            name = f"{self.base}{len(files)}"
+        bodies += [(end, *group) for group in self._pack_blocks(blocks, self.limit - len(header) - _FRAME_LINES)]
+        files = [self._main_file(blocks, cuts[0], len(cuts) - 1)]
+        for number, body in enumerate(bodies, 1):
+            name = f"{self.base}{number}"
             head_lines = [
                 f"DEF {name}( ){self.line_end}",
-                f";POSTPROC 1 part={len(files)} of={files[0].name}{self.line_end}",
+                f";POSTPROC 1 part={number} of={files[0].name}{self.line_end}",
             ]
             files.append(_File(name, (*header, *head_lines, *body)))
         return files
+
+    def _main_file(self, blocks: Sequence[range], first_cut: int, part_count: int) -> _File:
+        """Return the main program: its lines up to the first cut, a call of each part, and its END.
+
+        :param blocks: see `_routine_blocks`.
+        """
+        first = min(routine.first for routine in (self.main, *self.subroutines))
+        last = max(routine.last for routine in (self.main, *self.subroutines))
+        begin = max((block.stop for block in blocks if block.stop <= self.main.first), default=first)
+        calls = [f"{self.base}{number}( ){self.line_end}" for number in range(1, part_count + 1)]
+        lines_behind = range(last + 1, len(self.source.starts) + 1)
+        head = range(1, first), range(begin, first_cut)
+        return _File(f"{self.base}{MAIN}", (*head, *calls, _one_line(self.main.last), lines_behind))
 
     def _routine_blocks(self) -> list[range]:
         """Return the lines of each routine but the main one, with the comments before it."""
@@ -337,6 +342,11 @@ class _Splitter:
         """Return whether the controller accepts the names of files with a prefix, and none of them is used."""
         file_names = {f"{prefix}{part}".upper() for part in (MAIN, *range(1, len(self.source.starts) + 1))}
         return file_names.isdisjoint(used_names) and not any(fault_of(f"{prefix}{part}") for part in (MAIN, 1))
+
+
+def _one_line(line: int) -> range:
+    """Return the range that contains one line."""
+    return range(line, line + 1)
 
 
 def _code_names(source: Source) -> Iterator[str]:

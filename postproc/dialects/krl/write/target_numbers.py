@@ -88,29 +88,41 @@ def target_numbers(layout: Layout, targets: Targets) -> TargetNumbers:
     end_differs = any_column(np.abs(numbers - layout.numbers[row]) > _EQUAL)
     start_differs = _starts_at_changed_end(row[is_last], end_differs[is_last], layout)
     is_free = _freed_motions(layout, targets, numbers, is_last)
-
-    is_first = np.append(True, row[1:] != row[:-1]) if len(row) else is_last
-    previous = np.concatenate([numbers[:1], numbers[:-1]])
-    is_resumed = is_first & layout.starts_from_joints[row]
-    previous[is_resumed] = layout.numbers[row[is_resumed]]
-    gets_component = layout.is_missing[row] & (np.abs(numbers - previous) > _EQUAL)
-    incomplete = layout.ignores_orientation | any_column(layout.is_missing[:, 3:])
-    gets_component[:, 3:] |= (is_free & incomplete)[row, None]
-    lacks_angle = layout.is_missing[row, 3:] & ~gets_component[:, 3:]
-    is_partial = any_column(lacks_angle) & ~lacks_angle.all(axis=1) & (np.abs(previous[:, 4]) > LARGEST_B)
-    gets_component[:, 3:] |= lacks_angle & is_partial[:, None]
-    is_printed = np.where(keep[:, None], gets_component, ~layout.is_missing[row] | gets_component)
+    gets_component = _added_components(layout, row, numbers, is_free)
     return TargetNumbers(
-        numbers,
-        np.where(keep[:, None], MOST_DECIMALS, decimals).astype(np.int8),
-        np.where(keep[:, None], DECIMALS, decimals).astype(np.int8),
-        is_printed,
-        _round_values(targets.via * MM_PER_M, DECIMALS[:3]),
-        ~keep | any_column(gets_component),
-        start_differs,
-        is_free,
-        _loses_auxiliary_orientation(layout, start_differs, targets),
+        numbers=numbers,
+        decimals=np.where(keep[:, None], MOST_DECIMALS, decimals).astype(np.int8),
+        least_decimals=np.where(keep[:, None], DECIMALS, decimals).astype(np.int8),
+        is_printed=np.where(keep[:, None], gets_component, ~layout.is_missing[row] | gets_component),
+        via=_round_values(targets.via * MM_PER_M, DECIMALS[:3]),
+        is_changed=~keep | any_column(gets_component),
+        start_differs=start_differs,
+        is_free=is_free,
+        drops_via_orientation=_loses_auxiliary_orientation(layout, start_differs, targets),
     )
+
+
+def _added_components(layout: Layout, row: Ints, numbers: Array, is_free: Bools) -> Bools:
+    """Return which components (K, 6) the text lacks and must get, since the controller would not get them right.
+
+    A controller takes missing components from the target before.
+
+    :param row: (K,) motions of the targets.
+    :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg] to be commanded.
+    :param is_free: (M,) see `TargetNumbers`.
+    """
+    previous = np.concatenate([numbers[:1], numbers[:-1]])
+    is_first = np.append(True, row[1:] != row[:-1])[: len(row)]
+    follows_joints = is_first & layout.starts_from_joints[row]
+    previous[follows_joints] = layout.numbers[row[follows_joints]]
+    is_added = layout.is_missing[row] & (np.abs(numbers - previous) > _EQUAL)
+    lacks_orientation = layout.ignores_orientation | any_column(layout.is_missing[:, 3:])
+    is_added[:, 3:] |= (is_free & lacks_orientation)[row, None]
+    # some angles given, others kept: near B = ±90° those that are kept may be of another set of A, B, C
+    is_kept = layout.is_missing[row, 3:] & ~is_added[:, 3:]
+    is_mixed = any_column(is_kept) & ~is_kept.all(axis=1) & (np.abs(previous[:, 4]) > LARGEST_B)
+    is_added[:, 3:] |= is_kept & is_mixed[:, None]
+    return np.asarray(is_added)
 
 
 def _freed_motions(layout: Layout, targets: Targets, numbers: Array, is_last: Bools) -> Bools:
@@ -197,7 +209,7 @@ def _input_decimals(layout: Layout) -> Ints:
     """Return the number of decimals (M, 6) that the numbers of M motions have in the input; 0 where there is none."""
     trace, spans = layout.course.trace, layout.spans(slice(None), slice(6))
     for elements in layout.elements:
-        spans[elements.row] = -1
+        spans[elements.row] = -1  # these are offsets in another file, see below
     decimals = np.zeros(spans.shape[:2], dtype=np.int64)
     file = trace.file[layout.line - 1]
     for index, source in enumerate(trace.sources):
@@ -219,12 +231,17 @@ def _decimals_in(text: str, spans: Offsets) -> Ints:
     """Return the number of decimals of the numbers at some spans (…, 2) of a text; 0 where the span is −1."""
     codes = np.frombuffer(text.encode("ascii", "replace"), dtype=np.uint8)
     start, stop = spans[..., 0].astype(np.int64), spans[..., 1].astype(np.int64)
-    point = _next_marks(codes == ord("."), start, len(codes))
-    exponent = np.minimum(_next_marks((codes | 32) == ord("e"), start, len(codes)), stop)
-    return np.where((start >= 0) & (point < stop), exponent - point - 1, 0)
+    point = _next_offsets(codes == ord("."), start)
+    is_exponent = (codes == ord("e")) | (codes == ord("E"))
+    digits_end = np.minimum(_next_offsets(is_exponent, start), stop)
+    return np.where((start >= 0) & (point < stop), digits_end - point - 1, 0)
 
 
-def _next_marks(mark: Bools, position: Ints, end: int) -> Ints:
-    """Return the first marked offset at or behind each position; `end` if there is none."""
-    places = np.append(np.flatnonzero(mark), end)
-    return places[np.searchsorted(places, position)]
+def _next_offsets(is_sought: Bools, offsets: Ints) -> Ints:
+    """Return the offset of the first sought character of a text at or behind each of some offsets.
+
+    :param is_sought: (T,) for each character of the text.
+    :returns: T where there is none.
+    """
+    sought_offsets = np.append(np.flatnonzero(is_sought), len(is_sought))
+    return sought_offsets[np.searchsorted(sought_offsets, offsets)]

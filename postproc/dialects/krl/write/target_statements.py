@@ -33,7 +33,8 @@ from postproc.program import CIRC, LIN, PTP, Ints, Targets
 
 LED_BY = "$ORI_TYPE="
 _FREE = f"{LED_BY}{FREE}"
-_AUXILIARY = "AUX_PT.ORI"
+_AUXILIARY_ORIENTATION = ("$CIRC_MODE", "AUX_PT.ORI")
+"""Variable and component that say what A, B, C of the auxiliary point are for."""
 _UNHEEDED = "$CIRC_MODE.AUX_PT.ORI=#IGNORE"
 _OF_CIRCLES = frozenset({"$CIRC_TYPE", "$CIRC_MODE"})
 
@@ -250,13 +251,12 @@ class TargetStatements:
         It has the approximation and the WITH of the motion; where the motion stops, it has C_DIS (C_SPL, C_PTP) unless
         the target is to stop too, or the distance is not known. In a spline block it has none. No comment is repeated.
         """
-        layout = self.layout
-        statement = self.statement_text(row, k)
+        motion_text = self.statement_text(row, k)
         tail = self.tail_of_target(row, k)
-        is_passed = layout.is_in_spline_block[row] or not layout.is_distance_known[row]
-        if self.targets.blend[k] > 0.0 and not is_passed and not is_approximated(tail):
-            tail += " C_SPL" if statement[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
-        return self.indent(row) + statement + tail + self.line_end(row)
+        may_approximate = self.layout.is_distance_known[row] and not self.layout.is_in_spline_block[row]
+        if self.targets.blend[k] > 0.0 and may_approximate and not is_approximated(tail):
+            tail += " C_SPL" if motion_text[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
+        return self.indent(row) + motion_text + tail + self.line_end(row)
 
     def tail_of_target(self, row: int, k: int) -> str:
         """Return the text that follows the points of a target: what its motion has there, changed where it must be."""
@@ -296,29 +296,30 @@ def tail_text(source: Source, tail: Tail, *, free: bool, straight: bool, unheedi
     :param straight: True for a line in place of a circle: settings of circles are left out.
     :param unheeding: True to ignore A, B, C of the auxiliary point.
     """
-    text, assignments = (
-        source.text,
-        [assignment for assignment in tail.assignments if isinstance(assignment, Assignment)],
-    )
+    text = source.text
+    assignments = [assignment for assignment in tail.assignments if isinstance(assignment, Assignment)]
     begin = text[tail.start : assignments[0].start] if assignments else " WITH "
-    pieces: list[str] = []
+    settings: list[str] = []  # all but the first with the separator before them
     last = tail.start
     for assignment in assignments:
         separator, last = text[last : assignment.start], assignment.stop
-        if straight and assignment.target.name in _OF_CIRCLES:
+        name, field = assignment.target.name, assignment.target.field
+        if straight and name in _OF_CIRCLES:
             continue
         value = text[assignment.value.start : assignment.stop]
-        if free and assignment.target.name == "$ORI_TYPE":
+        if free and name == "$ORI_TYPE":
             value = FREE
-        elif unheeding and assignment.target.name == "$CIRC_MODE" and assignment.target.field == _AUXILIARY:
+        elif unheeding and (name, field) == _AUXILIARY_ORIENTATION:
             value = "#IGNORE"
-        pieces += [separator if pieces else begin, text[assignment.start : assignment.value.start] + value]
+        setting = text[assignment.start : assignment.value.start] + value
+        settings.append(separator + setting if settings else setting)
     names = {(assignment.target.name, assignment.target.field) for assignment in assignments}
     if free and ("$ORI_TYPE", None) not in names:
-        pieces[:1] = [begin, _FREE, *([",", begin[len(begin.rstrip()) :]] if pieces else [])]
-    if unheeding and ("$CIRC_MODE", _AUXILIARY) not in names:
-        pieces += [", " if pieces else begin, _UNHEEDED]
-    return "".join(pieces) + text[tail.with_stop : tail.stop]
+        blanks = begin[len(begin.rstrip()) :]  # as between WITH and its first setting
+        settings[:1] = [_FREE, *(f",{blanks}{setting}" for setting in settings[:1])]
+    if unheeding and _AUXILIARY_ORIENTATION not in names:
+        settings.append(f", {_UNHEEDED}" if settings else _UNHEEDED)
+    return "".join([begin, *settings] if settings else []) + text[tail.with_stop : tail.stop]
 
 
 def _bits_text(name: str, value: int, text: str) -> dict[str, str]:

@@ -35,9 +35,10 @@ def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] |
     is_after_begin, is_before_end = earliest > begin - _ROUNDING, latest < end + _ROUNDING
     is_after_begin[0] = is_before_end[-1] = True  # beyond the ends of the motion nothing changes
     fits = is_after_begin & is_before_end
-    if trigger.path_span is None:
-        fits[slice(1, None) if trigger.from_start else slice(-1)] = False
-    if not trigger.is_attached:
+    if trigger.path_span is None:  # DISTANCE counts from an end of the motion: only the piece there has it
+        other_pieces = slice(1, None) if trigger.from_start else slice(-1)
+        fits[other_pieces] = False
+    if not trigger.is_attached:  # other statements are between it and its motion
         fits[1:] = False
     pieces = np.flatnonzero(fits & np.isfinite(position + trigger.delay))
     if not len(pieces):
@@ -72,7 +73,7 @@ def place_triggers(triggers: Sequence[Trigger], line: int, ends: Array, speed: f
     :param speed: of the TCP [m/s].
     """
     placement = PlacedTriggers([line] * (len(ends) - 1), [[] for _ in ends], {}, [])
-    earliest = len(ends)
+    earliest_piece = len(ends)  # of the TRIGGERs behind, which stay on their lines
     for trigger in reversed(triggers):
         piece_and_offset = piece_of(trigger, ends, speed)
         if piece_and_offset is None:
@@ -81,10 +82,10 @@ def place_triggers(triggers: Sequence[Trigger], line: int, ends: Array, speed: f
         piece, offset = piece_and_offset
         if trigger.path_span is not None and abs(offset - trigger.offset) > _ROUNDING:
             placement.path_texts[trigger] = decimal_text(offset * MM_PER_M, 3).rstrip("0").rstrip(".")
-        if piece > earliest:
+        if piece > earliest_piece:
             placement.moved_triggers[piece].insert(0, trigger)
             continue
-        earliest = piece
+        earliest_piece = piece
         if trigger.is_attached:
             placement.target_lines[:piece] = [trigger.line] * piece
     placement.lost_triggers.reverse()
