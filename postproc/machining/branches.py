@@ -18,22 +18,23 @@ _ADVICE = (
 )
 
 
-def check_branches(program: Program, cut: Ints, is_near: Bools) -> None:
+def check_branches(program: Program, cutting_rows: Ints, is_near: Bools) -> None:
     """Refuse a program in which a branch removes material and a later motion comes near the stock.
 
     The condition of the branch is known on the running robot only, so the stock after the branch is unknown.
 
-    :param cut: rows of motions that remove material.
+    :param cutting_rows: (n,) rows of motions that remove material.
     :param is_near: (M,) motions that come near the stock as it is before the program.
     :raises ForceError: names the first cut of the branch, and the first motion near the stock after it.
     """
     removes_material = np.zeros(len(program.motions), dtype=bool)
-    removes_material[cut] = True
+    removes_material[cutting_rows] = True
     for first, end in program.branches:
         later_rows = np.flatnonzero(is_near[end:])
         if removes_material[first:end].any() and len(later_rows):
-            rows = np.array([first + np.argmax(removes_material[first:end]), end + later_rows[0]])
-            (file, line), (later_file, later_line) = (program.places(rows).of(row) for row in range(2))
+            first_cut = first + np.argmax(removes_material[first:end])
+            places = program.places(np.array([first_cut, end + later_rows[0]]))
+            (file, line), (later_file, later_line) = places.of(0), places.of(1)
             later_place = f"line {later_line}" if later_file == file else f"{later_file}:{later_line}"
             problem = (
                 "whether this motion cuts is decided while the robot runs, by the condition of its branch, so that "

@@ -36,6 +36,7 @@ from 0.8 to 1.8 times it for as likely.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -67,6 +68,19 @@ class EngagedEdge(Struct, frozen=True, eq=False):
 
     length: Floats
     moment: Floats
+
+
+class _CellLevels(NamedTuple):
+    """Levels of the cells that contain points, (n, K) each.
+
+    :param high: upper levels [m]; `low`: lower levels [m]; `share`: of the area of a cell at the lower one, 0 … 1.
+    :param floor: lower side of the material [m].
+    """
+
+    high: Floats
+    low: Floats
+    share: Floats
+    floor: Floats
 
 
 class Corners(Struct, frozen=True, eq=False):
@@ -122,6 +136,7 @@ def _round_lengths(stock: Stock, turn: Turn, corners: Corners, z: Floats, has_pa
     height -= low
     height = np.minimum(np.maximum(height, 0.0, out=height), rise, out=height)
     if is_near_floor:
+        # the part of a piece below the lower side of the material is in air
         floor = stock.floor.reshape(-1).take(corners.cell[0][:, turn.round]) - z
         height -= np.minimum(np.maximum(floor - low, 0.0), rise)
         np.maximum(height, 0.0, out=height)
@@ -218,25 +233,25 @@ def _cylinder_contact(stock: Stock, nearest: NDArray[np.int32], position: Floats
     :param nearest: (n, K) index in the flat map of the cell that contains each point on the cylinder.
     :param position: (n, 3) of the tip [m].
     """
-    high, low, share, floor = (
-        values.reshape(-1).take(nearest) for values in (stock.high, stock.low, stock.share, stock.floor)
+    levels = _CellLevels(
+        *(values.reshape(-1).take(nearest) for values in (stock.high, stock.low, stock.share, stock.floor))
     )
-    tip = position[:, 2:]
-    bottom = np.maximum(floor - tip, turn.low[turn.side.start])
-    top = np.maximum(high - tip, bottom)
+    share, tip = levels.share, position[:, 2:]
+    bottom = np.maximum(levels.floor - tip, turn.low[turn.side.start])
+    top = np.maximum(levels.high - tip, bottom)
     # twice the moment: the integral of z dz is half the difference of squares
     height, moment = top - bottom, top * top - bottom * bottom
     if share.any():
-        is_inside, is_outside = _sides_of_earlier_cut(stock, nearest, position, turn, high, low, share)
+        is_inside, is_outside = _sides_of_earlier_cut(stock, nearest, position, turn, levels)
         share = np.where((share > 0.0) & is_inside, np.float32(1.0), share * ~is_outside)
-        lower_top = np.maximum(np.minimum(low - tip, top), bottom)
+        lower_top = np.maximum(np.minimum(levels.low - tip, top), bottom)
         height += share * (lower_top - top)
         moment += share * (lower_top * lower_top - top * top)
     return height, np.float32(0.5) * moment
 
 
 def _sides_of_earlier_cut(
-    stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: Turn, high: Floats, low: Floats, share: Floats
+    stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: Turn, levels: _CellLevels
 ) -> tuple[Bools, Bools]:
     """Return at which points (n, K) the cylinder is inside of an earlier cut, and at which (n, K) it is outside.
 
@@ -246,8 +261,9 @@ def _sides_of_earlier_cut(
 
     :param nearest: (n, K) index in the flat map of the cell that contains each point on the cylinder.
     :param position: (n, 3) of the tip [m].
-    :param high: (n, K) upper levels of these cells, `low` (n, K) lower levels [m], `share` (n, K) at the lower one.
+    :param levels: of these cells.
     """
+    high, low, share, _ = levels
     radius, cell = turn.radius[turn.side.start], np.float32(stock.cell)
     row, column = np.divmod(nearest, np.int32(stock.high.shape[1]))
     x = (column + np.float32(0.5)) * cell + (np.float32(stock.x) - position[:, :1])
@@ -292,24 +308,11 @@ def _surface_levels(
     :param is_near_floor: whether points may be below the material.
     :returns: levels (n, k) [m], and shares 0 … 1 (n, k); None where all are 1.
     """
-    high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
     rises = _surface_rises(stock, corners, pieces)
     lowest_level = z - np.float32(_WALL * stock.cell)
     levels, planes, weights, is_covered = [], [], [weight[:, pieces] for weight in corners.weight], True
     for k, cell in enumerate(corners.cell):
-        cell_index = cell[:, pieces]
-        level = high.take(cell_index)
-        material = level > lowest_level  # shares of the cells that are material
-        if is_near_floor:
-            material &= level > floor.take(cell_index)
-        if has_partly_cut:
-            cut_share = share.take(cell_index)
-            if cut_share.any():
-                lower = np.minimum(low.take(cell_index), level)
-                # two levels of one surface are averaged; a lower one beyond a wall leaves the cell covered in part
-                is_same_surface = lower > lowest_level
-                level = level + np.where(is_same_surface, cut_share * (lower - level), np.float32(0.0))
-                material = material * np.where(is_same_surface, np.float32(1.0), 1 - cut_share)
+        level, material = _corner_surface(stock, cell[:, pieces], lowest_level, has_partly_cut, is_near_floor)
         plane = level + rises[k] if rises else level
         if (material < 1).any():
             is_covered = False
@@ -326,6 +329,32 @@ def _surface_levels(
         return between_cells(levels, planes, weights), coverage
     products = [weight * level for weight, level in zip(weights, levels, strict=True)]
     return np.asarray((products[0] + products[1]) + (products[2] + products[3])), coverage
+
+
+def _corner_surface(
+    stock: Stock, cell_index: NDArray[np.int32], lowest_level: Floats, has_partly_cut: bool, is_near_floor: bool
+) -> tuple[Floats, Bools | Floats]:
+    """Return the level of the surface in cells (n, k) [m], and the share (n, k) of each cell that is material.
+
+    Two levels of one surface are averaged; a lower one beyond a wall leaves the cell covered in part.
+
+    :param cell_index: (n, k) in the flat map.
+    :param lowest_level: (n, k) [m]; levels below are beyond a wall.
+    :param has_partly_cut: whether any of the cells is at two levels.
+    :param is_near_floor: whether points may be below the material.
+    """
+    high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
+    level = high.take(cell_index)
+    material = level > lowest_level
+    if is_near_floor:
+        material &= level > floor.take(cell_index)
+    cut_share = share.take(cell_index) if has_partly_cut else None
+    if cut_share is None or not cut_share.any():
+        return level, material
+    lower = np.minimum(low.take(cell_index), level)
+    is_same_surface = lower > lowest_level
+    level = level + np.where(is_same_surface, cut_share * (lower - level), np.float32(0.0))
+    return level, material * np.where(is_same_surface, np.float32(1.0), 1 - cut_share)
 
 
 def _surface_rises(stock: Stock, corners: Corners, pieces: slice) -> list[Floats]:
@@ -450,20 +479,20 @@ def mean_loads(turn: Turn, engagement: EngagedEdge, chip: Chips, descent_sine: F
     force_moment += product_in_blocks(engagement.moment * (side_chip > 0.0), turn.rub[turn.side, :2])
     _add_moment_of_height(wrench, force_moment)
     # uniform from none of it to all: the variance is a third of the square of half the range
-    square = np.square(product_in_blocks(uncertain_edge, turn.rub[turn.bottom]).astype(float)) / 3.0
+    variance = np.square(product_in_blocks(uncertain_edge, turn.rub[turn.bottom]).astype(float)) / 3.0
     if turn.drill:
-        square[:, 2] += np.square(_THRUST_SHARE * wrench[:, 2]) / 3.0
+        variance[:, 2] += np.square(_THRUST_SHARE * wrench[:, 2]) / 3.0
     if turn.law.covariance is not None:
         unit_wrench = _unit_wrenches(turn, engagement, (cutting, rubbing), side_chip)
-        square += np.einsum("kni,kl,lni->ni", unit_wrench, np.array(turn.law.covariance), unit_wrench)
+        variance += np.einsum("kni,kl,lni->ni", unit_wrench, np.array(turn.law.covariance), unit_wrench)
     # a drill has no open side: the cells of the map add no error
     by_cells = np.minimum(
         BY_CELLS * turn.sampling * cell / np.sqrt(np.maximum(area, 1e-12)), 0.0 if turn.drill else 1.0
     )
     # the error may have any direction: each of three components has a third of the variance
     for components in (slice(0, 3), slice(3, 6)):
-        square[:, components] += (np.square(by_cells * norm(wrench[:, components])) / 3.0)[:, None]
-    return Loads(wrench, np.sqrt(np.maximum(square, 0.0)), by_cells, np.asarray(removal, dtype=float))
+        variance[:, components] += (np.square(by_cells * norm(wrench[:, components])) / 3.0)[:, None]
+    return Loads(wrench, np.sqrt(np.maximum(variance, 0.0)), by_cells, np.asarray(removal, dtype=float))
 
 
 def _add_moment_of_height(wrench: Array, force_moment: Floats) -> None:

@@ -20,7 +20,7 @@ from postproc.machining.branches import check_branches, near_stock
 from postproc.machining.material import CuttingLaw
 from postproc.machining.override import override_issues, slow_turn_issues
 from postproc.machining.process import Process, box_corners
-from postproc.machining.profiles import smooth_steps, thin_out
+from postproc.machining.profiles import Stations, smooth_steps, thin_out
 from postproc.machining.remaining import Ceiling, Guard, StockInTime
 from postproc.machining.resolution import ENOUGH, ThinPasses, factors, thin_passes
 from postproc.machining.setups import Setup, divide_by_cells, setups
@@ -173,30 +173,25 @@ def estimate(
     law, tools = process.law(), tool_states(program, process)
     directions = Directions.of(program, path, axis)
     task = _Task(
-        program, programmed_feed, path, process, axis, law, tools, directions, stock, base_axes, shift, guard, progress
+        program=program,
+        programmed_feed=programmed_feed,
+        path=path,
+        process=process,
+        axis=axis,
+        law=law,
+        tools=tools,
+        directions=directions,
+        stock=stock,
+        base_axes=base_axes,
+        shift=shift,
+        guard=guard,
+        progress=progress,
     )
-
-    def forces_up_to_tilt(max_tilt: float) -> ProcessForces:
-        """Return the forces, with finer cells where a first sweep shows that they are needed.
-
-        :param max_tilt: largest angle between a tool that turns while it cuts and z of the map [rad].
-        """
-        cell_factors: dict[int, int] = {}
-        while True:
-            if guard is not None:
-                guard.close.clear()
-            forces, passes = _forces_and_thin_passes(task, max_tilt, cell_factors)
-            if cell_factors or process.stock.resolution_mm is not None:
-                return forces
-            cell_factors = factors(passes, forces.stock.high.size)
-            if not cell_factors:
-                return forces
-
     try:
-        return forces_up_to_tilt(_LARGEST_TILT)
+        return _forces_up_to_tilt(task, _LARGEST_TILT)
     except _OverhangError as overhang_error:
         try:
-            return forces_up_to_tilt(_SECOND_TILT)
+            return _forces_up_to_tilt(task, _SECOND_TILT)
         except ForceError:
             raise overhang_error from None
 
@@ -208,6 +203,7 @@ class _Task(NamedTuple):
     :param law: forces of the material per length of cutting edge and chip.
     :param tools: tool and spindle speed of each motion.
     :param directions: of the tools along the motions.
+    :param stock: mesh of the stock; None: the process has the stock.
     """
 
     program: Program
@@ -229,7 +225,43 @@ class _Task(NamedTuple):
 
         :param frame: (4, 4) in the `$BASE` of the stock, see `home_base`; `cell`: width of a cell [m].
         """
-        return straight_segments(self.program, self.path, self.tools, frame, cell, self.shift, self.directions)
+        return straight_segments(
+            self.program, self.path, self.tools, frame, cell, shift=self.shift, directions=self.directions
+        )
+
+    def sweep(self, material: Stock, frame: Array, by_cells: Array) -> Sweep:
+        """Return the sweep of a map of the stock, before any motion.
+
+        :param material: the map, which is cut in place; `frame` (4, 4) of it in the `$BASE` of the stock.
+        :param by_cells: (M, 2) sums that the sweep increases in place, see `Sweep`.
+        """
+        program, count = self.program, len(self.program.motions)
+        leans = ~self.directions.is_within(frame[:3, 2], TURNS)
+        return Sweep(
+            stock=material,
+            process=self.process,
+            tools=self.tools,
+            feed=program.motions.feed,
+            law=self.law,
+            poses=ToolPoses(program, self.path, frame, self.axis, leans),
+            swing=np.full(count, np.nan) if program.swivel is None else program.swivel.rate,
+            by_cells=by_cells,
+            is_deflected=self.shift is not None,
+            guard=self.guard,
+            ceiling=None if self.guard is None else Ceiling(material),
+        )
+
+    def knots(self, poses: ToolPoses, cuts: Cuts) -> Knots:
+        """Return the forces at the stations of cuts as knots along their motions."""
+        stations = Stations(cuts.motion, cuts.t, cuts.wrench, cuts.deviation)
+        return smooth_steps(
+            poses,
+            stations,
+            self.least_rise(),
+            sigma=0.0 if self.law.covariance is not None else self.law.sigma,
+            axial_sigma=self.law.unknown_axial,
+            base_axes=self.base_axes,
+        )
 
     def least_rise(self) -> Array:
         """Return the smallest length (M,) over which the force of each motion builds up [m]: half a feed per tooth."""
@@ -243,7 +275,7 @@ class _SweptSetups(NamedTuple):
     """The sweeps of all set-ups, in their order, and what they leave.
 
     :param cuts: stations along the cutting motions, as many as the changes of their forces need.
-    :param knots: the forces at them.
+    :param knots: the forces at them, by set-up.
     :param stock: the remaining stock, in the frame of the last set-up.
     :param removed_volume: [m³].
     :param issues: warnings about maps of the stock that hold more than the stock.
@@ -252,7 +284,7 @@ class _SweptSetups(NamedTuple):
     """
 
     sweeps: list[Sweep]
-    cuts: list[Cuts]
+    cuts: Cuts
     knots: list[Knots]
     stock: Stock
     removed_volume: float
@@ -271,62 +303,109 @@ class _SweptSetups(NamedTuple):
         return set[int]().union(*(sweep.stopped_motions for sweep in self.sweeps))
 
 
-def _forces_and_thin_passes(
-    task: _Task, max_tilt: float, cell_factors: dict[int, int]
-) -> tuple[ProcessForces, list[ThinPasses]]:
-    """Return the cutting forces of a program, see `estimate`, and the passes that need finer cells than they had.
+def _forces_up_to_tilt(task: _Task, max_tilt: float) -> ProcessForces:
+    """Return the cutting forces of a program, see `estimate`: with finer cells where a first sweep needs them.
+
+    :param max_tilt: largest angle between a tool that turns while it cuts and the direction of a map [rad].
+    :raises ForceError: see `estimate`.
+    """
+    coarse = _swept_program(task, max_tilt, {})
+    cell_factors: dict[int, int] = {}
+    if task.process.stock.resolution_mm is None:
+        cell_factors = factors(coarse.thin_passes, coarse.swept.stock.high.size)
+    return _process_forces(task, _swept_program(task, max_tilt, cell_factors) if cell_factors else coarse)
+
+
+class _SweptProgram(NamedTuple):
+    """A program whose stock was swept, before its results are checked for warnings.
+
+    :param setups: set-ups in their order; `segments`: of all motions, in the frame of the first one.
+    :param bounds: smallest and largest x, smallest and largest y, and top of the uncut stock in that frame [m].
+    :param stock_issues: warnings and notes about the stock.
+    :param swept: the sweeps and what they leave.
+    :param thin_passes: passes that need finer cells than they had.
+    """
+
+    setups: list[Setup]
+    segments: StraightSegments
+    bounds: tuple[float, ...]
+    stock_issues: list[Issue]
+    swept: _SweptSetups
+    thin_passes: list[ThinPasses]
+
+
+def _swept_program(task: _Task, max_tilt: float, cell_factors: dict[int, int]) -> _SweptProgram:
+    """Sweep the tools of a program through its stock, and refuse what has no known force.
 
     :param max_tilt: largest angle between a tool that turns while it cuts and the direction of a map [rad].
     :param cell_factors: row of a motion → number by which the width of cells is divided from there on.
+    :raises ForceError: no usable stock or no contact with it, an unknown force, or a branch that cuts, see `estimate`.
     """
-    program, process, tools, guard = task.program, task.process, task.tools, task.guard
-    cell = process.stock.cell
+    program, process = task.program, task.process
+    if task.guard is not None:
+        task.guard.close.clear()  # an earlier sweep may have recorded distances
     ordered_setups = divide_by_cells(setups(program, task.directions, max_tilt), cell_factors, task.directions.cuts)
-    material, issues = _stock_map(process, ordered_setups[0].frame, cell / ordered_setups[0].factor, task.stock)
+    frame, cell = ordered_setups[0].frame, process.stock.cell
+    material, stock_issues = _stock_map(process, frame, cell / ordered_setups[0].factor, task.stock)
     bounds = (*material.bounds, material.top)
-    segments = task.segments(ordered_setups[0].frame, cell)
-    _check_spindle_speed(program, segments, tools)
+    segments = task.segments(frame, cell)
+    _check_spindle_speed(program, segments, task.tools)
     swept = _swept_setups(task, ordered_setups, material, segments)
     _refuse_unknown_forces(program, swept.sweeps)
     if not any(sweep.contact for sweep in swept.sweeps):
         raise _no_contact_error(segments, bounds, process, task.stock)
-    cuts = Cuts.join(swept.cuts)
-    margin = 0.5 * max(table.diameter_mm for table in process.tools.values()) * M_PER_MM
-    has_one_map = len(ordered_setups) == 1
-    engaged_motions = distinct(cuts.motion[norm(cuts.wrench) > 0.0])
     if program.branches:
-        is_near = _motions_near_stock(program, segments if has_one_map else None, bounds, margin)
-        check_branches(program, engaged_motions, is_near)
-    issues += [
+        segments_of_map = segments if len(ordered_setups) == 1 else None
+        is_near = _motions_near_stock(program, segments_of_map, bounds, process.largest_radius)
+        check_branches(program, _engaged_motions(swept.cuts), is_near)
+    _refuse_stopped_spindle(program, swept.stopped_motions)
+    passes = thin_passes(program, task.tools, swept.by_cells)
+    return _SweptProgram(ordered_setups, segments, bounds, stock_issues, swept, passes)
+
+
+def _engaged_motions(cuts: Cuts) -> Ints:
+    """Return the motions (k,) with a force, ascending."""
+    return distinct(cuts.motion[norm(cuts.wrench) > 0.0])
+
+
+def _process_forces(task: _Task, swept_program: _SweptProgram) -> ProcessForces:
+    """Return the forces of a swept program, with warnings and notes."""
+    program, tools, swept = task.program, task.tools, swept_program.swept
+    return ProcessForces(
+        knots=Knots.join(swept.knots),
+        cuts=swept.cuts,
+        power=_largest_power(swept.cuts, len(program.motions)),
+        tools=tools,
+        drills=tuple(_ToolColumns.of(tools, task.process).is_drill.tolist()),
+        stock=swept.stock,
+        map_in_base=swept_program.setups[-1].frame,
+        removed_volume=swept.removed_volume,
+        issues=tuple(_program_issues(task, swept_program)),
+        over_time=None if task.guard is None else _stock_in_time(program, swept_program.setups, swept),
+    )
+
+
+def _program_issues(task: _Task, swept_program: _SweptProgram) -> list[Issue]:
+    """Return all warnings and notes about a swept program, in the order in which they are reported."""
+    program, process, tools, guard = task.program, task.process, task.tools, task.guard
+    segments, bounds, swept = swept_program.segments, swept_program.bounds, swept_program.swept
+    engaged_motions = _engaged_motions(swept.cuts)
+    has_one_map = len(swept_program.setups) == 1
+    return [
+        *swept_program.stock_issues,
         *override_issues(program),
         *slow_turn_issues(program, task.programmed_feed, engaged_motions),
         *stock_base_issues(program),
-        *(_beside_stock_issues(program, segments, bounds, margin) if has_one_map else []),
+        *(_beside_stock_issues(program, segments, bounds, process.largest_radius) if has_one_map else []),
         *swept.issues,
         *unread_cuts(program),
-        *shared_cutters(program, task.tools, engaged_motions),
+        *shared_cutters(program, tools, engaged_motions),
         *_scale_issues(segments, bounds),
-    ]
-    issues += _cut_issues(program, swept.stopped_motions, task.law, cuts, tools, process)
-    passes = thin_passes(program, tools, swept.by_cells)
-    issues += _coarse_contact_warnings(program, tools, passes, ordered_setups, cell)
-    issues += [
+        *_cut_issues(program, task.law, swept.cuts, tools, process),
+        *_coarse_contact_warnings(program, tools, swept_program.thin_passes, swept_program.setups, process.stock.cell),
         *_collision_issues(program, swept.collisions, guard),
         *_cutter_mismatch_issues(program, tools, process, guard),
     ]
-    forces = ProcessForces(
-        knots=Knots.join(swept.knots),
-        cuts=cuts,
-        power=_largest_power(cuts, len(program.motions)),
-        tools=tools,
-        drills=tuple(_ToolColumns.of(tools, process).is_drill.tolist()),
-        stock=swept.stock,
-        map_in_base=ordered_setups[-1].frame,
-        removed_volume=swept.removed_volume,
-        issues=tuple(issues),
-        over_time=None if guard is None else _stock_in_time(program, ordered_setups, swept.sweeps, swept.is_compared),
-    )
-    return forces, passes
 
 
 def _largest_power(cuts: Cuts, count: int) -> Array:
@@ -359,44 +438,39 @@ def _swept_setups(
     :param material: the stock in the frame of the first set-up; it is cut in place.
     :param segments: straight segments of all motions in that frame.
     """
-    program, process, law, tools = task.program, task.process, task.law, task.tools
-    count, feed, rise = len(program.motions), program.motions.feed, task.least_rise()
-    swing_rate = np.full(count, np.nan) if program.swivel is None else program.swivel.rate
-    sigma = 0.0 if law.covariance is not None else law.sigma
+    program, count = task.program, len(task.program.motions)
     start_volume, removed_volume, segment_count = material.volume(), 0.0, 0
-    sweeps: list[Sweep] = []
-    cuts_of_setups: list[Cuts] = []
-    knots: list[Knots] = []
-    issues: list[Issue] = []
+    sweeps, cuts_of_setups, knots, issues = list[Sweep](), list[Cuts](), list[Knots](), list[Issue]()
     is_compared, by_cells = np.zeros(count, dtype=bool), np.zeros((count, 2))
     for number, setup in enumerate(ordered_setups):
         setup_segments = segments
         if number:
             removed_volume += start_volume - material.volume()
             remaining_volume = material.volume()
-            material = _next_map(material, ordered_setups[number - 1], setup, process.stock.cell)
+            material = _next_map(material, ordered_setups[number - 1], setup, task.process.stock.cell)
             start_volume = material.volume()
             issues += _hidden_cut_issues(start_volume - remaining_volume, removed_volume, remaining_volume)
             setup_segments = task.segments(setup.frame, material.cell)
         setup_segments = setup_segments.of(setup.motions)
         is_compared[setup_segments.motion[~setup_segments.leans]] = True
-        ceiling = None if task.guard is None else Ceiling(material)
-        leans = ~task.directions.is_within(setup.frame[:3, 2], TURNS)
-        poses = ToolPoses(program, task.path, setup.frame, task.axis, leans)
-        has_shift = task.shift is not None
-        sweep = Sweep(material, process, tools, feed, law, poses, swing_rate, by_cells, has_shift, task.guard, ceiling)
-        cuts = _needed_stations(
-            sweep, setup_segments, _progress_of_part(task.progress, segment_count, len(segments.motion))
-        )
-        cuts = _without_taps(cuts, program, tools)
+        sweep = task.sweep(material, setup.frame, by_cells)
+        progress = _progress_of_part(task.progress, segment_count, len(segments.motion))
+        cuts = _without_taps(_needed_stations(sweep, setup_segments, progress), program, task.tools)
         segment_count += len(setup_segments.motion)
         sweeps.append(sweep)
         cuts_of_setups.append(cuts)
-        stations = cuts.motion, cuts.t, cuts.wrench, cuts.deviation
-        if len(cuts.motion):  # none where the spindle is off on all motions of a set-up: refused with their lines below
-            knots.append(smooth_steps(poses, stations, rise, (sigma, law.unknown_axial), base_axes=task.base_axes))
-    removed_volume = removed_volume + start_volume - material.volume()
-    return _SweptSetups(sweeps, cuts_of_setups, knots, material, removed_volume, issues, is_compared, by_cells)
+        if len(cuts.motion):  # none where the spindle is off on all motions of a set-up: refused with their lines later
+            knots.append(task.knots(sweep.poses, cuts))
+    return _SweptSetups(
+        sweeps=sweeps,
+        cuts=Cuts.join(cuts_of_setups),
+        knots=knots,
+        stock=material,
+        removed_volume=removed_volume + start_volume - material.volume(),
+        issues=issues,
+        is_compared=is_compared,
+        by_cells=by_cells,
+    )
 
 
 def _refuse_unknown_forces(program: Program, sweeps: list[Sweep]) -> None:
@@ -423,18 +497,15 @@ def _refuse_unknown_forces(program: Program, sweeps: list[Sweep]) -> None:
         raise _OverhangError(problem, file=name, line=int(lines[worst]), advice=advice)
 
 
-def _stock_in_time(program: Program, setups: list[Setup], sweeps: list[Sweep], is_compared: Bools) -> StockInTime:
-    """Return the stock over time of swept set-ups.
-
-    :param is_compared: (M,) motions on which the parts of the tool were compared while the stock was swept.
-    """
+def _stock_in_time(program: Program, setups: list[Setup], swept: _SweptSetups) -> StockInTime:
+    """Return the stock over time of set-ups that were swept with a guard."""
     base = program.bases[home_base(program)]
     return StockInTime(
-        tuple(int(np.argmax(setup.motions)) for setup in setups),
-        tuple(base @ setup.frame for setup in setups),
-        tuple(sweep.ceiling for sweep in sweeps if sweep.ceiling is not None),
-        is_compared,
-        ~program.motions.rapid,
+        first=tuple(int(np.argmax(setup.motions)) for setup in setups),
+        frame=tuple(base @ setup.frame for setup in setups),
+        ceiling=tuple(sweep.ceiling for sweep in swept.sweeps if sweep.ceiling is not None),
+        is_compared=swept.is_compared,
+        removes_material=~program.motions.rapid,
     )
 
 
@@ -530,26 +601,48 @@ def _stock_map(process: Process, frame: Array, cell: float, path: Path | None) -
         raise ForceError("[stock] has a box and a file", file=process.path, advice="Give one of them.")
     if path is None and table.file is not None:
         path = Path(process.path).parent / table.file
-    to_map = inverse(frame)
-    if path is None:
-        if table.box is None:
-            advice = "Give [stock] box or file, or --stock STOCK.stl."
-            raise ForceError("no stock", file=process.path, advice=advice)
+    if path is not None:
+        mesh, file = _placed_mesh(path, table.place.pose()), str(path)
+    elif table.box is not None:
         low, high = box_corners(table.box)
         if np.array_equal(frame, np.eye(4)):
             return stocks.from_box(low, high, cell, process.path), issues
-        import trimesh
-
-        box = trimesh.creation.box(bounds=np.stack([low, high]))
-        vertices, faces, name = np.asarray(box.vertices), np.asarray(box.faces), process.path
-        volume = float(np.prod(high - low))
+        mesh, file = _box_mesh(low, high), process.path
     else:
-        mesh, name = _closed_mesh(path), str(path)
-        pose = table.place.pose()
-        vertices = np.asarray(mesh.vertices, dtype=float) * M_PER_MM @ pose[:3, :3].T + pose[:3, 3]
-        faces, volume = np.asarray(mesh.faces, dtype=np.int64), abs(float(mesh.volume)) * M_PER_MM**3
-    material = stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell, name)
-    return material, [*issues, *_hollow_stock_issues(material.volume(), volume)]
+        raise ForceError("no stock", file=process.path, advice="Give [stock] box or file, or --stock STOCK.stl.")
+    to_map = inverse(frame)
+    material = stocks.from_mesh(mesh.vertices @ to_map[:3, :3].T + to_map[:3, 3], mesh.faces, cell, file)
+    return material, [*issues, *_hollow_stock_issues(material.volume(), mesh.volume)]
+
+
+class _StockMesh(NamedTuple):
+    """The surface of the uncut stock, in the `$BASE` of the stock.
+
+    :param vertices: (V, 3) [m]; `faces`: (F, 3).
+    :param volume: that the surface encloses [m³].
+    """
+
+    vertices: Array
+    faces: NDArray[np.int64]
+    volume: float
+
+
+def _box_mesh(low: Array, high: Array) -> _StockMesh:
+    """Return the mesh of a box from corner `low` (3,) to `high` (3,) [m]."""
+    import trimesh
+
+    box = trimesh.creation.box(bounds=np.stack([low, high]))
+    return _StockMesh(np.asarray(box.vertices), np.asarray(box.faces), float(np.prod(high - low)))
+
+
+def _placed_mesh(path: Path, pose: Array) -> _StockMesh:
+    """Return the closed mesh of a file, which is in mm, at a pose (4, 4) [m] in the `$BASE` of the stock.
+
+    :raises ForceError: it cannot be read, contains no surface or is not closed.
+    """
+    mesh = _closed_mesh(path)
+    vertices = np.asarray(mesh.vertices, dtype=float) * M_PER_MM @ pose[:3, :3].T + pose[:3, 3]
+    return _StockMesh(vertices, np.asarray(mesh.faces, dtype=np.int64), abs(float(mesh.volume)) * M_PER_MM**3)
 
 
 def _hidden_cut_issues(gain: float, removed_volume: float, remaining_volume: float) -> list[Issue]:
@@ -622,46 +715,42 @@ def _check_spindle_speed(program: Program, segments: StraightSegments, tools: To
         raise ForceError(problem, file=program.documents[0].name, line=line, advice=advice)
 
 
-def _cut_issues(
-    program: Program,
-    stopped_motions: set[int],
-    law: CuttingLaw,
-    cuts: Cuts,
-    tools: ToolStates,
-    process: Process,
-) -> list[Issue]:
-    """Return warnings and notes about the cuts: material, power, tools, depths and chips.
+def _refuse_stopped_spindle(program: Program, stopped_motions: set[int]) -> None:
+    """Refuse cutting motions through material with the spindle off.
 
-    :param stopped_motions: motions through material with the spindle off.
-    :raises ForceError: the spindle is off on cutting moves in contact with material.
+    :param stopped_motions: rows of these motions.
+    :raises ForceError: there are some, one error for each line.
     """
-    lines, name = program.motions.line, program.documents[0].name
     if stopped_motions:
+        lines, name = program.motions.line, program.documents[0].name
         advice = "Start the spindle (M3 S…) before the cut, or lift the tool."
         raise combined_error(
             ForceError("the tool moves through material while the spindle is off", file=name, line=line, advice=advice)
             for line in sorted({int(lines[motion]) for motion in stopped_motions})[: MAX_ERRORS + 1]
         )
-    issues = []
-    if law.warning is not None:
-        issues.append(Issue("warning", "material", law.warning))
-    issues += _power_warnings(cuts, lines, process.spindle.power_kW)
+
+
+def _cut_issues(program: Program, law: CuttingLaw, cuts: Cuts, tools: ToolStates, process: Process) -> Iterator[Issue]:
+    """Yield warnings and notes about the cuts: material, power, tools, depths and chips."""
+    lines = program.motions.line
     columns, tool = _ToolColumns.of(tools, process), tools.tool[cuts.motion]
     diameter, is_drill = columns.diameter_mm[tool] * M_PER_MM, columns.is_drill[tool]
+    has_force = norm(cuts.wrench) > 0.0
+    if law.warning is not None:
+        yield Issue("warning", "material", law.warning)
+    yield from _power_warnings(cuts, lines, process.spindle.power_kW)
     if law.unknown_axial and not is_drill.all():
         message = (
             "the material has no axial coefficients: the axial force is missing. Measured axial forces are 40 to 90 % "
             f"of the force across the feed; the bound includes {100 * law.unknown_axial:.0f} % of it. Give "
             "axial_ratio, or Kac and Kae, or measure them (identify forces)."
         )
-        issues.append(Issue("info", "no-axial-force", message))
-    has_force = norm(cuts.wrench) > 0.0
-    issues += _tap_issues(program, cuts, tools)
-    issues += _mill_drilling_issues(program, cuts, is_drill)
-    issues += _chip_load_issues(program, cuts, tools, process)
-    issues += _drill_thrust_notes(lines, cuts, is_drill & has_force)
-    issues += _deep_cut_warnings(lines, cuts, np.where(is_drill | ~has_force, np.inf, _DEEP_CUT * diameter))
-    return issues
+        yield Issue("info", "no-axial-force", message)
+    yield from _tap_issues(program, cuts, tools)
+    yield from _mill_drilling_issues(program, cuts, is_drill)
+    yield from _chip_load_issues(program, cuts, tools, process)
+    yield from _drill_thrust_notes(lines, cuts, is_drill & has_force)
+    yield from _deep_cut_warnings(lines, cuts, np.where(is_drill | ~has_force, np.inf, _DEEP_CUT * diameter))
 
 
 def _drill_thrust_notes(lines: Ints, cuts: Cuts, is_drilling: Bools) -> Iterator[Issue]:
@@ -912,7 +1001,7 @@ def _beside_stock_issues(
     motions = cut_motions[is_beside[run]]
     if not len(motions):
         return []
-    x_low, x_high, y_low, y_high, _ = (1e3 * value for value in bounds)
+    x_low, x_high, y_low, y_high, _ = (MM_PER_M * value for value in bounds)
     message = (
         f"cuts beside the stock, which lies within X {x_low:.4g} … {x_high:.4g}, Y {y_low:.4g} … {y_high:.4g} mm: they "
         "have no force, and are not corrected. Does [stock] describe another part? Give one for all, or convert part "
@@ -930,10 +1019,10 @@ def _no_contact_error(
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
     :param stock: mesh of the stock, instead of that of the process.
     """
-    x_low, x_high, y_low, y_high, top = (1e3 * value for value in bounds)
+    x_low, x_high, y_low, y_high, top = (MM_PER_M * value for value in bounds)
     cutting = segments.cutting
-    low = 1e3 * np.minimum(segments.begin, segments.end)[cutting].min(axis=0)
-    high = 1e3 * np.maximum(segments.begin, segments.end)[cutting].max(axis=0)
+    low = MM_PER_M * np.minimum(segments.begin, segments.end)[cutting].min(axis=0)
+    high = MM_PER_M * np.maximum(segments.begin, segments.end)[cutting].max(axis=0)
     problem = (
         "the tool never touches the stock: cutting moves lie within "
         f"X {low[0]:.4g} … {high[0]:.4g}, Y {low[1]:.4g} … {high[1]:.4g}, Z {low[2]:.4g} … {high[2]:.4g} mm, the "

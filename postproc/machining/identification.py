@@ -216,47 +216,78 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     chip = readings.feed / (readings.rpm * tool.flutes)
     reading_checks.check_feeds(chip, tool.diameter_mm, file)
     system = _linear_equations(readings, tool, file)
-    predictor, readout, sigma = system.predictor, system.readout, system.sigma
     # a coefficient whose column is rounding has no reading that depends on it
-    is_excited = np.abs(predictor).max(axis=0) > 1e-9 * np.abs(predictor).max()
-    _check_separable(readings, tool, predictor, sigma, is_excited, file)
-    estimate, fixed_sigma, warnings = _prior_coefficients(prior, is_excited, file)
-    fitted_part = readout - predictor @ estimate
+    is_excited = np.abs(system.predictor).max(axis=0) > 1e-9 * np.abs(system.predictor).max()
+    _check_separable(chip, system.predictor, system.sigma, is_excited, file)
+    prior_coefficients = _prior_coefficients(prior, is_excited, file)
     freedom = _degrees_of_freedom(system, is_excited, file)
-    warnings += _check_signs(readings, tool, estimate, is_excited, file)
-    value, spread = _fit(predictor[:, is_excited], fitted_part, sigma)
-    error = predictor[:, is_excited] @ value - fitted_part
-    spread, scatter_warnings = _scaled_spread(spread, error, system, freedom)
-    warnings += scatter_warnings
-    covariance = np.diag(fixed_sigma**2)
-    estimate[is_excited] = value
-    negative = [k for k in _AT_LEAST_ZERO if estimate[k] < 0.0]
-    if negative:
-        warnings += [f"{NAMES[k]} is {estimate[k]:.2g}, within its error: taken as 0" for k in negative]
-        estimate[is_excited] = _positive_fit(predictor[:, is_excited], fitted_part, sigma, np.flatnonzero(is_excited))
-        error = predictor @ estimate - readout
-    warnings += reading_checks.check_sizes(estimate, readings.force, _tangential_coefficient(prior, file), file)
-    covariance[np.ix_(is_excited, is_excited)] = spread
-    half_width = 1.96 * np.sqrt(np.diag(covariance))
-    warnings += _wide_interval_warnings(estimate, half_width, is_excited)
-    is_force = system.component < 3
+    warnings = [
+        *prior_coefficients.warnings,
+        *_check_signs(readings, tool, prior_coefficients.value, is_excited, file),
+    ]
+    fit = _fit_with_prior(system, prior_coefficients, is_excited, freedom)
+    warnings += fit.warnings
+    warnings += reading_checks.check_sizes(fit.value, readings.force, _tangential_coefficient(prior, file), file)
+    half_width = 1.96 * np.sqrt(np.diag(fit.covariance))
+    warnings += _wide_interval_warnings(fit.value, half_width, is_excited)
+    force_error = fit.error[system.component < 3]
     return IdentifiedMaterial(
-        value=estimate,
+        value=fit.value,
         half=half_width,
-        covariance=covariance,
+        covariance=fit.covariance,
         identified=is_excited,
-        predictor=predictor,
-        measured=readout,
-        sigma=sigma,
+        predictor=system.predictor,
+        measured=system.readout,
+        sigma=system.sigma,
         reading=system.reading,
         component=system.component,
-        residual=float(np.sqrt(np.mean(error[is_force] ** 2))) if is_force.any() else float("nan"),
+        residual=float(np.sqrt(np.mean(force_error**2))) if len(force_error) else float("nan"),
         left_out=_cross_validation_error(
-            predictor[:, is_excited], fitted_part, readout, sigma, np.round(chip[system.reading], 6)
+            system.predictor[:, is_excited],
+            fitted_part=system.readout - system.predictor @ prior_coefficients.value,
+            readout=system.readout,
+            sigma=system.sigma,
+            chip=np.round(chip[system.reading], 6),
         ),
-        sigma_percent=max(_LEAST_SIGMA, _percent_of_readout(system, covariance, error, file)),
+        sigma_percent=max(_LEAST_SIGMA, _percent_of_readout(system, fit.covariance, fit.error, file)),
         warnings=tuple(warnings),
     )
+
+
+class _CoefficientFit(NamedTuple):
+    """Coefficients that fit readings, in the order of `NAMES`.
+
+    :param value: (6,) and `covariance` (6, 6): those that readings depend on are fitted, the others from the process.
+    :param error: (m,) computed less measured readings [N], of the power [W].
+    :param warnings: about the scatter of the readings and about coefficients that are taken as 0.
+    """
+
+    value: Array
+    covariance: Array
+    error: Array
+    warnings: list[str]
+
+
+def _fit_with_prior(system: _Equations, prior: _PriorCoefficients, is_excited: Bools, freedom: int) -> _CoefficientFit:
+    """Return the coefficients by weighted least squares; those that must not be negative are at least 0.
+
+    :param is_excited: (6,) True for coefficients that readings depend on; the others are those of `prior`.
+    :param freedom: number of readings beyond that of fitted coefficients.
+    """
+    matrix, fitted_part = system.predictor[:, is_excited], system.readout - system.predictor @ prior.value
+    fitted_value, spread = _fit(matrix, fitted_part, system.sigma)
+    error = matrix @ fitted_value - fitted_part
+    spread, warnings = _scaled_spread(spread, error, system, freedom)
+    value = prior.value.copy()
+    value[is_excited] = fitted_value
+    negative_rows = [k for k in _AT_LEAST_ZERO if value[k] < 0.0]
+    if negative_rows:
+        warnings += [f"{NAMES[k]} is {value[k]:.2g}, within its error: taken as 0" for k in negative_rows]
+        value[is_excited] = _positive_fit(matrix, fitted_part, system.sigma, np.flatnonzero(is_excited))
+        error = system.predictor @ value - system.readout
+    covariance = np.diag(prior.sigma**2)
+    covariance[np.ix_(is_excited, is_excited)] = spread
+    return _CoefficientFit(value, covariance, error, warnings)
 
 
 def _degrees_of_freedom(system: _Equations, is_excited: Bools, file: str) -> int:
@@ -289,13 +320,11 @@ def _check_signs(readings: CutReadings, tool: ToolTable, estimate: Array, is_exc
 
     :param estimate: (6,) values of the coefficients that no reading depends on, 0 for the others.
     :param is_excited: (6,) coefficients that readings depend on.
+    :raises ForceError: other signs or axes of Fx and Fy are likely.
     """
 
-    def fit_of_forces(force: Array) -> tuple[Array, Array, float] | None:
-        """Return coefficients (6,), standard deviations (6,) and relative residual for forces (n, 3) [N] in other axes.
-
-        None if these forces do not determine the coefficients.
-        """
+    def fit_of_forces(force: Array) -> reading_checks.Fit | None:
+        """Return the coefficients for forces (n, 3) [N] in other axes; None if these do not determine them."""
         system = _linear_equations(replace(readings, force=force), tool, file)
         matrix, target = system.predictor[:, is_excited], system.readout - system.predictor @ estimate
         scale = np.linalg.norm(matrix, axis=0)
@@ -309,7 +338,7 @@ def _check_signs(readings: CutReadings, tool: ToolTable, estimate: Array, is_exc
         sigma[is_excited] = np.sqrt(np.diag(spread))
         # computed readings have residuals of rounding alone: these do not rank arrangements
         size = float(np.linalg.norm(system.readout / system.sigma))
-        return value, sigma, max(_LEAST_SCATTER, float(np.linalg.norm(error)) / size)
+        return reading_checks.Fit(value, sigma, max(_LEAST_SCATTER, float(np.linalg.norm(error)) / size))
 
     return reading_checks.check_signs(readings.force, fit_of_forces, file)
 
@@ -444,12 +473,12 @@ def _cross_validation_error(predictor: Array, fitted_part: Array, readout: Array
         (m,) their standard deviations.
     :param chip: (m,) feeds per tooth [mm].
     """
+    scale = np.linalg.norm(predictor, axis=0)
     square_sum = 0.0
     for chip_value in np.unique(chip):
         is_test = chip == chip_value
         is_training = ~is_test
         matrix = predictor[is_training] / sigma[is_training, None]
-        scale = np.linalg.norm(predictor, axis=0)
         if is_test.all() or np.linalg.matrix_rank(matrix / scale) < predictor.shape[1]:
             return float("nan")
         value, _ = _fit(predictor[is_training], fitted_part[is_training], sigma[is_training])
@@ -457,17 +486,15 @@ def _cross_validation_error(predictor: Array, fitted_part: Array, readout: Array
     return float(np.sqrt(square_sum / np.sum((readout / sigma) ** 2)))
 
 
-def _check_separable(
-    readings: CutReadings, tool: ToolTable, predictor: Array, sigma: Array, is_excited: Bools, file: str
-) -> None:
+def _check_separable(chip: Array, predictor: Array, sigma: Array, is_excited: Bools, file: str) -> None:
     """Refuse readings that do not excite a combination of coefficients.
 
+    :param chip: (n,) feeds per tooth of the readings [mm].
     :param predictor: (m, 6) derivatives of the readings by the coefficients, `sigma` (m,) standard deviations of the
         readings.
     :param is_excited: (6,) True for coefficients that readings depend on.
     :raises ForceError: a combination is not identifiable; the message names the coefficients.
     """
-    chip = readings.feed / (readings.rpm * tool.flutes)
     names = [name for name, has_readings in zip(NAMES, is_excited, strict=True) if has_readings]
     if chip.max() < _LEAST_RANGE * chip.min():
         raise ForceError(

@@ -99,6 +99,11 @@ class Process(ProcessFile, frozen=True):
 
     path: str = "process.toml"
 
+    @property
+    def largest_radius(self) -> float:
+        """Radius of the widest tool [m]."""
+        return 0.5 * max(table.diameter_mm for table in self.tools.values()) * M_PER_MM
+
     def law(self) -> CuttingLaw:
         """Return the cutting law of the material.
 

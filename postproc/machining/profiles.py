@@ -82,12 +82,29 @@ def _needed_rows(halves: Array) -> Iterator[int]:
             open_ranges += [(begin, begin + 1 + farthest), (begin + 1 + farthest, end)]
 
 
+class Stations(NamedTuple):
+    """N places of cutting motions in order, and the wrenches there.
+
+    FEED axes; on moves along the spindle `tilted.local_axes`.
+
+    :param motion: (N,) row of `Motions`, and `t` (N,) place on it in [0, 1].
+    :param wrench: (N, 6) [N, N·m].
+    :param deviation: (N, 6) standard deviations of it that are independent from station to station.
+    """
+
+    motion: Ints
+    t: Array
+    wrench: Array
+    deviation: Array
+
+
 def smooth_steps(
     poses: ToolPoses,
-    stations: tuple[Ints, Array, Array, Array],
+    stations: Stations,
     rise: Array,
-    sigma: tuple[float, float],
     *,
+    sigma: float,
+    axial_sigma: float,
     base_axes: bool,
 ) -> Knots:
     """Return the knots of wrenches that are continuous from motion to motion.
@@ -96,57 +113,63 @@ def smooth_steps(
     rapid one. At the end of the motion the force acts in full.
 
     :param poses: the tool on the path, in the frame of the map of the stock.
-    :param stations: n stations in order: rows of `Motions` (n,), places t in [0, 1] on them (n,), wrenches (n, 6), and
-        standard deviations (n, 6) that are independent from station to station. In FEED axes; on moves along the
-        spindle in `tilted.local_axes`.
     :param rise: (M,) length over which the force changes at the start of a motion [m].
-    :param sigma: standard deviation as a share of the wrench, which may be one common factor of all wrenches; and
-        standard deviation of the axial force as a share of the force across the axis, 0 if axial coefficients are
-        known.
+    :param sigma: standard deviation as a share of the wrench, which may be one common factor of all wrenches.
+    :param axial_sigma: standard deviation of the axial force as a share of the force across the axis; 0 if axial
+        coefficients are known.
     :param base_axes: return wrenches in `$BASE`, except on arcs; else in FEED, except on moves along the spindle.
     """
     program, path = poses.program, poses.path
-    motion, t, wrench, station_deviation = stations
-    first = np.flatnonzero(np.diff(motion, prepend=-1))
-    has_one_station = first == np.append(first[1:], len(motion)) - 1
-    cut_motions = motion[first]
-    start_wrench, start_deviation = _start_wrenches(poses, first, stations)
-    reach = np.minimum(1.0, rise[cut_motions] / np.maximum(path.length[cut_motions], 1e-9))
-    wrench_at_rise = _wrenches_at(motion, t, wrench, cut_motions, reach)
-    reach[_begins_with_last_force(start_wrench, wrench_at_rise, wrench, first)] = 1.0
-    row, places = _knot_places(path.length[cut_motions] > rise[cut_motions], reach, first, t)
-    values, independent_deviation = (
-        _wrenches_at(motion, t, values_of_stations, cut_motions[row], places)
-        for values_of_stations in (wrench, station_deviation)
-    )
-    begins = np.flatnonzero(np.diff(row, prepend=-1))
-    values[begins], independent_deviation[begins] = start_wrench, start_deviation
-    axial_sigma = sigma[1] * norm(values[:, :2])
-    count = np.diff(begins, append=len(row))
-    motions = cut_motions[row]
+    first = np.flatnonzero(np.diff(stations.motion, prepend=-1))
+    has_one_station = np.diff(first, append=len(stations.motion)) == 1
+    motions, places, values, independent_deviation = _continuous_stations(poses, stations, first, rise)
+    axial_deviation = axial_sigma * norm(values[:, :2])
     axes, is_axial = _feed_axes(poses, motions, places)
+    # each motion has a run of `count` knots: what holds for the motion or for its last knot is repeated for all
+    count = np.diff(np.flatnonzero(np.diff(motions, prepend=-1)), append=len(motions))
     is_constant = np.repeat(has_one_station, count)
+    ends_axially = is_axial[np.repeat(np.cumsum(count) - 1, count)]
     turns_axes = (program.motions.kind[motions] == CIRC) | (path.turn[motions] > TURNS)
     # stations are thinned where the wrench is linear in FEED axes: where these turn, it is not linear in $BASE
-    ends_axially = is_axial[np.repeat(np.cumsum(count) - 1, count)]
     in_base = (ends_axially & ~(is_constant & turns_axes)) | (~turns_axes & base_axes)
     to_base = _map_axes_in_base(program, motions[in_base], poses.frame) @ axes[in_base]
     values[in_base] = _rotated_wrenches(to_base, values[in_base])
     independent_deviation[in_base] = _rotated_deviations(to_base, independent_deviation[in_base])
-    deviation = np.hypot(np.abs(values) * sigma[0], independent_deviation)
+    deviation = np.hypot(np.abs(values) * sigma, independent_deviation)
     # on moves along the spindle in $BASE axes: z of $BASE is taken for the axis of the tool
-    deviation[:, 2] = np.hypot(deviation[:, 2], axial_sigma)
-    factor = constant(sigma[0], len(motions))
+    deviation[:, 2] = np.hypot(deviation[:, 2], axial_deviation)
+    factor = constant(sigma, len(motions))
     return Knots.along(motions, places, values, np.where(in_base, BASE, FEED), deviation, factor)
 
 
-def _start_wrenches(poses: ToolPoses, first: Ints, stations: tuple[Ints, Array, Array, Array]) -> tuple[Array, Array]:
+def _continuous_stations(poses: ToolPoses, stations: Stations, first: Ints, rise: Array) -> Stations:
+    """Return stations between which linear wrenches are continuous from motion to motion, see `smooth_steps`.
+
+    :param first: (k,) first station of each cutting motion.
+    :param rise: (M,) length over which the force changes at the start of a motion [m].
+    """
+    motion, t, wrench, deviation = stations
+    cut_motions = motion[first]
+    length = poses.path.length[cut_motions]
+    start_wrench, start_deviation = _start_wrenches(poses, first, stations)
+    reach = np.minimum(1.0, rise[cut_motions] / np.maximum(length, 1e-9))  # no division by zero
+    wrench_at_rise = _wrenches_at(motion, t, wrench, cut_motions, reach)
+    reach[_begins_with_last_force(start_wrench, wrench_at_rise, wrench, first)] = 1.0
+    row, places = _knot_places(length > rise[cut_motions], reach, first, t)
+    place_motions = cut_motions[row]
+    wrench_at_places = _wrenches_at(motion, t, wrench, place_motions, places)
+    deviation_at_places = _wrenches_at(motion, t, deviation, place_motions, places)
+    begins = np.flatnonzero(np.diff(row, prepend=-1))
+    wrench_at_places[begins], deviation_at_places[begins] = start_wrench, start_deviation
+    return Stations(place_motions, places, wrench_at_places, deviation_at_places)
+
+
+def _start_wrenches(poses: ToolPoses, first: Ints, stations: Stations) -> tuple[Array, Array]:
     """Return the wrenches at the starts of cutting motions, and their standard deviations, (k, 6) each, in FEED axes.
 
     They are those at the end of the motion before, in the axes at the start; zero after a rapid motion.
 
     :param first: (k,) first station of each cutting motion.
-    :param stations: motions (n,), places on them (n,), wrenches (n, 6) and standard deviations (n, 6) in FEED axes.
     """
     motion, _, wrench, deviation = stations
     last, cut_motions = np.append(first[1:], len(motion)) - 1, motion[first]

@@ -7,7 +7,8 @@ sizes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,10 +68,23 @@ _SAME_MATERIAL = 5.0
 _KTC, _KRC = 0, 1
 """Indices of two coefficients."""
 
-FitOf = Callable[[Array], tuple[Array, Array, float] | None]
-"""Coefficients (6,), their standard deviations (6,) and the residual as a share of the forces, for forces (n, 3).
 
-None: the readings do not determine them."""
+class Fit(NamedTuple):
+    """Coefficients in the order of `identification.NAMES` that fit forces.
+
+    :param value: (6,) [N/mm²], [N/mm]; `sigma`: (6,) their standard deviations.
+    :param residual: of the forces, as a share of them.
+    """
+
+    value: Array
+    sigma: Array
+    residual: float
+
+
+FitOf = Callable[[Array], Fit | None]
+"""Returns the fit to forces (n, 3) [N]; None: these do not determine the coefficients."""
+_Arrangement = tuple[bool, int, int]
+"""A key of `_ARRANGEMENTS`."""
 
 
 def check_feeds(chip: Array, diameter: float, file: str) -> None:
@@ -99,50 +113,67 @@ def check_signs(force: Array, fit_of: FitOf, file: str) -> list[str]:
     fit = fit_of(force)
     if fit is None:
         return []
-    value, sigma, residual = fit
-    values = ", ".join(f"{name} {value[k]:.3g}" for k, name in _POSITIVE.items())
-    candidates: dict[tuple[bool, int, int], tuple[Array, Array, float]] = {}
+    candidates = _plausible_arrangements(force, fit_of)
+    if not _is_plausible(fit) or any(fit.residual > _FAR_BETTER * item.residual for item in candidates.values()):
+        raise _arrangement_error(fit, candidates, file)
+    value = fit.value
+    if value[_KRC] - 1.96 * fit.sigma[_KRC] <= value[_KTC]:
+        return []
+    return [
+        f"Krc {value[_KRC]:.3g} is larger than Ktc {value[_KTC]:.3g}, which few materials have: check the axes "
+        "and signs of Fx and Fy, and up and down"
+    ]
+
+
+def _plausible_arrangements(force: Array, fit_of: FitOf) -> dict[_Arrangement, Fit]:
+    """Return the arrangements of Fx and Fy that give coefficients which a material may have, with their fits.
+
+    :param force: (n, 3) as read [N].
+    """
+    fits = {}
     for arrangement in _ARRANGEMENTS:
         is_exchanged, x_sign, y_sign = arrangement
         columns = force[:, [1, 0, 2]] if is_exchanged else force
-        candidate_fit = fit_of(columns * np.array([x_sign, y_sign, 1.0]))
-        if candidate_fit is not None and _is_plausible(candidate_fit):
-            candidates[arrangement] = candidate_fit
-    candidate_residuals = [candidate_residual for _, _, candidate_residual in candidates.values()]
-    if _is_plausible(fit) and all(residual <= _FAR_BETTER * item for item in candidate_residuals):
-        if value[_KRC] - 1.96 * sigma[_KRC] <= value[_KTC]:
-            return []
-        return [
-            f"Krc {value[_KRC]:.3g} is larger than Ktc {value[_KTC]:.3g}, which few materials have: check the axes "
-            "and signs of Fx and Fy, and up and down"
-        ]
+        fit = fit_of(columns * np.array([x_sign, y_sign, 1.0]))
+        if fit is not None and _is_plausible(fit):
+            fits[arrangement] = fit
+    return fits
+
+
+def _arrangement_error(fit: Fit, candidates: Mapping[_Arrangement, Fit], file: str) -> ForceError:
+    """Return the error for forces in wrong axes, with the likely arrangement of Fx and Fy if there is one.
+
+    :param fit: to the forces as read; `candidates`: fits of other arrangements.
+    """
     if not candidates:
-        raise ForceError(
-            f"the readings give {values} N/mm² and N/mm: no material cuts so",
+        return ForceError(
+            f"the readings give {_coefficient_text(fit)} N/mm² and N/mm: no material cuts so",
             file=file,
             advice="Fx is along the feed, Fy to its left, both means ON the tool in N. Check mode, ap_mm, ae_mm, the "
             "feeds, and flutes, diameter and spindle of the tool.",
         )
-    smallest_residual = min(candidate_residuals)
+    smallest_residual = min(candidate.residual for candidate in candidates.values())
 
-    def rank(arrangement: tuple[bool, int, int]) -> tuple[bool, bool]:
+    def rank(arrangement: _Arrangement) -> tuple[bool, bool]:
         """Return a sort key: arrangements that fit about best come first, of these those with Krc ≤ Ktc."""
-        candidate_value, _, candidate_residual = candidates[arrangement]
-        return candidate_residual > _SAME_FIT * smallest_residual, bool(candidate_value[_KRC] > candidate_value[_KTC])
+        value, _, residual = candidates[arrangement]
+        return residual > _SAME_FIT * smallest_residual, bool(value[_KRC] > value[_KTC])
 
-    arrangement = min(candidates, key=rank)
-    value = candidates[arrangement][0]
-    cause, advice = _ARRANGEMENTS[arrangement]
-    candidate_values = ", ".join(f"{name} {value[k]:.3g}" for k, name in _POSITIVE.items())
-    raise ForceError(f"the forces give {values}: {cause} (then {candidate_values})", file=file, advice=advice)
+    likely_arrangement = min(candidates, key=rank)
+    cause, advice = _ARRANGEMENTS[likely_arrangement]
+    values, likely_values = _coefficient_text(fit), _coefficient_text(candidates[likely_arrangement])
+    return ForceError(f"the forces give {values}: {cause} (then {likely_values})", file=file, advice=advice)
 
 
-def _is_plausible(fit: tuple[Array, Array, float]) -> bool:
+def _coefficient_text(fit: Fit) -> str:
+    """Return names and values of the coefficients that are positive in every material."""
+    return ", ".join(f"{name} {fit.value[k]:.3g}" for k, name in _POSITIVE.items())
+
+
+def _is_plausible(fit: Fit) -> bool:
     """Return whether a material may have these coefficients.
 
     Within their errors, none is negative, and Krc is at most twice Ktc.
-
-    :param fit: coefficients (6,), their standard deviations (6,) and the relative residual, which does not count.
     """
     value, sigma, _ = fit
     return (

@@ -196,17 +196,28 @@ _FACES = np.array([
 ])  # fmt: skip
 
 
-def _boxes(level: Array) -> list[tuple[float, ...]]:
-    """Return rectangles of cells with one level: columns from, to (exclusive), rows from, to (exclusive), level [m].
+class _Box(NamedTuple):
+    """A rectangle of cells with one level [m]; the ends of columns and rows are exclusive."""
+
+    first_column: int
+    end_column: int
+    first_row: int
+    end_row: int
+    level: float
+
+
+def _boxes(level: Array) -> list[_Box]:
+    """Return the rectangles of cells with one level that cover all cells with material.
 
     A run of cells of one level in a row is joined with an equal run in the row before. A rectangle ends before the
     first row that lacks its run.
 
     :param level: (ny, nx) of the cells [m]; −inf without material.
     """
-    boxes: list[tuple[float, ...]] = []
+    boxes = list[_Box]()
     first_rows: dict[tuple[int, int, float], int] = {}  # first column, end column and level of a run → its first row
-    for row, row_levels in enumerate([*level, np.full(level.shape[1], -np.inf)]):
+    row_after_last = np.full(level.shape[1], -np.inf)  # without material: it ends all rectangles
+    for row, row_levels in enumerate([*level, row_after_last]):
         ends = np.append(np.flatnonzero(row_levels[1:] != row_levels[:-1]) + 1, len(row_levels))
         starts = np.append(0, ends[:-1])
         runs = {
@@ -216,7 +227,7 @@ def _boxes(level: Array) -> list[tuple[float, ...]]:
         }
         for run in [run for run in first_rows if run not in runs]:
             first_column, end_column, run_level = run
-            boxes.append((first_column, end_column, first_rows.pop(run), row, run_level))
+            boxes.append(_Box(first_column, end_column, first_rows.pop(run), row, run_level))
         for run in runs:
             first_rows.setdefault(run, row)
     return boxes

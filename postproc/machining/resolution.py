@@ -80,6 +80,6 @@ def factors(passes: list[ThinPasses], cells: int) -> dict[int, int]:
     max_factor = int(np.sqrt(_MOST_FINE / cells))
     # the deviation falls with the width of a cell; a tenth more than enough is accepted
     factor_of_motion = {
-        thin_passes.first: min(int(np.ceil(thin_passes.share / ENOUGH - 0.1)), max_factor) for thin_passes in passes
+        thin_pass.first: min(int(np.ceil(thin_pass.share / ENOUGH - 0.1)), max_factor) for thin_pass in passes
     }
     return {first: factor for first, factor in factor_of_motion.items() if factor > 1}

@@ -53,18 +53,26 @@ def setups(program: Program, directions: Directions, max_tilt: float) -> list[Se
             continue
         while begin < end:
             row = begin
-            while (
-                map_directions
-                and row < end
-                and (directions.of_range(row, row + 1) @ map_directions[-1] > np.cos(max_tilt)).all()
-            ):
-                row += 1
+            if map_directions:
+                row = _first_row_outside(directions, begin, end, map_directions[-1], max_tilt)
             if row < end:
                 map_directions.append(_cone_axis(program, directions, row, max_tilt))
                 starts.append(row)
             begin = row
     setup_number = np.searchsorted(starts[1:], np.arange(len(cuts)), side="right")
     return [Setup(_frame(direction), np.asarray(setup_number == k)) for k, direction in enumerate(map_directions)]
+
+
+def _first_row_outside(directions: Directions, begin: int, end: int, map_direction: Array, max_tilt: float) -> int:
+    """Return the first cutting motion from row `begin` on that leaves a cone about a direction; `end` if none does.
+
+    :param end: row after the last motion.
+    :param map_direction: (3,) unit axis of the cone, and `max_tilt` its half angle [rad].
+    """
+    row = begin
+    while row < end and (directions.of_range(row, row + 1) @ map_direction > np.cos(max_tilt)).all():
+        row += 1
+    return row
 
 
 def divide_by_cells(ordered_setups: list[Setup], cell_factors: dict[int, int], cuts: Bools) -> list[Setup]:

@@ -6,6 +6,7 @@ import difflib
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -66,19 +67,32 @@ def _entries_of_motions(program: Program, process: Process) -> tuple[Ints, Ints]
     blocks = {match[1]: k for k, name in enumerate(names) if (match := _BLOCK.fullmatch(name.strip()))}
     titles = {_normal_text(name): k for k, name in enumerate(names) if k not in {*tools.values(), *blocks.values()}}
     changes = [event for event in program.events if event.kind == "tool_change"]
-    tool_marks = [(event.before, 0, tools.get(int(event.value), -1)) for event in changes]
+    tool_marks = [_Mark(event.before, _CHANGE_RANK, tools.get(int(event.value), -1)) for event in changes]
     name_marks = _named_marks(program, program_operations, titles, blocks)
     named_entry = _last_entry(name_marks, len(program.motions))
     entry_of_motion = np.where(named_entry >= 0, named_entry, _last_entry(tool_marks, len(program.motions)))
-    used_entries = {entry_number for _, _, entry_number in [*tool_marks, *name_marks]}
+    used_entries = {mark.entry for mark in [*tool_marks, *name_marks]}
     unused = [name for k, name in enumerate(names) if k not in used_entries]
     if unused:
         raise combined_error(_unmatched_error(program, process, name, program_operations) for name in unused)
     return entry_of_motion, named_entry
 
 
-_Mark = tuple[int, int, int]
-"""Row of the first motion, rank among marks of one row, entry that begins (−1: none)."""
+_CHANGE_RANK, _OPERATION_RANK, _COMMENT_RANK, _N_WORD_RANK = range(4)
+"""Ranks of marks of one row: a tool change or an end, an operation, a comment that names an entry, an N word."""
+
+
+class _Mark(NamedTuple):
+    """A begin or end of the force of an entry of [operations].
+
+    :param row: first motion.
+    :param rank: among marks of one row, the highest counts.
+    :param entry: number of the entry that begins; −1: none, the force of an entry ends.
+    """
+
+    row: int
+    rank: int
+    entry: int
 
 
 def _named_marks(
@@ -89,31 +103,51 @@ def _named_marks(
     :param titles: normal text of a comment → number of its entry.
     :param blocks: digits of an N word → number of its entry.
     """
-    marks = [(operation.first, 1, titles.get(_normal_text(operation.name), -1)) for operation in program_operations]
+    operation_marks = [
+        _Mark(operation.first, _OPERATION_RANK, titles.get(_normal_text(operation.name), -1))
+        for operation in program_operations
+    ]
+    return [*operation_marks, *_comment_marks(program, titles), *_block_marks(program, blocks)]
+
+
+def _comment_marks(program: Program, titles: dict[str, int]) -> Iterator[_Mark]:
+    """Yield the begins of entries that a comment names, and their ends by tool changes and finishing comments.
+
+    :param titles: normal text of a comment → number of its entry.
+    """
     cuts = _cut_counts(program)
     entry_row, running_entry = 0, -1  # row and entry of the last comment that names one
     new_tool: float | None = None  # number of the tool that was changed to since then
     for event in _add_tool_changes(program):
         if event.kind == "tool_change":
             if cuts[event.before] > cuts[entry_row] or new_tool not in (None, event.value):
-                marks.append((event.before, 2 if running_entry >= 0 and entry_row == event.before else 0, -1))
+                # a change at the motion of the comment that named the entry ends what this comment began
+                ends_comment = running_entry >= 0 and entry_row == event.before
+                yield _Mark(event.before, _COMMENT_RANK if ends_comment else _CHANGE_RANK, -1)
                 running_entry = -1
             new_tool = event.value
         elif event.kind == "comment":
             entry = titles.get(_normal_text(title(event.text)), titles.get(_normal_text(event.text), -1))
             end_title = finished_operation(event.text)
             if entry >= 0:
-                marks.append((event.before, 2, entry))
+                yield _Mark(event.before, _COMMENT_RANK, entry)
                 entry_row, running_entry, new_tool = event.before, entry, None
             elif end_title is not None and running_entry >= 0 and titles.get(_normal_text(end_title)) == running_entry:
-                marks.append((event.before, 0, -1))
+                yield _Mark(event.before, _CHANGE_RANK, -1)
+
+
+def _block_marks(program: Program, blocks: dict[str, int]) -> Iterator[_Mark]:
+    """Yield the begins of entries that an N word names: at each motion by which the program reaches its line.
+
+    :param blocks: digits of an N word → number of its entry.
+    """
     line = program.motions.line
     for number, text in enumerate(program.documents[0].text.splitlines() if blocks else (), start=1):
         match = _N_WORD.match(text)
         if match is not None and match[1] in blocks:
             begins = (line >= number) & (np.concatenate([[0], line[:-1]]) < number)
-            marks += [(entry_row, 3, blocks[match[1]]) for entry_row in np.flatnonzero(begins).tolist()]
-    return marks
+            for row in np.flatnonzero(begins).tolist():
+                yield _Mark(row, _N_WORD_RANK, blocks[match[1]])
 
 
 def _add_tool_changes(program: Program) -> list[Event]:
@@ -169,9 +203,10 @@ def _last_entry(marks: list[_Mark], count: int) -> Ints:
     :param marks: of those with the same row, the one with the highest rank counts; with the same rank, the last one.
     :param count: number of motions.
     """
-    ordered_marks = [(-1, 0, -1), *sorted(marks, key=lambda mark: mark[:2])]
-    last_mark = np.searchsorted([row for row, _, _ in ordered_marks], np.arange(count), side="right") - 1
-    return np.array([entry for _, _, entry in ordered_marks], dtype=np.int64)[last_mark]
+    before_all = _Mark(-1, _CHANGE_RANK, -1)
+    ordered_marks = [before_all, *sorted(marks, key=lambda mark: (mark.row, mark.rank))]
+    last_mark = np.searchsorted([mark.row for mark in ordered_marks], np.arange(count), side="right") - 1
+    return np.array([mark.entry for mark in ordered_marks], dtype=np.int64)[last_mark]
 
 
 def _unmatched_error(
@@ -278,38 +313,27 @@ class ProcessSource:
     def _forces(self, program: Program, path: Segments) -> Knots:
         """Return the forces by the cutting law and by the entries of [operations], which take precedence."""
         process = self.process
-        law_knots = None
-        if process.material is not None:
-            self.process_forces = estimate(
-                program,
-                path,
-                process,
-                self._axis,
-                stock=self._stock,
-                shift=self._shift,
-                guard=None if self._guard is None else self._guard(),
-                progress=self._progress,
-            )
-            law_knots = replace(
-                self.process_forces.knots,
-                issues=self.process_forces.issues,
-                by_law=ByLaw(process.law().numbers, self._common_factor_motions(self.process_forces)),
-                stock=self.process_forces.over_time,
-            )
-        if not process.operations:
-            return Knots.throughout(*_NO_KNOTS) if law_knots is None else law_knots
-        entry_knots = operation_knots(program, process)
-        if law_knots is None or self.process_forces is None:
-            return entry_knots
-        by_law = ByLaw(
-            process.law().numbers, np.setdiff1d(self._common_factor_motions(self.process_forces), entry_knots.motion)
+        if process.material is None:
+            return operation_knots(program, process) if process.operations else Knots.throughout(*_NO_KNOTS)
+        self.process_forces = process_forces = estimate(
+            program,
+            path,
+            process,
+            self._axis,
+            stock=self._stock,
+            shift=self._shift,
+            guard=None if self._guard is None else self._guard(),
+            progress=self._progress,
         )
-        return replace(
-            entry_knots.or_fallback(law_knots),
-            issues=(*law_knots.issues, *entry_knots.issues),
-            by_law=by_law,
-            stock=law_knots.stock,
-        )
+        knots, issues = process_forces.knots, process_forces.issues
+        law_motions = self._common_factor_motions(process_forces)
+        if process.operations:
+            entry_knots = operation_knots(program, process)
+            knots = entry_knots.or_fallback(knots)
+            issues = (*issues, *entry_knots.issues)
+            law_motions = np.setdiff1d(law_motions, entry_knots.motion)
+        by_law = ByLaw(process.law().numbers, law_motions)
+        return replace(knots, issues=issues, by_law=by_law, stock=process_forces.over_time)
 
     def _common_factor_motions(self, process_forces: ProcessForces) -> Ints:
         """Return the motions (k,) whose forces have one unknown factor in common: the error of the cutting law.

@@ -132,6 +132,7 @@ def _surface_at(high: Floats, rise: Floats, has_slope: Bools, y_shift: float, x_
     padded_rise = np.pad(rise, (*border, (0, 0)), mode="edge")
     levels, planes, weights = list[Floats](), list[Floats](), list[Floats]()
     for row_step, column_step in steps:
+        # the neighbour at this step of each cell; the map begins at 1 in its padded copies
         window = slice(1 + row_step, 1 + row_step + shape[0]), slice(1 + column_step, 1 + column_step + shape[1])
         slope = padded_rise[window]
         has_all_slopes &= padded_has_slope[window]
@@ -188,7 +189,7 @@ def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> _MapExten
 
     :param lower: (3,) and `upper` (3,): corners of a box around the stock, frame of the map [m].
     :param cell: width of a cell [m].
-    :param file: of the process or of the mesh, for messages.
+    :param file: of the process or of the mesh, for the message.
     :raises ForceError: it would be too large.
     """
     # 1e-6: a box of a whole number of cells needs no further one for rounding
@@ -243,6 +244,7 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
             vertices, row_faces, (x, begin), cell / _SUBDIVISION, (nx * _SUBDIVISION, row_count * _SUBDIVISION)
         )
         is_solid = upper > lower
+        # axes 1 and 3 are the squares within a cell
         blocks = (row_count, _SUBDIVISION, nx, _SUBDIVISION)
         count = is_solid.reshape(blocks).sum(axis=(1, 3))
         mean = np.where(is_solid, upper, 0.0).reshape(blocks).sum(axis=(1, 3)) / np.maximum(count, 1)
@@ -469,15 +471,15 @@ class Footprint(Struct, frozen=True, eq=False):
             self.rim_level[rims], self.path,
         )  # fmt: skip
 
-    def outside(self, other: Footprint) -> Footprint:
-        """Return the cells that another footprint does not cover as deep, and the rim that it does not cover."""
-        if not len(other.cell):
-            return self.of(np.ones(len(self.cell), dtype=bool), ~np.isin(self.rim, other.rim))
-        order = np.lexsort((other.level, other.cell))  # the lowest level of each cell comes first
-        cell, level = other.cell[order], other.level[order]
+    def outside(self, cover: Footprint) -> Footprint:
+        """Return the cells that the footprint `cover` does not cover as deep, and the rim that it does not cover."""
+        if not len(cover.cell):
+            return self.of(np.ones(len(self.cell), dtype=bool), ~np.isin(self.rim, cover.rim))
+        order = np.lexsort((cover.level, cover.cell))  # the lowest level of each cell comes first
+        cell, level = cover.cell[order], cover.level[order]
         row = np.minimum(np.searchsorted(cell, self.cell), len(cell) - 1)
         is_covered = (cell[row] == self.cell) & (level[row] <= self.level + _EQUAL_LEVEL)
-        return self.of(~is_covered, ~(np.isin(self.rim, cell) | np.isin(self.rim, other.rim)))
+        return self.of(~is_covered, ~(np.isin(self.rim, cell) | np.isin(self.rim, cover.rim)))
 
     def around(self, stock: Stock, point: Array, radius: float) -> Footprint:
         """Return the footprint without cells whose middles are within a circle, seen along z; all of the rim remains.
@@ -589,13 +591,26 @@ def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> Itera
 
     Batches whose cells have no material above the tip are omitted.
     """
-    for rows, corner, window in windows(stock, cutter.radius + stock.cell, begin, end):
-        footprint = _footprint(stock, cutter, begin, end, rows, corner, window)
+    for batch in windows(stock, cutter.radius + stock.cell, begin, end):
+        footprint = _footprint(stock, cutter, begin, end, batch)
         if footprint is not None:
             yield footprint
 
 
-def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tuple[Ints, Ints, Ints]]:
+class SegmentWindows(NamedTuple):
+    """Rectangular windows of a map around k segments, all of one size.
+
+    :param rows: (k,) of the segments.
+    :param corner: (k, 2) column and row of the first cell of each window.
+    :param size: (2,) number of columns and of rows of all windows.
+    """
+
+    rows: Ints
+    corner: Ints
+    size: Ints
+
+
+def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[SegmentWindows]:
     """Yield rectangular windows of the map around segments, in batches of segments, small windows first.
 
     All windows of a batch have the size of its largest, so that arrays hold them. The number of cells of a batch is
@@ -603,8 +618,6 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tu
 
     :param reach: distance of the edge of a window from the segment [m].
     :param begin: (L, 3) and `end` (L, 3) of segments [m].
-    :returns: rows (k,) of the segments of the batch, column and row (k, 2) of the first cell of each window, number of
-        columns and of rows (2,) of all these windows.
     """
     cell = stock.cell
     origin = np.array([stock.x, stock.y])
@@ -624,24 +637,22 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[tu
         done += len(rows)
         window = np.minimum(count[rows].max(axis=0), map_size)
         corner = np.minimum(first[rows], map_size - window)
-        yield rows, corner, window
+        yield SegmentWindows(rows, corner, window)
 
 
-def _footprint(
-    stock: Stock, cutter: Cutter, begin: Array, end: Array, rows: Ints, corner: Ints, window: Ints
-) -> Footprint | None:
+def _footprint(stock: Stock, cutter: Cutter, begin: Array, end: Array, batch: SegmentWindows) -> Footprint | None:
     """Return the cells under some segments; None if none of their windows has material above the tip.
 
     :param begin: (L, 3) and `end` (L, 3) of all segments [m].
-    :param rows: (k,) of the segments that count.
-    :param corner: (k, 2) column and row of the first cell of the window of the map around each.
-    :param window: (2,) number of columns and of rows of all windows.
+    :param batch: the segments that count, and the windows of the map around them.
     """
     cell, path = stock.cell, (cutter, begin, end)
-    begin, end = begin[rows], end[rows]
-    index, row, column = window_cells(stock, corner, window)
+    begin, end = begin[batch.rows], end[batch.rows]
+    index, row, column = window_cells(stock, batch.corner, batch.size)
     tip_height = np.minimum(begin[:, 2], end[:, 2])
-    top = float(stock.high[int(row.min()) : int(row.max()) + 1, int(column.min()) : int(column.max()) + 1].max())
+    row_range = slice(int(row.min()), int(row.max()) + 1)
+    column_range = slice(int(column.min()), int(column.max()) + 1)
+    top = float(stock.high[row_range, column_range].max())
     if top <= float(tip_height.min()):
         return None
     distance, level = tool_levels(cutter, begin, end, *cell_middles(stock, begin, row, column))
@@ -656,8 +667,15 @@ def _footprint(
         coverage = np.minimum(
             (inner_radius + np.float32(cell) - distance[is_partial]) / np.float32(cell), np.float32(1.0)
         )
-    segment = np.repeat(rows.astype(np.int32), np.count_nonzero(is_full, axis=(1, 2)))
-    return Footprint(index[is_full], level[is_full], segment, rim, coverage, rim_level, path)
+    return Footprint(
+        cell=index[is_full],
+        level=level[is_full],
+        segment=np.repeat(batch.rows.astype(np.int32), np.count_nonzero(is_full, axis=(1, 2))),
+        rim=rim,
+        coverage=coverage,
+        rim_level=rim_level,
+        path=path,
+    )
 
 
 class WindowCells(NamedTuple):

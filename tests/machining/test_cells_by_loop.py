@@ -66,7 +66,8 @@ def test_an_edge_is_on_the_side_of_an_earlier_cut_that_all_cells_within_two_of_i
         radius=np.array([1e-3, *[radius] * count], np.float32), side=slice(1, 1 + count),
         width=np.array([0.9, *[math.pi / count] * count]),
     )  # fmt: skip
-    inside, outside = cutting._sides_of_earlier_cut(stock, nearest, tip.astype(np.float32), turn, high, low, share)
+    levels = cutting._CellLevels(high, low, share, np.zeros_like(high))
+    inside, outside = cutting._sides_of_earlier_cut(stock, nearest, tip.astype(np.float32), turn, levels)
     reach = math.ceil(2.0 * CELL / (math.pi / count * radius))
     for n in range(3):
         mids = [0.5 * (h + min(lo, h)) for h, lo, s in zip(high[n], low[n], share[n], strict=True) if s > 0.0]

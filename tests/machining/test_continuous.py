@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc import frames, toolpath
-from postproc.machining.profiles import BASE, FEED, smooth_steps
+from postproc.machining.profiles import BASE, FEED, Stations, smooth_steps
 from postproc.machining.tool_path import ToolPoses
 from postproc.poses import Poses
 from postproc.program import CIRC
@@ -103,9 +103,10 @@ def test_forces_along_motions_follow_on_from_those_before(seed, base_axes):
     given = stations(np.random.default_rng(seed), program)
     found = smooth_steps(
         upright(program, path),
-        (*given, 0.0 * given[2]),
+        Stations(*given, 0.0 * given[2]),
         np.full(len(program.motions), RAMP),
-        (0.2, 0.0),
+        sigma=0.2,
+        axial_sigma=0.0,
         base_axes=base_axes,
     )
     np.testing.assert_allclose(found.sigma, 0.2 * np.abs(found.wrench))
@@ -131,8 +132,8 @@ def test_a_small_change_is_spread_over_the_motion():
     path = toolpath.segments(program, np.eye(4))
     motion = np.array([2, 3, 4])
     wrench = np.array([[0, 0, 400.0, 0, 0, 0], [0, 0, 403.0, 0, 0, 0], [0, 0, 300.0, 0, 0, 0]])
-    given = motion, np.full(3, 0.5), wrench, 0.0 * wrench
-    found = smooth_steps(upright(program, path), given, np.full(10, 1e-4), (0.1, 0.0), base_axes=False)
+    given = Stations(motion, np.full(3, 0.5), wrench, 0.0 * wrench)
+    found = smooth_steps(upright(program, path), given, np.full(10, 1e-4), sigma=0.1, axial_sigma=0.0, base_axes=False)
     assert [found.t[found.motion == k].tolist() for k in (2, 3, 4)] == [
         pytest.approx([0.0, 1e-4 / path.length[2], 1.0]), [0.0, 1.0], pytest.approx([0.0, 1e-4 / path.length[4], 1.0]),
     ]  # fmt: skip

@@ -182,15 +182,12 @@ def test_the_deviation_of_forces_combines_residuals_and_coefficients():
         identification._percent_of_readout(given, 0 * covariance, np.array([100.2, 0.0]), "cuts.csv")
 
 
-SLOTS = SimpleNamespace(feed=np.array([600.0, 1200.0]), rpm=np.array([3000.0, 3000.0]))
-
-
 @pytest.mark.parametrize(("largest", "is_refused"), [(1.29, True), (1.31, False)])
 def test_feeds_that_differ_by_less_than_three_tenths_are_one(largest, is_refused):
-    readings = SimpleNamespace(feed=600.0 * np.array([1.0, largest, 1.1]), rpm=np.full(3, 3000.0))
+    chip = 0.1 * np.array([1.0, largest, 1.1])
     predictor = np.column_stack([[1.0, 2.0, 4.0], np.ones(3), *[np.zeros(3)] * 4])
     is_excited = np.array([1, 1, 0, 0, 0, 0], dtype=bool)
-    given = readings, ToolTable(diameter_mm=10, flutes=2), predictor, np.ones(3), is_excited, "cuts.csv"
+    given = chip, predictor, np.ones(3), is_excited, "cuts.csv"
     if is_refused:
         with pytest.raises(ForceError, match=r"one feed per tooth \(0.113 mm\): edge and cut \(Ktc, Krc\)"):
             identification._check_separable(*given)
@@ -200,13 +197,12 @@ def test_feeds_that_differ_by_less_than_three_tenths_are_one(largest, is_refused
 
 def test_coefficients_of_a_combination_that_no_reading_sees_are_named():
     """The second and the fourth column are in proportion; a small difference between them separates them."""
-    readings, tool = SLOTS, ToolTable(diameter_mm=10, flutes=2)
     rng = np.random.default_rng(1)
     predictor, other = rng.normal(size=(8, 6)) * [1, 1e3, 1, 1e-3, 1, 1], rng.normal(size=8)
     is_excited = np.array([1, 1, 1, 1, 1, 0], dtype=bool)
     for difference, is_refused in ((0.0, True), (1e-8, True), (1e-3, False)):
         predictor[:, 3] = 2e-6 * (predictor[:, 1] + 1e3 * difference * other)
-        given = readings, tool, predictor, np.full(8, 2.0), is_excited, "cuts.csv"
+        given = np.array([0.1, 0.2]), predictor, np.full(8, 2.0), is_excited, "cuts.csv"
         if is_refused:
             with pytest.raises(ForceError, match="these readings do not separate Krc, Kte"):
                 identification._check_separable(*given)

@@ -31,7 +31,7 @@ def fits(**by_arrangement):
 
 
 def fit(value=USUAL, residual=0.01, sigma=SIGMA):
-    return np.array(value, dtype=float), np.array(sigma, dtype=float), residual
+    return reading_checks.Fit(np.array(value, dtype=float), np.array(sigma, dtype=float), residual)
 
 
 def changed(k, value):

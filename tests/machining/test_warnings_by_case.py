@@ -92,7 +92,7 @@ def test_a_feed_per_tooth_of_a_tenth_of_the_tool_is_questioned(feed, count):
 
 def test_a_cut_with_the_spindle_off_is_an_error_of_each_line():
     with pytest.raises(ForceError, match="moves through material while the spindle is off") as refused:
-        estimate._cut_issues(MADE, {3, 1}, None, cuts([1]), tool_states(), PROCESS)
+        estimate._refuse_stopped_spindle(MADE, {3, 1})
     text = str(refused.value)
     assert ":2:" in text
     assert ":4:" in text
@@ -318,33 +318,21 @@ def test_cuts_without_a_spindle_speed_are_refused_with_the_line_to_look_at(event
     estimate._check_spindle_speed(made, rapid, tool_states(rpm=0.0))
 
 
-def readings(chip):
-    count = len(chip)
-    nan = np.full(count, np.nan)
-    return identification.CutReadings(
-        ["slot"] * count, np.ones(count), nan, np.full(count, 6000.0), 6000.0 * 2 * np.array(chip),
-        np.zeros((count, 3)), nan, nan, np.arange(count),
-    )  # fmt: skip
-
-
-TOOL_OF_2_FLUTES = ToolTable(diameter_mm=10.0, flutes=2)
-
-
 @pytest.mark.parametrize("count", [4, 12])
 def test_coefficients_in_a_combination_that_no_reading_has_are_named(count):
     """Whether there are fewer readings than coefficients or more of them."""
     rng = np.random.default_rng(1)
     excited = np.array([True, True, True, True, False, True])
     predictor = rng.normal(size=(count, 6)) * [1.0, 50.0, 1.0, 1e-3, 0.0, 1.0]
-    given = readings(np.linspace(0.02, 0.1, count))
+    chip = np.linspace(0.02, 0.1, count)
     if count > 5:
-        identification._check_separable(given, TOOL_OF_2_FLUTES, predictor, np.ones(count), excited, "cuts.csv")
+        identification._check_separable(chip, predictor, np.ones(count), excited, "cuts.csv")
         predictor[:, 3] = 1e-4 * predictor[:, 1]  # the second and the fourth in one proportion
         with pytest.raises(ForceError, match="do not separate Krc, Kte"):
-            identification._check_separable(given, TOOL_OF_2_FLUTES, predictor, np.ones(count), excited, "cuts.csv")
+            identification._check_separable(chip, predictor, np.ones(count), excited, "cuts.csv")
         return
     with pytest.raises(ForceError, match="do not separate Ktc, Krc, Kac, Kte, Kae"):
-        identification._check_separable(given, TOOL_OF_2_FLUTES, predictor, np.ones(count), excited, "cuts.csv")
+        identification._check_separable(chip, predictor, np.ones(count), excited, "cuts.csv")
 
 
 def test_feeds_within_a_small_range_cannot_separate_edge_and_cut():
@@ -352,12 +340,12 @@ def test_feeds_within_a_small_range_cannot_separate_edge_and_cut():
     every = np.ones(6, dtype=bool)
     least = identification._LEAST_RANGE
     for factor, is_refused in ((0.99, True), (1.01, False)):
-        given = readings(np.linspace(0.05, 0.05 * least * factor, 8))
+        chip = np.linspace(0.05, 0.05 * least * factor, 8)
         if is_refused:
             with pytest.raises(ForceError, match="one feed per tooth"):
-                identification._check_separable(given, TOOL_OF_2_FLUTES, predictor, np.ones(8), every, "cuts.csv")
+                identification._check_separable(chip, predictor, np.ones(8), every, "cuts.csv")
         else:
-            identification._check_separable(given, TOOL_OF_2_FLUTES, predictor, np.ones(8), every, "cuts.csv")
+            identification._check_separable(chip, predictor, np.ones(8), every, "cuts.csv")
 
 
 def test_a_weighted_fit_has_the_normal_equations_and_their_covariance():
@@ -395,8 +383,8 @@ def test_the_error_at_each_feed_is_that_by_the_coefficients_from_all_others():
 def test_columns_of_very_different_size_are_separate_coefficients():
     """Their units do not count, only their directions."""
     predictor = np.random.default_rng(5).normal(size=(12, 6)) * [1.0, 1e9, 1e-7, 1.0, 1e-3, 1.0]
-    given = readings(np.linspace(0.02, 0.1, 12))
-    identification._check_separable(given, TOOL_OF_2_FLUTES, predictor, np.ones(12), np.ones(6, dtype=bool), "cuts.csv")
+    chip = np.linspace(0.02, 0.1, 12)
+    identification._check_separable(chip, predictor, np.ones(12), np.ones(6, dtype=bool), "cuts.csv")
 
 
 LAW = SimpleNamespace(warning=None, unknown_axial=0.0)
@@ -409,7 +397,7 @@ def test_cuts_deeper_than_four_diameters_are_named_but_not_those_of_drills_and_i
     wrench = np.tile([100.0, 0, 0, 0, 0, 0], (3, 1))
     wrench[2] = 0.0
     found = cuts([1, 4, 2], wrench=wrench, depth=[depth, 0.3, 0.3])
-    issues = estimate._cut_issues(MADE, set(), LAW, found, tool_states(), PROCESS)
+    issues = list(estimate._cut_issues(MADE, LAW, found, tool_states(), PROCESS))
     assert [issue.kind for issue in issues] == ["drill-thrust"] + ["deep-cut"] * is_named
     if is_named:
         assert issues[1].source_line == 2
@@ -418,11 +406,11 @@ def test_cuts_deeper_than_four_diameters_are_named_but_not_those_of_drills_and_i
 def test_limits_of_the_material_are_said_first(monkeypatch):
     monkeypatch.setattr(estimate, "tapping_motions", lambda made, states: np.zeros(0, dtype=int))
     law = SimpleNamespace(warning="a guess", unknown_axial=0.4)
-    issues = estimate._cut_issues(MADE, set(), law, cuts([1]), tool_states(), PROCESS)
+    issues = list(estimate._cut_issues(MADE, law, cuts([1]), tool_states(), PROCESS))
     assert [(issue.level, issue.kind) for issue in issues] == [("warning", "material"), ("info", "no-axial-force")]
     assert issues[0].message == "a guess"
     assert "the bound includes 40 % of it" in issues[1].message
-    drilled = estimate._cut_issues(MADE, set(), law, cuts([4]), tool_states(), PROCESS)
+    drilled = estimate._cut_issues(MADE, law, cuts([4]), tool_states(), PROCESS)
     assert "no-axial-force" not in [issue.kind for issue in drilled]
 
 
