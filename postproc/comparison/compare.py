@@ -72,18 +72,12 @@ def compare(
     corrected_path = PlacedProgram.of(corrected_program, place)
     stated_pairs = _stated_partners(nominal_path, corrected_path, ends)
     if source is None and not nominal.notes:
-        loads = None
         partner = partners(nominal_path.track(), corrected_path.track()) if stated_pairs is None else stated_pairs
-        certain = np.full(len(nominal_path.rows), same_origin)
+        pairing = _Pairing(nominal_path, partner, np.full(len(partner), same_origin), None)
     else:
-        loads = _Loads.of(nominal_path, source)
-        partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs, place.tolerance)
-        at_feeds = None if loads.path.by_law is None else _with_partner_feeds(nominal_path, corrected_path, partner)
-        if at_feeds is not None:
-            nominal_path = PlacedProgram.of(at_feeds, place)
-            loads = _Loads.of(nominal_path, source)
-            partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs, place.tolerance)
-    comparison = _all_pairs(nominal_path, corrected_path, partner, certain, loads)
+        pairing = _pair_under_forces(nominal_path, corrected_path, source, stated_pairs)
+    nominal_path, loads = pairing.nominal_path, pairing.loads
+    comparison = _all_pairs(nominal_path, corrected_path, pairing.partner, pairing.certain, loads)
     if loads is not None:
         comparison = _complete_cuts(comparison, nominal_path, corrected_path, loads, place.tolerance)
     else:
@@ -91,9 +85,15 @@ def compare(
             comparison = _explain_as_inserted(comparison, nominal_path)
         if corrected_program.notes:
             comparison = _add_cuts(comparison, nominal_path, corrected_path)
-    has_pairs = loads is not None or stated_pairs is not None
-    options = {"in_file": source is not None, "same_origin": same_origin, "pairs_certain": has_pairs}
-    return replace(comparison, differences=differences(comparison, nominal_path, corrected_path, **options))
+    other_differences = differences(
+        comparison,
+        nominal_path,
+        corrected_path,
+        in_file=source is not None,
+        same_origin=same_origin,
+        pairs_certain=loads is not None or stated_pairs is not None,
+    )
+    return replace(comparison, differences=other_differences)
 
 
 def _with_partner_feeds(nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints) -> Program | None:
@@ -140,6 +140,41 @@ class _Loads(Struct, frozen=True, eq=False):
         )
 
 
+class _Pairing(Struct, frozen=True, eq=False):
+    """The partners of the n targets of the nominal program, and the loads by which they were found.
+
+    :param nominal_path: the nominal program at the feeds for which the loads are.
+    :param partner: (n,) index of the partner in the targets of the second program; −1 for none.
+    :param certain: (n,) True where the partner is right for certain.
+    :param loads: forces of the nominal program; None if they are not known.
+    """
+
+    nominal_path: PlacedProgram
+    partner: Ints
+    certain: Bools
+    loads: _Loads | None
+
+
+def _pair_under_forces(
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, source: ForceSource | None, stated_pairs: Ints | None
+) -> _Pairing:
+    """Return the partners under the forces of the nominal program; those of a process are at the second one's feeds.
+
+    :param source: forces in addition to the comments of the nominal program; None: its comments alone.
+    :param stated_pairs: (n,) partners that the conversion states; None: they follow from places and forces.
+    :raises ForceError: the arm has no equilibrium under a force.
+    """
+    place = nominal_path.robot_in_cell
+    loads = _Loads.of(nominal_path, source)
+    partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs, place.tolerance)
+    at_feeds = None if loads.path.by_law is None else _with_partner_feeds(nominal_path, corrected_path, partner)
+    if at_feeds is not None:
+        nominal_path = PlacedProgram.of(at_feeds, place)
+        loads = _Loads.of(nominal_path, source)
+        partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs, place.tolerance)
+    return _Pairing(nominal_path, partner, certain, loads)
+
+
 def _partners_under_load(
     nominal_path: PlacedProgram,
     corrected_path: PlacedProgram,
@@ -167,6 +202,7 @@ def _all_pairs(
 
     :param partner: (n,) index of the partner in `corrected_path.rows`; −1 for none.
     :param certain: (n,) True where it is right for certain.
+    :param loads: forces of the nominal program; None if they are not known.
     """
     load = None if loads is None else loads.path
     # a target that only divides a line or an arc may have a partner that divides it elsewhere: the path passes it then
@@ -190,25 +226,32 @@ def _complete_cuts(
 
     :param tolerance: an additional target within this distance of the nominal path is an inserted one [m].
     """
-    index = np.searchsorted(nominal_path.rows, comparison.pair[:, 0])
     partner = partners_of(comparison, nominal_path, corrected_path)
     deviation_in_second = deviation_left(nominal_path, corrected_path, partner, loads.wrench)
-    paths = nominal_path, corrected_path
-    cuts = pair_cuts(comparison, *paths, loads.wrench[index], loads.deflection[index], deviation_in_second[index])
+    target_of_pair = np.searchsorted(nominal_path.rows, comparison.pair[:, 0])
+    cuts = pair_cuts(
+        comparison,
+        nominal_path,
+        loads.wrench[target_of_pair],
+        nominal_deviation=loads.deflection[target_of_pair],
+        corrected_deviation=deviation_in_second[target_of_pair],
+    )
     cuts = cuts_between_pairs(comparison, cuts, nominal_path, corrected_path, loads.path)
-    ends = cuts.row[(cuts.t == 1.0) & (cuts.corrected_distance <= tolerance)]
-    return count_as_inserted(replace(comparison, cuts=cuts), np.isin(comparison.additional_rows, ends))
+    rows_on_path = cuts.row[(cuts.t == 1.0) & (cuts.corrected_distance <= tolerance)]  # t = 1: targets
+    return count_as_inserted(replace(comparison, cuts=cuts), np.isin(comparison.additional_rows, rows_on_path))
 
 
 def _explain_as_inserted(comparison: Comparison, nominal_path: PlacedProgram) -> Comparison:
-    """Return a comparison of two programs of one conversion: targets without a partner were inserted or left out."""
-    rows, distances = (
-        (comparison.passed_rows, comparison.only_nominal),
-        (comparison.passing_distance, comparison.missing_distance),
-    )
-    comparison = replace(comparison, passed_rows=np.concatenate(rows), passing_distance=np.concatenate(distances))
+    """Return a comparison of two programs of one conversion, in which no target is missing or additional.
+
+    Nominal targets without a partner count as passed, those of the second program as inserted.
+    """
     comparison = replace(
-        comparison, only_nominal=nominal_path.rows[:0], missing_distance=comparison.missing_distance[:0]
+        comparison,
+        passed_rows=np.concatenate([comparison.passed_rows, comparison.only_nominal]),
+        passing_distance=np.concatenate([comparison.passing_distance, comparison.missing_distance]),
+        only_nominal=nominal_path.rows[:0],
+        missing_distance=comparison.missing_distance[:0],
     )
     return count_as_inserted(comparison, np.ones(len(comparison.additional_rows), dtype=bool))
 
@@ -217,11 +260,19 @@ def _add_cuts(comparison: Comparison, nominal_path: PlacedProgram, corrected_pat
     """Return a comparison with where both programs cut under the forces that the corrected one states."""
     nominal_rows, corrected_rows = comparison.pair.T
     wrench = corrected_path.wrench(corrected_path.forces(None), corrected_rows)
-    deflections = (
+    # both are deviations from the nominal targets, of the joint angles that each program commands
+    nominal_deviation, corrected_deviation = (
         deviation(nominal_path, nominal_rows, path.joints[rows], wrench, path.carriage_displacement(rows))
         for path, rows in ((nominal_path, nominal_rows), (corrected_path, corrected_rows))
     )
-    return replace(comparison, cuts=pair_cuts(comparison, nominal_path, corrected_path, wrench, *deflections))
+    cuts = pair_cuts(
+        comparison,
+        nominal_path,
+        wrench,
+        nominal_deviation=nominal_deviation,
+        corrected_deviation=corrected_deviation,
+    )
+    return replace(comparison, cuts=cuts)
 
 
 def _stated_partners(nominal_path: PlacedProgram, corrected_path: PlacedProgram, ends: Bools | None) -> Ints | None:

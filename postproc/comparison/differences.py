@@ -7,18 +7,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from itertools import islice, takewhile
+from itertools import islice, takewhile, zip_longest
 
 import numpy as np
 
 from postproc import toolpath
-from postproc.comparison.paths import PlacedProgram, nearest, tool_of_nominal
+from postproc.comparison.paths import SMALLEST_SHARE, PlacedProgram, distances_from_path, tool_of_nominal
 from postproc.comparison.result import (
     OFF_PATH,
     TIMES_OFFSET,
     Comparison,
     Difference,
     file_and_line,
+    first_difference,
     pair_warning,
     place_of,
     warning_at,
@@ -102,16 +103,16 @@ def differences(
 
 def _unresolved_differences(comparison: Comparison) -> Iterator[Difference]:
     """Yield motions known at run time only that differ in their text, or in the statements before them."""
-    motions = [program.unresolved for program in (comparison.nominal, comparison.corrected)]
-    texts = [[_normal_text(motion.text) for motion in side] for side in motions]
-    if texts[0] != texts[1]:
-        first = next(
-            (k for k, pair in enumerate(zip(*texts, strict=False)) if pair[0] != pair[1]), min(map(len, texts))
+    motions = comparison.nominal.unresolved, comparison.corrected.unresolved
+    nominal_texts, corrected_texts = ([_normal_text(motion.text) for motion in side] for side in motions)
+    first = first_difference(nominal_texts, corrected_texts)
+    if first is not None:
+        nominal_place, corrected_place = (
+            (side[first].file, side[first].line) if first < len(side) else None for side in motions
         )
-        places = [(side[first].file, side[first].line) if first < len(side) else None for side in motions]
         message = "motions that are known at run time only differ: it is unknown where they lead."
         count = abs(len(motions[0]) - len(motions[1])) or 1
-        yield Difference("error", "unresolved-differs", message, places[0], places[1], count)
+        yield Difference("error", "unresolved-differs", message, nominal_place, corrected_place, count)
     elif len(comparison.nominal.documents) == len(comparison.corrected.documents):
         yield from _unresolved_statement_differences(comparison)
 
@@ -121,25 +122,23 @@ def _unresolved_statement_differences(comparison: Comparison) -> Iterator[Differ
 
     Those are the statements back to the motion, or the end of a block, before it.
     """
-    programs = (comparison.nominal, comparison.corrected)
-    if not all(program.keeps_text for program in programs):
+    nominal, corrected = comparison.nominal, comparison.corrected
+    if not nominal.keeps_text or not corrected.keeps_text:
         return
-    texts = [{document.name: document.text.splitlines() for document in program.documents} for program in programs]
-    for nominal_motion, corrected_motion in zip(
-        comparison.nominal.unresolved, comparison.corrected.unresolved, strict=True
-    ):
-        if nominal_motion.file not in texts[0] or corrected_motion.file not in texts[1]:
+    nominal_lines, corrected_lines = (
+        {document.name: document.text.splitlines() for document in program.documents}
+        for program in (nominal, corrected)
+    )
+    for nominal_motion, corrected_motion in zip(nominal.unresolved, corrected.unresolved, strict=True):
+        if nominal_motion.file not in nominal_lines or corrected_motion.file not in corrected_lines:
             continue
-        nominal_statements = list(
-            takewhile(bool, _statements_before(texts[0][nominal_motion.file], nominal_motion.line))
+        statements_before = _statements_before(nominal_lines[nominal_motion.file], nominal_motion.line)
+        nominal_statements = list(takewhile(bool, statements_before))
+        # the second program may have inserted motions between them: its statements are compared past these
+        corrected_before = filter(
+            None, _statements_before(corrected_lines[corrected_motion.file], corrected_motion.line)
         )
-        corrected_statements = list(
-            islice(
-                filter(None, _statements_before(texts[1][corrected_motion.file], corrected_motion.line)),
-                len(nominal_statements),
-            )
-        )
-        if corrected_statements != nominal_statements:
+        if list(islice(corrected_before, len(nominal_statements))) != nominal_statements:
             message = "the statements before this motion differ: it is unknown where it leads, or whether it runs."
             yield Difference(
                 "error",
@@ -152,9 +151,12 @@ def _unresolved_statement_differences(comparison: Comparison) -> Iterator[Differ
 
 
 def _statements_before(lines: Sequence[str], line: int) -> Iterator[str]:
-    """Yield the statements before a line, backwards, except settings and declarations; empty for `_ENDS`."""
-    for number in range(line - 2, -1, -1):
-        text = lines[number].partition(";")[0].strip()
+    """Yield the statements before a line, backwards, except settings and declarations; "" for a motion or block end.
+
+    :param line: the line, from 1 on.
+    """
+    for text_line in reversed(lines[: line - 1]):
+        text = text_line.partition(";")[0].strip()
         if _ENDS.match(text):
             yield ""
         elif text and not _NO_STATEMENT.match(text):
@@ -168,17 +170,18 @@ def _normal_text(text: str) -> str:
 
 def _uncompared_motions(comparison: Comparison) -> Iterator[Difference]:
     """Yield motions that are known at run time only, and those that begin at an unknown place."""
-    motions = [program.unresolved for program in (comparison.nominal, comparison.corrected)]
-    for k in range(max(map(len, motions))):
-        sides = [side[k] if k < len(side) else None for side in motions]
-        motion = sides[0] or sides[1]
-        assert motion is not None
+    # the lists are of different lengths if only one program has a motion
+    for nominal_motion, corrected_motion in zip_longest(comparison.nominal.unresolved, comparison.corrected.unresolved):
+        motion = nominal_motion or corrected_motion
         message = f"not compared, because it is known at run time only: {motion.text!r} ({motion.why})."
-        places = [None if side is None else (side.file, side.line) for side in sides]
-        yield Difference("warning", "not-compared", message, places[0], places[1], 1)
+        nominal_place, corrected_place = (
+            None if side is None else (side.file, side.line) for side in (nominal_motion, corrected_motion)
+        )
+        yield Difference("warning", "not-compared", message, nominal_place, corrected_place, 1)
     predecessors = comparison.nominal.after
     if predecessors is None:
         return
+    # a motion that is its own predecessor begins at an unknown place
     pairs = np.flatnonzero(predecessors[comparison.pair[:, 0]] == comparison.pair[:, 0])
     if len(pairs):
         message = "the way to this target is not compared, because it is unknown where it begins."
@@ -187,25 +190,27 @@ def _uncompared_motions(comparison: Comparison) -> Iterator[Difference]:
 
 def _call_differences(comparison: Comparison) -> Iterator[Difference]:
     """Yield calls of programs that are in no file and that only one of the two makes."""
-    calls = [
-        {issue.subject: issue for issue in program.issues if issue.kind == "external-call"}
-        for program in (comparison.nominal, comparison.corrected)
-    ]
-    for name in sorted(calls[0].keys() ^ calls[1].keys()):
-        side = int(name in calls[1])
-        program = (comparison.nominal, comparison.corrected)[side]
-        place = file_and_line(program, calls[side][name].source_line)
+    programs = comparison.nominal, comparison.corrected
+    nominal_calls, corrected_calls = (
+        {issue.subject: issue for issue in program.issues if issue.kind == "external-call"} for program in programs
+    )
+    for name in sorted(nominal_calls.keys() ^ corrected_calls.keys()):
+        is_in_second = name in corrected_calls
+        program, other_program = programs[::-1] if is_in_second else programs
+        call = (corrected_calls if is_in_second else nominal_calls)[name]
+        place = file_and_line(program, call.source_line)
         message = f"{name}(), which is in no file, is called by this program only: its effect is not compared."
-        if _is_called(name, (comparison.nominal, comparison.corrected)[1 - side]):
+        if _is_called(name, other_program):
             message = (
                 f"the file of {name}() is in the folder of the other program only: its effect is unknown here. Copy "
                 "the file to this folder."
             )
-        yield Difference("warning", "not-compared", message, *((None, place) if side else (place, None)))
+        nominal_place, corrected_place = (None, place) if is_in_second else (place, None)
+        yield Difference("warning", "not-compared", message, nominal_place, corrected_place)
 
 
 def _is_called(name: str, program: Program) -> bool:
-    """Return whether a program calls a routine, comments left aside."""
+    """Return whether the text of a program calls a routine by this name; comments do not count."""
     call = re.compile(rf"^[^;\r\n]*\b{re.escape(name)}[ \t]*\(", re.IGNORECASE | re.MULTILINE)
     return any(call.search(document.text) for document in program.documents)
 
@@ -241,30 +246,28 @@ def _ambiguous_pairs(
     """
     if not len(comparison.pair) or not len(comparison.inserted_rows):
         return
-    index = np.searchsorted(corrected_path.rows, comparison.pair[:, 1])
     nominal_position = nominal_path.track().position[np.searchsorted(nominal_path.rows, comparison.pair[:, 0])]
     corrected_position = corrected_path.track().position
+    partner = np.searchsorted(corrected_path.rows, comparison.pair[:, 1])  # index of the target in the second track
     limit = OFF_PATH + 2.0 * float(comparison.distance.max())
-    uncertain = np.zeros(len(index))
+    uncertainty = np.zeros(len(partner))  # of the offset of each pair [m]
     for step in (-1, 1):
-        neighbours = np.clip(index + step, 0, len(corrected_path.rows) - 1)
-        possible = np.isin(corrected_path.rows[neighbours], comparison.inserted_rows) & (
-            norm(corrected_position[neighbours] - nominal_position) <= limit
-        )
-        uncertain = np.where(
-            possible, np.maximum(uncertain, norm(corrected_position[neighbours] - corrected_position[index])), uncertain
-        )
-    pairs = np.flatnonzero(uncertain)
+        neighbour = np.clip(partner + step, 0, len(corrected_path.rows) - 1)
+        is_inserted = np.isin(corrected_path.rows[neighbour], comparison.inserted_rows)
+        is_possible = is_inserted & (norm(corrected_position[neighbour] - nominal_position) <= limit)
+        gap = norm(corrected_position[neighbour] - corrected_position[partner])
+        uncertainty = np.where(is_possible, np.maximum(uncertainty, gap), uncertainty)
+    pairs = np.flatnonzero(uncertainty)
     if len(pairs):
         message = (
             "this target may belong to one that was inserted next to its partner: offsets of such pairs are known to "
-            f"{uncertain.max() * MM_PER_M:.2f} mm only. Give the forces with --forces."
+            f"{uncertainty.max() * MM_PER_M:.2f} mm only. Give the forces with --forces."
         )
         yield pair_warning(comparison, "pairing", message, pairs)
 
 
 def _next_partner(comparison: Comparison, row: int) -> tuple[str, int] | None:
-    """Return file and line where the second program has the partner of the next target after nominal motion `row`."""
+    """Return file and line of the partner of the next paired target after nominal motion `row`; None after the last."""
     pair_index = int(np.searchsorted(comparison.pair[:, 0], row))
     return place_of(comparison.corrected, comparison.pair[pair_index, 1]) if pair_index < len(comparison.pair) else None
 
@@ -288,7 +291,7 @@ def _orientation_differences(
     inserted_indices = np.flatnonzero(inserted_angles > limit)
     if not len(pairs) and not len(inserted_indices):
         return
-    rows, angle = ([-1, -1], 0.0)
+    rows, angle = [-1, -1], 0.0  # of the largest angle: nominal and second motion, −1 for none
     if len(inserted_indices):
         worst = inserted_indices[np.argmax(inserted_angles[inserted_indices])]
         rows, angle = [-1, int(inserted_rows[worst])], float(inserted_angles[worst])
@@ -344,15 +347,17 @@ def _repeated_positions(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
     """Yield targets of the second program at the present position of the robot: it stops there even if approximated."""
-    is_stop, nominal_stops = (
+    is_stop, is_nominal_stop = (
         (side.segments.travel < _NO_TRAVEL) & (side.segments.turn < _NO_TRAVEL) & (side.program.motions.kind != PTP)
         for side in (corrected_path, nominal_path)
     )
-    is_stop[comparison.pair[nominal_stops[comparison.pair[:, 0]], 1]] = False
-    pairs = np.flatnonzero(is_stop)
-    if len(pairs):
+    # a target that the nominal program repeats too is no difference
+    nominal_row, corrected_row = comparison.pair.T
+    is_stop[corrected_row[is_nominal_stop[nominal_row]]] = False
+    rows = np.flatnonzero(is_stop)
+    if len(rows):
         message = "the same target twice in succession: the robot stops there."
-        yield warning_at(comparison, "twice", message, (-1, int(pairs[0])), len(pairs))
+        yield warning_at(comparison, "twice", message, (-1, int(rows[0])), len(rows))
 
 
 def _backward_moves(comparison: Comparison) -> Iterator[Difference]:
@@ -360,15 +365,15 @@ def _backward_moves(comparison: Comparison) -> Iterator[Difference]:
     cuts = comparison.cuts
     if cuts is None:
         return
-    ends = np.flatnonzero(cuts.t == 1.0)
-    next_pair = np.searchsorted(comparison.pair[:, 1], cuts.row[ends])  # the pair to which an inserted target leads
-    lengths = cuts.length[ends]
-    reversals = np.flatnonzero((np.diff(lengths) < -_BACKWARD_STEP) & (np.diff(next_pair) == 0)) + 1
+    is_target = cuts.t == 1.0
+    rows, lengths = cuts.row[is_target], cuts.length[is_target]
+    next_pair = np.searchsorted(comparison.pair[:, 1], rows)  # the pair to which an inserted target leads
+    steps = np.diff(lengths)  # along the nominal path, to a target from the one before
+    reversals = np.flatnonzero((steps < -_BACKWARD_STEP) & (np.diff(next_pair) == 0))
     if len(reversals):
-        message = (
-            f"the robot goes {(lengths[reversals[0] - 1] - lengths[reversals[0]]) * MM_PER_M:.4f} mm back on its path."
-        )
-        yield warning_at(comparison, "back", message, (-1, int(cuts.row[ends[reversals[0]]])), len(reversals))
+        first = reversals[0]
+        message = f"the robot goes {-steps[first] * MM_PER_M:.4f} mm back on its path."
+        yield warning_at(comparison, "back", message, (-1, int(rows[first + 1])), len(reversals))
 
 
 def _ways_off_path(
@@ -381,27 +386,23 @@ def _ways_off_path(
     """
     if comparison.curves is None:
         return
+    nominal_row, corrected_row = comparison.pair.T
     limits = OFF_PATH + TIMES_OFFSET * np.maximum(comparison.distance, np.roll(comparison.distance, 1))
     is_off_path = np.nan_to_num(comparison.path_distance) > limits
     is_off_path[_pairs_under_force(comparison)] = False
     # missing targets have a difference of their own
-    is_off_path[
-        np.searchsorted(
-            comparison.pair[:, 0], comparison.only_nominal[comparison.only_nominal < comparison.pair[-1, 0]]
-        )
-    ] = False
-    rows = np.flatnonzero(is_off_path)[:_MAX_WAYS]
-    distances = np.array([_distance_of_way(comparison, nominal_path, corrected_path, int(k)) for k in rows])
-    exceeds = distances > limits[rows]
-    off_path_rows, distances = rows[exceeds], distances[exceeds]
-    if len(off_path_rows):
+    missing_rows = comparison.only_nominal[comparison.only_nominal < nominal_row[-1]]
+    is_off_path[np.searchsorted(nominal_row, missing_rows)] = False
+    pairs = np.flatnonzero(is_off_path)[:_MAX_WAYS]
+    distances = np.array([_distance_of_way(comparison, nominal_path, corrected_path, int(k)) for k in pairs])
+    exceeds = distances > limits[pairs]
+    pairs, distances = pairs[exceeds], distances[exceeds]
+    if len(pairs):
         worst = int(np.argmax(distances))
+        pair = pairs[worst]
         message = f"the path is {distances[worst] * MM_PER_M:.4f} mm from the nominal one on the way to this target."
-        first, last = comparison.pair[off_path_rows[worst] - 1, 1], comparison.pair[off_path_rows[worst], 1]
-        message += _arc_advice(comparison, np.arange(first + 1, last + 1))
-        yield warning_at(
-            comparison, "between", message, comparison.pair[off_path_rows[worst]].tolist(), len(off_path_rows)
-        )
+        message += _arc_advice(comparison, np.arange(corrected_row[pair - 1] + 1, corrected_row[pair] + 1))
+        yield warning_at(comparison, "between", message, comparison.pair[pair].tolist(), len(pairs))
 
 
 _MAX_WAYS = 1000
@@ -411,11 +412,11 @@ _PLACES = 65
 
 
 def _pairs_under_force(comparison: Comparison) -> Ints:
-    """Return the pairs (n,) on the way to which the second path is checked under forces."""
+    """Return the pairs (n,) on the way to which the second path is checked under forces; none without forces."""
     cuts = comparison.cuts
     if cuts is None or not len(cuts.row):
         return np.zeros(0, dtype=np.int64)
-    return distinct(np.searchsorted(comparison.pair[:, 1], cuts.row[cuts.t < 1.0]))
+    return distinct(np.searchsorted(comparison.pair[:, 1], cuts.row[cuts.t < 1.0]))  # t < 1: between targets
 
 
 def _distance_of_way(
@@ -426,15 +427,15 @@ def _distance_of_way(
     0 unless it clearly exceeds the distance of the inserted targets: corrections move those off the nominal path.
     """
     assert comparison.curves is not None
-    u = k - 1.0 + np.linspace(1e-9, 1.0, _PLACES)
     chain = comparison.curves.corrected_chain
-    inserted_rows = comparison.inserted_rows[
-        (comparison.inserted_rows > comparison.pair[k - 1, 1]) & (comparison.inserted_rows < comparison.pair[k, 1])
-    ]
-    u = np.append(u, chain.end[inserted_rows - chain.row[0]])  # rows of a chain are consecutive
+    first_row, last_row = comparison.pair[k - 1 : k + 1, 1]
+    inserted_rows = comparison.inserted_rows
+    inserted_rows = inserted_rows[(inserted_rows > first_row) & (inserted_rows < last_row)]
+    inserted_u = chain.end[inserted_rows - chain.row[0]]  # rows of a chain are consecutive
+    u = np.append(k - 1.0 + np.linspace(SMALLEST_SHARE, 1.0, _PLACES), inserted_u)
     second_points = comparison.curves.second_points_in_cell(u)
-    limits = (np.full(len(u), nominal_path.arc_length[comparison.pair[n, 0] + 1]) for n in (k - 1, k))
-    distances = nearest(lambda at: nominal_path.points(at.ravel()).reshape(*at.shape, 3), second_points, *limits)[1]
+    begin, end = nominal_path.arc_length[comparison.pair[k - 1 : k + 1, 0] + 1]
+    distances = distances_from_path(nominal_path, second_points, np.full(len(u), begin), np.full(len(u), end))
     inserted_distance = float(distances[_PLACES:].max(initial=0.0))
     largest = float(distances.max())
     return largest if largest > OFF_PATH + TIMES_OFFSET * inserted_distance else 0.0
@@ -449,32 +450,22 @@ def _deviations_under_force(comparison: Comparison, nominal_path: PlacedProgram)
     at_end = np.zeros(len(comparison.corrected.motions))
     at_end[comparison.pair[:, 1]] = norm(cuts.corrected_deviation)
     at_end[cuts.row[cuts.t == 1.0]] = cuts.corrected_distance[cuts.t == 1.0]
-    ends = np.maximum(at_end[cuts.row], at_end[cuts.row - 1])
+    largest_at_ends = np.maximum(at_end[cuts.row], at_end[cuts.row - 1])
+    limits = largest_at_ends + nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN
     way = np.searchsorted(comparison.pair[:, 1], cuts.row)
-    gap = np.searchsorted(
-        comparison.pair[:, 0], comparison.only_nominal
-    )  # missing targets have a difference of their own
-    deviations = cuts.corrected_distance
-    rows_beyond = np.flatnonzero(
-        (deviations > ends + nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN)
-        & (cuts.t < 1.0)
-        & ~np.isin(way, gap)
-    )
-    if len(rows_beyond):
-        worst = rows_beyond[np.argmax(deviations[rows_beyond])]
+    # missing targets have a difference of their own
+    is_way_with_missing = np.isin(way, np.searchsorted(comparison.pair[:, 0], comparison.only_nominal))
+    places = np.flatnonzero((cuts.corrected_distance > limits) & (cuts.t < 1.0) & ~is_way_with_missing)
+    if len(places):
+        worst = places[np.argmax(cuts.corrected_distance[places])]
         row = int(cuts.row[worst])
         message = (
-            f"under the forces given it leaves {deviations[worst] * MM_PER_M:.4f} mm to the "
+            f"under the forces given it leaves {cuts.corrected_distance[worst] * MM_PER_M:.4f} mm to the "
             "nominal path before this target."
         )
         message += _arc_advice(comparison, np.array([row]))
-        yield warning_at(
-            comparison,
-            "between",
-            message,
-            (int(comparison.pair[way[worst], 0]), row),
-            len(distinct(cuts.row[rows_beyond])),
-        )
+        rows = (int(comparison.pair[way[worst], 0]), row)
+        yield warning_at(comparison, "between", message, rows, len(distinct(cuts.row[places])))
 
 
 def _cut_corners(
@@ -484,15 +475,14 @@ def _cut_corners(
     rows = np.union1d(comparison.pair[:, 1], comparison.inserted_rows)
     if not len(rows):
         return
-    rounding = corners_of_motions(corrected_path.program, corrected_path.segments, rows).rounding(
-        comparison.corrected.motions.blend[rows]
-    )
+    corners = corners_of_motions(corrected_path.program, corrected_path.segments, rows)
+    rounding = corners.rounding(comparison.corrected.motions.blend[rows])
     allowed_rounding = _allowed_rounding(comparison, nominal_path, rows)
     excess = rounding - allowed_rounding
-    corner_rows = np.flatnonzero(excess > nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN)
-    if len(corner_rows):
-        worst = corner_rows[np.argmax(excess[corner_rows])]
-        way = min(int(np.searchsorted(comparison.pair[:, 1], rows[worst])), len(comparison.pair) - 1)
+    cut_corners = np.flatnonzero(excess > nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN)
+    if len(cut_corners):
+        worst = cut_corners[np.argmax(excess[cut_corners])]
+        next_pair = min(int(np.searchsorted(comparison.pair[:, 1], rows[worst])), len(comparison.pair) - 1)
         remedy = (
             "Set $APO.CDIS and C_DIS back, or convert again."
             if allowed_rounding[worst] > 0.0 or not comparison.nominal.keeps_text
@@ -502,9 +492,8 @@ def _cut_corners(
             f"approximation (C_DIS) cuts the corner by {rounding[worst] * MM_PER_M:.4f} mm; the nominal program allows "
             f"{allowed_rounding[worst] * MM_PER_M:.4g} mm. {remedy}"
         )
-        yield warning_at(
-            comparison, "between", message, (int(comparison.pair[way, 0]), int(rows[worst])), len(corner_rows)
-        )
+        worst_rows = (int(comparison.pair[next_pair, 0]), int(rows[worst]))
+        yield warning_at(comparison, "between", message, worst_rows, len(cut_corners))
 
 
 def _allowed_rounding(comparison: Comparison, nominal_path: PlacedProgram, rows: Ints) -> Array:
@@ -522,14 +511,15 @@ def _allowed_rounding(comparison: Comparison, nominal_path: PlacedProgram, rows:
         programmed_rounding = corners.rounding(m.blend)
     else:
         programmed_rounding = np.where(m.blend > 0.0, m.rounding, 0.0)
-    allowed_rounding, place = np.zeros(len(rows)), np.searchsorted(rows, corrected_rows)
-    allowed_rounding[place] = programmed_rounding[nominal_rows]
+    allowed_rounding = np.zeros(len(rows))
+    index_of_pair = np.searchsorted(rows, corrected_rows)
+    allowed_rounding[index_of_pair] = programmed_rounding[nominal_rows]
     if comparison.nominal.keeps_text:
         blend_change = np.abs(comparison.corrected.motions.blend[corrected_rows] - m.blend[nominal_rows])
-        allowed_rounding[place[blend_change > SAME_LENGTH]] = np.inf
+        allowed_rounding[index_of_pair[blend_change > SAME_LENGTH]] = np.inf
     return allowed_rounding
 
 
 def _arc_advice(comparison: Comparison, rows: Ints) -> str:
-    """Return the advice for motions `rows` (n,) of the second program that leave the path; empty without an arc."""
+    """Return advice for motions `rows` (n,) of the second program that leave the path; empty if none is an arc."""
     return " Check the auxiliary point of its arc." if CIRC in comparison.corrected.motions.kind[rows] else ""

@@ -5,14 +5,16 @@ Both are simulated by `simulation.DrivenProgram`, under the force that acts wher
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import toolpath
 from postproc.chunks import Columns, in_chunks
-from postproc.comparison.paths import PlacedProgram, file_and_line
-from postproc.comparison.result import Comparison, Cuts
+from postproc.comparison.paths import NO_DISTANCE, PlacedProgram, file_and_line, way_limits
+from postproc.comparison.result import Comparison, Cuts, wrench_in_nominal_base
 from postproc.errors import ForceError, NotConvergedError
 from postproc.forces import BEHIND_STEP, PathForces
 from postproc.frames import Array, angle_between, norm
@@ -74,26 +76,30 @@ def no_equilibrium(program: Program, motion: Ints, cause: NotConvergedError) -> 
 def pair_cuts(
     comparison: Comparison,
     nominal_path: PlacedProgram,
-    corrected_path: PlacedProgram,
     wrench: Array,
-    nominal: Array,
-    corrected: Array,
+    *,
+    nominal_deviation: Array,
+    corrected_deviation: Array,
 ) -> Cuts:
-    """Return the deviations at the pairs.
+    """Return the deviations at the pairs; there are none between pairs yet.
 
     :param wrench: (P, 6) at the tip, root axes [N, N·m].
-    :param nominal: (P, 3) by the nominal program, `corrected` (P, 3) by the second one, nominal `$BASE` [m].
+    :param nominal_deviation: (P, 3) by the nominal program, its `$BASE` [m].
+    :param corrected_deviation: (P, 3) by the second one, likewise.
+    :raises ForceError: the arm has no equilibrium under a force.
     """
-    rotation = comparison.nominal.bases[comparison.nominal.motions.base[comparison.pair[:, 0]], :3, :3]
-    base_wrench = np.einsum("nji,nkj->nki", rotation, wrench.reshape(-1, 2, 3)).reshape(-1, 6)
-    empty = np.zeros(0)
+    nothing = np.zeros(0)
     return Cuts(
-        base_wrench,
-        nominal,
-        corrected,
-        _orientation_errors(comparison, nominal_path, wrench),
-        np.zeros(0, dtype=np.int64),
-        *(5 * (empty,)),
+        wrench=wrench_in_nominal_base(comparison, wrench),
+        nominal=nominal_deviation,
+        corrected_deviation=corrected_deviation,
+        rotation=_orientation_errors(comparison, nominal_path, wrench),
+        row=np.zeros(0, dtype=np.int64),
+        t=nothing,
+        nominal_distance=nothing,
+        corrected_distance=nothing,
+        path_rotation=nothing,
+        length=nothing,
     )
 
 
@@ -101,6 +107,7 @@ def _orientation_errors(comparison: Comparison, nominal_path: PlacedProgram, wre
     """Return the angle between the commanded orientation and the one that keeps the loaded tool nominal (P,) [rad].
 
     :param wrench: (P, 6) at the tip at the pairs, root axes [N, N·m].
+    :raises ForceError: the arm has no equilibrium under a force.
     """
     program = comparison.nominal
 
@@ -127,7 +134,9 @@ def cuts_between_pairs(
     Each place of the second program belongs to the place of the nominal path, on the way between the same pairs, that
     the loaded tip is nearest to.
 
+    :param cuts: the deviations at the pairs.
     :param load: the forces along the nominal program.
+    :raises ForceError: the arm has no equilibrium under a force.
     """
     ways = Ways.from_pairs(comparison, nominal_path, corrected_path)
     search = Search(nominal_path, corrected_path, load, ways)
@@ -137,7 +146,7 @@ def cuts_between_pairs(
     end_length[comparison.pair[:, 1]] = nominal_path.arc_length[comparison.pair[:, 0] + 1]
     end_length[at_ends.row] = at_ends.length
     places = _NearestPlaces.join([at_ends, _places_inside_pieces(search, end_length)])
-    angles = np.zeros(len(places.row))
+    angles = np.zeros(len(places.row))  # targets come first; inside of pieces orientations are not checked
     angles[: len(at_ends.row)] = in_chunks(
         lambda length, row: (_orientation_errors_at(nominal_path, corrected_path, load, length, row),),
         at_ends.length,
@@ -173,28 +182,28 @@ class _NearestPlaces(Columns, frozen=True, eq=False):
 
     @classmethod
     def by(cls, search: Search, row: Ints, t: Array, guess: Array, enough: float) -> _NearestPlaces:
-        """Return those of n places that the robot reaches.
+        """Return those of n places of the second program that the robot reaches, with the nearest nominal ones.
 
+        :param row: (n,) motions of the second program; `t` (n,) places on them.
         :param guess: (n,) approximate arc lengths on the nominal path [m].
-        :param enough: a deviation that is small enough [m].
+        :param enough: a deviation that is small enough: no nearer place is sought [m].
         """
         joints = in_chunks(lambda row, t: (search.corrected_path.joints_at(row, t),), row, t)[0]
         is_reachable = np.isfinite(joints).all(axis=1)
         row, t, guess = row[is_reachable], t[is_reachable], guess[is_reachable]
-        return cls(row, t, *search.deviations(row, t, joints[is_reachable], guess, enough=enough))
+        deviations = search.deviations(row, t, joints[is_reachable], guess, enough=enough)
+        return cls(row, t, deviations.length, deviations.nominal_distance, deviations.corrected_distance)
 
 
 def _places_inside_pieces(search: Search, end_length: Array) -> _NearestPlaces:
-    """Return places inside of the lines and arcs of the second program.
+    """Return places inside of the lines and arcs of the second program, with the nominal ones nearest to their tip.
 
     :param end_length: (M,) arc lengths on the nominal path at which its motions end [m]; NaN where unknown.
     """
     nominal_path, corrected_path, ways = search.nominal_path, search.corrected_path, search.ways
     pieces = ways.pieces()
-    begin = ways.begins(pieces, end_length)
-    is_valid = (end_length[pieces] - begin > _SHORTEST) & ~_begins_with_step(
-        nominal_path, search.load, end_length[pieces]
-    )
+    begin, end = ways.begins(pieces, end_length), end_length[pieces]
+    is_valid = (end - begin > _SHORTEST) & ~_begins_with_step(nominal_path, search.load, end)
     pieces, begin = pieces[is_valid], begin[is_valid]
     row, t = places_on_pieces(corrected_path, pieces, _is_steep(nominal_path, corrected_path, pieces, end_length))
     begin_length = begin[np.searchsorted(pieces, row)]
@@ -226,22 +235,21 @@ class Ways(Struct, frozen=True, eq=False):
         unknown = (np.isin(m.kind, (PTP, SPL)) | m.rapid) & np.isnan(m.joints[:, 0])
         # a way is comparable if the count of unknown motions is the same at its begin and its end
         count = np.append(0, np.cumsum(unknown | _has_uncorrected_start(nominal_path)))
-        first_motion = np.append(-1, nominal_rows[:-1]) + 1
-        corrected_first_motion = np.append(-1, corrected_rows[:-1]) + 1
-        second = corrected_path.arc_length[np.stack([corrected_first_motion, corrected_rows + 1], axis=1)]
-        way = np.searchsorted(corrected_rows, np.arange(len(corrected_path.program.motions)))
+        count_at_pairs = count[np.append(-1, nominal_rows) + 1]  # those before the first way, too
+        pairs = np.arange(len(comparison.pair))
+        begin, end = way_limits(nominal_path, nominal_rows, pairs)
         return cls(
             corrected_path,
-            way,
-            nominal_path.arc_length[first_motion],
-            nominal_path.arc_length[nominal_rows + 1],
-            second,
-            count[nominal_rows + 1] == count[first_motion],
+            way=np.searchsorted(corrected_rows, np.arange(len(corrected_path.program.motions))),
+            begin=begin,
+            end=end,
+            second=np.stack(way_limits(corrected_path, corrected_rows, pairs), axis=1),
+            is_comparable=np.diff(count_at_pairs) == 0,
         )
 
     def _is_known(self, row: Ints) -> Bools:
         """Return which motions `row` (n,) of the second program are on a way that is comparable."""
-        return np.append(self.is_comparable, False)[self.way[row]]
+        return np.append(self.is_comparable, False)[self.way[row]]  # after the last pair is no way
 
     def targets(self, comparison: Comparison) -> Ints:
         """Return the motions (n,) whose ends, without partner, are compared with the nominal path."""
@@ -252,9 +260,8 @@ class Ways(Struct, frozen=True, eq=False):
 
     def pieces(self) -> Ints:
         """Return the lines and arcs (n,) of the second program that are compared with the nominal path inside."""
-        rows = self.corrected_path.rows[
-            np.isin(self.corrected_path.program.motions.kind[self.corrected_path.rows], (LIN, CIRC))
-        ]
+        rows = self.corrected_path.rows
+        rows = rows[np.isin(self.corrected_path.program.motions.kind[rows], (LIN, CIRC))]
         return rows[self._is_known(rows) & ~_has_uncorrected_start(self.corrected_path)[rows]]
 
     def guess(self, row: Ints) -> Array:
@@ -264,17 +271,19 @@ class Ways(Struct, frozen=True, eq=False):
         """
         way = self.way[row]
         begin, end = self.second[way].T
-        share = (self.corrected_path.arc_length[row + 1] - begin) / np.maximum(end - begin, 1e-12)
+        share = (self.corrected_path.arc_length[row + 1] - begin) / np.maximum(end - begin, NO_DISTANCE)
         return np.asarray(self.begin[way] + share * (self.end[way] - self.begin[way]))
 
     def begins(self, row: Ints, place: Array) -> Array:
-        """Return the arc lengths (n,) on the nominal path at which motions begin [m].
+        """Return the arc lengths (n,) on the nominal path at which motions begin [m]: where the target before ends.
 
         :param row: (n,) motions of the second program.
         :param place: (M,) arc lengths on the nominal path at which its motions end [m].
         """
-        index = np.searchsorted(self.corrected_path.rows, row) - 1
-        return np.where(index >= 0, place[self.corrected_path.rows[index]], self.begin[self.way[row]])
+        previous_target = np.searchsorted(self.corrected_path.rows, row) - 1  # −1: there is none before
+        return np.where(
+            previous_target >= 0, place[self.corrected_path.rows[previous_target]], self.begin[self.way[row]]
+        )
 
 
 def _begins_with_step(nominal_path: PlacedProgram, load: PathForces, place: Array) -> Bools:
@@ -298,14 +307,17 @@ def _has_uncorrected_start(side: PlacedProgram) -> Bools:
 def _is_steep(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pieces: Ints, place: Array) -> Bools:
     """Return which lines and arcs (n,) of the second program are displaced differently at their ends.
 
+    True as well where the displacement of an end is unknown.
+
     :param pieces: (n,) motions of the second program.
     :param place: (M,) arc lengths on the nominal path of the ends of its motions [m]; NaN where unknown.
     """
     ends = np.flatnonzero(np.isfinite(place))
     displacements = np.full((len(place), 3), np.nan)
     displacements[ends] = corrected_path.points(corrected_path.arc_length[ends + 1]) - nominal_path.points(place[ends])
-    previous_rows = np.maximum(np.searchsorted(corrected_path.rows, pieces) - 1, 0)
-    return np.asarray(~(norm(displacements[pieces] - displacements[corrected_path.rows[previous_rows]]) <= _STEEP))
+    previous_target = np.maximum(np.searchsorted(corrected_path.rows, pieces) - 1, 0)
+    changes = norm(displacements[pieces] - displacements[corrected_path.rows[previous_target]])
+    return ~np.asarray(changes <= _STEEP)
 
 
 def places_on_pieces(corrected_path: PlacedProgram, pieces: Ints, steep: Bools) -> tuple[Ints, Array]:
@@ -329,7 +341,11 @@ def _orientation_errors_at(
 ) -> Array:
     """Return the angles (n,) by which targets of the second program turn the loaded tool from the nominal path [rad].
 
-    :param length: (n,) arc lengths on the nominal path; `row` (n,) motions of the second program.
+    The smaller of two: from the orientation that keeps the loaded tool nominal, and from the nominal orientation, which
+    programs have that correct positions alone.
+
+    :param length: (n,) arc lengths on the nominal path [m]; `row` (n,) motions of the second program.
+    :raises ForceError: the arm has no equilibrium under a force.
     """
     program, (motion, t) = nominal_path.program, nominal_path.at(length)
     wrench = nominal_path.wrench(load, motion, t)
@@ -347,6 +363,19 @@ def _orientation_errors_at(
     return np.asarray(np.minimum(angles, angle_between(pose[:, :3, :3], commanded_pose[:, :3, :3])))
 
 
+class _Deviations(NamedTuple):
+    """Places of the nominal path that the loaded tip is nearest to, and the distances of the tip from them.
+
+    :param length: (n,) arc lengths on the nominal path [m].
+    :param nominal_distance: (n,) by the nominal program, of the same place [m].
+    :param corrected_distance: (n,) by the second program [m].
+    """
+
+    length: Array
+    nominal_distance: Array
+    corrected_distance: Array
+
+
 class Search(Struct, frozen=True, eq=False):
     """Finds the place of the nominal path that the loaded tip of the second program is nearest to.
 
@@ -358,40 +387,44 @@ class Search(Struct, frozen=True, eq=False):
     load: PathForces
     ways: Ways
 
-    def deviations(self, row: Ints, t: Array, q: Array, guess: Array, *, enough: float) -> tuple[Array, Array, Array]:
-        """Return arc lengths (n,) on the nominal path, and distances (n,) of the tip by the nominal and by the second
-        program [m].
+    def deviations(self, row: Ints, t: Array, q: Array, guess: Array, *, enough: float) -> _Deviations:
+        """Return the nearest places of the nominal path, and the distances of the tip from them by both programs.
 
         :param row: (n,) motions of the second program; `t` (n,) places on them; `q` (n, 6) joint angles there [rad].
-        :param guess: (n,) approximate arc lengths [m].
-        :param enough: a deviation that is small enough [m].
+        :param guess: (n,) approximate arc lengths on the nominal path [m].
+        :param enough: a distance that is small enough: no nearer place is sought [m].
+        :raises ForceError: the arm has no equilibrium under a force.
         """
 
-        def deviations_in_chunk(row: Ints, t: Array, q: Array, guess: Array) -> tuple[Array, ...]:
-            """Return arc lengths and both deviations for some of the places."""
-            way, displacement = self.ways.way[row], self.corrected_path.carriage_displacement(row, t)
-            low, high = self.ways.begin[way], self.ways.end[way]
-            low = np.minimum(low + _SHORTEST * 1e-4, high)  # behind the end of the motion before
-            length, distance = self._newton_steps(q, displacement, np.clip(guess, low, high), (low, high), enough)
-            distant_rows = np.flatnonzero(distance > max(enough, _CLOSE * self.nominal_path.robot_in_cell.tolerance))
-            if len(distant_rows):
-                limits = low[distant_rows], high[distant_rows]
-                new_length = self._nearest_lengths(q[distant_rows], displacement[distant_rows], limits)
-                new_length, new_distance = self._newton_steps(
-                    q[distant_rows], displacement[distant_rows], new_length, limits, _EXACT
-                )
-                better = new_distance < distance[distant_rows]
-                length[distant_rows[better]], distance[distant_rows[better]] = new_length[better], new_distance[better]
-            motion, t = self.nominal_path.at(length)
-            nominal_deviation = norm(
-                self._tip_offset(
-                    self.nominal_path.joints_at(motion, t), self.nominal_path.carriage_displacement(motion, t), length
-                )
-            )
-            return length, nominal_deviation, distance
+        def deviations_in_chunk(row: Ints, t: Array, q: Array, guess: Array) -> _Deviations:
+            """Return the deviations of some of the places."""
+            length, distance = self._nearest_places(row, t, q, guess, enough)
+            motion, nominal_t = self.nominal_path.at(length)
+            nominal_q = self.nominal_path.joints_at(motion, nominal_t)
+            displacement = self.nominal_path.carriage_displacement(motion, nominal_t)
+            return _Deviations(length, norm(self._tip_offset(nominal_q, displacement, length)), distance)
 
-        length, nominal_deviation, distance = in_chunks(deviations_in_chunk, row, t, q, guess)
-        return length, nominal_deviation, distance
+        return _Deviations(*in_chunks(deviations_in_chunk, row, t, q, guess))
+
+    def _nearest_places(self, row: Ints, t: Array, q: Array, guess: Array, enough: float) -> tuple[Array, Array]:
+        """Return arc lengths (n,) on the nominal path nearest to the tip, and the distances there (n,) [m].
+
+        Where the tip is far from the place near the guess, many places of the way are tried. Parameters as of
+        `deviations`.
+        """
+        way, displacement = self.ways.way[row], self.corrected_path.carriage_displacement(row, t)
+        low, high = self.ways.begin[way], self.ways.end[way]
+        low = np.minimum(low + _SHORTEST * 1e-4, high)  # behind the end of the motion before
+        length, distance = self._newton_steps(q, displacement, np.clip(guess, low, high), (low, high), enough)
+        distant_rows = np.flatnonzero(distance > max(enough, _CLOSE * self.nominal_path.robot_in_cell.tolerance))
+        if len(distant_rows):
+            q, displacement = q[distant_rows], displacement[distant_rows]
+            limits = low[distant_rows], high[distant_rows]
+            start = self._nearest_lengths(q, displacement, limits)
+            new_length, new_distance = self._newton_steps(q, displacement, start, limits, _EXACT)
+            better = new_distance < distance[distant_rows]
+            length[distant_rows[better]], distance[distant_rows[better]] = new_length[better], new_distance[better]
+        return length, distance
 
     def _tip_offset(self, q: Array, displacement: Array, length: Array) -> Array:
         """Return the tips (n, 3) under the forces at places of the nominal path, minus these places, in the cell [m].
@@ -400,9 +433,8 @@ class Search(Struct, frozen=True, eq=False):
         :param length: (n,) arc lengths on the nominal path [m].
         """
         motion, t = self.nominal_path.at(length)
-        return self._tip(
-            q, displacement, motion, self.nominal_path.wrench(self.load, motion, t)
-        ) - self.nominal_path.points(length)
+        tip = self._tip(q, displacement, motion, self.nominal_path.wrench(self.load, motion, t))
+        return tip - self.nominal_path.points(length)
 
     def _tip(self, q: Array, displacement: Array, motion: Ints, wrench: Array) -> Array:
         """Return the loaded tips (n, 3) in the cell [m] at joint angles q (n, 6) [rad].
@@ -436,13 +468,13 @@ class Search(Struct, frozen=True, eq=False):
                 break
             low, high = limits[0][rows], limits[1][rows]
             step = np.where(length[rows] + _DIFFERENCE_STEP < high, _DIFFERENCE_STEP, -_DIFFERENCE_STEP)
-            change = (self._tip_offset(q[rows], displacement[rows], length[rows] + step) - deviations[rows]) / step[
-                :, None
-            ]
-            square = np.einsum("ni,ni->n", change, change)
+            stepped = self._tip_offset(q[rows], displacement[rows], length[rows] + step)
+            derivative = (stepped - deviations[rows]) / step[:, None]
+            square = np.einsum("ni,ni->n", derivative, derivative)
+            slope = np.einsum("ni,ni->n", deviations[rows], derivative)
             moves = square > _NO_LENGTH**2  # else the path only turns the tool here
-            step = np.where(moves, -np.einsum("ni,ni->n", deviations[rows], change) / np.where(moves, square, 1.0), 0.0)
-            length[rows] = np.clip(length[rows] + step, low, high)
+            newton_step = np.where(moves, -slope / np.where(moves, square, 1.0), 0.0)
+            length[rows] = np.clip(length[rows] + newton_step, low, high)
             deviations[rows] = self._tip_offset(q[rows], displacement[rows], length[rows])
             new = norm(deviations[rows])
             better = new < distance[rows]
@@ -460,33 +492,44 @@ class Search(Struct, frozen=True, eq=False):
         :param limits: smallest and largest arc lengths, (n,) each [m].
         """
         low, high = limits
-        motion = self.nominal_path.at(high)[0]
-        unloaded_tip = self._tip(q, displacement, motion, np.zeros((len(q), 6)))
-        units = [
-            self._tip(q, displacement, motion, np.tile(unit, (len(q), 1))) - unloaded_tip for unit in np.diag(_PROBE)
-        ]
-        compliance = np.stack(units, axis=2) / _PROBE
-        fractions = np.linspace(0.0, 1.0, _START_VALUES)
-        whole, ramp = (
-            (high - low)[:, None],
-            np.minimum(_RAMPS * self.nominal_path.robot_in_cell.ramp, high - low)[:, None],
-        )
-        lengths = low[:, None] + np.sort(np.hstack([whole * fractions, ramp * fractions, whole * _FIRST]), axis=1)
+        motion_at_end = self.nominal_path.at(high)[0]
+        unloaded_tip = self._tip(q, displacement, motion_at_end, np.zeros((len(q), 6)))
+        compliance = self._tip_compliance(q, displacement, motion_at_end, unloaded_tip)
+        lengths = self._start_lengths(low, high)
         rows = np.arange(len(q))
         for _ in range(_REFINEMENTS):
-            point_index = np.repeat(rows, lengths.shape[1])
+            row_of_sample = np.repeat(rows, lengths.shape[1])
             motion, t = self.nominal_path.at(lengths.ravel())
-            deflections = np.einsum(
-                "nij,nj->ni", compliance[point_index], self.nominal_path.wrench(self.load, motion, t)
-            )
-            distances = norm(
-                unloaded_tip[point_index] + deflections - self.nominal_path.points(lengths.ravel())
-            ).reshape(lengths.shape)
+            wrench = self.nominal_path.wrench(self.load, motion, t)
+            tips = unloaded_tip[row_of_sample] + np.einsum("nij,nj->ni", compliance[row_of_sample], wrench)
+            distances = norm(tips - self.nominal_path.points(lengths.ravel())).reshape(lengths.shape)
             best = np.argmin(distances, axis=1)
-            begin, end = (
-                lengths[rows, np.maximum(best - 1, 0)],
-                lengths[rows, np.minimum(best + 1, lengths.shape[1] - 1)],
-            )
             length = lengths[rows, best]
+            # the next samples are between the neighbours of the best one
+            begin = lengths[rows, np.maximum(best - 1, 0)]
+            end = lengths[rows, np.minimum(best + 1, lengths.shape[1] - 1)]
             lengths = begin[:, None] + (end - begin)[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
         return np.asarray(length)
+
+    def _tip_compliance(self, q: Array, displacement: Array, motion: Ints, unloaded_tip: Array) -> Array:
+        """Return the deflection of the tip per unit of each load (n, 3, 6) [m/N, m/(N·m)], from the loads `_PROBE`.
+
+        :param unloaded_tip: (n, 3) the tip without load, in the cell [m]; other parameters as of `_tip`.
+        """
+        deflections = [
+            self._tip(q, displacement, motion, np.tile(wrench, (len(q), 1))) - unloaded_tip
+            for wrench in np.diag(_PROBE)
+        ]
+        return np.asarray(np.stack(deflections, axis=2) / _PROBE)
+
+    def _start_lengths(self, low: Array, high: Array) -> Array:
+        """Return the arc lengths (n, s) at which the search begins, ascending [m]: most are where the force may change.
+
+        :param low: (n,) smallest arc lengths, `high` (n,) largest ones [m].
+        """
+        fractions = np.linspace(0.0, 1.0, _START_VALUES)
+        whole = (high - low)[:, None]
+        ramp = np.minimum(_RAMPS * self.nominal_path.robot_in_cell.ramp, whole)
+        return np.asarray(
+            low[:, None] + np.sort(np.hstack([whole * fractions, ramp * fractions, whole * _FIRST]), axis=1)
+        )

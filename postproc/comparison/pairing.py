@@ -17,6 +17,8 @@ Only partners at about the same length of path as the last ones are considered.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from msgspec import Struct
 
@@ -77,12 +79,13 @@ def partners(nominal_track: Track, corrected_track: Track) -> Ints:
         paired_rows = np.flatnonzero(indices != _NO_PARTNER)
         partner[indices[paired_rows]] = paired_rows
         return partner
+    # the common begin and the common end need no search
     begin = _common_length(nominal_track, corrected_track)
     partner[:begin] = np.arange(begin)
     common_end = _common_length(_reverse_track(nominal_track), _reverse_track(corrected_track))
     end = min(common_end, len(nominal_track) - begin)
     nominal_range, corrected_range = slice(begin, len(nominal_track) - end), slice(begin, len(corrected_track) - end)
-    partner[len(nominal_track) - end :] = np.arange(len(corrected_track) - end, len(corrected_track))
+    partner[nominal_range.stop :] = np.arange(corrected_range.stop, len(corrected_track))
     last_pair = (nominal_track.position[begin - 1], corrected_track.position[begin - 1]) if begin else None
     indices = _assign_partners(_part(nominal_track, nominal_range), _part(corrected_track, corrected_range), last_pair)
     partner[nominal_range] = np.where(indices == _NO_PARTNER, _NO_PARTNER, indices + begin)
@@ -98,12 +101,14 @@ def _settle_partners(nominal_track: Track, corrected_track: Track, partner: Ints
     """
     paired_rows = np.flatnonzero(partner != _NO_PARTNER)
     previous_row, row, next_row = paired_rows[:-2], paired_rows[1:-1], paired_rows[2:]
-    ends = [corrected_track.position[partner[k]] - nominal_track.position[k] for k in (previous_row, next_row)]
+    previous_offset, next_offset = (
+        corrected_track.position[partner[rows]] - nominal_track.position[rows] for rows in (previous_row, next_row)
+    )
 
     def change(candidate: Ints) -> Array:
         """Return the change of the offset [m] from the pair before and to the pair behind, with candidates (k,)."""
         offset = corrected_track.position[candidate] - nominal_track.position[row]
-        return norm(offset - ends[0]) + norm(offset - ends[1])
+        return norm(offset - previous_offset) + norm(offset - next_offset)
 
     first_change = change(partner[row])
     for step in (-1, 1):  # one that moved back would only return, to no smaller change
@@ -133,7 +138,10 @@ def _noticeable_change(step: Array) -> Array:
 
 
 def _common_length(nominal_track: Track, corrected_track: Track) -> int:
-    """Return the number of equal steps at the beginning of two tracks, less the last few before they differ."""
+    """Return the number of equal steps at the beginning of two tracks, less the last two before they differ.
+
+    Those may belong to what differs: their partners are sought with it.
+    """
     count = min(len(nominal_track), len(corrected_track))
     offset = corrected_track.position[:count] - nominal_track.position[:count]
     change = norm(np.diff(offset, axis=0, prepend=np.zeros((min(1, count), 3))))
@@ -143,7 +151,8 @@ def _common_length(nominal_track: Track, corrected_track: Track) -> int:
     )
     if is_same.all() and len(nominal_track) == len(corrected_track):
         return count
-    return max(0, (count if is_same.all() else int(np.argmin(is_same))) - 2)
+    same_count = count if is_same.all() else int(np.argmin(is_same))
+    return max(0, same_count - 2)
 
 
 class _States(Struct, eq=False):
@@ -160,6 +169,19 @@ class _States(Struct, eq=False):
     offset: Array
 
 
+class _Origin(NamedTuple):
+    """The pairs before those of one target of the first program.
+
+    :param window: (k,) its possible partners.
+    :param row: (k,) nominal target of the pair before, with each of them; −1 for none.
+    :param partner: (k,) partner of that pair.
+    """
+
+    window: Ints
+    row: Ints
+    partner: Ints
+
+
 def _assign_partners(nominal_track: Track, corrected_track: Track, last_pair: tuple[Array, Array] | None) -> Ints:
     """Return the partners (n,) of the targets of one program in the other, by dynamic programming; −1 for none.
 
@@ -171,34 +193,24 @@ def _assign_partners(nominal_track: Track, corrected_track: Track, last_pair: tu
     tracks = _Tracks.of(nominal_track, corrected_track, has_last_pair=last_pair is not None)
     assignment = np.full(len(nominal_track), _NO_PARTNER)
     states = _States(np.array([_NO_PARTNER]), np.array([_NO_PARTNER]), np.zeros(1), start)
-    origins: dict[int, tuple[Ints, Ints, Ints]] = {}  # of each row: its window of partners, and the pair before each
+    origins: dict[int, _Origin] = {}  # of each target since the last run of equal ones
     row = 0
     while row < len(nominal_track):
         cheapest = int(np.argmin(states.cost))
+        # after a pair of equal targets, equal ones follow one another
         if states.row[cheapest] == row - 1 >= 0 and norm(states.offset[cheapest]) < _EQUAL:
-            run = _equal_count(nominal_track, corrected_track, row, int(states.partner[cheapest]) + 1)
+            first_partner = int(states.partner[cheapest]) + 1
+            run = _equal_count(nominal_track, corrected_track, row, first_partner)
             if run >= _MIN_RUN:  # nothing else is more likely
                 _write_pairs(assignment, states, origins)
-                place = int(states.partner[cheapest]) + run
-                assignment[row : row + run] = np.arange(place - run, place) + 1
-                row += run
-                offset = corrected_track.position[place] - nominal_track.position[row - 1]
-                states = _States(np.array([place]), np.array([row - 1]), np.zeros(1), offset[None])
+                assignment[row : row + run] = np.arange(first_partner, first_partner + run)
+                states = tracks.state_of_pair(row + run - 1, first_partner + run - 1)
                 origins.clear()
+                row += run
                 continue
-        window = tracks.window(states, row)
-        cost = tracks.pair_costs(states, row, window)
-        previous_state = np.argmin(cost, axis=1)
-        least_cost = cost[np.arange(len(window)), previous_state] + _OTHER_KIND * (
-            nominal_track.joint[row] != corrected_track.joint[window]
-        )
-        origins[row] = window, states.row[previous_state], states.partner[previous_state]
-        columns = np.flatnonzero(np.isfinite(least_cost))
-        offset = corrected_track.position[window[columns]] - nominal_track.position[row]
-        pair_states = _States(window[columns], np.full(len(columns), row), least_cost[columns], offset)
-        states = _cheapest_states(
-            pair_states, states, _PASSED_COST if nominal_track.is_continued[row] else _MISSING_COST
-        )
+        pair_states, origins[row] = tracks.pair_states(states, row)
+        unpaired_cost = _PASSED_COST if nominal_track.is_continued[row] else _MISSING_COST
+        states = _cheapest_states(pair_states, states, unpaired_cost)
         row += 1
     _write_pairs(assignment, states, origins)
     return assignment
@@ -225,8 +237,29 @@ class _Tracks(Struct, frozen=True, eq=False):
         lengths, corrected_lengths = (np.append(0.0, np.cumsum(track.step)) for track in (nominal, corrected))
         return cls(nominal, corrected, lengths, corrected_lengths, has_last_pair)
 
+    def state_of_pair(self, row: int, partner: int) -> _States:
+        """Return the only assignment that is left after a pair that is certain; it costs nothing."""
+        offset = self.corrected.position[partner] - self.nominal.position[row]
+        return _States(np.array([partner]), np.array([row]), np.zeros(1), offset[None])
+
+    def pair_states(self, states: _States, row: int) -> tuple[_States, _Origin]:
+        """Return the cheapest assignments that end with the nominal target `row` and each possible partner.
+
+        :param states: the cheapest assignments of the targets before.
+        :returns: the assignments, and the pairs before each possible partner in them.
+        """
+        window = self.window(states, row)
+        cost = self.pair_costs(states, row, window)
+        previous_state = np.argmin(cost, axis=1)
+        is_other_kind = self.nominal.joint[row] != self.corrected.joint[window]
+        least_cost = cost[np.arange(len(window)), previous_state] + _OTHER_KIND * is_other_kind
+        columns = np.flatnonzero(np.isfinite(least_cost))
+        offset = self.corrected.position[window[columns]] - self.nominal.position[row]
+        pair_states = _States(window[columns], np.full(len(columns), row), least_cost[columns], offset)
+        return pair_states, _Origin(window, states.row[previous_state], states.partner[previous_state])
+
     def window(self, states: _States, row: int) -> Ints:
-        """Return the possible partners (k,) of the nominal target `row`.
+        """Return the possible partners (k,) of the nominal target `row`, consecutive ones.
 
         Those are about as far from the last pair of the cheapest assignment as the nominal target, along the path.
         """
@@ -243,34 +276,35 @@ class _Tracks(Struct, frozen=True, eq=False):
         Infinite for partners that are not behind those of the states.
         """
         offset = self.corrected.position[window] - self.nominal.position[row]
-        change = norm(offset[:, None] - states.offset)
-        step = self.lengths[row + 1] - self.lengths[states.row + 1]
-        path_length = self.corrected_lengths[window + 1][:, None] - self.corrected_lengths[states.partner + 1]
-        scale = _noticeable_change(step)
-        cost = np.minimum(np.log1p(change / scale), _MAX_CHANGE_COST)
+        offset_change = norm(offset[:, None] - states.offset)
+        # lengths of path from the last pair of each state to the new pair
+        length = self.lengths[row + 1] - self.lengths[states.row + 1]
+        corrected_length = self.corrected_lengths[window + 1][:, None] - self.corrected_lengths[states.partner + 1]
+        length_change = np.abs(corrected_length - length)
+        scale = _noticeable_change(length)
+        cost = np.minimum(np.log1p(offset_change / scale), _MAX_CHANGE_COST)
         if not self.has_last_pair:  # the first pair may have any offset, but nothing should come before it
             cost[:, states.row == _NO_PARTNER] = 0.0
         weight = np.where(window[:, None] - states.partner > 1, 1.0, _LENGTH_WEIGHT)
-        cost += weight * np.minimum(np.log1p(np.abs(path_length - step) / scale), _MAX_CHANGE_COST)
-        cost += _LENGTH_COST * np.minimum(np.abs(path_length - step) / _EXCESS_LENGTH, 1.0)
+        cost += weight * np.minimum(np.log1p(length_change / scale), _MAX_CHANGE_COST)
+        cost += _LENGTH_COST * np.minimum(length_change / _EXCESS_LENGTH, 1.0)
         cost += states.cost
         cost[window[:, None] <= states.partner] = np.inf
         return cost
 
 
-def _write_pairs(assignment: Ints, states: _States, origins: dict[int, tuple[Ints, Ints, Ints]]) -> None:
+def _write_pairs(assignment: Ints, states: _States, origins: dict[int, _Origin]) -> None:
     """Write the pairs of the cheapest assignment into `assignment` (n,), in place, from the last pair backwards.
 
-    :param origins: of each row: its window of partners, and row and partner of the pair before each. It ends where
-        `origins` has no row.
+    :param origins: of each target: the pairs before it. The assignment ends at a target that has none.
     """
     cheapest = int(np.argmin(states.cost))
     row, partner = int(states.row[cheapest]), int(states.partner[cheapest])
     while row in origins:
         assignment[row] = partner
-        window, rows, partners = origins[row]
-        column = partner - int(window[0])
-        row, partner = int(rows[column]), int(partners[column])
+        origin = origins[row]
+        column = partner - int(origin.window[0])  # a window has consecutive targets
+        row, partner = int(origin.row[column]), int(origin.partner[column])
 
 
 def _equal_count(nominal_track: Track, corrected_track: Track, row: int, partner: int) -> int:
@@ -280,10 +314,8 @@ def _equal_count(nominal_track: Track, corrected_track: Track, row: int, partner
     PTP or neither is. At most `_RUN_CHUNK` targets are compared.
     """
     count = min(len(nominal_track) - row, len(corrected_track) - partner, _RUN_CHUNK)
-    nominal_part, corrected_part = (
-        _part(nominal_track, slice(row, row + count)),
-        _part(corrected_track, slice(partner, partner + count)),
-    )
+    nominal_part = _part(nominal_track, slice(row, row + count))
+    corrected_part = _part(corrected_track, slice(partner, partner + count))
     is_same = (norm(corrected_part.position - nominal_part.position) < _EQUAL) & (
         np.abs(corrected_part.step - nominal_part.step) < _EQUAL
     )

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from msgspec.structs import replace
 
 from postproc import toolpath
 from postproc.chunks import in_chunks
 from postproc.comparison.loaded_path import deviation, no_equilibrium
-from postproc.comparison.paths import Curves, PlacedProgram, in_cell, nearest, tool_of_nominal
+from postproc.comparison.paths import (
+    NO_DISTANCE,
+    Curves,
+    PlacedProgram,
+    distances_from_path,
+    in_cell,
+    nearest,
+    tool_of_nominal,
+    way_limits,
+)
 from postproc.comparison.result import OFF_PATH, TIMES_OFFSET, Comparison
 from postproc.errors import NotConvergedError
 from postproc.forces import PathForces
@@ -30,12 +41,13 @@ def partners_of(comparison: Comparison, nominal_path: PlacedProgram, corrected_p
 
 
 def deviation_left(nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, wrench: Array) -> Array:
-    """Return the deviations (n, 3) of the loaded tip by the second program at `nominal_path.rows`, `$BASE`.
+    """Return the deviations (n, 3) of the loaded tip by the second program at `nominal_path.rows`, `$BASE` [m].
 
     0 without partner.
 
     :param partner: (n,) index in `corrected_path.rows`; −1 for none.
-    :param wrench: (n, 6) at the tip, root axes.
+    :param wrench: (n, 6) at the tip, root axes [N, N·m].
+    :raises ForceError: the arm has no equilibrium under a force.
     """
     deviations, has_partner = np.zeros((len(nominal_path.rows), 3)), partner >= 0
     rows = corrected_path.rows[partner[has_partner]]
@@ -56,26 +68,17 @@ def partners_under_force(
 
     :param partner: (n,) index in `corrected_path.rows` of the present partners; −1 for none.
     :param wrench: (n, 6) at the tip, root axes [N, N·m].
+    :raises ForceError: the arm has no equilibrium under a force.
     """
     tolerance, new_partner = nominal_path.robot_in_cell.tolerance, partner.copy()
-    kinds = (
-        nominal_path.program.motions.kind[nominal_path.rows] == PTP,
-        corrected_path.program.motions.kind[corrected_path.rows] == PTP,
-    )
+    is_ptp = nominal_path.program.motions.kind[nominal_path.rows] == PTP
+    is_corrected_ptp = corrected_path.program.motions.kind[corrected_path.rows] == PTP
     for _ in range(2):  # what the first pass frees may be the partner of a neighbour
-        is_mismatched = (new_partner < 0) | ~(
-            norm(deviation_left(nominal_path, corrected_path, new_partner, wrench)) <= tolerance
-        )
+        distances = norm(deviation_left(nominal_path, corrected_path, new_partner, wrench))
+        is_mismatched = (new_partner < 0) | ~(distances <= tolerance)
         for k in np.flatnonzero(is_mismatched)[:_MAX_MOVES].tolist():
-            lower_partners, upper_partners = (
-                new_partner[:k][new_partner[:k] >= 0],
-                new_partner[k + 1 :][new_partner[k + 1 :] >= 0],
-            )
-            first_candidate = lower_partners[-1] + 1 if len(lower_partners) else 0
-            candidates = np.arange(
-                first_candidate, upper_partners[0] if len(upper_partners) else len(corrected_path.rows)
-            )
-            candidates = candidates[kinds[1][candidates] == kinds[0][k]]
+            candidates = _free_neighbours(new_partner, k, len(corrected_path.rows))
+            candidates = candidates[is_corrected_ptp[candidates] == is_ptp[k]]
             candidates = candidates[np.argsort(np.abs(candidates - partner[k]), kind="stable")[:_MAX_CANDIDATES]]
             rows, index = corrected_path.rows[candidates], np.full(len(candidates), k)
             q, displacement = corrected_path.joints[rows], corrected_path.carriage_displacement(rows)
@@ -85,57 +88,76 @@ def partners_under_force(
     return new_partner
 
 
-def distances_from_path(nominal_path: PlacedProgram, positions: Array, begin: Array, end: Array) -> Array:
-    """Return the distances (n,) of points from the nominal path between two arc lengths [m].
+def _free_neighbours(partner: Ints, k: int, count: int) -> Ints:
+    """Return the targets of the second program between the partners of the targets before and after `k`, ascending.
 
-    :param positions: (n, 3) the points, in the cell [m].
-    :param begin: (n,) arc length from which the path counts, `end` (n,) to which [m].
+    :param partner: (n,) indices of the partners, ascending; −1 for none.
+    :param count: number of targets of the second program.
+    """
+    lower_partners, upper_partners = (side[side >= 0] for side in (partner[:k], partner[k + 1 :]))
+    begin = lower_partners[-1] + 1 if len(lower_partners) else 0
+    return np.arange(begin, upper_partners[0] if len(upper_partners) else count)
+
+
+class _PairedTargets(NamedTuple):
+    """What follows from pairs (P, 2): offsets, and whether the second program's other targets are on the nominal path.
+
+    :param pose: (P, 4, 4) where the second program sends the nominal tool, nominal `$BASE` [m].
+    :param twist: (P, 6) from the nominal targets to there [m, rad].
+    :param unpaired_rows: (r,) motions of the second program without a partner.
+    :param is_on_path: (r,) True for those on the nominal path between two pairs.
     """
 
-    def distances(positions: Array, begin: Array, end: Array) -> tuple[Array]:
-        """Return the distances of some of the points."""
-        return (
-            nearest(
-                lambda lengths: nominal_path.points(lengths.ravel()).reshape(*lengths.shape, 3), positions, begin, end
-            )[1],
-        )
+    pose: Array
+    twist: Array
+    unpaired_rows: Ints
+    is_on_path: Bools
 
-    return in_chunks(distances, positions, begin, end)[0]
+
+def _paired_targets(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints) -> _PairedTargets:
+    """Return the offsets of pairs (P, 2), and the targets that they leave without a partner."""
+    pose, twist = offsets_of(nominal_path, corrected_path, pair)
+    unpaired_rows = np.setdiff1d(corrected_path.rows, pair[:, 1])
+    is_on_path = _is_on_path(nominal_path, corrected_path, pair, norm(twist[:, :3]), unpaired_rows)
+    return _PairedTargets(pose, twist, unpaired_rows, is_on_path)
 
 
 def pair_targets(
     nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, certain: Bools
 ) -> Comparison:
-    """Return the comparison of `nominal_path.rows` with partners (n,), indices in `corrected_path.rows`; −1 for none.
+    """Return the comparison of `nominal_path.rows` with their partners, before missing targets and forces are judged.
 
+    :param partner: (n,) index in `corrected_path.rows`; −1 for none.
     :param certain: (n,) True where the partner is right for certain, so that no neighbour of it is tried.
     """
     nominal, corrected, has_partner = nominal_path.program, corrected_path.program, partner >= 0
     pair = np.stack([nominal_path.rows[has_partner], corrected_path.rows[partner[has_partner]]], axis=1)
-    pose, twists = offsets_of(nominal_path, corrected_path, pair)
-    unpaired_rows = np.setdiff1d(corrected_path.rows, pair[:, 1])
-    on_path = _is_on_path(nominal_path, corrected_path, pair, norm(twists[:, :3]), unpaired_rows)
-    if (~on_path).any():
+    targets = _paired_targets(nominal_path, corrected_path, pair)
+    rows_off_path = targets.unpaired_rows[~targets.is_on_path]
+    if len(rows_off_path):
         pair = moved_pairs(
-            nominal_path, corrected_path, pair, twists[:, :3], unpaired_rows[~on_path], certain[has_partner]
+            nominal_path,
+            corrected_path,
+            pair,
+            offset=targets.twist[:, :3],
+            rows=rows_off_path,
+            certain=certain[has_partner],
         )
-        pose, twists = offsets_of(nominal_path, corrected_path, pair)
-        unpaired_rows = np.setdiff1d(corrected_path.rows, pair[:, 1])
-        on_path = _is_on_path(nominal_path, corrected_path, pair, norm(twists[:, :3]), unpaired_rows)
+        targets = _paired_targets(nominal_path, corrected_path, pair)
     curves = Curves.of(nominal_path, corrected_path, pair)
     return Comparison(
         nominal=nominal,
         corrected=corrected,
         robot=nominal_path.robot_in_cell.robot.name,
         pair=pair,
-        inserted_rows=unpaired_rows[on_path],
+        inserted_rows=targets.unpaired_rows[targets.is_on_path],
         passed_rows=nominal_path.rows[:0],
         passing_distance=np.zeros(0),
         only_nominal=nominal_path.rows[~has_partner],
         missing_distance=np.full(int((~has_partner).sum()), np.nan),
-        additional_rows=unpaired_rows[~on_path],
-        pose=pose,
-        rotation=norm(twists[:, 3:]),
+        additional_rows=targets.unpaired_rows[~targets.is_on_path],
+        pose=targets.pose,
+        rotation=norm(targets.twist[:, 3:]),
         path_length=nominal_path.segments.length,
         curves=curves,
         path_distance=np.full(len(pair), np.nan) if curves is None else curves.largest_gaps(),
@@ -147,7 +169,11 @@ def pair_targets(
 def judge_unpaired(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram, load: PathForces | None
 ) -> Comparison:
-    """Return the comparison with nominal targets without partner divided into passed and missing ones."""
+    """Return the comparison with nominal targets without partner divided into passed and missing ones.
+
+    :param load: forces along the nominal program; None if they are not known.
+    :raises ForceError: the arm has no equilibrium under a force.
+    """
     distances, is_passed = missed_targets(comparison, nominal_path, corrected_path, load)
     rows = comparison.only_nominal
     comparison = replace(comparison, passed_rows=rows[is_passed], passing_distance=distances[is_passed])
@@ -160,12 +186,16 @@ def moved_partners(comparison: Comparison, nominal_path: PlacedProgram, correcte
     Those are missing and additional ones, if as many of them are between the same pairs.
     """
     partner = np.full(len(nominal_path.rows), -1)
-    unpaired_rows = comparison.only_nominal, comparison.additional_rows
+    missing_rows, additional_rows = comparison.only_nominal, comparison.additional_rows
     # a gap is the number of pairs before a target: targets of one gap are between the same pairs
-    gaps = [np.searchsorted(comparison.pair[:, k], rows) for k, rows in enumerate(unpaired_rows)]
-    counts = [np.bincount(gap, minlength=len(comparison.pair) + 1) for gap in gaps]
-    same_count = counts[0] == counts[1]
-    missing_rows, additional_rows = (rows[same_count[gap]] for rows, gap in zip(unpaired_rows, gaps, strict=True))
+    gap_count = len(comparison.pair) + 1
+    missing_gap = np.searchsorted(comparison.pair[:, 0], missing_rows)
+    additional_gap = np.searchsorted(comparison.pair[:, 1], additional_rows)
+    is_equal_count = np.bincount(missing_gap, minlength=gap_count) == np.bincount(additional_gap, minlength=gap_count)
+    missing_rows, additional_rows = (
+        missing_rows[is_equal_count[missing_gap]],
+        additional_rows[is_equal_count[additional_gap]],
+    )
     is_same_kind = (nominal_path.program.motions.kind[missing_rows] == PTP) == (
         corrected_path.program.motions.kind[additional_rows] == PTP
     )
@@ -200,23 +230,25 @@ def missed_targets(
     Without forces the correction is unknown. A distance up to the difference of the offsets of the neighbouring pairs
     is then no miss, and a point that only divides a line or an arc is passed within a multiple of them, as inserted
     targets are on the path.
+
+    :param load: forces along the nominal program; None if they are not known.
+    :raises ForceError: the arm has no equilibrium under a force.
     """
-    rows = comparison.only_nominal
-    offset = in_cell(comparison.nominal, comparison.pair[:, 0], comparison.pose[:, :3, 3]) - in_cell(
-        comparison.nominal, comparison.pair[:, 0], comparison.target[:, :3, 3]
+    rows, tolerance = comparison.only_nominal, nominal_path.robot_in_cell.tolerance
+    commanded_position, nominal_position = (
+        in_cell(comparison.nominal, comparison.pair[:, 0], pose[:, :3, 3])
+        for pose in (comparison.pose, comparison.target)
     )
+    offset = commanded_position - nominal_position
     distances = missing_distances(nominal_path, corrected_path, comparison.pair, rows, load, offset)
     if load is not None or not len(comparison.pair):
-        return distances, distances <= nominal_path.robot_in_cell.tolerance
+        return distances, distances <= tolerance
     pair_after = np.searchsorted(comparison.pair[:, 0], rows)
     previous_pair, next_pair = np.maximum(pair_after - 1, 0), np.minimum(pair_after, len(comparison.pair) - 1)
-    is_near_curve = distances <= OFF_PATH + TIMES_OFFSET * np.maximum(
-        comparison.distance[previous_pair], comparison.distance[next_pair]
-    )
+    largest_offset = np.maximum(comparison.distance[previous_pair], comparison.distance[next_pair])
+    is_near_curve = distances <= OFF_PATH + TIMES_OFFSET * largest_offset
     distances = np.maximum(distances - norm(offset[next_pair] - offset[previous_pair]), 0.0)
-    return distances, (distances <= nominal_path.robot_in_cell.tolerance) | (
-        nominal_path.is_continued[rows] & is_near_curve
-    )
+    return distances, (distances <= tolerance) | (nominal_path.is_continued[rows] & is_near_curve)
 
 
 def offsets_of(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints) -> tuple[Array, Array]:
@@ -231,7 +263,13 @@ def offsets_of(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair:
 
 
 def moved_pairs(
-    nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints, offset: Array, rows: Ints, certain: Bools
+    nominal_path: PlacedProgram,
+    corrected_path: PlacedProgram,
+    pair: Ints,
+    *,
+    offset: Array,
+    rows: Ints,
+    certain: Bools,
 ) -> Ints:
     """Return pairs (P, 2) in which moved targets replace their inserted neighbours.
 
@@ -247,18 +285,19 @@ def moved_pairs(
     change = np.pad(norm(np.diff(offset, axis=0)), 1, constant_values=np.inf)
     # a target moved alone: its offset is unlike those of both neighbours
     is_single_change = (np.minimum(change[:-1], change[1:]) > OFF_PATH) & ~certain
-    index = {
-        int(row): place for place, row in enumerate(corrected_path.rows.tolist())
-    }  # of targets, without the others
+    target_number = {row: number for number, row in enumerate(corrected_path.rows.tolist())}  # of motions with a target
     for row in rows[:_MAX_MOVES].tolist():
         next_pair = int(np.searchsorted(pair[:, 1], row))
         for k in (next_pair, next_pair - 1):
-            if not 0 <= k < len(pair) or not is_single_change[k] or abs(index[int(pair[k, 1])] - index[row]) != 1:
+            if not 0 <= k < len(pair) or not is_single_change[k]:
                 continue
+            if abs(target_number[int(pair[k, 1])] - target_number[row]) != 1:
+                continue  # not next to each other
             replaced_row, new_pair, new_distance = pair[k, 1:].copy(), pair.copy(), distance.copy()
             # the offset of the moved target may be of any size: it does not widen what counts as on the path
             new_pair[k, 1], new_distance[k] = row, 0.0
-            if norm(offsets_of(nominal_path, corrected_path, new_pair[k : k + 1])[1][:, :3])[0] > distance[k]:
+            _, new_twist = offsets_of(nominal_path, corrected_path, new_pair[k : k + 1])
+            if norm(new_twist[:, :3])[0] > distance[k]:
                 continue
             if _is_on_path(nominal_path, corrected_path, new_pair, new_distance, replaced_row)[0]:
                 pair = new_pair
@@ -275,31 +314,28 @@ def _is_on_path(
 
     :param pair: (P, 2) motions of the pairs, `distance` (P,) sizes of their offsets [m].
     """
-    is_on_path, m = np.zeros(len(rows), dtype=bool), nominal_path.program.motions
+    is_on_path = np.zeros(len(rows), dtype=bool)
     next_pair = np.searchsorted(pair[:, 1], rows)
     candidates = np.flatnonzero((next_pair < len(pair)) & (corrected_path.program.motions.kind[rows] != PTP))
-    # no target on the path if a PTP, whose path is not known, is between the pairs
-    ptp_count = np.append(0, np.cumsum((m.kind == PTP) & np.isnan(m.joints[:, 0])))
-    next_row, previous_row = pair[next_pair[candidates], 0], np.append(-1, pair[:, 0])[next_pair[candidates]]
-    candidates = candidates[ptp_count[next_row + 1] == ptp_count[previous_row + 1]]
+    candidates = candidates[~_has_ptp_before(nominal_path, pair[:, 0])[next_pair[candidates]]]
     rows, next_pair = rows[candidates], next_pair[candidates]
-    next_row, previous_row = pair[next_pair, 0], np.append(-1, pair[:, 0])[next_pair]
     target = toolpath.at(corrected_path.program, corrected_path.segments, rows, np.ones(len(rows))).pose[:]
-    pose = toolpath.flange_from_tcp(corrected_path.program, rows, target, None) @ toolpath.tool_of(
-        nominal_path.program, next_row
-    )
-    position = pose[:, :3, 3]
+    flange = toolpath.flange_from_tcp(corrected_path.program, rows, target, None)
+    position = (flange @ toolpath.tool_of(nominal_path.program, pair[next_pair, 0]))[:, :3, 3]
     limit = OFF_PATH + TIMES_OFFSET * np.maximum(np.append(0.0, distance)[next_pair], distance[next_pair])
-    begin, end = nominal_path.arc_length[previous_row + 1], nominal_path.arc_length[next_row + 1]
-    first_length, last_length = (
-        corrected_path.arc_length[np.append(-1, pair[:, 1])[next_pair] + 1],
-        corrected_path.arc_length[pair[next_pair, 1] + 1],
-    )
-    length_at_row, path_distance = corrected_path.arc_length[rows + 1], np.full(len(rows), np.inf)
-    # a detour of the other program is on one side only
-    share = begin + (length_at_row - first_length) / np.maximum(last_length - first_length, 1e-12) * (end - begin)
-    for length in (share, begin + length_at_row - first_length, end - (last_length - length_at_row)):
-        path_distance = np.minimum(path_distance, norm(position - nominal_path.points(np.clip(length, begin, end))))
+    begin, end = way_limits(nominal_path, pair[:, 0], next_pair)
+    corrected_begin, corrected_end = way_limits(corrected_path, pair[:, 1], next_pair)
+    length, path_distance = corrected_path.arc_length[rows + 1], np.full(len(rows), np.inf)
+    # places at the same share of the way, at the same length from its begin and to its end: a detour of the second
+    # program is on one side of the target only
+    share = (length - corrected_begin) / np.maximum(corrected_end - corrected_begin, NO_DISTANCE)
+    for nominal_length in (
+        begin + share * (end - begin),
+        begin + length - corrected_begin,
+        end - (corrected_end - length),
+    ):
+        points = nominal_path.points(np.clip(nominal_length, begin, end))
+        path_distance = np.minimum(path_distance, norm(position - points))
     distant_rows = np.flatnonzero(~(path_distance <= limit))
     if len(distant_rows):
         path_distance[distant_rows] = distances_from_path(
@@ -307,6 +343,17 @@ def _is_on_path(
         )
     is_on_path[candidates] = path_distance <= limit
     return is_on_path
+
+
+def _has_ptp_before(side: PlacedProgram, paired_rows: Ints) -> Bools:
+    """Return for each pair (P,) whether a PTP to a Cartesian target, whose path is not known, is on the way to it.
+
+    :param paired_rows: (P,) motions of the program that end at the pairs.
+    """
+    m = side.program.motions
+    # two ends of a way with the same count have no PTP between them
+    ptp_count = np.append(0, np.cumsum((m.kind == PTP) & np.isnan(m.joints[:, 0])))[np.append(-1, paired_rows) + 1]
+    return np.asarray(np.diff(ptp_count) > 0)
 
 
 def missing_distances(
@@ -319,42 +366,42 @@ def missing_distances(
 ) -> Array:
     """Return the distances of the second path from nominal targets without partner (n,) [m]; NaN for PTP.
 
-    Under the forces if they are known; else after moving the path back by the offsets of the pairs next to them.
+    Under the forces if they are known; else after moving the path back by the offsets of the pairs next to them. A
+    target is sought on the second path between the pairs before and behind it.
 
     :param pair: (P, 2) the pairs; `rows` (n,) motions of the nominal program.
-    :param load: forces along the nominal program, or None.
+    :param load: forces along the nominal program; None if they are not known.
     :param offset: (P, 3) from the nominal to the commanded position at the pairs, in the cell [m].
+    :raises ForceError: the arm has no equilibrium under a force.
     """
     distances = np.full(len(rows), np.nan)
     indices = np.flatnonzero(nominal_path.program.motions.kind[rows] != PTP)
     if not len(pair) or not len(indices):
         return distances
-    motion, positions = rows[indices], nominal_path.points(nominal_path.arc_length[rows[indices] + 1])
+    motion = rows[indices]
+    length = nominal_path.arc_length[motion + 1]
+    positions = nominal_path.points(length)
     wrench = np.zeros((len(indices), 6)) if load is None else nominal_path.wrench(load, motion)
-    pair_after = np.searchsorted(pair[:, 0], motion)
-    next_pair = np.minimum(pair_after, len(pair) - 1)
-    # a missing target is sought on the second path between the pairs before and behind it
-    is_after_pair, is_before_pair = pair_after > 0, pair_after < len(pair)
-    begin = np.where(is_after_pair, corrected_path.arc_length[pair[pair_after - 1, 1] + 1], 0.0)
-    end = np.where(is_before_pair, corrected_path.arc_length[pair[next_pair, 1] + 1], corrected_path.arc_length[-1])
     if load is None:
-        lengths = nominal_path.arc_length[pair[:, 0] + 1]
-        offsets = [np.interp(nominal_path.arc_length[motion + 1], lengths, column) for column in offset.T]
-        positions = positions + np.stack(offsets, axis=1)
+        pair_length = nominal_path.arc_length[pair[:, 0] + 1]
+        positions = positions + np.stack([np.interp(length, pair_length, column) for column in offset.T], axis=1)
+    # arc lengths of the second path at which the pairs are, with its begin and its end
+    pair_ends = np.concatenate([[0.0], corrected_path.arc_length[pair[:, 1] + 1], corrected_path.arc_length[-1:]])
+    pairs_before = np.searchsorted(pair[:, 0], motion)
+    begin, end = pair_ends[pairs_before], pair_ends[pairs_before + 1]
 
     def distances_in_chunk(motion: Ints, positions: Array, wrench: Array, begin: Array, end: Array) -> tuple[Array]:
         """Return the distances (k,) of the second path from some of the positions (k, 3) [m]."""
 
-        def positions_at(length: Array) -> Array:
+        def second_tips(length: Array) -> Array:
             """Return the tips (k, s, 3) of the second program at arc lengths (k, s), with the loads of the targets."""
             index = np.repeat(np.arange(len(length)), length.shape[1])
             load_wrench = None if load is None else wrench[index]
-            return _second_tips(nominal_path, corrected_path, motion[index], length.ravel(), load_wrench).reshape(
-                *length.shape, 3
-            )
+            tips = _second_tips(nominal_path, corrected_path, motion[index], length.ravel(), load_wrench)
+            return tips.reshape(*length.shape, 3)
 
         try:
-            return (nearest(positions_at, positions, begin, end)[1],)
+            return (nearest(second_tips, positions, begin, end)[1],)
         except NotConvergedError as cause:
             raise no_equilibrium(nominal_path.program, motion[:1], NotConvergedError(str(cause), [0])) from None
 
@@ -367,11 +414,12 @@ def _second_tips(
 ) -> Array:
     """Return the tips (n, 3) of the nominal tool where the second program moves it, in the cell [m].
 
-    Infinite where the second program commands a pose out of reach of the loaded robot.
+    Infinite under a load where the second program commands a pose out of reach.
 
     :param motion: (n,) nominal motions whose tool and load count.
     :param length: (n,) arc lengths on the second path [m].
     :param wrench: (n, 6) at the tip, root axes [N, N·m]; None: without deflection.
+    :raises NotConvergedError: the arm has no equilibrium under a force.
     """
     row, t = corrected_path.at(length)
     if wrench is None:

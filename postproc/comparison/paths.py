@@ -33,8 +33,10 @@ neighbours of the nearest sample, and number of their samples (assumed)."""
 _SAMPLES, _ROUNDS = 9, 4
 """Search for the largest distance of two arcs: places of a round, and rounds between the neighbours of the best place
 (assumed)."""
-_NO_DISTANCE = 1e-12
-"""Lengths and shares below this are rounding: quotients by it stay finite."""
+NO_DISTANCE = 1e-12
+"""Lengths [m] and shares below this are rounding: quotients by it stay finite."""
+SMALLEST_SHARE = 1e-9
+"""Share of a motion at which it begins: at 0 is the end of the motion before, under whose force and tool."""
 _NO_LENGTH, _PER_RADIAN, _MIN_SIZE = 1e-9, 1e-3, 1e-4
 """A motion shorter than the first [m] does not move the tip. Its arc length is the second [m/rad] times the rotation of
 the tool, and at least the last [m], because the force may change along it (assumed)."""
@@ -66,23 +68,31 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
         segments = toolpath.segments(program, robot_in_cell.start_flange)
         is_rotation = (m.kind != PTP) & (segments.length < _NO_LENGTH)
         size = np.where(is_rotation, np.maximum(_PER_RADIAN * segments.turn, _MIN_SIZE), segments.length)
-        path_lengths, rows = np.append(0.0, np.cumsum(size)), np.flatnonzero(np.isnan(m.joints[:, 0]))
         ends = _end_joints(program, robot_in_cell)
-        return cls(program, robot_in_cell, segments, size, path_lengths, rows, ends.q[:], ends.branch)
+        return cls(
+            program,
+            robot_in_cell,
+            segments,
+            size=size,
+            arc_length=np.append(0.0, np.cumsum(size)),
+            rows=np.flatnonzero(np.isnan(m.joints[:, 0])),
+            joints=ends.q[:],
+            branch=ends.branch,
+        )
 
     def track(self, offset: Array | float = 0.0) -> Track:
-        """Return the n Cartesian targets in the root.
+        """Return the n Cartesian targets, with their positions in the robot root.
 
         :param offset: (n, 3) by which they are displaced, in their `$BASE` [m]; 0: they are not.
         """
         m, rows = self.program.motions, self.rows
         pose = m.target[rows]
-        step = np.where(
-            m.kind[rows] == PTP, norm(pose[:, :3, 3] - self.segments.begin(rows)), self.segments.length[rows]
-        )
+        is_ptp = m.kind[rows] == PTP
+        # the path of a PTP is not known: its chord counts
+        step = np.where(is_ptp, norm(pose[:, :3, 3] - self.segments.begin(rows)), self.segments.length[rows])
         pose[:, :3, 3] += offset
         position = toolpath.pose_in_root(self.program, rows, pose, None)[:, :3, 3]
-        return Track(position, step, m.kind[rows] == PTP, self.is_continued[rows])
+        return Track(position, step, is_ptp, self.is_continued[rows])
 
     @cached_property
     def is_continued(self) -> Bools:
@@ -92,8 +102,8 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
     def at(self, length: Array) -> tuple[Ints, Array]:
         """Return the places (motion, t), each (n,), at arc lengths `length` (n,) [m]; t > 0."""
         motion = np.clip(np.searchsorted(self.arc_length, length) - 1, 0, len(self.arc_length) - 2)
-        size = np.maximum(self.size[motion], _NO_DISTANCE)
-        return motion, np.clip((length - self.arc_length[motion]) / size, 1e-9, 1.0)
+        size = np.maximum(self.size[motion], NO_DISTANCE)
+        return motion, np.clip((length - self.arc_length[motion]) / size, SMALLEST_SHARE, 1.0)
 
     def points(self, length: Array) -> Array:
         """Return the programmed positions (n, 3) at arc lengths `length` (n,), in the cell [m]."""
@@ -101,11 +111,11 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
         return in_cell(self.program, motion, toolpath.positions(self.program, self.segments, motion, t))
 
     def forces(self, source: ForceSource | None) -> PathForces:
-        """Return the forces along the program: from a source, else from its comments."""
+        """Return the forces along the program: from a source, else, with None, from its comments."""
         return forces.assign(self.program, self.segments, source, self.robot_in_cell.spindle, self.robot_in_cell.ramp)
 
     def wrench(self, load: PathForces, motion: Ints, t: Array | float = 1.0) -> Array:
-        """Return the wrenches (n, 6) at places (motion, t), root axes [N, N·m]."""
+        """Return the wrenches (n, 6) at places (motion, t), root axes [N, N·m]; t = 1: at the ends of the motions."""
         share = np.broadcast_to(np.asarray(t, dtype=float), motion.shape)
         wrench = load.at(toolpath.at(self.program, self.segments, motion, share))
         return toolpath.wrench_in_root(self.program, motion, wrench)
@@ -145,6 +155,18 @@ def _end_joints(program: Program, robot_in_cell: RobotInCell) -> JointPath:
         raise ProgramError(problem, file=file, line=line) from None
 
 
+def way_limits(path: PlacedProgram, paired_rows: Ints, pair: Ints) -> tuple[Array, Array]:
+    """Return the arc lengths (n,) at which the ways to pairs begin, and (n,) at which they end [m].
+
+    A way begins at the pair before, the first one at the start of the program.
+
+    :param paired_rows: (P,) motions of the program that end at the pairs.
+    :param pair: (n,) indices of the pairs.
+    """
+    previous_rows = np.append(-1, paired_rows)[pair]
+    return path.arc_length[previous_rows + 1], path.arc_length[paired_rows[pair] + 1]
+
+
 def nearest(points: Callable[[Array], Array], positions: Array, begin: Array, end: Array) -> tuple[Array, Array]:
     """Return the arc length (n,) at which a path is nearest to each of n points, and the distances (n,) [m].
 
@@ -155,9 +177,9 @@ def nearest(points: Callable[[Array], Array], positions: Array, begin: Array, en
     :param begin: (n,) arc length from which places count, `end` (n,) to which [m].
     """
     rows = np.arange(len(positions))
-    low, high, count = begin, end, _PLACES
+    low, high, count = begin, end, _PLACES  # of the samples
     for _ in range(1 + _REFINEMENTS):
-        lengths = low[:, None] + (high - low)[:, None] * np.linspace(1e-9, 1.0, count)
+        lengths = low[:, None] + (high - low)[:, None] * np.linspace(SMALLEST_SHARE, 1.0, count)
         distances = norm((points(lengths) - positions[:, None]).reshape(-1, 3)).reshape(lengths.shape)
         nearest_sample = np.argmin(distances, axis=1)
         low, high = (
@@ -167,6 +189,24 @@ def nearest(points: Callable[[Array], Array], positions: Array, begin: Array, en
         nearest_length, distance = lengths[rows, nearest_sample], distances[rows, nearest_sample]
         count = _FINE_SAMPLES
     return nearest_length, distance
+
+
+def distances_from_path(path: PlacedProgram, positions: Array, begin: Array, end: Array) -> Array:
+    """Return the distances (n,) of points from a path between two arc lengths [m].
+
+    :param positions: (n, 3) the points, in the cell [m].
+    :param begin: (n,) arc length from which the path counts, `end` (n,) to which [m].
+    """
+
+    def path_points(lengths: Array) -> Array:
+        """Return the positions (k, s, 3) of the path at arc lengths (k, s) [m]."""
+        return path.points(lengths.ravel()).reshape(*lengths.shape, 3)
+
+    def distances(positions: Array, begin: Array, end: Array) -> tuple[Array]:
+        """Return the distances of some of the points."""
+        return (nearest(path_points, positions, begin, end)[1],)
+
+    return in_chunks(distances, positions, begin, end)[0]
 
 
 class Chain(Struct, frozen=True, eq=False):
@@ -191,20 +231,20 @@ class Chain(Struct, frozen=True, eq=False):
         """
         row = np.arange(paired_rows[0] + 1, paired_rows[-1] + 1)
         pair = np.searchsorted(paired_rows, row)
-        start_length = side.arc_length[paired_rows[pair - 1] + 1]
-        whole = side.arc_length[paired_rows[pair] + 1] - start_length
-        ordinal = (row - paired_rows[pair - 1]) / (paired_rows[pair] - paired_rows[pair - 1])
-        share = np.where(
-            whole > _NO_DISTANCE, (side.arc_length[row + 1] - start_length) / np.maximum(whole, _NO_DISTANCE), ordinal
-        )
-        end = np.where(row == paired_rows[pair], pair, np.minimum(pair - 1 + share, pair))
+        previous_row, next_row = paired_rows[pair - 1], paired_rows[pair]
+        begin_length, end_length = way_limits(side, paired_rows, pair)
+        way_length = end_length - begin_length
+        share_of_length = (side.arc_length[row + 1] - begin_length) / np.maximum(way_length, NO_DISTANCE)
+        share_of_count = (row - previous_row) / (next_row - previous_row)  # where all motions of a way have no length
+        share = np.where(way_length > NO_DISTANCE, share_of_length, share_of_count)
+        end = np.where(row == next_row, pair, np.minimum(pair - 1 + share, pair))
         return cls(side.program, side.segments, row, np.concatenate([[0.0], end[:-1]]), end)
 
     def at(self, u: Array) -> tuple[Ints, Array]:
         """Return the places (motion, t), each (n,), at u (n,), 0 < u <= P − 1."""
         index = np.minimum(np.searchsorted(self.end, u), len(self.end) - 1)
-        width = np.maximum(self.end[index] - self.begin[index], _NO_DISTANCE)
-        return self.row[index], np.clip((u - self.begin[index]) / width, 1e-9, 1.0)
+        width = np.maximum(self.end[index] - self.begin[index], NO_DISTANCE)
+        return self.row[index], np.clip((u - self.begin[index]) / width, SMALLEST_SHARE, 1.0)
 
     def any_between(self, selection: Bools) -> Bools:
         """Return for each pair (P,) whether a selected motion leads to it from the pair before.
@@ -212,7 +252,7 @@ class Chain(Struct, frozen=True, eq=False):
         :param selection: (M,) True for the selected motions.
         """
         has_motion = np.zeros(int(self.end[-1]) + 1, dtype=bool)
-        has_motion[np.ceil(self.end[selection[self.row]] - _NO_DISTANCE).astype(np.int64)] = True
+        has_motion[_pair_at_end(self.end[selection[self.row]])] = True
         return has_motion
 
 
@@ -263,14 +303,14 @@ class Curves(Struct, frozen=True, eq=False):
         NaN for the first pair, and where a PTP is between.
         """
         distances = np.full(int(self.nominal_chain.end[-1]) + 1, np.nan)
+        # between knots, the ends of motions of either program, both paths are smooth
         knots = np.unique(np.concatenate([[0.0], self.nominal_chain.end, self.corrected_chain.end]))
-        knots = knots[np.diff(knots, prepend=-1.0) > _NO_DISTANCE]
+        knots = knots[np.diff(knots, prepend=-1.0) > NO_DISTANCE]
         begin, end = knots[:-1], knots[1:]
-        pair = np.ceil(end - _NO_DISTANCE).astype(np.int64)
-        unknown = self.nominal_chain.any_between(
-            self.nominal_chain.program.motions.kind == PTP
-        ) | self.corrected_chain.any_between(self._kind == PTP)
-        largest = np.maximum(self._distance(begin + 1e-9 * (end - begin)), self._distance(end))
+        pair = _pair_at_end(end)
+        is_nominal_ptp, is_corrected_ptp = self.nominal_chain.program.motions.kind == PTP, self._kind == PTP
+        unknown = self.nominal_chain.any_between(is_nominal_ptp) | self.corrected_chain.any_between(is_corrected_ptp)
+        largest = np.maximum(self._distance(begin + SMALLEST_SHARE * (end - begin)), self._distance(end))
         curve_indices = np.flatnonzero(~unknown[pair] & self._is_curved(end))
         if len(curve_indices):
             largest[curve_indices] = np.maximum(
@@ -281,13 +321,15 @@ class Curves(Struct, frozen=True, eq=False):
         return distances
 
     def parts(self, angle: float) -> Ints:
-        """Return the number of chords (P,) that draw the path to each pair, one for each `angle` of an arc [rad]."""
+        """Return the number of chords (P,) that draw the path to each pair; at least 1.
+
+        :param angle: largest angle of an arc that one chord draws [rad].
+        """
         counts = np.ones(int(self.nominal_chain.end[-1]) + 1, dtype=np.int64)
         for chain in (self.nominal_chain, self.corrected_chain):
             arc = np.flatnonzero(chain.program.motions.kind[chain.row] == CIRC)
             angles = np.zeros(len(counts))
-            pair = np.ceil(chain.end[arc] - _NO_DISTANCE).astype(np.int64)
-            np.add.at(angles, pair, chain.program.motions.sweep[chain.row[arc]])
+            np.add.at(angles, _pair_at_end(chain.end[arc]), chain.program.motions.sweep[chain.row[arc]])
             counts = np.maximum(counts, np.ceil(angles / angle).astype(np.int64))
         return counts
 
@@ -315,16 +357,22 @@ class Curves(Struct, frozen=True, eq=False):
         return norm(corrected_points - nominal_points)
 
     def _largest(self, begin: Array, end: Array) -> tuple[Array]:
-        """Return the largest distances (n,) between u = begin (n,) and end (n,), where both paths are smooth."""
-        best = np.zeros(len(begin))
+        """Return the largest distances (n,) [m] between u = begin (n,) and end (n,), where both paths are smooth."""
+        largest = np.zeros(len(begin))
         for _ in range(_ROUNDS):
-            u = begin[:, None] + np.linspace(1e-9, 1.0, _SAMPLES) * (end - begin)[:, None]
+            u = begin[:, None] + np.linspace(SMALLEST_SHARE, 1.0, _SAMPLES) * (end - begin)[:, None]
             distance = self._distance(u.ravel()).reshape(u.shape)
-            place = distance.argmax(axis=1)
+            sample = distance.argmax(axis=1)
             row = np.arange(len(u))
-            best = np.maximum(best, distance[row, place])
-            begin, end = u[row, np.maximum(place - 1, 0)], u[row, np.minimum(place + 1, _SAMPLES - 1)]
-        return (best,)
+            largest = np.maximum(largest, distance[row, sample])
+            # the next samples are between the neighbours of the largest one
+            begin, end = u[row, np.maximum(sample - 1, 0)], u[row, np.minimum(sample + 1, _SAMPLES - 1)]
+        return (largest,)
+
+
+def _pair_at_end(u: Array) -> Ints:
+    """Return the pairs (n,) to which the ways lead on which motions end at u (n,); pair k is at u = k."""
+    return np.asarray(np.ceil(u - NO_DISTANCE).astype(np.int64))
 
 
 def tool_of_nominal(nominal: Program, motion: Ints, second: Program, row: Ints, pose: Array) -> Array:

@@ -170,17 +170,41 @@ class Comparison(Struct, frozen=True, eq=False, dict=True):
         return np.asarray((nominal_kind == SPL) & (corrected_kind == SPL))
 
 
+def wrench_in_nominal_base(comparison: Comparison, wrench: Array) -> Array:
+    """Return wrenches (P, 6) of the pairs in the axes of the nominal `$BASE` [N, N·m].
+
+    :param wrench: (P, 6) in root axes.
+    """
+    rotation = comparison.nominal.bases[comparison.nominal.motions.base[comparison.pair[:, 0]], :3, :3]
+    force_and_moment = wrench.reshape(-1, 2, 3)
+    return np.asarray(np.einsum("nji,nkj->nki", rotation, force_and_moment)).reshape(-1, 6)
+
+
 def place_of(program: Program, row: int) -> tuple[str, int]:
     """Return the file of motion `row` and its line in it."""
     return program.places(np.array([row])).of(0)
 
 
 def file_and_line(program: Program, line: int | None) -> tuple[str, int] | None:
-    """Return file and line in it of a line that a reader's issue names; the main file if no motion is on it."""
+    """Return the file and the line in it for a line that an issue of the reader names; None if it names none.
+
+    :param line: line of the whole program, as motions have it; the main file has it if no motion is on it.
+    """
     if line is None:
         return None
     rows = np.flatnonzero(program.motions.line == line)
     return place_of(program, rows[0]) if len(rows) else (program.documents[0].name, line)
+
+
+def first_difference(nominal: Sequence[object], corrected: Sequence[object]) -> int | None:
+    """Return the first index at which two sequences differ, the length of the shorter one if it begins the longer.
+
+    None if they are equal.
+    """
+    if nominal == corrected:
+        return None
+    pairs = enumerate(zip(nominal, corrected, strict=False))
+    return next((k for k, (value, other_value) in pairs if value != other_value), min(len(nominal), len(corrected)))
 
 
 def warning_at(comparison: Comparison, kind: str, message: str, rows: Sequence[int], count: int) -> Difference:

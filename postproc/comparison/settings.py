@@ -6,12 +6,21 @@ Speed, kind, approximation, external axes, status and turn, orientation, frames,
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
 from postproc.comparison.paths import SAME_FRAME, PlacedProgram
-from postproc.comparison.result import Comparison, Difference, file_and_line, pair_warning, warning_at
+from postproc.comparison.result import (
+    Comparison,
+    Difference,
+    file_and_line,
+    first_difference,
+    pair_warning,
+    warning_at,
+    wrench_in_nominal_base,
+)
 from postproc.errors import Issue
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, twist_between
 from postproc.program import CIRC, FORCE_FRAMES, LIN, PTP, SPL, Ints, Program
@@ -69,15 +78,17 @@ def _kind_differences(comparison: Comparison) -> Iterator[Difference]:
 
     An arc may have become lines (``--linearize-arcs``): where these leave it, another difference gives the distance.
     """
+    nominal = comparison.nominal.motions
     rows = np.union1d(comparison.pair[:, 1], comparison.inserted_rows)
-    motion = comparison.pair[np.searchsorted(comparison.pair[:, 1], rows), 0]
-    nominal_kind, corrected_kind = comparison.nominal.motions.kind[motion], comparison.corrected.motions.kind[rows]
+    next_pair = np.searchsorted(comparison.pair[:, 1], rows)
+    motion = comparison.pair[next_pair, 0]
+    nominal_kind, corrected_kind = nominal.kind[motion], comparison.corrected.motions.kind[rows]
     indices = np.flatnonzero((nominal_kind != corrected_kind) & ~((nominal_kind == CIRC) & (corrected_kind == LIN)))
-    # between a pair and the next one the nominal program may have Cartesian targets without partner
-    previous_pair = np.append(-1, comparison.pair[:, 0])[np.searchsorted(comparison.pair[:, 1], rows[indices])]
-    kinds = np.where(np.isnan(comparison.nominal.motions.joints[:, 0]), comparison.nominal.motions.kind, -1)
-    is_same_kind = [corrected_kind[k] in kinds[b + 1 : motion[k]] for k, b in zip(indices, previous_pair, strict=True)]
-    indices = indices[~np.array(is_same_kind, dtype=bool)]
+    # between a pair and the next one the nominal program may have Cartesian targets without partner, of this kind
+    previous_motion = np.append(-1, comparison.pair[:, 0])[next_pair]
+    kinds = np.where(np.isnan(nominal.joints[:, 0]), nominal.kind, -1)
+    is_known_kind = [corrected_kind[k] in kinds[previous_motion[k] + 1 : motion[k]] for k in indices]
+    indices = indices[~np.array(is_known_kind, dtype=bool)]
     if len(indices):
         first = indices[0]
         message = (
@@ -106,13 +117,10 @@ def _approximation_differences(comparison: Comparison) -> Iterator[Difference]:
 
 
 def _external_axis_differences(comparison: Comparison) -> Iterator[Difference]:
-    """Yield external axes with other values; of the axis that carries the robot, at pairs."""
+    """Yield external axes with other values: of the axis that carries the robot, at pairs; then of those that stay."""
     nominal_axis, corrected_axis = comparison.nominal.carriage, comparison.corrected.carriage
     if nominal_axis is not None and corrected_axis is not None:
-        nominal_e1, corrected_e1 = (
-            axis.at(rows)
-            for axis, rows in ((nominal_axis, comparison.pair[:, 0]), (corrected_axis, comparison.pair[:, 1]))
-        )
+        nominal_e1, corrected_e1 = nominal_axis.at(comparison.pair[:, 0]), corrected_axis.at(comparison.pair[:, 1])
         pairs = np.flatnonzero(np.abs(corrected_e1 - nominal_e1) > SAME_LENGTH)
         if len(pairs):
             values = " mm instead of ".join(f"{value[pairs[0]] * MM_PER_M:.4f}" for value in (corrected_e1, nominal_e1))
@@ -122,23 +130,31 @@ def _external_axis_differences(comparison: Comparison) -> Iterator[Difference]:
         name = "nominal" if corrected_axis is None else "corrected"
         message = f"E1, which carries the robot, has values in the {name} program only."
         yield Difference("warning", "external-axis", message, count=len(comparison.pair))
-    fixed_axes = [
-        {issue.subject: issue for issue in program.issues if issue.kind == "external-axis"}
-        for program in (comparison.nominal, comparison.corrected)
-    ]
-    for axis in sorted({*fixed_axes[0], *fixed_axes[1]}):
-        words = [_position(axis, axis_issues.get(axis)) for axis_issues in fixed_axes]
-        if words[0] != words[1]:
-            message = f"{axis} is {words[1]} in the corrected program, and {words[0]} in the nominal one."
-            first, second = (
-                file_and_line(program, axis_issues[axis].source_line) if axis in axis_issues else None
-                for program, axis_issues in zip((comparison.nominal, comparison.corrected), fixed_axes, strict=True)
+    yield from _fixed_axis_differences(comparison)
+
+
+def _fixed_axis_differences(comparison: Comparison) -> Iterator[Difference]:
+    """Yield external axes that stay at another position in each program, as the issues of the reader state them."""
+    programs = comparison.nominal, comparison.corrected
+    nominal_axes, corrected_axes = (
+        {issue.subject: issue for issue in program.issues if issue.kind == "external-axis"} for program in programs
+    )
+    for axis in sorted({*nominal_axes, *corrected_axes}):
+        nominal_text, corrected_text = (_position(axis, axes.get(axis)) for axes in (nominal_axes, corrected_axes))
+        if nominal_text != corrected_text:
+            message = f"{axis} is {corrected_text} in the corrected program, and {nominal_text} in the nominal one."
+            nominal_place, corrected_place = (
+                file_and_line(program, axes[axis].source_line) if axis in axes else None
+                for program, axes in zip(programs, (nominal_axes, corrected_axes), strict=True)
             )
-            yield Difference("warning", "external-axis", message, first, second)
+            yield Difference("warning", "external-axis", message, nominal_place, corrected_place)
 
 
 def _position(axis: str, issue: Issue | None) -> str:
-    """Return the position of an external axis, as the reader of a program reported it."""
+    """Return the position of an external axis in words, from the issue of the reader, for example "at 100 mm".
+
+    :param issue: what the reader reported of this axis; None: nothing, since the axis is at 0 or not in the program.
+    """
     if issue is None:
         return "at 0 or not given"
     position = issue.message.partition(":")[0].removeprefix(f"{axis} is ")
@@ -148,7 +164,7 @@ def _position(axis: str, issue: Issue | None) -> str:
 def _posture_differences(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
-    """Yield targets with other joint angles: S, T, or an axis target before them, are others."""
+    """Yield targets with other joint angles: their S or T, or an axis target before them, is another one."""
     differences = np.abs(nominal_path.joints[comparison.pair[:, 0]] - corrected_path.joints[comparison.pair[:, 1]])
     pairs = np.flatnonzero((differences > _SAME_POSTURE).any(axis=1))
     if len(pairs):
@@ -167,33 +183,31 @@ def _posture_differences(
 def _status_and_turn_differences(comparison: Comparison, corrected_path: PlacedProgram) -> Iterator[Difference]:
     """Yield PTP targets whose S or T one program alone gives, or whose T is not that of the joint angles there."""
     nominal_motions, corrected_motions = (program.motions for program in (comparison.nominal, comparison.corrected))
-    first, second = comparison.pair.T
-    ptp = (nominal_motions.kind[first] == PTP) & (corrected_motions.kind[second] == PTP) & comparison.nominal.keeps_text
-    q = corrected_path.joints[second]
-    differs = (corrected_motions.turn[second, None] >> np.arange(6) & 1 != (q < 0.0)) & (np.abs(q) > _NO_SIGN)
-    differs = (
-        differs.any(axis=1)
-        & (corrected_motions.turn[second] != nominal_motions.turn[first])
-        & (corrected_motions.turn[second] >= 0)
-    )
-    is_missing = ((nominal_motions.turn[first] < 0) != (corrected_motions.turn[second] < 0)) | (
-        (nominal_motions.status[first] < 0) != (corrected_motions.status[second] < 0)
-    )
-    pairs = np.flatnonzero(ptp & (differs | is_missing))
+    nominal_row, corrected_row = comparison.pair.T
+    is_ptp = (nominal_motions.kind[nominal_row] == PTP) & (corrected_motions.kind[corrected_row] == PTP)
+    # −1 where a target does not state it
+    nominal_status, corrected_status = nominal_motions.status[nominal_row], corrected_motions.status[corrected_row]
+    nominal_turn, corrected_turn = nominal_motions.turn[nominal_row], corrected_motions.turn[corrected_row]
+    q = corrected_path.joints[corrected_row]
+    is_negative = corrected_turn[:, None] >> np.arange(6) & 1  # bit k of T is set where joint k + 1 is negative
+    is_wrong_turn = ((is_negative != (q < 0.0)) & (np.abs(q) > _NO_SIGN)).any(axis=1)
+    is_wrong_turn &= (corrected_turn != nominal_turn) & (corrected_turn >= 0)
+    is_missing = ((nominal_turn < 0) != (corrected_turn < 0)) | ((nominal_status < 0) != (corrected_status < 0))
+    pairs = np.flatnonzero(is_ptp & comparison.nominal.keeps_text & (is_wrong_turn | is_missing))
     if len(pairs):
-        k = pairs[0]
-        nominal_bits, corrected_bits = (
-            ", ".join(f"{name} {value}" if value >= 0 else f"no {name}" for name, value in (("S", s), ("T", t)))
-            for s, t in (
-                (int(nominal_motions.status[first[k]]), int(nominal_motions.turn[first[k]])),
-                (int(corrected_motions.status[second[k]]), int(corrected_motions.turn[second[k]])),
-            )
-        )
+        first = pairs[0]
+        nominal_bits = _status_and_turn_text(int(nominal_status[first]), int(nominal_turn[first]))
+        corrected_bits = _status_and_turn_text(int(corrected_status[first]), int(corrected_turn[first]))
         message = (
             f"status and turn of this target are {corrected_bits} instead of {nominal_bits}: "
             "the axes may turn another way."
         )
         yield pair_warning(comparison, "posture", message, pairs)
+
+
+def _status_and_turn_text(status: int, turn: int) -> str:
+    """Return status and turn of a target in words, for example "S 2, no T"; negative: the target does not state it."""
+    return ", ".join(f"{name} {value}" if value >= 0 else f"no {name}" for name, value in (("S", status), ("T", turn)))
 
 
 def _orientation_type_differences(comparison: Comparison) -> Iterator[Difference]:
@@ -207,15 +221,10 @@ def _orientation_type_differences(comparison: Comparison) -> Iterator[Difference
     )
     if nominal_types is None or corrected_types is None:
         return
-    kinds = np.stack(
-        [
-            comparison.nominal.motions.kind[comparison.pair[:, 0]],
-            comparison.corrected.motions.kind[comparison.pair[:, 1]],
-        ]
+    is_on_path = (comparison.nominal.motions.kind[comparison.pair[:, 0]] != PTP) & (
+        comparison.corrected.motions.kind[comparison.pair[:, 1]] != PTP
     )
-    pairs = np.flatnonzero(
-        (nominal_types != corrected_types) & (corrected_types != _LED_ORIENTATION) & (kinds != PTP).all(axis=0)
-    )
+    pairs = np.flatnonzero((nominal_types != corrected_types) & (corrected_types != _LED_ORIENTATION) & is_on_path)
     if len(pairs):
         message = (
             f"$ORI_TYPE is {corrected_types[pairs[0]]} instead of {nominal_types[pairs[0]]}: "
@@ -225,20 +234,21 @@ def _orientation_type_differences(comparison: Comparison) -> Iterator[Difference
 
 
 def frame_differences(comparison: Comparison) -> Iterator[Difference]:
-    """Yield `$BASE` and `$TOOL` that differ."""
-    for name, (frames, frame_index), (corrected_frames, corrected_index) in zip(
-        ("$BASE", "$TOOL"), _frames_of(comparison.nominal), _frames_of(comparison.corrected), strict=True
-    ):
-        frames_differ = np.abs(twist_between(frames[:, None], corrected_frames[None])).max(axis=2) > SAME_FRAME
-        pairs = np.flatnonzero(
-            frames_differ[frame_index[comparison.pair[:, 0]], corrected_index[comparison.pair[:, 1]]]
-        )
+    """Yield a warning each for pairs whose `$BASE` differs, and for those whose `$TOOL` differs."""
+    nominal, corrected = comparison.nominal, comparison.corrected
+    nominal_row, corrected_row = comparison.pair.T
+    bases = _FramesOfPairs(
+        nominal.bases, corrected.bases, nominal.motions.base[nominal_row], corrected.motions.base[corrected_row]
+    )
+    tools = _FramesOfPairs(
+        nominal.tools, corrected.tools, nominal.motions.tool[nominal_row], corrected.motions.tool[corrected_row]
+    )
+    for name, frames in (("$BASE", bases), ("$TOOL", tools)):
+        twists = twist_between(frames.nominal[:, None], frames.corrected[None])  # from each to each: they are few
+        is_other = np.abs(twists).max(axis=2) > SAME_FRAME
+        pairs = np.flatnonzero(is_other[frames.nominal_index, frames.corrected_index])
         if len(pairs):
-            first = pairs[0]
-            twist = twist_between(
-                frames[frame_index[comparison.pair[first, 0]]],
-                corrected_frames[corrected_index[comparison.pair[first, 1]]],
-            )
+            twist = twists[frames.nominal_index[pairs[0]], frames.corrected_index[pairs[0]]]
             message = (
                 f"{name} differs, by {norm(twist[:3]) * MM_PER_M:.4f} mm and {np.degrees(norm(twist[3:])):.4f}°: "
                 "offsets are those of the tool in the root of the robot."
@@ -246,10 +256,17 @@ def frame_differences(comparison: Comparison) -> Iterator[Difference]:
             yield pair_warning(comparison, name.strip("$").lower(), message, pairs)
 
 
-def _frames_of(program: Program) -> tuple[tuple[Array, Ints], tuple[Array, Ints]]:
-    """Return the frames (f, 4, 4) `$BASE`, and the row (M,) of that of each motion; and the same of `$TOOL`."""
-    m = program.motions
-    return (program.bases, m.base), (program.tools, m.tool)
+class _FramesOfPairs(NamedTuple):
+    """Frames of both programs, and which of them each pair has.
+
+    :param nominal: (f, 4, 4) of the nominal program [m]; `corrected` (g, 4, 4) of the second one.
+    :param nominal_index: (P,) frame of each pair in `nominal`; `corrected_index` (P,) in `corrected`.
+    """
+
+    nominal: Array
+    corrected: Array
+    nominal_index: Ints
+    corrected_index: Ints
 
 
 def force_differences(comparison: Comparison, corrected_path: PlacedProgram, *, in_file: bool) -> Iterator[Difference]:
@@ -257,27 +274,14 @@ def force_differences(comparison: Comparison, corrected_path: PlacedProgram, *, 
 
     :param in_file: the nominal program has its forces from a file: comments in both programs must then be the same.
     """
-    nominal_notes, notes = (program.notes for program in (comparison.nominal, comparison.corrected))
-    if comparison.cuts is None or not notes:
+    if comparison.cuts is None or not comparison.corrected.notes:
         return
-    text = "its comments give another force than those of the nominal program"
-    if in_file and nominal_notes:
-        texts = [[(note.wrench, note.frame) for note in side] for side in (nominal_notes, notes)]
-        if texts[0] != texts[1]:
-            first = next(
-                (k for k, pair in enumerate(zip(*texts, strict=False)) if pair[0] != pair[1]), min(map(len, texts))
-            )
-            rows = [
-                min(side[first].before, len(program.motions) - 1) if first < len(side) else -1
-                for side, program in ((nominal_notes, comparison.nominal), (notes, comparison.corrected))
-            ]
-            yield warning_at(comparison, "force", f"{text}.", rows, 1)
+    if in_file and comparison.nominal.notes:
+        yield from _force_comment_differences(comparison)
         return
     load, corrected_rows = corrected_path.forces(None), comparison.pair[:, 1]
-    corrected_wrench, nominal_wrench = (
-        _base_wrenches(comparison, corrected_path.wrench(load, corrected_rows)),
-        comparison.cuts.wrench,
-    )
+    corrected_wrench = wrench_in_nominal_base(comparison, corrected_path.wrench(load, corrected_rows))
+    nominal_wrench = comparison.cuts.wrench
     share = np.where(load.frame[corrected_rows] == FORCE_FRAMES.index("BASE"), *_SAME_SHARE)
     cutting = ~comparison.rapid & ~comparison.corrected.motions.rapid[corrected_rows]  # rapid motions carry no force
     pairs = np.flatnonzero(
@@ -294,10 +298,20 @@ def force_differences(comparison: Comparison, corrected_path: PlacedProgram, *, 
         yield pair_warning(comparison, "force", message, pairs)
 
 
-def _base_wrenches(comparison: Comparison, wrench: Array) -> Array:
-    """Return wrenches (P, 6) in the axes of the nominal `$BASE` of the pairs; `wrench` (P, 6) is in root axes."""
-    rotation = comparison.nominal.bases[comparison.nominal.motions.base[comparison.pair[:, 0]], :3, :3]
-    return np.asarray(np.einsum("nji,nkj->nki", rotation, wrench.reshape(-1, 2, 3))).reshape(-1, 6)
+def _force_comment_differences(comparison: Comparison) -> Iterator[Difference]:
+    """Yield a warning at the first force comment that is not the same in both programs."""
+    programs = comparison.nominal, comparison.corrected
+    nominal_forces, corrected_forces = ([(note.wrench, note.frame) for note in program.notes] for program in programs)
+    first = first_difference(nominal_forces, corrected_forces)
+    if first is None:
+        return
+    # a comment after the last motion is reported at that motion; −1: this program has fewer comments
+    rows = [
+        min(program.notes[first].before, len(program.motions) - 1) if first < len(program.notes) else -1
+        for program in programs
+    ]
+    message = "its comments give another force than those of the nominal program."
+    yield warning_at(comparison, "force", message, rows, 1)
 
 
 def axis_target_differences(
@@ -307,31 +321,40 @@ def axis_target_differences(
 
     A new program for G-code begins with one at `[start]`, which G-code does not know.
     """
-    axis = [np.flatnonzero(np.isfinite(side.program.motions.joints[:, 0])) for side in (nominal_path, corrected_path)]
-    gap = [np.searchsorted(comparison.pair[:, k], rows) for k, rows in enumerate(axis)]
-    if not comparison.nominal.keeps_text:
-        axis = [rows[gaps > 0] for rows, gaps in zip(axis, gap, strict=True)]
-        gap = [gaps[gaps > 0] for gaps in gap]
-    # axis targets belong together that have the same number between the same pairs
-    number = [np.arange(len(gaps)) - np.searchsorted(gaps, gaps) for gaps in gap]
-    corrected_rows = {(int(g), int(k)): int(row) for g, k, row in zip(gap[1], number[1], axis[1], strict=True)}
-    differ: list[tuple[int, int]] = []
-    unpaired_rows: list[tuple[int, int]] = []
-    for g, k, row in zip(gap[0].tolist(), number[0].tolist(), axis[0].tolist(), strict=True):
-        partner = corrected_rows.pop((g, k), -1)
-        if partner < 0:
-            unpaired_rows.append((row, -1))
-        elif np.abs(nominal_path.joints[row] - corrected_path.joints[partner]).max() > _SAME_ANGLE:
-            differ.append((row, partner))
-    unpaired_rows += [(-1, row) for row in corrected_rows.values()]
-    if differ:
-        row, partner = differ[0]
-        joint = int(np.argmax(np.abs(nominal_path.joints[row] - corrected_path.joints[partner])))
-        nominal_angle, corrected_angle = (
-            side.joints[r, joint] * DEG_PER_RAD for side, r in ((nominal_path, row), (corrected_path, partner))
-        )
+    from_first_pair = not comparison.nominal.keeps_text
+    nominal_targets = _axis_targets(nominal_path.program, comparison.pair[:, 0], from_first_pair=from_first_pair)
+    corrected_targets = _axis_targets(corrected_path.program, comparison.pair[:, 1], from_first_pair=from_first_pair)
+    unpaired_rows = [(row, -1) for place, row in nominal_targets.items() if place not in corrected_targets]
+    unpaired_rows += [(-1, row) for place, row in corrected_targets.items() if place not in nominal_targets]
+    paired_rows = [
+        (row, corrected_targets[place]) for place, row in nominal_targets.items() if place in corrected_targets
+    ]
+    differences = [np.abs(nominal_path.joints[row] - corrected_path.joints[partner]) for row, partner in paired_rows]
+    other_targets = [k for k, difference in enumerate(differences) if difference.max() > _SAME_ANGLE]
+    if other_targets:
+        first = other_targets[0]
+        row, partner = paired_rows[first]
+        joint = int(np.argmax(differences[first]))
+        nominal_angle = nominal_path.joints[row, joint] * DEG_PER_RAD
+        corrected_angle = corrected_path.joints[partner, joint] * DEG_PER_RAD
         message = f"an axis target is another one: A{joint + 1} {corrected_angle:.4f}° instead of {nominal_angle:.4f}°."
-        yield warning_at(comparison, "axis-target", message, (row, partner), len(differ))
+        yield warning_at(comparison, "axis-target", message, (row, partner), len(other_targets))
     if unpaired_rows:
         message = "an axis target (PTP {A1 …}) is in one of the programs only."
         yield warning_at(comparison, "axis-target", message, unpaired_rows[0], len(unpaired_rows))
+
+
+def _axis_targets(program: Program, paired_rows: Ints, *, from_first_pair: bool) -> dict[tuple[int, int], int]:
+    """Return the axis targets of a program, its motions, by place: number of pairs before, and number since the last.
+
+    Axis targets of two programs belong together that are at the same place.
+
+    :param paired_rows: (P,) motions of the program that end at the pairs.
+    :param from_first_pair: leave out those before the first pair.
+    """
+    rows = np.flatnonzero(np.isfinite(program.motions.joints[:, 0]))
+    pairs_before = np.searchsorted(paired_rows, rows)
+    number_since_pair = np.arange(len(rows)) - np.searchsorted(pairs_before, pairs_before)
+    places = zip(pairs_before.tolist(), number_since_pair.tolist(), strict=True)
+    first = 1 if from_first_pair else 0
+    return {place: row for place, row in zip(places, rows.tolist(), strict=True) if place[0] >= first}

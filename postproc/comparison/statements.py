@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +34,8 @@ _MAX_STATEMENTS = 20
 
 Statement = tuple[str, int]
 """A statement without blanks, in capitals, and its 1-based line."""
+_Occurrences = dict[tuple[str, bool], list[tuple[int, int]]]
+"""Places of statements that one program has, by text and whether it is the second: next pair, and 1-based line."""
 
 
 class _Texts:
@@ -44,21 +47,30 @@ class _Texts:
         self.lines = {document.name: document.text.splitlines() for document in program.documents}
 
     def statements_between(self, start: tuple[str, int], end: tuple[str, int]) -> list[Statement] | None:
-        """Return the compared statements from a motion to the next one; None where they are in different files.
+        """Return the compared statements from a motion to the next one.
 
-        From the end of a loop to its begin where the next motion is not behind.
+        If the next motion is not behind, a loop leads back to it: from the motion to the end of the loop, and from its
+        begin to the next motion.
+
+        :param start: file and 1-based line of the motion, `end` of the next one.
+        :returns: None where the motions are in different files, or no loop is around them.
         """
-        if start[0] != end[0] or start[0] not in self.lines:
+        (file, start_line), (end_file, end_line) = start, end
+        if file != end_file or file not in self.lines:
             return None
-        if start[1] < end[1]:
-            return self._compared_statements(start[0], range(start[1] + 1, end[1]))
-        tail = self._loop_bound(start[0], range(start[1] + 1, len(self.lines[start[0]]) + 1), _LOOP_BEGIN, _LOOP_END)
-        head = self._loop_bound(end[0], range(end[1] - 1, 0, -1), _LOOP_END, _LOOP_BEGIN)
-        if tail is None or head is None:
+        if start_line < end_line:
+            return self._compared_statements(file, range(start_line + 1, end_line))
+        lines_after_start, lines_before_end = (
+            range(start_line + 1, len(self.lines[file]) + 1),
+            range(end_line - 1, 0, -1),
+        )
+        loop_end = self._loop_bound(file, lines_after_start, opens=_LOOP_BEGIN, closes=_LOOP_END)
+        loop_begin = self._loop_bound(file, lines_before_end, opens=_LOOP_END, closes=_LOOP_BEGIN)
+        if loop_end is None or loop_begin is None:
             return None
         return [
-            *self._compared_statements(start[0], range(start[1] + 1, tail)),
-            *self._compared_statements(end[0], range(head + 1, end[1])),
+            *self._compared_statements(file, range(start_line + 1, loop_end)),
+            *self._compared_statements(file, range(loop_begin + 1, end_line)),
         ]
 
     def routine(self, place: tuple[str, int]) -> tuple[tuple[str, int], tuple[str, int]]:
@@ -68,12 +80,17 @@ class _Texts:
         """
         file, line = place
         lines = self.lines.get(file, [])
-        first = next((n for n in range(line - 1, 0, -1) if _ROUTINE.match(self.statement(file, n))), 0)
-        last = next((n for n in range(line + 1, len(lines) + 1) if _END.match(self.statement(file, n))), len(lines) + 1)
+        lines_before, lines_after = range(line - 1, 0, -1), range(line + 1, len(lines) + 1)
+        first = next((n for n in lines_before if _ROUTINE.match(self.statement(file, n))), 0)
+        last = next((n for n in lines_after if _END.match(self.statement(file, n))), len(lines) + 1)
         return (file, first), (file, last)
 
-    def _loop_bound(self, file: str, numbers: range, opens: re.Pattern[str], closes: re.Pattern[str]) -> int | None:
-        """Return the line of the begin or end of the loop that is around the first of these lines."""
+    def _loop_bound(self, file: str, numbers: range, *, opens: re.Pattern[str], closes: re.Pattern[str]) -> int | None:
+        """Return the line of the begin or end of the loop around the first of these lines; None if there is none.
+
+        :param numbers: lines, in the direction of the search.
+        :param opens: statement at which another loop starts in this direction; `closes`: at which a loop is over.
+        """
         depth = 0
         for number in numbers:
             text = self.statement(file, number)
@@ -105,56 +122,79 @@ def statement_differences(comparison: Comparison) -> Iterator[Difference]:
     programs = comparison.nominal, comparison.corrected
     if any(program.dialect != "krl" or not program.keeps_text for program in programs) or not len(comparison.pair):
         return
-    texts = [_Texts(program) for program in programs]
-    motions = [_places_of_motions(program, rows) for program, rows in zip(programs, comparison.pair.T, strict=True)]
-    occurrences: dict[tuple[str, bool], list[tuple[int, int]]] = {}
-    for places, text in zip(motions, texts, strict=True):
-        places.insert(0, text.routine(places[0])[0])
-        places.append(text.routine(places[-1])[1])
+    nominal_texts, corrected_texts = (_Texts(program) for program in programs)
+    nominal_places = _places_of_motions(nominal_texts, comparison.pair[:, 0])
+    corrected_places = _places_of_motions(corrected_texts, comparison.pair[:, 1])
+    occurrences: _Occurrences = {}
     for k in range(len(comparison.pair) + 1):
-        spans = [text.statements_between(*places[k : k + 2]) for text, places in zip(texts, motions, strict=True)]
-        if spans[0] is None or spans[1] is None or [s for s, _ in spans[0]] == [s for s, _ in spans[1]]:
+        first = nominal_texts.statements_between(*nominal_places[k : k + 2])
+        second = corrected_texts.statements_between(*corrected_places[k : k + 2])
+        if first is None or second is None or [text for text, _ in first] == [text for text, _ in second]:
             continue
-        for statement, line, in_second in _unmatched_statements(spans[0], spans[1]):
-            occurrences.setdefault((statement, in_second), []).append((min(k, len(comparison.pair) - 1), line))
-    yield from _list_differences(comparison, occurrences, texts)
+        next_pair = min(k, len(comparison.pair) - 1)  # statements after the last motion are reported at it
+        for statement in _unmatched_statements(first, second):
+            places = occurrences.setdefault((statement.text, statement.is_in_second), [])
+            places.append((next_pair, statement.line))
+    yield from _list_differences(comparison, occurrences, nominal_texts, corrected_texts)
 
 
-def _places_of_motions(program: Program, rows: Ints) -> list[tuple[str, int]]:
-    """Return file and line of motions `rows` (n,)."""
-    places = program.places(rows)
-    return [(places.files[int(file)], int(line)) for file, line in zip(places.file, places.line, strict=True)]
+def _places_of_motions(texts: _Texts, rows: Ints) -> list[tuple[str, int]]:
+    """Return file and line of motions (n,), with the begin of the first one's routine before, the last one's end after.
+
+    :param rows: (n,) motions of the program, n > 0.
+    """
+    places = texts.program.places(rows)
+    motions = [(places.files[int(file)], int(line)) for file, line in zip(places.file, places.line, strict=True)]
+    begin, _ = texts.routine(motions[0])
+    _, end = texts.routine(motions[-1])
+    return [begin, *motions, end]
 
 
-def _unmatched_statements(first: Sequence[Statement], second: Sequence[Statement]) -> Iterator[tuple[str, int, bool]]:
-    """Yield statements of one side only, with their line and whether it is the second; of another order, all."""
-    counts = [Counter(statement for statement, _ in side) for side in (first, second)]
-    if counts[0] == counts[1]:
-        yield from ((statement, line, True) for statement, line in second)
+class _UnmatchedStatement(NamedTuple):
+    """A statement that only one of two programs has at a place.
+
+    :param text: without blanks, in capitals.
+    :param line: its line, from 1 on.
+    :param is_in_second: True if the second program has it.
+    """
+
+    text: str
+    line: int
+    is_in_second: bool
+
+
+def _unmatched_statements(first: Sequence[Statement], second: Sequence[Statement]) -> Iterator[_UnmatchedStatement]:
+    """Yield the statements that only one of two sequences has; if only their order differs, all of the second."""
+    first_counts, second_counts = (Counter(text for text, _ in side) for side in (first, second))
+    if first_counts == second_counts:
+        yield from (_UnmatchedStatement(text, line, True) for text, line in second)
         return
-    for in_second, side in enumerate((first, second)):
-        surplus = counts[in_second] - counts[1 - in_second]
-        for statement, line in side:
-            if surplus[statement] > 0:
-                surplus[statement] -= 1
-                yield statement, line, bool(in_second)
+    sides = ((False, first, first_counts - second_counts), (True, second, second_counts - first_counts))
+    for is_in_second, side, surplus in sides:
+        for text, line in side:
+            if surplus[text] > 0:
+                surplus[text] -= 1
+                yield _UnmatchedStatement(text, line, is_in_second)
 
 
 def _list_differences(
-    comparison: Comparison, occurrences: dict[tuple[str, bool], list[tuple[int, int]]], texts: Sequence[_Texts]
+    comparison: Comparison, occurrences: _Occurrences, nominal_texts: _Texts, corrected_texts: _Texts
 ) -> Iterator[Difference]:
-    """Yield the statements that only one program has, the first of each text; further ones as one count."""
+    """Yield the statements that only one program has, the first of each text; beyond `_MAX_STATEMENTS` as one count."""
     order = sorted(occurrences.items(), key=lambda entry: entry[1][0])
-    for (_, in_second), places in order[:_MAX_STATEMENTS]:
-        k, line = places[0]
-        nominal_place, corrected_place = (
-            place_of(program, row)
-            for program, row in zip((comparison.nominal, comparison.corrected), comparison.pair[k], strict=True)
-        )
-        file = (corrected_place if in_second else nominal_place)[0]
-        nominal_place, corrected_place = (nominal_place, (file, line)) if in_second else ((file, line), corrected_place)
-        program_name = "second" if in_second else "nominal"
-        text = texts[in_second].statement(file, line)
+    for (_, is_in_second), places in order[:_MAX_STATEMENTS]:
+        pair, line = places[0]
+        nominal_row, corrected_row = comparison.pair[pair]
+        nominal_place = place_of(comparison.nominal, nominal_row)
+        corrected_place = place_of(comparison.corrected, corrected_row)
+        # in the program that has it, the place is the line of the statement; in the other one, that of the motion
+        if is_in_second:
+            corrected_place = corrected_place[0], line
+            text = corrected_texts.statement(*corrected_place)
+        else:
+            nominal_place = nominal_place[0], line
+            text = nominal_texts.statement(*nominal_place)
+        program_name = "second" if is_in_second else "nominal"
         message = f"{text} is at this place in the {program_name} program only: it switches, waits or drives otherwise."
         yield Difference("warning", "statement", message, nominal_place, corrected_place, len(places))
     unlisted_entries = order[_MAX_STATEMENTS:]

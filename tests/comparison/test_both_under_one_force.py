@@ -66,12 +66,13 @@ def test_forces_that_the_second_program_states_act_on_both_at_its_targets(monkey
         return np.column_stack([motion, q[:, 0], forces[:, 0], displacement[:, 0]])
 
     monkeypatch.setattr(compare, "deviation", deviation)
-    monkeypatch.setattr(compare, "pair_cuts", lambda *parts: parts)
-    made = compare._add_cuts(found, *sides).cuts
+    monkeypatch.setattr(compare, "pair_cuts", lambda *parts, **deviations: (parts, deviations))
+    (comparison, path, acting), deviations = compare._add_cuts(found, *sides).cuts
     first, second = found.pair.T
-    assert (made[0], made[1], made[2]) == (found, *sides)
-    np.testing.assert_array_equal(made[3], wrench[second])
-    for side, rows, values in ((sides[0], first, made[4]), (sides[1], second, made[5])):
+    assert (comparison, path) == (found, sides[0])
+    np.testing.assert_array_equal(acting, wrench[second])
+    by_nominal, by_corrected = deviations["nominal_deviation"], deviations["corrected_deviation"]
+    for side, rows, values in ((sides[0], first, by_nominal), (sides[1], second, by_corrected)):
         expected = [first, side.joints[rows, 0], wrench[second, 0], side.carried[rows, 0]]
         np.testing.assert_array_equal(values, np.transpose(expected))
 
@@ -96,9 +97,10 @@ def test_additional_targets_at_which_the_loaded_tip_is_on_the_path_were_inserted
         np.testing.assert_array_equal(wrench, loads.wrench)
         return left
 
-    def at_pairs(comparison, nominal, corrected, wrench, deflection, remainder):
+    def at_pairs(comparison, nominal, wrench, *, nominal_deviation, corrected_deviation):
         index = [rows.tolist().index(k) for k in found.pair[:, 0]]
-        for values, whole in ((wrench, loads.wrench), (deflection, loads.deflection), (remainder, left)):
+        expected = ((wrench, loads.wrench), (nominal_deviation, loads.deflection), (corrected_deviation, left))
+        for values, whole in expected:
             np.testing.assert_array_equal(values, whole[index])
         return "at pairs"
 
@@ -145,7 +147,8 @@ def test_pieces_are_looked_at_inside_if_they_cover_some_of_the_nominal_path_with
 
     def deviations(self, row, t, q, guess, *, enough):
         asked.append((row.tolist(), t.tolist(), guess.tolist(), enough))
-        return np.array([at_end[int(k)] for k in row] if (t == 1.0).all() and len(row) else guess), 10.0 * t, 20.0 * t
+        length = np.array([at_end[int(k)] for k in row] if (t == 1.0).all() and len(row) else guess)
+        return SimpleNamespace(length=length, nominal_distance=10.0 * t, corrected_distance=20.0 * t)
 
     def samples(side, rows, steep):
         assert steep.tolist() == (rows % 2 == 0).tolist()

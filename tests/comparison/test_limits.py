@@ -142,8 +142,9 @@ def test_behind_a_step_of_the_force_the_new_one_acts_from_the_first_place_on():
     q = side.joints_at(motion, t)
     off = side.robot_in_cell.tip(q, side.program.tools[0], side.wrench(load, motion))[0] - side.points(begin)[0]
     assert off[0] < -1e-4  # against the travel along X
-    _, mine, distance = Search(side, side, load, ways).deviations(motion, t, q, begin, enough=1e-8)
-    np.testing.assert_allclose([mine[0], distance[0]], np.linalg.norm(off), rtol=1e-3)
+    deviations = Search(side, side, load, ways).deviations(motion, t, q, begin, enough=1e-8)
+    for distance in (deviations.nominal_distance, deviations.corrected_distance):
+        np.testing.assert_allclose(distance, [np.linalg.norm(off)], rtol=1e-3)
 
 
 @pytest.mark.parametrize(("share", "count"), [(0.8, 0), (1.25, 1)])

@@ -242,7 +242,7 @@ def test_wrenches_at_pairs_are_in_the_base_of_the_nominal_program(monkeypatch, s
     found = replace(found, nominal=replace(found.nominal, bases=bases, motions=motions))
     monkeypatch.setattr(loaded_path, "_orientation_errors", lambda comparison, path, wrench: wrench[:, 0])
     wrench, nominal, corrected = rng.normal(size=(8, 6)), rng.normal(size=(8, 3)), rng.normal(size=(8, 3))
-    cuts = loaded_path.pair_cuts(found, None, None, wrench, nominal, corrected)
+    cuts = loaded_path.pair_cuts(found, None, wrench, nominal_deviation=nominal, corrected_deviation=corrected)
     for k in range(8):
         axes = bases[motions.base[found.pair[k, 0]], :3, :3]
         expected = np.concatenate([axes.T @ wrench[k, :3], axes.T @ wrench[k, 3:]])
