@@ -81,28 +81,25 @@ class Facts(msgspec.Struct, frozen=True):
 
 def comparison_page(comparison: Comparison, content: ComparisonSummary) -> Iterator[bytes]:
     """Yield the page of a comparison as HTML in UTF-8, one file that loads nothing."""
-    sections = [_verdict_section(content), _numbers_section(content)]
     names = names_of(comparison)
     pair_rows = _page_rows(comparison, _linked_rows(comparison, content, names[0]))
+    sections = [_verdict_section(content), _numbers_section(content)]
     if len(pair_rows):
         sections += [
             _path_section(comparison, pair_rows),
             _program_plots_section(comparison, content, pair_rows, names[0]),
             _histogram_section(comparison, pair_rows),
-        ]
-        sections += [
             _operations_section(comparison, content, pair_rows, names),
             _worst_pairs_section(comparison, pair_rows, names),
         ]
+    sections.append(_issues_section(comparison, content, pair_rows, names[0]))
+    if len(pair_rows):
+        sections.append(_place_section())
     yield from Page(
         kind="Comparison",
         title=f"{content.corrected} against {content.nominal}",
         subtitle=f"{content.robot} · {count_text(content)}",
-        sections=(
-            *sections,
-            _issues_section(comparison, content, pair_rows, names[0]),
-            *([_place_section()] if len(pair_rows) else []),
-        ),
+        sections=tuple(sections),
         footer=(
             Note(
                 "Offsets are from the nominal target to where the second program sends the same tool, in the nominal "
@@ -120,6 +117,7 @@ def _verdict_section(content: ComparisonSummary) -> Section:
     """Return the section with the verdict and its reasons."""
     verdict = content.verdict
     names = (content.nominal, content.corrected)
+    # names of files keep their first letter
     reasons = tuple(
         (text if text.startswith(names) or _PLACE.match(text) else text[:1].upper() + text[1:]) + "."
         for text in verdict.reasons
@@ -132,32 +130,41 @@ def _verdict_section(content: ComparisonSummary) -> Section:
 
 
 def _numbers_section(content: ComparisonSummary) -> Section:
-    """Return the section with offsets and deviations."""
-    cut = content.cut
+    """Return the section with offsets and deviations, and notes on targets that are passed and on splines."""
+    parts: list[Part] = [_number_tiles(content), _number_table(content)]
+    texts = [passed_sentence(content)] if content.passed else []
+    texts += [spline_sentence(content)] if content.splines else []
+    if texts:
+        parts.append(Notes(tuple(Note(f"{text[:1].upper()}{text[1:]}.") for text in texts)))
+    return Section("numbers", "Offsets and deviations, mm", tuple(parts))
+
+
+def _number_tiles(content: ComparisonSummary) -> Tiles:
+    """Return the tiles with the largest offset, rotation, distance of the paths, and deviation of each program."""
     tiles = [
         Tile("Largest offset", millimetres(content.offset.max_mm), "mm"),
         Tile("Largest change of orientation", f"{content.rotation.max_deg:.4f}", "°"),
     ]
     if content.between_targets.nominal_line is not None:
         tiles.append(Tile("Paths apart between targets, largest", millimetres(content.between_targets.max_mm), "mm"))
-    head, sources = ["Criterion", "Offset, mm"], [content.offset]
-    if cut is not None:
-        tiles.append(Tile("The nominal program cuts, largest", millimetres(cut.nominal.max_mm), "mm"))
-        tiles.append(Tile("The corrected one, largest", millimetres(cut.corrected.max_mm), "mm"))
+    if content.cut is not None:
+        tiles.append(Tile("The nominal program cuts, largest", millimetres(content.cut.nominal.max_mm), "mm"))
+        tiles.append(Tile("The corrected one, largest", millimetres(content.cut.corrected.max_mm), "mm"))
+    return Tiles(tuple(tiles))
+
+
+def _number_table(content: ComparisonSummary) -> Table:
+    """Return the table of offsets, and of the deviations of both programs where forces are known [mm]."""
+    head, columns = ["Criterion", "Offset, mm"], [content.offset]
+    if content.cut is not None:
         head += ["Nominal cuts, mm", "Corrected cuts, mm"]
-        sources += [cut.nominal, cut.corrected]
-    measures = zip(_ROWS, *map(astuple, sources), strict=True)
+        columns += [content.cut.nominal, content.cut.corrected]
+    measures = zip(_ROWS, *map(astuple, columns), strict=True)
     rows = tuple(Row((label, *map(millimetres, values))) for label, *values in measures)
-    between_targets = content.between
-    if between_targets is not None:
-        largest = (millimetres(between_targets.nominal_max_mm), millimetres(between_targets.corrected_max_mm))
+    if content.between is not None:
+        largest = (millimetres(content.between.nominal_max_mm), millimetres(content.between.corrected_max_mm))
         rows += (Row(("Maximum between targets, from the path", "-", *largest)),)
-    parts: list[Part] = [Tiles(tuple(tiles)), Table(tuple(head), rows, "Numbers")]
-    sentences = ((content.passed, passed_sentence), (content.splines, spline_sentence))
-    texts = [sentence_of(content) for count, sentence_of in sentences if count]
-    if texts:
-        parts.append(Notes(tuple(Note(f"{text[:1].upper()}{text[1:]}.") for text in texts)))
-    return Section("numbers", "Offsets and deviations, mm", tuple(parts))
+    return Table(tuple(head), rows, "Numbers")
 
 
 def _page_rows(comparison: Comparison, linked_rows: Ints) -> Ints:
@@ -167,17 +174,10 @@ def _page_rows(comparison: Comparison, linked_rows: Ints) -> Ints:
     """
     if not len(comparison.pair):
         return np.zeros(0, dtype=np.int64)
-    group_size = -(-len(comparison.pair) // _MOST_GROUPS)
-    between_targets = np.nan_to_num(comparison.path_distance)
-    measures = [
-        comparison.distance,
-        between_targets,
-        *(
-            ()
-            if comparison.cuts is None
-            else (norm(comparison.cuts.nominal), norm(comparison.cuts.corrected_deviation))
-        ),
-    ]
+    group_size = -(-len(comparison.pair) // _MOST_GROUPS)  # rounded up
+    measures = [comparison.distance, np.nan_to_num(comparison.path_distance)]
+    if comparison.cuts is not None:
+        measures += [norm(comparison.cuts.nominal), norm(comparison.cuts.corrected_deviation)]
     rows = [_worst_rows(comparison), linked_rows]
     for measure in measures:
         size = np.where(comparison.rapid, -1.0, measure)
@@ -189,13 +189,13 @@ def _page_rows(comparison: Comparison, linked_rows: Ints) -> Ints:
 
 def _worst_rows(comparison: Comparison) -> Ints:
     """Return the `_WORST` cutting pairs (n,) with the largest offsets, the largest first."""
-    size = np.where(comparison.rapid, -1.0, comparison.distance)
+    size = np.where(comparison.rapid, -1.0, comparison.distance)  # negative: not cutting
     order = np.argsort(-size, kind="stable")[:_WORST]
     return np.asarray(order[size[order] >= 0.0])
 
 
 def _linked_rows(comparison: Comparison, content: ComparisonSummary, nominal: Names) -> Ints:
-    """Return the pairs that table rows link to: thinning must keep them."""
+    """Return the pairs (n,) that rows of the tables of operations and differences link to: thinning must keep them."""
     places = [(entry.nominal_file, entry.nominal_line) for entry in content.operations]
     lines = [*places, *((entry.source_file, entry.source_line) for entry in content.issues)]
     rows = (_pair_of(comparison, nominal, file, line) for file, line in lines)
@@ -203,7 +203,12 @@ def _linked_rows(comparison: Comparison, content: ComparisonSummary, nominal: Na
 
 
 def _pair_of(comparison: Comparison, names: Names, file: str | None, line: int | None) -> int | None:
-    """Return the pair on a line of the nominal program, or the next one after it in that file."""
+    """Return the pair on a line of the nominal program, or the next one after it in that file; else the last pair.
+
+    None without a line, or if there are no pairs.
+
+    :param names: of the files of the nominal program.
+    """
     if line is None or not len(comparison.pair):
         return None
     places = comparison.nominal.places(comparison.pair[:, 0])
@@ -215,7 +220,10 @@ def _pair_of(comparison: Comparison, names: Names, file: str | None, line: int |
 
 
 def _place_of(comparison: Comparison, pair_rows: Ints, names: Names, file: str | None, line: int | None) -> int | None:
-    """Return the index of a pair among those shown, see `_pair_of`."""
+    """Return the index, among the pairs shown, of the one on a line of the nominal program; None as of `_pair_of`.
+
+    :param pair_rows: (s,) pairs shown, in order; the one sought is among them.
+    """
     pair = _pair_of(comparison, names, file, line)
     return None if pair is None else int(np.searchsorted(pair_rows, pair))
 
@@ -265,14 +273,14 @@ def _place_section() -> Section:
 
 def _path_section(comparison: Comparison, rows: Ints) -> Section:
     """Return the section with both paths in space, offsets exaggerated to a tenth of the extent."""
-    nominal, offset, place = _drawn_path(comparison, rows)
-    extent = float(np.ptp(nominal, axis=0).max())
-    largest = float(norm(offset).max())
+    path = _drawn_path(comparison, rows)
+    extent = float(np.ptp(path.point, axis=0).max())
+    largest = float(norm(path.offset).max())
     factor = _round_scale(0.1 * extent / largest) if largest * MM_PER_M > ROUNDING_MM and extent > 0.0 else 1.0
     larger = f", offsets {factor:g} times larger" if factor > 1.0 else ""
     traces = [
-        _path_line(nominal, "nominal", "before", place),
-        _path_line(nominal + factor * offset, f"corrected{larger}", "after", place),
+        _path_line(path.point, "nominal", "before", path.place),
+        _path_line(path.point + factor * path.offset, f"corrected{larger}", "after", path.place),
     ]
     thinning_note = (
         ""
@@ -318,6 +326,7 @@ def _drawn_path(comparison: Comparison, rows: Ints) -> _DrawnPath:
     """
     if comparison.curves is None:
         return _DrawnPath(comparison.target[rows, :3, 3], comparison.offset[rows], np.arange(len(rows)))
+    # one part, a straight one, where the path is not known, and from a pair that is not the one before
     parts = np.where(np.isnan(comparison.path_distance[rows]), 1, comparison.curves.parts(_CHORD)[rows])
     parts = np.where(np.diff(rows, prepend=-2) == 1, np.minimum(parts, max(1, _MOST_POINTS // len(rows))), 1)
     place = np.repeat(np.arange(len(rows)), parts)
@@ -331,45 +340,44 @@ def _drawn_path(comparison: Comparison, rows: Ints) -> _DrawnPath:
     return _DrawnPath(nominal_point, corrected_point - nominal_point, place)
 
 
-def _path_line(points: Array, name: str, colour: str, place: Ints) -> Lines:
-    """Return points (n, 3) [m] as a line in mm.
+def _path_line(points: Array, name: str, colour: Colour, place: Ints) -> Lines:
+    """Return points (n, 3) [m] as a line in space, in mm.
 
-    :param colour: "before"; any other: "after".
-    :param place: (n,) place of each point.
+    :param place: (n,) row of the pairs shown to which a click on each point leads.
     """
     x, y, z = (points * MM_PER_M).T.tolist()
-    return Lines(x, y, z, name, "before" if colour == "before" else "after", places=place.tolist())
+    return Lines(x, y, z, name, colour, places=place.tolist())
 
 
 def _program_plots_section(comparison: Comparison, content: ComparisonSummary, rows: Ints, nominal: Names) -> Section:
-    """Return the section with offsets and deviations along the program."""
-    places = [*range(len(rows))]
-    order = (rows + 1.0).tolist()  # lines go back where a program repeats some
-    offset = (comparison.offset[rows] * MM_PER_M).T.tolist()
-    names: tuple[tuple[str, Colour], ...] = (("X", "correction"), ("Y", "force"), ("Z", "ink"))
-    curves = [
-        Curve(order, values, name, colour, places=places) for values, (name, colour) in zip(offset, names, strict=True)
-    ]
-    x = Axis(title=f"pair of targets, in the order of {nominal.main}")
+    """Return the section with offsets and, where forces are known, deviations along the program.
+
+    :param rows: (s,) pairs shown, in order.
+    """
+
+    def curve(values: Array, name: str, colour: Colour) -> Curve:
+        """Return values (s,) [m] as a curve in mm over the number of the pair."""
+        # not over the line of the program: lines go back where a program repeats some
+        return Curve((rows + 1.0).tolist(), (values * MM_PER_M).tolist(), name, colour, places=[*range(len(rows))])
+
+    x_axis = Axis(title=f"pair of targets, in the order of {nominal.main}")
+    offset_x, offset_y, offset_z = comparison.offset[rows].T
+    curves = [curve(offset_x, "X", "correction"), curve(offset_y, "Y", "force"), curve(offset_z, "Z", "ink")]
     parts: list[Part] = [
-        Plot(label="Offset in X, Y, Z along the program", traces=[*curves], x=x, y=Axis(title="offset, mm"))
+        Plot(label="Offset in X, Y, Z along the program", traces=[*curves], x=x_axis, y=Axis(title="offset, mm"))
     ]
     if comparison.cuts is not None:
-        cuts = [
-            Curve(order, (norm(deviation[rows]) * MM_PER_M).tolist(), name, colour, places=places)  # type: ignore[arg-type]
-            for deviation, name, colour in (
-                (comparison.cuts.nominal, "nominal", "before"),
-                (comparison.cuts.corrected_deviation, "corrected", "after"),
-            )
+        deviations = [
+            curve(norm(comparison.cuts.nominal[rows]), "nominal", "before"),
+            curve(norm(comparison.cuts.corrected_deviation[rows]), "corrected", "after"),
         ]
-        mark = Mark(content.tolerance_mm, "tolerance", "warning", level=True)
         parts.append(
             Plot(
                 label="What each program cuts along the path",
-                traces=[*cuts],
-                x=x,
+                traces=[*deviations],
+                x=x_axis,
                 y=Axis(title="deviation, mm"),
-                marks=[mark],
+                marks=[Mark(content.tolerance_mm, "tolerance", "warning", level=True)],
             )
         )
     return Section("along", "Along the program", tuple(parts))
@@ -380,10 +388,14 @@ def _histogram_section(comparison: Comparison, pair_rows: Ints) -> Section:
     cutting, total = ~comparison.rapid, float(comparison.cut_length.sum())
     percent = 100.0 * comparison.cut_length[cutting] / (total or 1.0)
     heights, edges = np.histogram(comparison.distance[cutting] * MM_PER_M, bins=_BINS, weights=percent)
-    size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows] * MM_PER_M
+    size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows] * MM_PER_M  # negative: not cutting
     order = np.argsort(size)
-    last = np.searchsorted(size[order], edges[1:], side="right") - 1  # the largest that is shown in each bar
-    places = [int(order[k]) if k >= 0 and size[order[k]] >= low else None for k, low in zip(last, edges, strict=False)]
+    # the largest shown pair below the upper edge of each bar; −1: there is none
+    largest = np.searchsorted(size[order], edges[1:], side="right") - 1
+    places = [
+        int(order[k]) if k >= 0 and size[order[k]] >= lower_edge else None
+        for k, lower_edge in zip(largest, edges[:-1], strict=True)
+    ]
     bars = Histogram(edges.tolist(), heights.tolist(), "offset", places)
     plot = Plot(
         label="Histogram of the offset along the cutting path",
@@ -411,8 +423,8 @@ def _operations_section(
             millimetres(operation.offset.max_mm),
             *([millimetres(cut.nominal.max_mm), millimetres(cut.corrected.max_mm)] if cut is not None else []),
         ]
-        file_and_line = operation.nominal_file, operation.nominal_line
-        rows.append(Row(tuple(cells), _place_of(comparison, pair_rows, names[0], *file_and_line), file_and_line[1]))
+        place = _place_of(comparison, pair_rows, names[0], operation.nominal_file, operation.nominal_line)
+        rows.append(Row(tuple(cells), place, operation.nominal_line))
     table = Table(
         tuple(head), tuple(rows), "Operations, largest values", texts=(1,), sortable=True, note="Largest values."
     )
@@ -420,7 +432,11 @@ def _operations_section(
 
 
 def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequence[Names]) -> Section:
-    """Return the section with the pairs with the largest offsets."""
+    """Return the section with the table of the `_WORST` cutting pairs with the largest offsets.
+
+    :param pair_rows: (s,) pairs shown, in order, to which rows lead.
+    :param names: of the files of both programs.
+    """
     head = [
         *(f"Line of {name.main}" for name in names),
         "Offset, mm",
@@ -434,16 +450,17 @@ def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequenc
     cuts = () if comparison.cuts is None else (comparison.cuts.nominal, comparison.cuts.corrected_deviation)
     rows = []
     worst = _worst_rows(comparison)
-    places = [p.places(comparison.pair[worst, k]) for k, p in enumerate((comparison.nominal, comparison.corrected))]
+    nominal_places = comparison.nominal.places(comparison.pair[worst, 0])
+    corrected_places = comparison.corrected.places(comparison.pair[worst, 1])
     for k, row in enumerate(worst.tolist()):
-        cells = [name.line(place.of(k)) for name, place in zip(names, places, strict=True)]
+        cells = [names[0].line(nominal_places.of(k)), names[1].line(corrected_places.of(k))]
         cells.append(millimetres(float(comparison.distance[row]) * MM_PER_M))
         cells += [f"{value:.4f}" for value in without_negative_zero(comparison.offset[row] * MM_PER_M)]
         cells.append(f"{np.degrees(comparison.rotation[row]):.4f}")
         path_distance = float(comparison.path_distance[row])
         cells.append("-" if np.isnan(path_distance) else millimetres(path_distance * MM_PER_M))
         cells += [millimetres(float(norm(deviation[row])) * MM_PER_M) for deviation in cuts]
-        rows.append(Row(tuple(cells), int(np.searchsorted(pair_rows, row)), int(places[0].line[k])))
+        rows.append(Row(tuple(cells), int(np.searchsorted(pair_rows, row)), int(nominal_places.line[k])))
     return Section("worst", "Largest offsets", (Table(tuple(head), tuple(rows), "Largest offsets", sortable=True),))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -13,7 +14,7 @@ from msgspec.structs import asdict, astuple, replace
 from numpy.typing import NDArray
 
 from postproc.chunks import chunks
-from postproc.comparison import Comparison, Difference
+from postproc.comparison import Comparison, Difference, place_of
 from postproc.correction import statistics
 from postproc.decimals import Number, rows_of_csv
 from postproc.errors import Level
@@ -64,7 +65,7 @@ def names_of(comparison: Comparison) -> tuple[Names, Names]:
 
 
 def _has_several_files(program: Program, rows: Ints) -> bool:
-    """Return whether motions, rows (n,), are in several files."""
+    """Return whether motions `rows` (n,) are in more than one file; False without motions."""
     places = program.places(rows)
     return bool(len(places.file)) and bool((places.file != places.file[0]).any())
 
@@ -74,8 +75,9 @@ def _distinct_ends(nominal_folder: str, second_folder: str) -> tuple[str, str]:
     folders = [Path(folder).resolve().parts for folder in (nominal_folder, second_folder)]
     if folders[0] == folders[1]:
         return "", ""
-    last = next(n for n in range(1, max(map(len, folders)) + 1) if folders[0][-n:] != folders[1][-n:])
-    first, second = ("/".join(part.strip("/\\") for part in folder[-last:]) + "/" for folder in folders)
+    count = next(n for n in range(1, max(map(len, folders)) + 1) if folders[0][-n:] != folders[1][-n:])
+    # the root of a drive is a part with slashes of its own
+    first, second = ("/".join(part.strip("/\\") for part in folder[-count:]) + "/" for folder in folders)
     return first, second
 
 
@@ -237,13 +239,15 @@ def comparison_summary(
     """
     content = _unjudged_summary(comparison, file_origin, tolerance)
     errors, doubts = [*_failures(content, limit * MM_PER_M, file_origin)], [*_doubts(content, file_origin)]
-    drive = Drive("failed" if errors else "warning" if doubts else "ok", [*errors, *doubts], [LIMITS_AND_COLLISIONS])
-    holds = _passed_checks(content, file_origin)
-    return replace(content, verdict=verdict_of("convert", drive, None, _tolerance_answer(content), holds, words=WORDS))
+    state: State = "failed" if errors else "warning" if doubts else "ok"
+    drive = Drive(state, [*errors, *doubts], [LIMITS_AND_COLLISIONS])
+    passed_checks = _passed_checks(content, file_origin)
+    verdict = verdict_of("convert", drive, None, _tolerance_answer(content), passed_checks, words=WORDS)
+    return replace(content, verdict=verdict)
 
 
 def _passed_checks(content: ComparisonSummary, file_origin: ProgramOrigin) -> list[str]:
-    """Return sentences on the checks that passed, and notes on differences."""
+    """Return sentences on the checks that passed, and the differences that are for information only."""
     holds = ["every target has its partner" + (", or the path passes it" if content.passed else "")]
     if content.provenance.state == "intact":
         holds.append("the text is as postproc wrote it")
@@ -262,9 +266,9 @@ def _passed_checks(content: ComparisonSummary, file_origin: ProgramOrigin) -> li
 def _unjudged_summary(comparison: Comparison, file_origin: ProgramOrigin, tolerance: float) -> ComparisonSummary:
     """Return the content of the report with a placeholder as verdict; parameters as of `comparison_summary`."""
     rotation = statistics(comparison.rotation, comparison.cut_length)
-    count: dict[str, int] = {}
+    count = Counter[str]()
     for difference in comparison.differences:
-        count[difference.kind] = count.get(difference.kind, 0) + difference.count
+        count[difference.kind] += difference.count
     names = nominal, second_names = names_of(comparison)
     return ComparisonSummary(
         nominal=nominal.main,
@@ -281,7 +285,7 @@ def _unjudged_summary(comparison: Comparison, file_origin: ProgramOrigin, tolera
         rotation=Rotations(max_deg=rotation.largest * DEG_PER_RAD, rms_deg=rotation.rms * DEG_PER_RAD),
         between_targets=_largest_gap(comparison, names),
         largest=_largest_pairs(comparison, names),
-        differences={name.replace("-", "_"): count.get(name, 0) for name in _DIFFERENCES},
+        differences={kind.replace("-", "_"): count[kind] for kind in _DIFFERENCES},
         cut=_cut_distances(comparison, names, slice(0, len(comparison.pair))),
         between=_deviation_between_targets(comparison, second_names),
         tolerance_mm=stated_mm(tolerance),
@@ -342,7 +346,7 @@ def _failures(content: ComparisonSummary, limit_mm: float, file_origin: ProgramO
 
 
 def _tolerance_answer(content: ComparisonSummary) -> Tolerance | None:
-    """Return the answer that the second program does not hold the tolerance of the path; None if it does or may."""
+    """Return the answer that the second program misses the tolerance of the path; None if nothing shows it."""
     cut, between_targets, tolerance, reasons = content.cut, content.between, content.tolerance_mm, list[str]()
     if cut is not None and not cut.corrected.max_mm <= tolerance:
         reasons.append(
@@ -392,7 +396,11 @@ def _issue_text(issue: DifferenceEntry) -> str:
 
 
 def _distances(values: Array, cut_length: Array) -> Distances:
-    """Return the statistics of distances (n,) [m] in mm; parameters as of `statistics`."""
+    """Return the statistics of distances along the cutting path [mm].
+
+    :param values: (n,) the distances [m].
+    :param cut_length: (n,) length of path that each counts with, for example [m]; 0 of rapid motions.
+    """
     measures = statistics(values, cut_length)
     return Distances(
         max_mm=measures.largest * MM_PER_M,
@@ -411,18 +419,17 @@ def _cut_distances(comparison: Comparison, names: Sequence[Names], rows: slice) 
     if comparison.cuts is None:
         return None
     rapid, cut_length = comparison.rapid[rows], comparison.cut_length[rows]
-    nominal, corrected_mm = (
-        norm(deviation[rows]) for deviation in (comparison.cuts.nominal, comparison.cuts.corrected_deviation)
-    )
-    worst = rows.start + int(np.argmax(np.where(rapid, -1.0, corrected_mm))) if not rapid.all() else None
-    lines = _NO_LINES if worst is None else asdict(_lines_of_pair(comparison, names, worst))
-    return CutDistances(
-        **lines, nominal=_distances(nominal, cut_length), corrected=_distances(corrected_mm, cut_length)
-    )
+    nominal, corrected = norm(comparison.cuts.nominal[rows]), norm(comparison.cuts.corrected_deviation[rows])
+    lines = _NO_LINES
+    if not rapid.all():
+        worst = rows.start + int(np.argmax(np.where(rapid, -1.0, corrected)))
+        lines = asdict(_lines_of_pair(comparison, names, worst))
+    return CutDistances(**lines, nominal=_distances(nominal, cut_length), corrected=_distances(corrected, cut_length))
 
 
 def _largest_gap(comparison: Comparison, names: Sequence[Names]) -> PathGap:
     """Return the largest distance of the paths between targets [mm], and where."""
+    # rapid motions and ways with a PTP do not count
     size = np.where(comparison.rapid | np.isnan(comparison.path_distance), -1.0, comparison.path_distance)
     worst = int(np.argmax(size)) if len(size) else -1
     if worst < 0 or size[worst] < 0.0:
@@ -464,17 +471,18 @@ def _largest_pairs(comparison: Comparison, names: Sequence[Names]) -> list[PairE
 
 
 def _lines_of_pair(comparison: Comparison, names: Sequence[Names], pair: int) -> Lines:
-    """Return file and line of both targets of a pair, as keys of the report."""
-    places = (
-        p.places(comparison.pair[pair, k : k + 1]).of(0)
-        for k, p in enumerate((comparison.nominal, comparison.corrected))
-    )
-    (nominal_file, line), (corrected_file, other_line) = places
+    """Return file and line of both targets of a pair, as keys of the report.
+
+    :param pair: index of the pair.
+    """
+    nominal_row, corrected_row = comparison.pair[pair]
+    nominal_file, nominal_line = place_of(comparison.nominal, nominal_row)
+    corrected_file, corrected_line = place_of(comparison.corrected, corrected_row)
     return Lines(
         nominal_file=names[0].prefix + nominal_file,
-        nominal_line=line,
+        nominal_line=nominal_line,
         corrected_file=names[1].prefix + corrected_file,
-        corrected_line=other_line,
+        corrected_line=corrected_line,
     )
 
 
@@ -487,6 +495,7 @@ def _operation_entries(comparison: Comparison, names: Sequence[Names]) -> Iterat
         if not cutting:
             continue
         name, tool = starts[first]
+        # of the first cutting target: argmin of rapid
         lines = _lines_of_pair(comparison, names, first + int(np.argmin(comparison.rapid[rows])))
         yield OperationEntry(
             name=name,
@@ -506,7 +515,7 @@ _NUMBERS = (
     "offset_mm", "rotation_deg", "speed_nominal_mm_per_s", "speed_corrected_mm_per_s",
     "cut_nominal_mm", "cut_corrected_mm", "between_mm",
 )  # fmt: skip
-_PLACES = (6,) * 13 + (6, 3, 3, 6, 6, 6)
+_DECIMALS = (6,) * 13 + (6, 3, 3, 6, 6, 6)
 """Decimals of `_NUMBERS`."""
 PAIR_COLUMNS = ("state", "nominal_file", "nominal_line", "corrected_file", "corrected_line", "rapid", *_NUMBERS)
 """Columns of the file, in order."""
@@ -521,27 +530,29 @@ def pairs_csv(comparison: Comparison) -> Iterator[bytes]:
     Numbers that a target does not have are empty. Poses are in the nominal `$BASE` for pairs, else in their own.
     """
     yield (",".join(PAIR_COLUMNS) + "\n").encode()
-    state, nominal_row, corrected_row, order = _rows_of_pairs(comparison)
-    numbers = _numbers_of_pairs(comparison, state, nominal_row, corrected_row)[order]
-    first_program, second_program = comparison.nominal, comparison.corrected
-    rapid = np.where(
-        nominal_row >= 0, first_program.motions.rapid[nominal_row], second_program.motions.rapid[corrected_row]
-    )
-    rapid = rapid[order].astype(float)
-    names = _word_column(_STATES, state[order])
-    file, line = _place_columns(first_program, nominal_row[order])
-    file_two, line_two = _place_columns(second_program, corrected_row[order])
-    for part in chunks(len(order)):
+    targets = _table_targets(comparison)
+    nominal_row, corrected_row = targets.nominal[targets.order], targets.corrected[targets.order]
+    numbers = _numbers_of_targets(comparison, targets)[targets.order]
+    is_nominal_rapid, is_corrected_rapid = comparison.nominal.motions.rapid, comparison.corrected.motions.rapid
+    rapid = np.where(nominal_row >= 0, is_nominal_rapid[nominal_row], is_corrected_rapid[corrected_row]).astype(float)
+    names = _word_column(_STATES, targets.state[targets.order])
+    nominal_file, nominal_line = _place_columns(comparison.nominal, nominal_row)
+    corrected_file, corrected_line = _place_columns(comparison.corrected, corrected_row)
+    for part in chunks(len(targets.order)):
         columns: list[Number | NDArray[np.uint8]] = [
-            names[part], file[part], Number.of(line[part], 0), file_two[part], Number.of(line_two[part], 0),
+            names[part],
+            nominal_file[part],
+            Number.of(nominal_line[part], 0),
+            corrected_file[part],
+            Number.of(corrected_line[part], 0),
             Number.of(rapid[part], 0),
-            *(Number.of(numbers[part, index], places) for index, places in enumerate(_PLACES)),
-        ]  # fmt: skip
+            *(Number.of(numbers[part, column], decimals) for column, decimals in enumerate(_DECIMALS)),
+        ]
         yield rows_of_csv(columns)
 
 
-class _TableRows(NamedTuple):
-    """The n targets of the table.
+class _TableTargets(NamedTuple):
+    """The n targets of the table: pairs first, in the order of `Comparison.pair`, then the other states.
 
     :param state: (n,) index in `_STATES`.
     :param nominal: (n,) nominal motion, −1 where there is none.
@@ -555,57 +566,53 @@ class _TableRows(NamedTuple):
     order: Ints
 
 
-def _rows_of_pairs(comparison: Comparison) -> _TableRows:
-    """Return all targets: pairs first, in the order of `comparison.pair`, then the other states."""
-    pair, nominal_alone_row = comparison.pair, np.append(comparison.only_nominal, comparison.passed_rows)
-    inserted_rows, corrected_alone_row = comparison.inserted_rows, comparison.additional_rows
-    nominal_row = np.concatenate(
-        [pair[:, 0], np.full(len(inserted_rows), -1), nominal_alone_row, np.full(len(corrected_alone_row), -1)]
-    )
-    corrected_row = np.concatenate(
-        [pair[:, 1], inserted_rows, np.full(len(nominal_alone_row), -1), corrected_alone_row]
-    )
-    # in the order of the rows above: pairs, inserted, nominal alone, passed, corrected alone
-    count_of_state = {
-        0: len(pair),
-        1: len(inserted_rows),
-        2: len(comparison.only_nominal),
-        4: len(comparison.passed_rows),
-        3: len(corrected_alone_row),
-    }
-    state = np.repeat(list(count_of_state), list(count_of_state.values()))
-    # a nominal target alone follows the partner of the last paired target before it; −1: it comes first
-    neighbour = np.append(-1, pair[:, 1])[np.searchsorted(pair[:, 0], nominal_alone_row)]
-    # by motion of the second program; at the same one, the nominal targets that follow it come after its own row
-    sort_row = np.concatenate([corrected_row[state < 2], neighbour, corrected_alone_row])
-    return _TableRows(state, nominal_row, corrected_row, np.lexsort((np.isin(state, (2, 4)), sort_row)))
+def _table_targets(comparison: Comparison) -> _TableTargets:
+    """Return all targets of both programs, and their order in the table."""
+    nominal_row, corrected_row = comparison.pair.T
+    states = [
+        _targets_of_state("pair", nominal_row, corrected_row),
+        _targets_of_state("inserted", None, comparison.inserted_rows),
+        _targets_of_state("only_nominal", comparison.only_nominal, None),
+        _targets_of_state("passed", comparison.passed_rows, None),
+        _targets_of_state("only_corrected", None, comparison.additional_rows),
+    ]
+    state, nominal, corrected = np.concatenate(states, axis=1)
+    # by motion of the second program; a nominal target without a partner follows the partner of the last paired target
+    # before it (−1: it comes first), after that target's own row
+    is_alone = corrected < 0
+    sort_row = corrected.copy()
+    sort_row[is_alone] = np.append(-1, corrected_row)[np.searchsorted(nominal_row, nominal[is_alone])]
+    return _TableTargets(state, nominal, corrected, order=np.lexsort((is_alone, sort_row)))
 
 
-def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, corrected_row: Ints) -> Array:
-    """Return the columns `_NUMBERS` (n, k) of targets as `_rows_of_pairs` gives them; NaN where there is no value.
+def _targets_of_state(state: str, nominal: Ints | None, corrected: Ints | None) -> Ints:
+    """Return targets of one state (3, n): index of the state, motion of each program; −1 where there is none.
 
-    :param state: (n,) index in `_STATES`; the first, 0, is a pair: pairs come first.
-    :param nominal_row: (n,) motion of the first program, `corrected_row` (n,) of the second; −1: none.
+    :param nominal: (n,) motions of the nominal program, `corrected` (n,) of the second one; None: there are none.
     """
-    first_motions, second_motions, pair_count = (
-        comparison.nominal.motions,
-        comparison.corrected.motions,
-        len(comparison.pair),
-    )
-    nominal_pose, corrected_pose = (np.full((len(state), 6), np.nan) for _ in range(2))
-    nominal_pose[nominal_row >= 0] = xyzabc_from_pose(first_motions.target[nominal_row[nominal_row >= 0]])
+    count = len(nominal if nominal is not None else corrected if corrected is not None else ())
+    rows = [np.full(count, -1) if motions is None else motions for motions in (nominal, corrected)]
+    return np.stack([np.full(count, _STATES.index(state)), *rows])
+
+
+def _numbers_of_targets(comparison: Comparison, targets: _TableTargets) -> Array:
+    """Return the columns `_NUMBERS` (n, k) of targets, before they are ordered; NaN where there is no value."""
+    pair_count, nominal_row, corrected_row = len(comparison.pair), targets.nominal, targets.corrected
+    nominal_motions, corrected_motions = comparison.nominal.motions, comparison.corrected.motions
+    nominal_pose, corrected_pose = (np.full((len(targets.state), 6), np.nan) for _ in range(2))
+    nominal_pose[nominal_row >= 0] = xyzabc_from_pose(nominal_motions.target[nominal_row[nominal_row >= 0]])
     corrected_pose[:pair_count] = xyzabc_from_pose(comparison.pose)
-    unpaired = np.flatnonzero((corrected_row >= 0) & (state != 0))
-    corrected_pose[unpaired] = xyzabc_from_pose(second_motions.target[corrected_row[unpaired]])
+    unpaired = pair_count + np.flatnonzero(corrected_row[pair_count:] >= 0)
+    corrected_pose[unpaired] = xyzabc_from_pose(corrected_motions.target[corrected_row[unpaired]])
 
     def of_pairs(values: Array | None) -> Array:
         """Return a column (n,) with the values of the pairs; NaN for other targets, and everywhere without values."""
-        column = np.full(len(state), np.nan)
+        column = np.full(len(targets.state), np.nan)
         if values is not None:
             column[:pair_count] = values
         return column
 
-    cuts = (None, None) if comparison.cuts is None else (comparison.cuts.nominal, comparison.cuts.corrected_deviation)
+    cuts = comparison.cuts
     return np.column_stack(
         [
             nominal_pose,
@@ -613,24 +620,31 @@ def _numbers_of_pairs(comparison: Comparison, state: Ints, nominal_row: Ints, co
             of_pairs(comparison.distance * MM_PER_M),
             of_pairs(comparison.rotation * DEG_PER_RAD),
             np.where(nominal_row >= 0, comparison.nominal_feed[nominal_row], np.nan) * MM_PER_M,
-            np.where(corrected_row >= 0, second_motions.feed[corrected_row], np.nan) * MM_PER_M,
-            *(of_pairs(None if deviation is None else norm(deviation) * MM_PER_M) for deviation in cuts),
+            np.where(corrected_row >= 0, corrected_motions.feed[corrected_row], np.nan) * MM_PER_M,
+            of_pairs(None if cuts is None else norm(cuts.nominal) * MM_PER_M),
+            of_pairs(None if cuts is None else norm(cuts.corrected_deviation) * MM_PER_M),
             of_pairs(comparison.path_distance * MM_PER_M),
         ]
     )
 
 
 def _place_columns(program: Program, rows: Ints) -> tuple[NDArray[np.uint8], Array]:
-    """Return files (n, width), as texts, and lines (n,) of motions (n,); empty and NaN where there is none (−1)."""
+    """Return the columns of file names (n, width) and of lines (n,) of motions (n,).
+
+    :param rows: (n,) motions; −1: none, with an empty file name, and NaN as line.
+    """
     is_motion = rows >= 0
     places = program.places(rows[is_motion])
-    line, file = np.full(len(rows), np.nan), np.full(len(rows), len(places.files))
-    line[is_motion], file[is_motion] = places.line, places.file
-    return _word_column([*places.files, ""], file), line
+    line, file_index = np.full(len(rows), np.nan), np.full(len(rows), len(places.files))
+    line[is_motion], file_index[is_motion] = places.line, places.file
+    return _word_column([*places.files, ""], file_index), line
 
 
 def _word_column(words: Sequence[str], index: Ints) -> NDArray[np.uint8]:
-    """Return a column of texts (n, width) in UTF-8, padded with zeros: the words of indices (n,), quoted for CSV."""
+    """Return a column of texts (n, width) in UTF-8, padded with zeros, quoted where CSV asks for it.
+
+    :param index: (n,) word of each row.
+    """
     csv_words = ['"' + word.replace('"', '""') + '"' if set(word) & set(',"\r\n') else word for word in words]
     return np.char.encode(csv_words, "utf-8").view(np.uint8).reshape(len(csv_words), -1)[index]
 
@@ -649,51 +663,56 @@ _PAIRS_IN_TEXT = 5
 def comparison_text(content: ComparisonSummary, display: Display = PLAIN) -> str:
     """Return the summary of a comparison, at most one screen.
 
-    :param display: style of the text.
+    :param display: style of the text; plain by default.
     """
-    verdict, cut = content.verdict, content.cut
+    verdict = content.verdict
     lines = [
         f"{content.corrected} against {content.nominal}  on {content.robot}: {count_text(content)}",
         display.verdict(verdict.headline, verdict.state),
         *(f"  {answer}" for answer in verdict.answers),
         *(f"  - {reason}" for reason in verdict.reasons),
         "",
+        _distance_table(content, display),
+        "",
+        *(f"  {line}" for line in _detail_lines(content)),
     ]
+    return "\n".join(lines)
+
+
+def _distance_table(content: ComparisonSummary, display: Display) -> str:
+    """Return the table of offsets, and of the deviations of both programs where forces are known [mm]."""
+    cut, between_targets = content.cut, content.between
     head = ["along the cuts [mm]", "offset"] + (["nominal cuts", "corrected cuts"] if cut is not None else [])
-    sources = [content.offset] + ([cut.nominal, cut.corrected] if cut is not None else [])
-    rows = [(label, *map(millimetres, values)) for label, *values in zip(_ROWS, *map(astuple, sources), strict=True)]
-    if between_targets := content.between:
-        rows.append(
-            (
-                "max between",
-                "-",
-                millimetres(between_targets.nominal_max_mm),
-                millimetres(between_targets.corrected_max_mm),
-            )
-        )
-    lines += [display.table(head, rows, range(1, len(head)), "  "), ""]
-    lines.append(f"  orientation: {content.rotation.max_deg:.4f}° at most")
+    columns = [content.offset] + ([cut.nominal, cut.corrected] if cut is not None else [])
+    rows = [(label, *map(millimetres, values)) for label, *values in zip(_ROWS, *map(astuple, columns), strict=True)]
+    if between_targets is not None:
+        nominal_mm, corrected_mm = between_targets.nominal_max_mm, between_targets.corrected_max_mm
+        rows.append(("max between", "-", millimetres(nominal_mm), millimetres(corrected_mm)))
+    return display.table(head, rows, range(1, len(head)), "  ")
+
+
+def _detail_lines(content: ComparisonSummary) -> Iterator[str]:
+    """Yield lines on the orientation, the path between targets, the largest offsets, and the origin of the program."""
+    yield f"orientation: {content.rotation.max_deg:.4f}° at most"
     path_gap = content.between_targets
     if path_gap.nominal_line is not None:
-        lines.append(
-            f"  on the way between targets: {millimetres(path_gap.max_mm)} mm at most, before "
+        yield (
+            f"on the way between targets: {millimetres(path_gap.max_mm)} mm at most, before "
             f"{path_gap.nominal_file}:{path_gap.nominal_line} and {path_gap.corrected_file}:{path_gap.corrected_line}"
         )
     if content.passed:
-        lines.append(f"  {passed_sentence(content)}")
+        yield passed_sentence(content)
     if content.splines:
-        lines.append(f"  {spline_sentence(content)}")
+        yield spline_sentence(content)
     for pair in content.largest[:_PAIRS_IN_TEXT]:
         if pair.mm > 0.0:
-            lines_of_pair = f"{pair.nominal_file}:{pair.nominal_line} and {pair.corrected_file}:{pair.corrected_line}"
-            lines.append(f"  {millimetres(pair.mm)} mm between {lines_of_pair}")
+            yield f"{millimetres(pair.mm)} mm between {_pair_text(pair)}"
     origin = content.provenance
     if origin.state == "none":
-        lines.append(f"  {content.corrected} does not say that postproc wrote it")
+        yield f"{content.corrected} does not say that postproc wrote it"
     elif origin.version is not None:
         state = "unchanged since" if origin.state == "intact" else "changed since"
-        lines.append(f"  {content.corrected} was written by postproc {origin.version} ({origin.mode}), {state}")
-    return "\n".join(lines)
+        yield f"{content.corrected} was written by postproc {origin.version} ({origin.mode}), {state}"
 
 
 def spline_sentence(content: ComparisonSummary) -> str:
