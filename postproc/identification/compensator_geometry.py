@@ -47,6 +47,8 @@ _WIDE = 0.05
 _FAR_PIVOT = 0.1
 """Distance [m] of P0 from its place in the robot model that is asked about (assumed): another size of arm, or an angle
 with the wrong sign or zero."""
+_COMMON_ERROR = 1e-3
+"""Chance of residuals as large as these by the scatter of the repeats alone, below which repeats share an error."""
 _WORTH = 0.8
 """Half width with evenly spread markers over the present one below which spreading them is advised."""
 
@@ -342,8 +344,8 @@ def student_95(dof: int) -> float:
 def identify(readings: MarkerReadings) -> CompensatorGeometry:
     """Identify L, a_x, a_y with 95 % intervals.
 
-    The noise comes from the scatter of the repeats and from the residuals of the two circle fits; the intervals from
-    the sensitivity of the estimate to every coordinate, its bias and Student's t.
+    The noise comes from the scatter of the repeats and from the residuals of the two circle fits, see `_noise`; the
+    intervals from the sensitivity of the estimate to every coordinate, its bias and Student's t.
 
     :raises MeasurementError: the readings do not belong to one such mechanism.
     """
@@ -352,11 +354,8 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
     residual_p1, residual_p0 = _circle_residuals(readings)
     _refuse_wrong_markers(readings, residual_p1, residual_p0)
     _refuse_size(value * MM_PER_M)
-    dof = readings.scatter_dof + degrees_of_freedom(len(q2), len(p0))
-    squares = readings.scatter + float(
-        np.sum(readings.count_p1[:, None] * residual_p1**2) + np.sum(readings.count_p0[..., None] * residual_p0**2)
-    )
-    sigma = float(np.sqrt(squares / dof))
+    noise = _noise(readings, residual_p1, residual_p0)
+    sigma, dof = noise.sigma, noise.dof
     pivot_distance = np.hypot(value[1], value[2])
     if pivot_distance <= value[0]:
         raise MeasurementError(
@@ -376,13 +375,57 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
     even_covariance = expected_covariance(value, q2, even_radius, even_angle, mean_variance)
     markers = MarkerPlacement(readings.markers, radius, angle, bias, t_factor * np.sqrt(np.diag(even_covariance)))
     turn = float(np.ptp(spring_direction(value, q2)))
-    warnings = list(readings.warnings)
+    warnings = [*readings.warnings, *noise.warnings]
     if np.any(ci95 > _WIDE * pivot_distance):
         warnings.append(
             f"a_x ± {ci95[1] * MM_PER_M:.1f} mm, a_y ± {ci95[2] * MM_PER_M:.1f} mm: the compensator turned by only "
             f"{turn * DEG_PER_RAD:.1f}°. {_remedy(markers, ci95)}"
         )
     return CompensatorGeometry(value, covariance, ci95, sigma, dof, turn, markers, tuple(warnings))
+
+
+class _Noise(NamedTuple):
+    """Noise of the readings.
+
+    :param sigma: standard deviation of one coordinate of one reading [m], and `dof` its degrees of freedom.
+    :param warnings: for the user.
+    """
+
+    sigma: float
+    dof: int
+    warnings: list[str]
+
+
+def _noise(readings: MarkerReadings, residual_p1: Array, residual_p0: Array) -> _Noise:
+    """Return the noise, from the scatter of the repeats and the residuals of the circles together.
+
+    Repeats at one angle share what moves the tracker, a marker or the arm between the angles. Where an F test says that
+    the residuals are larger than the scatter explains, the noise is that of the residuals alone.
+
+    :param residual_p1: (m, 3) of the circle of P1, and `residual_p0` (k, m, 2) of those of the other markers [m].
+    """
+    from scipy.special import fdtrc
+
+    fit_dof = degrees_of_freedom(len(readings.q2), len(readings.p0))
+    fit_squares = float(
+        np.sum(readings.count_p1[:, None] * residual_p1**2) + np.sum(readings.count_p0[..., None] * residual_p0**2)
+    )
+    if readings.scatter > 0.0:
+        variance, fit_variance = readings.scatter / readings.scatter_dof, fit_squares / fit_dof
+        if fdtrc(fit_dof, readings.scatter_dof, fit_variance / variance) < _COMMON_ERROR:
+            mean_error = np.sqrt(fit_variance / readings.count_p0.mean()) * MM_PER_M
+            return _Noise(
+                float(np.sqrt(fit_variance)),
+                fit_dof,
+                [
+                    f"the means of the repeats are {mean_error:.3f} mm off their circles (RMS of a coordinate), more "
+                    f"than the repeats explain, which scatter by {np.sqrt(variance) * MM_PER_M:.3f} mm: the intervals "
+                    "are as wide as that asks for. Check that the tracker was not moved between the angles, that the "
+                    "markers are tight, and each q2."
+                ],
+            )
+    dof = readings.scatter_dof + fit_dof
+    return _Noise(float(np.sqrt((readings.scatter + fit_squares) / dof)), dof, [])
 
 
 def _remedy(markers: MarkerPlacement, ci95: Array) -> str:

@@ -22,7 +22,13 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.identification import calibration, compensator_geometry, plausibility, record, validation
 from postproc.identification.fit import NORMAL_95, to_file_units
 from postproc.identification.joint_springs import Levels, SpringOfJoint2
-from postproc.identification.measurement_model import MIN_COMPLIANCE, describe, describe_points, joint_torques
+from postproc.identification.measurement_model import (
+    MIN_COMPLIANCE,
+    Placement,
+    describe,
+    describe_points,
+    joint_torques,
+)
 from postproc.identification.moved_device import moved_device
 from postproc.identification.procedure import Depth, Identification, Method, identify, rms_distances
 from postproc.identification.readings import Experiment, Measurements, Payload, read, read_experiment
@@ -305,9 +311,7 @@ def report_data(result: Identification) -> record.IdentificationRecord:
         if result.choice is None
         else record.Structure(result.choice.reason, [candidate.as_record for candidate in result.choice.candidates]),
         sigma_mm=result.data.sigma * MM_PER_M,
-        base=describe(result.placement),
-        points=describe_points(result.placement, result.data.points),
-        unloaded_rms_mm=result.placement.rms * MM_PER_M,
+        **_placement_entries(result.placement, result.data),
         not_observable=[record.MissingParameter(entry.name, entry.reason, entry.advice) for entry in result.missing],
         held_by_prior=None if result.choice is None else [parameter.name for parameter in result.choice.held_by_prior],
         outliers=list(result.left_out),
@@ -317,6 +321,15 @@ def report_data(result: Identification) -> record.IdentificationRecord:
         torque_Nm=np.abs(joint_torques(result.prior, result.data)).max(axis=0).tolist(),
         torques=validation.torque_record(validation.coverage_of(result.prior, result.data)),
     )
+
+
+def _placement_entries(placement: Placement, data: Measurements) -> dict[str, Any]:
+    """Return the entries of `identification.json` on the base, the points and the residuals without load."""
+    return {
+        "base": describe(placement),
+        "points": describe_points(placement, data.points),
+        "unloaded_rms_mm": placement.rms * MM_PER_M,
+    }
 
 
 def _levels(levels: Levels | None) -> list[record.Level]:
@@ -557,6 +570,7 @@ def identify_folder(
             data,
             geometry=calibration.report_data(geometry),
             warnings=[*data.warnings, *calibration.warnings(geometry)],
+            **_placement_entries(geometry.placement, result.data),
         )
     write(output, content, data, prior_folder, render)
     return IdentifiedFolder(result, data, summary(data))
@@ -603,9 +617,7 @@ def geometry_folder(
         robot=robot.name,
         geometry=calibration.report_data(geometry),
         sigma_mm=setup.sigma_mm,
-        base=describe(geometry.placement),
-        points=describe_points(geometry.placement, data.points),
-        unloaded_rms_mm=geometry.placement.rms * MM_PER_M,
+        **_placement_entries(geometry.placement, data),
         outliers=outliers,
         warnings=[*(f"outlier: {name}" for name in outliers), *doubts, *calibration.warnings(geometry)],
     )

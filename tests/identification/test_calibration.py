@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from postproc import elastostatics, kinematics, robot
+from postproc import elastostatics, frames, kinematics, robot
 from postproc.errors import MeasurementError
 from postproc.identification import Choices, calibration, geometry_folder, identify_folder
 from postproc.identification.measurement_model import kabsch
@@ -79,6 +79,21 @@ def test_geometry_and_sag_are_calibrated_to_a_tenth_of_a_millimetre(tmp_path):
     inside = (model.geometry_error.lower + model.geometry_error.upper)[None] / 2
     bound = elastostatics.position_bound(model, inside, np.eye(4), np.zeros((1, 6)))
     np.testing.assert_allclose(bound, model.geometry_error.u95, rtol=0.02)
+
+
+def test_base_and_points_that_are_written_are_those_of_the_calibrated_geometry(tmp_path):
+    measured(tmp_path, gear="linear")
+    data = identify_folder(
+        tmp_path / "measurements.csv", tmp_path / "experiment.toml", tmp_path / "m", Choices(geometry=True)
+    ).data
+    readings = harness.load(tmp_path)
+    flange = at_rest(robot.load(tmp_path / "m"), readings.q)
+    base = frames.pose_from_xyzabc(np.array([data.base[axis] for axis in "XYZABC"]))
+    points = np.array([[data.points[name][axis] for axis in "XYZ"] for name in readings.points]) * 1e-3
+    predicted = np.einsum("ij,njk,pk->npi", base, flange, np.column_stack([points, np.ones(len(points))]))[..., :3]
+    distance = np.linalg.norm(predicted - readings.means()[0][readings.unloaded_states], axis=2)
+    assert data.unloaded_rms_mm == pytest.approx(1e3 * np.sqrt(np.mean(distance**2)), rel=1e-6)
+    assert data.unloaded_rms_mm == data.geometry.variants[data.geometry.chosen].rms_mm
 
 
 def test_gears_that_turn_further_once_and_twice_a_turn_are_found_and_only_those(tmp_path):

@@ -66,6 +66,36 @@ def test_95_percent_intervals_cover_the_truth_in_95_percent_of_300_runs(markers,
     assert np.mean([r.sigma for r in results]) == pytest.approx(0.03e-3, rel=0.03)
 
 
+def with_errors_of_angles(seed, size=0.1e-3):
+    """Return readings whose markers share an error at each angle, as of a device that drifts, and the noise of repeats.
+
+    :param size: standard deviation of one coordinate [m].
+    """
+    exact, _ = readings(seed=seed)
+    errors = np.random.default_rng(1000 + seed).normal(0.0, size, (1 + len(exact.p0), len(exact.q2), 3))
+    return msgspec.structs.replace(exact, p1=exact.p1 + errors[0], p0=exact.p0 + errors[1:])
+
+
+def test_intervals_contain_errors_that_the_repeats_share():
+    results = [cg.identify(with_errors_of_angles(seed)) for seed in range(300)]
+    inside = np.array([np.abs(r.value - TRUE) <= r.ci95 for r in results]).mean(axis=0)
+    assert np.all((inside > 0.92) & (inside < 0.985)), inside  # 300 runs: ±2.5 %
+    # a reading: its own noise and, three times in three repeats, the error of its angle
+    assert np.mean([r.sigma for r in results]) == pytest.approx(np.hypot(0.03e-3, np.sqrt(3) * 0.1e-3), rel=0.03)
+
+
+def test_a_tracker_that_was_moved_between_the_angles_is_a_warning_with_both_scatters():
+    exact, _ = readings(sigma=0.02e-3)
+    moved = np.degrees(exact.q2) < -75.0
+    shift = np.array([0.8e-3, 0.5e-3, 0.0]) * moved[:, None]
+    (warning,) = cg.identify(msgspec.structs.replace(exact, p1=exact.p1 + shift, p0=exact.p0 + shift)).warnings
+    scatter = float(warning.split("scatter by ")[1].split(" mm")[0])
+    assert scatter == pytest.approx(0.02, rel=0.1)  # of some 90 degrees of freedom
+    assert "Check that the tracker was not moved between the angles" in warning
+    false_alarms = sum(bool(cg.identify(readings(seed=seed)[0]).warnings) for seed in range(300))
+    assert false_alarms <= 3  # 0.3 are expected
+
+
 def test_a_single_marker_still_gives_an_estimate_and_says_how_poor_it_is():
     result = cg.identify(readings(markers=1, repeats=1)[0])
     assert np.all(np.abs(result.value - TRUE) < 2.0 * result.ci95)
