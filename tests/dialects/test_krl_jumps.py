@@ -61,6 +61,8 @@ PROGRAMS = {
     "back, and out": ["AGAIN:", to(5), "I=I+1", "IF I==3 THEN", "GOTO OUT", "ENDIF", "IF I<9 THEN", "GOTO AGAIN",
                       "ENDIF",
                       to(8), "OUT:", to(7)],
+    "back, or RETURN": ["AGAIN:", to(5), "IF I==1 THEN", "RETURN", "ENDIF", "IF I<4 THEN", "GOTO AGAIN", "ENDIF",
+                        to(7)],
     "loops within": ["AGAIN:", "FOR J=1 TO 2", to("I+J"), "ENDFOR", "I=I+1", "IF I<3 THEN", "GOTO AGAIN", "ENDIF"],
     "an array": array("DEF CUT(Q[]:OUT)", "LIN Q[2]", "Q[2].X=50", "LIN Q[2]"),
     "an array in a loop": array("DEF CUT(Q[])", "FOR J=1 TO 3", "LIN Q[J]", "ENDFOR", "Q[1]=Q[3]", "LIN Q[1]"),

@@ -23,7 +23,7 @@ from postproc.dialects.krl.read.computed_rounds import FEWEST_ROUNDS, computed_b
 from postproc.dialects.krl.read.conditions import constant_cases
 from postproc.dialects.krl.read.counter import Counter, undecided_error
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump
-from postproc.dialects.krl.read.known import InexactError, inexact_error
+from postproc.dialects.krl.read.known import InexactError, VariableValue, inexact_error
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
 from postproc.dialects.krl.read.motion_reader import keeps_position
 from postproc.dialects.krl.read.plain_rounds import plain_body
@@ -71,9 +71,9 @@ class Flow:
         """Begin before the first statement."""
         self.run, self.recorder, self._note_fault = run, recorder, note_fault
         self.interpreter = Interpreter(run, motion, self.run_called_routine, self._inline_call)
-        self._moving: dict[tuple[Block, Module], bool] = {}
-        self._plain: dict[Block, PlainBody | None] = {}
-        self._cases: dict[Block, dict[float | None, int] | None] = {}
+        self._moving: dict[tuple[Block, Module], bool] = {}  # see `_block_moves`
+        self._plain: dict[Block, PlainBody | None] = {}  # body of a FOR; None if it is not plain
+        self._cases: dict[Block, dict[float | None, int] | None] = {}  # of a SWITCH, see `constant_cases`
         self._enclosing: list[tuple[Place, int]] = []  # enclosing loops and calls, each with its iteration
         self._traced = self._forks = 0  # statements of the trace, forks so far
         self._still = 0  # depth of control structures without motion
@@ -399,10 +399,7 @@ class Flow:
     def follow_roughly(self, source: Source, block: Block) -> None:
         """Mark all variables that a control structure may write as unknown, for any number of iterations."""
         lines = list(block.lines())
-        if self._still or not self.run.level.is_traced:
-            self.run.statement_count += len(lines)
-        else:
-            self._traced += len(lines)
+        self._add_to_count(len(lines))
         marks = self.run.finding_counts()
         for _ in range(1 + (block.word in LOOPS)):  # once more with the values that its own statements leave
             self.run.drop_findings(marks)
@@ -505,12 +502,14 @@ class Flow:
             recorder.record_passed_lines(part.head)
             recorder.record_division(Fork(0, occasion))
             run.begin_fork()
+            # one branch: the statements of the IF up to its jump
             self._follow_branch(source, part.nodes[:-1], recorder, last=False)
             jump = part.nodes[-1]
             recorder.record_run_lines((jump if isinstance(jump, int) else jump.last) - 1)
             recorder.record_passed_lines(block.last)
-            returns = end == run.level.routine.last - 1
-            self._follow_branch(source, nodes[index + 1 : next_index], recorder, last=returns)
+            # the other one: the statements that the jump skips
+            is_routine_end = end == run.level.routine.last - 1
+            self._follow_branch(source, nodes[index + 1 : next_index], recorder, last=is_routine_end)
             recorder.record_run_lines(end)
             recorder.record_division(Join(0, is_exhaustive=True))
             run.join_branches(Place(source, block.last), is_exhaustive=True)
@@ -600,14 +599,21 @@ class Flow:
         if not isinstance(stmt, tree.Switch) or self._may_have_effects(stmt.values):
             raise undecided_error(self.run, place)
         selector = self.run.variables.evaluate(stmt.value)
-        if self._still or not self.run.level.is_traced:
-            self.run.statement_count += len(block.parts) // _CASES
-        else:
-            self._traced += len(block.parts) // _CASES
+        self._add_to_count(len(block.parts) // _CASES)
         if block not in self._cases:
             self._cases[block] = constant_cases([statement(source, part.head) for part in block.parts[1:]])
         if isinstance(selector, Number) and selector.is_integer and (table := self._cases[block]) is not None:
             return 1 + table.get(selector.value, table[None])
+        return self._chosen_case(source, block, selector)
+
+    def _chosen_case(self, source: Source, block: Block, selector: VariableValue) -> int:
+        """Return the index of the part of a SWITCH that runs for a value; −1 if none does.
+
+        Part 0 is the SWITCH itself; each other one begins with CASE or DEFAULT.
+
+        :raises InexactError: it is not known before run time whether the value is that of a CASE.
+        :raises ProgramError: a CASE cannot be read.
+        """
         for index, part in enumerate(block.parts[1:], 1):
             case = statement(source, part.head)
             if isinstance(case, tree.FaultyStatement):
@@ -615,10 +621,17 @@ class Flow:
             values = case.cases if isinstance(case, tree.Case) else ()
             is_chosen = case.word == "DEFAULT" or self.run.variables.is_chosen_case(selector, values)
             if is_chosen is None:
-                raise undecided_error(self.run, place)
+                raise undecided_error(self.run, Place(source, block.first))
             if is_chosen:
                 return index
         return -1
+
+    def _add_to_count(self, count: int) -> None:
+        """Count statements that run, without refusing too many of them."""
+        if self._still or not self.run.level.is_traced:
+            self.run.statement_count += count
+        else:
+            self._traced += count
 
     def _follow_loop(self, source: Source, block: Block, recorder: Recorder | None) -> None:
         """Follow the rounds of a loop, and record them if it contains motions.
@@ -741,7 +754,7 @@ class Flow:
         level, first, jump = self.run.level, nodes[0], nodes[-1]
         if not isinstance(first, int) or not isinstance(jump, Block):
             return
-        place, head = Place(source, jump.first), statement(source, jump.first)
+        place = Place(source, jump.first)
         loop_block = Block("REPEAT", first, jump.last, (Part(first, jump.first, nodes[1:-1]),))
         round_block = Block("REPEAT", first, jump.first, loop_block.parts)
         self._check_comments(source, loop_block, range(jump.first, jump.last))
@@ -750,7 +763,7 @@ class Flow:
         level.loop_depth += 1
         self._enclosing.append((Place(source, first), 0))
         try:
-            while not level.is_broken_off:
+            while True:
                 self._count_statement(place)
                 self._enclosing[depth] = Place(source, first), self._enclosing[depth][1] + 1
                 if self._enclosing[depth][1] == 2:
@@ -762,20 +775,27 @@ class Flow:
                 recorder.begin_round(loop, round_block, None)
                 self.follow(source, nodes[1:-1])
                 recorder.end_round(round_block, whole=not level.is_broken_off)
-                self.run.place = place
-                holds = self.run.variables.truth(head.condition) if isinstance(head, tree.If) else None
-                if not level.is_broken_off and holds is None:
-                    raise inexact_error(Place(source, jump.last - 1), *undecided_jump(self.run.variables, place))
-                if not holds:
+                if level.is_broken_off or not self._jumps_back(source, jump):
                     break
                 if self._change_counts() == changes:
-                    raise inexact_error(
-                        place, "GOTO always leads back: no variable of its condition changes", LOOP_ADVICE
-                    )
+                    problem = "GOTO always leads back: no variable of its condition changes"
+                    raise inexact_error(place, problem, LOOP_ADVICE)
         finally:
             level.loop_depth -= 1
             del self._enclosing[depth:]
         recorder.end_loop(loop, loop_block, None)
+
+    def _jumps_back(self, source: Source, jump: Block) -> bool:
+        """Return whether the condition of an IF holds that does nothing but jump back to a label.
+
+        :raises InexactError: it is not known before run time.
+        """
+        place, head = Place(source, jump.first), statement(source, jump.first)
+        self.run.place = place
+        holds = self.run.variables.truth(head.condition) if isinstance(head, tree.If) else None
+        if holds is None:
+            raise inexact_error(Place(source, jump.last - 1), *undecided_jump(self.run.variables, place))
+        return holds
 
     def _check_labels(self, source: Source, lines: Iterable[int]) -> None:
         """Refuse labels in a loop with a second round: they would be written more than once.
