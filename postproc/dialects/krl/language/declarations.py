@@ -60,20 +60,26 @@ def declared_in(source: Source, start: int, stop: int) -> Iterator[DeclaredName]
         end = next_name.end()
         value_start = end if next_name["equals"] else -1
         yield DeclaredName(
-            next_name["name"].upper(),
-            next_name.start("name"),
-            next_name["bounds"],
-            first.kind,
-            first.is_global,
-            value_start,
+            name=next_name["name"].upper(),
+            name_start=next_name.start("name"),
+            bounds=next_name["bounds"],
+            kind=first.kind,
+            is_global=first.is_global,
+            value_start=value_start,
         )
 
 
 def _first_name(source: Source, match: re.Match[str]) -> DeclaredName:
     """Return the first name that a line declares, from its match of `DECLARATION`."""
     is_global = key_word(source.text, match.start(), match.start("name"), "GLOBAL") is not None
-    kind, value_start = (match["kind"] or "").upper(), match.end() if match["equals"] else -1
-    return DeclaredName(match["name"].upper(), match.start("name"), match["bounds"], kind, is_global, value_start)
+    return DeclaredName(
+        name=match["name"].upper(),
+        name_start=match.start("name"),
+        bounds=match["bounds"],
+        kind=(match["kind"] or "").upper(),
+        is_global=is_global,
+        value_start=match.end() if match["equals"] else -1,
+    )
 
 
 def _value_stop(source: Source, start: int, stop: int) -> int:

@@ -185,12 +185,29 @@ def _definition(code: _Code) -> Statement:
         name_stop += 1
     if name_stop == name_start or name_start == code.word_stop:
         return _ordinary_statement(code)
-    bracket = after_sign(text, name_stop, stop, "(")
-    close = text.find(")", bracket, stop) if bracket >= 0 else -1
-    content = text[bracket : close if close >= 0 else stop] if bracket >= 0 else ""
-    parameters = tuple(parameter for part in content.split(",") if (parameter := _parameter(part)) is not None)
-    name = text[name_start:name_stop]
-    return Definition(word, start, stop, code.is_global, name, name_start, result_type, parameters)
+    return Definition(
+        word,
+        start,
+        stop,
+        is_global=code.is_global,
+        name=text[name_start:name_stop],
+        name_start=name_start,
+        result_type=result_type,
+        parameters=_parameters(text, name_stop, stop),
+    )
+
+
+def _parameters(text: str, start: int, stop: int) -> tuple[Parameter, ...]:
+    """Return the parameters in the brackets of a DEF; a bracket that is not closed ends with the statement.
+
+    :param start: offset behind the name of the routine; `stop` that behind the statement.
+    """
+    bracket = after_sign(text, start, stop, "(")
+    if bracket < 0:
+        return ()
+    close = text.find(")", bracket, stop)
+    content = text[bracket : close if close >= 0 else stop]
+    return tuple(parameter for part in content.split(",") if (parameter := _parameter(part)) is not None)
 
 
 def _parameter(text: str) -> Parameter | None:
@@ -278,10 +295,12 @@ def _motion(code: _Code) -> Statement:
             equals = after_sign(text, angle_start, stop, "=")  # −1 without the sign, which may be left out
             angle, position = _point(source, max(angle_start, equals), stop)
     if position < 0:
-        return Motion(word, start, stop, via, end, angle, "", None, Tail(stop, stop, stop))
-    axes = _relative_axes(text, position, stop) if word.endswith("_REL") else _RelativeAxes("", None, position, stop)
-    tail = tail_in(source, axes.tail_start, axes.tail_stop)
-    return Motion(word, start, stop, via, end, angle, axes.frame, axes.span, tail)
+        axes, tail = _RelativeAxes("", None, stop, stop), Tail(stop, stop, stop)
+    else:
+        is_relative = word.endswith("_REL")
+        axes = _relative_axes(text, position, stop) if is_relative else _RelativeAxes("", None, position, stop)
+        tail = tail_in(source, axes.tail_start, axes.tail_stop)
+    return Motion(word, start, stop, via=via, end=end, angle=angle, frame=axes.frame, frame_span=axes.span, tail=tail)
 
 
 class _RelativeAxes(NamedTuple):
@@ -341,39 +360,36 @@ def _is_approximation(text: str, start: int, stop: int) -> bool:
 
 def tail_in(source: Source, start: int, stop: int) -> Tail:
     """Return what follows the points of a motion, or the word SPLINE: WITH and approximation."""
-    text, words, end = source.text, list[str](), stop
+    text = source.text
     plain_words = text[start:stop].upper().split()
     if APPROXIMATIONS.issuperset(plain_words):  # nearly all of them
-        return Tail(start, stop, start, (), tuple(plain_words))
-    spans = list(words_in(text, start, stop))
-    for word, span in reversed(spans):
+        return Tail(start, stop, start, approximation=tuple(plain_words))
+    words: list[str] = []
+    end = stop  # of what precedes the approximation
+    all_words = list(words_in(text, start, stop))
+    for word, span in reversed(all_words):
         if word not in APPROXIMATIONS or text[span.stop : end].strip():
             break
         words.insert(0, word)
         end = span.start
-    while end > start and text[end - 1] in " \t":
-        end -= 1
-    with_end = after_word(text, start, end, "WITH") if len(spans) > len(words) else -1
+    head = _stripped_span(text, start, end)
+    with_end = after_word(text, start, head.stop, "WITH") if len(all_words) > len(words) else -1
     if with_end < 0:
-        unknown_text = _stripped_span(text, start, end)
-        return Tail(
-            start, stop, end, (), tuple(words), unknown_text if unknown_text.start < unknown_text.stop else None
-        )
+        unknown_text = head if head.start < head.stop else None
+        return Tail(start, stop, head.stop, approximation=tuple(words), unknown_text=unknown_text)
     try:
-        assignments = tuple(_with_assignment(source, *span) for span in list_spans(source, with_end, end))
-        return Tail(start, stop, end, assignments, tuple(words))
+        assignments = tuple(_with_assignment(source, *span) for span in list_spans(source, with_end, head.stop))
+        return Tail(start, stop, head.stop, assignments, tuple(words))
     except ProgramError as error:
-        return Tail(start, stop, end, (), tuple(words), error=error)
+        return Tail(start, stop, head.stop, approximation=tuple(words), error=error)
 
 
 def _with_assignment(source: Source, start: int, stop: int) -> Statement:
     """Return an assignment of WITH; a plain statement if it is something else."""
     target, end = operand(source, start, stop)
     equals = after_sign(source.text, end, stop, "=")
-    word, span = (
-        word_at(source.text, after_blanks(source.text, start, stop), stop),
-        _stripped_span(source.text, start, stop),
-    )
+    span = _stripped_span(source.text, start, stop)
+    word = word_at(source.text, span.start, stop)
     if not isinstance(target, Reference) or equals < 0:
         return Statement(word, span.start, span.stop, code=_unparsed_code(source, start, stop))
     return Assignment(word, span.start, span.stop, target, value_in(source, equals, stop))
@@ -458,9 +474,18 @@ def _trigger(code: _Code, head: Span, action: Statement | None) -> Trigger:
         from_start = on_start is not None
         value = value_in(source, value_start, on_start.start if on_start is not None else delay_word.start)
         delay = value_in(source, delay_start, head.stop)
-    unparsed_code = _unparsed_code(source, head.start, head.stop)
     return Trigger(
-        word, start, stop, code.is_global, False, action, is_distance, value, from_start, delay, code=unparsed_code
+        word,
+        start,
+        stop,
+        is_global=code.is_global,
+        is_declaration=False,
+        action=action,
+        is_distance=is_distance,
+        value=value,
+        from_start=from_start,
+        delay=delay,
+        code=_unparsed_code(source, head.start, head.stop),
     )
 
 

@@ -11,7 +11,7 @@ comment in each names the program; its first routine, which has the name of the 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import PurePath
 
 from msgspec import Struct
@@ -32,6 +32,7 @@ _DIVIDES, _BEGINS, _UNENDED = ";\x01", ";\x02", ";\x03"
 """Before lines that only divide; before the first line of each file but the main one; before a last one without end."""
 _END = "END ;\x04\r\n"
 """Added to the joined text if no routines follow its parts: it has no END of its own then."""
+_DIGITS = "0123456789"
 _UNENDED_LINE = re.compile(f"{_UNENDED}([^\r\n]*)\n")
 _PART_OF = re.compile(r"^;POSTPROC[ \t]+\d+[ \t]+part=\d+[ \t]+of=([\w$]+)[ \t]*\r?$", re.MULTILINE | re.ASCII)
 
@@ -90,18 +91,18 @@ def called_parts(main: Document) -> list[tuple[str, int]]:
     source = Source.of(main, 0)
     calls: list[tuple[str, int]] = []
     has_end = False
-    base_name = stem[: -len(MAIN)].lower().rstrip("0123456789")
-    for line in range(len(source.starts), 0, -1):
+    base_name = stem[: -len(MAIN)].lower()
+    for line in range(len(source.starts), 0, -1):  # from the end: END, and the calls before it
         node = statement(source, line)
         callee = node.call.spelling(source) if isinstance(node, CallStatement) and not node.call.arguments else ""
-        if has_end and callee and callee.lower().rstrip("0123456789") == base_name:
+        if has_end and callee and callee.lower().rstrip(_DIGITS) == base_name.rstrip(_DIGITS):
             calls.append((callee, line))
         elif not has_end and _is_end(source, line):
             has_end = True
         elif node.start < node.stop:
             break
     calls.reverse()
-    expected_names = [f"{stem[: -len(MAIN)]}{number}".lower() for number in range(1, len(calls) + 1)]
+    expected_names = [f"{base_name}{number}" for number in range(1, len(calls) + 1)]
     return calls if [name.lower() for name, _ in calls] == expected_names else []
 
 
@@ -137,29 +138,34 @@ def joined_program(documents: Sequence[Document]) -> JoinedProgram | None:
     main, *other_files = documents
     calls = called_parts(main)
     document_of = {document.name.lower(): document for document in other_files}
-    if not calls or not any(f"{name}.src".lower() in document_of for name, _ in calls):
-        return None
     absent_calls = [(name, line) for name, line in calls if f"{name}.src".lower() not in document_of]
+    if len(absent_calls) == len(calls):
+        return None
     if absent_calls:
-        advice = "Put all files of the program next to it."
-        raise Source.of(main, 0).line_error(f"{absent_calls[0][0]}.src is not there", absent_calls[0][1], advice)
+        (name, line), advice = absent_calls[0], "Put all files of the program next to it."
+        raise Source.of(main, 0).line_error(f"{name}.src is not there", line, advice)
     parts = [document_of[f"{name}.src".lower()] for name, _ in calls]
     routine_files = files_of_routines(main, lambda name: document_of.get(name.lower()))
-    texts = [_main_text(main, [line for _, line in calls]), *(_part_text(part) for part in parts[:-1])]
-    texts += [
+    texts = [
+        _main_text(main, [line for _, line in calls]),
+        *(_part_text(part) for part in parts[:-1]),
         _part_text(parts[-1], ends=bool(routine_files)),
-        *(_part_text(part, has_routines=True) for part in routine_files),
+        *(_part_text(file, has_routines=True) for file in routine_files),
+        "" if routine_files else _END,
     ]
-    first = 1
-    files = []
-    parts += routine_files
-    for document in (main, *parts):
-        files.append((document.name, first))
-        first += len(Source.of(document, 0).starts)
-    stems = [PurePath(document.name).stem.lower() for document in (main, *parts)]
+    sources = (main, *parts, *routine_files)
+    stems = [PurePath(document.name).stem.lower() for document in sources]
     data = [document_of[f"{stem}.dat"] for stem in stems if f"{stem}.dat" in document_of]
-    joined_source = replace(main, text="".join([*texts, *([] if routine_files else [_END])]))
-    return JoinedProgram((joined_source, *([_joined_data(main, data)] if data else [])), tuple(files))
+    joined = (replace(main, text="".join(texts)), *([_joined_data(main, data)] if data else []))
+    return JoinedProgram(joined, tuple(_files_with_first_lines(sources)))
+
+
+def _files_with_first_lines(documents: Sequence[Document]) -> Iterator[tuple[str, int]]:
+    """Yield the name of each of some files, and the number that its first line has if they are one text."""
+    first = 1
+    for document in documents:
+        yield document.name, first
+        first += len(Source.of(document, 0).starts)
 
 
 def separated_texts(text: str) -> list[str]:

@@ -103,14 +103,14 @@ def position_from_aggregate(aggregate: Aggregate) -> Position:
             raise _component_error(aggregate, name, components)
         numbers[name] = value.value
     get = numbers.get
-    names = AXES if axis else CARTESIAN
+    has_external = not _EXTERNAL.isdisjoint(numbers)
     return Position(
-        tuple([get(name, _NAN) for name in names]),
-        axis,
-        _status_or_turn(aggregate, "S", get("S"), MAX_STATUS),
-        _status_or_turn(aggregate, "T", get("T"), MAX_TURN),
-        tuple([get(name, _NAN) for name in EXTERNAL]) if not _EXTERNAL.isdisjoint(numbers) else (),
-        None if aggregate.is_computed else aggregate,
+        values=tuple([get(name, _NAN) for name in (AXES if axis else CARTESIAN)]),
+        is_axis=axis,
+        status=_status_or_turn(aggregate, "S", get("S"), MAX_STATUS),
+        turn=_status_or_turn(aggregate, "T", get("T"), MAX_TURN),
+        external=tuple([get(name, _NAN) for name in EXTERNAL]) if has_external else (),
+        aggregate=None if aggregate.is_computed else aggregate,
     )
 
 

@@ -164,17 +164,18 @@ def _closed_routine(
             types |= {item.name: item.kind for item in node.names}
     motion_lines = motion_lines[slice(*np.searchsorted(motion_lines, [open_routine.line, line]).tolist())]
     settings = settings[bisect_left(settings, open_routine.line) : bisect_left(settings, line)]
+    definition = open_routine.definition
     return Routine(
-        source,
-        open_routine.name,
-        open_routine.definition.parameters,
-        open_routine.definition.is_global,
-        open_routine.line,
-        line,
-        motion_lines,
-        settings,
-        open_routine.lines,
-        frozenset({parameter.name for parameter in open_routine.definition.parameters} | types.keys()),
-        types,
-        open_routine.definition.result_type,
+        source=source,
+        name=open_routine.name,
+        parameters=definition.parameters,
+        is_global=definition.is_global,
+        first=open_routine.line,
+        last=line,
+        motion_lines=motion_lines,
+        setting_lines=settings,
+        other_lines=open_routine.lines,
+        local_names=frozenset({parameter.name for parameter in definition.parameters} | types.keys()),
+        types=types,
+        result_type=definition.result_type,
     )

@@ -53,6 +53,13 @@ class Source(Struct, frozen=True, eq=False):
                 raise source.line_error(problem, row + 1, "Write it as several statements.")
         return source
 
+    def lines_text(self, first: int, last: int) -> str:
+        """Return the 1-based lines first … last with their line ends; empty if `last` precedes `first`."""
+        if last < first:
+            return ""
+        stop = self.starts.item(last) if last < len(self.starts) else len(self.text)
+        return self.text[self.starts.item(first - 1) : stop]
+
     def place(self, line: int) -> Place:
         """Return a 1-based line as a place."""
         return Place(self, line)

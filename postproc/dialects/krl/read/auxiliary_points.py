@@ -18,11 +18,11 @@ from postproc.dialects.krl.language.motion_statements import MotionStatement
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.language.values import Number
 from postproc.dialects.krl.layout import IGNORE
-from postproc.dialects.krl.read.end_poses import Arcs, OrientationControl
+from postproc.dialects.krl.read.end_poses import Arcs
 from postproc.dialects.krl.read.motion_columns import MotionColumns
-from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.spline_blocks import is_spline
 from postproc.dialects.krl.read.state import MotionStates, State
+from postproc.errors import ProgramError
 from postproc.frames import (
     RAD_PER_DEG,
     Array,
@@ -43,10 +43,8 @@ _THROUGH_MESSAGE = (
     "SCIRC turns the tool through the orientation of its auxiliary point ($CIRC_MODE.AUX_PT.ORI #INTERPOLATE), which "
     "is not on the way from start to end by one rotation: how it turns on both sides is not published"
 )
-_ADVICE = (
-    "Leave A, B, C out of the auxiliary point, or give those of half the way; or use CIRC.",
-    "Use #CONSIDER or #IGNORE, or divide the circle at its auxiliary point into two.",
-)
+_LONGER_ADVICE = "Leave A, B, C out of the auxiliary point, or give those of half the way; or use CIRC."
+_THROUGH_ADVICE = "Use #CONSIDER or #IGNORE, or divide the circle at its auxiliary point into two."
 _NO_TURN = 1e-6
 """A tool that turns by less than this [rad] keeps its orientation: the rotation has no axis."""
 _ON_THE_WAY = 0.01 * RAD_PER_DEG
@@ -75,46 +73,73 @@ class Circles(Struct, frozen=True, eq=False):
         return Circles(self.rows[indices], self.start[indices], self.end[indices], self.via[indices], arcs)
 
 
-def ignores_auxiliary_orientation(
+class AuxiliaryOrientations(Struct, frozen=True, eq=False):
+    """Orientations of the auxiliary points of n circles.
+
+    :param angles: (n, 3) A, B, C [deg]; NaN where they are missing or have no effect.
+    :param is_led_through: (n,) True where the tool takes on the orientation in the auxiliary point, or may
+        (#INTERPOLATE).
+    """
+
+    angles: Array
+    is_led_through: Bools
+
+    @property
+    def has_effect(self) -> Bools:
+        """The circles (n,) whose auxiliary orientation acts; it must be ignored once they are corrected.
+
+        An orientation on the rotation of a whole circle need not be on those of its pieces.
+        """
+        return np.asarray(self.is_led_through | ~np.isnan(self.angles).all(axis=1))
+
+
+def auxiliary_orientations(
     trace: Trace,
     rows: MotionColumns,
     moves: Mapping[int, MotionStatement],
-    circles: Circles,
-    control: OrientationControl,
-    settings: Settings,
+    circle_rows: Ints,
     in_force: MotionStates,
-) -> Bools:
-    """Return the circles (n,) whose auxiliary orientation must be ignored once they are corrected.
-
-    An orientation on the rotation of a whole circle need not be on those of its pieces.
+) -> AuxiliaryOrientations:
+    """Return the orientations of the auxiliary points of circles.
 
     :param rows: all motions.
     :param moves: row → statement, of those that are not plain.
-    :param control: how the orientation is led.
+    :param circle_rows: (n,) rows of the circles.
     :param in_force: settings in force at the circles.
-    :raises ProgramError: the tool does not turn by the shorter rotation, or it is not known whether it does.
     """
-    is_spline_circle = is_spline(trace, rows, circles.rows)
-    has_effect: Bools = is_spline_circle & ~in_force.column(_ignores_auxiliary)
-    is_led_through = has_effect & in_force.column(_may_lead_through)
-    via_angles = np.full((len(circles.rows), 3), np.nan)
-    for index in np.flatnonzero(has_effect).tolist():
-        via_angles[index] = _auxiliary_angles(trace, rows, int(circles.rows[index]), moves)
-    has_orientation: Bools = has_effect & (is_led_through | ~np.isnan(via_angles).all(axis=1))
-    indices = np.flatnonzero(has_orientation)
+    may_act = is_spline(trace, rows, circle_rows) & ~in_force.column(_ignores_auxiliary)
+    angles = np.full((len(circle_rows), 3), np.nan)
+    for index in np.flatnonzero(may_act).tolist():
+        angles[index] = _auxiliary_angles(trace, rows, circle_rows.item(index), moves)
+    return AuxiliaryOrientations(angles, may_act & in_force.column(_may_lead_through))
+
+
+def first_other_turn(circles: Circles, orientations: AuxiliaryOrientations, turns_with_path: Bools) -> int:
+    """Return the index of the first circle on which the tool does not turn by the shorter rotation; −1: there is none.
+
+    :param orientations: of the auxiliary points of the n circles.
+    :param turns_with_path: (n,) True where the orientation is kept relative to the path, which itself turns the tool.
+    """
+    indices = np.flatnonzero(orientations.has_effect)
     if not len(indices):
-        return has_orientation
-    turns_with_path = control.turns_with_path[circles.rows[indices]]
+        return -1
     turns_otherwise = _turns_otherwise(
-        circles.take(indices), via_angles[indices], turns_with_path, is_led_through[indices]
+        circles.take(indices),
+        orientations.angles[indices],
+        turns_with_path[indices],
+        orientations.is_led_through[indices],
     )
-    if turns_otherwise.any():
-        index = indices[np.argmax(turns_otherwise)]
-        settings.refuse_uncertain(in_force.at(index), ["auxiliary"])
-        is_through = bool(is_led_through[index])
-        message = _THROUGH_MESSAGE if is_through else _LONGER_MESSAGE
-        raise trace.error(message, int(rows.line[circles.rows[index]]), _ADVICE[is_through])
-    return has_orientation
+    return int(indices[np.argmax(turns_otherwise)]) if turns_otherwise.any() else -1
+
+
+def other_turn_error(trace: Trace, row: int, *, is_led_through: bool) -> ProgramError:
+    """Return the error that the tool does not turn by the shorter rotation on a circle.
+
+    :param row: of the trace.
+    :param is_led_through: True if it turns through the orientation of the auxiliary point, False if the longer way.
+    """
+    problem, advice = (_THROUGH_MESSAGE, _THROUGH_ADVICE) if is_led_through else (_LONGER_MESSAGE, _LONGER_ADVICE)
+    return trace.error(problem, row, advice)
 
 
 def _turns_otherwise(circles: Circles, via_angles: Array, turns_with_path: Bools, is_led_through: Bools) -> Bools:

@@ -25,6 +25,7 @@ _DEEPEST = 20
 """Calls within each other that are followed; a deeper one is not run exactly."""
 IN_ORDER = "Motions of interrupts cannot be corrected; write them out in order."
 _COMPLETE_ADVICE = "Begin behind the call with a LIN or PTP whose target has all components."
+_JOINTS_ADVICE = "Begin behind the call with a PTP to joint angles, all of A1 … A6."
 _INLINE_ADVICE = "Put the motions of the subprogram in place of its call."
 
 
@@ -91,12 +92,9 @@ class Calls:
         self._note_break_off(place, call)
         if callee is None:
             self._follow_absent(place, call)
-            is_standard = call.name in PURE or call.name in STANDARD
-            return (
-                unknown
-                if is_standard
-                else UnknownValue(str(place), f"{call.spelling(place.source)}() is in no file of the program")
-            )
+            if call.name in PURE or call.name in STANDARD:
+                return unknown
+            return UnknownValue(str(place), f"{call.spelling(place.source)}() is in no file of the program")
         effects = self.run.analysis.effects_of(*callee)
         self.note_lasting_effects(place, call.name, effects)
         self._check_motion(place, call, *callee, effects)
@@ -220,35 +218,34 @@ class Calls:
 
         :raises ProgramError: the call cannot be left as it is.
         """
-        if effects.force_comment is not None and self.run.is_traced:
-            self.run.unknown_force_reasons[self.run.row] = (
+        run = self.run
+        if effects.force_comment is not None and run.is_traced:
+            run.unknown_force_reasons[run.row] = (
                 f"{call.name} is called, which holds a force comment ({effects.force_comment})"
             )
         motion_place = effects.motion
-        if motion_place is None or not self.run.is_traced:
+        if motion_place is None or not run.is_traced:
             return
         problem = f"{call.name} is called, which moves the robot ({motion_place})"
-        self.run.unfollowed_routines |= self.run.analysis.reachable_routines(module, routine)
-        if self.run.routine in self.run.unfollowed_routines:
+        run.unfollowed_routines |= run.analysis.reachable_routines(module, routine)
+        if run.routine in run.unfollowed_routines:
             raise place.error(f"{problem} and calls this program again", _INLINE_ADVICE)
-        dependent_place = self.run.analysis.first_dependent_place(module, routine)
+        dependent_place = run.analysis.first_dependent_place(module, routine)
         if dependent_place is not None:
-            self.run.position_dependent_calls.add(self.run.row)
-        if self.run.keeps_unresolved and (
-            motion_place.source is self.run.routine.source or self.run.level.open_structures
-        ):
-            self.run.unresolved_motions.append((self.run.row, place.error(problem)))
+            run.position_dependent_calls.add(run.row)
+        is_in_program = motion_place.source is run.routine.source
+        if run.keeps_unresolved and (is_in_program or run.level.open_structures):
+            run.unresolved_motions.append((run.row, place.error(problem)))
             return
-        if motion_place.source is self.run.routine.source:
+        if is_in_program:
             raise place.error(problem, _INLINE_ADVICE)
-        advice = "Begin behind the call with a PTP to joint angles, all of A1 … A6."
-        if self.run.level.open_structures:
-            raise place.error(f"{problem} inside {self.run.level.open_structures[-1][0]}", advice)
-        name = call.spelling(place.source)
+        if run.level.open_structures:
+            raise place.error(f"{problem} inside {run.level.open_structures[-1][0]}", _JOINTS_ADVICE)
         default_cause = place.error(f"{problem}, in a way that cannot be followed", _INLINE_ADVICE)
-        cause = self.run.obstacles.get(routine, default_cause)
-        reason = place.error(f"{problem}: where the next motion begins is not known", advice)
-        self.run.untraced_calls.append(UntracedCall(self.run.row, reason, name, module, routine, cause))
+        cause = run.obstacles.get(routine, default_cause)
+        reason = place.error(f"{problem}: where the next motion begins is not known", _JOINTS_ADVICE)
+        name = call.spelling(place.source)
+        run.untraced_calls.append(UntracedCall(run.row, reason, name, module, routine, cause))
         self._warn_of_untraced_call(name, call.name, cause, motion_place, dependent_place)
 
     def _warn_of_untraced_call(
@@ -382,16 +379,16 @@ class Calls:
         }
         types = {argument.number: variables.type_of(argument.reference) for argument in references}
         return _BoundCall(
-            place,
-            module,
-            routine,
-            scope,
-            references,
-            argument_values,
-            types,
-            volatile_names,
-            self.run.level,
-            variables.scope,
+            place=place,
+            module=module,
+            routine=routine,
+            scope=scope,
+            references=references,
+            argument_values=argument_values,
+            argument_types=types,
+            volatile_names=volatile_names,
+            caller=self.run.level,
+            caller_scope=variables.scope,
         )
 
     def _argument_values(

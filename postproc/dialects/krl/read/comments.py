@@ -8,7 +8,7 @@ comment.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from postproc.dialects.krl.course import Branch, Course, Fork, Join, UnresolvedStructure
 from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.dialects.krl.language.tokens import FORCE
+from postproc.dialects.krl.language.trace import Trace
 from postproc.program import FORCE_COMMENT, Bools, Event, ForceNote, Ints, parse_force_note
 
 _Force = ForceNote | str | None
@@ -61,20 +62,31 @@ def notes_of(
                 place = trace.place(int(lines[in_step][0]))
                 unknown_reasons[step.last] = f"a force comment is in code that is left unchanged ({place})"
                 lines, comments = lines[~in_step], comments[~in_step]
-    rows, own_lines = np.searchsorted(motions, lines).tolist(), trace.line[lines - 1].tolist()
-    note_cache: dict[str, ForceNote | None] = {}
-    notes = []
-    for comment, line, own_line, row in zip(comments.tolist(), lines.tolist(), own_lines, rows, strict=True):
-        if comment not in note_cache:
-            origin = trace.place(line)
-            note_cache[comment] = parse_force_note(comment, origin.line, origin.source.document.name)
-        note = note_cache[comment]
-        if note is not None:
-            notes.append((line, ForceNote(own_line, note.wrench, note.frame, row)))
+    notes = list(_parsed_notes(trace, motions, lines, comments))
     marks = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not marks and not unknown_reasons:
         return notes
     return _ActiveForce(course, motions, rapid, unchecked_joins).with_restated_notes(notes, unknown_reasons, marks)
+
+
+def _parsed_notes(
+    trace: Trace, motions: Ints, lines: Ints, comments: NDArray[np.object_]
+) -> Iterator[tuple[int, ForceNote]]:
+    """Yield the force comments of a trace, by its lines.
+
+    :param motions: (M,) lines of the motions in the trace.
+    :param lines: (n,) lines of the comments in the trace; `comments` (n,) their texts. Each text is parsed once.
+    :raises ForceError: a comment cannot be read.
+    """
+    note_of_text: dict[str, ForceNote | None] = {}
+    rows, lines_in_files = np.searchsorted(motions, lines).tolist(), trace.line[lines - 1].tolist()
+    for comment, line, file_line, row in zip(comments.tolist(), lines.tolist(), lines_in_files, rows, strict=True):
+        if comment not in note_of_text:
+            origin = trace.place(line)
+            note_of_text[comment] = parse_force_note(comment, origin.line, origin.source.document.name)
+        note = note_of_text[comment]
+        if note is not None:
+            yield line, ForceNote(file_line, note.wrench, note.frame, row)
 
 
 class _ForcePair(NamedTuple):

@@ -14,15 +14,22 @@ from msgspec import Struct
 
 from postproc.dialects.krl.course import PlainBody, PlainRounds
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
-from postproc.dialects.krl.language.names import CIRCLES, MAX_LENGTH
+from postproc.dialects.krl.language.names import CIRCLES
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import CARTESIAN, LARGEST_COORDINATE, Position, position_from_aggregate
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import Block
 from postproc.dialects.krl.language.tree import Assignment, For, Motion
-from postproc.dialects.krl.language.values import Aggregate, Call, Number, Operation, Reference, Value, walk
+from postproc.dialects.krl.language.values import Aggregate, Call, Number, Operation, Reference, Value
 from postproc.dialects.krl.read import plain_settings
-from postproc.dialects.krl.read.motion_reader import KINDS, ROBOT_POSITIONS, MotionReader
+from postproc.dialects.krl.read.motion_reader import KINDS, MotionReader
+from postproc.dialects.krl.read.plain_rounds import (
+    bounds_name,
+    has_plain_tail,
+    may_be_columns,
+    may_be_point_name,
+    simple_head,
+)
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.dialects.krl.read.variables import FUNCTIONS, convert_to_type, operation_result
@@ -42,17 +49,14 @@ def computed_body(source: Source, block: Block) -> PlainBody | None:
 
     :returns: None if it does anything else.
     """
-    head = statement(source, block.first)
-    if not isinstance(head, For) or head.bounds is None or head.counter is None or head.counter.indices is not None:
+    head, nodes = simple_head(source, block), block.parts[0].nodes
+    lines = [node for node in nodes if isinstance(node, int)]
+    if head is None or len(lines) < len(nodes):
         return None
-    if head.counter.field is not None or not all(isinstance(node, int) for node in block.parts[0].nodes):
-        return None
-    lines = [node for node in block.parts[0].nodes if isinstance(node, int)]
     assigned_names = {
         stmt.target.name for stmt in (statement(source, line) for line in lines) if isinstance(stmt, Assignment)
     }
-    bounds = walk(value for value in head.bounds if value is not None)
-    if any(isinstance(value, Reference) and value.name in {*assigned_names, head.name} for value in bounds):
+    if bounds_name(head, {*assigned_names, head.name}):
         return None
     motions, assignments, set_names = [], [], set[str]()
     unset_names = {name for name in assigned_names if name[0] != "$"}
@@ -107,14 +111,14 @@ def _leads_to_computed_point(stmt: Motion, set_names: set[str], unset_names: set
 
     :param set_names: variables that the round has set; `unset_names` those that it sets later.
     """
-    tail, end = stmt.tail, stmt.end
     if stmt.word not in KINDS or stmt.word in (*CIRCLES, "SPL") or stmt.angle is not None or stmt.frame:
         return False
-    if tail.assignments or tail.unknown_text is not None or tail.error is not None:
+    if not has_plain_tail(stmt):
         return False
+    end = stmt.end
     if isinstance(end, Reference):
         is_whole = end.indices is None and end.field is None and not end.is_bracketed
-        return is_whole and end.name in set_names and end.name not in ROBOT_POSITIONS and len(end.name) <= MAX_LENGTH
+        return is_whole and end.name in set_names and may_be_point_name(end.name)
     if not isinstance(end, Aggregate) or end.tag not in _TAGS or set(end.items) != set(CARTESIAN):
         return False
     values = end.items.values()
@@ -301,17 +305,8 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
     :param run: what has run before the first round; it is unchanged if None is returned.
     :returns: None if the motions are not known.
     """
-    head, state = statement(rounds.source, rounds.head), run.settings.state
-    if (
-        state.uncertain_fields
-        or state.spline_block
-        or state.base < 0
-        or state.tool < 0
-        or not run.is_certain
-        or run.level.open_structures
-    ):
-        return None
-    if not isinstance(head, For):
+    head = statement(rounds.source, rounds.head)
+    if not isinstance(head, For) or not may_be_columns(run):
         return None
     motions: list[list[MotionStatement]] = []  # of each statement, one for each round
     targets: list[Value] = []
@@ -364,6 +359,17 @@ def _motions_of_statement(
     name = end.name if isinstance(end, Reference) else ""
     points = (Point(position, end.start, end.stop, name) for position in targets)
     return [
-        MotionStatement(row, kind, keyword, point, "", None, None, tail.start, tail.stop, is_approximated)
+        MotionStatement(
+            line=row,
+            kind=kind,
+            keyword=keyword,
+            end=point,
+            relative_axes="",
+            via=None,
+            angle=None,
+            tail_start=tail.start,
+            stop=tail.stop,
+            approximated=is_approximated,
+        )
         for row, point in zip(rows, points, strict=True)
     ]

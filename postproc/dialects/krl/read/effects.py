@@ -106,14 +106,20 @@ class Effects(Struct, eq=False):
 
 
 class _DirectEffects(Struct, eq=False):
-    """Effects of a routine itself, and its calls; the same for the actions that it declares."""
+    """Effects of a routine without those of the routines that it calls.
+
+    :ivar callees: the routines that it calls.
+    :ivar action_effects: effects of the actions of the interrupts, triggers and cyclic statements that it declares.
+    :ivar action_callees: the routines that these actions call.
+    :ivar global_interrupts: for each GLOBAL interrupt its action alone.
+    :ivar has_actions: whether it declares one.
+    """
 
     effects: Effects = field(default_factory=Effects)
     callees: list[Callee] = []
     action_effects: Effects = field(default_factory=Effects)
     action_callees: list[Callee] = []
     global_interrupts: list[_DirectEffects] = []
-    """For each GLOBAL interrupt its action alone."""
     has_actions: bool = False
 
 
@@ -192,7 +198,7 @@ class Analysis:
         :param checked_routines: those searched already, which are not searched again; this one is added.
         """
         checked_routines.add(routine)
-        depth = 0
+        depth = 0  # of control structures: a target in one may not be reached
         for line in sorted([*routine.motion_lines.tolist(), *routine.other_lines]):
             stmt, is_complete = statement(routine.source, line), False
             depth += (stmt.word in OPENING or stmt.word == "REPEAT") - (stmt.word in _CLOSING)
@@ -264,7 +270,8 @@ class Analysis:
             if routine.first_motion_line:
                 direct.effects.motion = Place(routine.source, routine.first_motion_line)
             comment_lines = self.force_comment_lines(routine.source)
-            if (first := bisect_right(comment_lines, routine.first)) < bisect_left(comment_lines, routine.last):
+            first, stop = bisect_right(comment_lines, routine.first), bisect_left(comment_lines, routine.last)
+            if first < stop:  # between DEF and END
                 direct.effects.force_comment = Place(routine.source, comment_lines[first])
             for line in routine.statement_lines:
                 stmt, place = statement(routine.source, line), Place(routine.source, line)
@@ -276,7 +283,11 @@ class Analysis:
         return direct
 
     def _read(self, direct: _DirectEffects, stmt: Statement, node: Callee, place: Place) -> None:
-        """Add the effects of one statement; those of interrupts and the like are kept apart, as actions."""
+        """Add the effects of one statement; those of interrupts and the like are kept apart, as actions.
+
+        :param direct: gets the effects.
+        :param node: the routine of the statement.
+        """
         if not isinstance(stmt, Event | CyclicInput | Import):
             _Statement(self, *node, place, direct.effects, direct.callees).note_effects(stmt)
             return
@@ -299,7 +310,11 @@ class Analysis:
 
 
 class _Statement(Struct, eq=False):
-    """Notes the effects of one statement."""
+    """Notes the effects of one statement.
+
+    :param effects: gets what it does; `callees` gets the routines that it calls.
+    :param running_scope: scope of the routine, if it runs: local variables count too then; None if it does not.
+    """
 
     analysis: Analysis
     module: Module

@@ -50,13 +50,8 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
     """
     if isinstance(value, Position | UnknownValue):
         return "it is computed while the program runs"
-    if isinstance(value, Chain):
-        for operand in value.operands:
-            position = variables.position(operand)
-            if position is None:
-                return why_unknown(variables, source, operand)
-            if isinstance(operand, Reference) and not position.is_complete:
-                return f"not all components of {source.text[operand.start : operand.stop]} are given"
+    if isinstance(value, Chain) and (reason := _why_chain_unknown(variables, source, value)):
+        return reason
     text = source.text[value.start : value.stop].strip()[:_MAX_LENGTH]
     if not text and isinstance(value, Reference):  # one that a program of the controller reads
         text = value.name if value.field is None else f"{value.name}.{value.field}"
@@ -77,6 +72,17 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
         return f"{text} is computed while the program runs"
     reason = _why_variable_unknown(variables, source, value, text) if isinstance(value, Reference) else ""
     return reason or f"{text} has the wrong type here"
+
+
+def _why_chain_unknown(variables: Variables, source: Source, chain: Chain) -> str:
+    """Return why the position of frames joined by ``:`` is not known, as text for a message; empty if all are known."""
+    for operand in chain.operands:
+        position = variables.position(operand)
+        if position is None:
+            return why_unknown(variables, source, operand)
+        if isinstance(operand, Reference) and not position.is_complete:
+            return f"not all components of {source.text[operand.start : operand.stop]} are given"
+    return ""
 
 
 def _why_variable_unknown(variables: Variables, source: Source, reference: Reference, spelling: str) -> str:

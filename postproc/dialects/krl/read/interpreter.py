@@ -182,12 +182,7 @@ class Interpreter:
                 self.run.triggers.append(self.run.row)
             self._note_event(place, stmt)
         elif isinstance(stmt, (tree.CyclicInput, tree.Import)):
-            if stmt.name in RELEVANT:
-                raise place.error(f"{stmt.word} changes {stmt.name} at any time", SETTING_ADVICE)
-            self.run.note_cyclic_change(place, self.run.stored_name(stmt.name))
-            if isinstance(stmt, tree.Import):
-                for name in stored_originals(stmt):
-                    self.run.note_cyclic_change(place, name)
+            self._note_cyclic_changes(place, stmt)
         elif isinstance(stmt, tree.Declaration):
             row = self.run.row if self.run.is_traced and self.run.has_rows else 0
             names = declare_variables(self.run.variables, place.source, stmt, row)
@@ -203,6 +198,18 @@ class Interpreter:
             raise stmt.error
         elif not isinstance(stmt, tree.Label):
             raise place.error("the statement is not understood", "Check its spelling.")
+
+    def _note_cyclic_changes(self, place: Place, stmt: tree.CyclicInput | tree.Import) -> None:
+        """Note that the variable of an ANIN, DIGIN, SIGNAL or IMPORT may change at any time from now on.
+
+        :raises ProgramError: it is a setting of motions.
+        """
+        if stmt.name in RELEVANT:
+            raise place.error(f"{stmt.word} changes {stmt.name} at any time", SETTING_ADVICE)
+        self.run.note_cyclic_change(place, self.run.stored_name(stmt.name))
+        if isinstance(stmt, tree.Import):
+            for name in stored_originals(stmt):
+                self.run.note_cyclic_change(place, name)
 
     def _check_exit(self, place: Place) -> None:
         """Refuse an EXIT if it is not known whether it runs.
@@ -282,12 +289,11 @@ class Interpreter:
         :param key: of the variable; `target` as the statement names it.
         :param value: of the expression.
         """
-        # an UnknownValue that does not say by itself why the value is not known
-        needs_reason = isinstance(value, UnknownValue) and not (
-            value.change_place if value.reason else target.field is None
-        )
-        if value == NO_VALUE or needs_reason:
-            value = UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
+        if isinstance(value, UnknownValue):
+            # a whole variable may stay unknown for the reason that its value has, without words of its own
+            explains_itself = bool(value.change_place) if value.reason else target.field is None
+            if value == NO_VALUE or not explains_itself:
+                value = UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
         if target.field is None:
             self.run.note_copy(expression, value, target.name)
             self.run.variables.set(key, value, place)

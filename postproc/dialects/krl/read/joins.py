@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from postproc.dialects.krl.course import Branch, Course, Fork, Join, Occasion, UnrolledLoop
-from postproc.dialects.krl.layout import CONSTANT
+from postproc.dialects.krl.layout import CONSTANT, Layout
 from postproc.dialects.krl.read.motions import OrderedMotions, settings_at
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.unresolved import depends_on_start
 from postproc.errors import Issue, ProgramError
-from postproc.frames import Array, inverse
+from postproc.frames import MM_PER_M, Array, inverse
 from postproc.program import PTP, SPL, Carriage, ForceNote, Ints, Motions, Starts
 
 _POSE_TOLERANCE = 1e-6
@@ -330,7 +330,8 @@ def transitions(
             open_forks.append(_Transitions(ends, set(), is_begun=False))
             continue
         entries, branch_ends, is_begun = open_forks.pop()
-        branch_ends = branch_ends | ends if is_begun or isinstance(step, Join) else branch_ends
+        if is_begun or isinstance(step, Join):  # a branch ends here
+            branch_ends = branch_ends | ends
         if isinstance(step, Branch):
             open_forks.append(_Transitions(entries, branch_ends, is_begun=True))
             ends = entries
@@ -360,28 +361,41 @@ def _round_transitions(course: Course, line: Ints, previous_rows: Ints, ends: Se
         yield from ((row, end) for end in sorted(ends) if end != previous_rows[row])
 
 
+class FramesAndStart(NamedTuple):
+    """The frames of a program, and where the robot is when it starts.
+
+    :ivar bases: (nb, 4, 4) `$BASE` in the robot root [m].
+    :ivar tools: (nt, 4, 4) `$TOOL` in the flange frame [m].
+    :ivar start_flange: (4, 4) flange in the robot root at the start [m].
+    """
+
+    bases: Array
+    tools: Array
+    start_flange: Array
+
+    def end_flange(self, motions: Motions, row: int) -> Array:
+        """Return the flange (4, 4) in the robot root [m] at the end of a motion; −1: at the start of the program."""
+        if row < 0:
+            return self.start_flange
+        tool = self.tools[motions.tool[row]]
+        return np.asarray(self.bases[motions.base[row]] @ motions.target[row] @ inverse(tool))
+
+
 def check_joins(
     course: Course,
     joins: Sequence[JoinedEnds],
     motions: Motions,
     carriage: Carriage | None,
-    frames: tuple[Array, Array],
-    start: Array,
+    path: FramesAndStart,
 ) -> None:
     """Refuse branches that end in different poses.
 
     :param carriage: the linear axis that carries the robot.
-    :param frames: `$BASE` (nb, 4, 4) and `$TOOL` (nt, 4, 4).
-    :param start: (4, 4) flange in the robot root at the start of the program.
     :raises BranchError: the ends of the branches of a fork differ.
     """
-    bases, tools = frames
     forks, faults = _fork_visits(course), []
     for fork, ends in joins:
-        flanges = [
-            start if row < 0 else bases[motions.base[row]] @ motions.target[row] @ inverse(tools[motions.tool[row]])
-            for row in ends
-        ]
+        flanges = [path.end_flange(motions, row) for row in ends]
         if any(np.abs(flange - flanges[0]).max() > _POSE_TOLERANCE for flange in flanges[1:]):
             faults.append(_branch_error(course, forks, fork, "the branches end in different places"))
         elif carriage is not None:
@@ -437,38 +451,64 @@ def _branch_error(
     return error
 
 
-def check_endless_loop(
-    course: Course,
-    loop: UnrolledLoop,
-    line: Ints,
-    motions: Motions,
-    start: Starts,
-    carriage: Carriage | None,
-    settings: Settings,
-) -> tuple[tuple[int, ...], ...]:
-    """Refuse a LOOP without EXIT whose iteration ends otherwise than it began, and return where its second one begins.
+class EndlessRounds(NamedTuple):
+    """The motions of a program that ends in a LOOP without EXIT.
 
-    :param loop: the LOOP.
-    :param line: (M,) lines of the motions in the trace.
-    :param start: start poses of the motions, and one more after the last: the first motion of the second iteration.
-    :param carriage: the linear axis that carries the robot.
-    :param settings: settings in force, by line.
-    :returns: the motions that may come before its first motion: the one before the loop (−1: the start) and its last.
-        No such pair if the first motion leads to joint angles: it does not matter then where it begins.
-    :raises ProgramError: an iteration ends in another pose, or with other settings, than it began.
+    :ivar loop: the LOOP.
+    :ivar first: first motion of a round; `stop` the one after its last; equal if the LOOP has no motions.
+    :ivar motions: all M motions.
+    :ivar start: (M + 1) start poses of the motions, and one more: that of `first` in the second round.
+    :ivar carriage: the linear axis that carries the robot; None without one.
     """
-    first, stop = np.searchsorted(line, [loop.first, loop.stop]).tolist()
-    if first == stop:
-        return ()
-    if problem := _pose_difference(first, stop - 1, motions, start, carriage):
+
+    loop: UnrolledLoop
+    first: int
+    stop: int
+    motions: Motions
+    start: Starts
+    carriage: Carriage | None
+
+    def joined_ends(self) -> tuple[tuple[int, int], ...]:
+        """Return the pair of motions at whose ends a round may begin: the one before the LOOP and its last.
+
+        −1 is the start of the program. There is no such pair if the LOOP has no motions, or if the first one leads to
+        joint angles: it does not matter then where it begins.
+        """
+        if self.first == self.stop or not np.isnan(self.motions.joints[self.first, 0]):
+            return ()
+        return ((self.first - 1, self.stop - 1),)
+
+    def pose_difference(self) -> str:
+        """Return how the pose after a round differs from that before it, as text; empty if it does not."""
+        motions, carriage, first, last = self.motions, self.carriage, self.first, self.stop - 1
+        if carriage is not None and abs(carriage.end[last] - carriage.begin[first]) > _POSE_TOLERANCE:
+            return "with E1 elsewhere than it began"
+        if not np.isnan(motions.joints[first, 0]):
+            return ""  # it leads to joint angles, from wherever it starts
+        begin, second_begin = self.start.at(np.array([first, len(motions)]))
+        if np.abs(second_begin[:3] - begin[:3]).max() < _POSE_TOLERANCE:
+            return ""
+        distance = float(np.linalg.norm(second_begin[:3, 3] - begin[:3, 3]))
+        if distance > _POSE_TOLERANCE:
+            return f"{MM_PER_M * distance:.3f} mm from where it began"
+        return "in another orientation than it began"
+
+
+def check_endless_loop(course: Course, rounds: EndlessRounds, settings: Settings) -> None:
+    """Refuse a LOOP without EXIT whose round ends in another pose, or with other settings, than it began.
+
+    :param settings: settings in force, by line.
+    :raises ProgramError: it does.
+    """
+    loop = rounds.loop
+    if rounds.first == rounds.stop:
+        return
+    if problem := rounds.pose_difference():
         raise _loop_error(course, loop, f"its round ends {problem}", _LOOP_ADVICE)
-    begin_settings, end_settings = settings_at(settings, np.array([loop.first, loop.stop]))
-    has_same_frames = np.array_equal(begin_settings.base, end_settings.base) and np.array_equal(
-        begin_settings.tool, end_settings.tool
-    )
-    if begin_settings.state != end_settings.state or not has_same_frames:
+    begin, end = settings_at(settings, np.array([loop.first, loop.stop]))
+    has_same_frames = np.array_equal(begin.base, end.base) and np.array_equal(begin.tool, end.tool)
+    if begin.state != end.state or not has_same_frames:
         raise _loop_error(course, loop, "leaves other frames, speeds or modes than it begins with", _SETTING_ADVICE)
-    return ((first - 1, stop - 1),) if np.isnan(motions.joints[first, 0]) else ()
 
 
 def endless_loop_issue(course: Course, loop: UnrolledLoop) -> Issue:
@@ -477,52 +517,25 @@ def endless_loop_issue(course: Course, loop: UnrolledLoop) -> Issue:
     return Issue("info", "endless-loop", message, _loop_line(course, loop))
 
 
-def _pose_difference(first: int, last: int, motions: Motions, start: Starts, carriage: Carriage | None) -> str:
-    """Return how the pose after an iteration of a loop differs from that before it, as text; empty if it does not.
+def endless_rounds(
+    loop: UnrolledLoop, layout: Layout, motions: Motions, path: FramesAndStart, predecessors: Ints | None
+) -> EndlessRounds:
+    """Return the motions of a program that ends in a LOOP without EXIT.
 
-    :param first: first motion of the loop; `last` its last.
-    """
-    if carriage is not None and abs(carriage.end[last] - carriage.begin[first]) > _POSE_TOLERANCE:
-        return "with E1 elsewhere than it began"
-    if not np.isnan(motions.joints[first, 0]):
-        return ""  # it leads to joint angles, from wherever it starts
-    begin, second_begin = start.at(np.array([first, len(motions)]))
-    if np.abs(second_begin[:3] - begin[:3]).max() < _POSE_TOLERANCE:
-        return ""
-    distance = 1e3 * float(np.linalg.norm(second_begin[:3, 3] - begin[:3, 3]))
-    return (
-        f"{distance:.3f} mm from where it began"
-        if distance > 1e3 * _POSE_TOLERANCE
-        else "in another orientation than it began"
-    )
-
-
-def start_poses(
-    loop: UnrolledLoop,
-    line: Ints,
-    motions: Motions,
-    frames: tuple[Array, Array],
-    flange: Array,
-    predecessors: Ints | None,
-) -> Starts:
-    """Return the start poses of M motions, and one more: that of the loop's first motion in its second iteration.
-
-    :param loop: a LOOP without EXIT.
-    :param line: (M,) lines of the motions in the trace.
-    :param frames: `$BASE` in the robot root and `$TOOL` in the flange frame, by the rows of motions.
-    :param flange: (4, 4) in the root where the program starts.
+    :param layout: of the program.
     :param predecessors: (M,) the motion at whose end each begins; None: the one before it.
     """
     count = len(motions)
-    first, stop = np.searchsorted(line, [loop.first, loop.stop]).tolist()
+    first, stop = np.searchsorted(layout.line, [loop.first, loop.stop]).tolist()
     rows = np.append(np.arange(count), min(first, count - 1))  # any motion, if the loop has none
     all_predecessors = np.append(np.arange(count) - 1 if predecessors is None else predecessors, stop - 1)
-    return Starts.of(
-        (motions.base[rows], motions.tool[rows], *frames),
+    start = Starts.of(
+        (motions.base[rows], motions.tool[rows], path.bases, path.tools),
         lambda indices: motions.target[rows[indices]],
-        flange,
+        path.start_flange,
         all_predecessors,
     )
+    return EndlessRounds(loop, first, stop, motions, start, layout.carriage)
 
 
 def check_force(course: Course, loop: UnrolledLoop, line: Ints, notes: Sequence[tuple[int, ForceNote]]) -> None:

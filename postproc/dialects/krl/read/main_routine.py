@@ -105,15 +105,40 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     :param collects: whether motions are read too.
     :raises ProgramError: see `course_of`.
     """
-    library, main = start.library, start.main
-    recorder = Recorder(main)
+    main, recorder = start.main, Recorder(start.main)
     collected = start.collected(has_rows=collects)
     run, settings = collected.run, collected.run.settings
-    reserved_names = library.program_names() if settings.cell.output.lines_per_file else frozenset[str]()
     lines, free_settings = _split_plain_settings(main.source, main.other_lines, main.setting_lines)
     nodes = checked_nodes(main.source, nodes_of(main.source, lines))
     settings.follows_numbers = len(free_settings) <= _MOST_SETTINGS  # else plain ones are no statements here
     run.is_final = collects and settings.follows_numbers
+    flow = _collecting_flow(collected, recorder)
+    if _is_straight(main, flow, nodes):
+        return _with_used_names(_straight_course(main, run.trace), start), None
+    if settings.follows_numbers and len(free_settings):
+        nodes = nodes_of(main.source, main.statement_lines)
+    _note_submit_programs(run)
+    flow.follow(main.source, nodes)
+    if run.level.jump_line:
+        raise _jump_error(main, flow, run.level.jump_line)
+    if not run.level.return_line:
+        recorder.record_run_lines(main.last - 1)
+    recorder.record_passed_lines(main.last - 1, live=False)
+    course = _with_used_names(recorder.course(run.unfollowed_routines), start)
+    # else statements must run once more, along the complete trace
+    is_complete = run.is_final and recorder.is_final and not settings.lacked_numbers
+    if not is_complete or fault_of(main.name) or collected.splines.open_block is not None or run.level.open_structures:
+        return course, None
+    run.trace, run.shown_line = course.trace, 0
+    return course, collected
+
+
+def _collecting_flow(collected: CollectedMotions, recorder: Recorder) -> Flow:
+    """Return what follows a program, records its trace, and collects its motions while nothing is in doubt.
+
+    :param collected: gets the motions.
+    """
+    run = collected.run
 
     def take_motion(place: Place, stmt: Statement) -> None:
         """Follow the functions in a motion, and collect it while nothing is in doubt."""
@@ -126,30 +151,29 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
         run.is_final = False
 
     flow = Flow(run, take_motion, note_fault, recorder)
+    return flow
+
+
+def _is_straight(main: Routine, flow: Flow, nodes: Sequence[Node]) -> bool:
+    """Return whether the lines of the main routine run one after the other, as far as motions and forces go."""
+    if _returns_early(main):
+        return False
     control = (node for node in nodes if isinstance(node, Block) or _may_leave_line(main, node))
-    if not _returns_early(main) and not any(flow.belongs_in_trace(main.source, node) for node in control):
-        body = Body(main.first + 1, main.last)
-        steps = (Lines(main.first + 1, main.last - 1),)
-        return Course(main, run.trace, steps, body, used_names=reserved_names), None
-    if settings.follows_numbers and len(free_settings):
-        nodes = nodes_of(main.source, main.statement_lines)
-    _note_submit_programs(run)
-    flow.follow(main.source, nodes)
-    if run.level.jump_line:
-        raise _jump_error(main, flow, run.level.jump_line)
-    if not run.level.return_line:
-        recorder.record_run_lines(main.last - 1)
-    recorder.record_passed_lines(main.last - 1, live=False)
-    course = replace(recorder.course(run.unfollowed_routines), used_names=reserved_names)
-    foreign_routines = {routine for routine in course.inlined_routines if routine.source is not main.source}
+    return not any(flow.belongs_in_trace(main.source, node) for node in control)
+
+
+def _straight_course(main: Routine, trace: Trace) -> Course:
+    """Return the execution trace of a program whose lines run one after the other."""
+    return Course(main, trace, (Lines(main.first + 1, main.last - 1),), Body(main.first + 1, main.last))
+
+
+def _with_used_names(course: Course, start: Start) -> Course:
+    """Return an execution trace with the names that copies of routines and parts of programs must not have."""
+    library = start.library
+    foreign_routines = {routine for routine in course.inlined_routines if routine.source is not start.main.source}
     if foreign_routines:
-        course = replace(course, used_names=library.names(), other_callers=library.users(foreign_routines))
-    # else statements must run once more, along the complete trace
-    is_complete = run.is_final and recorder.is_final and not settings.lacked_numbers
-    if not is_complete or fault_of(main.name) or collected.splines.open_block is not None or run.level.open_structures:
-        return course, None
-    run.trace, run.shown_line = course.trace, 0
-    return course, collected
+        return replace(course, used_names=library.names(), other_callers=library.users(foreign_routines))
+    return replace(course, used_names=library.program_names()) if start.cell.output.lines_per_file else course
 
 
 def _jump_error(main: Routine, flow: Flow, line: int) -> ProgramError:
@@ -256,22 +280,22 @@ class MainRoutine:
                 self._flow.interpreter.calls.leave_routine()
             if len(self._errors) > MAX_ERRORS:
                 break
-        errors = self._errors
-        if self.splines.open_block is not None and not errors:
-            errors.append(
-                self.splines.open_block.place.error(
-                    "the spline block is not closed", advice="Write ENDSPLINE behind its last motion."
-                )
-            )
-        if run.level.open_structures and not errors:
-            word, open_line = run.level.open_structures[-1]
-            errors.append(
-                run.routine.source.line_error(f"{word} is not closed", open_line, "Check that the file is complete.")
-            )
+        errors = self._errors or self._unclosed_errors()
         if errors:
             raise combined_error(
                 {(error.file, error.line, error.problem): error for error in reversed(errors)}.values()
             )
+
+    def _unclosed_errors(self) -> list[ProgramError]:
+        """Return the error that a spline block or a control structure is not closed; nothing if all are."""
+        if self.splines.open_block is not None:
+            problem, advice = "the spline block is not closed", "Write ENDSPLINE behind its last motion."
+            return [self.splines.open_block.place.error(problem, advice)]
+        if self.run.level.open_structures:
+            word, line = self.run.level.open_structures[-1]
+            source = self.run.routine.source
+            return [source.line_error(f"{word} is not closed", line, "Check that the file is complete.")]
+        return []
 
     def _lines_of_step(self, step: Lines | UnresolvedStructure) -> tuple[Sequence[int], Sequence[int]]:
         """Return the lines of a step that are not plain, and those with plain settings, both in order."""
@@ -328,12 +352,10 @@ class MainRoutine:
         if moves is not None:
             for move in moves:
                 self.motions.add(move, run.settings.state)
-            ends = [
-                rows[end]
-                for rows in map(rounds.rows_of_statement, (rounds.head, *rounds.body.assignments))
-                for end in (0, -1)
-            ]
-            self._follow_lines(np.sort(np.array(ends)), rounds)
+            assignment_rows = map(rounds.rows_of_statement, (rounds.head, *rounds.body.assignments))
+            # only what the first and the last round assign can be seen before and after the loop
+            end_rows = [rows[end] for rows in assignment_rows for end in (0, -1)]
+            self._follow_lines(np.sort(np.array(end_rows)), rounds)
             return
         columns = None if rounds.body.is_computed else columns_of(run, self.reader, rounds)
         if columns is None:
@@ -342,11 +364,12 @@ class MainRoutine:
         element_motions, settings = columns
         self.rounds += element_motions
         run.settings.plain_assignments.insert(settings)
-        trigger_rows, count = [rounds.rows_of_statement(line) for line in rounds.body.triggers], len(run.triggers)
-        end_rows = [rounds.first, rounds.stop_row - rounds.length, *(rows[-1] for rows in trigger_rows)]
-        self._follow_lines(np.array(end_rows), rounds)
-        if trigger_rows:
-            run.triggers[count:] = np.sort(np.concatenate(trigger_rows)).tolist()
+        trigger_rows = [rounds.rows_of_statement(line) for line in rounds.body.triggers]
+        trigger_count = len(run.triggers)
+        last_round = rounds.stop_row - rounds.length
+        self._follow_lines(np.array([rounds.first, last_round, *(rows[-1] for rows in trigger_rows)]), rounds)
+        if trigger_rows:  # those of the last round have run; all rounds have them
+            run.triggers[trigger_count:] = np.sort(np.concatenate(trigger_rows)).tolist()
 
     def _follow_node(self, node: Node, number: int | None = None) -> None:
         """Run a row of the trace, or a control structure given by its rows.

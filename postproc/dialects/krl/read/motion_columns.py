@@ -122,21 +122,22 @@ def _columns_of(moves: Sequence[MotionStatement]) -> MotionColumns:
                 item = position.aggregate.items.get(name)
                 if isinstance(item, Number):
                     component_spans[row, column] = item.start - move.end.start, item.stop - move.end.start
+    postures = [(move.end.position.status, move.end.position.turn) for move in moves]
     via_points = _via_points_of(moves)
     return MotionColumns(
-        compact(np.array([move.line for move in moves], dtype=np.int64), np.int32),
-        compact(np.array([move.kind for move in moves], dtype=np.int64), np.int8),
-        numbers,
-        compact_postures(
-            np.array([(move.end.position.status, move.end.position.turn) for move in moves]).reshape(-1, 2)
-        ),
-        compact_if_missing(external),
-        narrow_integers(component_spans),
-        _offsets([move.keyword[0] for move in moves]),
-        _offsets([(move.end.start, move.end.stop) for move in moves]).reshape(-1, 2),
-        _offsets([(move.tail_start, move.stop) for move in moves]).reshape(-1, 2),
-        np.array([move.approximated for move in moves], dtype=np.bool_),
-        *via_points,
+        line=compact(np.array([move.line for move in moves], dtype=np.int64), np.int32),
+        kind=compact(np.array([move.kind for move in moves], dtype=np.int64), np.int8),
+        numbers=numbers,
+        posture=compact_postures(np.array(postures).reshape(-1, 2)),
+        external=compact_if_missing(external),
+        relative_spans=narrow_integers(component_spans),
+        keyword=_offsets([move.keyword[0] for move in moves]),
+        target=_offsets([(move.end.start, move.end.stop) for move in moves]).reshape(-1, 2),
+        tail=_offsets([(move.tail_start, move.stop) for move in moves]).reshape(-1, 2),
+        approximated=np.array([move.approximated for move in moves], dtype=np.bool_),
+        via=via_points.numbers,
+        via_spans=via_points.spans,
+        via_target=via_points.targets,
     )
 
 
@@ -204,15 +205,9 @@ def merged_motions(parts: list[MotionColumns], place: Ints) -> MotionColumns:
 
     :param place: (R,) places of the motions of the first part, then of those of the next, …
     """
-    destinations, begin = [], 0
-    for rows in parts:
-        end = begin + len(rows)
-        is_contiguous = len(rows) > 0 and place[end - 1] - place[begin] == len(rows) - 1  # no motion of another part
-        destinations.append(slice(place[begin], place[begin] + len(rows)) if is_contiguous else place[begin:end])
-        begin = end
+    destinations = _destinations([len(rows) for rows in parts], place)
     remaining_columns = [rows.columns()[::-1] for rows in parts]  # the first column last, to be popped
     parts.clear()
-    del rows
     merged_columns = []
     while remaining_columns[0]:
         values = [columns.pop() for columns in remaining_columns]
@@ -222,6 +217,22 @@ def merged_motions(parts: list[MotionColumns], place: Ints) -> MotionColumns:
                 column[destination] = part_values
         merged_columns.append(column)
     return MotionColumns(*merged_columns)
+
+
+def _destinations(counts: Sequence[int], place: Ints) -> list[Ints | slice]:
+    """Return the places of the motions of each part; a slice, which is faster, where they follow each other.
+
+    :param counts: number of motions of each part.
+    :param place: (R,) see `merged_motions`.
+    """
+    destinations: list[Ints | slice] = []
+    begin = 0
+    for count in counts:
+        end = begin + count
+        is_contiguous = count > 0 and place[end - 1] - place[begin] == count - 1  # no motion of another part
+        destinations.append(slice(place[begin], place[begin] + count) if is_contiguous else place[begin:end])
+        begin = end
+    return destinations
 
 
 def _empty_column(count: int, parts: Sequence[Any]) -> Any:

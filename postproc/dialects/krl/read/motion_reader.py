@@ -108,24 +108,22 @@ class MotionReader:
         :raises ProgramError: it is not understood, or its target is not known before the program runs.
         """
         name = motion.word.removesuffix("_REL")
-        kind, relative = KINDS[name], motion.frame or ("#BASE" if motion.word != name else "")
+        is_relative = motion.word != name
+        kind, relative_axes = KINDS[name], motion.frame or ("#BASE" if is_relative else "")
         name_offsets: list[int] = []
-        via = angle = None
-        if motion.via is not None:
-            via = self._point(place, motion.via, name_offsets, row)
-            if not via or motion.end is None:
-                raise place.error(
-                    f"{motion.word} needs an auxiliary point and an end point",
-                    advice="Write the auxiliary point, a comma and the end point.",
-                )
+        via = None if motion.via is None else self._point(place, motion.via, name_offsets, row)
+        if motion.via is not None and (via is None or motion.end is None):
+            raise place.error(
+                f"{motion.word} needs an auxiliary point and an end point",
+                advice="Write the auxiliary point, a comma and the end point.",
+            )
         if keeps_position(motion):
             return MotionReading(None, self.settings.state, name_offsets)
         end = None if motion.end is None else self._point(place, motion.end, name_offsets, row)
         if end is None:
             problem = f"{motion.word}: the target is not known: it is the current robot position"
             raise unresolved_error(place.error(problem, RUN_TIME_ADVICE))
-        if motion.angle is not None:
-            angle = self._angle(place, motion.angle)
+        angle = None if motion.angle is None else self._angle(place, motion.angle)
         state, is_approximated = self.tail_settings(place, kind, motion.tail, (motion.end, motion.via))
         self._check_axis_target(place, motion.word, kind, end, via)
         try:
@@ -134,11 +132,18 @@ class MotionReader:
             )
         except ProgramError as cause:
             raise unresolved_error(cause) from None
-        keyword = (motion.start, motion.start + len(motion.word))
-        frame_span = None if motion.frame_span is None else (motion.frame_span.start, motion.frame_span.stop)
-        tail = motion.tail
         move = MotionStatement(
-            row, kind, keyword, end, relative, via, angle, tail.start, tail.stop, is_approximated, frame_span
+            line=row,
+            kind=kind,
+            keyword=(motion.start, motion.start + len(motion.word)),
+            end=end,
+            relative_axes=relative_axes,
+            via=via,
+            angle=angle,
+            tail_start=motion.tail.start,
+            stop=motion.tail.stop,
+            approximated=is_approximated,
+            frame_span=None if motion.frame_span is None else (motion.frame_span.start, motion.frame_span.stop),
         )
         return MotionReading(move, state, name_offsets)
 

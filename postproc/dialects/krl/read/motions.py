@@ -15,7 +15,13 @@ from postproc.dialects.krl.language.motion_statements import MotionStatement, Tr
 from postproc.dialects.krl.language.tokens import words_in
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.layout import CONSTANT, FREE, IGNORE, JOINT, ORIENTATIONS, Elements, Layout, Offsets
-from postproc.dialects.krl.read.auxiliary_points import Circles, ignores_auxiliary_orientation
+from postproc.dialects.krl.read.auxiliary_points import (
+    AuxiliaryOrientations,
+    Circles,
+    auxiliary_orientations,
+    first_other_turn,
+    other_turn_error,
+)
 from postproc.dialects.krl.read.end_poses import (
     EndPoses,
     FrameColumns,
@@ -106,20 +112,32 @@ def _merged_settings(main: MainRoutine, plain_lines: list[Ints], statement_lines
     line = np.concatenate(plain_lines)
     plain_states = _states_of_lines(main.run.settings, line)
     states, statement_index = _with_statement_states(plain_states.in_force.states, main.motions.states)
-    order = compact(np.argsort(line, kind="stable"), np.int32)
-    statement_places = np.searchsorted(line, statement_lines, sorter=order) + np.arange(len(statement_lines))
-    plain_places = np.empty_like(line)
-    plain_places[order] = np.delete(np.arange(len(line) + len(statement_lines)), statement_places)
+    plain_places, statement_places = _merged_places(line, statement_lines)
     places = compact(np.concatenate([plain_places, statement_places]), np.int32)
     index: NDArray[Any] = np.empty(len(places), dtype=np.int32)
     index[places] = np.concatenate([plain_states.in_force.index, statement_index])
     numbers = np.array([[getattr(state, field) for field in NUMBERS] for state in states])[index]
-    for row in range(len(NUMBERS)):
-        state_values = numbers[plain_places, row]
-        numbers[plain_places, row] = main.run.settings.plain_assignments.values_at(
-            row, line, plain_states.change_lines, state_values
+    # plain settings are not part of the states: they replace the numbers of the plain motions
+    for column in range(len(NUMBERS)):
+        state_values = numbers[plain_places, column]
+        numbers[plain_places, column] = main.run.settings.plain_assignments.values_at(
+            column, line, plain_states.change_lines, state_values
         )
     return _MergedSettings(places, MotionStates(states, index), Runs.of(numbers))
+
+
+def _merged_places(plain_lines: Ints, statement_lines: Ints) -> tuple[Ints, Ints]:
+    """Return the places in execution order, from 0, of P plain motions (P,) and of S statements (S,) among them.
+
+    :param plain_lines: (P,) their lines in the trace, in any order; `statement_lines` (S,) ascending.
+    """
+    order = compact(np.argsort(plain_lines, kind="stable"), np.int32)
+    # as many motions precede a statement as plain ones with smaller lines, and statements before it
+    plain_count = np.searchsorted(plain_lines, statement_lines, sorter=order)
+    statement_places = plain_count + np.arange(len(statement_lines))
+    plain_places = np.empty_like(plain_lines)
+    plain_places[order] = np.delete(np.arange(len(plain_lines) + len(statement_lines)), statement_places)
+    return plain_places, statement_places
 
 
 class MotionsAndLayout(NamedTuple):
@@ -164,9 +182,9 @@ def motions_and_layout(
     ends = end_poses(targets, start_joints, kinematics, predecessors)
     is_wrist_led = _wrist_led_rows(trace, rows, in_force, ends, targets.carriage)
     _check_by_wrist(trace, rows, in_force, ends, settings)
-    circles = _circle_columns(sequence, targets, ends, text_ends, settings)
-    motions = _motions(trace, sequence, targets.frames, ends, circles)
-    layout = _layout(main, sequence, motions, targets, ends, circles, is_wrist_led)
+    path = _Path(targets, ends, _circle_columns(sequence, targets, ends, text_ends, settings))
+    motions = _motions(trace, sequence, path)
+    layout = _layout(main, sequence, motions, path, is_wrist_led)
     has_assumed_speed = in_force.column(lambda state: state.is_speed_assumed) & (rows.kind != PTP)
     issues = [
         *axis_issues,
@@ -214,11 +232,22 @@ def _text_targets(
     return TextTargets(trace, rows.line, rows.numbers, frames, moves, control, carriage, is_missing), issues
 
 
-def _motions(
-    trace: Trace, sequence: OrderedMotions, frames: FrameColumns, ends: EndPoses, circles: _CircleColumns
-) -> Motions:
-    """Return the motions of a program, from what its text gives and the completed targets."""
-    rows, numbers = sequence.rows, sequence.numbers
+class _Path(NamedTuple):
+    """The path of M motions.
+
+    :ivar targets: as the text gives them.
+    :ivar ends: the same, complete.
+    :ivar circles: the circles among them.
+    """
+
+    targets: TextTargets
+    ends: EndPoses
+    circles: _CircleColumns
+
+
+def _motions(trace: Trace, sequence: OrderedMotions, path: _Path) -> Motions:
+    """Return the motions of a program."""
+    (rows, _, numbers, _), frames, ends, circles = sequence, path.targets.frames, path.ends, path.circles
     return Motions(
         kind=rows.kind,
         rapid=rows.kind == PTP,
@@ -238,20 +267,13 @@ def _motions(
     )
 
 
-def _layout(
-    main: MainRoutine,
-    sequence: OrderedMotions,
-    motions: Motions,
-    targets: TextTargets,
-    ends: EndPoses,
-    circles: _CircleColumns,
-    is_wrist_led: Bools,
-) -> Layout:
+def _layout(main: MainRoutine, sequence: OrderedMotions, motions: Motions, path: _Path, is_wrist_led: Bools) -> Layout:
     """Return the places of the numbers of the motions in the text.
 
     :param is_wrist_led: see `Layout`.
     """
     rows, in_force, _, moves = sequence
+    targets, ends, circles = path
     run = main.run
     elements = tuple(_elements_of_program(rows, rounds) for rounds in main.rounds)
     return Layout(
@@ -554,14 +576,35 @@ def _circle_columns(
     has_angle = ~np.isnan(angle)
     ends_elsewhere = has_angle & ~(np.abs(angle - circles.arcs.angle) < _END_TOLERANCE)
     _check_circular_angles(targets, circle_rows[ends_elsewhere], ends)
-    drops_via_orientation[circle_rows] = ignores_auxiliary_orientation(
-        trace, rows, moves, circles, targets.control, settings, in_force.take(circle_rows)
-    )
+    orientations = auxiliary_orientations(trace, rows, moves, circle_rows, in_force.take(circle_rows))
+    _check_turns(circles, orientations, targets, in_force, settings)
+    drops_via_orientation[circle_rows] = orientations.has_effect
     centre, normal, sweep = nan_rows.copy(), nan_rows.copy(), nan_rows[:, 0].copy()
     centre[circle_rows] = circles.arcs.centre
     normal[circle_rows] = np.where(has_angle, np.sign(angle), 1.0)[:, None] * circles.arcs.axis
     sweep[circle_rows] = np.where(has_angle, np.abs(angle), circles.arcs.angle)
     return _CircleColumns(centre, normal, sweep, drops_via_orientation)
+
+
+def _check_turns(
+    circles: Circles,
+    orientations: AuxiliaryOrientations,
+    targets: TextTargets,
+    in_force: MotionStates,
+    settings: Settings,
+) -> None:
+    """Refuse circles on which the tool does not turn by the shorter rotation, or may not.
+
+    :param orientations: of the auxiliary points of the circles.
+    :param in_force: settings in force at all motions.
+    :raises ProgramError: there is one.
+    """
+    index = first_other_turn(circles, orientations, targets.control.turns_with_path[circles.rows])
+    if index >= 0:
+        row = circles.rows.item(index)
+        settings.refuse_uncertain(in_force.at(row), ["auxiliary"])
+        is_led_through = bool(orientations.is_led_through[index])
+        raise other_turn_error(targets.trace, targets.line.item(row), is_led_through=is_led_through)
 
 
 def _circles(trace: Trace, rows: MotionColumns, circle_rows: Ints, ends: EndPoses, text_ends: Array) -> Circles:

@@ -273,13 +273,13 @@ def _points(raw: Bytes, begins: Ints, shift: Ints, tokens: _NumberTokens) -> _Po
     has_circles = len(points) > len(begins)
     if has_circles:  # auxiliary points have columns of their own, before those of the targets
         line = np.searchsorted(begins, points[:, 0], side="right") - 1
-        is_target = np.append(line[1:] != line[:-1], True)
-        column += np.repeat(
-            np.where(is_target, _NUMBERS, 0), np.diff(np.searchsorted(starts, points[:, 0]), append=len(starts))
-        )
+        is_target = np.append(line[1:] != line[:-1], True)  # the last point of its line
+        number_count = np.diff(np.searchsorted(starts, points[:, 0]), append=len(starts))  # of each point
+        column += np.repeat(np.where(is_target, _NUMBERS, 0), number_count)
     numbers = np.full((len(begins), _NUMBERS * (1 + has_circles)), np.nan)
     spans = np.full((*numbers.shape, 2), -1, dtype=np.int32)
     row, column = _rows_and_columns(column, begins, starts)
+    # all rows with the same columns: the numbers are a table with one row for each line
     offset, shape = (shift[:, None], (len(begins), -1)) if isinstance(row, slice) else (shift[row], (-1,))
     numbers[row, column] = values.reshape(shape)
     spans[row, column, 0] = starts.reshape(shape) + offset

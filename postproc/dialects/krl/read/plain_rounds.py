@@ -7,7 +7,7 @@ Other loops are followed round by round (`main_routine`), and so could these be.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 
 import numpy as np
 from msgspec import Struct
@@ -49,13 +49,8 @@ def plain_body(source: Source, block: Block) -> PlainBody | None:
 
     :returns: None if the loop does anything else.
     """
-    head = statement(source, block.first)
-    if not isinstance(head, For) or head.bounds is None or head.counter is None or head.counter.indices is not None:
-        return None
-    bounds = walk(value for value in head.bounds if value is not None)
-    if head.counter.field is not None or any(
-        isinstance(value, Reference) and value.name == head.name for value in bounds
-    ):
+    head = simple_head(source, block)
+    if head is None or bounds_name(head, {head.name}):
         return None
     motions, settings, triggers = [], [], []
     for node in block.parts[0].nodes:
@@ -71,6 +66,30 @@ def plain_body(source: Source, block: Block) -> PlainBody | None:
         elif not plain_settings.is_plain(source, line):
             return None
     return PlainBody((*motions,), (*settings,), (*triggers,)) if motions else None
+
+
+def simple_head(source: Source, block: Block) -> For | None:
+    """Return the head of a FOR that counts in a whole variable; None for another loop, or if it cannot be read."""
+    head = statement(source, block.first)
+    if not isinstance(head, For) or head.bounds is None or head.counter is None:
+        return None
+    return head if head.counter.indices is None and head.counter.field is None else None
+
+
+def bounds_name(head: For, names: Set[str]) -> bool:
+    """Return whether the bounds or the step of a FOR name one of some variables, upper case."""
+    values = walk(bound for bound in head.bounds or () if bound is not None)
+    return any(isinstance(value, Reference) and value.name in names for value in values)
+
+
+def may_be_columns(run: Run) -> bool:
+    """Return whether the motions of the next rounds may be read at once.
+
+    Their frames and other settings must be known, they must run for certain, and be outside of a spline block.
+    """
+    state = run.settings.state
+    has_frames = state.base >= 0 and state.tool >= 0  # negative: not known
+    return has_frames and not state.uncertain_fields and not state.spline_block and run.is_certain
 
 
 def _sets_from_array(stmt: Statement, counter: str) -> bool:
@@ -101,23 +120,23 @@ def _is_motion_to_element(stmt: Statement, counter: str) -> bool:
     """
     if not isinstance(stmt, Motion) or stmt.word not in KINDS or stmt.word in (*CIRCLES, "SPL"):
         return False
-    tail, end = stmt.tail, stmt.end
-    if (
-        stmt.angle is not None
-        or stmt.frame
-        or tail.assignments
-        or tail.unknown_text is not None
-        or tail.error is not None
-    ):
+    if stmt.angle is not None or stmt.frame or not has_plain_tail(stmt):
         return False
-    if (
-        not isinstance(end, Reference)
-        or end.field is not None
-        or end.name in ROBOT_POSITIONS
-        or len(end.name) > MAX_LENGTH
-    ):
+    end = stmt.end
+    if not isinstance(end, Reference) or end.field is not None or not may_be_point_name(end.name):
         return False
     return _counter_offset(end, counter) is not None
+
+
+def has_plain_tail(motion: Motion) -> bool:
+    """Return whether nothing but approximation follows the points of a motion."""
+    tail = motion.tail
+    return not tail.assignments and tail.unknown_text is None and tail.error is None
+
+
+def may_be_point_name(name: str) -> bool:
+    """Return whether a name, upper case, may be that of a point of the program: the controller accepts it."""
+    return name not in ROBOT_POSITIONS and len(name) <= MAX_LENGTH
 
 
 def _counter_offset(point: Reference, counter: str) -> int | None:
@@ -161,8 +180,7 @@ def columns_of(
     :param run: the program as far as it has run, before the first round.
     :returns: the motions of each statement, and the settings; None if the rounds must be followed one by one.
     """
-    state = run.settings.state
-    if state.uncertain_fields or state.spline_block or state.base < 0 or state.tool < 0 or not run.is_certain:
+    if not may_be_columns(run):
         return None
     motions = []
     for line in rounds.body.motions:

@@ -120,18 +120,21 @@ class PlainAssignments:
         """
         if self._is_finished:
             return []
+        # indices of the assignments to each field that are passed now
         spans = [
-            (start, bisect_left(lines, line, start))
-            for start, lines in zip(self._passed_counts, self._lines, strict=True)
+            (first, bisect_left(lines, line, first))
+            for first, lines in zip(self._passed_counts, self._lines, strict=True)
         ]
-        places = {lines[index] for (first, stop), lines in zip(spans, self._lines, strict=True) if stop > first
-                  for index in (first, stop - 1)}  # fmt: skip
+        assignment_lines: set[int] = set()
+        for (first, stop), lines in zip(spans, self._lines, strict=True):
+            if stop > first:
+                assignment_lines |= {lines[first], lines[stop - 1]}
         assignments = []
-        for place in sorted(places):
+        for assignment_line in sorted(assignment_lines):
             for row, (first, stop) in enumerate(spans):
-                index = bisect_right(self._lines[row], place, first, stop) - 1
+                index = bisect_right(self._lines[row], assignment_line, first, stop) - 1  # the latest one there
                 if index >= first:
-                    assignments.append((place, NUMBERS[row], float(self._given[row][1][index])))
+                    assignments.append((assignment_line, NUMBERS[row], float(self._given[row][1][index])))
         self._passed_counts = [stop for _, stop in spans]
         self._is_finished = all(
             stop == len(lines) for stop, lines in zip(self._passed_counts, self._lines, strict=True)

@@ -22,6 +22,7 @@ from postproc.dialects.krl.language.positions import LARGEST_COORDINATE
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.trace import Trace
+from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read.comments import notes_of, remarks
 from postproc.dialects.krl.read.data_lists import read_data, read_shared
 from postproc.dialects.krl.read.folder import FolderFiles, Library, codes_of, needed, text_of_lines
@@ -34,14 +35,15 @@ from postproc.dialects.krl.read.issues import (
 )
 from postproc.dialects.krl.read.joins import (
     BranchError,
+    FramesAndStart,
     branches,
     check_endless_loop,
     check_force,
     check_joins,
     endless_loop_issue,
+    endless_rounds,
     free_joins,
     predecessors_and_joins,
-    start_poses,
     transitions,
 )
 from postproc.dialects.krl.read.known import InexactError
@@ -56,6 +58,7 @@ from postproc.dialects.krl.read.motions import (
 )
 from postproc.dialects.krl.read.next_run import changed_data_issues, kept_values
 from postproc.dialects.krl.read.plain_lines import PlainLines, plain_of, plain_rows_of_trace
+from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.unresolved import SeparatedMotions, depends_on_start, without_unresolved
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
@@ -218,59 +221,55 @@ class _Reading(Struct, frozen=True, eq=False):
         :raises ProgramError: motions cannot be corrected where branches meet or rounds repeat, or a target is not
             certain.
         """
-        main, cell, separation = executed_program.main, self.cell, executed_program.separation
-        run, course, sequence, trace = main.run, main.course, separation.sequence, main.course.trace
-        unchecked_joins = frozenset() if cell.carriage is not None else free_joins(course, sequence)
+        main, separation = executed_program.main, executed_program.separation
+        run, course, sequence = main.run, main.course, separation.sequence
+        unchecked_joins = frozenset() if self.cell.carriage is not None else free_joins(course, sequence)
         notes = notes_of(
             course, sequence.rows.line, sequence.rows.kind == PTP, run.unknown_force_reasons, unchecked_joins
         )
-        if not cell.krl.keep_unresolved:
+        if not self.cell.krl.keep_unresolved:
             refuse_routines_under_force(run, notes)
         uncorrected_lines = [line for line, _ in run.unresolved_motions]
         predecessors, joins = predecessors_and_joins(
             course, sequence, separation.predecessors, uncorrected_lines, unchecked_joins
         )
-        _check_size(trace, sequence.rows)
+        _check_size(course.trace, sequence.rows)
         _check_starts(main, sequence)
         motions, layout, assumptions = motions_and_layout(
-            main, sequence, cell.start_joints, self.kinematics, predecessors
+            main, sequence, self.cell.start_joints, self.kinematics, predecessors
         )
-        issues = [*run.issues, *separation.issues, *assumptions, *executed_program.data_issues]
-        issues += issues_of(main, sequence.in_force, sequence.rows, layout)
-        issues += _cell_value_issues(executed_program)
-        frames = np.stack(run.settings.frames.bases), np.stack(run.settings.frames.tools)
-        start_flange = self.kinematics(cell.start_joints)
-        check_joins(course, joins, motions, layout.carriage, frames, start_flange)
-        rounds: tuple[tuple[int, ...], ...] = ()
+        issues = list(_program_issues(executed_program, layout, assumptions))
+        path = _frames_and_start(run.settings, self.kinematics(self.cell.start_joints))
+        check_joins(course, joins, motions, layout.carriage, path)
+        round_ends: tuple[tuple[int, int], ...] = ()
         if (loop := course.endless_loop) is not None:
-            loop_starts = start_poses(loop, layout.line, motions, frames, start_flange, predecessors)
-            rounds = check_endless_loop(course, loop, layout.line, motions, loop_starts, layout.carriage, run.settings)
+            rounds = endless_rounds(loop, layout, motions, path, predecessors)
+            check_endless_loop(course, rounds, run.settings)
             check_force(course, loop, layout.line, notes)
-            issues.append(endless_loop_issue(course, loop))
+            round_ends = rounds.joined_ends()
         documents, needed_files = self._program_files(main)
         return Program(
             self.name,
             "krl",
             documents,
             motions,
-            *frames,
-            tool_keys=tuple(
-                tuple(map(str, sorted(run.settings.frames.tool_numbers.get(row, ())))) for row in range(len(frames[1]))
-            ),
+            path.bases,
+            path.tools,
+            tool_keys=_tool_keys(run.settings),
             events=remarks(course, layout.line),
             notes=tuple(note for _, note in notes),
-            still=trace.shown[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
+            still=course.trace.shown[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
             issues=tuple(issues),
             carriage=layout.carriage,
             with_path=layout.turns_with_path if layout.turns_with_path.any() else None,
             by_wrist=layout.is_wrist_led if layout.is_wrist_led.any() else None,
             turn_speeds=stated_turn_speeds(sequence.numbers),
             after=predecessors,
-            joins=(*(join.ends for join in joins), *rounds),
+            joins=(*(join.ends for join in joins), *round_ends),
             branches=branches(course, sequence.rows.line),
             transitions=transitions(course, layout.line, predecessors, uncorrected_lines, unchecked_joins),
             unresolved=separation.unresolved,
-            unfollowed=() if cell.krl.keep_unresolved else unfollowed_calls(run),
+            unfollowed=() if self.cell.krl.keep_unresolved else unfollowed_calls(run),
             needed=needed_files,
             layout=replace(layout, notes=tuple(line for line, _ in notes)),
         )
@@ -322,6 +321,33 @@ class _ExecutedProgram(Struct, frozen=True, eq=False):
     main: MainRoutine
     separation: SeparatedMotions
     data_issues: list[Issue]
+
+
+def _program_issues(
+    executed_program: _ExecutedProgram, layout: Layout, assumptions: Sequence[Issue]
+) -> Iterator[Issue]:
+    """Yield the issues about a program that has been followed, in the order in which they are reported.
+
+    :param assumptions: issues about assumptions on its motions.
+    :raises ProgramError: a called program is known to move the robot by a sensor.
+    """
+    main, separation = executed_program.main, executed_program.separation
+    yield from (*main.run.issues, *separation.issues, *assumptions, *executed_program.data_issues)
+    yield from issues_of(main, separation.sequence.in_force, separation.sequence.rows, layout)
+    yield from _cell_value_issues(executed_program)
+    if (loop := main.course.endless_loop) is not None:
+        yield endless_loop_issue(main.course, loop)
+
+
+def _frames_and_start(settings: Settings, start_flange: Array) -> FramesAndStart:
+    """Return the frames that a program has used, and the flange (4, 4) at its start [m]."""
+    return FramesAndStart(np.stack(settings.frames.bases), np.stack(settings.frames.tools), start_flange)
+
+
+def _tool_keys(settings: Settings) -> tuple[tuple[str, ...], ...]:
+    """Return the numbers of TOOL_DATA that each tool frame of a program has, as text, see `Program.tool_keys`."""
+    numbers = settings.frames.tool_numbers
+    return tuple(tuple(map(str, sorted(numbers.get(row, ())))) for row in range(len(settings.frames.tools)))
 
 
 def _cell_value_issues(executed_program: _ExecutedProgram) -> Iterator[Issue]:

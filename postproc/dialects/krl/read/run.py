@@ -129,6 +129,16 @@ class UntracedCall(Struct, frozen=True, eq=False):
     cause: ProgramError
 
 
+class FindingCounts(NamedTuple):
+    """Number of findings of each kind, see the lists of the same names in `Run`."""
+
+    triggers: int
+    untraced_calls: int
+    interruptible_calls: int
+    absent_calls: int
+    issues: int
+
+
 class RunPosition(NamedTuple):
     """The routine that runs, and how deep it is in calls, loops and branches.
 
@@ -315,9 +325,9 @@ class Run:
         self.level.open_structures.clear()
         self.level.jump_line = 0
 
-    def finding_counts(self) -> tuple[int, ...]:
+    def finding_counts(self) -> FindingCounts:
         """Return the number of findings of each kind so far, for `drop_findings`."""
-        return (
+        return FindingCounts(
             len(self.triggers),
             len(self.untraced_calls),
             len(self.interruptible_calls),
@@ -325,11 +335,11 @@ class Run:
             len(self.issues),
         )
 
-    def drop_findings(self, marks: tuple[int, ...]) -> None:
+    def drop_findings(self, counts: FindingCounts) -> None:
         """Drop all findings since a call of `finding_counts`, to follow the same statements differently."""
-        trigger_count, moved_count, stop_count, absent_count, issue_count = marks
-        del self.triggers[trigger_count:], self.untraced_calls[moved_count:], self.interruptible_calls[stop_count:]
-        del self.absent_calls[absent_count:], self.issues[issue_count:]
+        del self.triggers[counts.triggers :], self.untraced_calls[counts.untraced_calls :]
+        del self.interruptible_calls[counts.interruptible_calls :]
+        del self.absent_calls[counts.absent_calls :], self.issues[counts.issues :]
 
     @property
     def is_traced(self) -> bool:

@@ -79,11 +79,18 @@ class SplineBlocks:
             raise place.error(f"{tail!r} is not understood", advice="Check its spelling.")
         if tail:
             self.approximated_ends.append(row)
-        block_state, end_state = self.open_block.block_state, self.settings.state
-        changed_fields = block_state.differing_fields(end_state) | {
-            field for field, _ in set(end_state.uncertain_fields) - set(block_state.uncertain_fields)
+        self._close_block(place, self.open_block, row)
+
+    def _close_block(self, place: Place, block: OpenBlock, row: int) -> None:
+        """Close a spline block: the settings outside of it are in force again, but for those that functions change.
+
+        :param row: row of the trace with ENDSPLINE, which is at `place`.
+        """
+        end_state = self.settings.state
+        changed_fields = block.block_state.differing_fields(end_state) | {
+            field for field, _ in set(end_state.uncertain_fields) - set(block.block_state.uncertain_fields)
         }
-        self.settings.change_state(row, self.open_block.outer_state)
+        self.settings.change_state(row, block.outer_state)
         if changed_fields:
             problem = "a function that a motion of the spline block calls changes what motions depend on"
             self.settings.make_uncertain(row, sorted(changed_fields), place.error(problem, SETTING_ADVICE))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Set
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -38,12 +38,49 @@ class _OpenRoutine(Struct, eq=False):
 
     :ivar cursor: its first line that is not recorded yet.
     :ivar shown_line: line of the `.src` to report for its lines; 0 if that is their own.
+    :ivar bodies: its own body and those of the loops that have not ended, the innermost last.
     """
 
     source: Source
     cursor: int
     shown_line: int
     bodies: list[Body] = []
+
+
+class _Piece(NamedTuple):
+    """Consecutive rows of the trace.
+
+    :ivar file: number of their file.
+    :ivar first: line of the first row; `last` that of the last.
+    :ivar shown_line: line of the `.src` to report for all rows; 0: each its own.
+    :ivar for_line: line of the FOR whose counter the row sets; 0 for rows that are lines of the file.
+    :ivar is_live: whether they run.
+    """
+
+    file: int
+    first: int
+    last: int
+    shown_line: int
+    for_line: int
+    is_live: bool
+
+
+class Mark(NamedTuple):
+    """The state of a recorder, for `Recorder.back_to`.
+
+    :ivar row_count: number of rows; the next five: lengths of its lists and dictionaries.
+    :ivar last_step: None without steps; later rows may extend it.
+    :ivar open_routines: cursor, number of bodies, and number of parts of each body, of each open routine.
+    """
+
+    row_count: int
+    piece_count: int
+    step_count: int
+    assignment_count: int
+    inlined_count: int
+    file_count: int
+    last_step: Step | None
+    open_routines: list[tuple[int, int, list[int]]]
 
 
 class Recorder:
@@ -61,10 +98,9 @@ class Recorder:
         self.may_call_originals = False
         self.is_final = True
         self._sources: dict[Source, int] = {main.source: 0}
-        # file number, first and last line, line to report or 0 for itself, line of FOR or 0, whether the lines run
-        self._pieces: list[tuple[int, int, int, int, int, bool]] = []
+        self._pieces: list[_Piece] = []
         self._steps: list[Step] = []
-        self._counts: list[tuple[int, int]] = []
+        self._counts: list[tuple[int, int]] = []  # row that sets the counter of a FOR, and the number
         self._inlined: dict[Routine, None] = {}
         self._files: dict[Document, None] = {}
         self._record_lines(main.source, 1, main.first, 0, live=False)
@@ -109,29 +145,35 @@ class Recorder:
         self._steps.append(replace(step, row=self.count))
         self.is_final = False
 
-    def mark(self) -> tuple[Any, ...]:
-        """Return what `back_to` needs to drop all that is recorded from now on: lengths of lists, and the last step."""
-        open_lengths = [
-            (routine.cursor, len(routine.bodies), [len(body.parts) for body in routine.bodies])
-            for routine in self._open
-        ]
-        last_step = self._steps[-1] if self._steps else None
-        lengths = len(self._pieces), len(self._steps), len(self._counts), len(self._inlined), len(self._files)
-        return self.count, lengths, last_step, open_lengths
+    def mark(self) -> Mark:
+        """Return what `back_to` needs to drop all that is recorded from now on."""
+        return Mark(
+            row_count=self.count,
+            piece_count=len(self._pieces),
+            step_count=len(self._steps),
+            assignment_count=len(self._counts),
+            inlined_count=len(self._inlined),
+            file_count=len(self._files),
+            last_step=self._steps[-1] if self._steps else None,
+            open_routines=[
+                (routine.cursor, len(routine.bodies), [len(body.parts) for body in routine.bodies])
+                for routine in self._open
+            ],
+        )
 
-    def back_to(self, mark: tuple[Any, ...]) -> None:
+    def back_to(self, mark: Mark) -> None:
         """Drop everything recorded since a `mark`."""
         self.is_final = False
-        self.count, (piece_count, step_count, count_count, inlined_count, file_count), last_step, open_lengths = mark
-        for routine in list(self._inlined)[inlined_count:]:
+        self.count = mark.row_count
+        for routine in list(self._inlined)[mark.inlined_count :]:
             del self._inlined[routine]
-        for document in list(self._files)[file_count:]:
+        for document in list(self._files)[mark.file_count :]:
             del self._files[document]
-        del self._pieces[piece_count:], self._steps[step_count:], self._open[len(open_lengths) :]
-        del self._counts[count_count:]
-        if step_count:
-            self._steps[-1] = last_step
-        for open_routine, (cursor, body_count, part_counts) in zip(self._open, open_lengths, strict=True):
+        del self._pieces[mark.piece_count :], self._steps[mark.step_count :], self._counts[mark.assignment_count :]
+        if mark.last_step is not None:
+            self._steps[-1] = mark.last_step
+        del self._open[len(mark.open_routines) :]
+        for open_routine, (cursor, body_count, part_counts) in zip(self._open, mark.open_routines, strict=True):
             open_routine.cursor = cursor
             del open_routine.bodies[body_count:]
             for body, part_count in zip(open_routine.bodies, part_counts, strict=True):
@@ -169,15 +211,21 @@ class Recorder:
         """
         self.record_run_lines(block.first - 1)
         source = self._open[-1].source
-        opening_text = _line_text(source, block.first, block.first)
-        closing_text = _line_text(source, closing or block.last, block.last)
-        loop = UnrolledLoop(opening_text, closing_text, counter, step, has_exit, self.count + 1)
+        loop = UnrolledLoop(
+            opener=source.lines_text(block.first, block.first),
+            closer=source.lines_text(closing or block.last, block.last),
+            counter=counter,
+            step=step,
+            has_exit=has_exit,
+            first=self.count + 1,
+        )
         self._open[-1].bodies[-1].parts.append(loop)
         return loop
 
     def begin_round(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
-        """Begin an iteration of a loop.
+        """Begin an iteration of a loop: its body is the innermost one, and the line behind its head is recorded next.
 
+        :param loop: gets the new body.
         :param number: value of the counter of FOR in it; None for other loops.
         """
         body = Body(self.count + 1)
@@ -188,14 +236,10 @@ class Recorder:
 
     def record_plain_rounds(self, loop: UnrolledLoop, block: Block, rounds: PlainRounds) -> None:
         """Record at once all rounds of a FOR that differ only in the value of its counter."""
-        open_routine = self._open[-1]
-        first, last = block.first + 1, block.last - 1
-        source = self._sources.setdefault(open_routine.source, len(self._sources))
-        round_origin = (
-            (source, 1, 1, open_routine.shown_line, block.first, True),
-            (source, first, last, open_routine.shown_line, 0, True),
-        )
-        self._pieces += round_origin * rounds.count
+        file, shown_line = self._present_file(), self._open[-1].shown_line
+        assignment = _Piece(file, 1, 1, shown_line, for_line=block.first, is_live=True)
+        body_lines = _Piece(file, block.first + 1, block.last - 1, shown_line, for_line=0, is_live=True)
+        self._pieces += [assignment, body_lines] * rounds.count
         starts = range(rounds.first, rounds.stop_row, rounds.length)
         loop.bodies += [Body(start, start + rounds.length) for start in starts]
         loop.plain_rounds = rounds
@@ -204,7 +248,7 @@ class Recorder:
         self._add_run_lines(rounds.first)
 
     def end_round(self, block: Block, *, whole: bool) -> None:
-        """End an iteration of a loop; `whole` is False if EXIT, RETURN or GOTO has ended it early."""
+        """End the innermost iteration of a loop; `whole` is False if EXIT, RETURN or GOTO has ended it early."""
         if whole:
             self.record_run_lines(block.last - 1)
         self.record_passed_lines(block.last - 1, live=False)
@@ -228,27 +272,26 @@ class Recorder:
         """
         main = self.main
         self.body.stop = self.count + 1
-        line = main.last
+        next_line = main.last
         for routine in sorted(self._inlined, key=lambda routine: routine.first):
             if routine.source is main.source and routine.first > main.last:
-                self._record_lines(main.source, line, routine.first - 1, 0, live=False)
-                line = routine.last + 1
-        self._record_lines(main.source, line, len(main.source.starts), 0, live=False)
-        lengths = np.array([last - first + 1 for _, first, last, *_ in self._pieces])
-        column = np.array(self._pieces, dtype=np.int64)
-        run = ragged_range(lengths)
-        source, first, _, shown_line, fixed_line, live = (np.repeat(values, lengths) for values in column.T)
-        origin = np.where(fixed_line > 0, fixed_line, first + run)
-        shown = np.where(shown_line > 0, shown_line, origin)
+                self._record_lines(main.source, next_line, routine.first - 1, 0, live=False)
+                next_line = routine.last + 1
+        self._record_lines(main.source, next_line, len(main.source.starts), 0, live=False)
+        columns = np.array(self._pieces, dtype=np.int64).T
+        lengths = columns[2] - columns[1] + 1  # last and first line
+        file, first, _, shown_line, for_line, is_live = (np.repeat(values, lengths) for values in columns)
+        line = np.where(for_line > 0, for_line, first + ragged_range(lengths))
+        shown = np.where(shown_line > 0, shown_line, line)
         return Course(
-            main,
-            Trace(tuple(self._sources), source, origin, shown, fixed_line > 0),
-            tuple(self._steps),
-            self.body,
-            live.astype(np.bool_),
-            frozenset(self._inlined),
-            frozenset(self._inlined if self.may_call_originals else self._inlined.keys() & callees),
-            tuple(self._files),
+            main=main,
+            trace=Trace(tuple(self._sources), file, line, shown, for_line > 0),
+            steps=tuple(self._steps),
+            body=self.body,
+            may_run=is_live.astype(np.bool_),
+            inlined_routines=frozenset(self._inlined),
+            unchanged_routines=frozenset(self._inlined if self.may_call_originals else self._inlined.keys() & callees),
+            files=tuple(self._files),
             count_of_row=dict(self._counts),
         )
 
@@ -262,19 +305,27 @@ class Recorder:
         return True
 
     def _record_lines(self, source: Source, first: int, last: int, shown_line: int, *, live: bool) -> None:
-        """Record lines first … last of a file; `live` says whether they run."""
+        """Record lines first … last of a file.
+
+        :param shown_line: line of the `.src` to report for all of them; 0: each its own.
+        :param live: whether they run.
+        """
         if last < first:
             return
-        self._pieces.append((self._sources.setdefault(source, len(self._sources)), first, last, shown_line, 0, live))
+        file = self._sources.setdefault(source, len(self._sources))
+        self._pieces.append(_Piece(file, first, last, shown_line, for_line=0, is_live=live))
         self.count += last - first + 1
+
+    def _present_file(self) -> int:
+        """Return the number of the file of the present routine."""
+        return self._sources.setdefault(self._open[-1].source, len(self._sources))
 
     def _record_assignment(self, block: Block, number: int | None) -> None:
         """Record that a FOR sets its counter to a number; do nothing for None, which other loops pass."""
         if number is None:
             return
-        open_routine = self._open[-1]
-        source = self._sources.setdefault(open_routine.source, len(self._sources))
-        self._pieces.append((source, 1, 1, open_routine.shown_line, block.first, True))
+        shown_line = self._open[-1].shown_line
+        self._pieces.append(_Piece(self._present_file(), 1, 1, shown_line, for_line=block.first, is_live=True))
         self.count += 1
         self._counts.append((self.count, number))
         self._add_run_lines(self.count)
@@ -286,9 +337,3 @@ class Recorder:
             self._steps[-1] = Lines(last_step.first, self.count)
         else:
             self._steps.append(Lines(first, self.count))
-
-
-def _line_text(source: Source, first: int, last: int) -> str:
-    """Return the text of lines first … last of a file, line ends included."""
-    start = int(source.starts[first - 1])
-    return source.text[start : int(source.starts[last]) if last < len(source.starts) else len(source.text)]

@@ -76,11 +76,10 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     gap_lines = sorted({*reasons, *(call.row for call in run.untraced_calls), *stop_lines})
     open_rows = _drop_dependent_motions(main, sequence, gap_lines, is_dropped, reasons)
     if is_dropped.all():
-        raise min(reasons.items())[1]
-    for row in np.flatnonzero(is_dropped).tolist():
-        if row in sequence.moves:
-            move = sequence.moves[row]
-            run.followed_names -= {(move.line, point.start) for point in (move.end, move.via) if point is not None}
+        raise min(reasons.items())[1]  # that of the first line
+    for row in sequence.moves.keys() & np.flatnonzero(is_dropped).tolist():  # their points must keep their values
+        move = sequence.moves[row]
+        run.followed_names -= {(move.line, point.start) for point in (move.end, move.via) if point is not None}
     corrected_motions = _without_rows(sequence, is_dropped)
     new_row = np.cumsum(~is_dropped) - 1
     begins = [int(new_row[row]) for row in sorted(open_rows) if row < len(rows)]
@@ -170,7 +169,8 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
         return []
     routines = [(module, routine) for module in modules for routine in module.routines.values()]
     sync_words_of = {
-        routine: {_sync_word(routine.source, row) for row in routine.statement_lines} - {""} for _, routine in routines
+        routine: {_sync_word(routine.source, line) for line in routine.statement_lines} - {""}
+        for _, routine in routines
     }
     sync_routines = {routine for routine, routine_words in sync_words_of.items() if routine_words}
     names = {
@@ -178,19 +178,19 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
         for module, routine in routines
         if not sync_routines.isdisjoint(run.analysis.reachable_routines(module, routine))
     }
-    waiting = set().union(*sync_words_of.values()) <= {_WAITING}
-    at_any_time = any(
-        isinstance(statement(routine.source, row), Event) and _sync_word(routine.source, row, names)
+    only_waits = set().union(*sync_words_of.values()) <= {_WAITING}
+    may_run_later = any(
+        isinstance(statement(routine.source, line), Event) and _sync_word(routine.source, line, names)
         for _, routine in routines
-        for row in routine.statement_lines
+        for line in routine.statement_lines
     )
-    entry_lines = {step.row for step in course.steps if isinstance(step, RoutineEntry)}
-    marks = []
-    trace = course.trace
+    entry_rows = {step.row for step in course.steps if isinstance(step, RoutineEntry)}
+    marks, trace = [], course.trace
     for row in range(course.body.first, course.body.stop):
         if not trace.is_count[row - 1] and (course.may_run is None or course.may_run[row - 1]):
-            word = _sync_word(*trace.place(row), names, is_entered=row in entry_lines)
-            marks += [(row, not at_any_time and (waiting or word == _WAITING))] if word else []
+            word = _sync_word(*trace.place(row), names, is_entered=row in entry_rows)
+            if word:
+                marks.append((row, not may_run_later and (only_waits or word == _WAITING)))
     loop = course.endless_loop
     if loop is not None and any(loop.first <= row < loop.stop for row, _ in marks):
         marks += [(loop.first - 1, True), (loop.stop, True)]

@@ -192,14 +192,10 @@ class Variables:
         self.cell_values = {key.upper(): _cell_value(value) for key, value in cell.krl.values.items()}
         _check_cell_values(self.cell_values)
         self.used_cell_values: set[str] = set()
-        for number, base in cell.base_data.items():
-            self._put_frame(
-                f"BASE_DATA[{int(number)}]", position_from_pose(base.pose()), f"[base_data.{number}] of the cell"
-            )
-        for number, tool in cell.tool_data.items():
-            self._put_frame(
-                f"TOOL_DATA[{int(number)}]", position_from_pose(tool.pose()), f"[tool_data.{number}] of the cell"
-            )
+        for table, frames in (("base_data", cell.base_data), ("tool_data", cell.tool_data)):
+            for number, frame in frames.items():
+                key = f"{table.upper()}[{int(number)}]"
+                self._put_frame(key, position_from_pose(frame.pose()), f"[{table}.{number}] of the cell")
         for name in ("$NULLFRAME", "BASE_DATA[0]", "TOOL_DATA[0]"):
             self._values.setdefault(name, ZERO)
 
@@ -237,14 +233,10 @@ class Variables:
         duplicate._values, duplicate._elements = dict(self._values), defaultdict(list)
         for name, keys in self._elements.items():
             duplicate._elements[name] = list(keys)
-        duplicate.types, duplicate.structures, duplicate.global_names = (
-            dict(self.types),
-            dict(self.structures),
-            set(self.global_names),
-        )
+        duplicate.types, duplicate.structures = dict(self.types), dict(self.structures)
+        duplicate.global_names, duplicate.used_names = set(self.global_names), set(self.used_names)
         duplicate.volatile_values, duplicate.change_places = dict(self.volatile_values), dict(self.change_places)
-        duplicate.used_names, duplicate.persistent_names = set(self.used_names), set(self.persistent_names)
-        duplicate.late_values = dict(self.late_values)
+        duplicate.persistent_names, duplicate.late_values = set(self.persistent_names), dict(self.late_values)
         return duplicate
 
     def take_cell_values(self, name: str = "") -> None:
@@ -307,31 +299,34 @@ class Variables:
         name = key.partition("[")[0]
         if name not in self.change_places:
             self.change_places[name] = str(place)
-        first = field.partition(".")[0].partition("[")[0]
-        if (
-            isinstance(old_value, Position)
-            and field in CARTESIAN
-            and not old_value.is_axis
-            and isinstance(value, Number)
-        ):
-            new_position = with_component(old_value, field, value.value)
-            self.put(key, UnknownValue(str(place)) if new_position is None else new_position)
-        elif isinstance(old_value, UnknownValue) and old_value.reason:
-            return
-        elif old_value in (None, NO_VALUE) and not isinstance(value, UnknownValue):
-            self.put(key, UnknownValue(str(place), _LONE_MEMBER))
-        elif not isinstance(old_value, Aggregate):
-            self.put(key, UnknownValue(str(place), value.reason if isinstance(value, UnknownValue) else ""))
-        elif (
-            "[" not in field
-            and (new_structure := _structure_with_member(self, old_value, field.split("."), value)) is not None
-        ):
-            self.put(key, new_structure)
-        elif first not in _COMPONENTS:
-            items = {**old_value.items, first: OpaqueText(old_value.start, old_value.stop)}
-            self.put(key, replace(old_value, items=items, is_computed=True))
-        else:
-            self.put(key, UnknownValue(str(place), value.reason if isinstance(value, UnknownValue) else ""))
+        if not isinstance(old_value, UnknownValue) or not old_value.reason:
+            self.put(key, self._with_field(old_value, field, value, place))
+
+    def _with_field(
+        self, old_value: VariableValue | None, field: str, value: VariableValue, place: Place
+    ) -> VariableValue:
+        """Return the value that a variable has after an assignment to one of its components, see `set_field`.
+
+        :param old_value: of the whole variable; None if it has none.
+        :returns: an `UnknownValue` if it is not known.
+        """
+        unknown = UnknownValue(str(place), value.reason if isinstance(value, UnknownValue) else "")
+        if isinstance(old_value, Position) and not old_value.is_axis and field in CARTESIAN:
+            new_position = with_component(old_value, field, value.value) if isinstance(value, Number) else None
+            return unknown if new_position is None else new_position
+        if old_value in (None, NO_VALUE) and not isinstance(value, UnknownValue):
+            return UnknownValue(str(place), _LONE_MEMBER)
+        if not isinstance(old_value, Aggregate):
+            return unknown
+        if "[" not in field:
+            new_structure = _structure_with_member(self, old_value, field.split("."), value)
+            if new_structure is not None:
+                return new_structure
+        member = field.partition(".")[0].partition("[")[0]
+        if member in _COMPONENTS:
+            return unknown
+        items = {**old_value.items, member: OpaqueText(old_value.start, old_value.stop)}
+        return replace(old_value, items=items, is_computed=True)  # the other members keep their values
 
     def forget(self, name: str, place: str) -> None:
         """Mark a variable and all its elements as unknown.
@@ -388,13 +383,10 @@ class Variables:
             return isinstance(value, Number) and isinstance(second, Number) and value.value == second.value
         if not isinstance(first, Aggregate) or not isinstance(second, Aggregate):
             return False
-        return (first.source, first.row, first.start, first.is_computed, first.items.keys()) == (
-            second.source,
-            second.row,
-            second.start,
-            second.is_computed,
-            second.items.keys(),
-        ) and all(self._have_same_value(item, second.items[name]) for name, item in first.items.items())
+        is_same_text = first.source is second.source and first.row == second.row and first.start == second.start
+        if not is_same_text or first.is_computed != second.is_computed or first.items.keys() != second.items.keys():
+            return False
+        return all(self._have_same_value(item, second.items[name]) for name, item in first.items.items())
 
     def data_spans(self, name: str, numbers: Sequence[int]) -> tuple[Source, list[tuple[int, int]]] | None:
         """Return the data list that gives elements of an array their values, and the spans of these values in it.
@@ -411,7 +403,8 @@ class Variables:
             value = self._values.get(f"{name}[{number}]")
             if not isinstance(value, UnparsedValue | Aggregate) or (isinstance(value, Aggregate) and value.is_computed):
                 return None
-            if value.source is not (source := source or value.source) or source.index == 0 or value.row:
+            source = source or value.source
+            if value.source is not source or source.index == 0 or value.row > 0:  # the program itself assigns it
                 return None
             spans.append((value.start, value.stop))
         return None if source is None else (source, spans)
@@ -445,18 +438,13 @@ class Variables:
         next_variables = copy(self)
         next_variables._values = {key: value for key, value in self._values.items() if self._is_kept_between_runs(key)}
         next_variables._elements = self._elements.copy()
-        (
-            next_variables.scope,
-            next_variables.volatile_values,
-            next_variables.used_names,
-            next_variables.change_places,
-            next_variables.late_values,
-        ) = Scope(), {}, set(), {}, {}
+        next_variables.scope, next_variables.used_names = Scope(), set()
+        next_variables.volatile_values, next_variables.change_places, next_variables.late_values = {}, {}, {}
         for name in self.persistent_names & self.volatile_values.keys():
             next_variables.forget(name, self.volatile_values[name].change_place)
         for name in {key.partition("[")[0] for key in self.cell_values} - self.persistent_names:
             next_variables.take_cell_values(name)
-        next_variables.change_places = {}
+        next_variables.change_places = {}  # without those that `forget` has noted: they are of this run
         return next_variables
 
     def _is_kept_between_runs(self, key: str) -> bool:
@@ -580,24 +568,19 @@ class Variables:
         if function is None and call.name != "INV_POS":
             return self.functions.value(call) if self.functions.is_pure(call) else NO_VALUE
         argument_values = [self.evaluate(argument) for argument in call.arguments]
-        numbers = [argument_value.value for argument_value in argument_values if isinstance(argument_value, Number)]
-        if call.name == "INV_POS" and len(argument_values) == 1:
+        if len(argument_values) != (2 if call.name == "ATAN2" else 1):
+            return NO_VALUE
+        if function is None:  # INV_POS
             position = self.position(argument_values[0])
             return NO_VALUE if position is None or position.is_axis else position_from_pose(inverse(position.pose()))
-        if (
-            function is None
-            or len(numbers) < len(argument_values)
-            or len(argument_values) != 1 + (call.name == "ATAN2")
-        ):
+        numbers = [value for value in argument_values if isinstance(value, Number)]
+        if len(numbers) < len(argument_values):
             return NO_VALUE
         try:
-            value = function(*numbers)
-        except ValueError:
+            result = function(*(number.value for number in numbers))
+        except ValueError:  # outside of its domain, as the root of −1
             return NO_VALUE
-        integer = call.name == "ABS" and all(
-            argument_value.is_integer for argument_value in argument_values if isinstance(argument_value, Number)
-        )
-        return Number(value, call.start, call.stop, integer)
+        return Number(result, call.start, call.stop, call.name == "ABS" and numbers[0].is_integer)
 
     def _evaluate_chain(self, chain: Chain) -> VariableValue:
         """Return the position of frames that are joined by ``:``; `NO_VALUE` if it is not known.
@@ -785,24 +768,17 @@ def _structure_with_member(
 ) -> Aggregate | None:
     """Return a structure with another value of a member, or of a member of that member.
 
-    :param path: names of the members.
+    :param path: names of the members, the outermost first.
     :returns: None if the result is not known, as where a position loses components that it had.
     """
     name, *inner_path = path
     item = structure.items.get(name)
     old_member = None if item is None else variables.evaluate(item)
+    old_structure = old_member if isinstance(old_member, Aggregate) else None
     member: VariableValue | None = value
     if inner_path:
-        member = (
-            _structure_with_member(variables, old_member, inner_path, value)
-            if isinstance(old_member, Aggregate)
-            else None
-        )
-    elif (
-        isinstance(value, Aggregate)
-        and isinstance(old_member, Aggregate)
-        and not old_member.items.keys() <= value.items.keys()
-    ):
+        member = None if old_structure is None else _structure_with_member(variables, old_structure, inner_path, value)
+    elif isinstance(value, Aggregate) and old_structure is not None and old_structure.items.keys() - value.items.keys():
         return None
     if not isinstance(member, (Number, Word, Aggregate)):
         return None

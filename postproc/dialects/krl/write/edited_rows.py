@@ -71,15 +71,7 @@ def _edited_texts(trace: Trace, rows: Ints, old_texts: Sequence[str], edits: Rep
 
 def line_text(source: Source, line: int) -> str:
     """Return a 1-based line of a file with its line end."""
-    return lines_text(source, line, line)
-
-
-def lines_text(source: Source, first: int, last: int) -> str:
-    """Return the 1-based lines first … last of a file with their line ends; empty if `last` precedes `first`."""
-    if last < first:
-        return ""
-    stop = int(source.starts[last]) if last < len(source.starts) else len(source.text)
-    return source.text[int(source.starts[first - 1]) : stop]
+    return source.lines_text(line, line)
 
 
 def line_count(text: str) -> int:

@@ -26,7 +26,7 @@ from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import indent, names_in
 from postproc.dialects.krl.language.tree import Definition
-from postproc.dialects.krl.write.edited_rows import EditedRows, line_count, line_text, lines_text
+from postproc.dialects.krl.write.edited_rows import EditedRows, line_count, line_text
 from postproc.errors import Issue
 from postproc.program import Bools, Document, Ints
 
@@ -223,7 +223,7 @@ class _Folder(Struct, eq=False):
         versions, routine = self.versions[call.routine], call.routine
         key = self._body_key(call.body)
         if routine in self.course.unchanged_routines and not versions:  # the unchanged text keeps the name
-            text = lines_text(routine.source, routine.first + 1, routine.last - 1)
+            text = routine.source.lines_text(routine.first + 1, routine.last - 1)
             versions[()] = _Version(routine.name, _Piece(line_count(text), (text,)))
         if key not in versions:
             versions[key] = _Version(self._unused_name(call) if versions else routine.name)
@@ -361,14 +361,14 @@ class _Folder(Struct, eq=False):
         next_line = 1
         for routine in sorted(self.versions, key=lambda routine: routine.first):
             if routine.source is source:
-                yield _text_piece(lines_text(source, next_line, routine.first))
+                yield _text_piece(source.lines_text(next_line, routine.first))
                 original, *copies = self.versions[routine].values()
                 yield _version_piece(original)
                 yield _text_piece(line_text(source, routine.last))
                 for version in copies:
                     yield from self._copy_pieces(routine, version)
                 next_line = routine.last + 1
-        yield _text_piece(lines_text(source, next_line, len(source.starts)))
+        yield _text_piece(source.lines_text(next_line, len(source.starts)))
 
     def _copy_pieces(self, routine: Routine, version: _Version) -> Iterator[_Piece]:
         """Yield the lines of a copy of a routine, from the empty line before it to its END."""
@@ -406,9 +406,9 @@ class _Folder(Struct, eq=False):
         texts: list[str] = []
         next_row = first
         for row, new_text in zip(self.edited.rows[begin:stop].tolist(), self.edited.texts[begin:stop], strict=True):
-            texts += [lines_text(source, next_row + shift, row + shift - 1), new_text]
+            texts += [source.lines_text(next_row + shift, row + shift - 1), new_text]
             next_row = row + 1
-        return "".join([*texts, lines_text(source, next_row + shift, last + shift - 1)])
+        return "".join([*texts, source.lines_text(next_row + shift, last + shift - 1)])
 
 
 def _run_begins(keys: Sequence[_Key], counts: Sequence[int], step: int) -> list[int]:
