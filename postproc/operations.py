@@ -126,9 +126,9 @@ def ignored_comments(program: Program) -> tuple[Event, ...]:
         return ()
     for event in _separate_events(comments, lines):
         name = title(event.text)
-        is_name = _naming_comment([event], None, first=False, explicit=False) is not None
+        is_name = _naming_comment([event], first=False, explicit=False) is not None
         is_remark = name and not is_name and not FORCE_COMMENT.match(event.text) and not _END.match(event.text)
-        if is_name != _is_at_retract(program, event.before, [event], None, lines) and (is_name or is_remark):
+        if is_name != _is_at_retract(program, event.before, [event], False, lines) and (is_name or is_remark):
             comments_without_operation.append(event)
     return tuple(comments_without_operation)
 
@@ -155,7 +155,7 @@ def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int
     tool, tools = 0, {0: 0}
     for row, group in groupby(sorted(marks, key=lambda event: event.before), key=lambda event: event.before):
         events_at_row = list(group)
-        change = max((k for k, event in enumerate(events_at_row) if event.kind == "tool_change"), default=None)
+        changes_at_row = [event for event in events_at_row if event.kind == "tool_change"]
         for event in events_at_row:
             if event.kind == "tool_change":
                 tool = int(event.value)
@@ -163,13 +163,14 @@ def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int
         name_event = None
         if names != "none":
             candidates = events_at_row if explicit else _separate_events(events_at_row, lines)
-            if names == "retracts" and not explicit and not _is_at_retract(program, row, candidates, change, lines):
+            has_change = bool(changes_at_row)
+            if names == "retracts" and not explicit and not _is_at_retract(program, row, candidates, has_change, lines):
                 candidates = []
-            name_event = _naming_comment(candidates, change, first=row == 0, explicit=explicit)
+            name_event = _naming_comment(candidates, first=row == 0, explicit=explicit)
         if name_event is not None:
             starts[row] = (title(name_event.text), name_event.line)
-        elif change is not None:
-            starts[row] = ("", events_at_row[change].line)
+        elif changes_at_row:
+            starts[row] = ("", changes_at_row[-1].line)
     number = np.array(list(tools.values()))[np.searchsorted(list(tools), sorted(starts), side="right") - 1]
     for (row, (name, line)), tool_number in zip(sorted(starts.items()), number.tolist(), strict=True):
         yield row, name, tool_number if changes else int(m.tool[row]) + 1 if program.keeps_text else 0, line
@@ -208,29 +209,30 @@ def _separate_events(events: list[Event], lines: dict[int, str]) -> list[Event]:
     ]
 
 
-def _is_at_retract(program: Program, row: int, events: list[Event], change: int | None, lines: dict[int, str]) -> bool:
+def _is_at_retract(program: Program, row: int, events: list[Event], has_change: bool, lines: dict[int, str]) -> bool:
     """Return whether comments before motion `row` may name an operation: not if they are between two cutting motions.
 
     They may after a blank line, at a tool change and at the begin of the program even there.
 
-    :param events: the events before the motion; change: index of the tool change among them, or None.
+    :param events: the events before the motion; has_change: whether a tool change is among them.
     :param lines: of the events, and those before them: number → text.
     """
     rapid = program.motions.rapid
-    if row == 0 or change is not None or rapid[row] or rapid[row - 1]:
+    if row == 0 or has_change or rapid[row] or rapid[row - 1]:
         return True
     return any(event.line in lines and not lines.get(event.line - 1, "none").strip() for event in events)
 
 
-def _naming_comment(events: list[Event], change: int | None, *, first: bool, explicit: bool) -> Event | None:
+def _naming_comment(events: list[Event], *, first: bool, explicit: bool) -> Event | None:
     """Return the comment that names an operation, or None.
 
-    :param events: comments and tool changes before a motion; change: index of the last tool change among them, or None.
+    :param events: comments and tool changes before a motion.
     :param first: whether the motion is the first of the program.
     :param explicit: whether the program marks operations with ``begin operation``: other comments then name none.
     """
     if explicit:
         return next((event for event in reversed(events) if event.kind == "comment" and _BEGIN.match(event.text)), None)
+    change = max((k for k, event in enumerate(events) if event.kind == "tool_change"), default=None)
     names_before_change: list[Event] = []
     names_after_change: list[Event] = []
     for place, event in enumerate(events):

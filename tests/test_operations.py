@@ -22,6 +22,7 @@ FREECAD = (
 )
 VECTRIC = f"T1 M6|( Toolpath:- VCarve 1 )|()|{CUT}|( Toolpath:- Profile 2 )|{CUT}"
 REMARKS = "(Face)|T1 M6|G0 X0 Y0 Z5|G1 Z-1 F900|X9|(ramp 2 deg)|X20 (corner)|(level 2)|X30|G0 Z5"
+BESIDE = f"(Face)|T1 M6|{CUT}|M9 (air off)|M5 (vacuum off)|(Bore)|T2 M6|(Long hole)|S900 M3|{CUT}"
 EMPTY = f"(Face)|T1 M6|{CUT}|(Bore)|G54|(Bore)|G0 X5|(Slot)|G0 X6|{CUT}"
 
 
@@ -45,8 +46,19 @@ def found(folder, lines):
         (CUT, [("operation 1", 0)]),
         (REMARKS, [("Face", 1)]),
         (EMPTY, [("Face", 1), ("Slot", 1)]),
+        (BESIDE, [("Face", 1), ("Bore", 2)]),
     ],
-    ids=["Fusion", "CamBam", "FreeCAD", "Vectric", "tools only", "nothing", "remarks in a cut", "without a cut"],
+    ids=[
+        "Fusion",
+        "CamBam",
+        "FreeCAD",
+        "Vectric",
+        "tools only",
+        "nothing",
+        "remarks in a cut",
+        "without a cut",
+        "comments beside statements",
+    ],
 )
 def test_names_and_tools(tmp_path, lines, expected):
     assert found(tmp_path, lines)[1] == expected
