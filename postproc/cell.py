@@ -433,7 +433,7 @@ FIXED_M_CODES: Mapping[int, str] = {
 
 
 def m_code_fault(key: str) -> tuple[str, str] | None:
-    """Return problem and advice for a key that `[m_codes]` does not take."""
+    """Return problem and advice for a key that `[m_codes]` does not take; None: it takes the key."""
     if not (key[:1] == "M" and key[1:].isascii() and key[1:].isdecimal() and len(key) <= 5):
         return key, "Valid names: M10, M111 …"
     number = int(key[1:])
@@ -447,7 +447,10 @@ _CLOSING = {"(": ")", "[": "]", "{": "}"}
 
 
 def lines_fault(lines: Sequence[str]) -> str | None:
-    """Return the bracket, text or block that lines of KRL or RAPID leave open; comments do not count."""
+    """Return the bracket or string that lines of KRL or RAPID leave open, in words; None: all are closed.
+
+    Comments do not count.
+    """
     open_brackets = ""
     for line in lines:
         if line.lstrip().startswith("!"):
@@ -474,7 +477,7 @@ _PATH_MOTION = re.compile(
 
 
 def motion_fault(lines: Sequence[str]) -> str | None:
-    """Return what is wrong with the first line that moves the tool to a target: the program would have one more."""
+    """Return the error of the first line that moves the tool to a target, which would be one more; None: none does."""
     motion = next((line for line in lines if _PATH_MOTION.match(line)), None)
     return None if motion is None else f"{motion!r} moves the tool to a target"
 
@@ -634,7 +637,16 @@ def _check_collision(collision: Collision, file: str) -> None:
 
     :raises CellError: a shape is missing, stated twice or empty.
     """
-    for number, part in enumerate(collision.holder, start=1):
+    _check_holder(collision.holder, file)
+    _check_obstacles(collision.obstacles, file)
+
+
+def _check_holder(holder: Sequence[HolderTable], file: str) -> None:
+    """Check that each part of the holder is a cylinder with both lengths, or a mesh.
+
+    :raises CellError: a part is neither or both.
+    """
+    for number, part in enumerate(holder, start=1):
         sizes = {"diameter_mm": part.diameter_mm, "length_mm": part.length_mm}
         stated_keys = [key for key, value in sizes.items() if value is not None]
         if part.mesh is None and len(stated_keys) < len(sizes):
@@ -645,7 +657,14 @@ def _check_collision(collision: Collision, file: str) -> None:
             continue
         advice = 'Give { diameter_mm = 63, length_mm = 80 }, from the tip upwards, or { mesh = "spindle.stl" }.'
         raise CellError(f"[collision] holder, part {number}: {problem}", file=file, advice=advice)
-    for number, obstacle in enumerate(collision.obstacles, start=1):
+
+
+def _check_obstacles(obstacles: Sequence[ObstacleTable], file: str) -> None:
+    """Check that each obstacle is a mesh or a box with an inside.
+
+    :raises CellError: an obstacle is neither or both, or its box is empty.
+    """
+    for number, obstacle in enumerate(obstacles, start=1):
         if (obstacle.mesh is None) == (obstacle.box is None):
             problem = "neither mesh nor box" if obstacle.mesh is None else "mesh together with box"
             advice = 'Give { mesh = "fixture.stl" } or { box = { X = [0, 200], Y = [0, 300], Z = [-60, -20] } }.'

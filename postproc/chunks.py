@@ -47,6 +47,7 @@ class Columns(Struct, frozen=True, eq=False):
         return replace(parts[0], **whole)
 
     def _columns(self) -> dict[str, Any]:
+        """Return the fields that have a row for each thing: name → array or record of arrays."""
         fields = {name: getattr(self, name) for name in self.__struct_fields__}
         return {name: value for name, value in fields.items() if isinstance(value, np.ndarray | Columns)}
 
@@ -63,9 +64,11 @@ def _concatenation(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Return arrays one after the other; if all have the same one value, the result takes no memory either."""
     arrays = [part for part in parts if len(part)] or parts[:1]
     first = arrays[0]
-    if first.size and not any(
-        any(part.strides) or part.flat[0] != first.flat[0] or part.dtype != first.dtype for part in arrays
-    ):
+    # an array whose strides are all 0 repeats one value
+    is_one_value = first.size and all(
+        not any(part.strides) and part.dtype == first.dtype and part.flat[0] == first.flat[0] for part in arrays
+    )
+    if is_one_value:
         return np.broadcast_to(first[0], (sum(map(len, arrays)), *first.shape[1:]))
     return np.concatenate(parts)
 

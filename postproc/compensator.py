@@ -62,8 +62,8 @@ class Compensator(Struct, frozen=True):
                 advice="L must be positive and shorter than |P0P2|; stiffness and free length must not be negative.",
             )
 
-    def _parts(self, q2: Array) -> _Crank:
-        """Return the crank at q2 (n,) [rad]."""
+    def _crank(self, q2: Array) -> _Crank:
+        """Return the crank at angles q2 (n,) of joint 2 [rad]."""
         a_l = float(np.hypot(self.ax, self.ay)) * self.L
         angle = np.arctan2(self.ay, self.ax) - q2
         sine, cosine = sine_and_cosine(angle)
@@ -71,7 +71,7 @@ class Compensator(Struct, frozen=True):
 
     def length(self, q2: Array) -> Array:
         """Return s = |P0P1| [m], Eq. (3)."""
-        return self._parts(q2).length
+        return self._crank(q2).length
 
     def energy(self, q2: Array) -> Array:
         """Return the spring energy U_c = ½·K_c·(s − s₀)² [J]."""
@@ -79,22 +79,22 @@ class Compensator(Struct, frozen=True):
 
     def gradient(self, q2: Array) -> Array:
         """Return U_c′ [N·m]; the spring's torque about joint 2 is −U_c′."""
-        a_l, sin, _, s = self._parts(q2)
+        a_l, sin, _, s = self._crank(q2)
         return self.stiffness * a_l * (1.0 - self.free_length / s) * sin
 
     def stiffness_about_joint(self, q2: Array) -> Array:
         """Return U_c″ [N·m/rad]: the term added to K⁰_θ2 in Eq. (4)."""
-        a_l, sin, cos, s = self._parts(q2)
+        a_l, sin, cos, s = self._crank(q2)
         return self.stiffness * a_l * (self.free_length / s * (a_l / s**2 * sin**2 + cos) - cos)
 
     def gradient_columns(self, q2: Array) -> Array:
         """Return U_c′ (…, 2) per unit of K_c and of K_c·s₀, in both of which it is linear."""
-        a_l, sin, _, s = self._parts(q2)
+        a_l, sin, _, s = self._crank(q2)
         return np.stack([a_l * sin, -a_l / s * sin], axis=-1)
 
     def stiffness_columns(self, q2: Array) -> Array:
         """Return U_c″ (…, 2) per unit of K_c and of K_c·s₀: columns of the first Eq. (10), without that of ones."""
-        a_l, sin, cos, s = self._parts(q2)
+        a_l, sin, cos, s = self._crank(q2)
         return np.stack([-a_l * cos, a_l / s * (a_l / s**2 * sin**2 + cos)], axis=-1)
 
     def with_spring(self, stiffness: float, preload: float) -> Compensator:

@@ -26,9 +26,11 @@ MM_PER_MIN = S_PER_MIN * MM_PER_M
 FULL_TURN = 2.0 * np.pi
 _POLE = 1e-9
 """Cosine of B below which A is taken as 0: only the sum or difference of A and C means something there."""
+_HALF_TURN_COSINE = -0.99
+"""Cosine of an angle below which its sine loses digits: the axis is taken from the symmetric part of the rotation."""
 _SMALL_SINE = 5e-3
 """Below this the series of asin and of Rodrigues' factors to the fifth power are exact to 1e-16."""
-_SAME_TWIST = np.eye(4)
+_IDENTITY = np.eye(4)
 _TO_SI = np.array([M_PER_MM] * 3 + [RAD_PER_DEG] * 3)
 
 
@@ -96,7 +98,7 @@ def inverse(pose: Array) -> Array:
     return inverse_pose
 
 
-def product(left: Array, pose: Array, right: Array = _SAME_TWIST) -> Array:
+def product(left: Array, pose: Array, right: Array = _IDENTITY) -> Array:
     """Return left·pose·right of poses (n, 4, 4); the outer ones are (4, 4), the same for all, or (n, 4, 4).
 
     Where both are the same for all it is one product of two matrices: vec(L·P·R) = vec(P)·(Lᵀ ⊗ R), row by row.
@@ -112,33 +114,34 @@ def rotation_vector(rotation: Array) -> Array:
     >>> rotation_vector(rotation_from_vector(np.array([0.0, 0.5, 0.0]))).round(9).tolist()
     [0.0, 0.5, 0.0]
     """
-    small = np.stack(
+    sine_axis = 0.5 * np.stack(
         [
             rotation[..., 2, 1] - rotation[..., 1, 2],
             rotation[..., 0, 2] - rotation[..., 2, 0],
             rotation[..., 1, 0] - rotation[..., 0, 1],
         ],
         axis=-1,
-    )
-    small = 0.5 * small  # sin(angle)·axis
-    square = np.einsum("...i,...i->...", small, small)
+    )  # sin(angle)·axis
+    square = np.einsum("...i,...i->...", sine_axis, sine_axis)
     # near half a turn about a unit axis a the diagonal is 2a² − 1: two entries above ½ are those of a small turn
     if (
         square.max(initial=0.0) < _SMALL_SINE**2
         and (rotation[..., 0, 0] > 0.5).all()
         and (rotation[..., 1, 1] > 0.5).all()
     ):
-        return np.asarray(small * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))[..., None])  # asin(s)/s
+        return np.asarray(sine_axis * (1.0 + square * (1.0 / 6.0 + square * (3.0 / 40.0)))[..., None])  # asin(s)/s
     sine = np.sqrt(square)
     cosine = 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0)
     angle = np.arctan2(sine, cosine)
-    safe = np.where(sine > 0.0, sine, 1.0)
-    vector = small * np.where(sine > 0.0, angle / safe, 1.0)[..., None]
-    hard = np.atleast_1d(cosine < -0.99)
-    if hard.any():
-        flat = np.atleast_2d(vector)
-        flat[hard] = _near_half_turn(rotation.reshape(*hard.shape, 3, 3)[hard], np.atleast_2d(small)[hard])
-        vector = flat.reshape(vector.shape)
+    divisor = np.where(sine > 0.0, sine, 1.0)
+    vector = sine_axis * np.where(sine > 0.0, angle / divisor, 1.0)[..., None]
+    is_near_half_turn = np.atleast_1d(cosine < _HALF_TURN_COSINE)
+    if is_near_half_turn.any():
+        rows, rotations = np.atleast_2d(vector), rotation.reshape(*is_near_half_turn.shape, 3, 3)
+        rows[is_near_half_turn] = _near_half_turn(
+            rotations[is_near_half_turn], np.atleast_2d(sine_axis)[is_near_half_turn]
+        )
+        vector = rows.reshape(vector.shape)
     return vector
 
 

@@ -30,10 +30,15 @@ class Interrupt(KeyboardInterrupt):
 
 
 class _State:
-    """Of this process: whether a signal is raised or noted, and the one that was."""
+    """State of this process.
 
-    holding = False
-    hearing = False
+    :cvar is_deferring: True inside `defer`: signals are noted.
+    :cvar is_raising: True inside `allow`: a signal is raised at once.
+    :cvar number: the signal that was noted; None: there was none.
+    """
+
+    is_deferring = False
+    is_raising = False
     number: int | None = None
 
 
@@ -56,23 +61,23 @@ def defer() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    if not _State.holding:
+    if not _State.is_deferring:
         _State.number = None
-        with _handlers(lambda handler: handler in (_leave, signal.default_int_handler), _note):
-            _State.holding = True
+        with _handle_signals(lambda handler: handler in (_leave, signal.default_int_handler), _note):
+            _State.is_deferring = True
             try:
                 yield
             finally:
-                number, _State.number, _State.holding = _State.number, None, False
+                number, _State.number, _State.is_deferring = _State.number, None, False
                 if number is not None:
                     raise Interrupt(number)
         return
-    was_hearing, _State.hearing = _State.hearing, False
+    was_raising, _State.is_raising = _State.is_raising, False
     try:
         yield
     finally:
-        if was_hearing:
-            _hear()
+        if was_raising:
+            _begin_raising()
 
 
 @contextlib.contextmanager
@@ -84,18 +89,18 @@ def allow() -> Iterator[None]:
 
     :raises Interrupt: a signal came.
     """
-    if not _State.holding or threading.current_thread() is not threading.main_thread():
+    if not _State.is_deferring or threading.current_thread() is not threading.main_thread():
         yield
         return
-    was_hearing = _State.hearing
+    was_raising = _State.is_raising
     try:
-        _hear()
+        _begin_raising()
         yield
     finally:
-        _State.hearing = False
+        _State.is_raising = False
         if _State.number is not None:
             raise Interrupt(_State.number)
-        _State.hearing = was_hearing
+        _State.is_raising = was_raising
 
 
 @contextlib.contextmanager
@@ -117,10 +122,13 @@ def is_pending() -> bool:
 
 
 @contextlib.contextmanager
-def _handlers(by: Callable[[object], bool], handler: _Handler) -> Iterator[None]:
-    """Handle those signals whose present handler is such a one."""
+def _handle_signals(is_replaceable: Callable[[object], bool], handler: _Handler) -> Iterator[None]:
+    """Inside the context, handle signals that ask for the end; other handlers than replaceable ones stay.
+
+    :param is_replaceable: whether a present handler may be replaced.
+    """
     handlers = {number: signal.getsignal(number) for number in _ENDING}
-    numbers = [number for number in _ENDING if by(handlers[number])]
+    numbers = [number for number in _ENDING if is_replaceable(handlers[number])]
     for number in numbers:
         signal.signal(number, handler)
     try:
@@ -143,17 +151,17 @@ def _note(number: int, _frame: FrameType | None) -> None:
     :raises Interrupt: inside `allow`.
     """
     _State.number = number
-    if _State.hearing:
-        _State.hearing = False
+    if _State.is_raising:
+        _State.is_raising = False
         raise Interrupt(number)
 
 
-def _hear() -> None:
+def _begin_raising() -> None:
     """Let signals raise `Interrupt` from now on.
 
     :raises Interrupt: a signal has come already.
     """
-    _State.hearing = True
+    _State.is_raising = True
     if _State.number is not None:
-        _State.hearing = False
+        _State.is_raising = False
         raise Interrupt(_State.number)

@@ -10,9 +10,9 @@ those at retracts count, or none.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from itertools import groupby, islice
-from typing import Literal
+from collections.abc import Iterable, Iterator
+from itertools import groupby, islice, zip_longest
+from typing import Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -37,7 +37,7 @@ _NO_NAME = re.compile(
 _END_MILLING = re.compile(r"end ?mill(?:ing)? +\D+$", re.IGNORECASE)
 """Milling with an end mill: a name after a retract, though comments that begin with "end" are none."""
 _LINE_OF_COMMENT = re.compile(r"\s*/?\s*(?:N\s*\d+)?\s*[(;]", re.IGNORECASE)
-_LONGEST_NAME = 60
+_MOST_OPERATIONS = 60
 """More operations than this are remarks on single moves (assumed)."""
 _PIECE = 2**20
 """Characters that are divided into lines at once: a text of 100 MB then needs no second copy of itself."""
@@ -70,10 +70,11 @@ def operations(program: Program, *, at_retracts: bool = False) -> tuple[Operatio
     :param at_retracts: leave out comments between two cutting motions, unless a blank line precedes them.
     """
     candidates: tuple[Operation, ...] = ()
+    # fewer and fewer comments count, until operations are few enough not to be remarks on single moves
     choices: tuple[Names, ...] = ("retracts",) if at_retracts else ("all", "retracts", "none")
     for names in choices:
-        candidates = tuple(_join_operations(program, list(_starts(program, names))))
-        if len(candidates) <= _LONGEST_NAME:
+        candidates = tuple(_join_operations(program, _starts(program, names)))
+        if len(candidates) <= _MOST_OPERATIONS:
             break
     return candidates
 
@@ -126,9 +127,10 @@ def ignored_comments(program: Program) -> tuple[Event, ...]:
         return ()
     for event in _separate_events(comments, lines):
         name = title(event.text)
-        is_name = _naming_comment([event], first=False, explicit=False) is not None
+        is_name = _naming_comment([event], is_first=False, is_explicit=False) is not None
         is_remark = name and not is_name and not FORCE_COMMENT.match(event.text) and not _END.match(event.text)
-        if is_name != _is_at_retract(program, event.before, [event], False, lines) and (is_name or is_remark):
+        is_at_retract = _is_at_retract(program, event.before, [event], lines, has_change=False)
+        if is_name != is_at_retract and (is_name or is_remark):
             comments_without_operation.append(event)
     return tuple(comments_without_operation)
 
@@ -139,41 +141,74 @@ def _is_name(comment: str) -> bool:
     return bool(comment.strip()) and not remark
 
 
-def _starts(program: Program, names: Names) -> Iterator[tuple[int, str, int, int]]:
-    """Yield row of the first motion, name (empty: none), tool and line where operations may begin.
+class _Start(NamedTuple):
+    """Where an operation begins, or may begin.
+
+    :param row: its first motion.
+    :param name: of the operation; empty: it has none of its own.
+    :param tool: see `Operation.tool`.
+    :param line: 1-based line of its comment or tool change, else of its first motion; 1 at the start of the program.
+    """
+
+    row: int
+    name: str
+    tool: int
+    line: int
+
+
+def _starts(program: Program, names: Names) -> Iterator[_Start]:
+    """Yield where operations may begin, in order: at the first motion, at other frames, at comments and tool changes.
 
     :param names: which comments name operations.
     """
     m = program.motions
     marks = [event for event in program.events if event.kind in ("comment", "tool_change") and event.before < len(m)]
-    explicit = any(event.kind == "comment" and _BEGIN.match(event.text) for event in marks)
-    changes = any(event.kind == "tool_change" for event in marks)
-    lines = _lines(program, marks)
-    starts: dict[int, tuple[str, int]] = {0: ("", 1)}
     frames = np.flatnonzero((np.diff(m.base) != 0) | (np.diff(m.tool) != 0)) + 1
-    starts.update({row: ("", int(m.line[row])) for row in frames.tolist()})
-    tool, tools = 0, {0: 0}
+    starts = {0: ("", 1)} | {row: ("", int(m.line[row])) for row in frames.tolist()}
+    starts |= _starts_at_marks(program, marks, names)
+    rows = sorted(starts)
+    for row, tool in zip(rows, _tools_at(program, marks, rows), strict=True):
+        name, line = starts[row]
+        yield _Start(row, name, tool, line)
+
+
+def _starts_at_marks(program: Program, marks: list[Event], names: Names) -> dict[int, tuple[str, int]]:
+    """Return name (empty: none) and line of operations that comments or tool changes begin, by their first motion.
+
+    :param marks: comments and tool changes.
+    :param names: which comments name operations.
+    """
+    is_explicit = any(event.kind == "comment" and _BEGIN.match(event.text) for event in marks)
+    lines = _lines(program, marks)
+    starts: dict[int, tuple[str, int]] = {}
     for row, group in groupby(sorted(marks, key=lambda event: event.before), key=lambda event: event.before):
-        events_at_row = list(group)
-        changes_at_row = [event for event in events_at_row if event.kind == "tool_change"]
-        for event in events_at_row:
-            if event.kind == "tool_change":
-                tool = int(event.value)
-                tools[row] = tool
-        name_event = None
-        if names != "none":
-            candidates = events_at_row if explicit else _separate_events(events_at_row, lines)
-            has_change = bool(changes_at_row)
-            if names == "retracts" and not explicit and not _is_at_retract(program, row, candidates, has_change, lines):
-                candidates = []
-            name_event = _naming_comment(candidates, first=row == 0, explicit=explicit)
-        if name_event is not None:
-            starts[row] = (title(name_event.text), name_event.line)
-        elif changes_at_row:
-            starts[row] = ("", changes_at_row[-1].line)
-    number = np.array(list(tools.values()))[np.searchsorted(list(tools), sorted(starts), side="right") - 1]
-    for (row, (name, line)), tool_number in zip(sorted(starts.items()), number.tolist(), strict=True):
-        yield row, name, tool_number if changes else int(m.tool[row]) + 1 if program.keeps_text else 0, line
+        events = list(group)
+        changes = [event for event in events if event.kind == "tool_change"]
+        candidates = events if is_explicit else _separate_events(events, lines)
+        is_left_out = names == "none" or (
+            names == "retracts"
+            and not is_explicit
+            and not _is_at_retract(program, row, candidates, lines, has_change=bool(changes))
+        )
+        comment = None if is_left_out else _naming_comment(candidates, is_first=row == 0, is_explicit=is_explicit)
+        if comment is not None:
+            starts[row] = (title(comment.text), comment.line)
+        elif changes:
+            starts[row] = ("", changes[-1].line)
+    return starts
+
+
+def _tools_at(program: Program, marks: list[Event], rows: list[int]) -> list[int]:
+    """Return the tool of the operations that begin at motions, see `Operation.tool`.
+
+    :param marks: comments and tool changes.
+    :param rows: the motions.
+    """
+    changes = sorted((event for event in marks if event.kind == "tool_change"), key=lambda event: event.before)
+    if changes:
+        numbers = np.array([0, *(int(event.value) for event in changes)])  # 0 before the first change
+        return numbers[np.searchsorted([event.before for event in changes], rows, side="right")].tolist()
+    return (program.motions.tool[rows] + 1).tolist() if program.keeps_text else [0] * len(rows)
 
 
 def _lines(program: Program, events: list[Event]) -> dict[int, str]:
@@ -209,13 +244,14 @@ def _separate_events(events: list[Event], lines: dict[int, str]) -> list[Event]:
     ]
 
 
-def _is_at_retract(program: Program, row: int, events: list[Event], has_change: bool, lines: dict[int, str]) -> bool:
+def _is_at_retract(program: Program, row: int, events: list[Event], lines: dict[int, str], *, has_change: bool) -> bool:
     """Return whether comments before motion `row` may name an operation: not if they are between two cutting motions.
 
     They may after a blank line, at a tool change and at the begin of the program even there.
 
-    :param events: the events before the motion; has_change: whether a tool change is among them.
+    :param events: the events before the motion.
     :param lines: of the events, and those before them: number → text.
+    :param has_change: True if there is a tool change before the motion, after the one before it.
     """
     rapid = program.motions.rapid
     if row == 0 or has_change or rapid[row] or rapid[row - 1]:
@@ -223,16 +259,16 @@ def _is_at_retract(program: Program, row: int, events: list[Event], has_change: 
     return any(event.line in lines and not lines.get(event.line - 1, "none").strip() for event in events)
 
 
-def _naming_comment(events: list[Event], *, first: bool, explicit: bool) -> Event | None:
+def _naming_comment(events: list[Event], *, is_first: bool, is_explicit: bool) -> Event | None:
     """Return the comment that names an operation, or None.
 
     :param events: comments and tool changes before a motion.
-    :param first: whether the motion is the first of the program.
-    :param explicit: whether the program marks operations with ``begin operation``: other comments then name none.
+    :param is_first: True if the motion is the first of the program.
+    :param is_explicit: True if the program marks operations with ``begin operation``: other comments then name none.
     """
-    if explicit:
+    if is_explicit:
         return next((event for event in reversed(events) if event.kind == "comment" and _BEGIN.match(event.text)), None)
-    change = max((k for k, event in enumerate(events) if event.kind == "tool_change"), default=None)
+    last_change = max((k for k, event in enumerate(events) if event.kind == "tool_change"), default=None)
     names_before_change: list[Event] = []
     names_after_change: list[Event] = []
     for place, event in enumerate(events):
@@ -240,39 +276,46 @@ def _naming_comment(events: list[Event], *, first: bool, explicit: bool) -> Even
             continue
         if _STRONG.match(event.text):
             return event
-        elif _is_name(event.text) or (change is None and not first and _END_MILLING.match(title(event.text))):
-            (names_before_change if change is None or place < change else names_after_change).append(event)
-    if change is not None:
-        return (
-            names_before_change[-1] if names_before_change else (names_after_change[0] if names_after_change else None)
-        )
-    return None if not names_before_change else names_before_change[-1] if first else names_before_change[0]
+        is_milling = last_change is None and not is_first and bool(_END_MILLING.match(title(event.text)))
+        if is_milling or _is_name(event.text):
+            is_before = last_change is None or place < last_change
+            (names_before_change if is_before else names_after_change).append(event)
+    if not names_before_change:
+        return next(iter(names_after_change), None)
+    # without a tool change, a header precedes the first operation, and remarks follow the name of the others
+    return names_before_change[-1 if last_change is not None or is_first else 0]
 
 
-def _join_operations(program: Program, starts: list[tuple[int, str, int, int]]) -> Iterator[Operation]:
+def _join_operations(program: Program, starts: Iterable[_Start]) -> Iterator[Operation]:
     """Yield operations: starts without a cut join the next one, and runs with one name and tool are one."""
-    cuts = np.concatenate([[0], np.cumsum(~program.motions.rapid)])
-    total = len(program.motions)
-    ends = [start[0] for start in starts[1:]] + [total]
-    cutting_starts: list[tuple[int, str, int, int]] = []
-    begin, name, last_tool, waits = 0, "", -1, False
-    for (row, start_name, tool, line), end in zip(starts, ends, strict=True):
-        if tool != last_tool:
-            # between a comment and its tool change there may be a move to home
-            name, last_tool = name if waits else "", tool
-        name = start_name or name  # a change of frames goes on with the operation
-        waits = waits or bool(start_name)
-        if cuts[end] == cuts[row] and end < total:
+    runs: list[_Start] = []
+    for start in _cutting_starts(program, list(starts)):
+        if not runs or (start.name, start.tool) != (runs[-1].name, runs[-1].tool):
+            runs.append(start)
+    for number, (run, next_run) in enumerate(zip_longest(runs, runs[1:]), start=1):
+        name = run.name or tool_text(program, run.tool) or f"operation {number}"
+        last_row = (len(program.motions) if next_run is None else next_run.row) - 1
+        yield Operation(name, run.tool, run.row, last_row, run.line)
+
+
+def _cutting_starts(program: Program, starts: list[_Start]) -> Iterator[_Start]:
+    """Yield the starts whose motions cut, each from the first motion on that belongs to no operation before.
+
+    A start without a name, such as a change of frames, goes on with the operation before it.
+
+    :param starts: all starts, in order.
+    """
+    count = len(program.motions)
+    cuts_before = np.concatenate([[0], np.cumsum(~program.motions.rapid)])
+    stops = [*(start.row for start in starts[1:]), count]
+    begin, name, last_tool, has_new_name = 0, "", -1, False
+    for start, stop in zip(starts, stops, strict=True):
+        if start.tool != last_tool:
+            # between a comment and its tool change there may be a move to home: its name is that of this operation
+            name, last_tool = name if has_new_name else "", start.tool
+        name = start.name or name
+        has_new_name = has_new_name or bool(start.name)
+        if cuts_before[stop] == cuts_before[start.row] and stop < count:
             continue
-        waits = False
-        cutting_starts.append((begin, name, tool, line))
-        begin = end
-    if not cutting_starts:
-        return
-    runs = [cutting_starts[0]]
-    for run in cutting_starts[1:]:
-        if run[1:3] != runs[-1][1:3]:
-            runs.append(run)
-    ends = [*(run[0] for run in runs[1:]), total]
-    for number, ((first, name, tool, line), end) in enumerate(zip(runs, ends, strict=True), start=1):
-        yield Operation(name or tool_text(program, tool) or f"operation {number}", tool, first, end - 1, line)
+        yield _Start(begin, name, start.tool, start.line)
+        begin, has_new_name = stop, False

@@ -93,6 +93,7 @@ class Poses(Columns, frozen=True, eq=False):
         return Poses(position, self.orientation[rows])
 
     def _rotation(self, rows: Any) -> Array:
+        """Return the rotations (n, 3, 3) of some of the poses."""
         orientation = self.orientation[rows]
         return orientation if self.orientation.ndim == 3 else rotation_from_angles(orientation * RAD_PER_DEG)
 

@@ -60,7 +60,10 @@ class Document(Struct, frozen=True, eq=False):
 
 
 def _make_compact(record: Struct, **kinds: type[np.integer[Any]]) -> None:
-    """Give columns of whole numbers smaller types."""
+    """Replace columns of whole numbers of a record, by their names, with columns of smaller types.
+
+    :raises OverflowError: a type does not hold the numbers.
+    """
     for name, kind in kinds.items():
         force_setattr(record, name, compact(np.asarray(getattr(record, name)), kind))
 
@@ -219,15 +222,17 @@ def turning(axes: Array, begin: Array, end: Array) -> Array:
     shares = np.linspace(0.0, 1.0, 5)
     tool = np.stack([direction(axes, begin + share * (end - begin)) for share in shares])
     axis_turn = np.abs(end - begin)
+    # 1/cos(θ/2) = √(2/(1 + cos θ)); near θ = 180°, where `tilt_to` has no value, it is bounded
     factor = np.sqrt(2.0 / np.maximum(1.0 + tool[..., 2].min(axis=0), 1e-3))
     if begin.shape[1] == COMPONENTS:
         return np.asarray(2.0 * np.arcsin(norm(tool[-1] - tool[0]) / 2.0) * factor)
     sine = norm(np.cross(tool, axes[0])).max(axis=0)
     if len(axes) == 1:
         return np.asarray(axis_turn[:, 0] * sine * factor)
-    sine = np.minimum(sine + axis_turn[:, 1] / (2 * (len(shares) - 1)), 1.0)  # what it may be between these places
-    last = float(norm(np.cross(axes[-1], [0.0, 0.0, 1.0])))
-    return np.asarray((axis_turn[:, 0] * sine + axis_turn[:, 1] * last) * factor)
+    # from the nearest of these places the inner axis turns by half a step at most, and changes the sine by no more
+    sine = np.minimum(sine + axis_turn[:, 1] / (2 * (len(shares) - 1)), 1.0)
+    inner_sine = float(norm(np.cross(axes[-1], [0.0, 0.0, 1.0])))
+    return np.asarray((axis_turn[:, 0] * sine + axis_turn[:, 1] * inner_sine) * factor)
 
 
 class Carriage(Struct, frozen=True, eq=False):
@@ -263,10 +268,11 @@ def tilt_to(direction: Array) -> Array:
     [[[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]]
     """
     x, y, z = direction.T
-    inverse = 1.0 / (1.0 + z)
+    factor = 1.0 / (1.0 + z)
     rotation = np.empty((len(direction), 3, 3))
-    rotation[:, 0] = np.stack([1.0 - x * x * inverse, 0.0 - x * y * inverse, x], axis=1)
-    rotation[:, 1] = np.stack([0.0 - x * y * inverse, 1.0 - y * y * inverse, y], axis=1)
+    # 0 − a is never −0, which −a may be
+    rotation[:, 0] = np.stack([1.0 - x * x * factor, 0.0 - x * y * factor, x], axis=1)
+    rotation[:, 1] = np.stack([0.0 - x * y * factor, 1.0 - y * y * factor, y], axis=1)
     rotation[:, 2] = np.stack([0.0 - x, 0.0 - y, z], axis=1)
     return rotation
 
@@ -300,17 +306,17 @@ class Starts(Struct, frozen=True, eq=False):
         :param predecessor: (M,) at the end of which motion each begins, see `Program.after`.
         """
         base, tool, bases, tools = frames
-        change = np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1
-        previous = change - 1
+        changed = np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1
+        previous = changed - 1
         if predecessor is not None:
-            change = distinct(np.append(change, np.flatnonzero(predecessor != np.arange(len(base)) - 1)))
-            change = change[predecessor[change] >= 0]
-            previous = predecessor[change]
-        first = change[:1] > 0 if len(change) else np.array([True])
-        starts = np.concatenate([[0], change]) if first.all() else change
+            changed = distinct(np.append(changed, np.flatnonzero(predecessor != np.arange(len(base)) - 1)))
+            changed = changed[predecessor[changed] >= 0]
+            previous = predecessor[changed]
         flange = bases[base[previous]] @ end(previous) @ inverse(tools[tool[previous]])
-        flange = np.concatenate([start_flange_in_root[None], flange]) if first.all() else flange
-        return cls(end, starts, inverse(bases[base[starts]]) @ flange @ tools[tool[starts]])
+        if not len(changed) or changed[0] > 0:  # motion 0 begins where the program starts, not at the end of another
+            changed = np.concatenate([[0], changed])
+            flange = np.concatenate([start_flange_in_root[None], flange])
+        return cls(end, changed, inverse(bases[base[changed]]) @ flange @ tools[tool[changed]])
 
     def at(self, motion: Ints) -> Array:
         """Return the tool frames (n, 4, 4) at the start of motions (n,), in their `$BASE` [m]."""

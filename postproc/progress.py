@@ -26,8 +26,8 @@ def show(label: str) -> Iterator[Callable[[int, int], None] | None]:
     :param label: what is counted, such as ``"places"``.
     """
     if as_lines():
-        show = line_writer()
-        yield lambda count, total: show(label, count / max(total, 1))
+        write_line = line_writer()
+        yield lambda count, total: write_line(label, count / max(total, 1))
     elif not sys.stderr.isatty():
         yield None
     else:
@@ -48,7 +48,7 @@ def line_writer() -> Callable[[str, float], None]:
     """Return the function that writes a step and the share of it that is done, 0 to 1, as a line to standard error."""
     last_step, last_share = "", 0.0
 
-    def show(step: str, share: float) -> None:
+    def write_line(step: str, share: float) -> None:
         """Write a line if the step is another one, the share has changed enough, or the step is done."""
         nonlocal last_step, last_share
         if step == last_step and abs(share - last_share) < _STEP and share < 1.0:
@@ -58,7 +58,7 @@ def line_writer() -> Callable[[str, float], None]:
             sys.stderr.write(f"{MARK} {min(max(share, 0.0), 1.0):.3f} {step}\n")
             sys.stderr.flush()
 
-    return show
+    return write_line
 
 
 def step(name: str) -> None:

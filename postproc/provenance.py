@@ -99,7 +99,9 @@ def of(documents: Sequence[Document], comment: str) -> Provenance:
     entries = dict(part.split("=", 1) for part in content[2].split())
     if "of" in entries:
         return Provenance("none", line=line, part_of=entries["of"])
-    state: State = "intact" if entries.get("text") == _text(documents, provenance_lines[0]) else "changed"
+    state: State = (
+        "intact" if entries.get("text") == _digest_without_line(documents, provenance_lines[0]) else "changed"
+    )
     sums = {name: value for name, value in entries.items() if name in ("source", "cell", "model", "forces")}
     options = {name: value for name, value in entries.items() if name not in (*sums, "text", "mode", "version")}
     return Provenance(state, entries.get("mode", ""), entries.get("version", ""), line, sums, options)
@@ -158,7 +160,8 @@ def _patterns(comment: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
     return re.compile(word), re.compile(line)
 
 
-def _text(documents: Sequence[Document], line: re.Match[str]) -> str:
+def _digest_without_line(documents: Sequence[Document], line: re.Match[str]) -> str:
+    """Return the SHA-256 of the files of a program, the main one first, without the line that says where it is from."""
     return digest_of([_cut_line(documents[0], *line.span()), *documents[1:]])
 
 
@@ -170,6 +173,7 @@ def _cut_line(document: Document, start: int, stop: int) -> Document:
 
 
 def _line_at(text: str, offset: int) -> int:
+    """Return the 1-based line at an offset in a text."""
     return len(_END.findall(text, 0, offset)) + 1
 
 

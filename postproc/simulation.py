@@ -72,17 +72,17 @@ class DrivenProgram(Struct, frozen=True, eq=False, dict=True):
         return toolpath.points_in_base(self.program, motion, point, None)
 
 
-def number_of_places(kind: Ints, length: Array, turn: Array, *, is_curved: Bools, steep: Bools) -> Ints:
-    """Return at how many places pieces of a path (n,) are looked at, the last one at their end.
+def number_of_places(kind: Ints, length: Array, turn: Array, *, is_curved: Bools, is_steep: Bools) -> Ints:
+    """Return at how many places the error on each piece of a path (n,) is computed, the last one at its end.
 
     :param kind: (n,) `LIN`, `CIRC`, `PTP` or `SPL`: only the ends of PTPs and of pieces of splines are known.
     :param length: (n,) [m], `turn` (n,) rotation of the tool [rad].
     :param is_curved: (n,) True for pieces of arcs, or that replace one, and where the force changes within the piece.
-    :param steep: (n,) True where the correction changes much, or unevenly, over the piece.
+    :param is_steep: (n,) True where the correction changes much, or unevenly, over the piece.
     """
     number = np.where(is_curved, 2, 1)
-    wide = (length > _LONG) | (turn > _MAX_ROTATION)
-    number[wide] = np.maximum(2, toolpath.even_parts(length[wide], turn[wide], _SPACING, _MAX_ROTATION))
-    number[steep] = np.maximum(number[steep], _ON_RAMPS)
+    is_long = (length > _LONG) | (turn > _MAX_ROTATION)
+    number[is_long] = np.maximum(2, toolpath.even_parts(length[is_long], turn[is_long], _SPACING, _MAX_ROTATION))
+    number[is_steep] = np.maximum(number[is_steep], _ON_RAMPS)
     number[(kind == PTP) | (kind == SPL)] = 1
     return number.astype(np.int64)

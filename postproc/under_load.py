@@ -9,6 +9,7 @@ the robot is refused before it is sampled, which might take hours.
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -75,6 +76,8 @@ def check_ends(program: Program, robot: RobotModel) -> None:
 def check_arcs(program: Program, robot: RobotModel, path: Segments) -> None:
     """Check that arcs are within reach, and that their numbers of turns and the length of the path are plausible.
 
+    Arcs of less than a turn are checked at their quarters, whole circles by their radius.
+
     :raises ImpossiblePathError: a check fails.
     """
     m = program.motions
@@ -117,15 +120,15 @@ def _reach(robot: RobotModel) -> float:
     return _MARGIN * float(norm(kinematics.tcp(robot.nominal, q, np.eye(4))[0][:, :3, 3]).max())
 
 
-def _check(program: Program, motion: Ints, bad: Bools, kind: str, message: str) -> None:
-    """Check that no motion is bad: the error names all of them.
+def _check(program: Program, motion: Ints, is_impossible: Bools, kind: str, message: str) -> None:
+    """Refuse a program with impossible motions: the error names all of them.
 
-    :param motion: (n,) rows of `Motions`, and `bad` (n,) True for those that are.
+    :param motion: (n,) rows of `Motions`, and `is_impossible` (n,) True for those that are.
     :param kind: of the issue, and `message` its text.
-    :raises ImpossiblePathError: a motion is bad.
+    :raises ImpossiblePathError: a motion is impossible.
     """
-    if bad.any():
-        raise ImpossiblePathError(program.motions.issue("error", kind, message, motion[bad]))
+    if is_impossible.any():
+        raise ImpossiblePathError(program.motions.issue("error", kind, message, motion[is_impossible]))
 
 
 class RobotInCell(Struct, frozen=True, eq=False, dict=True):
@@ -164,6 +167,7 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         ptp = motion[free]
 
         def flange(rows: Ints) -> Array:
+            """Return the nominal flange (n, 4, 4) in the root at some of the places [m]."""
             return toolpath.flange_from_tcp(program, motion[rows], pose[rows], t[rows])
 
         start = self.cell.start_joints
@@ -271,11 +275,13 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         return elastostatics.compensate(self.robot, target, q_nominal, tool, wrench)
 
     def tip(self, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> Array:
-        """Return the position (n, 3) of the loaded tip in the root [m]."""
-        return self.tip_and_share(q, tool, wrench, guess)[0]
+        """Return the position (n, 3) of the loaded tip in the root [m]; parameters of `tip_and_tool_deflection`."""
+        return self.tip_and_tool_deflection(q, tool, wrench, guess)[0]
 
-    def tip_and_share(self, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> tuple[Array, Array]:
-        """Return the position (n, 3) of the loaded tip in the root [m], and the deflection of holder, spindle and tool.
+    def tip_and_tool_deflection(
+        self, q: Array, tool: Array, wrench: Array, guess: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Return the loaded tip (n, 3) in the root, and the deflection (n, 3) of holder, spindle and tool in it [m].
 
         :param q: (n, 6) commanded joint angles [rad].
         :param tool: (4, 4) or (n, 4, 4) tool in the flange frame [m].
@@ -287,6 +293,24 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
             return spring.loaded_tip(self.robot, q, tool, wrench, guess)
         tip = elastostatics.loaded_tip(self.robot, q, tool, wrench, guess)
         return tip, np.zeros_like(tip)
+
+
+class _PtpEnds(NamedTuple):
+    """Begin and end of the P PTP motions of a program.
+
+    :param row: (P,) rows of `Motions`.
+    :param begin: (P, 6) joint angles at their begin [rad].
+    :param end: (P, 6) joint angles at their end [rad].
+    """
+
+    row: Ints
+    begin: Array
+    end: Array
+
+    def of(self, motion: Ints) -> tuple[Array, Array]:
+        """Return the joint angles (n, 6) at begin and end of PTP motions (n,), rows of `Motions` [rad]."""
+        place = np.searchsorted(self.row, motion)
+        return self.begin[place], self.end[place]
 
 
 _STEP_ANGLE = 0.5 * np.pi
@@ -310,35 +334,37 @@ class PtpMoves(Struct, frozen=True, eq=False, dict=True):
     segments: Segments
 
     @cached_property
-    def _ends(self) -> tuple[Ints, Array, Array]:
-        """Rows (P,) of the PTPs, and joint angles (P, 6) where they begin and end [rad].
+    def _ends(self) -> _PtpEnds:
+        """Joint angles at begin and end of the PTPs.
+
+        All motions up to the last of them are followed, since a joint angle depends on the turns before it.
 
         :raises ImpossiblePathError: a pose before the last of them is out of reach.
         """
         program, cell = self.program, self.robot_in_cell.cell
         ptp = np.flatnonzero(program.motions.kind == PTP)
         rows = np.arange(int(ptp[-1]) + 1)
-        linear = program.motions.kind[rows] != PTP
-        count = np.where(linear, np.ceil(self.segments.turn[rows] / _STEP_ANGLE), 1.0).astype(np.int64).clip(1)
-        motion, t = toolpath.even_places(rows, count)
-        last = np.cumsum(count) - 1
+        is_path_motion = program.motions.kind[rows] != PTP
+        step_count = np.where(is_path_motion, np.ceil(self.segments.turn[rows] / _STEP_ANGLE), 1.0)
+        place_count = step_count.astype(np.int64).clip(1)
+        motion, t = toolpath.even_places(rows, place_count)
+        last_places = np.cumsum(place_count) - 1
         sample = toolpath.at(program, self.segments, motion, t)
         try:
-            q = self.robot_in_cell.follow(program, motion, t, sample.pose).q[last]
+            q = self.robot_in_cell.follow(program, motion, t, sample.pose).q[last_places]
         except UnreachableError as cause:
             raise ImpossiblePathError(unreachable(program, motion[list(cause.rows)])) from None
         previous = ptp - 1 if program.after is None else program.after[ptp]
         begin = np.where(previous[:, None] >= 0, q[previous], cell.start_joints)
-        return ptp, begin, q[ptp]
+        return _PtpEnds(ptp, begin, q[ptp])
 
     def at(self, motion: Ints, t: Array) -> Array:
         """Return the tool frames (n, 4, 4) in `$BASE` [m] at places (motion, t) of PTP motions.
 
         :raises ImpossiblePathError: a pose before the last PTP is out of reach.
         """
-        ptp, begin, end = self._ends
-        row = np.searchsorted(ptp, motion)
-        q = begin[row] + t[:, None] * (end[row] - begin[row])
+        begin, end = self._ends.of(motion)
+        q = begin + t[:, None] * (end - begin)
         flange = kinematics.matrices(kinematics.posture(self.robot_in_cell.robot.nominal, q.T).pose)
         pose = product(flange, toolpath.tool_of(self.program, motion))
         return toolpath.pose_in_base(self.program, motion, pose, t)
@@ -348,9 +374,8 @@ class PtpMoves(Struct, frozen=True, eq=False, dict=True):
 
         :raises ImpossiblePathError: a pose before the last PTP is out of reach.
         """
-        ptp, begin, end = self._ends
-        row = np.searchsorted(ptp, motion)
-        return np.asarray(np.abs(end[row] - begin[row]).sum(axis=1))
+        begin, end = self._ends.of(motion)
+        return np.asarray(np.abs(end - begin).sum(axis=1))
 
 
 def segments_in_cell(program: Program, robot_in_cell: RobotInCell) -> Segments:
@@ -369,9 +394,10 @@ _WRIST_ADVICE = "Use $ORI_TYPE=#VAR, or divide the motion."
 
 
 def led_by_wrist(program: Program, robot_in_cell: RobotInCell) -> Program:
-    """Return a program that knows how its robot turns the tool on the motions on which the wrist axes do so.
+    """Return a program with `Program.wrist`: how the robot turns the tool on motions on which the wrist axes do so.
 
-    Both ends are on the branch of the path, so that A5 does not pass through 0.
+    A program without such motions is returned as it is. Both ends are on the branch of the path, so that A5 does not
+    pass through 0.
 
     :raises ImpossiblePathError: a wrist axis turns too far to be certain, or a pose has no solution.
     """
@@ -384,7 +410,7 @@ def led_by_wrist(program: Program, robot_in_cell: RobotInCell) -> Program:
     ends = robot_in_cell.end_joints(program)
     previous = (motions - 1 if program.after is None else program.after)[motion]
     begin = np.where(previous[:, None] >= 0, ends[previous], robot_in_cell.cell.start_joints)
-    change = (ends[motion] - begin + np.pi) % (2.0 * np.pi) - np.pi
+    change = (ends[motion] - begin + np.pi) % (2.0 * np.pi) - np.pi  # by the shorter way
     is_unclear = (np.abs(change[:, 3:]) > _UNCLEAR).any(axis=1)
     is_unclear |= np.minimum(np.abs(begin[:, 4]), np.abs(ends[motion, 4])) < _LEAST_A5
     message = (
@@ -395,9 +421,16 @@ def led_by_wrist(program: Program, robot_in_cell: RobotInCell) -> Program:
     poses = segments.start.at(motion), m.target[motion]
     tip = np.stack([toolpath.pose_in_root(program, motion, pose)[:, :3, 3] for pose in poses], axis=1)
     base = program.bases[m.base[motion], :3, :3]
-    joints = begin, begin + change
     try:
-        wrist = ByWrist.of(robot_in_cell.robot, len(m), motion, joints, tip, base, program.tools[m.tool[motion]])
+        wrist = ByWrist.of(
+            robot_in_cell.robot,
+            count=len(m),
+            motion=motion,
+            joints=(begin, begin + change),
+            tip=tip,
+            base=base,
+            tool=program.tools[m.tool[motion]],
+        )
     except UnreachableError as cause:
         raise ImpossiblePathError(unreachable(program, np.array(cause.rows))) from None
     return replace(program, wrist=wrist)
@@ -536,11 +569,11 @@ class PathUnderLoad(Struct, frozen=True, eq=False):
         :raises NotConvergedError: no loaded equilibrium: the load is too large for the springs.
         """
         motion = self.sample.motion[rows]
-        tip, share = self.robot_in_cell.tip_and_share(q, self.tool(rows), wrench_in_root, guess)
+        tip, tool_deflection = self.robot_in_cell.tip_and_tool_deflection(q, self.tool(rows), wrench_in_root, guess)
         if self.robot_in_cell.tool_spring is not None:
             rotation = toolpath.base_of(self.program, motion)[..., :3, :3]
-            share = np.asarray(np.einsum("...i,...ij->...j", share, rotation))
-        return toolpath.points_in_base(self.program, motion, tip, self.sample.t[rows]), share
+            tool_deflection = np.asarray(np.einsum("...i,...ij->...j", tool_deflection, rotation))
+        return toolpath.points_in_base(self.program, motion, tip, self.sample.t[rows]), tool_deflection
 
     @property
     def robot_in_cell(self) -> RobotInCell:

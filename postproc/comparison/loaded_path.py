@@ -329,7 +329,7 @@ def places_on_pieces(corrected_path: PlacedProgram, pieces: Ints, steep: Bools) 
     kind, segments = corrected_path.program.motions.kind[pieces], corrected_path.segments
     arcs = kind == CIRC
     length, turn = segments.length[pieces], segments.turn[pieces]
-    number = number_of_places(kind, length, turn, is_curved=arcs, steep=arcs | steep)
+    number = number_of_places(kind, length, turn, is_curved=arcs, is_steep=arcs | steep)
     parts = np.maximum(number, _MIN_PARTS)
     row, t = toolpath.even_places(pieces, parts)
     is_inside = t < 1.0

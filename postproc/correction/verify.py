@@ -448,7 +448,7 @@ def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackP
         readback.segments.travel[readback.row],
         readback.segments.turn[readback.row],
         is_curved=is_curved | skips_samples,
-        steep=(correction_step > _STEEP) | is_uneven,
+        is_steep=(correction_step > _STEEP) | is_uneven,
     )
     target, share = toolpath.even_places(rows.astype(np.int32), number.astype(np.int32))
     begin, end = targets.begin(target), targets.t[target]

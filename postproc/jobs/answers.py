@@ -229,7 +229,10 @@ def robot(text: str) -> str:
 
 
 def one_of(*values: str) -> Any:
-    """Return a function that takes a text and returns it if it is one of some words."""
+    """Return a function that returns a text without blanks around it, which must be one of some words.
+
+    :raises InputError: by the function: the text is none of them.
+    """
 
     def parse(text: str) -> str:
         """Return an answer.

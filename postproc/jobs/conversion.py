@@ -47,8 +47,8 @@ def options_of(settings: Settings) -> dict[str, str]:
     A switch that is on is ``"1"``; a float has all its digits, so that the same settings give the same text.
     """
     values = {name: getattr(settings, name) for name in _OPTIONS}
-    values = {name: value for name, value in values.items() if value is not None and value is not False}
-    return {name: repr(value) if isinstance(value, float) else f"{value:d}" for name, value in values.items()}
+    stated_values = {name: value for name, value in values.items() if value is not None and value is not False}
+    return {name: repr(value) if isinstance(value, float) else f"{value:d}" for name, value in stated_values.items()}
 
 
 def mark_origin(
@@ -82,8 +82,8 @@ def _contents(documents: Sequence[Document]) -> list[tuple[bytes, str, str]]:
 def _mark_modules(result: Result, job: Job, origin: provenance.Origin) -> Result:
     """Return a result whose modules each state their origin, their number from 1, and how many modules there are."""
     documents, line, count = list[Document](), result.output_line.copy(), len(result.modules)
-    for index, (document, first_target) in enumerate(zip(result.documents, result.modules, strict=True)):
-        options = {**origin.options, "module": str(index + 1), "modules": str(count)}
+    for number, (document, first_target) in enumerate(zip(result.documents, result.modules, strict=True), start=1):
+        options = {**origin.options, "module": str(number), "modules": str(count)}
         documents += job.writer.mark([document], replace(origin, options=options))[0]
         line[first_target:] += 1  # the line of origin is inserted at the top of the module
     return replace(result, documents=tuple(documents), output_line=line)
@@ -268,37 +268,65 @@ def convert_program(
     :param progress: of sweeps of the stock, see `process_forces.read`.
     :raises PostprocError: forces are unusable, or the program cannot be corrected.
     """
-    mode, linearize, process_result = settings.mode, settings.linearize_arcs, None
+    mode, linearize = settings.mode, settings.linearize_arcs
     if mode == "convert" and cell.output.feed == "hold":
         check_held_feed(cell, process=job.process is not None)
+    computed_forces: ProcessForces | None = None
     if job.process is None:
         source = force_source(job.forces, cell)
         result = correction.process(program, robot, cell, source, mode, linearize_arcs=linearize, to=job.to)
     else:
-        from postproc.jobs import process_forces  # what a cutter does is imported with it
-
-        process = process_forces.read(job.process, cell, progress)
-        if mode == "predict":
-            result, process = process_forces.predict_in_material(program, robot, cell, process)
-        elif mode == "convert" and cell.output.feed == "hold":
-            result = process_forces.convert_with_held_feed(
-                program, robot, cell, process, linearize_arcs=linearize, to=job.to
-            )
-        else:
-            result = process_forces.at_written_feed(
-                program, robot, cell, process, mode, linearize_arcs=linearize, to=job.to
-            )
-        process_result = process.process_forces
+        result, computed_forces = _convert_with_process(
+            job, settings, cell, robot, program, process=job.process, progress=progress
+        )
     if job.forces is None and job.process is None:
         result = replace(result, issues=tuple(_name_force_file(issue, job) for issue in result.issues))
+    return _rename(result, job, settings), computed_forces
+
+
+def _convert_with_process(
+    job: Job,
+    settings: Settings,
+    cell: Cell,
+    robot: RobotModel,
+    program: Program,
+    *,
+    process: Path,
+    progress: Callable[[int, int], None] | None,
+) -> tuple[Result, ProcessForces | None]:
+    """Return the result of a program under the forces of its process, and these forces; None: they were not computed.
+
+    They are not if the program cannot be corrected for another reason. Parameters as of `convert_program`.
+
+    :param process: process.toml.
+    :raises PostprocError: the process is unusable, or the program cannot be corrected.
+    """
+    from postproc.jobs import process_forces  # loads the models of cutting
+
+    linearize, source = settings.linearize_arcs, process_forces.read(process, cell, progress)
+    if settings.mode == "predict":
+        result, source = process_forces.predict_in_material(program, robot, cell, source)
+    elif settings.mode == "convert" and cell.output.feed == "hold":
+        result = process_forces.convert_with_held_feed(
+            program, robot, cell, source, linearize_arcs=linearize, to=job.to
+        )
+    else:
+        result = process_forces.at_written_feed(
+            program, robot, cell, source, settings.mode, linearize_arcs=linearize, to=job.to
+        )
+    return result, source.process_forces
+
+
+def _rename(result: Result, job: Job, settings: Settings) -> Result:
+    """Return a result under the name of its job, with a note if the controller does not accept the program's name."""
     if job.keeps_text and job.name is not None:
         result = replace(result, documents=job.writer.rename(result.documents, job.name))
     fault = job.writer.fault_of(job.program.stem)
-    if settings.mode != "predict" and not job.keeps_text and fault is not None:
-        file_name = f"{job.stem}{job.writer.extension}"
-        note = f"written as {file_name}: the controller does not accept the name {job.program.stem!r}, {fault}."
-        result = replace(result, issues=(*result.issues, Issue("info", "name", note)))
-    return result, process_result
+    if settings.mode == "predict" or job.keeps_text or fault is None:
+        return result
+    file_name = f"{job.stem}{job.writer.extension}"
+    note = f"written as {file_name}: the controller does not accept the name {job.program.stem!r}, {fault}."
+    return replace(result, issues=(*result.issues, Issue("info", "name", note)))
 
 
 def check_held_feed(cell: Cell, *, process: bool) -> None:
@@ -356,21 +384,25 @@ def _output_of(
     :param process: forces that the process computes; None: there is no process.
     :raises InputError: the mesh of the part is unusable.
     """
-    result, subprogram_files, copies = marked
-    mode, needed_files = settings.mode, result.program.needed
-    has_tolerance = mode == "convert" or settings.tolerance_mm is not None
-    tolerance = cell.output.tolerance_mm * M_PER_MM if has_tolerance else None
-    name = job.report(mode)
-    stem = name.removesuffix("report.json")
-    contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.pieces() for doc in result.documents}
-    contents |= copies
-    contents |= _tables_of(result, stem)
+    result, needed_files = marked.result, marked.result.program.needed
     surface = None
     if settings.part is not None and len(result):
         surface = surface_of(result, settings.part, job.process, cell.part_in_root())
-        contents |= _surface_files(surface, cell.tolerance, stem)
-    content = report.summary(result, tolerance, cell.part_tolerance, surface)
     origin = origin_of(result.program.documents, settings.cell, cell, job.forces, "corrected")
+    tolerance = _judged_tolerance(settings, cell)
+    motionless_names = [Path(file.path).name for file in needed_files if not file.moves]
+    summary = replace(
+        report.summary(result, tolerance, cell.part_tolerance, surface),
+        copied=[name for name in marked.copies if name in motionless_names] or None,
+        inputs=_inputs(origin, result.program, job.output),
+    )
+    report_name = job.report(settings.mode)
+    stem = report_name.removesuffix("report.json")
+    contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.pieces() for doc in result.documents}
+    contents |= marked.copies
+    contents |= _tables_of(result, stem)
+    if surface is not None:
+        contents |= _surface_files(surface, cell.tolerance, stem)
     record = _record(origin, settings.cell, cell)
     contents[f"{stem}report.html"] = report.page(
         result, tolerance, surface, process, cell.part_tolerance, stem, record=record
@@ -379,28 +411,29 @@ def _output_of(
         from postproc.jobs import process_forces
 
         contents[f"{stem}stock.glb"] = process_forces.stock(process)
-    motionless_names = [Path(required_file.path).name for required_file in needed_files if not required_file.moves]
-    content = replace(
-        content,
-        copied=[file for file in copies if file in motionless_names] or None,
-        inputs=_inputs(origin, result.program, job.output),
-    )
     file_entries: list[files.FileEntry] = []
 
     def rendered(entries: list[files.FileEntry]) -> bytes:
         """Return the report with the list of files, and keep that list."""
         file_entries.extend(entries)
-        return files.json_bytes(replace(content, files=entries))
+        return files.json_bytes(replace(summary, files=entries))
 
-    read = [Path(document.folder) / document.name for document in result.program.documents if document.folder]
+    sources = [Path(document.folder) / document.name for document in result.program.documents if document.folder]
     return _ProgramOutput(
-        summary=content,
+        summary=summary,
         listed_files=file_entries,
-        contents=files.add_record(contents, name, rendered),
-        copied_files=tuple(copies),
-        shared_files=(*subprogram_files, *copies),
-        read=tuple(map(str, [*read, *(required_file.path for required_file in needed_files)])),
+        contents=files.add_record(contents, report_name, rendered),
+        copied_files=tuple(marked.copies),
+        shared_files=(*marked.subprogram_files, *marked.copies),
+        read=tuple(map(str, [*sources, *(file.path for file in needed_files)])),
     )
+
+
+def _judged_tolerance(settings: Settings, cell: Cell) -> float | None:
+    """Return the tolerance of the path [m] by which a report judges; None: a program as it is was to hold none."""
+    if settings.mode != "convert" and settings.tolerance_mm is None:
+        return None
+    return cell.output.tolerance_mm * M_PER_MM
 
 
 def _surface_files(surface: Surface, tolerance: float, stem: str) -> dict[str, bytes | Iterable[bytes]]:
@@ -463,8 +496,9 @@ def surface_of(result: Result, part: Path, process: Path | None, mesh_frame: Arr
 class _MarkedResult(NamedTuple):
     """A result with its line of origin and the files of its subprograms.
 
-    :ivar subprogram_files: names of the files that contain only subprograms.
-    :ivar copies: files that are written as they were read: name → content.
+    :param result: with the documents as they are written.
+    :param subprogram_files: names of the files that contain only subprograms.
+    :param copies: files that are written as they were read: name → content.
     """
 
     result: Result
@@ -520,7 +554,8 @@ def _issues_of_copies(
 def _check_same_motions(result: Result, new_documents: Sequence[Document], robot: RobotModel, cell: Cell) -> None:
     """Check that a program moves as before after subprograms were renamed in it, by reading both versions.
 
-    :raises InputError: they are not, or the renamed program cannot be read.
+    :param result: with the documents before.
+    :raises InputError: it does not, or the renamed program cannot be read.
     """
     name, dialect = result.program.name, result.program.dialect
     try:

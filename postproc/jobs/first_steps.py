@@ -163,29 +163,9 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     """
     check_new(request.output, overwrite=request.overwrite)
     folder = request.output.parent
-    is_shipped = request.robot in robots.shipped_models()
-    place = request.robot if is_shipped else relative_path(folder, Path(request.robot))
     robot = load_robot(request.robot)
-    start = USUAL_START if request.start is None else _six_values("start joints", request.start, 6)
-    is_outside = (np.radians(start) < robot.lower) | (np.radians(start) > robot.upper)
-    if is_outside.any():
-        joint = int(np.argmax(is_outside))
-        low, high = robot.lower[joint] * DEG_PER_RAD, robot.upper[joint] * DEG_PER_RAD
-        raise OptionError(f"{JOINTS[joint]} = {start[joint]:g}° is beyond its limits, {low:.4g}° to {high:.4g}°")
-    if request.part_tolerance is not None and not 0.0 < request.part_tolerance <= LARGEST_MM:
-        raise OptionError(f"part tolerance {request.part_tolerance:g} mm", advice="Give a length above 0.")
-    if not abs(request.clearance) <= LARGEST_MM:
-        raise OptionError(f"clearance {request.clearance:g} mm", advice="Give a Z of $BASE.")
-    base = _frame("BASE_DATA", request.base, request, robot)
-    tool = _frame("TOOL_DATA", request.tool, request, robot)
+    cell = _cell_of(request, robot)
     config = None if request.config_dat is None else relative_path(folder, request.config_dat)
-    tool_frame = Tool(**dict(zip("XYZABC", tool, strict=True)), axis=request.axis)
-    cell = Cell(robot=place, base=Frame(*base), tool=tool_frame, start=msgspec.convert({"joints": start}, Start))
-    if (
-        request.start is None
-        and (start_joints := joints_above_part(cell, robot, request.clearance, QUARTER_TURNS)) is not None
-    ):
-        cell = msgspec.structs.replace(cell, start=msgspec.convert({"joints": start_joints}, Start))
     turn, remarks = _turn_of_tool(cell, robot)
     tools = {number: Frame(*_six_values(f"$TOOL of T{number}", words, 3)) for number, words in request.tools.items()}
     remarks = (
@@ -194,10 +174,47 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
         *remarks,
         *low_start(cell, robot, request.clearance),
     )
-    text = _text(place, robot, cell, turn, config, request, tools)
+    text = _text(request, cell, robot, turn=turn, config=config, tools=tools)
     _check_text(text, request.output)
     files.write_whole(folder, {request.output.name: text.encode()})
     return remarks
+
+
+def _cell_of(request: CellRequest, robot: RobotModel) -> Cell:
+    """Return the cell of a request: robot, frames, and the start, which is above the part if none is stated.
+
+    :raises InputError: a value is invalid.
+    """
+    is_shipped = request.robot in robots.shipped_models()
+    robot_path = request.robot if is_shipped else relative_path(request.output.parent, Path(request.robot))
+    start = USUAL_START if request.start is None else _six_values("start joints", request.start, 6)
+    _check_joint_limits(start, robot)
+    if request.part_tolerance is not None and not 0.0 < request.part_tolerance <= LARGEST_MM:
+        raise OptionError(f"part tolerance {request.part_tolerance:g} mm", advice="Give a length above 0.")
+    if not abs(request.clearance) <= LARGEST_MM:
+        raise OptionError(f"clearance {request.clearance:g} mm", advice="Give a Z of $BASE.")
+    base = _frame("BASE_DATA", request.base, request, robot)
+    tool = _frame("TOOL_DATA", request.tool, request, robot)
+    tool_frame = Tool(**dict(zip("XYZABC", tool, strict=True)), axis=request.axis)
+    cell = Cell(robot=robot_path, base=Frame(*base), tool=tool_frame, start=msgspec.convert({"joints": start}, Start))
+    if request.start is not None:
+        return cell
+    start_joints = joints_above_part(cell, robot, request.clearance, QUARTER_TURNS)
+    if start_joints is None:  # the origin of $BASE is out of reach, which a remark says
+        return cell
+    return msgspec.structs.replace(cell, start=msgspec.convert({"joints": start_joints}, Start))
+
+
+def _check_joint_limits(start: Numbers, robot: RobotModel) -> None:
+    """Check that start joints (6,) [deg] are within the limits of a robot.
+
+    :raises OptionError: one of them is not.
+    """
+    is_outside = (np.radians(start) < robot.lower) | (np.radians(start) > robot.upper)
+    if is_outside.any():
+        joint = int(np.argmax(is_outside))
+        low, high = robot.lower[joint] * DEG_PER_RAD, robot.upper[joint] * DEG_PER_RAD
+        raise OptionError(f"{JOINTS[joint]} = {start[joint]:g}° is beyond its limits, {low:.4g}° to {high:.4g}°")
 
 
 def _check_text(text: str, output: Path) -> None:
@@ -354,17 +371,17 @@ _TOOL_BY_HAND = {"krl": ["; tool {T} by hand", "HALT"], "rapid": ["! tool {T} by
 
 
 def _text(
-    robot_path: str,
-    robot: RobotModel,
+    request: CellRequest,
     cell: Cell,
+    robot: RobotModel,
+    *,
     turn: float,
     config: str | None,
-    request: CellRequest,
     tools: Mapping[int, Frame],
 ) -> str:
     """Return the text of a new cell file, with comments.
 
-    :param robot_path: name of a shipped robot, or path of its model folder.
+    :param cell: robot, frames and start.
     :param turn: constant turn of the tool about its axis [deg].
     :param config: path of `$config.dat`, or None.
     :param tools: `$TOOL` by T number; empty: that of the cell holds for all.
@@ -373,7 +390,7 @@ def _text(
     return f"""\
 #:schema {schema_file("cell").as_uri()}
 # Cell file of postproc: mm, degrees, N. docs/reference describes every key; what follows # is optional.
-robot = {toml_string(robot_path)}    # {robot.title}
+robot = {toml_string(cell.robot)}    # {robot.title}
 frames = "controller"            # it measured [base] and [tool] with this arm; "model": a laser tracker did
 {_config_line(config)}
 

@@ -180,7 +180,9 @@ def differing_files(
     source_contents = {document.name: document.to_bytes() for document in read} if task.records else {}
     program_of_file: dict[str, str] = {}
     for record in task.records:
-        for name in texts.keys() & record.files.keys() - program_of_file.keys() if not record.is_renewed else ():
+        if record.is_renewed:
+            continue
+        for name in texts.keys() & record.files.keys() - program_of_file.keys():
             file_digest = record.files[name]
             if file_digest == digest([texts[name]]):
                 continue
@@ -327,6 +329,7 @@ class OutputPlan:
     def _check(self, cell: Path) -> None:
         """Refuse clashes that are known from the names.
 
+        :param cell: cell file, an input of all programs.
         :raises InputError: see the class.
         """
         for first, second in same_names(self.jobs):

@@ -21,15 +21,15 @@ from postproc.jobs.output_plan import protect
 from postproc.jobs.programs import Settings, find_jobs, load_robot
 from postproc.jobs.started_program import read_program, read_with_start
 from postproc.placement import LeastMargins, PathSamples, region
-from postproc.placement.region import AXES, Assessment, JudgedPlace, Region
+from postproc.placement.region import AXES, Assessment, JudgedPlace, Region, Search
 from postproc.program import Program
 from postproc.report import placement as report
 from postproc.report import summary as program_summary
 from postproc.robot import RobotModel
 from postproc.under_load import RobotInCell
 
-FILES = ("place.csv", "place.html", "place.toml", "place.json")
-"""Files of a search, the record last."""
+FILES = _TABLE, _PAGE, _BASE, _RECORD = ("place.csv", "place.html", "place.toml", "place.json")
+"""Files of a search: all places, the report, `[base]` of the best place if there is one, and the record."""
 _DEFAULT_REACH = {"X": 400.0, "Y": 400.0, "Z": 200.0, "A": 45.0}
 """Without a region the place may change by this [mm, deg]."""
 _LARGEST_COORDINATE = 1e5
@@ -77,36 +77,50 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     protect([*inputs, request.cell, *filter(None, (request.forces, request.process))], request.output, FILES)
     if not request.overwrite:
         refuse(foreign(request.output, FILES, FILES[-1]))
+    # a conversion chooses the start anew at each place; the samples all have the one that is chosen here
     assess = partial(_assessment, request, cell, robot)
-    cell, start_message = _cell_with_start(request, cell, robot)
-    samples, paths, frame_numbers = _samples(request, cell, robot)
-    turns = cell.gcode.redundancy != "constant" and not any(path.program.keeps_text for path in samples)
-    least_margins, clearance = LeastMargins(joint=request.margin_deg * RAD_PER_DEG), _clearance(request, cell)
-    programs = region.Programs(samples, least_margins, turns=turns, clearance_mm=clearance)
+    started_cell, start_message = _cell_with_start(request, cell, robot)
+    sampled = _samples(request, started_cell, robot)
+    clearance = _clearance(request, started_cell)
+    is_turn_free = started_cell.gcode.redundancy != "constant"
+    programs = region.Programs(
+        sampled.samples,
+        LeastMargins(joint=request.margin_deg * RAD_PER_DEG),
+        turns=is_turn_free and not any(samples.program.keeps_text for samples in sampled.samples),
+        clearance_mm=clearance,
+    )
     search = region.search(programs, bounds, progress, assess)
     content = report.summary(
         search,
-        cell,
-        [path.name for path in paths],
-        request.margin_deg,
-        clearance,
-        bounds,
-        start_message,
-        [f"base_data.{number}" for number in frame_numbers],
+        started_cell,
+        programs=[path.name for path in sampled.paths],
+        margin_deg=request.margin_deg,
+        clearance_mm=clearance,
+        region=bounds,
+        start=start_message,
+        moved_frames=[f"base_data.{number}" for number in sampled.frame_numbers],
     )
+    return PlaceFiles(content, _write(request.output, search, started_cell, content))
+
+
+def _write(output: Path, search: Search, cell: Cell, content: report.PlaceSummary) -> tuple[Path, ...]:
+    """Write the files of a search into a folder; return their paths. Without a best place, an earlier one is removed.
+
+    :param cell: of the search, with [start].
+    """
     contents: dict[str, bytes | Iterable[bytes]] = {
-        FILES[0]: report.places_csv(search),
-        FILES[1]: report.page(search, content),
+        _TABLE: report.places_csv(search),
+        _PAGE: report.page(search, content),
     }
     if search.best is not None:
-        contents[FILES[2]] = report.base_toml(search, cell, content)
-    is_earlier_place_ours = not foreign(request.output, [FILES[2]], FILES[-1])
-    paths = write_whole(
-        request.output, add_record(contents, FILES[-1], lambda entries: report.place_json(content, entries))
+        contents[_BASE] = report.base_toml(search, cell, content)
+    is_earlier_place_ours = not foreign(output, [_BASE], _RECORD)
+    written_files = write_whole(
+        output, add_record(contents, _RECORD, lambda entries: report.place_json(content, entries))
     )
     if search.best is None and is_earlier_place_ours:
-        (request.output / FILES[2]).unlink(missing_ok=True)  # the place of an earlier search
-    return PlaceFiles(content, tuple(paths))
+        (output / _BASE).unlink(missing_ok=True)
+    return tuple(written_files)
 
 
 def _clearance(request: PlaceRequest, cell: Cell) -> float | None:
@@ -212,15 +226,13 @@ def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: Jud
         content = program_summary(result, cell.tolerance, cell.part_tolerance)
         deflection = max(deflection, content.before.max_mm * M_PER_MM)
         verdicts.append(content.verdict.better)
-    better = [verdict for verdict in verdicts if verdict is not None]
-    uncorrected, corrected_mm = (
-        [getattr(verdict, key) for verdict in better] for key in ("uncorrected_mm", "corrected_mm")
-    )
-    is_known = len(better) > 0 and None not in corrected_mm
-    chances = [verdict.chance for verdict in better if verdict.chance is not None]
+    comparisons = [verdict for verdict in verdicts if verdict is not None]
+    corrected_mm = [comparison.corrected_mm for comparison in comparisons if comparison.corrected_mm is not None]
+    is_known = bool(comparisons) and len(corrected_mm) == len(comparisons)
+    chances = [comparison.chance for comparison in comparisons if comparison.chance is not None]
     return Assessment(
         deflection=deflection,
-        uncorrected=max(uncorrected) * M_PER_MM if is_known else None,
+        uncorrected=max(comparison.uncorrected_mm for comparison in comparisons) * M_PER_MM if is_known else None,
         corrected=max(corrected_mm) * M_PER_MM if is_known else None,
         chance=min(chances, default=None),
     )
@@ -250,8 +262,9 @@ def _moved_cell(cell: Cell, base: Frame) -> Cell:
 class _SampledPrograms(NamedTuple):
     """Programs of a search.
 
-    :ivar samples: of their paths; `paths`: their files.
-    :ivar frame_numbers: numbers of the frames of the controller that move with them.
+    :param samples: of their paths.
+    :param paths: their files.
+    :param frame_numbers: numbers of the frames of the controller that move with them.
     """
 
     samples: Sequence[PathSamples]
@@ -267,11 +280,12 @@ def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> _SampledPr
 
     :raises InputError: a program has frames of its own, so that moving $BASE would not move it.
     """
-    robot_in_cell, samples, paths = RobotInCell.of(robot, cell), list[PathSamples](), []
+    robot_in_cell, samples, paths = RobotInCell.of(robot, cell), list[PathSamples](), list[Path]()
     base = cell.base
+    # `[base]` is shifted by 1 mm, the frames that are equal to it by 2, 3 … mm
     shifted_frames = {
         number: msgspec.structs.replace(base, X=base.X + shift)
-        for shift, number in enumerate(region.numbers_of_base(cell), 2)
+        for shift, number in enumerate(region.numbers_of_base(cell), start=2)
     }
     shifted_cell = msgspec.structs.replace(
         cell, base=msgspec.structs.replace(base, X=base.X + 1.0), base_data=cell.base_data | shifted_frames

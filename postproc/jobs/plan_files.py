@@ -28,6 +28,9 @@ from postproc.plan.site import site_of
 from postproc.report.plan import krl_program, plan_csv, plan_json, plan_page
 from postproc.robot import RobotModel
 
+_SAME_ARM = 1e-6
+"""Entries of joint placements [m, 1] and of joint axes [1] that differ by less are equal but for rounding."""
+
 
 class PlanRequest(Struct, frozen=True, kw_only=True):
     """What a plan is made from, and where it is written. See `plan.Options` for the numbers.
@@ -104,12 +107,9 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
     tests = _test_poses(request, robot, cell)
     data = None if request.measured is None else read(request.measured, setup)
     folder, stem = request.output.parent, request.output.stem
-    names = csv, src, html, record = (
-        request.output.name,
-        f"{KRL.writer.valid_name(stem)}.src",
-        f"{stem}.html",
-        f"{stem}.json",
-    )
+    csv, src = request.output.name, f"{KRL.writer.valid_name(stem)}.src"
+    html, record = f"{stem}.html", f"{stem}.json"
+    names = (csv, src, html, record)
     protect(request.reads(), folder, names)
     if not request.overwrite:
         refuse(foreign(folder, names, record))
@@ -170,6 +170,7 @@ def make_compensator_plan(request: CompensatorRequest) -> CompensatorPlanFiles:
     plan = plan_compensator(robot, setup.sigma, options)
 
     def rendered(files: list[FileEntry]) -> bytes:
+        """Return the record of the plan with the list of its files."""
         return json_bytes({**compensator.summary(plan), "files": files})
 
     contents: dict[str, bytes | Iterable[bytes]] = {csv: compensator.template(plan)}
@@ -202,10 +203,9 @@ def check_same_arm(measured_robot: RobotModel, milling_robot: RobotModel) -> Non
     :raises InputError: the arms differ.
     """
     measured_arm, milling_arm = measured_robot.nominal, milling_robot.nominal
-    if (
-        abs(measured_arm.placement - milling_arm.placement).max() > 1e-6
-        or abs(measured_arm.axis - milling_arm.axis).max() > 1e-6
-    ):
+    placement_difference = abs(measured_arm.placement - milling_arm.placement).max()
+    axis_difference = abs(measured_arm.axis - milling_arm.axis).max()
+    if max(placement_difference, axis_difference) > _SAME_ARM:
         raise InputError(
             f"the experiment is with robot {measured_robot.name}, the cell has {milling_robot.name}, an arm of other "
             "dimensions",

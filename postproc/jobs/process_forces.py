@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -53,6 +54,8 @@ _BACKSTEP = 0.99
 """Share of its feed that a motion gets if it exceeds the tolerance at a feed at which it did not before."""
 _FEED_FLOOR = 1e-3
 """Share of the programmed feed at which the errors are taken for those without feed."""
+_SMALLEST_SLOPE = 1e-12
+"""Slope of the error over the feed [s] that is used instead of none, or of a falling one, as a divisor."""
 _STEP = 1e-6
 """Feeds are multiples of this [m/s]: that is what programs print."""
 
@@ -210,6 +213,7 @@ class _Search:
         gap = self.error_high - self.error_low
         share = np.clip((self.limit - self.error_low) / np.where(gap > 0.0, gap, 1.0), 0.0, 1.0)
         feed = (low + share * (high - low)) ** (1.0 / self.power) * np.where(self.low < self.high, _AIM, 1.0)
+        # a feed that is a multiple of the step but for rounding stays one
         return np.asarray(np.clip(np.floor(feed / _STEP + 1e-6) * _STEP, self.low, self.high))
 
     def take_errors(self, error: Array) -> bool:
@@ -223,6 +227,7 @@ class _Search:
         raised, lowered = self.open & ~is_fixed & is_within, self.open & ~is_fixed & ~is_within
         reserve = np.minimum(self._reserve(error), self.high - self.feed)
         is_final = is_fixed | (raised & (reserve <= _CLOSE * self.feed))
+        # Illinois method: where one bound moves twice in turn, the error at the other one counts half
         repeats_good, repeats_bad = raised & self.was_good, lowered & self.was_bad
         self.error_high[repeats_good] = 0.5 * (self.limit + self.error_high[repeats_good])
         self.error_low[repeats_bad] = 0.5 * (self.limit + self.error_low[repeats_bad])
@@ -243,7 +248,8 @@ class _Search:
         upper_slope = (self.error_high - error) / np.maximum(self.high - self.feed, _STEP)
         lower_slope = (error - self.error_low) / np.maximum(self.feed - self.low, _STEP)
         lower_slope = np.where(self.feed > self.low, lower_slope, np.inf)
-        return np.asarray((self.limit - error) / np.maximum(np.minimum(upper_slope, lower_slope), 1e-12))
+        slope = np.minimum(upper_slope, lower_slope)
+        return np.asarray((self.limit - error) / np.maximum(slope, _SMALLEST_SLOPE))
 
 
 def _largest_by_motion(result: Result) -> Array:
@@ -336,16 +342,47 @@ def predict_in_material(
         return correction.process(program, robot, cell, source, "predict"), source
     if source.process_forces is None:
         return correction.process(program, robot, cell, source, "predict"), source
+    cut = _real_cut(path, source, residual)
+    result = correction.process(program, robot, cell, cut.source, "predict")
+    if result.failed or source.process_forces is None:
+        return result, cut.source
+    message = _real_cut_message(path.wrench, result.wrench, source, cut.source, cut.rounds)
+    note = Issue("info" if cut.is_settled else "warning", "real-cut", message)
+    hits = [issue for issue in source.process_forces.issues if issue.kind in ("rapid-in-material", "collision")]
+    engagement_result = correction.process(program, robot, cell, source, "predict")
+    return replace(result, issues=(*result.issues, *hits, note), engagement_result=engagement_result), cut.source
+
+
+class _RealCut(NamedTuple):
+    """Cut of the deflected tool.
+
+    :param source: its forces.
+    :param rounds: number of sweeps with a displaced tip.
+    :param is_settled: True if force and deflection agree.
+    """
+
+    source: ProcessSource
+    rounds: int
+    is_settled: bool
+
+
+def _real_cut(path: PathUnderLoad, source: ProcessSource, deviation: Array) -> _RealCut:
+    """Return the cut whose forces deflect the tool by as much as it was displaced for the cut, or the last one tried.
+
+    :param path: N samples of the nominal path, under the forces of the nominal engagement.
+    :param source: these forces.
+    :param deviation: (N, 3) of the tip under them, `$BASE` [m].
+    """
+    motions, sample = path.motions, path.sample
+    spindle, ramp = motions.robot_in_cell.spindle, motions.robot_in_cell.ramp
     weight = _weights(path)
     cut, rounds, is_settled = source, 0, False
-    deviation, offset, last_shift = residual, _FIRST * residual, _FIRST * residual
+    residual, offset, last_shift = deviation, _FIRST * deviation, _FIRST * deviation
     while not is_settled and rounds < _ROUNDS:
         rounds += 1
-        cut = source.shift_tip(Shift.of(program, path.sample.motion, path.sample.t, offset))
-        path_forces = forces.assign(
-            program, motions.segments, cut, motions.robot_in_cell.spindle, motions.robot_in_cell.ramp
-        )
-        change = _deviation(replace(path, wrench=path_forces.at(path.sample))) - deviation
+        cut = source.shift_tip(Shift.of(path.program, sample.motion, sample.t, offset))
+        path_forces = forces.assign(path.program, motions.segments, cut, spindle, ramp)
+        change = _deviation(replace(path, wrench=path_forces.at(sample))) - deviation
         deviation = deviation + change
         residual, last_residual = deviation - offset, residual
         shift = residual - _overshoot(residual, residual - last_residual, weight) * change
@@ -354,14 +391,7 @@ def predict_in_material(
         if rounds > 1 and not is_settled:
             is_settled = _next_change(change, last_shift, shift, _contact_weights(weight, residual)) < limit
         last_shift, offset = shift, offset + shift
-    result = correction.process(program, robot, cell, cut, "predict")
-    if result.failed or source.process_forces is None:
-        return result, cut
-    message = _real_cut_message(path.wrench, result.wrench, source, cut, rounds)
-    note = Issue("info" if is_settled else "warning", "real-cut", message)
-    hits = [issue for issue in source.process_forces.issues if issue.kind in ("rapid-in-material", "collision")]
-    result_as_engagement = correction.process(program, robot, cell, source, "predict")
-    return replace(result, issues=(*result.issues, *hits, note), engagement_result=result_as_engagement), cut
+    return _RealCut(cut, rounds, is_settled)
 
 
 def _deviation(path: PathUnderLoad) -> Array:

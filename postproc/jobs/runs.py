@@ -80,7 +80,7 @@ def convert_all(
             files.remove_leftovers(folder)
         outcomes: list[Outcome] = []
         try:
-            for outcome in _outcomes(plan, settings, cell, robot, workers, cluster, progress):
+            for outcome in _outcomes(plan, settings, cell, robot, workers=workers, cluster=cluster, progress=progress):
                 outcomes.append(outcome)
                 yield outcome
         finally:
@@ -98,24 +98,22 @@ def _outcomes(
     settings: Settings,
     cell: Cell,
     robot: RobotModel,
-    worker_count: int,
+    *,
+    workers: int,
     cluster: Cluster | None,
     progress: Callable[[int, int], None] | None,
 ) -> Iterator[Outcome]:
-    """Yield the outcomes of a plan until all is done or a signal asks for the end.
-
-    :param worker_count: number of local processes; `cluster`: used instead; `progress`: see `convert_all`.
-    """
+    """Yield the outcomes of a plan until all is done or a signal asks for the end; parameters as of `convert_all`."""
     if cluster is not None:
         from postproc.jobs.workers import ClusterWorkers  # imported where there is one, like processes
 
         plan.divide(cell)
         yield from _outcomes_of(plan, ClusterWorkers(cluster, settings), settings, cell, robot)
-    elif worker_count > 1 and len(plan.jobs) > 1:
+    elif workers > 1 and len(plan.jobs) > 1:
         from postproc.jobs.workers import LocalWorkers
 
         plan.divide(cell)
-        yield from _outcomes_of(plan, LocalWorkers(min(worker_count, len(plan.jobs)), settings), settings, cell, robot)
+        yield from _outcomes_of(plan, LocalWorkers(min(workers, len(plan.jobs)), settings), settings, cell, robot)
     else:
         for task in plan.ready():
             with interrupts.allow():

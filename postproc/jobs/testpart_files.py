@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -49,6 +50,8 @@ _CHIP = 0.006
 """Feed per tooth by the diameter of the tool, if none is given (assumed)."""
 _SPEED = 150.0
 """Cutting speed if the process states no rpm [m/min] (assumed)."""
+_LARGEST_RPM = 12_000.0
+"""Largest spindle speed if the process states none [1/min] (assumed)."""
 _DEPTH = 0.2
 """Depth of cut by the diameter of the tool, if none is given (assumed)."""
 _MOST_TESTS = 200
@@ -56,7 +59,8 @@ _MOST_TESTS = 200
 _SAME_HEIGHT = 1e-3
 """Difference of heights that are the same as written [mm]."""
 PROCESS = "testpart.process.toml"
-_RECORD = "testpart.json"
+_TABLE, _PAGE, _RECORD = "probing.csv", "testpart.html", "testpart.json"
+"""Files next to the programs: the table to fill in, the report and the record."""
 
 
 class TestPartRequest(Struct, frozen=True, kw_only=True):
@@ -162,42 +166,95 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     if box is None:
         raise InputError("no block", file=str(request.process), advice="Give --block, or [stock] box in the process.")
     placements = _cells_of_placements(cell, request.placements)
-    programs = [name for item in placements for name in (item.name, str(Path(item.name).with_suffix(".src")))]
-    names = [*programs, "probing.csv", PROCESS, "testpart.html", _RECORD]
-    protect([request.cell, request.process], request.output, names)
-    if not request.overwrite:
-        files.refuse(files.foreign(request.output, names[:-1], _RECORD))
+    _protect_files(request, placements)
     robots_in_cell = tuple(RobotInCell.of(robot, item) for item in placements.values())
-    robot_in_cell = robots_in_cell[0]
-    prior = _prior(robot_in_cell, process)
-    depth = (request.depth_mm or _DEPTH * tool.diameter_mm) * M_PER_MM
-    progress("candidates")
-    candidates, cutting = design.candidates(
-        prior, robots_in_cell, process, _cutting(request, key, tool, box), depth, box, request.sigma_mm * M_PER_MM
+    prior = _prior(robots_in_cell[0], process)
+    choice = _choose(
+        request,
+        robots_in_cell,
+        process,
+        prior,
+        cutting=_cutting(request, key, tool, box),
+        depth=(request.depth_mm or _DEPTH * tool.diameter_mm) * M_PER_MM,
+        box=box,
+        progress=progress,
     )
-    tests = _tests(request, robot_in_cell, process, candidates)
-    progress("choice of features")
-    low, high = (np.array([span[side] for span in (box.X, box.Y, box.Z)]) * M_PER_MM for side in (0, 1))  # corners
-    weight_places = features.hanging_places(low, high, cutting.top) if request.weight_kg else np.zeros((0, 3))
-    weight_readings = design.gauge_information(
-        prior, robots_in_cell, cutting, request.weight_kg, weight_places, request.sigma_mm * M_PER_MM
-    )
-    selection = design.choose(candidates, prior, robot_in_cell, tests, request.count, weight_readings)
-    touches = features.touch_off_places(selection.features, cutting, low, high)
-    parts = _programs(request, selection, cutting, tuple(placements), weight_places, touches)
+    parts = _programs(request, choice, tuple(placements))
+    warnings = questions(request.weight_kg, robot, choice.cutting, tool.flutes)
     contents: dict[str, bytes | Iterable[bytes]] = {}
     for placement, placement_cell in placements.items():
         if len(parts[placement].feature):
             contents[placement.name] = parts[placement].text.encode()
             contents |= _krl(request, placement.name, parts[placement].text, placement_cell)
-    contents["probing.csv"] = probing.table(parts)
+    contents[_TABLE] = probing.table(parts)
     contents[PROCESS] = _process(process, box)
-    contents["testpart.html"] = design_page(selection, prior, cutting, parts, box, cell.robot)
-    warnings = questions(request.weight_kg, robot, cutting, tool.flutes)
-    data = _data(selection, prior, cutting, parts) | {"warnings": list(warnings)}
+    contents[_PAGE] = design_page(choice.design, prior, choice.cutting, parts, box, cell.robot)
+    data = _data(choice.design, prior, choice.cutting, parts) | {"warnings": list(warnings)}
     contents = files.add_record(contents, _RECORD, lambda entries: files.json_bytes({**data, "files": entries}))
     paths = files.write_whole(request.output, contents)
-    return TestPartFiles(selection, prior, cutting, parts, tuple(paths), warnings)
+    return TestPartFiles(choice.design, prior, choice.cutting, parts, tuple(paths), warnings)
+
+
+def _protect_files(request: TestPartRequest, placements: Iterable[Placement]) -> None:
+    """Refuse to overwrite inputs, and files that postproc did not write unless the request says so.
+
+    :raises InputError: a file of the test part would be such a file.
+    """
+    programs = [name for item in placements for name in (item.name, str(Path(item.name).with_suffix(".src")))]
+    names = [*programs, _TABLE, PROCESS, _PAGE]
+    protect([request.cell, request.process], request.output, [*names, _RECORD])
+    if not request.overwrite:
+        files.refuse(files.foreign(request.output, names, _RECORD))
+
+
+class _ChosenPart(NamedTuple):
+    """A test part before it is written.
+
+    :param design: its features.
+    :param cutting: how they are cut.
+    :param weight_places: (n, 3) where a weight is hung, `$BASE` [m]; none without a weight.
+    :param touches: (k, 3) touch-off points on the uncut top, `$BASE` [m].
+    """
+
+    design: Design
+    cutting: Cutting
+    weight_places: Array
+    touches: Array
+
+
+def _choose(
+    request: TestPartRequest,
+    robots_in_cell: tuple[RobotInCell, ...],
+    process: Process,
+    prior: Prior,
+    *,
+    cutting: Cutting,
+    depth: float,
+    box: Box,
+    progress: Callable[[str], None],
+) -> _ChosenPart:
+    """Return the features that tell most about the model, and how they are cut.
+
+    :param robots_in_cell: the robot in a cell whose `[base]` is that of the block, for each of its placements.
+    :param cutting: tool, speed and feed; the choice sets by how much features are trimmed.
+    :param depth: largest depth of cut [m].
+    :param box: the block.
+    :param progress: called with the name of each step.
+    :raises PostprocError: no feature fits, or programs of the request cannot be read.
+    """
+    sigma = request.sigma_mm * M_PER_MM
+    progress("candidates")
+    candidates, cutting = design.candidates(prior, robots_in_cell, process, cutting, depth=depth, box=box, sigma=sigma)
+    tests = _tests(request, robots_in_cell[0], process, candidates)
+    progress("choice of features")
+    low, high = (np.array([span[side] for span in (box.X, box.Y, box.Z)]) * M_PER_MM for side in (0, 1))  # corners
+    weight_places = features.hanging_places(low, high, cutting.top) if request.weight_kg else np.zeros((0, 3))
+    weight_readings = design.gauge_information(
+        prior, robots_in_cell, cutting, mass=request.weight_kg, places=weight_places, sigma=sigma
+    )
+    selection = design.choose(candidates, prior, robots_in_cell[0], tests, request.count, weight_readings)
+    touches = features.touch_off_places(selection.features, cutting, low, high)
+    return _ChosenPart(selection, cutting, weight_places, touches)
 
 
 def questions(weight_kg: float, robot: RobotModel, cutting: Cutting, flutes: int) -> tuple[str, ...]:
@@ -228,37 +285,31 @@ def _cutting(request: TestPartRequest, key: str, tool: ToolTable, box: Box) -> C
 
     :param key: number of the tool in the process.
     """
-    rpm = tool.rpm or float(np.floor(min(12_000.0, 1e3 * _SPEED / (np.pi * tool.diameter_mm)) / 100.0) * 100.0)
+    usual_rpm = min(_LARGEST_RPM, MM_PER_M * _SPEED / (np.pi * tool.diameter_mm))
+    rpm = tool.rpm or float(np.floor(usual_rpm / 100.0) * 100.0)
     feed = request.feed_mm_per_min or _CHIP * tool.diameter_mm * tool.flutes * rpm
     number = int(key) if key.isdecimal() else 1
     return Cutting(tool.diameter_mm * M_PER_MM, rpm, feed * M_PER_MM / 60.0, number, box.Z[1] * M_PER_MM)
 
 
 def _programs(
-    request: TestPartRequest,
-    selection: Design,
-    cutting: Cutting,
-    placements: tuple[Placement, ...],
-    weight_places: Array,
-    touches: Array,
+    request: TestPartRequest, choice: _ChosenPart, placements: tuple[Placement, ...]
 ) -> dict[Placement, features.Program]:
-    """Return the program of each placement; numbers of features and points go on from one to the next.
-
-    :param weight_places: (n, 3) where a weight is hung; `touches` (k, 3) touch-off points, `$BASE` [m].
-    """
+    """Return the program of each placement; numbers of features and points go on from one to the next."""
     parts = {}
     for number, placement in enumerate(placements):
-        part_features = [selection.features[k] for k in np.flatnonzero(selection.placement == number)]
+        part_features = [choice.design.features[k] for k in np.flatnonzero(choice.design.placement == number)]
+        features_before = int((choice.design.placement < number).sum())
         parts[placement] = features.program(
             part_features,
-            cutting,
+            choice.cutting,
             request.weight_kg,
-            weight_places,
-            touches=touches if part_features else None,
+            choice.weight_places,
+            touches=choice.touches if part_features else None,
             first=(
-                1 + int((selection.placement < number).sum()),
-                1 + len(weight_places) * number,
-                1 + len(touches) * number,
+                1 + features_before,
+                1 + len(choice.weight_places) * number,
+                1 + len(choice.touches) * number,
             ),
             placement_title=placement.title if len(placements) > 1 else "",
         )
@@ -313,7 +364,7 @@ def _tests(
         states_of_program = milling.from_program(program, robot, cell, source)
         by_program.append(replace(states_of_program, by_law=states_of_program.by_law & _is_of_law(source, law)))
     poses = milling.join(by_program)
-    rows = np.arange(0, len(poses), max(1, len(poses) // _MOST_TESTS))
+    rows = np.arange(0, len(poses), max(1, len(poses) // _MOST_TESTS))  # evenly
     tool = np.broadcast_to(robot_in_cell.cell.tool.pose(), (len(rows), 4, 4))
     pose = kinematics.tcp(robot_in_cell.robot.nominal, poses.q[rows], tool)[0]
     weight = poses.weight[rows] / poses.weight[rows].sum()
@@ -484,10 +535,11 @@ def cell_of_placement(cell: Cell, placement: Placement, source: str) -> Cell:
 def programs_of(probe_data: ProbedSurfaces, paths: tuple[Path, ...]) -> dict[Path, int]:
     """Return the programs that made probed points, and the number of the placement of each, −1 for `[base]`.
 
+    :param paths: the programs that are given.
     :raises MeasurementError: a program that a row names is not given, or has two placements.
     """
     placement_of = dict(zip(probe_data.program, probe_data.base.tolist(), strict=True))
-    if placement_of == {"": -1}:
+    if placement_of == {"": -1}:  # a table without the columns of programs and placements
         if len(paths) == 1:
             return {paths[0]: -1}
         advice = "Give one --program, or the probing.csv with the column program."
@@ -543,6 +595,7 @@ def identify_part(request: PartRequest, output: Path | None, *, overwrite: bool 
     }
 
     def rendered(entries: list[FileEntry]) -> bytes:
+        """Return the record of the model with the list of its files."""
         return replace(data, files=entries).as_json()
 
     return PartFiles(data, tuple(files.write_whole(output, files.add_record(contents, record.NAME, rendered))))

@@ -14,7 +14,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -174,7 +174,12 @@ def _read_process(path: Path, size: int, time_ns: int) -> tuple[Path, ...]:
 class _Watcher:
     """State of the programs of a folder.
 
-    :ivar setup: sum of the code, cell, robot, process, other files and options that all programs are converted with.
+    :ivar code: sum of the code of the package.
+    :ivar setup: sum of the code, cell, robot, process, other files and options that all programs are converted with;
+        empty before they were read.
+    :ivar setup_paths: these files; `setup_status`: size and time of each at the last scan.
+    :ivar setup_since: monotonic time of their last change [s].
+    :ivar setup_read: True once `setup` was computed after their last change.
     :ivar same_named: programs that were refused since they would be written under one name.
     :ivar force_folder: folder of forces, None if there is none; `force_files`: what the last scan found there, see
         `programs.force_files`; `plain_options`: arguments of `find_jobs` without the folder.
@@ -222,15 +227,8 @@ class _Watcher:
             self._report_new(f"{cause.filename or self.folder} cannot be read at present. Waiting for it.")
             return []
         self.reported -= {f"{folder} cannot be read at present. Waiting for it." for folder in folders}
-        quiet = self._is_setup_quiet(time_s)
-        if self.entries and not (self.output / STATE).is_file():  # the output was removed
-            self.entries = {}
-            self.finished.clear()
-        for removed_path in self.seen.keys() - signatures.keys():
-            self.seen.pop(removed_path)
-            self.finished.pop(removed_path, None)
-            if removed_path in self.same_named:
-                self._retry_same_named()
+        is_setup_quiet = self._is_setup_quiet(time_s)
+        self._forget_removed(signatures)
         ready = []
         for path, signature in sorted(signatures.items()):
             if signature is None or self.finished.get(path) == signature:
@@ -240,7 +238,18 @@ class _Watcher:
                 self.seen[path] = (signature, time_s)
             elif time_s - change_time >= QUIET and not self._waits_for_forces(path) and self._is_new(path, signature):
                 ready.append(path)
-        return ready if quiet and ready and self._can_write() else []
+        return ready if is_setup_quiet and ready and self._can_write() else []
+
+    def _forget_removed(self, programs: Collection[Path]) -> None:
+        """Forget programs that are no longer in the folder, and all results if the output was removed."""
+        if self.entries and not (self.output / STATE).is_file():
+            self.entries = {}
+            self.finished.clear()
+        for removed_path in self.seen.keys() - set(programs):
+            self.seen.pop(removed_path)
+            self.finished.pop(removed_path, None)
+            if removed_path in self.same_named:
+                self._retry_same_named()
 
     def _retry_same_named(self) -> None:
         """Forget programs that were refused because they share a name, so that the next scan tries them again."""
@@ -282,9 +291,10 @@ class _Watcher:
             contents = [path.read_bytes() for path in self.setup_paths if path.is_file()]
         except OSError:
             return False
-        self.setup_read, last_setup = True, self.setup
+        last_setups = {self.setup} if self.setup else {entry.setup for entry in self.entries.values()}
+        self.setup_read = True
         self.setup = provenance.digest([self.code.encode(), json.dumps(option_texts).encode(), *contents])
-        if ({last_setup} if last_setup else {entry.setup for entry in self.entries.values()}) - {self.setup}:
+        if last_setups - {self.setup}:
             self.say("The cell, a file used with it, an option or postproc has changed: all are converted again.")
             self.finished.clear()
         return True

@@ -259,26 +259,31 @@ class ClusterWorkers:
     :raises PostprocError: there is no Dask, no scheduler answers, or it has no workers.
     """
 
+    _futures: dict[Path, Any]
+    """Program → future of its task."""
+    _signs: dict[str, tuple[float, float]]
+    """Address of a worker → last sign of life by the scheduler's clock, and by that of this machine [s]."""
+    _worker_of_task: dict[str, str]
+    """Key of a task → address of the worker that has it."""
+
     def __init__(self, cluster: Cluster, settings: Settings) -> None:
         self._cluster = cluster
         self._settings = replace(settings, cell=settings.cell.resolve())
         self._client = _connect(cluster)
         self._code = inputs.code_sum()
-        self._alive = self._looked = time.monotonic()
-        self._begun: dict[Path, Any] = {}
-        self._signs: dict[str, tuple[float, float]] = {}
-        self._holder: dict[str, str] = {}
+        self._last_answer = self._last_look = time.monotonic()
+        self._futures, self._signs, self._worker_of_task = {}, {}, {}
 
     def begin(self, task: Task) -> Any:
         """Send a task to the cluster; return its future."""
         content = pickle.dumps((_absolute(task), self._settings))
         future = self._client.submit(_work_function(), self._code, content, pure=False)
-        self._begun[task.job.program] = future
+        self._futures[task.job.program] = future
         return future
 
     def outcome(self, future: Any, task: Task) -> Outcome:
         """Return the outcome of a task that has ended, under the name that the user knows."""
-        self._alive = time.monotonic()
+        self._last_answer = time.monotonic()
         program = str(task.job.program)
         if future.cancelled():
             return self._loss_outcome(task)
@@ -303,9 +308,9 @@ class ClusterWorkers:
         The cluster has `PATIENCE` seconds, a worker `_SIGN_TIMEOUT`.
         """
         self._update_workers()
-        if time.monotonic() > self._alive + PATIENCE:
+        if time.monotonic() > self._last_answer + PATIENCE:
             return self._loss_outcome(task)
-        worker = self._holder.get(self._begun[task.job.program].key)
+        worker = self._worker_of_task.get(self._futures[task.job.program].key)
         if worker is None or time.monotonic() < self._signs[worker][1] + _SIGN_TIMEOUT:
             return None
         message = (
@@ -320,22 +325,24 @@ class ClusterWorkers:
         It is asked every `_LOOK` seconds at most.
         """
         time_s = time.monotonic()
-        if time_s < self._looked + min(_LOOK, PATIENCE / 4.0) or self._client.status != "running":
+        if time_s < self._last_look + min(_LOOK, PATIENCE / 4.0) or self._client.status != "running":
             return
-        self._looked = time_s
+        self._last_look = time_s
         with suppress(Exception):  # the scheduler is gone: then nothing is alive
             workers = self._client.sync(self._client.scheduler.identity, callback_timeout=PATIENCE)["workers"]
-            self._alive = time_s if workers else self._alive
+            self._last_answer = time_s if workers else self._last_answer
             for address, worker in workers.items():
                 if self._signs.get(address, (None, time_s))[0] != worker["last_seen"]:
                     self._signs[address] = worker["last_seen"], time_s
             tasks = self._client.sync(self._client.scheduler.processing, workers=None, callback_timeout=PATIENCE)
-            self._holder = {key: worker for worker, keys in tasks.items() if worker in self._signs for key in keys}
+            self._worker_of_task = {
+                key: worker for worker, keys in tasks.items() if worker in self._signs for key in keys
+            }
 
     def end(self) -> None:
         """Cancel tasks that have not begun; the cluster finishes the others, and leaves their staged files."""
         with suppress(Exception):
-            self._client.cancel([future for future in self._begun.values() if not future.done()])
+            self._client.cancel([future for future in self._futures.values() if not future.done()])
         self._client.close(timeout=2)
 
     def _loss_outcome(self, task: Task) -> Outcome:

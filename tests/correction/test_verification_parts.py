@@ -150,9 +150,9 @@ def test_a_written_program_is_looked_at_between_targets_where_it_may_leave_its_p
     monkeypatch.setattr(verify, "_unevenness", lambda path, selection, readback, arcs, correction: unevenness[arcs])
     calls = []
 
-    def number_of_places(kinds, length, turn, *, is_curved, steep):
-        calls.append((kinds.tolist(), length.tolist(), turn.tolist(), is_curved.tolist(), steep.tolist()))
-        return 1 + is_curved + 2 * steep
+    def number_of_places(kinds, length, turn, *, is_curved, is_steep):
+        calls.append((kinds.tolist(), length.tolist(), turn.tolist(), is_curved.tolist(), is_steep.tolist()))
+        return 1 + is_curved + 2 * is_steep
 
     monkeypatch.setattr(verify, "number_of_places", number_of_places)
     targets = targets_of(motion, t)

@@ -136,7 +136,7 @@ def test_the_loaded_tip_and_the_share_of_the_tool_come_back_in_the_base_of_the_m
     rows = np.flatnonzero(path.sample.motion >= 1)[::3]
     q, wrench = path.joints.q[rows], path.wrench_in_root(rows)
     tip, share = path.tip_in_base(rows, q, wrench, np.zeros((len(rows), 6)))
-    whole, expected_share = path.robot_in_cell.tip_and_share(q, path.tool(rows), wrench)
+    whole, expected_share = path.robot_in_cell.tip_and_tool_deflection(q, path.tool(rows), wrench)
     assert np.abs(share).max() > 1e-5
     for place, row in enumerate(rows):
         base = BASES[[0, 0, 1, 1][path.sample.motion[row]]]

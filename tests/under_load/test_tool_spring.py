@@ -44,7 +44,7 @@ def by_energy(q, wrench):
 
 
 def test_the_loaded_tip_stands_at_the_minimum_of_the_energy():
-    tip, by_tool = SETTING.tip_and_share(Q, TOOL, FORCE)
+    tip, by_tool = SETTING.tip_and_tool_deflection(Q, TOOL, FORCE)
     for row in range(len(Q)):
         expected, moved = by_energy(Q[row], FORCE[row])
         np.testing.assert_allclose(tip[row], expected, rtol=0, atol=2e-9)
@@ -94,14 +94,14 @@ def series(q, wrench):
 
 
 def test_force_and_moment_together_shift_and_turn_the_tip_as_arm_and_tool_in_series():
-    tip, by_tool = SETTING.tip_and_share(Q, TOOL, WRENCH)
+    tip, by_tool = SETTING.tip_and_tool_deflection(Q, TOOL, WRENCH)
     np.testing.assert_array_equal(SETTING.tip(Q, TOOL, WRENCH), tip)
     for row in range(len(Q)):
         expected, _, moved = series(Q[row], WRENCH[row])
         np.testing.assert_allclose(tip[row], expected, rtol=0, atol=3e-9)
         np.testing.assert_allclose(by_tool[row], moved, rtol=0, atol=3e-9)
     guess = elastostatics.deflect(SETTING.robot, Q, TOOL, WRENCH).theta
-    np.testing.assert_allclose(SETTING.tip_and_share(Q, TOOL, WRENCH, guess)[0], tip, rtol=0, atol=3e-9)
+    np.testing.assert_allclose(SETTING.tip_and_tool_deflection(Q, TOOL, WRENCH, guess)[0], tip, rtol=0, atol=3e-9)
 
 
 def test_the_command_puts_the_tip_at_its_target_and_turns_it_back():
@@ -136,7 +136,7 @@ def test_the_tool_of_the_cell_adds_to_the_softness_of_the_robot():
 
 def test_a_rigid_tool_changes_nothing():
     assert RobotInCell.of(ROBOT, CELL).tool_spring is None
-    tip, by_tool = RobotInCell.of(ROBOT, CELL).tip_and_share(Q, TOOL, FORCE)
+    tip, by_tool = RobotInCell.of(ROBOT, CELL).tip_and_tool_deflection(Q, TOOL, FORCE)
     assert not by_tool.any()
     assert tip[0] == pytest.approx(ARM.loaded_tcp(Q[0], TOOL, FORCE[0])[:3, 3], abs=2e-9)
 
