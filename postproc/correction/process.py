@@ -696,9 +696,10 @@ def process(
     errors = [issue for issue in task.initial_issues if issue.level == "error"]
     robot_in_cell = RobotInCell.of(robot, cell)
     if not errors:
-        program, turn, turn_issues = placement.in_chosen_turn(program, robot_in_cell, source)
-        task = replace(task, turn=turn, initial_issues=(*task.initial_issues, *turn_issues))
-        errors = [issue for issue in turn_issues if issue.level == "error"]
+        turned = placement.in_chosen_turn(program, robot_in_cell, source)
+        program = turned.program
+        task = replace(task, turn=turned.turn, initial_issues=(*task.initial_issues, *turned.issues))
+        errors = [issue for issue in turned.issues if issue.level == "error"]
     if not errors:
         try:
             motions = MotionsUnderLoad.of(program, robot_in_cell, source)

@@ -41,6 +41,8 @@ _STARTS, _HALVINGS = 4, 5
 """Places from which the compass search starts, and how often its steps are halved."""
 _SAME_FRAME = 1e-6
 """Entries of frames [m, 1] that differ by less are equal but for rounding."""
+_SAME_COORDINATE = 1e-9
+"""Coordinates of places that differ by less [mm, deg] are equal but for rounding."""
 _GAIN = 1e-3
 """Share of the expected error by which a step of the compass search must lower it."""
 _SIMILAR_COST = 0.01
@@ -166,8 +168,8 @@ class _Stations(Struct, frozen=True, eq=False):
     """Samples of one program by which places are judged.
 
     :param row: (n,) samples; `before` (n,) the ones before them.
-    :param shift: (2n, 3) how far E1 carries the robot [m].
-    :param branch: (2n,) from the program, −1 = that of the start.
+    :param shift: (2n, 3) how far E1 carries the robot [m]: before the stations, then at them.
+    :param branch: (2n,) branches that the program states, in the same order; −1 = that of the start.
     :param cuts: (n,) False on rapid moves.
     :param first_joints: (k, 6) joint targets before the first station [rad].
     """
@@ -179,6 +181,11 @@ class _Stations(Struct, frozen=True, eq=False):
     branch: Ints
     cuts: Bools
     first_joints: Array
+
+    @property
+    def shift_at_stations(self) -> Array:
+        """(n, 3) how far E1 carries the robot at the stations [m]."""
+        return self.shift[len(self.row) :]
 
 
 class _JointPath(NamedTuple):
@@ -220,6 +227,8 @@ class Programs:
     ) -> None:
         """Choose the stations.
 
+        :param samples: of the path of each program.
+        :param keep: margins that a place must keep.
         :param turns: whether the tool may be turned about its axis.
         :param clearance_mm: smallest allowed distance of the bodies of [collision]; None: they are not compared.
         :raises CellError: a body cannot be read.
@@ -347,10 +356,9 @@ class Programs:
 
         :param turn: of the tool about its axis [rad].
         """
-        cuts = group.cuts
-        rows = group.row[cuts]
+        rows = group.row[group.cuts]
         load = group.samples.load(rows, np.full(len(rows), turn))
-        load.pose[:, :3, 3] += group.shift[len(group.row) :][cuts]
+        load.pose[:, :3, 3] += group.shift_at_stations[group.cuts]
         return load
 
     def _collision_reason(self, bodies: Bodies, group: _Stations, q: Array, base_motion: Array, e1_shift: Array) -> int:
@@ -363,15 +371,15 @@ class Programs:
         :param e1_shift: (3,) by which E1 carries the robot to the place [m].
         """
         count = len(group.row)
-        shift = group.shift[count:] + e1_shift
+        shift = group.shift_at_stations + e1_shift
         if bodies.is_closer(q, group.row, shift, base_motion):
             return drive.COLLISION
         approach = np.concatenate([self.robot_in_cell.cell.start_joints[None], group.first_joints])
         # stations that are not all samples are no path: only the move to the first one is looked at
-        used = count if count == len(group.samples) else 1
-        path = np.concatenate([approach, q[:used]])
-        rows = np.append(np.full(len(approach), group.row[0]), group.row[:used])
-        shift = np.concatenate([np.repeat(shift[:1], len(approach), axis=0), shift[:used]])
+        path_count = count if count == len(group.samples) else 1
+        path = np.concatenate([approach, q[:path_count]])
+        rows = np.append(np.full(len(approach), group.row[0]), group.row[:path_count])
+        shift = np.concatenate([np.repeat(shift[:1], len(approach), axis=0), shift[:path_count]])
         is_hit = bodies.is_hit_along_path(path, rows, np.zeros(len(path), dtype=bool), shift, base_motion)
         if is_hit[len(approach) + 1 :].any():
             return drive.COLLISION
@@ -404,13 +412,12 @@ class Programs:
             return _Errors(0.0, 0.0, singular)
         load = self._load(group, turn)
         rotation = base_motion[:3, :3]
-        wrench = (load.wrench.reshape(-1, 2, 3) @ rotation.T).reshape(-1, 6)
+        wrench = (load.wrench.reshape(-1, 2, 3) @ rotation.T).reshape(-1, 6)  # force and moment each turn
         spread = load.spread
         if spread is not None:
             spread = (rotation @ spread.reshape(len(spread), 2, 3, -1)).reshape(spread.shape)
-        shift = group.shift[len(group.row) :][cuts]
         pose = product(base_motion, load.pose)
-        pose[:, :3, 3] -= shift + e1_shift
+        pose[:, :3, 3] -= group.shift_at_stations[cuts] + e1_shift
         u95, deflection = drive.errors(
             self.robot_in_cell,
             q[cuts],
@@ -444,7 +451,7 @@ def _stations(samples: PathSamples, max_count: int) -> _Stations:
             joint_path = samples.robot_in_cell.follow(samples.program, motion, samples.sample.t, samples.sample.pose)
             branch = joint_path.branch[pair_rows]
         except UnreachableError:
-            pass  # the status of targets cannot be resolved at today's place: the branch of the start is taken
+            pass  # the status of targets cannot be resolved at the place of the cell: the branch of the start is taken
     first_joints = m.joints[: motion[row[0]]]
     return _Stations(samples, row, previous, shift, branch, np.asarray(samples.cuts[row]), first_joints)
 
@@ -473,12 +480,13 @@ def check_base(program: Program, robot_in_cell: RobotInCell, shifted_program: Pr
     """
     base, m = robot_in_cell.cell.base.pose(), program.motions
     # frames that are equal today are one row of `bases`, also where one of them moves with the cell and another stays
-    other = program if shifted_program is None else shifted_program
-    pairs = np.stack([m.base, other.motions.base], axis=1)
-    cartesian = np.flatnonzero(~np.isfinite(m.joints[:, 0]))  # joint angles stand in no frame
-    for row, other_row in np.unique(pairs[cartesian], axis=0).tolist():
-        first = cartesian[np.argmax((pairs[cartesian] == (row, other_row)).all(axis=1))]
-        stays = shifted_program is not None and np.abs(other.bases[other_row] - program.bases[row]).max() < _SAME_FRAME
+    second_program = program if shifted_program is None else shifted_program
+    pairs = np.stack([m.base, second_program.motions.base], axis=1)
+    cartesian = np.flatnonzero(~np.isfinite(m.joints[:, 0]))  # joint angles are in no frame
+    for row, second_row in np.unique(pairs[cartesian], axis=0).tolist():
+        first = cartesian[np.argmax((pairs[cartesian] == (row, second_row)).all(axis=1))]
+        shift = np.abs(second_program.bases[second_row] - program.bases[row]).max()
+        stays = shifted_program is not None and shift < _SAME_FRAME
         if stays or np.abs(program.bases[row] - base).max() > _SAME_FRAME:
             raise InputError(
                 f"line {program.motions.line[first]}: the motions are in a $BASE that the program sets itself: they "
@@ -578,22 +586,36 @@ def _descend(judge: Callable[[Array], JudgedPlace], region: Region, start: Judge
         while is_improving:
             is_improving = False
             for k in free:
-                for sign in (1.0, -1.0):
-                    place = np.array(best.place)
-                    place[k] += sign * steps[k]
-                    place = region.settable(place)
-                    if abs(place[k] - best.place[k]) < 1e-9:
-                        continue
-                    neighbour = judge(place)
-                    if neighbour.cost < (1.0 - _GAIN) * best.cost:
-                        best, is_improving = neighbour, True
-                        break
+                neighbour = _better_neighbour(judge, region, best, k, float(steps[k]))
+                if neighbour is not None:
+                    best, is_improving = neighbour, True
         steps = 0.5 * steps
+
+
+def _better_neighbour(
+    judge: Callable[[Array], JudgedPlace], region: Region, place: JudgedPlace, k: int, step: float
+) -> JudgedPlace | None:
+    """Return the first of two neighbours of a place that is clearly better; None: neither is.
+
+    :param judge: judges a place (5,), and keeps the judgement.
+    :param k: row of `AXES` along which the neighbours are.
+    :param step: distance of the neighbours, up and down [mm, deg].
+    """
+    for sign in (1.0, -1.0):
+        coordinates = np.array(place.place)
+        coordinates[k] += sign * step
+        coordinates = region.settable(coordinates)
+        if abs(coordinates[k] - place.place[k]) < _SAME_COORDINATE:  # at the bound of the region
+            continue
+        neighbour = judge(coordinates)
+        if neighbour.cost < (1.0 - _GAIN) * place.cost:
+            return neighbour
+    return None
 
 
 def _contains(region: Region, place: JudgedPlace) -> bool:
     """Return whether a place is in a region."""
-    return bool(np.allclose(region.clip(np.array(place.place)), place.place, rtol=0.0, atol=1e-9))
+    return bool(np.allclose(region.clip(np.array(place.place)), place.place, rtol=0.0, atol=_SAME_COORDINATE))
 
 
 _MAX_CHECKS = 200

@@ -19,6 +19,8 @@ _STEP = 0.020
 """Largest spacing of samples [m] (assumed)."""
 _TURN = np.radians(5.0)
 """Largest rotation of the tool between samples [rad] (assumed)."""
+_SHORTEST_TRAVEL = 1e-6
+"""Pieces of path shorter than this [m] turn the tool in place: the feed does not time them (assumed)."""
 AXIS = {"+Z": (0.0, 0.0, 1.0), "-Z": (0.0, 0.0, -1.0), "+X": (1.0, 0.0, 0.0), "-X": (-1.0, 0.0, 0.0)}
 
 
@@ -72,7 +74,7 @@ class PathSamples(Struct, frozen=True, eq=False):
         sample = toolpath.at(program, segments, motion, t)
         travel = segments.length[motion] / parts[motion]
         feed = m.feed[motion]
-        has_time = ~m.rapid[motion] & (m.kind[motion] != PTP) & (travel > 1e-6) & (feed > 0.0)
+        has_time = ~m.rapid[motion] & (m.kind[motion] != PTP) & (travel > _SHORTEST_TRAVEL) & (feed > 0.0)
         time = np.where(has_time, travel / np.where(has_time, feed, 1.0), np.inf)
         return cls(program, robot_in_cell, segments, path_forces, sample, time)
 

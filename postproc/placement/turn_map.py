@@ -178,6 +178,7 @@ def _block_of_motion(length: Array, starts_run: Array, step: float) -> Ints:
     run = np.cumsum(starts_run) - 1
     path_length = np.cumsum(length)
     begin = (path_length - length)[np.flatnonzero(starts_run)]
+    # a motion that begins at a multiple of the step but for rounding begins a block
     number = np.floor((path_length - length - begin[run]) / step + 1e-9).astype(np.int64)
     change = starts_run | (np.diff(number, prepend=-1) != 0)
     return np.asarray(np.cumsum(change) - 1)
@@ -431,7 +432,11 @@ def _wound(step: Array, starts: Ints) -> Array:
 
 
 def _errors(samples: PathSamples, middle: Ints, turn: Array, q: Array) -> tuple[Array, Array]:
-    """Return expected error and deflection (K, J) at samples (K,); zero on rapid moves."""
+    """Return expected error and deflection (K, J) [m] at one sample of each bin; zero on rapid moves.
+
+    :param middle: (K,) the samples.
+    :param turn: (K, J) turns of the tool there [rad], and `q` (K, J, 6) joint angles [rad].
+    """
     cuts = np.flatnonzero(samples.cuts[middle])
     u95, deflection = np.zeros(turn.shape), np.zeros(turn.shape)
     if not len(cuts):
@@ -530,17 +535,21 @@ class _Costs(NamedTuple):
 
 
 def _costs(turn_map: TurnMap, bad: Bools) -> _Costs:
-    """Return the costs of a map; without forces errors cost nothing."""
+    """Return the costs of a map; without forces errors cost nothing.
+
+    :param bad: (K, J) True for cells that are refused: their errors do not count.
+    """
     blocks = turn_map.blocks
     bins = np.diff(np.append(blocks.first, len(turn_map.base)))
     error = np.where(bad | np.isnan(turn_map.error), np.inf, turn_map.error)
     total = float(blocks.cut_length @ np.nan_to_num(error.min(axis=1), posinf=0.0) ** 2)
     share = blocks.cut_length / total if total > 0.0 else np.zeros(len(bins))
     error[~np.isfinite(error)] = 0.0
-    ease = np.minimum(turn_map.margin.joint, turn_map.margin.wrist)
+    margin = np.minimum(turn_map.margin.joint, turn_map.margin.wrist)
     with np.errstate(over="ignore"):
-        tight = np.exp(-np.nan_to_num(ease, posinf=1e3) / _EASY)
-    return _Costs(share[:, None] * error**2 + _MARGIN_WEIGHT * tight * (bins / bins.sum())[:, None], error, share)
+        margin_price = np.exp(-np.nan_to_num(margin, posinf=1e3) / _EASY)  # 0 on axis targets, whose margin is infinite
+    sample_share = (bins / bins.sum())[:, None]
+    return _Costs(share[:, None] * error**2 + _MARGIN_WEIGHT * margin_price * sample_share, error, share)
 
 
 def _limits(robot: RobotModel, keep: LeastMargins) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ Where the cell leaves the turn of the tool open, the best turn counts at each sa
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -112,10 +112,21 @@ def turn_program(program: Program, axis: str, turn: Array) -> Program:
     return read_only(replace(program, motions=replace(m, target=target), swivel=swivel))
 
 
-def in_chosen_turn(
-    program: Program, robot_in_cell: RobotInCell, source: ForceSource | None
-) -> tuple[Program, Turn | None, tuple[Issue, ...]]:
-    """Return a program with its tool turned as the cell asks, the turn, and issues.
+class TurnedProgram(NamedTuple):
+    """A program with its tool turned about its axis.
+
+    :param program: the program; as it was if no turn was chosen.
+    :param turn: the chosen turn; None: none was.
+    :param issues: on the choice; an error if no turn lets the robot drive.
+    """
+
+    program: Program
+    turn: Turn | None
+    issues: tuple[Issue, ...]
+
+
+def in_chosen_turn(program: Program, robot_in_cell: RobotInCell, source: ForceSource | None) -> TurnedProgram:
+    """Return a program with its tool turned about its axis as `[gcode] redundancy` of the cell asks.
 
     A robot program states its orientations, and with `redundancy = "constant"` the program has its turn as it is read:
     both are returned as they are. So is a program that no turn lets the robot drive; the issue of level error says why.
@@ -125,9 +136,10 @@ def in_chosen_turn(
     """
     cell = robot_in_cell.cell
     if cell.gcode.redundancy == "constant" or program.keeps_text:
-        return program, None, ()
+        return TurnedProgram(program, None, ())
     turn, issues = choose_turn(program, robot_in_cell, source, cell.gcode.redundancy)
-    return program if turn is None else turn_program(program, cell.tool.axis, turn.of_motion), turn, issues
+    turned_program = program if turn is None else turn_program(program, cell.tool.axis, turn.of_motion)
+    return TurnedProgram(turned_program, turn, issues)
 
 
 def choose_turn(
@@ -149,9 +161,10 @@ def choose_turn(
     bodies = None if table is None else Bodies(samples, table.clearance_mm)
     whole = turn_map.evaluate(samples, blocks, branch, np.zeros(len(samples)), turn_map.whole_circle(_COARSE), bodies)
     block: BlockedMap | None = None
-    for keep in (LeastMargins() if mode == "best" else _margins_of_least_cost(samples, whole, branch), BARE):
+    wide_margins = LeastMargins() if mode == "best" else _margins_of_least_cost(samples, whole, branch)
+    for keep in (wide_margins, BARE):
         line, whole = _free_line(samples, whole, branch, keep, mode, bodies)
-        if isinstance(line, BlockedMap):
+        if isinstance(line, BlockedMap):  # of two blocked maps the one that leads farther says more
             block = block if block is not None and block.block > line.block else line
             continue
         if keep is not BARE and _today_is_as_good(samples, whole, branch, keep, line, bodies):
@@ -204,7 +217,7 @@ def _free_line(
         line = _find(samples, whole, keep, mode, is_circle=True)
         if isinstance(line, BlockedMap):
             return line, whole
-        fine = _refine_line(samples, whole.blocks, branch, line, keep, mode, bodies)
+        fine = _refine_line(samples, whole.blocks, branch, line, keep=keep, mode=mode, bodies=bodies)
         if bodies is None:
             return line if fine is None else fine, whole
         for candidate in (line,) if fine is None else (fine, line):
@@ -293,13 +306,15 @@ def _refine_line(
     blocks: Blocks,
     branch: int,
     line: Line,
+    *,
     keep: LeastMargins,
     mode: Mode,
     bodies: Bodies | None,
 ) -> Line | None:
-    """Return the cheapest line next to one, on a fine map around it; None if no line passes.
+    """Return the cheapest line next to a line, on a fine map around it; None if no line passes.
 
-    :param branch: of the inverse kinematics; `keep` the margins to keep.
+    :param branch: of the inverse kinematics.
+    :param keep: margins to keep.
     :param bodies: whose collisions count; None: none do.
     """
     base = _sample_turns(samples, blocks, line.knots)
@@ -343,7 +358,7 @@ def _blocked_error(
     rows = np.flatnonzero(blocks.block == block.block)
     reasons = whole.reasons(BARE)[rows]
     is_closed = (reasons != drive.FREE).all(axis=1)
-    row = int(np.argmax(is_closed)) if is_closed.any() else len(rows) - 1
+    row = int(np.argmax(is_closed)) if is_closed.any() else len(rows) - 1  # in `rows`
     counts = np.bincount(reasons[row], minlength=len(REASONS))
     turn_count = reasons.shape[1]
     parts = [

@@ -359,7 +359,7 @@ def test_lines_with_collisions_are_replaced_eight_times_at_most(monkeypatch, has
         assert is_circle
         return Line(np.array([float(len(closed))]), 0.0)
 
-    def refined(samples, blocks, branch, line, keep, mode, bodies):
+    def refined(samples, blocks, branch, line, *, keep, mode, bodies):
         return Line(line.knots + 0.5, 0.0) if has_fine else None
 
     def strike(samples, blocks, branch, line, bodies):
@@ -544,10 +544,10 @@ def test_the_fine_map_lies_around_the_line_and_is_no_circle(monkeypatch, path, m
     monkeypatch.setattr(turn_map, "evaluate", evaluate)
     monkeypatch.setattr(turn_map, "line_through", line_through)
     line = Line(knots, 0.0)
-    found = turning._refine_line(samples, blocks, branch, line, BARE, mode, "bodies")
+    found = turning._refine_line(samples, blocks, branch, line, keep=BARE, mode=mode, bodies="bodies")
     assert found.knots[0] == 5.0
     assert calls == [(branch, "bodies"), (samples.robot_in_cell.robot, "fine", BARE, mode == "path", False)]
-    assert turning._refine_line(samples, blocks, branch, line, BARE, mode, "bodies") is None
+    assert turning._refine_line(samples, blocks, branch, line, keep=BARE, mode=mode, bodies="bodies") is None
 
 
 @pytest.mark.parametrize("seed", range(12))

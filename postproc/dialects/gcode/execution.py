@@ -236,6 +236,7 @@ def execute(document: Document) -> ExecutedProgram:
 class _Frame(Struct, frozen=True):
     """A subprogram in execution.
 
+    :param label: its name or number.
     :param is_linuxcnc_style: whether it was called by ``O<name> CALL``, not by M98.
     :param unit: index of the calling file; `row`: row after the call, `main`: see `_Run`.
     :param repeats: repeats that M98 still has to make, from row `begin` of the subprogram.
@@ -396,7 +397,7 @@ class _Run:
             advice = "Write M98 P100 L3 for three times." if words["P"] >= 1e4 and "L" not in words else None
             raise BlockError(f"subprogram O{label} is neither in this file nor in its folder", advice)
         if times > 0:
-            self._enter(_Frame(label, False, self.unit, self.row, self.main, times - 1, location[1]), location[0], row)
+            self._enter(location, row, label, is_linuxcnc_style=False, repeats=times - 1)
             self.parameters.enter(None)
 
     def _repeat_or_return(self, words: dict[str, float]) -> None:
@@ -421,19 +422,35 @@ class _Run:
             return
         self._leave()
 
-    def _enter(self, frame: _Frame, unit: int, row: int) -> None:
+    def _enter(
+        self, location: tuple[int, int], row: int, label: str, *, is_linuxcnc_style: bool, repeats: int = 0
+    ) -> None:
         """Continue in a subprogram.
 
-        :param unit: index of its file in `units`; `row`: line of the call.
+        :param location: index of its file in `units`, and its first row there.
+        :param row: line of the call.
+        :param is_linuxcnc_style: whether it is called by ``O<name> CALL``, not by M98.
+        :param repeats: how often M98 repeats it after the first time.
         :raises BlockError: calls are nested too deeply.
         """
         if len(self.frames) >= _DEEPEST - 1:
             advice = "Does a subprogram call itself?"
             raise BlockError(f"subprogram calls are nested more than {_DEEPEST - 1} levels deep", advice)
-        self.frames.append(frame)
+        unit, begin = location
+        self.frames.append(
+            _Frame(
+                label,
+                is_linuxcnc_style,
+                unit=self.unit,
+                row=self.row,
+                main=self.main,
+                repeats=repeats,
+                begin=begin,
+            )
+        )
         if self.unit == 0:
             self.main = row
-        self.unit, self.row = unit, frame.begin
+        self.unit, self.row = unit, begin
 
     def _leave(self) -> None:
         """Return to the caller of a subprogram, with its local parameters."""
@@ -506,7 +523,7 @@ class _Run:
         location = self.library.find(label, self.unit, is_linuxcnc_style=True)
         if location is None:
             raise BlockError(f"subprogram O<{label}> is neither in this file nor in its folder", None)
-        self._enter(_Frame(label, True, self.unit, self.row, self.main, 0, location[1]), location[0], row)
+        self._enter(location, row, label, is_linuxcnc_style=True)
         self.parameters.enter(arguments)
 
     def _return(self, order: Order) -> None:

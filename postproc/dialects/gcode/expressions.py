@@ -295,12 +295,18 @@ class Reader:
 
 
 def _parameter_value(key: Callable[[Parameters], Key]) -> Value:
-    """Return a value that reads a parameter, whose key may be computed."""
+    """Return a value that reads a parameter, whose key may be computed.
+
+    :raises BlockError: when it is evaluated: the parameter has no value.
+    """
     return lambda parameters: parameters.get(key(parameters))
 
 
 def _unary_value(name: str, inner: Value) -> Value:
-    """Return a value that applies the function `name` to another one."""
+    """Return a value that applies the function `name` to another one.
+
+    :raises BlockError: when it is evaluated: the function has no value there.
+    """
     function = _UNARY[name]
 
     def apply(parameters: Parameters) -> float:
@@ -321,6 +327,7 @@ def _binary_value(name: str, function: Callable[[float, float], float], left: Va
     """Return a value that combines two others by an operator.
 
     :param name: of the operator, for messages; `function`: what it computes.
+    :raises BlockError: when it is evaluated: the operation has no value there.
     """
 
     def apply(parameters: Parameters) -> float:

@@ -90,13 +90,13 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
     """Return words and modal state of all lines of a program, lengths in mm.
 
     :param modes: modal state and events of the blocks that are not plain.
-    :param rotary: the rotary has_axis_word of the cell, whose words are angles or directions; None: it has none.
+    :param rotary: the rotary axes of the cell, whose words are angles or directions; None: it has none.
     """
     count = modes.rows
     state = {group: active_values(modes.changes[group], valid[0], count) for group, valid in codes.GROUPS.items()}
     inches = state["units"] == 20.0
     factor = np.where(inches, MM_PER_UNIT[20.0], MM_PER_UNIT[21.0])[:, None] if inches.any() else None
-    xyz, ijk, radius, pecks, feed = (_in_mm(words[group][:count], factor) for group in ("XYZ", "IJK", "R", "Q", "F"))
+    xyz, ijk, radius, pecks = (_in_mm(words[group][:count], factor) for group in ("XYZ", "IJK", "R", "Q"))
     code = words.column("G")[:count]
     motion = carry_forward(code, codes.CANCEL_CYCLE).astype(np.int8)
     is_arc = (motion == 2.0) | (motion == 3.0)
@@ -109,9 +109,8 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
     drilling = np.isin(motion, codes.CYCLES) & has_axis_word
     moving = ~drilling & (has_axis_word | (is_arc & (has_motion_code | any_column(~np.isnan(ijk)))))
     inverse_time = state["feed"] == 93.0
-    rate = carry_forward(words.column("F")[:count], 0.0)
-    # in millimetres and without G93 the feed is the rate, which is then not carried forward twice
-    is_feed_rate = factor is None and not inverse_time.any()
+    feed_words = words.column("F")[:count]
+    rate = carry_forward(feed_words, 0.0)
     return LineStates(
         xyz=xyz,
         is_placed=has_position,
@@ -120,7 +119,7 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
         turns=words.column("P")[:count],
         motion=motion,
         named=has_motion_code,
-        feed=rate if is_feed_rate else _feeds(feed[:, 0], words.column("F")[:count], inverse_time),
+        feed=_feeds(feed_words, rate, factor, inverse_time),
         rate=rate,
         plane=state["plane"],
         units=state["units"],
@@ -170,12 +169,16 @@ def _rotary_words(words: Words, is_arc: Bools, rotary: Rotary | None) -> Array:
     return np.stack([words.column(letter)[:count] for letter in rotary.axes], axis=1)
 
 
-def _feeds(feeds_mm: Array, feed_words: Array, inverse_time: Bools) -> Array:
+def _feeds(feed_words: Array, rate: Array, factor: Array | None, inverse_time: Bools) -> Array:
     """Return the modal feed (L,) of each line [mm/min]; in G93 the feed of the line itself [1/min], or 0.
 
-    :param feeds_mm: (L,) F as a feed [mm/min]; `feed_words`: (L,) F as written; NaN where absent.
+    :param feed_words: (L,) F as written; NaN where absent. `rate`: (L,) the same, carried forward.
+    :param factor: (L, 1) millimetres per unit of each line; None: all lines are in millimetres.
     :param inverse_time: (L,) lines in G93.
     """
+    if factor is None and not inverse_time.any():
+        return rate  # F is in mm/min everywhere: a column less
+    feeds_mm = _in_mm(feed_words[:, None], factor)[:, 0]
     if not inverse_time.any():
         return carry_forward(feeds_mm, 0.0)
     is_after_g93 = np.append(False, inverse_time[:-1] & ~inverse_time[1:])  # the feed before G93 is not valid after it

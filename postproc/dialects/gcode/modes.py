@@ -51,7 +51,12 @@ _SPINDLE: dict[float, EventKind] = {3.0: "spindle_on", 4.0: "spindle_ccw", 5.0: 
 
 
 class RowEvent(Struct, frozen=True):
-    """An event of a line: its row, whether it follows the motion of the line, kind and value of `Event`."""
+    """An event of a line.
+
+    :param row: of the line.
+    :param after: True if it follows the motion of the line, False if it precedes it.
+    :param kind: see `EventKind`; `value`: see `Event`.
+    """
 
     row: int
     after: bool
@@ -521,7 +526,19 @@ def read_modes(
 
 
 class _Reader:
-    """Reader of single blocks, with the modal state and the results so far."""
+    """Reader of single blocks, with the modal state and the results so far.
+
+    :ivar words: words of all lines; `put` enters those of the blocks that are read.
+    :ivar tape: row of the ``%`` that opens the program; −1: there is none. `taped`: True behind the closing one.
+    :ivar code: text of the present block.
+    :ivar with_point: rows whose P has a decimal point.
+    :ivar approximation: approximation distance of the cell [m].
+    :ivar changes, blends, roundings, dwells, issues: see `Modes`.
+    :ivar smooth: rows whose code is a mode of smoothing, which is ignored.
+    :ivar letters: words that are entered as coordinates and numbers.
+    :ivar takes_directions: whether I, J, K of G0 and G1 are the direction of the tool.
+    :ivar mm_per_unit: length of the active unit [mm].
+    """
 
     def __init__(self, words: Words, cell: Cell, tape: int) -> None:
         self.words, self.cell, self.tape = words, cell, tape

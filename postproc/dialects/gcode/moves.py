@@ -133,7 +133,7 @@ def moves_of(rows: LineStates, modes: Modes, cell_frames: CellFrames) -> Moves:
 def below_top(rows: LineStates, first: int, complete: int) -> Bools:
     """Return which lines (L,) from row `first` to row `complete` are not at the highest Z that the program states.
 
-    Programs for hobby controls go up by G1 first, and then to the start position: these moves are at the top. A highest
+    At row `complete` X, Y and Z have all been programmed; other lines are False. Programs for hobby controls go up by G1 first, and then to the start position: these moves are at the top. A highest
     Z that is the only one, or not above zero, may be that of a cut: no line is at the top then.
     """
     is_below = np.zeros(len(rows.motion), dtype=np.bool_)
@@ -255,9 +255,8 @@ class _Walk:
         last_swing = max(
             self._add_lines(begin + part.start, min(begin + part.stop, end)) for part in chunks(end - begin)
         )
-        if (
-            last_swing >= 0 and (self.angles == self.cell_frames.rotary.upright).all()
-        ):  # without tool-centre-point control the tip may be anywhere
+        is_upright = bool((self.angles == self.cell_frames.rotary.upright).all())
+        if last_swing >= 0 and is_upright:  # without tool-centre-point control the tip may be anywhere
             row = last_swing + 1
             self.losses.append((row, np.ones(3, dtype=bool)))
             self.known = np.asarray(~np.isnan(rows.xyz[row:end]).all(axis=0))
@@ -376,22 +375,12 @@ class _Walk:
         """Add the moves of one line with a cycle, and return them; a line with a fault has none."""
         rows = self.rows
         axes = list(PLANE_AXES[float(rows.plane[row])])
-        words = dict(zip("UVZ", rows.xyz[row][axes].tolist(), strict=True))
-        words |= {"R": rows.radius[row], "P": rows.turns[row], "Q": rows.pecks[row], "L": rows.repeats[row]}
-        words = {letter: value for letter, value in words.items() if not np.isnan(value)}
         is_incremental = bool(rows.incremental[row])
         u, v, height = self.position[axes].tolist()
-        if "P" in words and rows.motion[row] in DWELLING:
-            word, time = f"G{rows.motion[row]} P", float(words["P"])
-            try:
-                words["P"] = dwell_time(word, time, self.modes.dwell_unit, with_point=row in self.modes.with_point)
-            except BlockError as cause:  # the time does not matter to the holes that follow
-                self.faults.append(Fault(row, *cause.args))
-                words["P"] = 0.0
         try:
             cycle_moves = self.cycle.hole(
                 float(rows.motion[row]),
-                words,
+                self._cycle_words(row, axes),
                 (u, v, height),
                 spindle,
                 relative=is_incremental,
@@ -410,6 +399,24 @@ class _Walk:
         places[:, axes] = np.reshape([step.end for step in steps], (-1, 3))
         self._add_holes(np.full(len(steps), row), places, cycle_moves)
         return cycle_moves
+
+    def _cycle_words(self, row: int, axes: list[int]) -> dict[str, float]:
+        """Return the words of a line with a cycle as `Cycle.hole` takes them; add a fault if its time is unclear.
+
+        :param axes: indices of the axes in the plane and across it.
+        """
+        rows = self.rows
+        columns = dict(zip("UVZ", rows.xyz[row][axes].tolist(), strict=True))
+        columns |= {"R": rows.radius[row], "P": rows.turns[row], "Q": rows.pecks[row], "L": rows.repeats[row]}
+        words = {letter: float(value) for letter, value in columns.items() if not np.isnan(value)}
+        if "P" in words and rows.motion[row] in DWELLING:
+            name, with_point = f"G{rows.motion[row]} P", row in self.modes.with_point
+            try:
+                words["P"] = dwell_time(name, words["P"], self.modes.dwell_unit, with_point=with_point)
+            except BlockError as cause:  # the time does not matter to the holes that follow
+                self.faults.append(Fault(row, *cause.args))
+                words["P"] = 0.0
+        return words
 
     def _add_next_holes(self, row: int, stop: int, cycle_moves: CycleMoves) -> None:
         """Add the moves of lines `row` to `stop` (exclusive) that give only positions.
@@ -746,19 +753,7 @@ class _Walk:
         if not len(g80_moves):
             return
         row, turn = moves.row, moves.turn
-        tool_direction = self.cell_frames.rotary.tool_direction(turn[g80_moves, 1])
-        displacement = moves.end[g80_moves] - moves.begin(g80_moves)
-        axial_step = np.einsum("ni,ni->n", displacement, tool_direction)
-        lateral_step = np.abs(displacement - axial_step[:, None] * tool_direction).max(axis=1)
-        is_safe = (axial_step > 0.0) & (lateral_step < _LEAST_MM)
-        if not turn.any() and all(np.array_equal(self.frames[0][:3, :3], matrix[:3, :3]) for matrix in self.frames[1:]):
-            origin = np.array([matrix[:3, 2] @ matrix[:3, 3] for matrix in self.frames])
-            height = moves.end[:, 2] + origin[moves.frame] / M_PER_MM
-            is_known_rapid = (moves.code == 0.0) & ~moves.bottom
-            for first, last in moves.unknown:
-                is_known_rapid &= (row < first) | (row >= last)
-            lowest_height = np.minimum.accumulate(np.where(is_known_rapid, height, np.inf))[g80_moves]
-            is_safe |= np.isfinite(lowest_height) & (height[g80_moves] >= lowest_height - _LEAST_MM)
+        is_safe = self._is_retract_along_tool(moves, g80_moves) | self._is_above_rapids(moves)[g80_moves]
         is_safe &= (turn[g80_moves, 0] == turn[g80_moves, 1]).all(axis=1)
         for first, last in moves.unknown:
             is_safe &= (row[g80_moves] < first) | (row[g80_moves] > last)
@@ -770,6 +765,30 @@ class _Walk:
         advice = "Write the motion code. A rapid is assumed only at heights to which the program has moved in rapid."
         for line_row in row[g80_moves[~is_safe]][:1].tolist():
             self.faults.append(Fault(line_row, "coordinates without G0, G1, G2 or G3", advice))
+
+    def _is_retract_along_tool(self, moves: Moves, rows: Ints) -> Bools:
+        """Return which moves (n,), `rows` of all, retract along the tool."""
+        tool_direction = self.cell_frames.rotary.tool_direction(moves.turn[rows, 1])
+        displacement = moves.end[rows] - moves.begin(rows)
+        axial_step = np.einsum("ni,ni->n", displacement, tool_direction)
+        lateral_step = np.abs(displacement - axial_step[:, None] * tool_direction).max(axis=1)
+        return np.asarray((axial_step > 0.0) & (lateral_step < _LEAST_MM))
+
+    def _is_above_rapids(self, moves: Moves) -> Bools:
+        """Return which moves (N,) end no lower than the lowest rapid before them.
+
+        None does where heights cannot be compared: with a tilted tool, or if frames differ in orientation.
+        """
+        rotations = [frame[:3, :3] for frame in self.frames]
+        if moves.turn.any() or not all(np.array_equal(rotations[0], rotation) for rotation in rotations[1:]):
+            return np.zeros(len(moves.row), dtype=np.bool_)
+        origin_height = np.array([frame[:3, 2] @ frame[:3, 3] for frame in self.frames])
+        height = moves.end[:, 2] + origin_height[moves.frame] / M_PER_MM
+        is_known_rapid = (moves.code == 0.0) & ~moves.bottom
+        for first, last in moves.unknown:
+            is_known_rapid &= (moves.row < first) | (moves.row >= last)
+        lowest_height = np.minimum.accumulate(np.where(is_known_rapid, height, np.inf))
+        return np.asarray(np.isfinite(lowest_height) & (height >= lowest_height - _LEAST_MM))
 
     def _ranges_behind_start(self, unknown: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
         """Return the ranges of rows with an unknown position, and the last row whose moves begin at `[start]`, or −1.
@@ -804,17 +823,18 @@ class _Walk:
         has_word = ~np.isnan(rows.xyz[row_range])
         is_xy_known = np.logical_or.accumulate(has_word[:, :2], axis=0).all(axis=1)
         is_low = is_feed & (np.where(has_word[:, 2], rows.xyz[row_range, 2], np.inf) <= 0.0)
-        return not (
-            not is_feed.any()
-            or (is_low & ~is_xy_known).any()  # the place of a plunge is not known
-            or last >= self.count
-            or np.isnan(rows.xyz).all(axis=0).any()
-            or (is_placed & rows.incremental[row_range]).any()
-            or (rows.moving[row_range] & (rows.motion[row_range] >= 2.0)).any()
-            or rows.drilling[row_range].any()
-            or (self.offset[row_range][is_placed] != self.offset[row_range][is_placed][0]).any()
-            or rows.motion[first + int(np.argmax(is_placed))] != 1.0
-            or not (below_top(rows, first, last)[row_range] & is_feed).any()
+        if not is_feed.any() or last >= self.count:
+            return False
+        offsets = self.offset[row_range][is_placed]
+        is_other_motion = rows.drilling[row_range] | (rows.moving[row_range] & (rows.motion[row_range] >= 2.0))
+        return bool(
+            rows.motion[first + int(np.argmax(is_placed))] == 1.0  # the first of the moves
+            and not (is_low & ~is_xy_known).any()  # else the place of a plunge is not known
+            and not np.isnan(rows.xyz).all(axis=0).any()
+            and not (is_placed & rows.incremental[row_range]).any()
+            and not is_other_motion.any()
+            and (offsets == offsets[0]).all()
+            and (below_top(rows, first, last)[row_range] & is_feed).any()
         )
 
     def _unknown_ranges(self) -> list[tuple[int, int]]:
