@@ -98,7 +98,8 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
     answers = Answers()
     kept_files = [file for file, is_kept in (("cell", keep_cell), ("process", keep_process)) if is_kept]
     is_asked = {"cell": not keep_cell, "process": not keep_process and process is not None}
-    _ask(needs, answers, answer_file, answers_path, _option_answers(options, needs), is_asked, kept_files)
+    option_texts = _option_answers(options, needs)
+    _ask(needs, answers, answer_file, answers_path, option_texts, is_asked=is_asked, kept_files=kept_files)
     files = write_files(
         needs, answers, answer_file, cell=cell, process=process, keep_cell=keep_cell, keep_process=keep_process
     )
@@ -182,6 +183,7 @@ def _ask(
     answer_file: Any,
     answers_path: Path,
     option_texts: Mapping[str, str],
+    *,
     is_asked: Mapping[str, bool],
     kept_files: Collection[str],
 ) -> None:
@@ -273,7 +275,10 @@ def prompt(question: Question, *, first: bool) -> str:
 
 
 def _prompt_check(parse: Callable[[str], Any]) -> Callable[[str], str]:
-    """Return a function that returns its text if `parse` accepts it, and else makes click ask again."""
+    """Return a function that returns its text if `parse` accepts it, and else makes click ask again.
+
+    :raises click.BadParameter: by the function: the text cannot be used.
+    """
     from postproc.errors import InputError
 
     def check(text: str) -> str:

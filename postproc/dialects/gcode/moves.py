@@ -133,8 +133,9 @@ def moves_of(rows: LineStates, modes: Modes, cell_frames: CellFrames) -> Moves:
 def below_top(rows: LineStates, first: int, complete: int) -> Bools:
     """Return which lines (L,) from row `first` to row `complete` are not at the highest Z that the program states.
 
-    At row `complete` X, Y and Z have all been programmed; other lines are False. Programs for hobby controls go up by G1 first, and then to the start position: these moves are at the top. A highest
-    Z that is the only one, or not above zero, may be that of a cut: no line is at the top then.
+    At row `complete` X, Y and Z have all been programmed; other lines are False. Programs for hobby controls go up by
+    G1 first, and then to the start position: these moves are at the top. A highest Z that is the only one, or not above
+    zero, may be that of a cut: no line is at the top then.
     """
     is_below = np.zeros(len(rows.motion), dtype=np.bool_)
     window = slice(first, complete + 1)

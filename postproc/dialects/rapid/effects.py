@@ -43,16 +43,14 @@ class Effects:
         data = [item for module in modules for item in module.data]
         self._all_data = frozenset(item.name for item in data)
         self._open_data = frozenset(item.name for item in data if not item.local)
-        routines = self.routines
-        bodies = [routine.body for routine in routines.values()]
-        self.has_functions = any(
-            call.value in routines or call.value not in PURE
-            for body in bodies
-            for statement in all_statements(body)
-            for call in calls(statement)
-        )
+        self.has_functions = any(self._calls_changing_function(routine.body) for routine in self.routines.values())
         self._changed_data: dict[tuple[str, bool], frozenset[str]] = {}
         self._changed_by_handler: dict[str, frozenset[str]] = {}
+
+    def _calls_changing_function(self, statements: tuple[Statement, ...]) -> bool:
+        """Return whether statements call a function that may change something: any but the pure ones of RAPID."""
+        functions = {call.value for statement in all_statements(statements) for call in calls(statement)}
+        return any(name in self.routines or name not in PURE for name in functions)
 
     def is_foreign(self, name: str) -> bool:
         """Return whether a routine is in another file and may change data of these modules, or move the robot."""
@@ -109,8 +107,9 @@ class Effects:
                 local_names = {parameter.name for parameter in routine.parameters}
                 local_names |= {item.name for item in all_statements(statements) if isinstance(item, Declaration)}
                 names |= set(self.changed_names(statements)) - local_names
-                waiting += (names_called := called_names(statements) - visited_names)
-                visited_names |= names_called
+                new_names = called_names(statements) - visited_names
+                waiting += new_names
+                visited_names |= new_names
             self._changed_data[name, with_foreign] = frozenset(names)
         return self._changed_data[name, with_foreign]
 
@@ -138,8 +137,9 @@ def called_names(statements: tuple[Statement, ...]) -> set[str]:
 class BoundArgument(NamedTuple):
     """A parameter of a routine with its argument in a call.
 
-    :ivar expression: the argument; None: the call has none.
-    :ivar is_given: whether the call gives the parameter; None: that is not known.
+    :param parameter: of the routine.
+    :param expression: the argument; None: the call has none.
+    :param is_given: whether the call gives the parameter; None: that is not known.
     """
 
     parameter: Parameter

@@ -227,6 +227,18 @@ def _uses(text: str, loop: Loop) -> list[tuple[int, int]]:
     return spans
 
 
+def _first_characters(text: str) -> Ints:
+    """Return the offset (L,) of the first character of each line that is no blank; of an empty line that of its begin.
+
+    A line comes from where this character does: a copied line then begins with its own text, not with new blanks.
+    """
+    offsets = []
+    for start, stop in zip(*(bounds.tolist() for bounds in line_spans(text)), strict=True):
+        line = text[start:stop]
+        offsets.append(start + len(line) - len(line.lstrip()) if line.strip() else start)
+    return np.array(offsets, dtype=np.int64)
+
+
 def _apply_changes(text: str, line: Ints, changes: Sequence[_Change]) -> tuple[str, Ints]:
     """Return the text with changes, and the line of the file that each of its lines comes from.
 
@@ -243,17 +255,7 @@ def _apply_changes(text: str, line: Ints, changes: Sequence[_Change]) -> tuple[s
     new_text = "".join(piece for _, piece in pieces)
     piece_begins = np.cumsum([0, *(len(piece) for _, piece in pieces)])[:-1]
     origins = np.array([origin for origin, _ in pieces])
-    starts, stops = line_spans(new_text)
-    # a line is that of its first character that is no blank, so that a copied line begins with its own text
-    first_character = np.array(
-        [
-            start + (len(new_text[start:stop]) - len(new_text[start:stop].lstrip()))
-            if new_text[start:stop].strip()
-            else start
-            for start, stop in zip(starts.tolist(), stops.tolist(), strict=True)
-        ],
-        dtype=np.int64,
-    )
+    first_character = _first_characters(new_text)
     piece = np.searchsorted(piece_begins, first_character, side="right") - 1
     offset = first_character - piece_begins[piece]
     old_offset = np.where(origins[piece] >= 0, origins[piece] + offset, -1 - origins[piece])

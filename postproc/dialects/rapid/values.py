@@ -504,9 +504,10 @@ def _orient_zyx(values: list[Value], options: dict[str, float]) -> tuple[Value, 
 
 
 def _plain(function: Callable[..., float]) -> Callable[[list[Value], dict[str, float]], tuple[Value, str]]:
-    """Return a function of numbers as a RAPID function without options.
+    """Return a function of numbers in the form of `_FUNCTIONS`: of a list of values and options, of which it has none.
 
     :param function: of one or more numbers; angles in degrees as in RAPID.
+    :raises ValueError: when it is called: with options, or with values that are no numbers.
     """
 
     def call(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
