@@ -39,9 +39,8 @@ def lock(folders: Iterable[Path], waiting: Callable[[str], None] | None = None) 
     :param waiting: is called once with a sentence when another process has a lock.
     """
     with contextlib.ExitStack() as locks:
-        for folder in sorted(
-            {folder.resolve() for folder in folders} - _locked_folders
-        ):  # the same order in each process
+        new_folders = {folder.resolve() for folder in folders} - _locked_folders
+        for folder in sorted(new_folders):  # the same order in each process
             locks.enter_context(_lock_folder(folder, waiting))
         yield
 
@@ -125,8 +124,7 @@ def _holder(folder: Path) -> str:
         description = (folder / _NAME).read_text(encoding="utf-8").strip()
         if description.startswith("process "):
             return description
-        if (
-            description.split()[:1] and description.split()[0].isdecimal()
-        ):  # as filelock writes it where there are no locks
-            return f"process {description.split()[0]} on {' '.join(description.split()[1:2])}"
+        number, *machine = description.split() or [""]
+        if number.isdecimal():  # as filelock writes it where there are no locks
+            return f"process {number} on {' '.join(machine[:1])}"
     return "another process"

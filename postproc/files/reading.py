@@ -219,6 +219,8 @@ def _entries(data: object, key: str) -> Iterator[tuple[str, object]]:
 def _wrong_keys(data: object, kind: Any, at: str, *, is_entry: bool = False) -> Iterator[tuple[str, str | None]]:
     """Yield the errors in the keys of a table and its subtables: problem and advice.
 
+    :param kind: msgspec's type of the data.
+    :param at: key of the table; empty: the whole file.
     :param is_entry: the table is an entry of one with any names, which may have a dot.
     """
     kind = _inner(kind)
@@ -229,27 +231,37 @@ def _wrong_keys(data: object, kind: Any, at: str, *, is_entry: bool = False) -> 
         for value in data:
             yield from _wrong_keys(value, kind.item_type, at)
     elif isinstance(kind, msgspec.inspect.StructType) and isinstance(data, Mapping):
-        fields = {field.encode_name: field for field in kind.fields}
-        table = f" in [{at}]" if at else ""
-        unknown_names = [str(name) for name in data if name not in fields] if kind.forbid_unknown_fields else []
-        for name in unknown_names:
-            key = f"table [{_full_key(at, name)}]" if isinstance(data[name], Mapping) else f"key {name!r}{table}"
-            advice = choices(name, fields, "Valid keys")
-            if is_entry and isinstance(data[name], Mapping):
-                parent, _, entry = at.rpartition(".")
-                advice = f'A name with a dot is in quotes: [{parent}."{entry}.{name}"]. {advice}'
-            yield f"unknown {key}", advice
-        misspelt = {nearest_name(name, fields) for name in unknown_names}
-        missing_keys = [
-            f"[{_full_key(at, name)}]" if isinstance(_inner(field.type), msgspec.inspect.StructType) else name
-            for name, field in fields.items()
-            if field.required and name not in data and name not in misspelt
-        ]
-        if missing_keys:
-            yield f"missing {'key' if len(missing_keys) == 1 else 'keys'}{table}: {', '.join(missing_keys)}", None
-        for name, field in fields.items():
-            if name in data:
-                yield from _wrong_keys(data[name], field.type, _full_key(at, name))
+        yield from _wrong_keys_of_table(data, kind, at, is_entry=is_entry)
+        for field in kind.fields:
+            if field.encode_name in data:
+                yield from _wrong_keys(data[field.encode_name], field.type, _full_key(at, field.encode_name))
+
+
+def _wrong_keys_of_table(
+    data: Mapping[Any, Any], kind: msgspec.inspect.StructType, at: str, *, is_entry: bool
+) -> Iterator[tuple[str, str | None]]:
+    """Yield the unknown and the missing keys of a table, without its subtables: problem and advice.
+
+    :param is_entry: see `_wrong_keys`.
+    """
+    fields = {field.encode_name: field for field in kind.fields}
+    table = f" in [{at}]" if at else ""
+    unknown_names = [str(name) for name in data if name not in fields] if kind.forbid_unknown_fields else []
+    for name in unknown_names:
+        key = f"table [{_full_key(at, name)}]" if isinstance(data[name], Mapping) else f"key {name!r}{table}"
+        advice = choices(name, fields, "Valid keys")
+        if is_entry and isinstance(data[name], Mapping):
+            parent, _, entry = at.rpartition(".")
+            advice = f'A name with a dot is in quotes: [{parent}."{entry}.{name}"]. {advice}'
+        yield f"unknown {key}", advice
+    misspelt = {nearest_name(name, fields) for name in unknown_names}  # a misspelt key is not missing too
+    missing_keys = [
+        f"[{_full_key(at, name)}]" if isinstance(_inner(field.type), msgspec.inspect.StructType) else name
+        for name, field in fields.items()
+        if field.required and name not in data and name not in misspelt
+    ]
+    if missing_keys:
+        yield f"missing {'key' if len(missing_keys) == 1 else 'keys'}{table}: {', '.join(missing_keys)}", None
 
 
 def _full_key(at: str, name: str) -> str:
@@ -258,7 +270,7 @@ def _full_key(at: str, name: str) -> str:
 
 
 def _inner(kind: Any) -> Any:
-    """Return the table or list type of a type that may also be None."""
+    """Return the type itself of msgspec's type of a value that may also be None."""
     if isinstance(kind, msgspec.inspect.UnionType):
         return next((part for part in kind.types if not isinstance(part, msgspec.inspect.NoneType)), kind)
     return kind

@@ -292,9 +292,8 @@ def _arc_points(program: Program, cutting: Ints) -> Array:
     arcs = cutting[program.motions.kind[cutting] == CIRC]
     parts = np.ceil(program.motions.sweep[arcs] / _ARC_STEP).astype(np.int64)
     motion, t = toolpath.even_places(arcs, parts)
-    path = toolpath.segments(
-        program, np.eye(4)
-    )  # where the robot stands does not matter: a move precedes the first arc
+    # any start of the robot: a move precedes the first arc
+    path = toolpath.segments(program, np.eye(4))
     return np.asarray(toolpath.at(program, path, motion, t).pose.position)
 
 

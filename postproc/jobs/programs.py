@@ -132,14 +132,14 @@ def find_jobs(
 
     :param inputs: of a folder, the files with a known extension are taken; of a pattern too, unless `dialect` says how
         to read whatever it matches.
-    :param dialect: how to read all of them; None = job_callers extension.
+    :param dialect: how to read all of them; None = by the extension.
     :param forces: CSV file (for one program), process.toml (for all), or a folder that holds NAME.csv or
         NAME.forces.csv for each.
     :param output: folder to write into; None = a folder `corrected` next to each program.
     :param name: of the written program, for one program; None = that of the file, made valid where it is a new one.
     :param to: dialect to write in; None = that of the program if it is written, else KRL.
     :raises InputError: an input names nothing or no known kind of program, it cannot be written in that dialect, the
-        name cannot be given, or that of a file given job_callers itself is not UTF-8.
+        name cannot be given, or that of a file that is named itself is not UTF-8.
     """
     programs = _unique(path for name in inputs for path in _expand(name, dialect))
     programs = _leave_out_parts(programs, {resolve(Path(name)) for name in inputs}, dialect)
@@ -156,9 +156,18 @@ def find_jobs(
         read_as = dialect or registry.dialect_of_file(path).name
         written_as, writer = registry.written_in(read_as, to)
         valid_name = writer.valid_name(path.stem) if name is None and written_as != read_as else name
-        forces, job_callers = file_of_program.get(path), tuple(callers.get(path, ()))
-        is_named = str(path) in inputs
-        jobs.append(Job(path, read_as, folder, forces, valid_name, to, named=is_named, callers=job_callers))
+        jobs.append(
+            Job(
+                program=path,
+                dialect=read_as,
+                output=folder,
+                forces=file_of_program.get(path),
+                name=valid_name,
+                to=to,
+                named=str(path) in inputs,
+                callers=tuple(callers.get(path, ())),
+            )
+        )
     return jobs
 
 

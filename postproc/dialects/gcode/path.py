@@ -15,7 +15,7 @@ alone is in deg/min, as in LinuxCNC: its time is √(ΔA² + ΔB² + ΔC²) / F.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import isnan
 from typing import NamedTuple
 
@@ -58,7 +58,12 @@ _NEAR_MM = 1e-6
 
 
 class ApproachedMoves(NamedTuple):
-    """N moves, which of them (N,) are held back while X, Y, Z are not all known, and which (N,) arrive instead."""
+    """N moves of a program that begins, or goes on after G28, at a position that is not known.
+
+    :param moves: all moves.
+    :param is_held_back: (N,) moves that are left out while X, Y, Z are not all known.
+    :param is_arrival: (N,) rapids that go to the known position instead.
+    """
 
     moves: Moves
     is_held_back: Bools
@@ -76,7 +81,7 @@ def arrivals(moves: Moves) -> tuple[Bools, Bools]:
 
 
 def add_approaches(moves: Moves, cell_frames: CellFrames) -> ApproachedMoves:
-    """Return the moves with a separate approach from the clearance height where the tool_direction comes from home.
+    """Return the moves with a separate approach from the clearance height where the tool comes from home.
 
     The first move from `[start]` has no separate approach: the user chose that position.
     """
@@ -120,6 +125,7 @@ def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[
     begin = moves.begin(circular)
     radial = begin - arcs.centre
     angle = np.sqrt(8.0 * tolerance / np.maximum(norm(radial), tolerance))
+    # a sweep of a whole number of chords, but for rounding, gets no further one
     count[circular[turns]] = np.ceil(arcs.sweep[turns] / angle[turns] - 1e-9).astype(np.int64)
     new_moves = moves.repeat(count)
     code, end, turn = new_moves.code.copy(), new_moves.end.copy(), new_moves.turn.copy()
@@ -251,42 +257,72 @@ def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs
     :param circular: (A,) rows of the arcs.
     """
     doubt = _Doubt(rows, modes.faults)
-    faults = {fault.row: fault for fault in modes.faults}
-
-    def check(is_wrong: Bools, problem: str, advice: str | None = None, *, first: bool = False) -> None:
-        """Add a fault for each line (L,) that is wrong and has none yet; `first`: for the first line only."""
-        for row in np.flatnonzero(is_wrong)[: 1 if first else MAX_ERRORS + 1].tolist():
-            faults.setdefault(row, Fault(row, problem, advice))
-
-    count = len(rows.motion)
-    is_straight, is_arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
-    dwelling = np.zeros(count, dtype=bool)
-    dwelling[[row for row in modes.dwells if row < count]] = True
-    uses_words = (rows.moving & is_arc) | rows.drilling | doubt.motion
-    has_centre = any_column(~np.isnan(rows.ijk))
-    has_stray_word = has_centre | ~(np.isnan(rows.radius) & np.isnan(rows.turns))
-    as_vector = 'If I, J, K are the direction of the tool (G43.5), write kind = "vector" in [rotary] of the cell.'
-    check(has_centre & is_straight & ~uses_words, "I, J or K without an arc", as_vector)
-    check(has_stray_word & ~uses_words, "I, J, K, R or P without an arc or a cycle that uses it")
-    has_stray_word = ~np.isnan(rows.pecks) | ~(np.isnan(rows.repeats) | (rows.repeats == 0.0))  # L0 repeats nothing
-    check(has_stray_word & (~uses_words | (rows.moving & is_arc)), "Q or L without a cycle that uses it")
-    for row in np.flatnonzero(rows.drilling & has_centre)[: MAX_ERRORS + 1].tolist():
-        faults.setdefault(row, Fault(row, "I, J or K in a cycle", _repeats_advice(rows, row)))
-    check(dwelling & rows.moving & is_arc, "G4 in one block with an arc", "Write one block for each.")
-    cuts = ((rows.named | rows.moving) & (is_straight | is_arc)) | rows.drilling
-    no_feed = cuts & ~(rows.feed > 0.0) & ~doubt.motion & ~doubt.feed
-    check(no_feed & ~rows.inverse_time, "cutting move without a feed", "Give F.", first=True)
-    check(no_feed & rows.inverse_time & rows.moving, "cutting move in G93 without a feed", "Give F in each block.")
-    check(rows.drilling & rows.inverse_time, "a cycle in G93", "Write G94, and F in mm/min or inch/min.", first=True)
-    _check_unknown_positions(rows, moves, doubt, check)
+    faults = _LineFaults(modes.faults)
+    _check_words(rows, modes, doubt, faults)
+    _check_feeds(rows, doubt, faults)
+    _check_unknown_positions(rows, moves, doubt, faults)
     for fault in moves.faults:
         if not (doubt.motion[fault.row] or doubt.position[fault.row]):
-            faults.setdefault(fault.row, fault)
+            faults.add(fault)
     for arc_fault in arcs:
         row = int(circular[arc_fault.n])
         if not (doubt.motion[row] or (arc_fault.is_placed and doubt.position[row])):
-            faults.setdefault(row, Fault(row, arc_fault.problem, arc_fault.advice))
-    return [faults[row] for row in sorted(faults)]
+            faults.add(Fault(row, arc_fault.problem, arc_fault.advice))
+    return faults.in_order()
+
+
+class _LineFaults:
+    """Faults of a program, at most one for each line: the first that is added."""
+
+    def __init__(self, faults: Sequence[Fault]) -> None:
+        self._faults = {fault.row: fault for fault in faults}
+
+    def add(self, fault: Fault) -> None:
+        """Add a fault, unless its line has one."""
+        self._faults.setdefault(fault.row, fault)
+
+    def check(self, is_wrong: Bools, problem: str, advice: str | None = None, *, first: bool = False) -> None:
+        """Add a fault for lines (L,) that are wrong, a few more than are shown; `first`: for the first line only."""
+        for row in np.flatnonzero(is_wrong)[: 1 if first else MAX_ERRORS + 1].tolist():
+            self.add(Fault(row, problem, advice))
+
+    def in_order(self) -> list[Fault]:
+        """Return the faults in order of lines."""
+        return [self._faults[row] for row in sorted(self._faults)]
+
+
+def _is_arc(rows: LineStates) -> Bools:
+    """Return on which lines (L,) G2 or G3 is active."""
+    return np.asarray((rows.motion == 2.0) | (rows.motion == 3.0))
+
+
+def _check_words(rows: LineStates, modes: Modes, doubt: _Doubt, faults: _LineFaults) -> None:
+    """Add faults of lines with words that neither an arc nor a cycle uses, or with G4 and an arc."""
+    is_arc, has_centre = rows.moving & _is_arc(rows), any_column(~np.isnan(rows.ijk))
+    uses_words = is_arc | rows.drilling | doubt.motion
+    as_vector = 'If I, J, K are the direction of the tool (G43.5), write kind = "vector" in [rotary] of the cell.'
+    faults.check(has_centre & (rows.motion == 1.0) & ~uses_words, "I, J or K without an arc", as_vector)
+    has_arc_word = has_centre | ~(np.isnan(rows.radius) & np.isnan(rows.turns))
+    faults.check(has_arc_word & ~uses_words, "I, J, K, R or P without an arc or a cycle that uses it")
+    has_cycle_word = ~np.isnan(rows.pecks) | ~(np.isnan(rows.repeats) | (rows.repeats == 0.0))  # L0 repeats nothing
+    faults.check(has_cycle_word & (~uses_words | is_arc), "Q or L without a cycle that uses it")
+    for row in np.flatnonzero(rows.drilling & has_centre)[: MAX_ERRORS + 1].tolist():
+        faults.add(Fault(row, "I, J or K in a cycle", _repeats_advice(rows, row)))
+    dwelling = np.zeros(len(rows.motion), dtype=bool)
+    dwelling[[row for row in modes.dwells if row < len(dwelling)]] = True
+    faults.check(dwelling & is_arc, "G4 in one block with an arc", "Write one block for each.")
+
+
+def _check_feeds(rows: LineStates, doubt: _Doubt, faults: _LineFaults) -> None:
+    """Add faults of lines that cut without a feed, and of cycles in G93."""
+    is_feed_motion = (rows.motion == 1.0) | _is_arc(rows)
+    cuts = ((rows.named | rows.moving) & is_feed_motion) | rows.drilling
+    no_feed = cuts & ~(rows.feed > 0.0) & ~doubt.motion & ~doubt.feed
+    in_g93 = no_feed & rows.inverse_time & rows.moving
+    faults.check(no_feed & ~rows.inverse_time, "cutting move without a feed", "Give F.", first=True)
+    faults.check(in_g93, "cutting move in G93 without a feed", "Give F in each block.")
+    advice = "Write G94, and F in mm/min or inch/min."
+    faults.check(rows.drilling & rows.inverse_time, "a cycle in G93", advice, first=True)
 
 
 def _repeats_advice(rows: LineStates, row: int) -> str | None:
@@ -298,15 +334,13 @@ def _repeats_advice(rows: LineStates, row: int) -> str | None:
     return f"If K is the number of holes, write L{count:g}."
 
 
-def _check_unknown_positions(rows: LineStates, moves: Moves, doubt: _Doubt, check: Callable[..., None]) -> None:
-    """Report moves that need a position that is not known yet: before X, Y, Z are programmed, and after G28.
+def _check_unknown_positions(rows: LineStates, moves: Moves, doubt: _Doubt, faults: _LineFaults) -> None:
+    """Add faults of moves that need a position that is not known yet: before X, Y, Z are programmed, and after G28.
 
     :param doubt: lines whose motion or position is in doubt because of other faults, which are reported instead.
-    :param check: notes a fault: where it is (n,), the problem, the advice, and `first` for the first line alone.
     """
     line = np.arange(len(rows.motion))
     has_axis_word = rows.is_placed
-    straight, arc = rows.motion == 1.0, (rows.motion == 2.0) | (rows.motion == 3.0)
     advice = (
         "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may be anywhere before. Or state in the cell "
         "where the machine is when the program starts: [machine] home = [X, Y, Z]."
@@ -320,15 +354,16 @@ def _check_unknown_positions(rows: LineStates, moves: Moves, doubt: _Doubt, chec
         is_within = (line >= first) & (line <= complete)
         is_early = has_axis_word & is_within & ~doubt.position
         problem = "incremental move before the position is known"
-        check(is_early & rows.incremental, problem, advice, first=True)
+        faults.check(is_early & rows.incremental, problem, advice, first=True)
         begin = first + int(np.argmax(has_axis_word[first:])) if has_axis_word[first:].any() else first
         is_low = (begin != complete) & below_top(rows, first, complete)
-        is_cut = is_early & (straight & is_low | (rows.drilling & (line < complete))) & ~doubt.motion
-        check(is_cut, "cutting move before the position is known", advice, first=True)
-        is_unknown_arc = rows.moving & arc & is_within & ~doubt.motion & ~doubt.position
-        check(is_unknown_arc, "arc before the position is known", advice, first=True)
+        is_low_cut = ((rows.motion == 1.0) & is_low) | (rows.drilling & (line < complete))
+        is_cut = is_early & is_low_cut & ~doubt.motion
+        faults.check(is_cut, "cutting move before the position is known", advice, first=True)
+        is_unknown_arc = rows.moving & _is_arc(rows) & is_within & ~doubt.motion & ~doubt.position
+        faults.check(is_unknown_arc, "arc before the position is known", advice, first=True)
         has_other_offset = is_early & (moves.offset != moves.offset[begin])
-        check(has_other_offset, "change of the work offset before the position is known", advice, first=True)
+        faults.check(has_other_offset, "change of the work offset before the position is known", advice, first=True)
 
 
 class _Doubt:

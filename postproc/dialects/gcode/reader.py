@@ -33,7 +33,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from operator import itemgetter
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -53,7 +54,7 @@ from postproc.dialects.gcode.words import Fault
 from postproc.dialects.text import decode, line_spans
 from postproc.errors import ForceError, InputError, Issue, ProgramError, combined_error
 from postproc.frames import M_PER_MM, MM_PER_M, MM_PER_MIN, RAD_PER_DEG, Array, inverse
-from postproc.program import Document, Event, ForceNote, Program, distinct, parse_force_note
+from postproc.program import Document, Event, EventKind, ForceNote, Program, distinct, parse_force_note
 
 __all__ = ["decode", "read"]
 
@@ -353,27 +354,55 @@ def _events(
 
     In one line comments come first, stops last.
     """
-    texts = [(row, 0, None, Event(0, "comment", 0, 0.0, text)) for row, text in comments if isinstance(text, str)]
-    row_entries = [
-        (event.row, 2 if event.after else 1, None, Event(0, event.kind, 0, event.value)) for event in modes.row_events
+    entries = [_Entry(row, _COMMENT_ORDER, "comment", text=text) for row, text in comments if isinstance(text, str)]
+    entries += [
+        _Entry(event.row, _STOP_ORDER if event.after else _EVENT_ORDER, event.kind, event.value)
+        for event in modes.row_events
     ]
-    cycle_entries = [
-        (row, 1, before, Event(0, event.kind, 0, event.value or _spindle_speed(modes, row, event.kind)))
-        for before, row, event in path.events
+    entries += [
+        _Entry(row, _EVENT_ORDER, event.kind, event.value or _spindle_speed(modes, row, event.kind), before=motion)
+        for motion, row, event in path.events
     ]
-    entries = sorted([*texts, *row_entries, *cycle_entries], key=itemgetter(0, 1))
+    entries.sort(key=attrgetter("row", "order"))
+    next_rows = [entry.row + (entry.order == _STOP_ORDER) for entry in entries]
+    next_motions = np.searchsorted(path.row, next_rows).tolist()
+    events = tuple(
+        Event(
+            before=motion if entry.before is None else entry.before,
+            kind=entry.kind,
+            line=int(run.main[entry.row]),
+            value=entry.value,
+            text=entry.text,
+        )
+        for entry, motion in zip(entries, next_motions, strict=True)
+    )
     force_notes = [(row, note) for row, note in comments if isinstance(note, ForceNote)]
-    motion_index = np.searchsorted(path.row, [row + (order == 2) for row, order, *_ in entries]).tolist()
-    first = np.searchsorted(path.row, [row for row, _ in force_notes]).tolist()
-    events = (
-        replace(event, before=before if cycle_move is None else cycle_move, line=int(run.main[row]))
-        for before, (row, _, cycle_move, event) in zip(motion_index, entries, strict=True)
+    next_motions = np.searchsorted(path.row, [row for row, _ in force_notes]).tolist()
+    notes = tuple(
+        replace(note, before=motion, line=int(run.main[row]))
+        for motion, (row, note) in zip(next_motions, force_notes, strict=True)
     )
-    notes = (
-        replace(note, before=before, line=int(run.main[row]))
-        for before, (row, note) in zip(first, force_notes, strict=True)
-    )
-    return tuple(notes), tuple(events)
+    return notes, events
+
+
+_COMMENT_ORDER, _EVENT_ORDER, _STOP_ORDER = range(3)
+"""Order of what one line has: comments, events before its motion, and those after it."""
+
+
+class _Entry(NamedTuple):
+    """A comment or an event of a line.
+
+    :param row: of the line; `order` within it.
+    :param kind, value, text: see `Event`.
+    :param before: motion that it precedes, if it is one of a cycle; None: that follows from its line.
+    """
+
+    row: int
+    order: int
+    kind: EventKind
+    value: float = 0.0
+    text: str = ""
+    before: int | None = None
 
 
 def _spindle_speed(modes: Modes, row: int, kind: str) -> float:

@@ -132,7 +132,7 @@ class _End(Exception):  # noqa: N818 - no error
 
 
 class Execution:
-    """Runs a program.
+    """Execution of a program.
 
     :param modules: of the file.
     :param entry: routine that is run.
@@ -482,11 +482,8 @@ class Execution:
             self._execute_loop_without_moves(loop, scope, routine, depth)
             return
         first = len(self.result.moves)
-        values = (
-            self._execute_for(loop, scope, routine, depth)
-            if loop.name
-            else self._execute_while(loop, scope, routine, depth)
-        )
+        execute = self._execute_for if loop.name else self._execute_while  # a WHILE has no variable
+        values = execute(loop, scope, routine, depth)
         if len(self.result.moves) > first:
             self.result.rounds.setdefault(loop.start, []).append((loop, values))
 
@@ -502,15 +499,25 @@ class Execution:
                 if len(values) <= MOST_ROUNDS:
                     self._follow_rounds(loop, values, scope, routine, depth)
                     return
-            for _ in range(0 if loop.name else MOST_ROUNDS):
-                if not truth(loop.bounds[0], scope):
-                    return
-                self._execute_block(loop.body, scope, routine, depth)
-                if self.effects.has_functions:
-                    self._forget_results_of_functions(loop, scope)
+            elif self._ends_in_time(loop, scope, routine, depth):
+                return
         except UnknownValueError as cause:
             reason = cause.problem
         self._skip(loop.body, f"the rounds of a loop are not known: {reason}", scope, routine)
+
+    def _ends_in_time(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> bool:
+        """Execute the rounds of WHILE; return whether it ends, within `MOST_ROUNDS` of them.
+
+        :param routine: in which they are executed; `depth`: number of calls around it.
+        :raises UnknownValueError: its condition is not known.
+        """
+        for _ in range(MOST_ROUNDS):
+            if not truth(loop.bounds[0], scope):
+                return True
+            self._execute_block(loop.body, scope, routine, depth)
+            if self.effects.has_functions:
+                self._forget_results_of_functions(loop, scope)
+        return False
 
     def _follow_rounds(self, loop: Loop, values: list[float], scope: Scope, routine: Routine, depth: int) -> None:
         """Follow the rounds of FOR; its variable hides data of the same name until the end.
@@ -577,8 +584,8 @@ class Execution:
         state_after_first = self._state(scope)
         first_end, note_count = len(self.result.moves), len(self.result.notes)
         setting_after_first = self.setting
-        calls, rounds = {name: list(calls) for name, calls in self.result.calls.items()}, dict(self.result.rounds)
-        rounds = {start: list(runs) for start, runs in rounds.items()}
+        calls_after_first = {name: list(calls) for name, calls in self.result.calls.items()}
+        rounds_after_first = {start: list(runs) for start, runs in self.result.rounds.items()}
         self._execute_block(loop.body, scope, routine, depth)
         first, second = self.result.moves[move_count:first_end], self.result.moves[first_end:]
         is_same = len(first) == len(second) and all(map(equal, first, second))
@@ -590,7 +597,7 @@ class Execution:
             advice = "Begin its body with MoveAbsJ or MoveJ, or put the moves of the part into a routine of its own."
             raise RapidError(problem, loop.start, advice)
         del self.result.moves[first_end:], self.result.notes[note_count:]
-        self.result.calls, self.result.rounds = calls, rounds
+        self.result.calls, self.result.rounds = calls_after_first, rounds_after_first
         raise _End
 
     def _state(self, scope: Scope) -> list[tuple[str, Any]]:
@@ -736,12 +743,7 @@ class Execution:
         for name in self.effects.changed_data_of(routine.name):
             _forget_variable(self.data.get(name), reason)
 
-    def _is_shared(
-        self,
-        routine: Routine,
-        parameter: Parameter,
-        bound: list[BoundArgument],
-    ) -> bool:
+    def _is_shared(self, routine: Routine, parameter: Parameter, bound: list[BoundArgument]) -> bool:
         """Return whether a routine may change the data that a parameter is an element of, under another name too.
 
         :param bound: parameters of the routine with their arguments.

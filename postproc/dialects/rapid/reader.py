@@ -28,7 +28,7 @@ from postproc.dialects.rapid.language import joints_from_abb, poses, status_from
 from postproc.dialects.rapid.layout import Layout
 from postproc.dialects.rapid.loaded import load_modules
 from postproc.dialects.rapid.moves import Move
-from postproc.dialects.rapid.syntax import Comment, Module, RapidSyntaxError, Routine, all_statements
+from postproc.dialects.rapid.syntax import Comment, Module, RapidSyntaxError, Routine, Statement, all_statements
 from postproc.dialects.rapid.syntax import Instruction as RapidInstruction
 from postproc.dialects.rapid.values import NONE, UnknownValueError, Value, record_numbers
 from postproc.dialects.text import line_spans
@@ -76,12 +76,13 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
 class _Path(NamedTuple):
     """The M motions of a module.
 
-    :ivar bases: (n, 4, 4) frames of the work objects in the robot root [m].
-    :ivar tools: (n, 4, 4) frames of the tools in the flange [m].
-    :ivar numbers: X, Y, Z, A, B, C (M, 6) [mm, deg] of the targets, exactly as the text gives them; of joint targets
+    :param motions: the motions.
+    :param bases: (n, 4, 4) frames of the work objects in the robot root [m].
+    :param tools: (n, 4, 4) frames of the tools in the flange [m].
+    :param numbers: X, Y, Z, A, B, C (M, 6) [mm, deg] of the targets, exactly as the text gives them; of joint targets
         those of their poses.
-    :ivar by_wrist: (M,) whether the wrist axes turn the tool.
-    :ivar with_path: (M,) whether the tool turns with its path.
+    :param by_wrist: (M,) whether the wrist axes turn the tool.
+    :param with_path: (M,) whether the tool turns with its path.
     """
 
     motions: Motions
@@ -93,7 +94,12 @@ class _Path(NamedTuple):
 
 
 class _Reader:
-    """Reader of one module."""
+    """Reader of one module.
+
+    :ivar loaded: modules that the controller has loaded with it.
+    :ivar names: TOOLDATA and WOBJDATA → names of data that no module declares.
+    :ivar frames: TOOLDATA and WOBJDATA → the frame of the cell that is taken for them.
+    """
 
     def __init__(self, document: Document, cell: Cell) -> None:
         self.document, self.cell = document, cell
@@ -494,20 +500,7 @@ class _Reader:
             line = int(self._lines(expanded, np.array([start]))[0])
             yield Issue("warning", "external-call", message, line, subject=name.upper(), count=count)
         yield from self._cell_frame_issues(execution)
-        for module in expanded.modules:
-            for routine in module.routines:
-                first_move = next(
-                    (
-                        statement
-                        for statement in all_statements(routine.body)
-                        if isinstance(statement, RapidInstruction) and statement.name.startswith("MOVE")
-                    ),
-                    None,
-                )
-                if first_move is not None and routine.name not in execution.followed:
-                    message = f"{routine.kind} {routine.name} has moves but is not called; they are left as they are."
-                    line = int(self._lines(expanded, np.array([first_move.start]))[0])
-                    yield Issue("warning", "uncalled-motions", message, line, subject=routine.name)
+        yield from self._uncalled_issues(expanded)
         if expanded.loops:
             lines = line_names(sorted(set(expanded.loops)), _MOST_NAMES)
             message = f"Loops with moves are written out, round by round ({lines}): each round has its own targets."
@@ -516,6 +509,16 @@ class _Reader:
             names = first_of(list(dict.fromkeys(expanded.copies)), _MOST_NAMES)
             message = f"Routines with moves that are called more than once get a copy for each call: {names}."
             yield Issue("info", "routine-copied", message)
+
+    def _uncalled_issues(self, expanded: ExpandedProgram) -> Iterator[Issue]:
+        """Yield a warning for each routine that moves and is not called."""
+        routines = [routine for module in expanded.modules for routine in module.routines]
+        for routine in routines:
+            first_move = next(filter(_is_move, all_statements(routine.body)), None)
+            if first_move is not None and routine.name not in expanded.executed.followed:
+                message = f"{routine.kind} {routine.name} has moves but is not called; they are left as they are."
+                line = int(self._lines(expanded, np.array([first_move.start]))[0])
+                yield Issue("warning", "uncalled-motions", message, line, subject=routine.name)
 
     @staticmethod
     def _cell_frame_issues(execution: ExecutedProgram) -> Iterator[Issue]:
@@ -538,6 +541,11 @@ class _FromCell:
     def __repr__(self) -> str:
         """Return a text by which the reader compares it with other values of tools and work objects."""
         return f"cell {self.pose.tolist()}"
+
+
+def _is_move(statement: Statement) -> bool:
+    """Return whether a statement is a move instruction of RAPID, MoveL or another."""
+    return isinstance(statement, RapidInstruction) and statement.name.startswith("MOVE")
 
 
 def _tool_names(moves: list[Move], tool: Ints, count: int) -> tuple[tuple[str, ...], ...]:
