@@ -124,15 +124,9 @@ class Workspace(Struct, frozen=True):
         :raises InputError: there is none of this name in it.
         """
         folder, _, file = name.rpartition("/")
-        root = self.results
-        if folder and not _FOREIGN.search(folder):
-            root = root / folder
-        elif folder:
+        if _FOREIGN.search(folder) or Path(file).suffix.lower() not in MEDIA_TYPES:
             raise InputError(f"no result {name!r}")
-        if Path(file).suffix.lower() not in MEDIA_TYPES:
-            raise InputError(f"no result {name!r}")
-        path = _path_in_folder(root, file)
-        return self.path_in_folder(path)
+        return self.path_in_folder(_path_in_folder(self.results / folder, file))
 
     def stated_cell(self) -> Path:
         """Return the path of the cell, which is there.

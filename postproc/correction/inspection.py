@@ -84,22 +84,23 @@ def slow_rapids(
     slowable = positioning | is_capped
     if not slowable.any():
         return None
-    times_slowed = 0 if before is None else before.count
+    times_slowed, slow_joint = 0, np.full(len(m), -1)
+    if before is not None:
+        times_slowed, slow_joint = before.count, before.joint.copy()
     share_of_limit = _SPEED_SHARE * _NEXT_SHARE**times_slowed
     share, joint = _largest_speeds(path, q, position, slowable, share_of_limit)
     is_fast, on_fast_line = share > 1.0, slowable & np.isin(m.line, list(fast_lines))
     if before is not None and on_fast_line.any():  # else what is too fast cannot be slowed
-        is_fast |= (share > share_of_limit) & ((before.joint >= 0) | on_fast_line)
+        is_fast |= (share > share_of_limit) & ((slow_joint >= 0) | on_fast_line)
     fast = np.flatnonzero(is_fast)
     if not len(fast):
         return None
+    slow_joint[fast] = joint[fast]
     feed = m.feed.copy()
     feed[fast] *= share_of_limit / share[fast]
-    slow_joint = np.full(len(m), -1) if before is None else before.joint.copy()
-    slow_joint[fast] = joint[fast]
-    feed_as_read = program.feed_as_read
-    if feed_as_read is None and is_capped[fast].any():
-        feed_as_read = m.feed
+    # only moves at feed that are slowed count as changed: the speed of rapid moves is that of the cell
+    is_first_change = program.feed_as_read is None and bool(is_capped[fast].any())
+    feed_as_read = m.feed if is_first_change else program.feed_as_read
     slow_program = replace(program, motions=replace(m, feed=feed), feed_as_read=feed_as_read)
     return replace(path.motions, program=slow_program), Slowing(slow_joint, is_capped, times_slowed + 1)
 

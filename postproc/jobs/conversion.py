@@ -390,10 +390,9 @@ def _output_of(
         surface = surface_of(result, settings.part, job.process, cell.part_in_root())
     origin = origin_of(result.program.documents, settings.cell, cell, job.forces, "corrected")
     tolerance = _judged_tolerance(settings, cell)
-    motionless_names = [Path(file.path).name for file in needed_files if not file.moves]
     summary = replace(
         report.summary(result, tolerance, cell.part_tolerance, surface),
-        copied=[name for name in marked.copies if name in motionless_names] or None,
+        copied=_motionless_copies(marked) or None,
         inputs=_inputs(origin, result.program, job.output),
     )
     report_name = job.report(settings.mode)
@@ -427,6 +426,12 @@ def _output_of(
         shared_files=(*marked.subprogram_files, *marked.copies),
         read=tuple(map(str, [*sources, *(file.path for file in needed_files)])),
     )
+
+
+def _motionless_copies(marked: _MarkedResult) -> list[str]:
+    """Return the names of the files that are written as they were read, and in which nothing moves the robot."""
+    motionless_names = {Path(file.path).name for file in marked.result.program.needed if not file.moves}
+    return [name for name in marked.copies if name in motionless_names]
 
 
 def _judged_tolerance(settings: Settings, cell: Cell) -> float | None:

@@ -435,7 +435,11 @@ def _config_line(config: str | None) -> str:
 
 
 def _gcode(request: CellRequest, turn: float, language: str) -> str:
-    """Return the table that says how G-code becomes a program of the robot."""
+    """Return the table that says how G-code becomes a program of the robot.
+
+    :param turn: constant turn of the tool about its axis [deg].
+    :param language: of the lines that it shows, ``"krl"`` or ``"rapid"``.
+    """
     change = {BY_HAND: _TOOL_BY_HAND[language], NO_LINES: []}.get(request.tool_change, [request.tool_change])
     change_line = f"tool_change = [{', '.join(map(toml_string, change))}]"
     dwell = "s" if request.dwell_unit is None else request.dwell_unit

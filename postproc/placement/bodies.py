@@ -50,8 +50,8 @@ class Bodies:
         :param q: (n, 6) joint angles [rad]; from one sample to the next each joint goes the short way.
         :param rows: (n,) samples of the program.
         :param breaks: (n,) where the path does not continue from the sample before.
-        :param shift: (n, 3) how far E1 carries the robot [m].
-        :param base_motion: (4, 4) motion of `$BASE` from its place in the cell, in the root.
+        :param shift: (n, 3) how far E1 carries the robot [m]; None: it does not.
+        :param base_motion: (4, 4) motion of `$BASE` from its place in the cell, in the root; None: it is there.
         :param between_samples: look between samples too.
         """
         is_hit = np.zeros(len(rows), dtype=bool)
