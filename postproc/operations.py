@@ -207,8 +207,9 @@ def _tools_at(program: Program, marks: list[Event], rows: list[int]) -> list[int
     changes = sorted((event for event in marks if event.kind == "tool_change"), key=lambda event: event.before)
     if changes:
         numbers = np.array([0, *(int(event.value) for event in changes)])  # 0 before the first change
-        return numbers[np.searchsorted([event.before for event in changes], rows, side="right")].tolist()
-    return (program.motions.tool[rows] + 1).tolist() if program.keeps_text else [0] * len(rows)
+        counts = np.searchsorted([event.before for event in changes], rows, side="right")
+        return [int(number) for number in numbers[counts]]
+    return [int(row) + 1 for row in program.motions.tool[rows]] if program.keeps_text else [0] * len(rows)
 
 
 def _lines(program: Program, events: list[Event]) -> dict[int, str]:

@@ -227,15 +227,20 @@ def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: Jud
         deflection = max(deflection, content.before.max_mm * M_PER_MM)
         verdicts.append(content.verdict.better)
     comparisons = [verdict for verdict in verdicts if verdict is not None]
-    corrected_mm = [comparison.corrected_mm for comparison in comparisons if comparison.corrected_mm is not None]
-    is_known = bool(comparisons) and len(corrected_mm) == len(comparisons)
+    corrected = _worst([comparison.corrected_mm for comparison in comparisons])
     chances = [comparison.chance for comparison in comparisons if comparison.chance is not None]
     return Assessment(
         deflection=deflection,
-        uncorrected=max(comparison.uncorrected_mm for comparison in comparisons) * M_PER_MM if is_known else None,
-        corrected=max(corrected_mm) * M_PER_MM if is_known else None,
+        uncorrected=None if corrected is None else _worst([comparison.uncorrected_mm for comparison in comparisons]),
+        corrected=corrected,
         chance=min(chances, default=None),
     )
+
+
+def _worst(errors_mm: Sequence[float | None]) -> float | None:
+    """Return the largest of the errors of programs [mm] in metres; None if one is not known, or there is none."""
+    known_errors = [error for error in errors_mm if error is not None]
+    return max(known_errors) * M_PER_MM if known_errors and len(known_errors) == len(errors_mm) else None
 
 
 def _cell_at(cell: Cell, place: JudgedPlace) -> Cell:
