@@ -230,7 +230,8 @@ def test_data_elements_and_components_take_values(target, value, name, expected)
 
 
 @pytest.mark.parametrize(
-    ("target", "problem"), [("N{4}", "outside of the array"), ("Q", "not declared"), ("N{0}", "outside")]
+    ("target", "problem"),
+    [("N{4}", "outside of the array"), ("Q", "not declared"), ("N{0}", "outside"), ("N{1.5}", "outside")],
 )
 def test_a_place_that_there_is_not_takes_no_value(target, problem):
     with pytest.raises(UnknownValueError, match=problem):

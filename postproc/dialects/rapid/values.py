@@ -273,11 +273,22 @@ def _index(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """
     value, type_ = evaluate(expression.items[0], scope)
     for item in expression.items[1:]:
-        index = number(item, scope)
-        if not isinstance(value, list) or not index.is_integer() or not 1 <= index <= len(value):
-            raise UnknownValueError(f"the index {index:g} is outside of the array")
-        value = value[int(index) - 1]
+        place = _place(item, scope)
+        if not isinstance(value, list) or not 0 <= place < len(value):
+            raise UnknownValueError(f"the index {place + 1} is outside of the array")
+        value = value[place]
     return value, type_
+
+
+def _place(index: Expression, scope: Scope) -> int:
+    """Return the place in a list, from 0, that the index of an array states.
+
+    :raises UnknownValueError: it is not known, or no whole number.
+    """
+    value = number(index, scope)
+    if not value.is_integer():
+        raise UnknownValueError(f"the index {value:g} is outside of the array")
+    return int(value) - 1
 
 
 def _field(expression: Expression, scope: Scope) -> tuple[Value, str]:
@@ -583,7 +594,7 @@ def assign(target: Expression, value: Value, scope: Scope) -> None:
     inner = target
     while inner.kind in ("index", "field"):
         if inner.kind == "index":
-            path[:0] = [int(number(item, scope)) - 1 for item in inner.items[1:]]
+            path[:0] = [_place(item, scope) for item in inner.items[1:]]
         else:
             _, type_ = evaluate(inner.items[0], scope)
             path.insert(0, [name for name, _ in FIELDS.get(type_, ())].index(inner.value))
