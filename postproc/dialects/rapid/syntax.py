@@ -273,21 +273,7 @@ class Parser:
         self.depth += 1
         if self.depth > _DEEPEST:
             raise RapidSyntaxError("brackets or statements are nested too deeply", self.start)
-        start = self.start
-        if level in (0, _COMPARISON) and self.word == "NOT" and self.kind == "name":
-            self.step()  # the lowest level: NOT a AND b is NOT (a AND b)
-            operand = self.expression(level + 1)
-            left = Expression("operation", start, self.behind, "NOT", (operand,))
-        elif level == _SUM and self.kind == "symbol" and self.word in ("-", "+"):
-            sign = self.word
-            self.step()
-            operand = self.expression(_PRODUCT)
-            if operand.kind == "number":
-                left = Expression("number", start, self.behind, -operand.value if sign == "-" else operand.value)
-            else:
-                left = Expression("operation", start, self.behind, sign, (operand,))
-        else:
-            left = self.expression(level + 1)
+        start, left = self.start, self._first_operand(level)
         while self.kind in ("symbol", "name") and self.word in _OPERATORS[level]:
             word = self.word
             self.step()
@@ -295,6 +281,26 @@ class Parser:
             left = Expression("operation", start, self.behind, word, (left, right))
         self.depth -= 1
         return left
+
+    def _first_operand(self, level: int) -> Expression:
+        """Parse the first operand of an expression, with NOT or the sign before it.
+
+        :param level: see `expression`.
+        :raises RapidSyntaxError: it is not valid, or nested too deeply.
+        """
+        start = self.start
+        if level in (0, _COMPARISON) and self.word == "NOT" and self.kind == "name":
+            self.step()  # the lowest level: NOT a AND b is NOT (a AND b)
+            operand = self.expression(level + 1)
+            return Expression("operation", start, self.behind, "NOT", (operand,))
+        if level == _SUM and self.kind == "symbol" and self.word in ("-", "+"):
+            sign = self.word
+            self.step()
+            operand = self.expression(_PRODUCT)
+            if operand.kind == "number":
+                return Expression("number", start, self.behind, -operand.value if sign == "-" else operand.value)
+            return Expression("operation", start, self.behind, sign, (operand,))
+        return self.expression(level + 1)
 
     def _factor(self) -> Expression:
         """Parse a number, string, aggregate, bracket or reference.
