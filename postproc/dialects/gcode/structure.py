@@ -182,7 +182,8 @@ class Unit(Struct, eq=False):
                 self._continue(row, keyword, label, open_structures)
         for structure in open_structures:
             self.faults.append(structure.end_fault())
-        for row, (opening,) in [(row, link) for row, link in self.links.items() if len(link) == 1]:
+        # BREAK and CONTINUE, linked to their opening row alone so far, get the rows of the structure that is closed now
+        for row, opening in [(row, link[0]) for row, link in self.links.items() if len(link) == 1]:
             self.links[row] = self.links.get(opening, (row, row))
 
     def _add_subprogram(self, row: int, label: str, open_structures: Sequence[_OpenStructure]) -> None:

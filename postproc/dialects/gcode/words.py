@@ -146,24 +146,7 @@ def split(document: Document) -> Source:
     text = document.text
     if "?" in text:
         text = _STATUS_QUERY.sub("$?", text)  # a character that is not ASCII becomes ? below
-    text = text.replace(MARK, "?")
-    comments: tuple[str, ...] = ()
-    is_nested = _NESTED_BRACKET.search(text) is not None
-    forms = [form for begin, form in _COMMENTS.items() if begin in text]
-    if is_nested:
-        forms[0] = _NESTED_COMMENT
-    if forms:
-        parts: list[str] = []
-        comment_texts: list[str] = []
-        text_start = 0
-        for match in re.finditer("|".join(forms), text):
-            if is_nested and not _is_comment(match[0]):
-                continue
-            comment_texts.append(match[match.lastindex or 1])
-            parts.append(text[text_start : match.start()])
-            text_start = match.end()
-        comments = tuple(comment_texts)
-        text = MARK.join([*parts, text[text_start:]])
+    text, comments = _mark_comments(text.replace(MARK, "?"))
     code_bytes = text.encode("ascii", "replace")
     if b"\r" in code_bytes:
         code_bytes = code_bytes.replace(b"\r\r\n", b"\0").replace(b"\r\n", b"\0")
@@ -174,6 +157,26 @@ def split(document: Document) -> Source:
         np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == ord(MARK)) if comments else np.zeros(0, dtype=np.int64)
     )
     return Source(code, ends, comments, np.searchsorted(ends, marks))
+
+
+def _mark_comments(text: str) -> tuple[str, tuple[str, ...]]:
+    """Return a text with `MARK` in place of each comment, and the comments in order, without brackets or semicolon."""
+    is_nested = _NESTED_BRACKET.search(text) is not None
+    forms = [form for begin, form in _COMMENTS.items() if begin in text]
+    if is_nested:
+        forms[0] = _NESTED_COMMENT
+    if not forms:
+        return text, ()
+    parts: list[str] = []
+    comments: list[str] = []
+    text_start = 0
+    for match in re.finditer("|".join(forms), text):
+        if is_nested and not _is_comment(match[0]):
+            continue
+        comments.append(match[match.lastindex or 1])
+        parts.append(text[text_start : match.start()])
+        text_start = match.end()
+    return MARK.join([*parts, text[text_start:]]), tuple(comments)
 
 
 def line_feeds(code: bytes) -> Ints:
@@ -322,7 +325,11 @@ class Fault(Struct, frozen=True):
 
 
 class Remark(NamedTuple):
-    """A remark on a line for the user; `kind` as in `Issue`."""
+    """A remark on a line for the user.
+
+    :param row: of the line.
+    :param level, kind, message: see `Issue`.
+    """
 
     row: int
     level: Level
