@@ -143,7 +143,9 @@ class Sweep(Struct, eq=False):
     def run(self, segments: StraightSegments, progress: Callable[[int], None] | None = None) -> Iterator[Cuts]:
         """Yield engagement and loads on the cutting segments in order, and remove their material; see `Cuts`.
 
-        :param progress: called with the number of segments done.
+        Contacts without a cut, collisions and volumes are recorded in the attributes.
+
+        :param progress: called with the number of segments done; None: nothing is.
         """
         self.top = self.stock.top
         may_touch = self._can_touch(segments, self.top)
@@ -152,6 +154,7 @@ class Sweep(Struct, eq=False):
             if progress is not None:
                 progress(end)
             leans, cuts = bool(segments.leans[begin]), bool(segments.cutting[begin])
+            spindle_turns = bool(self.tools.rpm[segments.motion[begin]] > 0.0)
             if leans and not cuts:
                 if may_touch[begin] and not self.is_deflected:
                     self._record_turning_rapids(segments, begin, end)
@@ -167,24 +170,34 @@ class Sweep(Struct, eq=False):
             goes_on = end < len(may_touch) and bool(segments.continues[end]) and bool(may_touch[end])
             if leans:
                 path, top = self._tilted_path(segments, begin, end, cutter)
-                if self.tools.rpm[path.motion[0]] > 0.0:
+                if spindle_turns:
                     yield from self._tilted_cuts(path, number, top)
                 front = self._tilted_sweep(path, cutter, top, goes_on=goes_on)
-            elif cuts and self.tools.rpm[segments.motion[begin]] > 0.0:
+            elif cuts and spindle_turns:
                 yield from self._upright_cuts(segments, begin, end, number)
                 front = self._upright_sweep(segments, begin, end, cutter, goes_on=goes_on)
             else:
                 cut(self.stock, uncut_front)
                 uncut_front = front = Footprint.empty()
                 self._record_contact(segments, begin, end, cutter)
-            # what is still under the front stays whole: on circles smaller than the tool the next groups meet it again.
-            # The middle of an end face does not: it needs no more material than the descent of one group
             face_radius = 0.0 if leans else cutter.radius - cutter.corner - self.stock.cell
-            kept_front = front.around(self.stock, segments.end[end - 1], face_radius)
-            cut(self.stock, uncut_front.outside(kept_front))
+            self._cut_passed_front(uncut_front, front, segments.end[end - 1], face_radius)
             uncut_front = front
             if self.ceiling is not None:
                 self.ceiling.sink(*_extent(segments, begin, end, cutter), int(segments.motion[end - 1]))
+
+    def _cut_passed_front(self, last_front: Footprint, front: Footprint, tip: Array, face_radius: float) -> None:
+        """Remove the material that was kept under the front of the tool, where the tool has passed.
+
+        What is still under the front stays whole: on circles smaller than the tool the next groups meet it again. The
+        middle of an end face does not: it needs no more material than the descent of one group.
+
+        :param last_front: cells that the group of segments before kept, `front` those that this one keeps.
+        :param tip: (3,) position of the tip at the end of this group [m].
+        :param face_radius: of the end face of a tool along z, less a cell [m]; 0: the tool leans.
+        """
+        kept_front = front.around(self.stock, tip, face_radius)
+        cut(self.stock, last_front.outside(kept_front))
 
     def _check_holder(self, segments: StraightSegments, begin: int, end: int) -> None:
         """Compare the parts of the tool that do not cut with the stock before segments `begin` to `end` cut it."""
@@ -407,27 +420,27 @@ class Sweep(Struct, eq=False):
         chip = cutting.chips(turn, feed, descent)
         descent_sine = np.maximum(-heading[:, 2], 0.0).astype(np.float32)
         loads = cutting.mean_loads(turn, engagement, chip, descent_sine, self.stock.cell)
-        hole_depth = 0.0
-        if cutter.drill:
-            # all stations get the depth of the hole, as thinning keeps few; the last one is half a step above the end
-            lowest_tip = float(position[:, 2].min()) - 0.5 * abs(float(position[-1, 2] - position[0, 2])) / max(
-                1, len(t) - 1
-            )
-            hole_depth = max(self._highest_level(position, cutter.radius) - lowest_tip, 0.0)
-        return self._cuts_of_loads(
-            turn, number, (motion, t, is_axial), loads, engagement.length * chip.share, hole_depth
-        )
+        hole_depth = self._hole_depth(position, cutter.radius) if cutter.drill else 0.0
+        return self._cuts_of_loads(turn, (motion, t, is_axial), loads, engagement.length * chip.share, hole_depth)
+
+    def _hole_depth(self, position: Array, radius: float) -> float:
+        """Return the depth of the hole that a drill cuts [m]: all stations get it, as thinning keeps few of them.
+
+        :param position: (n, 3) of the tip at stations in the middle of equal steps [m].
+        """
+        heights = position[:, 2]
+        half_step = 0.5 * abs(float(heights[-1] - heights[0])) / max(1, len(heights) - 1)
+        return max(self._highest_level(position, radius) - (float(heights.min()) - half_step), 0.0)
 
     def _cuts_of_loads(
         self,
         turn: Turn,
-        number: int,
         stations: tuple[Ints, Array, Bools],
         loads: Loads,
         cuts: Floats,
         hole_depth: float,
     ) -> Cuts:
-        """Return engagement and loads at n stations of tool `number`, and record what the cells add to their deviation.
+        """Return engagement and loads at n stations, and add to `by_cells` what the cells add to their deviation.
 
         :param stations: motions (n,), places t (n,) on them, and whether (n,) they are along the spindle.
         :param cuts: (n, P) length of edge that cuts [m].
@@ -488,7 +501,7 @@ class Sweep(Struct, eq=False):
             rpm, hand = self.tools.rpm[part.motion], self.tools.hand[part.motion]
             loads, cuts, is_axial = tilted.loads(self.stock, turn, part, 60.0 / (rpm * cutter.teeth), hand)
             self.unpaced.update(part.motion[cuts.any(axis=1) & np.isnan(part.pace)].tolist())
-            yield self._cuts_of_loads(turn, number, (part.motion, part.t, is_axial), loads, cuts, np.nan)
+            yield self._cuts_of_loads(turn, (part.motion, part.t, is_axial), loads, cuts, np.nan)
 
     def _tilted_path(
         self, segments: StraightSegments, begin: int, end: int, cutter: Cutter
@@ -500,7 +513,9 @@ class Sweep(Struct, eq=False):
         rows = slice(begin, end)
         motion = segments.motion[rows]
         axes = [self.poses.at(motion, t[rows])[1] for t in (segments.first, segments.last)]
-        path = TiltedPath.of(segments.take(rows), axes[0], axes[1], cutter, self.stock.cell, self.feed, self.swing)
+        path = TiltedPath.of(
+            segments.take(rows), axes[0], axes[1], cutter, self.stock.cell, feed=self.feed, swing=self.swing
+        )
         height = max(self.top - float(path.tip[:, 2].min()) + cutter.radius, 0.0)
         steepest = float(path.axis[:, 2].min())
         reach = height * float(np.sqrt(1.0 - steepest**2)) / steepest

@@ -10,6 +10,7 @@ lower side over a cell is a convex function of its place as it moves.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -89,14 +90,17 @@ class TiltedPath(Columns, frozen=True, eq=False):
         end_axis: Array,
         cutter: Cutter,
         cell: float,
+        *,
         feed: Array,
         swing: Array,
     ) -> TiltedPath:
         """Divide segments (L) so that neither a cell nor the ridges between two poses of the tool are passed over.
 
         :param begin_axis: (L, 3) axes of the tool where segments begin, end_axis: (L, 3) where they end.
-        :param feed: (M,) speed of motions [m/s]; swing: (M,) how fast they turn a tool whose tip rests [rad/s].
-        """  # fmt: skip
+        :param cell: width of a cell [m].
+        :param feed: (M,) speed of motions [m/s]; swing: (M,) how fast they turn a tool whose tip rests [rad/s], NaN:
+            not known.
+        """
         length, turn = norm(segments.end - segments.begin), norm(end_axis - begin_axis)
         rounding = cutter.corner if cutter.corner > 0.0 else cutter.radius
         step = min(cell, math.sqrt(8.0 * rounding * _RIDGE_HEIGHT))
@@ -108,28 +112,47 @@ class TiltedPath(Columns, frozen=True, eq=False):
             """Return values (S, …) between those at the begin and the end of segments (L, …), at shares (S,)."""
             return np.asarray(first[piece] + at[:, None] * (last - first)[piece])
 
-        def unit(vectors: Array) -> Array:
-            """Return vectors (n, 3) divided by their lengths; zero remains zero."""
-            return np.asarray(vectors / np.maximum(norm(vectors), 1e-12)[:, None])
-
-        is_at_rest, swing_rate = length < _REST_LENGTH, swing[segments.motion]
-        speed = np.where(is_at_rest, np.where(np.isnan(swing_rate), np.nan, 0.0), feed[segments.motion])
-        time = np.where(
-            is_at_rest, turn / np.where(swing_rate > 0.0, swing_rate, 1.0), length / np.maximum(speed, 1e-12)
-        )
-        axes = [unit(interpolated(begin_axis, end_axis, share + side * half_share)) for side in (-1.0, 0.0, 1.0)]
-        tips = [interpolated(segments.begin, segments.end, share + side * half_share) for side in (-1.0, 0.0, 1.0)]
-        t = segments.first[piece] + share * (segments.last - segments.first)[piece]
+        speed, time = _speeds_and_times(length, turn, feed[segments.motion], swing[segments.motion])
+        # begin, middle and end of each piece
+        shares = share - half_share, share, share + half_share
+        axes = [_unit(interpolated(begin_axis, end_axis, at)) for at in shares]
+        tips = [interpolated(segments.begin, segments.end, at) for at in shares]
         rate = (end_axis - begin_axis) / np.maximum(time, 1e-12)[:, None]
         return cls(
-            segments.motion[piece], t, tips[1], axes[1], unit(interpolated(segments.leave, segments.arrive, share)),
-            tips[0], axes[0], tips[2], axes[2], speed[piece], rate[piece],
-        )  # fmt: skip
+            motion=segments.motion[piece],
+            t=segments.first[piece] + share * (segments.last - segments.first)[piece],
+            tip=tips[1],
+            axis=axes[1],
+            heading=_unit(interpolated(segments.leave, segments.arrive, share)),
+            begin=tips[0],
+            begin_axis=axes[0],
+            end=tips[2],
+            end_axis=axes[2],
+            pace=speed[piece],
+            swing=rate[piece],
+        )
 
     @property
     def poses(self) -> tuple[Array, Array]:
         """Positions of the tip (S + 1, 3) and axes (S + 1, 3) from the start to the end."""
         return np.concatenate([self.begin, self.end[-1:]]), np.concatenate([self.begin_axis, self.end_axis[-1:]])
+
+
+def _unit(vectors: Array) -> Array:
+    """Return vectors (n, 3) divided by their lengths; zero remains zero."""
+    return np.asarray(vectors / np.maximum(norm(vectors), 1e-12)[:, None])
+
+
+def _speeds_and_times(length: Array, turn: Array, feed: Array, swing: Array) -> tuple[Array, Array]:
+    """Return the speed of the tip on segments (L,) [m/s], NaN where it rests at an unknown swing, and their times [s].
+
+    :param length: (L,) of the path of the tip [m], and `turn` (L,) change of the axis [rad].
+    :param feed: (L,) [m/s]; `swing` (L,) how fast a tool whose tip rests turns [rad/s], NaN: not known.
+    """
+    is_at_rest = length < _REST_LENGTH
+    speed = np.where(is_at_rest, np.where(np.isnan(swing), np.nan, 0.0), feed)
+    time_at_rest = turn / np.where(swing > 0.0, swing, 1.0)  # of an unknown swing any: its pace is NaN
+    return speed, np.where(is_at_rest, time_at_rest, length / np.maximum(speed, 1e-12))
 
 
 class TiltedLoads(NamedTuple):
@@ -200,29 +223,15 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
         close together, n > 1.
     :param top: height of the highest material near [m].
     """
-    axis_end = np.maximum(top - tip[:, 2:], 0.0) / axis[:, 2:] * axis  # where the axis leaves the stock
-    ends = np.stack([tip[:-1], tip[1:], (tip + axis_end)[:-1], (tip + axis_end)[1:]])
-    parts = []
-    for rows, corner, window in windows(stock, cutter.radius + stock.cell, ends.min(axis=0), ends.max(axis=0)):
-        index, cell_row, column = window_cells(stock, corner, window)
-        x, y = (values.astype(float) for values in cell_middles(stock, tip[rows], cell_row, column))
-        low, sinks, high = _lowest_levels(cutter, tip, axis, rows, x, y)
-        material = stock.high.reshape(-1)[index]
-        is_cut, last = low < material, rows == len(tip) - 2
-        front = sinks & last[:, None, None]
-        if last.any():  # where a tool leans back, and at its rim, what it enters next is not below it
-            front[last] |= _is_outward_side(
-                cutter, tip, axis, rows[last], (x[last], y[last]), material[last], stock.cell
-            )
-        parts.append((index[is_cut], low[is_cut], high[is_cut], front[is_cut]))
+    parts = list(_cells_by_move(stock, cutter, tip, axis, top))
     if not parts:
         return SweptCells(Footprint.empty(), Footprint.empty(), 0.0, 0.0, 0.0)
-    index, low, high, front = (np.concatenate(column) for column in zip(*parts, strict=True))
-    cell, cell_row = np.unique(index, return_inverse=True)
+    covered = _CoveredCells(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    cell, cell_row = np.unique(covered.cell, return_inverse=True)
     level, upper, is_front = np.full(len(cell), np.inf), np.full(len(cell), -np.inf), np.zeros(len(cell), dtype=bool)
-    np.minimum.at(level, cell_row, low)
-    np.maximum.at(upper, cell_row, high)
-    is_front[cell_row[front]] = True
+    np.minimum.at(level, cell_row, covered.low)
+    np.maximum.at(upper, cell_row, covered.high)
+    is_front[cell_row[covered.is_front]] = True
     material, floor = (values.reshape(-1)[cell] for values in (stock.high, stock.floor))
     overhang = float(np.maximum(material - np.maximum(upper, floor), 0.0)[~is_front].sum()) * stock.cell**2
     depth = np.maximum(material - np.maximum(level, floor), 0.0)
@@ -235,14 +244,39 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
     )
 
 
+class _CoveredCells(NamedTuple):
+    """Cells whose material a tool removes, one row for each cell and move from pose to pose.
+
+    :param cell: (n,) index in the flat map.
+    :param low: (n,) lowest level of the tool there [m], and `high` (n,) highest level of its upper side [m].
+    :param is_front: (n,) True for cells under its front at the end of the last move.
+    """
+
+    cell: Ints
+    low: Array
+    high: Array
+    is_front: Bools
+
+
+def _cells_by_move(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> Iterator[_CoveredCells]:
+    """Yield the cells under a tool that moves from pose to pose, in batches of moves; parameters as in `sweep`."""
+    axis_end = np.maximum(top - tip[:, 2:], 0.0) / axis[:, 2:] * axis  # where the axis leaves the stock
+    ends = np.stack([tip[:-1], tip[1:], (tip + axis_end)[:-1], (tip + axis_end)[1:]])
+    for rows, corner, window in windows(stock, cutter.radius + stock.cell, ends.min(axis=0), ends.max(axis=0)):
+        index, cell_row, column = window_cells(stock, corner, window)
+        x, y = (values.astype(float) for values in cell_middles(stock, tip[rows], cell_row, column))
+        low, sinks, high = _lowest_levels(cutter, tip, axis, rows, x, y)
+        material = stock.high.reshape(-1)[index]
+        is_cut, is_last = low < material, rows == len(tip) - 2
+        is_front = sinks & is_last[:, None, None]
+        if is_last.any():  # where a tool leans back, and at its rim, what it enters next is not below it
+            points = x[is_last], y[is_last], material[is_last]
+            is_front[is_last] |= _is_outward_side(cutter, tip, axis, rows[is_last], points, stock.cell)
+        yield _CoveredCells(index[is_cut], low[is_cut], high[is_cut], is_front[is_cut])
+
+
 def _is_outward_side(
-    cutter: Cutter,
-    tip: Array,
-    axis: Array,
-    rows: Ints,
-    point: tuple[Array, Array],
-    level: Array | Floats,
-    margin: float,
+    cutter: Cutter, tip: Array, axis: Array, rows: Ints, points: tuple[Array, Array, Array | Floats], margin: float
 ) -> Bools:
     """Return True for points (L, h, w) next to the side of a tool, or outside of it, where the tool moves outwards.
 
@@ -250,15 +284,14 @@ def _is_outward_side(
 
     :param tip: (n, 3) positions of the tip [m], and `axis` (n, 3) unit directions to the spindle at the poses.
     :param rows: (L,) first pose of each move.
-    :param point: x and y (L, h, w) of the points from the tip at that pose [m]; level: (L, h, w) their heights [m].
+    :param points: x and y (L, h, w) of the points from the tip at that pose, and their heights (L, h, w) in the map
+        [m].
     :param margin: distance of points inside of the tool from its side that counts as near [m].
     """
     shift, turn = (values[rows + 1] - values[rows] for values in (tip, axis))
-    place = [
-        point[0] - shift[:, 0, None, None],
-        point[1] - shift[:, 1, None, None],
-        level - tip[rows + 1, 2, None, None],
-    ]
+    # from the tip at the end of the move
+    x, y, height = points
+    place = [x - shift[:, 0, None, None], y - shift[:, 1, None, None], height - tip[rows + 1, 2, None, None]]
     end_axis, axis_change, tip_change = (
         [vectors[:, k, None, None] for k in range(3)] for vectors in (axis[rows + 1], turn, shift)
     )
@@ -352,11 +385,23 @@ def _lower_and_upper_sides(cutter: Cutter, axis: Array, x: Array, y: Array, shif
     is_met &= low < high
     flat_radius, corner = cutter.radius - cutter.corner, cutter.corner
     if flat_radius <= 1e-9 * cutter.radius:  # a ball, but for rounding
-        low, is_met = _ball_side(cutter.radius, axis, (x, y), axial, low, high, is_met)
+        low, is_met = _ball_side(cutter.radius, axis, (x, y), axial, _Chords(low, high, is_met))
     elif corner > 0.0:
-        low, is_met = _corner_side(cutter, axial, az, x * x + y * y, low, high, is_met)
+        low, is_met = _corner_side(cutter, axial, az, x * x + y * y, _Chords(low, high, is_met))
     slope = _slope_of_lower_side(cutter, axis, (x, y, low), axial, shift, turn)
     return _Sides(np.where(is_met, low, np.inf), np.where(is_met, high, -np.inf), np.where(is_met, slope, 0.0))
+
+
+class _Chords(NamedTuple):
+    """Vertical lines in the cylinder of a tool, above the plane through its tip.
+
+    :param low: (L, h, w) height above the tip where a line enters it [m], and `high` (L, h, w) where it leaves it.
+    :param is_met: (L, h, w) whether the line meets the cylinder; elsewhere the heights mean nothing.
+    """
+
+    low: Array
+    high: Array
+    is_met: Bools
 
 
 def _slope_of_lower_side(
@@ -398,45 +443,40 @@ def _slope_of_lower_side(
 
 
 def _ball_side(
-    radius: float, axis: Array, point: tuple[Array, Array], axial: Array, low: Array, high: Array, meets: Bools
+    radius: float, axis: Array, point: tuple[Array, Array], axial: Array, chords: _Chords
 ) -> tuple[Array, Bools]:
     """Return the lower side of a ball-nose tool (L, h, w) [m], and where there is one: of the ball, or of the cylinder.
 
     :param radius: of the tool [m]; axis: (L, 3) unit directions to the spindle.
     :param point: x and y (L, h, w) of vertical lines from the tip [m]; axial: (L, h, w) their component along the axis.
-    :param low: (L, h, w) where a line enters the cylinder, above the tip [m], and `high` where it leaves it; `meets`
-        where it meets the cylinder at all.
     """
     ax, ay, az = (axis[:, k, None, None] for k in range(3))
     # the centre of the ball is one radius along the axis from the tip
     square = radius**2 - (point[0] - radius * ax) ** 2 - (point[1] - radius * ay) ** 2
     ball = np.where(square > 0.0, radius * az - np.sqrt(np.maximum(square, 0.0)), np.inf)
     # the cylinder begins at the centre of the ball: above the plane through it, square to the axis
-    cylinder = np.maximum(low, (radius - axial) / az)
-    cylinder = np.where(meets & (cylinder < high), cylinder, np.inf)
+    cylinder = np.maximum(chords.low, (radius - axial) / az)
+    cylinder = np.where(chords.is_met & (cylinder < chords.high), cylinder, np.inf)
     lower_side = np.minimum(ball, cylinder)
-    meets = np.isfinite(lower_side)
-    return np.where(meets, lower_side, 0.0), meets
+    is_met = np.isfinite(lower_side)
+    return np.where(is_met, lower_side, 0.0), is_met
 
 
-def _corner_side(
-    cutter: Cutter, axial: Array, az: Array, square: Array, low: Array, high: Array, meets: Bools
-) -> tuple[Array, Bools]:
+def _corner_side(cutter: Cutter, axial: Array, az: Array, square: Array, chords: _Chords) -> tuple[Array, Bools]:
     """Return the lower side of a tool with a rounded corner (L, h, w) [m], and where there is one.
 
-    The tool is inside of a flat one, whose lower side is `low`. The distance from its surface is convex along a line:
-    a golden section finds the innermost place, bisection the lower side below it.
+    The tool is inside of a flat one, whose lower side is `chords.low`. The distance from its surface is convex along a
+    line: a golden section finds the innermost place, bisection the lower side below it.
 
     :param axial: (L, h, w) component along the axis of the points of lines at the height of the tip [m]; `az` (L, 1, 1)
         z of the axis; `square` (L, h, w) squares of the horizontal distances from the tip [m²].
-    :param low: (L, h, w) where a line enters the flat tool, above the tip [m]; `high` where it leaves it; `meets` where
-        it meets it at all.
     """
-    lower_side, meets = np.where(meets, low, 0.0), meets.copy()
-    rows = np.flatnonzero(meets)  # lines that miss the tool need no search
-    lines = [np.broadcast_to(part, meets.shape).ravel()[rows] for part in (axial, az, square)]
-    begin = low.ravel()[rows]
-    a, b = begin, np.minimum(high.ravel()[rows], begin + 4.0 * cutter.radius / lines[1])
+    lower_side, is_met = np.where(chords.is_met, chords.low, 0.0), chords.is_met.copy()
+    rows = np.flatnonzero(is_met)  # lines that miss the tool need no search
+    lines = [np.broadcast_to(part, is_met.shape).ravel()[rows] for part in (axial, az, square)]
+    begin = chords.low.ravel()[rows]
+    # four radii further along the axis a line is past the corner
+    a, b = begin, np.minimum(chords.high.ravel()[rows], begin + 4.0 * cutter.radius / lines[1])
     ratio = 0.5 * (math.sqrt(5.0) - 1.0)
     for _ in range(_HALVINGS):  # the innermost place on the line
         first, second = b - ratio * (b - a), a + ratio * (b - a)
@@ -444,7 +484,7 @@ def _corner_side(
         a, b = np.where(is_left_closer, a, first), np.where(is_left_closer, second, b)
     inner = 0.5 * (a + b)
     has_inside = _surface_distances(cutter, inner, *lines) < 0.0
-    meets.ravel()[rows] = has_inside
+    is_met.ravel()[rows] = has_inside
     lines = [part[has_inside] for part in lines]
     a, b = begin[has_inside], inner[has_inside]
     for _ in range(_HALVINGS):
@@ -452,7 +492,7 @@ def _corner_side(
         is_inside = _surface_distances(cutter, middle, *lines) < 0.0
         a, b = np.where(is_inside, a, middle), np.where(is_inside, middle, b)
     lower_side.ravel()[rows[has_inside]] = b
-    return lower_side, meets
+    return lower_side, is_met
 
 
 def _surface_distances(cutter: Cutter, z: Array, axial: Array, az: Array, square: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -219,34 +220,44 @@ class Turn(Struct, frozen=True, eq=False):
         point = np.stack([edge.radius[row] * np.sin(angle), edge.radius[row] * np.cos(angle), z], axis=-1)
         share = (cutter.teeth * width / (2.0 * np.pi))[:, None]
 
-        def wrench(coefficients: tuple[float, float, float]) -> Floats:
+        def wrench(coefficients: Sequence[float]) -> Floats:
             """Return the wrench (P, 6) for a tangential, a radial and an axial coefficient [N/m² or N/m]."""
-            tangential, radial, axial = coefficients
-            if cutter.drill:
-                radial = DRILL_THRUST * tangential
-            force = tangential * directions.tangential - radial * directions.normal + axial * directions.axial
-            return np.asarray(np.concatenate([force, np.cross(point, force)], axis=-1) * share, dtype=np.float32)
+            force = directions.force(*coefficients, is_drill=cutter.drill)
+            return _as_single(np.concatenate([force, np.cross(point, force)], axis=-1) * share)
 
-        axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)) if law.covariance is not None else ()
-        unit_wrench = (
-            np.stack([wrench(axis) for axis in axes]) if axes else np.zeros((0, len(row), 6), dtype=np.float32)
-        )
-
-        def as_single(column: Array) -> Floats:
-            """Return a column in single precision."""
-            return np.ascontiguousarray(column, dtype=np.float32)
-
+        unit_wrench = np.zeros((0, len(row), 6), dtype=np.float32)
+        if law.covariance is not None:
+            unit_wrench = np.stack([wrench(unit) for unit in np.eye(3).tolist()])
         # points are in the order of `part`
         first, second, third, end = np.searchsorted(part, [BOTTOM, CORNER, SIDE, SIDE + 1]).tolist()
-        height = (np.where(np.isfinite(rise), rise, 1.0) / edge.length[row])[:, None]
+        height_of_length = (np.where(np.isfinite(rise), rise, 1.0) / edge.length[row])[:, None]
         return cls(
-            law, cutter.teeth, cutter.drill, _SAMPLING[cutter.shape], angle, width,
-            as_single(edge.radius[row]), as_single(edge.low[row]),
-            as_single(rise), as_single(edge.length[row]), slice(first, second), slice(second, third), slice(third, end),
-            as_single(directions.normal[:, 0]), as_single(-directions.normal[:, 2]),
-            as_single(0.5 * edge.bend[row][:, None] * directions.axial), wrench(law.cutting), wrench(law.edge),
-            unit_wrench, as_single(_covered_parts(angle, width, 2 * half_count) * height),
-        )  # fmt: skip
+            law=law,
+            teeth=cutter.teeth,
+            drill=cutter.drill,
+            sampling=_SAMPLING[cutter.shape],
+            phi=angle,
+            width=width,
+            radius=_as_single(edge.radius[row]),
+            low=_as_single(edge.low[row]),
+            rise=_as_single(rise),
+            length=_as_single(edge.length[row]),
+            bottom=slice(first, second),
+            round=slice(second, third),
+            side=slice(third, end),
+            front=_as_single(directions.normal[:, 0]),
+            axial=_as_single(-directions.normal[:, 2]),
+            tangent=_as_single(0.5 * edge.bend[row][:, None] * directions.axial),
+            cut=wrench(law.cutting),
+            rub=wrench(law.edge),
+            unit_wrench=unit_wrench,
+            tall=_as_single(_covered_parts(angle, width, 2 * half_count) * height_of_length),
+        )
+
+
+def _as_single(column: Array) -> Floats:
+    """Return a column in single precision, contiguous in memory."""
+    return np.ascontiguousarray(column, dtype=np.float32)
 
 
 class _EdgeDirections(NamedTuple):
@@ -270,6 +281,14 @@ class _EdgeDirections(NamedTuple):
             np.stack([zero - cosine, sine, zero], axis=-1),
             np.stack([cos_kappa * sine, cos_kappa * cosine, sin_kappa], axis=-1),
         )
+
+    def force(self, tangential: float, radial: float, axial: float, *, is_drill: bool) -> Array:
+        """Return the force on the tool (P, 3) for three coefficients [N/m² or N/m].
+
+        The radial coefficient of a drill is `DRILL_THRUST` times the tangential one.
+        """
+        radial = DRILL_THRUST * tangential if is_drill else radial
+        return np.asarray(tangential * self.tangential - radial * self.normal + axial * self.axial)
 
 
 def _half_turn_count(cutter: Cutter, step: float) -> int:
@@ -322,15 +341,17 @@ def _can_have_chip(edge: Edge, row: Ints, angle: Array, descent: float | None) -
     :param row: (P,) pieces of edge, and `angle` (P,) angles of the turn [rad].
     :param descent: sine of the steepest downward angle of the feed; None: not known.
     """
-    is_used = np.zeros(len(row), dtype=bool)
-    if descent is not None:
-        sine, half_bend = np.sin(angle), 0.5 * edge.bend[row]
-        sin_kappa, cos_kappa = _sine_and_cosine_of_kappa(edge, row)
-        level = np.sqrt(1.0 - descent**2)
-        # the chip is the feed times the normal; it is thicker at one end of a piece that bends
-        chip_change = half_bend * np.abs(cos_kappa * sine * level - sin_kappa * descent)
-        is_used = sin_kappa * sine * level + cos_kappa * descent + chip_change > _NO_CHIP
-    return is_used if is_used.any() else np.ones(len(row), dtype=bool)
+    all_points = np.ones(len(row), dtype=bool)
+    if descent is None:
+        return all_points
+    sine, level = np.sin(angle), np.sqrt(1.0 - descent**2)
+    sin_kappa, cos_kappa = _sine_and_cosine_of_kappa(edge, row)
+    # the chip is the component of the feed, of length 1, along the normal; this turns by `bend` along a piece
+    chip_in_middle = sin_kappa * sine * level + cos_kappa * descent
+    chip_per_kappa = cos_kappa * sine * level - sin_kappa * descent
+    largest_chip = chip_in_middle + 0.5 * edge.bend[row] * np.abs(chip_per_kappa)  # at one end of the piece
+    can_have_chip = largest_chip > _NO_CHIP
+    return can_have_chip if can_have_chip.any() else all_points
 
 
 def _sine_and_cosine_of_kappa(edge: Edge, row: Ints) -> tuple[Array, Array]:

@@ -45,16 +45,13 @@ def tool_states(program: Program, process: Process) -> ToolStates:
     :raises ForceError: a tool that cuts is not in [tools], or it takes [tools.default] while another key is a name that
         the program does not have.
     """
-    m = len(program.motions)
-    rpm, hand, has_speed = np.zeros(m), np.ones(m, dtype=np.int64), False
+    count = len(program.motions)
+    rpm, hand, has_speed = np.zeros(count), np.ones(count, dtype=np.int64), False
     for event in program.events:
         following_rows = slice(event.before, None)
         if event.kind in ("spindle_on", "spindle_ccw"):
-            rpm[following_rows], hand[following_rows], has_speed = (
-                event.value,
-                1 if event.kind == "spindle_on" else -1,
-                True,
-            )
+            rpm[following_rows], has_speed = event.value, True
+            hand[following_rows] = 1 if event.kind == "spindle_on" else -1
         elif event.kind == "spindle_off":
             rpm[following_rows] = 0.0
     number, entry, keys = _tool_numbers(program), cutter_entries(program, process), tuple(process.tools)
@@ -137,26 +134,34 @@ def _refuse_missing_tools(program: Program, process: Process, number: Ints, lack
     :param number: (M,) T number of each motion; `lacks_tool` (M,) cuts whose tool has no entry.
     :raises ForceError: always, one error for each tool.
     """
-    errors, tool = [], program.motions.tool if program.tool_keys else number
-    for row in distinct(tool[lacks_tool]).tolist()[: MAX_ERRORS + 1]:
-        first = int(np.flatnonzero(lacks_tool & (tool == row))[0])
-        value, names = int(number[first]), program.tool_keys[row] if program.tool_keys else ()
-        tool_list = ", ".join(f"[tools.{key}]" for key in process.tools) or "none"
-        default_advice = f"Give [tools.default] in {process.path}; found: {tool_list}."
-        if names:
-            problem = f"no cutter for {' or '.join(program.tool_text(name) for name in names)} in {process.path}"
-            advice = f"Give [tools.{names[0]}]; found: {tool_list}."
-        elif program.keeps_text:
-            problem, advice = "no cutter for the $TOOL of this move, which has no number", default_advice
-            if program.dialect == "rapid":
-                problem = "no cutter for the tool of this move, which is no tooldata by its name"
-        elif value <= 0:  # T0, and M6 without T, name no tool
-            problem, advice = "no tool number (T… M6) before this move", default_advice
-        else:
-            problem, advice = f"tool T{value} is not in {process.path}", f"Give [tools.{value}]; found: {tool_list}."
-        line = int(program.motions.line[first])
-        errors.append(ForceError(problem, file=program.documents[0].name, line=line, advice=advice))
-    raise combined_error(errors)
+    tool = program.motions.tool if program.tool_keys else number
+    missing_tools = distinct(tool[lacks_tool])[: MAX_ERRORS + 1]
+    first_cuts = [int(np.flatnonzero(lacks_tool & (tool == row))[0]) for row in missing_tools]
+    raise combined_error(_missing_tool_error(program, process, row, int(number[row])) for row in first_cuts)
+
+
+def _missing_tool_error(program: Program, process: Process, motion: int, number: int) -> ForceError:
+    """Return the error for a tool that the process file lacks.
+
+    :param motion: row of its first cut.
+    :param number: its T number; 0 or −1: none.
+    """
+    names = program.tool_keys[program.motions.tool[motion]] if program.tool_keys else ()
+    tool_list = ", ".join(f"[tools.{key}]" for key in process.tools) or "none"
+    advice = f"Give [tools.default] in {process.path}; found: {tool_list}."
+    if names:
+        problem = f"no cutter for {' or '.join(program.tool_text(name) for name in names)} in {process.path}"
+        advice = f"Give [tools.{names[0]}]; found: {tool_list}."
+    elif program.keeps_text and program.dialect == "rapid":
+        problem = "no cutter for the tool of this move, which is no tooldata by its name"
+    elif program.keeps_text:
+        problem = "no cutter for the $TOOL of this move, which has no number"
+    elif number <= 0:  # T0, and M6 without T, name no tool
+        problem = "no tool number (T… M6) before this move"
+    else:
+        problem, advice = f"tool T{number} is not in {process.path}", f"Give [tools.{number}]; found: {tool_list}."
+    line = int(program.motions.line[motion])
+    return ForceError(problem, file=program.documents[0].name, line=line, advice=advice)
 
 
 def _refuse_unknown_names(program: Program, process: Process, number: Ints) -> None:
@@ -348,6 +353,7 @@ def straight_segments(
     tools: ToolStates,
     frame: Array,
     cell: float,
+    *,
     shift: Shift | None = None,
     directions: Directions | None = None,
 ) -> StraightSegments:
@@ -355,7 +361,7 @@ def straight_segments(
 
     :param frame: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.
     :param cell: width of a cell [m].
-    :param shift: displacement of the tip; segments are also divided where it is given.
+    :param shift: displacement of the tip; segments are also divided where it is given. None: no displacement.
     :param directions: of the tool; None: along z of the map.
     """
     m = program.motions
@@ -369,14 +375,7 @@ def straight_segments(
     is_inner = first > 0.0
     begin[is_inner] = positions(program, path, motion[is_inner], first[is_inner])
     end = positions(program, path, motion, last)
-    is_arc = m.kind[motion] == CIRC
-    chord = end - begin
-    length = norm(chord)
-    leave = chord / np.where(length > 0.0, length, 1.0)[:, None]
-    arrive = leave.copy()
-    if is_arc.any():
-        leave[is_arc] = tangent(program, path, motion[is_arc], first[is_arc])
-        arrive[is_arc] = tangent(program, path, motion[is_arc], last[is_arc])
+    leave, arrive = _travel_directions(program, path, _DividedSegments(motion, first, last), end - begin)
     if shift is not None:
         begin, end = begin + shift.at(motion, first), end + shift.at(motion, last)
     begin, end, leave, arrive = _to_map(program, motion, frame, (begin, end), (leave, arrive))
@@ -387,6 +386,26 @@ def straight_segments(
     is_kept = ((norm(end - begin) > _NO_LENGTH) | segment_leans) & (tools.tool[motion] >= 0)
     columns = (motion, first, last, begin, end, leave, arrive, ~m.rapid[motion], continues, segment_leans)
     return StraightSegments(*(np.asarray(column[is_kept]) for column in columns))
+
+
+def _travel_directions(
+    program: Program, path: Segments, segments: _DividedSegments, chord: Array
+) -> tuple[Array, Array]:
+    """Return the unit directions of travel (L, 3) where segments begin, and (L, 3) where they end.
+
+    They are along the chord, and along the tangent on arcs; zero where a segment has no length.
+
+    :param chord: (L, 3) from the begin to the end of each segment [m].
+    """
+    motion, first, last = segments
+    is_arc = program.motions.kind[motion] == CIRC
+    length = norm(chord)
+    leave = chord / np.where(length > 0.0, length, 1.0)[:, None]
+    arrive = leave.copy()
+    if is_arc.any():
+        leave[is_arc] = tangent(program, path, motion[is_arc], first[is_arc])
+        arrive[is_arc] = tangent(program, path, motion[is_arc], last[is_arc])
+    return leave, arrive
 
 
 def _segment_counts(program: Program, path: Segments, is_leaning: Bools, cell: float) -> Ints:
@@ -503,7 +522,7 @@ class ToolPoses(Struct, frozen=True, eq=False):
 
 
 class _DividedSegments(NamedTuple):
-    """Parts of segments between places of a displacement, in order.
+    """Segments of motions, or parts of them between places of a displacement, in order.
 
     :param motion: (k,) of each part.
     :param first: (k,) place on the motion where it begins, in [0, 1].

@@ -186,3 +186,35 @@ def test_points_of_the_edge_are_a_cell_apart_at_the_rim_and_half_of_one_on_a_cyl
     forces(tmp_path, text, process(tool(10, 2, shape), ((0, 40), (-20, 20), (-20, 0)), resolution=0.5))
     assert steps
     np.testing.assert_allclose(steps, cells * 0.5e-3)
+
+
+@pytest.mark.parametrize("is_drill", [False, True])
+@pytest.mark.parametrize("axis", range(3))
+def test_unit_wrenches_are_those_of_a_law_with_one_coefficient(axis, is_drill):
+    """Forces are linear in the coefficients; a drill has no radial one of its own."""
+    cutter, covariance = Cutter(5e-3, 0.0 if is_drill else 2e-3, 2, is_drill), tuple(map(tuple, np.eye(6)))
+    unit = tuple(float(k == axis) for k in range(3))
+    made_law = CuttingLaw(cutting=unit, edge=unit, exponent=0.0, sigma=0.0, name="", covariance=covariance)
+    turn = Turn.of(edge(cutter, 5e-4), cutter, made_law, 5e-4, 0.4)
+    np.testing.assert_array_equal(turn.unit_wrench[axis], turn.cut)
+    assert turn.unit_wrench.shape == (3, len(turn.phi), 6)
+    assert np.abs(turn.cut).any() == (axis != 1 or not is_drill)
+
+
+@pytest.mark.parametrize("descent", [0.0, 0.2, 0.7, -0.3])
+@pytest.mark.parametrize("corner", [5e-3, 2e-3])
+def test_points_of_a_turn_are_those_where_an_end_of_the_piece_moves_into_the_material(corner, descent):
+    """The chip is the component of the feed along the normal, in the middle of a piece of edge and at its ends."""
+    cutter, level = Cutter(5e-3, corner, 2), np.sqrt(1.0 - descent**2)
+    pieces = edge(cutter, 1e-3)
+    every, kept = (Turn.of(pieces, cutter, LINEAR, 1e-3, sine) for sine in (None, descent))
+    points = zip(every.low, every.radius, strict=True)
+    row = np.array([int(np.argmin(np.hypot(pieces.low - low, pieces.radius - radius))) for low, radius in points])
+    kappa, half_bend = pieces.kappa[row], 0.5 * pieces.bend[row]
+    radial, axial = level * np.sin(every.phi), descent
+    chip = radial * np.sin(kappa) + axial * np.cos(kappa)
+    chip_by_kappa = radial * np.cos(kappa) - axial * np.sin(kappa)
+    has_chip = np.maximum(chip + half_bend * chip_by_kappa, chip - half_bend * chip_by_kappa) > 1e-9
+    np.testing.assert_array_equal(kept.phi, every.phi[has_chip])
+    np.testing.assert_array_equal(kept.radius, every.radius[has_chip])
+    assert 0 < has_chip.sum() < len(has_chip)

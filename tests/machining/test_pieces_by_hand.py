@@ -320,8 +320,8 @@ def test_points_ahead_of_an_upright_tool_are_near_its_side_or_outside_of_it(heig
     tip = np.array([[0.0, 0.0, 3e-3], [*(1e-3 * along), 3e-3]])
     distance = 1e-3 * np.array([[[limit - 0.01, limit + 0.01, -limit - 0.01, 8.0, -8.0]]]) + 1e-3
     level = np.full((1, 1, 5), 3e-3 + 1e-3 * height)
-    points = distance * along[0], distance * along[1]
-    found = tilted._is_outward_side(Cutter(5e-3, 2e-3, 2), tip, np.tile(UP, (2, 1)), np.array([0]), points, level, 1e-4)
+    points = distance * along[0], distance * along[1], level
+    found = tilted._is_outward_side(Cutter(5e-3, 2e-3, 2), tip, np.tile(UP, (2, 1)), np.array([0]), points, 1e-4)
     assert found.ravel().tolist() == [False, True, False, True, False]
 
 
@@ -329,7 +329,7 @@ def test_points_ahead_of_a_turning_tool_are_on_the_side_to_which_its_axis_turns(
     """About the tip: at 8 mm above it the tool moves towards +x, at the height of the tip not at all."""
     tip, lean = np.zeros((2, 3)), np.array([[0.0, 0.0, 1.0], [np.sin(0.1), 0.0, np.cos(0.1)]])
     x, level = 1e-3 * np.array([[[7.0, -7.0, 7.0]]]), 1e-3 * np.array([[[8.0, 8.0, -8.0]]])
-    found = tilted._is_outward_side(Cutter(5e-3, 0.0, 2), tip, lean, np.array([0]), (x, 0.0 * x), level, 1e-4)
+    found = tilted._is_outward_side(Cutter(5e-3, 0.0, 2), tip, lean, np.array([0]), (x, 0.0 * x, level), 1e-4)
     assert found.ravel().tolist() == [True, False, False]
 
 

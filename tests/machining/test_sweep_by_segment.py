@@ -137,6 +137,13 @@ def test_stations_in_air_are_in_the_middle_of_their_segments():
     assert np.isnan(found.leave).all()
 
 
+def test_stations_in_air_are_axial_along_the_spindle_only():
+    made, _ = swept()
+    leave = np.tile([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], (COUNT // 4, 1))
+    found = made._air_stations(replace(segments(3), leave=leave), 0, 4)
+    assert found.is_axial.tolist() == [False, False, True, True]
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_the_highest_level_near_positions_is_that_of_all_cells_the_tool_may_reach(seed):
     """It is no lower than that of the cells within the radius, and of none farther than three cells more."""

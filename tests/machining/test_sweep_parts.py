@@ -207,8 +207,8 @@ def test_stations_have_the_feed_and_the_descent_of_a_tooth(monkeypatch, drill):
     np.testing.assert_allclose(np.column_stack([ux, uy]), [[0.6, 0.8]] * 3 + [[1, 0]])
     assert hand.tolist() == [1, -1, 1, 1]
     assert seen["cell"] == CELL
-    given_turn, number, stations, given_loads, cuts, hole_depth = result
-    assert (given_turn, number, given_loads) == (turn, 3, "loads")
+    given_turn, stations, given_loads, cuts, hole_depth = result
+    assert (given_turn, given_loads) == (turn, "loads")
     np.testing.assert_array_equal(stations[0], motion)
     np.testing.assert_array_equal(stations[1], t)
     assert stations[2].tolist() == [False, False, False, True]
@@ -233,7 +233,7 @@ def test_loads_become_cuts_with_torque_power_and_the_error_by_cells(monkeypatch)
     turn, motion = SimpleNamespace(drill=False, teeth=2), np.array([0, 1, 1])
     stations = motion, np.array([0.2, 0.5, 0.7]), np.array([False, True, False])
     length = np.array([[1.0], [0.0], [2.0]])
-    cuts = made._cuts_of_loads(turn, 0, stations, loads, length, 7.0)
+    cuts = made._cuts_of_loads(turn, stations, loads, length, 7.0)
     signs = np.array([[1.0] * 6, [1, -1, 1, -1, 1, -1], [1, -1, 1, -1, 1, -1]])
     np.testing.assert_allclose(cuts.wrench, wrench * signs)
     np.testing.assert_allclose(cuts.deviation, wrench + 0.5)
@@ -247,10 +247,10 @@ def test_loads_become_cuts_with_torque_power_and_the_error_by_cells(monkeypatch)
         made.by_cells, [[0.01 * force[0], force[0]], [0.04 * force[1] + 0.09 * force[2], force[1] + force[2]]]
     )
     assert made.contact
-    hole = made._cuts_of_loads(SimpleNamespace(drill=True, teeth=2), 0, stations, loads, length, 7.0)
+    hole = made._cuts_of_loads(SimpleNamespace(drill=True, teeth=2), stations, loads, length, 7.0)
     assert hole.depth.tolist() == [7.0, 0.0, 7.0]
     made.contact, before = False, made.by_cells.copy()
-    air = made._cuts_of_loads(turn, 0, stations, loads, 0.0 * length, 7.0)
+    air = made._cuts_of_loads(turn, stations, loads, 0.0 * length, 7.0)
     assert not made.contact
     np.testing.assert_array_equal(made.by_cells, before)
     for name in ("torque", "power", "depth", "width", "rate"):
@@ -612,3 +612,16 @@ def test_between_two_poses_the_lower_side_is_a_parabola_or_two_planes(shape, lea
     error = np.abs(np.nan_to_num(level[0, 0], posinf=1.0) - np.nan_to_num(lows.min(axis=0), posinf=1.0))
     assert np.median(error[between]) < {"flat": 1e-5, "ball": 2e-6, "bull": 6e-6}[shape]
     assert np.median(error[whole]) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("is_deflected", "height", "expected"), [(False, -3e-3, [(0, 1)]), (True, -3e-3, []), (False, 0.1, [])]
+)
+def test_turning_rapid_moves_of_a_tool_that_springs_back_are_not_compared(monkeypatch, is_deflected, height, expected):
+    """Nor those of a tool that is above the stock."""
+    ranges = []
+    monkeypatch.setattr(Sweep, "_record_turning_rapids", lambda self, steps, begin, end: ranges.append((begin, end)))
+    made = made_sweep([CUTTERS["flat"]], is_deflected=is_deflected)
+    moves = segments_of([[0.01, 0.02, height]], [[0.03, 0.02, height]], [0], cutting=False, leans=True)
+    assert list(made.run(moves)) == []
+    assert ranges == expected

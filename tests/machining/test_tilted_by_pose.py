@@ -243,7 +243,7 @@ def test_pieces_of_the_path_are_so_short_that_no_cell_and_no_ridge_is_passed_ove
     first = np.array([direction(lean, 0.0) for lean in (10.0, 10.0, 20.0, 20.0)])
     last = np.array([direction(lean, 0.0) for lean in (10.0, 20.0, 30.0, 20.5)])
     feed, swing = np.array([9.0, 0.02, 0.03, 9.0, 9.0]), np.array([9.0, 9.0, 9.0, 0.5, np.nan])
-    path = TiltedPath.of(segments_of(begin, end), first, last, cutter, cell, feed, swing)
+    path = TiltedPath.of(segments_of(begin, end), first, last, cutter, cell, feed=feed, swing=swing)
     step = min(cell, np.sqrt(8.0 * 2e-3 * 1e-6))
     at = 0
     for k in range(4):

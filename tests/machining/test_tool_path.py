@@ -68,7 +68,7 @@ def test_pieces_are_cut_and_displaced_where_the_tip_is_displaced():
     begin, path = begins(made), toolpath.segments(made, START)
     offset = 1e-3 * np.array([[1, 0, 0], [1, 0, 0], [0, 2, 1], [3, 0, 1], [0, 0, -3], [4, 1, 0]])
     shift = Shift.of(made, np.array([2, 3, 3, 3, 4, 6]), np.array([1.0, 0.25, 0.75, 1.0, 1.0, 0.5]), offset)
-    found = straight_segments(made, path, SimpleNamespace(tool=TOOL_STATES), FRAME, CELL_SIZE, shift)
+    found = straight_segments(made, path, SimpleNamespace(tool=TOOL_STATES), FRAME, CELL_SIZE, shift=shift)
     for k, cuts in ((3, [0.0, 0.25, 0.75, 1.0]), (4, [0.0, 1.0])):
         own = found.motion == k
         np.testing.assert_allclose(found.first[own], cuts[:-1], atol=1e-12)

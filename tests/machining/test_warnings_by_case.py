@@ -483,7 +483,7 @@ def test_stations_in_air_have_no_angles_and_no_size_of_cut():
     sweep_ = swept()
     loads = SimpleNamespace(wrench=np.ones((2, 6)), deviation=np.full((2, 6), 0.1))
     stations = np.array([2, 3]), np.array([0.1, 0.2]), np.array([False, True])
-    found = sweep_._cuts_of_loads(None, 0, stations, loads, np.zeros((2, 4)), 0.5)
+    found = sweep_._cuts_of_loads(None, stations, loads, np.zeros((2, 4)), 0.5)
     assert not sweep_.contact
     for name in ("torque", "power", "depth", "width", "rate"):
         assert getattr(found, name).tolist() == [0.0, 0.0]
@@ -505,7 +505,7 @@ def test_the_depth_of_a_hole_is_that_of_a_drill_and_power_is_torque_times_speed(
         sweep_ = swept()
         turn = SimpleNamespace(drill=is_drill, teeth=3)
         given = replace_wrench(loads)
-        found = sweep_._cuts_of_loads(turn, 0, stations, given, np.array([[1.0, 0.0], [0.0, 0.0]]), 0.05)
+        found = sweep_._cuts_of_loads(turn, stations, given, np.array([[1.0, 0.0], [0.0, 0.0]]), 0.05)
         assert sweep_.contact
         assert found.depth.tolist() == ([0.05, 0.0] if is_drill else [0.5, 0.6])
         assert (found.enter[0], found.leave[1], found.width[0]) == (0.1, 0.4, 0.7)
