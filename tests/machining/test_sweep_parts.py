@@ -625,3 +625,14 @@ def test_turning_rapid_moves_of_a_tool_that_springs_back_are_not_compared(monkey
     moves = segments_of([[0.01, 0.02, height]], [[0.03, 0.02, height]], [0], cutting=False, leans=True)
     assert list(made.run(moves)) == []
     assert ranges == expected
+
+
+@pytest.mark.parametrize("begin", [-0.4e-3, -0.5e-3, -0.9e-3])
+def test_a_ball_that_passes_over_a_cell_is_lowest_with_its_tip_there(begin):
+    """Its section is a parabola but for 0.1 µm on a way of 1 mm."""
+    tips = np.array([[begin, 0.0, 0.0], [begin + 1e-3, 0.0, 0.0]])
+    place = np.full((1, 1, 1), -begin)
+    found = tilted._lowest_levels(
+        CUTTERS["ball"], tips, np.tile([0.0, 0.0, 1.0], (2, 1)), np.array([0]), place, 0.0 * place
+    )
+    assert float(found.low[0, 0, 0]) == pytest.approx(0.0, abs=1e-6)
