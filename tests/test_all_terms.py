@@ -456,11 +456,15 @@ def test_the_bound_adds_parameters_forces_tool_discrepancy_and_geometry_as_covar
         "parameters": by_parameters, "forces": by_force[0], "tool": by_force[1], "discrepancy": by_discrepancy,
         "geometry": np.tile(by_geometry, (3, 1, 1)),
     }  # fmt: skip
+
+    def bound_of(arm, spread, series):
+        return elastostatics.position_bound(arm, q, FAR_OFFSET_TOOL, wrench, force_spread=spread, in_series=series)
+
     for name, source in sources.items():
-        found = elastostatics.position_bound(source[0], q, FAR_OFFSET_TOOL, wrench, *source[1:])
+        found = bound_of(*source)
         np.testing.assert_allclose(found, [length_95(one) for one in expected[name]], rtol=0.02, err_msg=name)
     whole = by_parameters + by_force[1] + by_discrepancy + by_geometry
-    found = elastostatics.position_bound(everything[0], q, FAR_OFFSET_TOOL, wrench, *everything[1:])
+    found = bound_of(*everything)
     np.testing.assert_allclose(found, [length_95(one) for one in whole], rtol=0.02)
 
 
@@ -493,7 +497,9 @@ def test_the_bound_of_each_source_alone_is_that_of_its_covariance(name, series):
 
     def bound(size):
         changed, forces = given(size)
-        return elastostatics.position_bound(changed, q, FAR_OFFSET_TOOL, wrench, forces, own, turning)[0]
+        return elastostatics.position_bound(
+            changed, q, FAR_OFFSET_TOOL, wrench, force_spread=forces, in_series=own, turning=turning
+        )[0]
 
     nothing = dict.fromkeys(SOURCES, 0.0)
     changed, forces = given(nothing | {name: 1.0})

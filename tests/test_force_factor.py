@@ -34,7 +34,10 @@ def model(by_force, variance=0.01):
 
 def bound(own, scaled):
     spread = 0.1 * np.abs(WRENCH)[:, :, None] * np.eye(6)
-    return elastostatics.position_bound(own, Q, STRAIGHT_TOOL, WRENCH, spread, is_proportional=np.array(scaled))
+    is_proportional = np.array(scaled)
+    return elastostatics.position_bound(
+        own, Q, STRAIGHT_TOOL, WRENCH, force_spread=spread, is_proportional=is_proportional
+    )
 
 
 def moved(own):

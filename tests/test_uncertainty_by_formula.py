@@ -11,7 +11,7 @@ from postproc import elastostatics, robot
 from postproc.elastostatics import uncertainty
 from postproc.elastostatics.equilibrium import linear_compliance
 from postproc.elastostatics.reversals import flank_covariance
-from postproc.elastostatics.uncertainty import LENGTH_95, length_bound, loads, sources_of_error
+from postproc.elastostatics.uncertainty import LENGTH_95, LoadedPlaces, length_bound, sources_of_error
 from postproc.robot import Backlash, LostMotion
 from tests.kr270 import ROBOT, tool_at
 
@@ -43,7 +43,10 @@ def test_length_95_is_the_root_of_the_chi_square_of_three():
 
 def sources(model=ROBOT, spread=None, in_series=None, proportional=(False, False)):
     """Errors at both poses without what turns."""
-    return sources_of_error(model, *loads(Q, OFF_AXIS_TOOL, WRENCH, spread, in_series, None, np.array(proportional)))
+    places = LoadedPlaces.of(
+        Q, OFF_AXIS_TOOL, WRENCH, force_spread=spread, in_series=in_series, is_proportional=np.array(proportional)
+    )
+    return sources_of_error(model, places)
 
 
 def test_certain_forces_have_no_error():

@@ -529,16 +529,16 @@ class _PartErrors:
         draft, path = self.draft, self.draft.path
         sample, motion = draft.selection.row[target], draft.selection.targets.motion[target]
         spread, tool_compliance = _load_uncertainty(path, sample)
-        loads = elastostatics.loads(
+        places = elastostatics.LoadedPlaces.of(
             draft.q[sample],
             path.tool(sample),
             path.wrench_in_root(sample),
-            spread,
-            tool_compliance,
-            reverses,
-            is_scaled,
+            force_spread=spread,
+            in_series=tool_compliance,
+            turning=reverses,
+            is_proportional=is_scaled,
         )
-        sources = elastostatics.sources_of_error(path.robot_in_cell.robot, *loads)
+        sources = elastostatics.sources_of_error(path.robot_in_cell.robot, places)
         frames = path.robot_in_cell.touched_frames
         if frames is not None:
             slopes = frames.slopes(path.pose_in_root(sample)[:, :3, 3])

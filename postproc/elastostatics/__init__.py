@@ -30,9 +30,9 @@ from postproc.elastostatics.reversals import Reversals, reversals
 from postproc.elastostatics.tool_spring import ToolSpring
 from postproc.elastostatics.uncertainty import (
     LENGTH_95,
+    LoadedPlaces,
     SourcesOfError,
     largest_length,
-    loads,
     position_bound,
     sensitivity,
     sources_of_error,
@@ -46,6 +46,7 @@ __all__ = [
     "Compensation",
     "Deflection",
     "ExpectedAt",
+    "LoadedPlaces",
     "Reversals",
     "SourcesOfError",
     "ToolSpring",
@@ -61,7 +62,6 @@ __all__ = [
     "linear_compliance",
     "linear_deflection",
     "loaded_tip",
-    "loads",
     "position_bound",
     "reversals",
     "sensitivity",

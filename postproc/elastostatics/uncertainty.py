@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import kinematics
-from postproc.chunks import in_chunks
+from postproc.chunks import Columns, chunks
 from postproc.elastostatics.balance import (
     A2,
     compensator_factor,
@@ -33,17 +33,69 @@ LENGTH_95 = 2.7954835
 """95 % of vectors of three standard normal numbers are shorter (χ² of three degrees of freedom)."""
 
 
+class LoadedPlaces(Columns, frozen=True, eq=False):
+    """Places of a robot under load, and what is known of the errors of their loads: a row for each of N places.
+
+    :param q: (N, 6) joint angles [rad].
+    :param tool: (N, 4, 4) tool in the flange frame [m].
+    :param wrench: (N, 6) at the TCP, root axes [N, N·m].
+    :param turning: (N, 6) joints whose gears change their flank next to this place (`reversals`).
+    :param is_proportional: (N,) places where the error of the wrench is one factor, `RobotModel.force_factor`,
+        correlated with the parameters; `force_spread` does not count there.
+    :param force_spread: (N, 6, 6) L of the covariance L·Lᵀ of the wrench, root axes; None if it is certain. (N, 6, 13)
+        where errors may also be one factor: then six columns L for independent components, and seven for one factor.
+    :param in_series: (N, 6, 6) compliance in series with the robot's, root axes; None if there is none.
+    """
+
+    q: Array
+    tool: Array
+    wrench: Array
+    turning: Bools
+    is_proportional: Bools
+    force_spread: Array | None
+    in_series: Array | None
+
+    @classmethod
+    def of(
+        cls,
+        q: Array,
+        tool: Array,
+        wrench: Array,
+        *,
+        force_spread: Array | None = None,
+        in_series: Array | None = None,
+        turning: Bools | None = None,
+        is_proportional: Bools | None = None,
+    ) -> LoadedPlaces:
+        """Return the places; parameters as the fields.
+
+        :param tool: (4, 4) for all places, or (N, 4, 4).
+        :param turning: None: no gear is known to change its flank.
+        :param is_proportional: None: nowhere.
+        """
+        return cls(
+            q=q,
+            tool=np.broadcast_to(tool, (len(q), 4, 4)),
+            wrench=wrench,
+            turning=np.zeros((len(q), 6), dtype=bool) if turning is None else turning,
+            is_proportional=np.zeros(len(q), dtype=bool) if is_proportional is None else is_proportional,
+            force_spread=force_spread,
+            in_series=in_series,
+        )
+
+
 def position_bound(
     robot: RobotModel,
     q: Array,
     tool: Array,
     wrench: Array,
+    *,
     force_spread: Array | None = None,
     in_series: Array | None = None,
     turning: Bools | None = None,
     is_proportional: Bools | None = None,
 ) -> Array | None:
-    """Return the 95 % bound (N,) [m] on the error of the predicted position of the TCP, or None.
+    """Return the 95 % bound (N,) [m] on the error of the predicted position of the TCP; None without a covariance.
 
     Five sources, added as covariances: `RobotModel.covariance` through the sensitivity of the TCP to each identified
     parameter, at first order; the covariance of the wrench through the tangent compliance; the unmodelled error
@@ -57,50 +109,23 @@ def position_bound(
     plus 1 − ρ times the latter. ρ is not known, since published sets of coefficients differ in size and in ratios. The
     covariance is linear in ρ, so its trace is largest at one of the two ends: the larger of their bounds counts.
 
-    :param q: (N, 6) joint angles [rad].
-    :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
-    :param wrench: (N, 6) at the TCP, root axes [N, N·m].
-    :param force_spread: (N, 6, 6) L of the covariance L·Lᵀ of the wrench, root axes; None if it is certain. (N, 6, 13)
-        where errors may also be one factor: then six columns L for independent components, and seven for one factor.
-    :param in_series: (N, 6, 6) compliance in series with the robot's, root axes; None if there is none.
-    :param turning: (N, 6) joints whose gears change their flank next to this place (`reversals`); None if not known.
-    :param is_proportional: (N,) places where the error of the wrench is one factor, `RobotModel.force_factor`,
-        correlated with the parameters; `force_spread` does not count there. None: nowhere.
+    Arrays as of `LoadedPlaces.of`.
+
     :raises ModelError: the covariance is of a parameter that the model does not have.
     """
     if robot.covariance is None:
         return None
-
-    def bound(
-        q: Array, tool: Array, wrench: Array, turning: Bools, is_proportional: Bools, *forces: Array
-    ) -> tuple[Array]:
-        """Return the 95 % bound (n,) of the distance by which the position may be wrong [m]."""
-        errors = sources_of_error(robot, q, tool, wrench, turning, is_proportional, *forces)
-        return (largest_length(errors.covariances()),)
-
-    return in_chunks(bound, *loads(q, tool, wrench, force_spread, in_series, turning, is_proportional))[0]
-
-
-def loads(
-    q: Array,
-    tool: Array,
-    wrench: Array,
-    force_spread: Array | None = None,
-    in_series: Array | None = None,
-    turning: Bools | None = None,
-    is_proportional: Bools | None = None,
-) -> tuple[Any, ...]:
-    """Return the arrays of `sources_of_error` with one row for each place: q, tool, wrench, turning, is_proportional.
-
-    With a spread of the forces two more follow: that, and the compliance in series, zero by default. Parameters as of
-    `position_bound`.
-    """
-    if turning is None:
-        turning = np.zeros((len(q), 6), dtype=bool)
-    if is_proportional is None:
-        is_proportional = np.zeros(len(q), dtype=bool)
-    forces = _optional_spread(q, force_spread, in_series)
-    return (q, np.broadcast_to(tool, (len(q), 4, 4)), wrench, turning, is_proportional, *forces)
+    places = LoadedPlaces.of(
+        q,
+        tool,
+        wrench,
+        force_spread=force_spread,
+        in_series=in_series,
+        turning=turning,
+        is_proportional=is_proportional,
+    )
+    parts = (sources_of_error(robot, places.take(part)).covariances() for part in chunks(len(q)))
+    return np.concatenate([largest_length(covariances) for covariances in parts])
 
 
 class SourcesOfError(Struct, frozen=True, eq=False):
@@ -140,23 +165,15 @@ class SourcesOfError(Struct, frozen=True, eq=False):
         return [by_robot + factor @ np.swapaxes(factor, 1, 2) for factor in self.by_forces]
 
 
-def sources_of_error(
-    robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools, is_proportional: Bools, *forces: Array
-) -> SourcesOfError:
-    """Return the errors of the predicted position by their sources.
+def sources_of_error(robot: RobotModel, places: LoadedPlaces) -> SourcesOfError:
+    """Return the errors of the predicted position at some places by their sources, see `position_bound`.
 
-    Arrays as `loads` returns them, see `position_bound`.
-
-    :param forces: (N, 6, 6) or (N, 6, 13) spread of the forces and (N, 6, 6) compliance in series; empty if the forces
-        are certain.
+    :param robot: with a covariance.
     :raises ModelError: the covariance is of a parameter that the model does not have.
     """
-    reaction = _reaction(robot, q, tool, wrench, *forces)
-    slopes, covariance = _add_force_factor(
-        robot, sensitivity(robot, q, tool, wrench), wrench, is_proportional, *reaction
-    )
-    displacements = _force_displacements(wrench, is_proportional, *reaction)
-    return SourcesOfError(slopes, covariance, displacements, _other_covariances(robot, q, tool, wrench, turning))
+    reaction = None if places.force_spread is None else _displacement_per_wrench(robot, places)
+    slopes, covariance = _parameter_errors(robot, places, reaction)
+    return SourcesOfError(slopes, covariance, _force_displacements(places, reaction), _other_covariances(robot, places))
 
 
 def largest_length(covariances: Sequence[Array], mean: Array | None = None) -> Array:
@@ -164,58 +181,49 @@ def largest_length(covariances: Sequence[Array], mean: Array | None = None) -> A
     return np.asarray(np.max([length_bound(covariance, mean) for covariance in covariances], axis=0))
 
 
-def _optional_spread(q: Array, force_spread: Array | None, in_series: Array | None) -> tuple[Array, ...]:
-    """Return the spread of the forces and the compliance (n, 6, 6) in series, zero by default; empty without spread."""
-    if force_spread is None:
-        return ()
-    return force_spread, np.zeros((len(q), 6, 6)) if in_series is None else in_series
+def _displacement_per_wrench(robot: RobotModel, places: LoadedPlaces) -> Array:
+    """Return the displacement (N, 3, 6) of the tool per unit of the wrench [m/N, m/(N·m)], root axes."""
+    compliance = linear_compliance(robot, places.q, places.tool, places.wrench)
+    if places.in_series is not None:
+        compliance = compliance + places.in_series
+    return compliance[:, :3]
 
 
-def _reaction(robot: RobotModel, q: Array, tool: Array, wrench: Array, *forces: Array) -> tuple[Array, ...]:
-    """Return the spread of the forces, and the displacement (N, 3, 6) [m] per unit of the wrench; empty without spread.
+class _ParameterErrors(NamedTuple):
+    """Sensitivities (N, 3, P) of the position to P parameters, and the covariance (P, P) of these."""
 
-    :param forces: the spread, and (N, 6, 6) compliance in series, root axes; empty if the forces are certain.
-    """
-    if not forces:
-        return ()
-    spread, compliance = forces
-    return spread, (linear_compliance(robot, q, tool, wrench) + compliance)[:, :3]
+    slopes: Array
+    covariance: Array
 
 
-def _add_force_factor(
-    robot: RobotModel, slopes: Array, wrench: Array, is_proportional: Bools, *forces: Array
-) -> tuple[Array, Array]:
-    """Return the sensitivities to the parameters and, last, to the factor of forces, and the covariance of all of them.
+def _parameter_errors(robot: RobotModel, places: LoadedPlaces, reaction: Array | None) -> _ParameterErrors:
+    """Return the errors by the parameters of a model, the last of which is the factor of the forces if it counts.
 
-    Without a factor that counts, sensitivities and covariance of the parameters alone.
-
-    :param slopes: (N, 3, P) sensitivities of the position to the parameters.
-    :param wrench: (N, 6) at the TCP; `is_proportional` (N,) places where the factor acts on it.
-    :param forces: spread of the wrench, which is not used, and (N, 3, 6) displacement per wrench; empty if the forces
-        are certain.
-    :returns: (N, 3, P + 1) and (P + 1, P + 1), or (N, 3, P) and (P, P).
+    :param reaction: (N, 3, 6) displacement per wrench; None if the forces are certain: then the factor does not count.
     """
     assert robot.covariance is not None
+    slopes = sensitivity(robot, places.q, places.tool, places.wrench)
     matrix, factor = robot.covariance.matrix, robot.force_factor
-    if factor is None or not forces or not is_proportional.any():
-        return slopes, matrix
-    _, displacement = forces
-    by_factor = np.einsum("nij,nj->ni", displacement, wrench) * is_proportional[:, None]
+    if factor is None or reaction is None or not places.is_proportional.any():
+        return _ParameterErrors(slopes, matrix)
+    by_factor = np.einsum("nij,nj->ni", reaction, places.wrench) * places.is_proportional[:, None]
     size = len(matrix)
     whole_matrix = np.empty((size + 1, size + 1))
     whole_matrix[:size, :size] = matrix
     whole_matrix[size], whole_matrix[:, size] = factor.covariance, factor.covariance
-    return np.concatenate([slopes, by_factor[:, :, None]], axis=2), whole_matrix
+    return _ParameterErrors(np.concatenate([slopes, by_factor[:, :, None]], axis=2), whole_matrix)
 
 
-def _other_covariances(robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools) -> dict[str, Array]:
+def _other_covariances(robot: RobotModel, places: LoadedPlaces) -> dict[str, Array]:
     """Return the covariances (N, 3, 3) [m²] of the position that come from neither parameters nor forces, by source."""
     covariances = {}
     if robot.geometry_error is not None:
-        covariances["the calibrated geometry"] = _any_direction(robot.geometry_error.at(q))
+        covariances["the calibrated geometry"] = _any_direction(robot.geometry_error.at(places.q))
     if robot.discrepancy is not None:
-        covariances["the unmodelled error of the robot model"] = _any_direction(robot.discrepancy.at(wrench))
-    covariances["lost motion of the gears"] = flank_covariance(robot, q, tool, wrench, turning)
+        covariances["the unmodelled error of the robot model"] = _any_direction(robot.discrepancy.at(places.wrench))
+    covariances["lost motion of the gears"] = flank_covariance(
+        robot, places.q, places.tool, places.wrench, places.turning
+    )
     return covariances
 
 
@@ -223,21 +231,21 @@ _COMPONENTS = 6
 """Columns of `force_spread` for independent components of the wrench."""
 
 
-def _force_displacements(wrench: Array, is_proportional: Bools, *forces: Array) -> tuple[Array, ...]:
-    """Return the displacements (n, 3, k) by one standard deviation of the forces for each correlation that is possible.
+def _force_displacements(places: LoadedPlaces, reaction: Array | None) -> tuple[Array, ...]:
+    """Return the displacements (N, 3, k) by one standard deviation of the forces for each correlation that is possible.
 
     Each is that of a wrench whose component is larger in size by one standard deviation, whatever its sign. Where the
     errors by the cutting law are `RobotModel.force_factor`, which counts as a parameter, only the others are left.
 
-    :param forces: from `_reaction`.
+    :param reaction: (N, 3, 6) displacement per wrench; None if the forces are certain: then k is 0.
     :returns: one entry for independent components alone; two if errors may also be one factor: for independent
         components, and for one factor, whose last column is the error of the cutting law.
     """
-    if not forces:
+    spread, is_proportional = places.force_spread, places.is_proportional
+    if spread is None or reaction is None:
         return (np.zeros((len(is_proportional), 3, 0)),)
-    spread, displacement_per_wrench = forces
-    sign = np.where(np.einsum("nik,ni->nk", spread, wrench) < 0.0, -1.0, 1.0)
-    displacement = displacement_per_wrench @ (spread * sign[:, None])
+    sign = np.where(np.einsum("nik,ni->nk", spread, places.wrench) < 0.0, -1.0, 1.0)
+    displacement = reaction @ (spread * sign[:, None])
     if spread.shape[2] <= _COMPONENTS:
         return (displacement * ~is_proportional[:, None, None],)
     independent, by_factor = displacement[:, :, :_COMPONENTS], displacement[:, :, _COMPONENTS:]

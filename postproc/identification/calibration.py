@@ -11,6 +11,9 @@ periods a turn (`robot.Transmission`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import msgspec
 import numpy as np
 from msgspec import Struct
@@ -20,7 +23,7 @@ from postproc.errors import MeasurementError, PostprocError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, displace
 from postproc.identification import record
 from postproc.identification.fit import LENGTH_95, NORMAL_95
-from postproc.identification.measurement_model import Placement, kabsch
+from postproc.identification.measurement_model import Placement, kabsch, placement_derivatives, point_positions
 from postproc.identification.outlying_configuration import check_configurations
 from postproc.identification.readings import Measurements
 from postproc.robot import GEAR_TERMS, LINK_AXES, PER_URAD, Chain, RobotModel, assemble, waves
@@ -48,8 +51,8 @@ _NOT_NARROWED = 0.8
 """Share of the prior's interval beyond which an interval counts as not narrowed by the readings (assumed)."""
 _CONVERGED = 1e-9
 """Largest change of an unknown [m, rad] in the last Gauss-Newton step."""
-_PLACES = 200
-"""Configurations over which the error that readings allow for is averaged."""
+_CONFIGURATIONS = 200
+"""Random configurations over which the error that readings allow for is averaged."""
 
 
 class GeometryParameter(Struct, frozen=True):
@@ -118,26 +121,31 @@ def nonredundant(nominal: Chain, points: int) -> tuple[GeometryParameter, ...]:
     :param points: number of points on the flange.
     """
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (60, 6))
+    # points that are not on one line: more than three show no more
     offsets = np.array([[0.2, 0.1, 0.3], [-0.2, 0.15, 0.25], [0.05, -0.3, 0.2]])[: max(1, min(points, 3))]
     flange, columns = _derivatives(nominal, q, offsets)
-    base, tool = _frame_columns(flange, offsets, np.eye(4))
-    basis, _ = np.linalg.qr(np.concatenate([base, tool], axis=1))
-    # zero offsets (a turn about the joint's own axis) first, then lengths, then tilts
-    own_turn = 3 + np.argmax(np.abs(nominal.axis), axis=1)
-    order = [(joint, int(own_turn[joint])) for joint in range(6)]
-    order += [(joint, axis) for joint in range(6) for axis in range(3)]
-    order += [(joint, 3 + axis) for joint in range(6) for axis in range(3)]
-    basis_entries: list[tuple[int, int]] = []
-    for joint, axis in order:
-        if (joint, axis) in basis_entries:
-            continue
+    basis, _ = np.linalg.qr(_placement_columns(flange, offsets, np.eye(4)))
+    independent: list[tuple[int, int]] = []
+    for joint, axis in _displacement_order(nominal):
         column = columns[:, joint, axis]
         residual = column - basis @ (basis.T @ column)
         residual -= basis @ (basis.T @ residual)  # once more, for rounding (Gram-Schmidt)
         if np.linalg.norm(residual) > _INDEPENDENT * np.linalg.norm(column):
             basis = np.column_stack([basis, residual / np.linalg.norm(residual)])
-            basis_entries.append((joint, axis))
-    return tuple(GeometryParameter(JOINTS[joint], _AXES[axis]) for joint, axis in sorted(basis_entries))
+            independent.append((joint, axis))
+    return tuple(GeometryParameter(JOINTS[joint], _AXES[axis]) for joint, axis in sorted(independent))
+
+
+def _displacement_order(nominal: Chain) -> list[tuple[int, int]]:
+    """Return all displacements of the joints, each once, as pairs of joint (0…5) and axis (0…5: X, Y, Z, RX, RY, RZ).
+
+    Zero offsets, which are turns about the axis of the joint itself, come first, then lengths, then tilts.
+    """
+    zero_offset_axis = 3 + np.argmax(np.abs(nominal.axis), axis=1)
+    order = [(joint, int(zero_offset_axis[joint])) for joint in range(6)]
+    order += [(joint, axis) for joint in range(6) for axis in range(3)]
+    order += [(joint, 3 + axis) for joint in range(6) for axis in range(3)]
+    return list(dict.fromkeys(order))
 
 
 def _derivatives(chain: Chain, q: Array, points: Array) -> tuple[Array, Array]:
@@ -149,7 +157,7 @@ def _derivatives(chain: Chain, q: Array, points: Array) -> tuple[Array, Array]:
         about X, Y, Z of its frame [m/m, m/rad].
     """
     frames, flange = chain.joint_frames(q)
-    positions = np.einsum("cij,pj->cpi", flange[:, :3, :3], points) + flange[:, None, :3, 3]
+    positions = point_positions(flange, points)
     columns = np.empty((len(q), len(points), 3, 6, 6))
     for joint in range(6):
         lever = positions - frames[:, joint, None, :3, 3]
@@ -160,24 +168,17 @@ def _derivatives(chain: Chain, q: Array, points: Array) -> tuple[Array, Array]:
     return flange, columns.reshape(-1, 6, 6)
 
 
-def _frame_columns(flange: Array, points: Array, root: Array) -> tuple[Array, Array]:
-    """Return derivatives of the points in device axes by the base twist (n, 6) and by themselves (n, 3P).
+def _placement_columns(flange: Array, points: Array, root: Array) -> Array:
+    """Return derivatives (3CP, 6 + 3P) of the points in device axes by the twist of the root and by the points.
 
     :param flange: (C, 4, 4) in the root [m].
     :param points: (P, 3) in the flange frame [m].
     :param root: (4, 4) in the device [m].
     """
     device_flange = root @ flange
-    positions = np.einsum("cij,pj->cpi", device_flange[:, :3, :3], points) + device_flange[:, None, :3, 3]
-    lever = positions - root[:3, 3]
-    base = np.zeros((*positions.shape, 6))
-    base[..., :3] = np.eye(3)
-    for axis in range(3):
-        base[..., 3 + axis] = np.cross(np.eye(3)[axis], lever)
-    tool = np.zeros((*positions.shape, 3 * len(points)))
-    for index in range(len(points)):
-        tool[:, index, :, 3 * index : 3 * index + 3] = device_flange[:, :3, :3]
-    return base.reshape(-1, 6), tool.reshape(-1, 3 * len(points))
+    positions = point_positions(device_flange, points)
+    slopes = placement_derivatives(positions, root[:3, 3], device_flange[:, :3, :3])
+    return slopes.reshape(-1, 6 + 3 * len(points))
 
 
 def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measurements) -> Geometry:
@@ -236,12 +237,12 @@ def _fitted_variants(
         )
     with_gears = readings >= unknowns + len(_GEARS) + _SPARE_READINGS
     fits: dict[str, tuple[_Solution, Array]] = {}
-    for label, base, free in _variants(content, parameters, with_gears=with_gears):
+    for variant in _variants(content, parameters, with_gears=with_gears):
         try:
-            solution = _solve(base, nominal, name, data, free)
+            solution = _solve(variant.content, nominal, name, data, variant.parameters)
         except PostprocError:  # a model that cannot carry its own weight, or parameters that the readings do not hold
             continue
-        fits[label] = solution, _cross_validation_error(solution, data)
+        fits[variant.label] = solution, _cross_validation_error(solution, data)
     return fits
 
 
@@ -271,10 +272,25 @@ _GEARS = tuple(GeometryParameter(joint, term) for joint in JOINTS for term in GE
 """Errors of the gears' transmission, of all joints."""
 
 
-def _variants(
-    content: ModelFile, parameters: tuple[GeometryParameter, ...], *, with_gears: bool
-) -> list[tuple[str, ModelFile, tuple[GeometryParameter, ...]]]:
-    """Return the geometries that are tried, simple to rich: label, model, and what is free in it."""
+class _Variant(NamedTuple):
+    """A geometry that is tried.
+
+    :param label: for the user.
+    :param content: model that predicts the sag, if it is of a weightless robot.
+    :param parameters: that are fitted.
+    """
+
+    label: str
+    content: ModelFile
+    parameters: tuple[GeometryParameter, ...]
+
+
+def _variants(content: ModelFile, parameters: tuple[GeometryParameter, ...], *, with_gears: bool) -> list[_Variant]:
+    """Return the geometries that are tried, simple to rich.
+
+    :param parameters: of the geometry.
+    :param with_gears: whether errors of the gears are tried too.
+    """
     bare = msgspec.structs.replace(
         content,
         geometry={},
@@ -283,14 +299,16 @@ def _variants(
         gravity=Gravity("calibrated", content.gravity.in_gears),
     )
     heavy = msgspec.structs.replace(bare, gravity=Gravity("rigid", content.gravity.in_gears))
-    variants: list[tuple[str, ModelFile, tuple[GeometryParameter, ...]]] = [
-        ("nominal geometry", bare, ()),
-        ("nominal geometry with sag", heavy, ()),
-        ("calibrated geometry", bare, parameters),
-        ("calibrated geometry with sag", heavy, parameters),
+    calibrated = [
+        _Variant("calibrated geometry", bare, parameters),
+        _Variant("calibrated geometry with sag", heavy, parameters),
     ]
+    variants = [_Variant("nominal geometry", bare, ()), _Variant("nominal geometry with sag", heavy, ()), *calibrated]
     if with_gears:
-        variants += [(f"{label}, gears", model, (*free, *_GEARS)) for label, model, free in variants[2:]]
+        variants += [
+            _Variant(f"{variant.label}, gears", variant.content, (*variant.parameters, *_GEARS))
+            for variant in calibrated
+        ]
     return variants
 
 
@@ -336,14 +354,11 @@ def _extrapolation_error(solution: _Solution, nominal: Chain) -> float:
     """
     half_turn = np.full(6, np.pi)
     lower, upper = np.maximum(nominal.lower, -half_turn), np.minimum(nominal.upper, half_turn)
-    q = np.random.default_rng(0).uniform(lower, upper, (_PLACES, 6))
-    placement = solution.placement
-    points = placement.points[:1]
-    flange, columns = _derivatives(nominal, q, points)
-    base, tool = _frame_columns(flange, points, placement.root_in_device)
-    by_joint = np.einsum("ij,cpjab->cpiab", placement.root_in_device[:3, :3], columns.reshape(_PLACES, 1, 3, 6, 6))
-    by_parameter = [_column(parameter, by_joint, nominal, q) for parameter in solution.parameters]
-    design = np.concatenate([base, tool, *by_parameter], axis=1)
+    q = np.random.default_rng(0).uniform(lower, upper, (_CONFIGURATIONS, 6))
+    point, root = solution.placement.points[:1], solution.placement.root_in_device
+    _, flange = nominal.joint_frames(q)
+    by_parameter = _parameter_columns(solution.parameters, nominal, (q, q), point, root)
+    design = np.concatenate([_placement_columns(flange, point, root), *by_parameter], axis=1)
     first_parameter = len(solution.whole_covariance) - len(solution.values)
     rows_of_arm = [*range(9), *range(first_parameter, len(solution.whole_covariance))]  # base, first point, parameters
     variance = np.einsum("ni,ij,nj->n", design, solution.whole_covariance[np.ix_(rows_of_arm, rows_of_arm)], design)
@@ -381,6 +396,19 @@ class _Solution(Struct, frozen=True, eq=False):
         return self.whole_covariance[first:, first:]
 
 
+class _PosedArm(NamedTuple):
+    """An arm without load in C configurations.
+
+    :param chain: for derivatives by displacements of the joints.
+    :param flange: (C, 4, 4) in the root [m].
+    :param angles: (C, 6) of the joints, with sag [rad].
+    """
+
+    chain: Chain
+    flange: Array
+    angles: Array
+
+
 def _usual(parameters: tuple[GeometryParameter, ...]) -> Array:
     """Return the usual sizes (p,) of errors of geometry parameters, each in the unit of its parameter."""
     return np.array([parameter.usual for parameter in parameters])
@@ -402,29 +430,33 @@ def _solve(
     values, points, usual = np.zeros(len(parameters)), data.guess.copy(), _usual(parameters)
     frame_count = 6 + 3 * len(points)
     ridge = np.diag(np.concatenate([np.zeros(frame_count), 1.0 / usual]))[frame_count:]
-    robot = assemble(name, _add_geometry(content, parameters, values, "", None), nominal)
-    flange, angles = _unloaded_poses(robot, data.q)
-    root = kabsch(_point_positions(flange, points).reshape(-1, 3), readings.reshape(-1, 3))
+
+    def pose_arm(values: Array) -> _PosedArm:
+        """Return the arm without load in the configurations of the readings, for values (p,) of the parameters."""
+        robot = assemble(name, _add_geometry(content, parameters, values, "", None), nominal)
+        return _PosedArm(_geometric(nominal, robot), *_unloaded_poses(robot, data.q))
+
+    arm = pose_arm(values)
+    root = kabsch(point_positions(arm.flange, points).reshape(-1, 3), readings.reshape(-1, 3))
     for _ in range(_STEPS):
-        base, tool = _frame_columns(flange, points, root)
-        parameter_columns = _parameter_columns(parameters, _geometric(nominal, robot), (data.q, angles), points, root)
-        design = np.concatenate([base, tool, *parameter_columns], axis=1) * scale[:, None]
-        white_residual = (readings - _point_positions(root @ flange, points)).ravel() * scale
+        by_parameter = _parameter_columns(parameters, arm.chain, (data.q, arm.angles), points, root)
+        columns = [_placement_columns(arm.flange, points, root), *by_parameter]
+        design = np.concatenate(columns, axis=1) * scale[:, None]
+        white_residual = (readings - point_positions(root @ arm.flange, points)).ravel() * scale
         right = np.concatenate([white_residual, -values / usual])
         step = np.linalg.lstsq(np.vstack([design, ridge]), right, rcond=None)[0]
         root = displace(root, step[:6])
         points = points + step[6:frame_count].reshape(points.shape)
         values = values + step[frame_count:]
-        robot = assemble(name, _add_geometry(content, parameters, values, "", None), nominal)
-        flange, angles = _unloaded_poses(robot, data.q)
+        arm = pose_arm(values)
         if np.abs(step).max() < _CONVERGED:
             break
-    residual = (readings - _point_positions(root @ flange, points)) * (weight > 0.0)[..., None]
-    covariance = np.linalg.pinv(design.T @ design + ridge.T @ ridge, hermitian=True)
+    residual = (readings - point_positions(root @ arm.flange, points)) * (weight > 0.0)[..., None]
     white_residual = residual.ravel() * scale
+    covariance = np.linalg.pinv(design.T @ design + ridge.T @ ridge, hermitian=True)
     dof = max(1, len(white_residual) - design.shape[1])
     misfit = max(1.0, float(white_residual @ white_residual) / dof)
-    unknowns = np.concatenate([np.zeros(frame_count), values])
+    unknowns = np.concatenate([np.zeros(frame_count), values])  # of a twist and shifts from the solution on
     return _Solution(
         content=content,
         parameters=parameters,
@@ -487,12 +519,6 @@ def _geometric(nominal: Chain, robot: RobotModel) -> Chain:
     return nominal
 
 
-def _point_positions(frames: Array, points: Array) -> Array:
-    """Return the positions (C, P, 3) of points (P, 3) of the flange frames (C, 4, 4)."""
-    positions: Array = np.einsum("cij,pj->cpi", frames[:, :3, :3], points) + frames[:, None, :3, 3]
-    return positions
-
-
 def _cross_validation_error(solution: _Solution, data: Measurements) -> Array:
     """Return the mean square cross-validation error (C,) [m²] of the points of each configuration.
 
@@ -522,22 +548,45 @@ def _add_geometry(
 
     :raises MeasurementError: a value is beyond any arm.
     """
-    tables: dict[bool, dict[str, dict[str, float | str]]] = {False: {}, True: {}}
-    intervals: dict[tuple[bool, str], list[str]] = {}
-    for index, (parameter, value) in enumerate(zip(parameters, values, strict=True)):
-        (unit, factor), of_gear = parameter.unit, parameter.axis in GEAR_TERMS
-        table = tables[of_gear].setdefault(parameter.joint, {"source": source})
-        table[f"{parameter.axis}_{unit}"] = float(value * factor)
-        if half is not None:
-            texts = intervals.setdefault((of_gear, parameter.joint), [])
-            texts.append(f"{parameter.axis} ± {half[index] * factor:.2g} {unit}")
-            table["source"] = f"{source} (95 %: {', '.join(texts)})"
+    is_gear = np.array([parameter.axis in GEAR_TERMS for parameter in parameters], dtype=bool)
+    geometry_table, gear_table = (
+        _parameter_table(
+            [parameter for parameter, counts in zip(parameters, rows, strict=True) if counts],
+            values[rows],
+            source,
+            None if half is None else half[rows],
+        )
+        for rows in (~is_gear, is_gear)
+    )
     try:
-        geometry = msgspec.convert(tables[False], dict[str, Displacement])
-        transmission = msgspec.convert(tables[True], dict[str, TransmissionEntry])
+        geometry = msgspec.convert(geometry_table, dict[str, Displacement])
+        transmission = msgspec.convert(gear_table, dict[str, TransmissionEntry])
     except msgspec.ValidationError as cause:  # values beyond any arm: the readings do not hold the parameters
         raise MeasurementError(f"the geometry cannot be found: {cause}", file="") from None
     return msgspec.structs.replace(content, geometry=geometry, transmission=transmission)
+
+
+def _parameter_table(
+    parameters: Sequence[GeometryParameter], values: Array, source: str, half: Array | None
+) -> dict[str, dict[str, float | str]]:
+    """Return joint → entry of `model.toml`: its values in units of the file, and their source.
+
+    :param values: (p,) SI, and `half` (p,) of their 95 % intervals, which the source names; None: it names none.
+    """
+    table: dict[str, dict[str, float | str]] = {}
+    for joint in dict.fromkeys(parameter.joint for parameter in parameters):
+        rows = [row for row, parameter in enumerate(parameters) if parameter.joint == joint]
+        entry: dict[str, float | str] = {"source": source}
+        intervals = []
+        for row in rows:
+            (unit, factor), axis = parameters[row].unit, parameters[row].axis
+            entry[f"{axis}_{unit}"] = float(values[row] * factor)
+            if half is not None:
+                intervals.append(f"{axis} ± {half[row] * factor:.2g} {unit}")
+        if intervals:
+            entry["source"] = f"{source} (95 %: {', '.join(intervals)})"
+        table[joint] = entry
+    return table
 
 
 def warnings(result: Geometry) -> list[str]:

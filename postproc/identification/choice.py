@@ -22,7 +22,9 @@ state share, which the posterior does not contain.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -36,12 +38,10 @@ from postproc.identification.joint_springs import UNCERTAIN, is_physical, unload
 from postproc.identification.measurement_model import (
     Placement,
     Structure,
-    displacement_residuals,
     joint_torques,
     levels_of,
     predict,
     unwhiten,
-    whiten,
     whitening,
 )
 from postproc.identification.readings import Measurements
@@ -126,7 +126,8 @@ def _gear_parameters(
     for joint in joints:
         if largest[joint.index] > _LEAST_TORQUE:
             for share in shares:
-                yield kind(joint.joint, float(f"{share * largest[joint.index]:.2g}"))
+                torque = float(f"{share * largest[joint.index]:.2g}")  # two digits: it is in the parameter's name
+                yield kind(joint.joint, torque)
 
 
 def full_structure(
@@ -175,36 +176,52 @@ def has_compensator(robot: RobotModel, data: Measurements) -> bool:
     return robot.compensator is not None and int(levels_of(data).max()) >= 2
 
 
-def candidates(compensator: bool) -> list[tuple[str, tuple[str, ...]]]:
-    """Return the structures to try, from simple to rich: name, and kinds of parameters.
+class KindsOfStructure(NamedTuple):
+    """Kinds of parameters that form a structure, or a part of one; `name` for the user."""
+
+    name: str
+    kinds: tuple[str, ...]
+
+
+_GEAR_PARTS = (
+    KindsOfStructure("", ()),
+    KindsOfStructure(", gears stiffen", (FADING,)),
+    KindsOfStructure(", gears with breakpoints", (KNEE,)),
+    KindsOfStructure(", gears stiffen, with breakpoints", (FADING, KNEE)),
+    KindsOfStructure(", gears stiffen, with backlash", (FADING, BACKLASH)),
+    KindsOfStructure(", gears with breakpoints and backlash", (KNEE, BACKLASH)),
+    KindsOfStructure(", gears stiffen, with breakpoints and backlash", (FADING, KNEE, BACKLASH)),
+    KindsOfStructure(", gears stiffen, with lost motion", (FADING, LOST_MOTION)),
+    KindsOfStructure(", gears with breakpoints and lost motion", (KNEE, LOST_MOTION)),
+    KindsOfStructure(", gears stiffen, with breakpoints and lost motion", (FADING, KNEE, LOST_MOTION)),
+)
+"""Gears that are tried with link springs, from linear ones to rich."""
+
+
+def candidates(compensator: bool) -> list[KindsOfStructure]:
+    """Return the structures to try, from simple to rich.
 
     Masses and compensator at rest are part of every structure with gears that are not linear; their kind is not listed.
 
     :param compensator: K_c and s₀ of the compensator are parameters of all structures.
     """
-    gears: list[tuple[str, tuple[str, ...]]] = [
-        ("", ()),
-        (", gears stiffen", (FADING,)),
-        (", gears with breakpoints", (KNEE,)),
-        (", gears stiffen, with breakpoints", (FADING, KNEE)),
-        (", gears stiffen, with backlash", (FADING, BACKLASH)),
-        (", gears with breakpoints and backlash", (KNEE, BACKLASH)),
-        (", gears stiffen, with breakpoints and backlash", (FADING, KNEE, BACKLASH)),
-        (", gears stiffen, with lost motion", (FADING, LOST_MOTION)),
-        (", gears with breakpoints and lost motion", (KNEE, LOST_MOTION)),
-        (", gears stiffen, with breakpoints and lost motion", (FADING, KNEE, LOST_MOTION)),
+    simple_gears = [gear for gear in _GEAR_PARTS if set(gear.kinds) <= {FADING}]
+    # next to the many springs of link ends, backlash and lost motion are tried with all parts of the gears only
+    few_gears = [
+        gear
+        for gear in _GEAR_PARTS
+        if set(gear.kinds).isdisjoint({BACKLASH, LOST_MOTION}) or {FADING, KNEE} < set(gear.kinds)
     ]
-    rich = [gears[index] for index in (0, 1, 2, 3, 6, 9)]
-    arms: list[tuple[str, tuple[str, ...], list[tuple[str, tuple[str, ...]]]]] = [
-        ("joint springs", (JOINT,), gears[:2]),
-        ("link springs", (JOINT, LINK), gears),
-        ("link springs, link ends and base", (JOINT, LINK, END), rich),
-    ]
-    compensator_kinds, compensator_name = ((COMPENSATOR_SPRING,), ", compensator") if compensator else ((), "")
+    arms_and_gears = (
+        (KindsOfStructure("joint springs", (JOINT,)), simple_gears),
+        (KindsOfStructure("link springs", (JOINT, LINK)), _GEAR_PARTS),
+        (KindsOfStructure("link springs, link ends and base", (JOINT, LINK, END)), few_gears),
+    )
+    spring = KindsOfStructure(", compensator", (COMPENSATOR_SPRING,)) if compensator else KindsOfStructure("", ())
     return [
-        (arm_name + compensator_name + gear_name, (*arm_kinds, *compensator_kinds, *gear_kinds))
-        for arm_name, arm_kinds, arm_gears in arms
-        for gear_name, gear_kinds in arm_gears
+        KindsOfStructure(arm.name + spring.name + gear.name, (*arm.kinds, *spring.kinds, *gear.kinds))
+        for arm, gears in arms_and_gears
+        for gear in gears
     ]
 
 
@@ -297,7 +314,7 @@ class Member(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(
-        cls, name: str, nonlinear: bool, equations: LinearEquations, prior: Prior, columns: Ints, fold: Ints
+        cls, name: str, nonlinear: bool, *, equations: LinearEquations, prior: Prior, columns: Ints, fold: Ints
     ) -> Member:
         """Return a structure with its regression on the readings and its cross-validation residuals.
 
@@ -379,6 +396,35 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
 
     :raises PostprocError: not even joint springs can be fitted.
     """
+    solution = _equations_with_weights_or_without(robot, data, placement)
+    if has_compensator(robot, data):
+        with suppress(PostprocError):  # the structures without a free compensator remain
+            free = _candidate_equations(robot, data, placement, solution.structure.in_gears, compensator=True)
+            if free.whole.evidence > solution.whole.evidence + CLEAR:
+                choice = _choice_among(free, data, placement, compensator=True)
+                if is_physical(choice.fit) and not _has_uncertain_compensator(choice):
+                    return choice
+    return _choice_among(solution, data, placement, compensator=False)
+
+
+def _choice_among(solution: _CandidateEquations, data: Measurements, placement: Placement, compensator: bool) -> Choice:
+    """Return the mean of the structures that have the parameters of a fit.
+
+    :param compensator: whether the compensator's spring is among them.
+    """
+    mean, solution = _extend(_mean_of_structures(solution, compensator), solution, data, placement)
+    return _choice_of_mean(mean, solution, data, placement)
+
+
+def _equations_with_weights_or_without(
+    robot: RobotModel, data: Measurements, placement: Placement
+) -> _CandidateEquations:
+    """Return the fit of all parameters with gears under the load alone, or under weights and compensator too.
+
+    The latter only if the evidence for it is clear, or gears under the load alone cannot be fitted.
+
+    :raises PostprocError: neither can be fitted.
+    """
     # if the geometry is a weightless robot's, weights and compensator act on the gears like a load: nothing to choose
     has_gravity_torque = robot.subtract_reference and (robot.has_weight or robot.compensator is not None)
     solutions: list[_CandidateEquations] = []
@@ -386,23 +432,10 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
         try:
             solutions.append(_candidate_equations(robot, data, placement, in_gears, compensator=False))
         except PostprocError:
-            if not solutions and in_gears == has_gravity_torque:  # none of them can be fitted
+            if not solutions and in_gears == has_gravity_torque:  # this was the last one
                 raise
-    # the first is the simpler model: gears under the load alone
     is_last_better = solutions[-1].whole.evidence > solutions[0].whole.evidence + CLEAR
-    solution = solutions[-1] if is_last_better else solutions[0]
-    if has_compensator(robot, data):
-        try:
-            free = _candidate_equations(robot, data, placement, solution.structure.in_gears, compensator=True)
-            if free.whole.evidence > solution.whole.evidence + CLEAR:
-                mean, free = _extend(_mean_of_structures(free, compensator=True), free, data, placement)
-                choice = _choice_of_mean(mean, free, data, placement)
-                if is_physical(choice.fit) and not _has_uncertain_compensator(choice):
-                    return choice
-        except PostprocError:
-            pass  # the structures without a free compensator remain
-    mean, solution = _extend(_mean_of_structures(solution, compensator=False), solution, data, placement)
-    return _choice_of_mean(mean, solution, data, placement)
+    return solutions[-1] if is_last_better else solutions[0]
 
 
 def evidence_of(structure: Structure, values: Array, data: Measurements, placement: Placement) -> float:
@@ -454,7 +487,9 @@ def _mean_of_structures(solution: _CandidateEquations, compensator: bool) -> Mea
             continue
         nonlinear = not set(member_kinds).isdisjoint(GEARS)
         columns = np.flatnonzero(np.isin(kinds, [*member_kinds, AT_REST] if nonlinear else member_kinds))
-        members.append(Member.of(name, nonlinear, equations, solution.prior, columns, fold))
+        members.append(
+            Member.of(name, nonlinear, equations=equations, prior=solution.prior, columns=columns, fold=fold)
+        )
     evidence = np.array([member.regression.evidence for member in members])
     is_linear = np.array([not member.nonlinear for member in members])
     has_clear_gears = evidence.max() >= evidence[is_linear].max() + CLEAR
@@ -477,40 +512,55 @@ def _extend(
 
     :returns: the mean, and `solution` with the new parameters; both unchanged if the evidence is against them.
     """
-    structure = mean.structure
-    unloaded = unloaded_joints(structure.prior, data)
+    unloaded = unloaded_joints(mean.structure.prior, data)
     loaded = [joint for joint in JOINT_COMPLIANCES if joint not in unloaded]
     couplings, waves = over_pose.couplings(loaded), over_pose.waves(loaded)
-    old_size = len(structure.parameters)
-    structure = replace(structure, parameters=(*structure.parameters, *couplings, *waves))
-    size, prior = len(structure.parameters), prior_of(structure)
-    values = np.concatenate([mean.solve(), np.zeros(size - old_size)])
+    parameters = (*mean.structure.parameters, *couplings, *waves)
+    structure = replace(mean.structure, parameters=parameters)
+    prior, first_new = prior_of(structure), len(mean.structure.parameters)
+    values = np.concatenate([mean.solve(), np.zeros(len(parameters) - first_new)])
     equations = linearise(structure, values, data, placement)
-    fold = folds(equations)
-    best = max((member for _, member in mean.weighted_members), key=lambda member: member.regression.evidence)
-    base = Member.of(best.name, best.nonlinear, equations, prior, best.regression.columns, fold)
-    extensions = []
-    for label, first, count in (
-        (", coupled wrist", old_size, len(couplings)),
-        (", over the pose", old_size + len(couplings), len(waves)),
-    ):
-        columns = np.concatenate([base.regression.columns, np.arange(first, first + count)])
-        member = Member.of(base.name + label, base.nonlinear, equations, prior, columns, fold)
-        if count > 0 and member.regression.evidence > base.regression.evidence + CLEAR:
-            base = member
-            extensions.append(member)
+    coupling_columns, wave_columns = np.split(np.arange(first_new, len(parameters)), [len(couplings)])
+    additions = {", coupled wrist": coupling_columns, ", over the pose": wave_columns}
+    extensions = _supported_extensions(mean, equations, prior, additions)
     if not extensions:
         return mean, solution
     # the structures of the mean have the new parameters too, at zero
-    old_members = [replace(member, regression=replace(member.regression, size=size)) for member in mean.members]
+    old_members = [
+        replace(member, regression=replace(member.regression, size=len(parameters))) for member in mean.members
+    ]
     members = (*old_members, *extensions)
     stacked_rows = np.flatnonzero([*(mean.weights > 0.0), *(True for _ in extensions)])
     weights = _stacking_weights(equations, members, stacked_rows)
     kinds = (*solution.kinds, *(COUPLING for _ in couplings), *(OVER_POSE for _ in waves))
-    solution = replace(
-        solution, structure=structure, kinds=kinds, prior=prior, equations=equations, whole=base.regression
-    )
+    whole = extensions[-1].regression
+    solution = replace(solution, structure=structure, kinds=kinds, prior=prior, equations=equations, whole=whole)
     return Mean(structure, equations, members, weights), solution
+
+
+def _supported_extensions(
+    mean: Mean, equations: LinearEquations, prior: Prior, additions: Mapping[str, Ints]
+) -> list[Member]:
+    """Return the best structure of a mean with further parameters, as often as the evidence for them is clear.
+
+    :param equations: with the further parameters, and `prior` of them too.
+    :param additions: end of the structure's name → columns of the parameters that are tried next, after those before.
+    """
+    fold = folds(equations)
+    best = max((member for _, member in mean.weighted_members), key=lambda member: member.regression.evidence)
+    base = Member.of(
+        best.name, best.nonlinear, equations=equations, prior=prior, columns=best.regression.columns, fold=fold
+    )
+    extensions = []
+    for label, new_columns in additions.items():
+        if len(new_columns) > 0:
+            columns = np.concatenate([base.regression.columns, new_columns])
+            name = base.name + label
+            member = Member.of(name, base.nonlinear, equations=equations, prior=prior, columns=columns, fold=fold)
+            if member.regression.evidence > base.regression.evidence + CLEAR:
+                base = member
+                extensions.append(member)
+    return extensions
 
 
 def _fold_residuals(regression: Regression, equations: LinearEquations, fold: Ints) -> Array:
@@ -549,7 +599,7 @@ def _stacking_weights(equations: LinearEquations, members: Sequence[Member], row
 
 
 def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurements, placement: Placement) -> Choice:
-    """Return the mean as a fit with its posterior covariance, its cross-validation errors and the wider covariance.
+    """Return the mean as a fit with its posterior covariance, cross-validation errors, and covariance of the bound.
 
     Parameters that change nothing are omitted: springs of links that are zero, waves of a compliance that is constant.
 
@@ -563,11 +613,12 @@ def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurement
     # springs of links that are zero cost a coordinate each: the remaining ones take their place
     is_link = np.array([isinstance(parameter, LinkSpring) for parameter in parameters])
     is_constant = _is_constant_over_pose(mean.structure, spread)
-    kept = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link) & ~is_constant)
-    transform = projection(equations, kept, spread)
+    columns = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link) & ~is_constant)
+    transform = projection(equations, columns, spread)
     dof, influence = _effective_parameters(mean)
+    # twice the posterior times the design effect, and the jackknife: so the bound holds for nearly every robot
     wider = 2.0 * design_effect(equations, influence, held_out_residual) * posterior + jackknife
-    fit = _fit_of(mean, kept, transform @ posterior @ transform.T, dof, data, placement)
+    fit = _fit_of(mean, columns, transform @ posterior @ transform.T, dof, data, placement)
     square_errors, table = equations.mean_squares(held_out_residual), _candidate_table(mean)
     is_narrower = np.sqrt(np.diag(posterior)) < _PRIOR_SHARE * spread
     left_out = held_out_residual.reshape(len(data.loaded_states), len(data.points), 3)
@@ -601,26 +652,27 @@ def _effective_parameters(mean: Mean) -> tuple[float, Array]:
     return float(number), np.asarray(influence)
 
 
-def _fit_of(mean: Mean, kept: Ints, covariance: Array, dof: float, data: Measurements, placement: Placement) -> Fit:
+def _fit_of(
+    mean: Mean, columns: Ints, covariance: Array, parameter_number: float, data: Measurements, placement: Placement
+) -> Fit:
     """Return a mean as a fit of some of its parameters; the others are zero.
 
-    :param kept: (k,) their indices.
+    :param columns: (k,) indices of these parameters.
     :param covariance: (k, k) of them [SI].
-    :param dof: effective number of parameters.
+    :param parameter_number: effective number of parameters.
     """
-    equations, values = mean.equations, mean.solve()[kept]
-    structure = replace(mean.structure, parameters=tuple(mean.structure.parameters[index] for index in kept))
-    displacement, _ = predict(structure, values, data, placement)
-    residual = displacement_residuals(displacement, data, placement)
-    white_residual = whiten(whitening(data), residual).ravel()
-    return Fit(
-        structure=structure,
-        values=values,
+    equations, values = mean.equations, mean.solve()[columns]
+    structure = replace(mean.structure, parameters=tuple(mean.structure.parameters[index] for index in columns))
+    prediction, _ = predict(structure, values, data, placement)
+    return Fit.of(
+        structure,
+        values,
+        data,
+        placement,
         covariance=covariance,
-        residual=residual,
-        chi2=float(white_residual @ white_residual),
-        dof=max(1, round(equations.count - dof)),
-        design=equations.design[:, kept],
+        dof=max(1, round(equations.count - parameter_number)),
+        prediction=prediction,
+        design=equations.design[:, columns],
         target=equations.target,
     )
 
@@ -676,16 +728,18 @@ def design_effect(equations: LinearEquations, influence: Array, residual: Array)
     return max(1.0, common_variance / independent) if independent > 0.0 else 1.0
 
 
-def projection(equations: LinearEquations, keep: Ints, spread: Array) -> Array:
-    """Return the matrix (k, p) that turns all parameters into k kept ones with about the same effect on the readings.
+def projection(equations: LinearEquations, columns: Ints, spread: Array) -> Array:
+    """Return the matrix (k, p) that turns p parameters into k of them with about the same effect on the readings.
 
-    :param keep: (k,) indices of the kept parameters.
-    :param spread: (p,) prior standard deviations: changes of kept parameters that are large against them are avoided.
+    Least squares on the readings, with the prior of the k parameters as a ridge.
+
+    :param columns: (k,) indices of the k parameters.
+    :param spread: (p,) prior standard deviations: changes of the k that are large against them are avoided.
     """
-    square = spread[keep, None] * equations.normal(np.arange(len(spread))).square[keep]
-    normal = square[:, keep] * spread[keep] + np.eye(len(keep))
-    matrix = spread[keep, None] * np.linalg.solve(normal, square)
-    matrix[:, keep] = np.eye(len(keep))
+    square = spread[columns, None] * equations.normal(np.arange(len(spread))).square[columns]
+    normal = square[:, columns] * spread[columns] + np.eye(len(columns))
+    matrix = spread[columns, None] * np.linalg.solve(normal, square)
+    matrix[:, columns] = np.eye(len(columns))  # these stay as they are
     return np.asarray(matrix)
 
 

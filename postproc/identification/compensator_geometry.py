@@ -1,6 +1,6 @@
 """Geometry of the gravity compensator from tracker readings: L by Eq. (6), a_x and a_y by Eq. (7), with intervals.
 
-Source: Klimchik et al., Eq. (6), (7), with the corrections of print noted at `joint_axis_radius` and `swivel_axis`.
+Source: Klimchik et al., Eq. (6), (7), with the corrections of print noted at `joint_circle` and `swivel_axis`.
 
 The plane of the mechanism is found from the readings, so the tracker may be anywhere. Its axes: origin P2, x towards
 P1 at q2 = 0, y towards P1 at q2 = +90° (KUKA sign, so y points down when x points ahead). In these axes P1 is
@@ -15,6 +15,7 @@ from typing import Annotated, NamedTuple
 import msgspec
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc import files
 from postproc.compensator import Compensator
@@ -33,6 +34,7 @@ _OUTLIER = 6.0
 _SMALL_TURN = 10.0 * RAD_PER_DEG
 """Markers that turn with A2 by less do not show where its axis is (assumed)."""
 _Groups = dict[tuple[str, float], Ints]
+"""(Marker, q2 [deg]) → rows of its repeats in the file."""
 _IMPOSSIBLE = 2e-3
 """Residual [m] that no tracker makes: a point has the wrong name, or an angle is wrong."""
 _LEAST_SPAN = 1e-2
@@ -167,7 +169,7 @@ class JointCircle(NamedTuple):
     centre: Array
 
 
-def joint_axis_radius(q2: Array, p1: Array) -> JointCircle:
+def joint_circle(q2: Array, p1: Array) -> JointCircle:
     """Return the circle of P1 about joint axis 2.
 
     By Eq. (6) of Klimchik et al., with a transpose that is missing in print: the SVD is of Σ û p̂ᵀ.
@@ -203,7 +205,7 @@ def swivel_axis(p0: Array) -> tuple[Array, Array]:
     s_hat = square - square.mean(axis=-1, keepdims=True)
     eigenvalues, vectors = np.linalg.eigh(np.einsum("...kmi,...kmj->...ij", p_hat, p_hat))
     normal, plane = vectors[..., 0], vectors[..., 1:]
-    if np.any(eigenvalues[..., 1] <= 1e-16 * eigenvalues[..., 2]):
+    if np.any(eigenvalues[..., 1] <= 1e-16 * eigenvalues[..., 2]):  # of squares: 1e-8 of a length is rounding
         raise MeasurementError(
             "the markers on the compensator moved along a straight line: their centre of rotation cannot be found",
             advice="Measure a wider range of q2, and markers on opposite sides of P0.",
@@ -230,7 +232,7 @@ def geometry(q2: Array, p1: Array, p0: Array) -> Array:
     >>> geometry(angle, 0.18 * circle, np.stack([0.1 * arc, -0.2 * arc]) - [0.68, 0.12, 0.0]).round(9).tolist()
     [0.18, 0.68, 0.12]
     """
-    length, axes, centre_p2 = joint_axis_radius(q2, p1)
+    length, axes, centre_p2 = joint_circle(q2, p1)
     centre_p0, _ = swivel_axis(p0)
     offset = np.einsum("...ji,...j->...i", axes, centre_p0 - centre_p2)
     return np.stack([length, -offset[..., 0], -offset[..., 1]], axis=-1)
@@ -270,8 +272,10 @@ def noise_covariance(q2: Array, p1: Array, p0: Array, variance_p1: Array, varian
     coordinates = np.concatenate([p1.ravel(), p0.ravel()])
     variance = np.repeat(np.concatenate([variance_p1.ravel(), variance_p0.ravel()]), 3)
     n = len(coordinates)
+    # one coordinate is changed in each row: up in the first n, down in the others
     variations = coordinates + step * np.concatenate([np.eye(n), -np.eye(n)])
-    results = geometry(q2, variations[:, : 3 * m].reshape(-1, m, 3), variations[:, 3 * m :].reshape(-1, k, m, 3))
+    varied_p1, varied_p0 = np.split(variations, [p1.size], axis=1)
+    results = geometry(q2, varied_p1.reshape(-1, m, 3), varied_p0.reshape(-1, k, m, 3))
     sensitivity = (results[:n] - results[n:]) / (2.0 * step)
     return np.asarray((sensitivity.T * variance) @ sensitivity)
 
@@ -356,32 +360,51 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
     _refuse_size(value * MM_PER_M)
     noise = _noise(readings, residual_p1, residual_p0)
     sigma, dof = noise.sigma, noise.dof
-    pivot_distance = np.hypot(value[1], value[2])
-    if pivot_distance <= value[0]:
-        raise MeasurementError(
-            f"P0 comes out {pivot_distance * MM_PER_M:.1f} mm from P2, inside the circle of P1 "
-            f"({value[0] * MM_PER_M:.1f} mm)",
-            advice="Check the sign of q2 (KUKA: negative upwards), and that the markers P01… sit on the compensator.",
-        )
     variance = sigma**2 / readings.count_p0
-    _, axes, _ = joint_axis_radius(q2, p1)
+    axes = joint_circle(q2, p1).axes
     bias = np.concatenate([[0.0], -(axes.T @ pivot_bias(p0, variance))[:2]])
     covariance = noise_covariance(q2, p1, p0, sigma**2 / readings.count_p1, variance) + np.outer(bias, bias)
-    t_factor = student_95(dof)
-    ci95 = t_factor * np.sqrt(np.diag(covariance))
+    ci95 = student_95(dof) * np.sqrt(np.diag(covariance))
     radius, angle = _polar_coordinates(value, readings, axes)
-    even_radius, even_angle = np.full(len(p0), radius.mean()), even_angles(len(p0)) + float(angle[0])
-    mean_variance = sigma**2 / float(readings.count_p0.mean())
-    even_covariance = expected_covariance(value, q2, even_radius, even_angle, mean_variance)
-    markers = MarkerPlacement(readings.markers, radius, angle, bias, t_factor * np.sqrt(np.diag(even_covariance)))
+    even_intervals = _even_intervals(value, readings, radius=radius, angle=angle, sigma=sigma, dof=dof)
+    markers = MarkerPlacement(readings.markers, radius, angle, bias, even_intervals)
     turn = float(np.ptp(spring_direction(value, q2)))
     warnings = [*readings.warnings, *noise.warnings]
-    if np.any(ci95 > _WIDE * pivot_distance):
+    if np.any(ci95 > _WIDE * np.hypot(value[1], value[2])):
         warnings.append(
             f"a_x ± {ci95[1] * MM_PER_M:.1f} mm, a_y ± {ci95[2] * MM_PER_M:.1f} mm: the compensator turned by only "
             f"{turn * DEG_PER_RAD:.1f}°. {_remedy(markers, ci95)}"
         )
-    return CompensatorGeometry(value, covariance, ci95, sigma, dof, turn, markers, tuple(warnings))
+    return CompensatorGeometry(
+        value=value,
+        covariance=covariance,
+        ci95=ci95,
+        sigma=sigma,
+        dof=dof,
+        turn=turn,
+        markers=markers,
+        warnings=tuple(warnings),
+    )
+
+
+def _even_intervals(
+    value: Array, readings: MarkerReadings, *, radius: Array, angle: Array, sigma: float, dof: int
+) -> Array:
+    """Return the half widths (3,) [m] of the 95 % intervals with as many markers spread evenly around P0.
+
+    :param value: (3,) L, a_x, a_y [m].
+    :param radius: (k,) of the markers [m], and `angle` (k,) from the line P0 → P1 [rad].
+    :param sigma: noise of one coordinate of one reading [m], and `dof` its degrees of freedom.
+    """
+    count = len(radius)
+    covariance = expected_covariance(
+        value,
+        readings.q2,
+        radius=np.full(count, radius.mean()),
+        angle=even_angles(count) + float(angle[0]),
+        variance=sigma**2 / float(readings.count_p0.mean()),
+    )
+    return np.asarray(student_95(dof) * np.sqrt(np.diag(covariance)))
 
 
 class _Noise(NamedTuple):
@@ -460,7 +483,7 @@ def _unit_vectors(angle: Array) -> Array:
 
 def _circle_residuals(readings: MarkerReadings) -> tuple[Array, Array]:
     """Return the residuals of the circles [m]: of P1 (m, 3), and of the other markers (k, m, 2), radial and axial."""
-    length, axes, centre_p2 = joint_axis_radius(readings.q2, readings.p1)
+    length, axes, centre_p2 = joint_circle(readings.q2, readings.p1)
     residual_p1 = readings.p1 - centre_p2 - length * _unit_vectors(readings.q2) @ axes.T
     centre_p0, normal = swivel_axis(readings.p0)
     height = (readings.p0 - centre_p0) @ normal
@@ -520,15 +543,21 @@ def _refuse_changed_distances(readings: MarkerReadings) -> None:
 
 
 def _refuse_size(value: Array) -> None:
-    """Refuse L, a_x, a_y (3,) [mm] that `load` does not accept.
+    """Refuse L, a_x, a_y (3,) [mm] that no compensator has.
 
-    :raises MeasurementError: no robot has a compensator of this size.
+    :raises MeasurementError: a length is out of range, or P0 is inside the circle of P1.
     """
     if not _LENGTHS[0] <= value[0] <= _LENGTHS[1] or np.abs(value[1:]).max() > _MOST_OFFSET:
         raise MeasurementError(
             f"L comes out {value[0]:.3g} mm, a_x {value[1]:.3g} mm, a_y {value[2]:.3g} mm: "
             "no robot has such a compensator",
             advice="Give X, Y, Z in mm and q2 in degrees, and check the names of the markers.",
+        )
+    pivot_distance = np.hypot(value[1], value[2])
+    if pivot_distance <= value[0]:
+        raise MeasurementError(
+            f"P0 comes out {pivot_distance:.1f} mm from P2, inside the circle of P1 ({value[0]:.1f} mm)",
+            advice="Check the sign of q2 (KUKA: negative upwards), and that the markers P01… sit on the compensator.",
         )
 
 
@@ -566,19 +595,26 @@ def read(path: Path) -> MarkerReadings:
     }
     _check_repeats(groups, numbers["repeat"], lines, file_name)
     groups, warnings = _remove_outliers(groups, position, lines)
+    return replace(_mean_readings(groups, position, angles, on_compensator), warnings=warnings)
+
+
+def _mean_readings(groups: _Groups, position: Array, angles: Array, markers: tuple[str, ...]) -> MarkerReadings:
+    """Return the means and the scatter of the repeats.
+
+    :param position: (n, 3) of all readings [m].
+    :param angles: (m,) of joint 2 [deg].
+    :param markers: names of those on the compensator.
+    """
     mean = {key: position[rows].mean(axis=0) for key, rows in groups.items()}
-    scatter = sum(float(np.sum((position[rows] - mean[key]) ** 2)) for key, rows in groups.items())
-    dof = sum(3 * (len(rows) - 1) for rows in groups.values())
     return MarkerReadings(
         q2=angles * RAD_PER_DEG,
-        markers=on_compensator,
+        markers=markers,
         p1=np.array([mean[P1, angle] for angle in angles]),
-        p0=np.array([[mean[name, angle] for angle in angles] for name in on_compensator]),
+        p0=np.array([[mean[name, angle] for angle in angles] for name in markers]),
         count_p1=np.array([float(len(groups[P1, angle])) for angle in angles]),
-        count_p0=np.array([[float(len(groups[name, angle])) for angle in angles] for name in on_compensator]),
-        scatter=scatter,
-        scatter_dof=dof,
-        warnings=warnings,
+        count_p0=np.array([[float(len(groups[name, angle])) for angle in angles] for name in markers]),
+        scatter=sum(float(np.sum((position[rows] - mean[key]) ** 2)) for key, rows in groups.items()),
+        scatter_dof=sum(3 * (len(rows) - 1) for rows in groups.values()),
     )
 
 

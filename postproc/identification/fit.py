@@ -25,6 +25,7 @@ negative. The posterior covariance (DᵀD/φ + S⁻²)⁻¹ never exceeds S².
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -97,9 +98,41 @@ class Fit(Struct, frozen=True, eq=False):
     design: Array
     target: Array
 
+    @classmethod
+    def of(
+        cls,
+        structure: Structure,
+        values: Array,
+        data: Measurements,
+        placement: Placement,
+        *,
+        covariance: Array,
+        dof: int,
+        prediction: Array,
+        design: Array,
+        target: Array | None = None,
+    ) -> Fit:
+        """Return the fit with values of the parameters, with the residuals of a prediction by them.
+
+        :param prediction: (L, P, 3) displacements of the points in the loaded states, root axes [m].
+        :param target: (rows,) right side of the equations; None: whitened residuals + design·values.
+        """
+        residual = displacement_residuals(prediction, data, placement)
+        white_residual = whiten(whitening(data), residual).ravel()
+        return cls(
+            structure=structure,
+            values=values,
+            covariance=covariance,
+            residual=residual,
+            chi2=float(white_residual @ white_residual),
+            dof=dof,
+            design=design,
+            target=white_residual + design @ values if target is None else target,
+        )
+
     @property
     def robot(self) -> RobotModel:
-        """The robot with the values found."""
+        """The robot with the values of the fit."""
         return self.structure.robot(self.values)
 
     @property
@@ -141,7 +174,7 @@ def gauss_newton(
             prediction, slopes = predict(structure, values, data, placement)
             cost = float(np.sum(whiten(whitening_matrices, displacement - prediction) ** 2))
         except NotConvergedError:
-            if values is last_good_values:
+            if values is last_good_values:  # the start itself: there is no step to halve
                 raise
             cost = np.inf
         if cost > _WORSE * smallest_cost:  # a step too far, perhaps without equilibrium: halve it
@@ -162,21 +195,19 @@ def gauss_newton(
 
 def _fit_at(structure: Structure, values: Array, data: Measurements, placement: Placement) -> Fit:
     """Return the fit with parameters (p,) [SI]: residuals, and the covariance of the equations linearised there."""
-    whitening_matrices = whitening(data)
     size = len(structure.parameters)
     prediction, slopes = predict(structure, values, data, placement)
-    design = whiten(whitening_matrices, slopes).reshape(-1, size)
-    residual = displacement_residuals(prediction, data, placement)
-    white_residual = whiten(whitening_matrices, residual).ravel()
-    return Fit(
-        structure=structure,
-        values=values,
+    design = whiten(whitening(data), slopes).reshape(-1, size)
+    reading_count = int(np.count_nonzero(np.linalg.norm(design, axis=1) > 0.0))
+    return Fit.of(
+        structure,
+        values,
+        data,
+        placement,
         covariance=covariance_of(design, structure.usual()),
-        residual=residual,
-        chi2=float(white_residual @ white_residual),
-        dof=int(np.count_nonzero(np.linalg.norm(design, axis=1) > 0.0)) - size,
+        dof=reading_count - size,
+        prediction=prediction,
         design=design,
-        target=white_residual + design @ values,
     )
 
 
@@ -209,7 +240,28 @@ def covariance_of(design: Array, typical: Array) -> Array:
     return np.asarray(covariance)
 
 
-def to_file_units(fit: Fit) -> tuple[tuple[Parameter, ...], Array, Array]:
+def correlations(covariance: Array) -> Array:
+    """Return the correlations (p, p) of a covariance (p, p); 0 where a variance is zero or infinite."""
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = covariance / np.outer(deviation, deviation)
+    return np.asarray(np.nan_to_num(correlation, posinf=0.0, neginf=0.0))
+
+
+class FileValues(NamedTuple):
+    """Parameters of a fit in the units of `model.toml`.
+
+    :param parameters: p of them.
+    :param values: (p,).
+    :param covariance: (p, p).
+    """
+
+    parameters: tuple[Parameter, ...]
+    values: Array
+    covariance: Array
+
+
+def to_file_units(fit: Fit) -> FileValues:
     """Return parameters, values and covariance of a fit in the units of `model.toml`.
 
     k1…k6 are compliances at small torque, fading parts included; s₀ comes from K_c·s₀.
@@ -228,7 +280,7 @@ def to_file_units(fit: Fit) -> tuple[tuple[Parameter, ...], Array, Array]:
             advice="Measure configurations and loads that put torque on these joints.",
         )
     covariance = slopes @ fit.covariance @ slopes.T
-    return parameters, values, 0.5 * (covariance + covariance.T)
+    return FileValues(parameters, values, 0.5 * (covariance + covariance.T))
 
 
 _HUBER = 3.5
@@ -289,16 +341,13 @@ class LinearEquations(Struct, frozen=True, eq=False, dict=True):
         """Return the normal equations of n parameters: (n, n), (n,) and ().
 
         :param columns: (n,) indices of these parameters.
-        :param excluded_configs: configurations to leave out.
+        :param excluded_configs: configurations to leave out; None: none.
         """
-        square, right, square_sum = self._sum
+        sums = self._sum
         if excluded_configs is not None:
-            excluded_square, excluded_right, excluded_square_sum = (
-                part[excluded_configs].sum(axis=0) for part in self.by_configuration
-            )
-            square, right = square - excluded_square, right - excluded_right
-            square_sum = square_sum - excluded_square_sum
-        return NormalEquations(square[np.ix_(columns, columns)], right[columns], square_sum)
+            excluded_sums = (part[excluded_configs].sum(axis=0) for part in self.by_configuration)
+            sums = NormalEquations(*(total - part for total, part in zip(sums, excluded_sums, strict=True)))
+        return NormalEquations(sums.square[np.ix_(columns, columns)], sums.right[columns], sums.square_sum)
 
     @cached_property
     def _sum(self) -> NormalEquations:
@@ -490,11 +539,11 @@ class Regression(Struct, frozen=True, eq=False):
         order, signed_count = np.argsort(~self.signed, kind="stable"), int(np.count_nonzero(self.signed))
         lower = np.linalg.cholesky(normal[np.ix_(order, order)])
         target, upper = np.linalg.solve(lower, right[order]), lower.T
-        is_free, is_bounded = slice(0, signed_count), slice(signed_count, None)  # signed, and non-negative parameters
+        signed, bounded = slice(0, signed_count), slice(signed_count, None)  # parts of the order; bounded: ≥ 0
         scaled_values = np.empty(len(order))
-        scaled_values[is_bounded], _ = nnls(upper[is_bounded, is_bounded], target[is_bounded], maxiter=100 * len(order))
-        scaled_values[is_free] = np.linalg.solve(
-            upper[is_free, is_free], target[is_free] - upper[is_free, is_bounded] @ scaled_values[is_bounded]
+        scaled_values[bounded], _ = nnls(upper[bounded, bounded], target[bounded], maxiter=100 * len(order))
+        scaled_values[signed] = np.linalg.solve(
+            upper[signed, signed], target[signed] - upper[signed, bounded] @ scaled_values[bounded]
         )
         values = np.zeros(self.size)
         values[self.columns[order]] = scaled_values * self.spread[order]
@@ -549,64 +598,86 @@ class Regression(Struct, frozen=True, eq=False):
         return normal, right * self.spread / self.noise + self.mean / self.spread
 
 
-def learn(equations: LinearEquations, prior: Prior, columns: Ints) -> Regression:
-    """Return the regression whose prior widths and noise factor maximise the evidence (MacKay 1992).
+class _Evidence(Struct, frozen=True, eq=False):
+    """Evidence of the readings for factors on the prior standard deviations, and for the noise factor φ.
 
     With the whitened design D, the readings y, the prior N(m, S²) and the noise factor φ, y is normal about D·m with
-    covariance φ·1 + D S² Dᵀ. S has one factor for each kind of parameter; the logarithms of factors and of φ have
-    normal priors.
+    covariance φ·1 + D S² Dᵀ. S has one factor for each of k kinds of parameters. Factors and φ are given by `logs`
+    (k + 1,), their natural logarithms, φ last; these have normal priors. The normal equations are those for deviations
+    of n parameters from m, in units of their standard deviations at factor 1.
+
+    :param square: (n, n) matrix of the normal equations, `right` (n,) their right side.
+    :param square_sum: sum of the squares of the deviations of y from D·m.
+    :param count: number of readings.
+    :param kind_rows: for each kind the rows of its parameters, among n.
+    :param log_mean: (k + 1,) prior mean of `logs`, and `log_sigma` (k + 1,) standard deviation.
+    """
+
+    square: Array
+    right: Array
+    square_sum: float
+    count: int
+    kind_rows: Sequence[Ints]
+    log_mean: Array
+    log_sigma: Array
+
+    @classmethod
+    def of(cls, equations: LinearEquations, prior: Prior, columns: Ints) -> _Evidence:
+        """Return the evidence for parameters; `columns` (n,): their indices among those of the equations."""
+        size, mean = prior.size[columns], prior.mean[columns]
+        kinds = [name for index, name in enumerate(prior.kinds) if (prior.kind[columns] == index).any()]
+        square, right, target_square = equations.normal(columns)
+        return cls(
+            square=square * np.outer(size, size),
+            right=(right - square @ mean) * size,
+            square_sum=float(target_square) - 2.0 * float(mean @ right) + float(mean @ square @ mean),
+            count=equations.count,
+            kind_rows=[np.flatnonzero(prior.kind[columns] == prior.kinds.index(name)) for name in kinds],
+            log_mean=np.array([*(FACTORS[name][0] for name in kinds), 0.0]),
+            log_sigma=np.array([*(FACTORS[name][1] for name in kinds), _NOISE_SPREAD]),
+        )
+
+    def factors(self, logs: Array) -> Array:
+        """Return the factor on the standard deviation of each parameter (n,), 1 for those of no kind."""
+        factor = np.ones(len(self.right))
+        for log, rows in zip(logs[:-1], self.kind_rows, strict=True):
+            factor[rows] = np.exp(log)
+        return factor
+
+    def cost(self, logs: Array) -> tuple[float, Array]:
+        """Return −log evidence, up to a constant, and its derivatives (k + 1,) by `logs`."""
+        factor, noise = self.factors(logs), float(np.exp(logs[-1]))
+        normal = np.eye(len(factor)) + factor[:, None] * self.square * factor / noise
+        lower = np.linalg.cholesky(normal)
+        inverse = np.linalg.inv(normal)
+        values = inverse @ (factor * self.right) / noise  # over their standard deviations
+        scaled = factor * values
+        residual_sum = self.square_sum - 2.0 * float(scaled @ self.right) + float(scaled @ self.square @ scaled)
+        log_determinant_half = float(np.log(np.diag(lower)).sum())
+        value = 0.5 * (residual_sum / noise + values @ values + self.count * logs[-1]) + log_determinant_half
+        information_share = 1.0 - np.diag(inverse)  # of the readings in what is known of each parameter
+        slope = [float((information_share[rows] - values[rows] ** 2).sum()) for rows in self.kind_rows]
+        slope.append(0.5 * (self.count - float(information_share.sum())) - 0.5 * residual_sum / noise)
+        deviation = (logs - self.log_mean) / self.log_sigma
+        return value + 0.5 * float(deviation @ deviation), np.array(slope) + deviation / self.log_sigma
+
+
+def learn(equations: LinearEquations, prior: Prior, columns: Ints) -> Regression:
+    """Return the regression whose prior widths and noise factor maximise the evidence (MacKay 1992), see the module.
 
     :param columns: (n,) indices of the parameters to use, among those of the equations.
     """
     from scipy.optimize import minimize
 
-    size, mean = prior.size[columns], prior.mean[columns]
-    kinds = [name for index, name in enumerate(prior.kinds) if (prior.kind[columns] == index).any()]
-    members = [np.flatnonzero(prior.kind[columns] == prior.kinds.index(name)) for name in kinds]
-    square, right, target_square = equations.normal(columns)
-    # normal equations for the deviations from the mean, in units of the sizes
-    square_sum = float(target_square) - 2.0 * float(mean @ right) + float(mean @ square @ mean)
-    right = (right - square @ mean) * size
-    square = square * np.outer(size, size)
-    count = equations.count
-    log_mean = np.array([*(FACTORS[name][0] for name in kinds), 0.0])
-    log_sigma = np.array([*(FACTORS[name][1] for name in kinds), _NOISE_SPREAD])
-
-    def factors(logs: Array) -> Array:
-        """Return the factor on the size of each parameter (n,), 1 for those of no kind.
-
-        :param logs: natural logarithms of the factors of the kinds; the last one, of φ, is not used.
-        """
-        factor = np.ones(len(columns))
-        for log, rows in zip(logs, members, strict=False):
-            factor[rows] = np.exp(log)
-        return factor
-
-    def cost(logs: Array) -> tuple[float, Array]:
-        """Return −log evidence, up to a constant, and its derivatives by the logarithms of factors and φ.
-
-        :param logs: natural logarithms of the factors of the kinds, and of φ.
-        """
-        factor, noise = factors(logs), float(np.exp(logs[-1]))
-        normal = np.eye(len(columns)) + factor[:, None] * square * factor / noise
-        lower = np.linalg.cholesky(normal)
-        inverse = np.linalg.inv(normal)
-        values = inverse @ (factor * right) / noise
-        scaled = factor * values
-        residual_sum = square_sum - 2.0 * float(scaled @ right) + float(scaled @ square @ scaled)
-        value = 0.5 * (residual_sum / noise + values @ values + count * logs[-1]) + float(np.log(np.diag(lower)).sum())
-        information_share = 1.0 - np.diag(inverse)  # of the readings in what is known of each parameter
-        slope = [float((information_share[rows] - values[rows] ** 2).sum()) for rows in members]
-        slope.append(0.5 * (count - float(information_share.sum())) - 0.5 * residual_sum / noise)
-        deviation = (logs - log_mean) / log_sigma
-        return value + 0.5 * float(deviation @ deviation), np.array(slope) + deviation / log_sigma
-
-    limits = [*([(_NARROWEST, _WIDEST)] * len(kinds)), (0.0, _MOST_NOISE)]
-    optimum = minimize(cost, log_mean, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 200})
+    evidence = _Evidence.of(equations, prior, columns)
+    limits = [*([(_NARROWEST, _WIDEST)] * len(evidence.kind_rows)), (0.0, _MOST_NOISE)]
+    optimum = minimize(
+        evidence.cost, evidence.log_mean, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 200}
+    )
     return Regression(
         columns=columns,
-        mean=mean,
-        spread=size * factors(optimum.x),
+        mean=prior.mean[columns],
+        spread=prior.size[columns] * evidence.factors(optimum.x),
         signed=prior.signed[columns],
         noise=float(np.exp(optimum.x[-1])),
         evidence=0.5 * float(np.log(equations.weight).sum()) - float(optimum.fun),

@@ -23,13 +23,12 @@ from postproc import elastostatics, kinematics
 from postproc.compensator import Compensator
 from postproc.errors import MeasurementError, PostprocError
 from postproc.frames import Array, twist_between
-from postproc.identification.fit import Fit, covariance_of, gauss_newton
+from postproc.identification.fit import Fit, correlations, covariance_of, gauss_newton
 from postproc.identification.measurement_model import (
     LevelCompliance,
     Placement,
     Structure,
     device_to_root,
-    displacement_residuals,
     joint_torques,
     kabsch,
     levels_of,
@@ -41,6 +40,7 @@ from postproc.identification.readings import Measurements
 from postproc.robot import (
     COMPENSATOR,
     JOINT_COMPLIANCES,
+    PER_URAD,
     CompensatorPreload,
     CompensatorStiffness,
     JointCompliance,
@@ -75,20 +75,19 @@ class UnobservableParameter(Struct, frozen=True):
         return f"{self.name} is not observable: {self.reason}. {self.advice} The robot's prior value is kept."
 
 
-def not_observable(fit: Fit, data: Measurements, with_misfit: bool = False) -> list[UnobservableParameter]:
+def not_observable(fit: Fit, data: Measurements, covariance_has_misfit: bool = False) -> list[UnobservableParameter]:
     """Return the joint compliances and compensator values that the fit does not determine.
 
     The compensator comes first, then the compliances by the width of their intervals, widest first.
 
-    :param with_misfit: the covariance already contains the unexplained residual.
+    :param covariance_has_misfit: the covariance already contains the unexplained residual.
     """
     robot = fit.structure.prior
     torque = joint_torques(robot, data)
     entries = []
     # an unexplained residual widens the intervals
-    has_misfit = not with_misfit and fit.chi2 > 2.0 * fit.dof > 0
-    interval_factor = np.sqrt(max(1.0, fit.chi2 / fit.dof)) if has_misfit else 1.0
-    correlation = _correlation(fit.covariance)
+    widens_intervals = not covariance_has_misfit and fit.chi2 > 2.0 * fit.dof > 0
+    interval_factor = np.sqrt(max(1.0, fit.chi2 / fit.dof)) if widens_intervals else 1.0
     for index, parameter in enumerate(fit.structure.parameters):
         if not isinstance(parameter, JointCompliance):
             continue
@@ -97,12 +96,14 @@ def not_observable(fit: Fit, data: Measurements, with_misfit: bool = False) -> l
         # a value far below the prior is judged against the prior: a noisy small value would never count as determined
         if half_width <= UNCERTAIN * max(abs(fit.values[index]), prior_value) and fit.values[index] > 0.0:
             continue
-        entries.append((half_width, _unobservable_joint(parameter, torque, fit, index, half_width, correlation)))
+        entry = _unloaded_joint(parameter, torque) or _uncertain_joint(parameter, fit, half_width)
+        entries.append((half_width, entry))
     spring = CompensatorStiffness()
     if spring in fit.structure.parameters:
         is_k2_undetermined = any(entry.parameter == JOINT_COMPLIANCES[1] for _, entry in entries)
-        if entry := _unobservable_compensator(fit, data, interval_factor, is_k2_undetermined):
-            entries.append((np.inf, entry))
+        spring_entry = _unobservable_compensator(fit, data, interval_factor, is_k2_undetermined)
+        if spring_entry is not None:
+            entries.append((np.inf, spring_entry))
     # the compensator first: without it k2 is determined again
     return [entry for _, entry in sorted(entries, key=lambda pair: (pair[1].parameter != spring, -pair[0]))]
 
@@ -152,52 +153,47 @@ def is_physical(fit: Fit) -> bool:
     return stiffness > 0.0 and 0.0 <= fit.parameter_values[CompensatorPreload()] / stiffness <= _LONGEST_SPRING
 
 
-def _unobservable_joint(
-    parameter: JointCompliance, torque: Array, fit: Fit, index: int, half_width: float, correlation: Array
-) -> UnobservableParameter:
-    """Return the reason that a joint compliance is not observable, with advice.
+def _unloaded_joint(parameter: JointCompliance, torque: Array) -> UnobservableParameter | None:
+    """Return that a joint compliance is not observable since the loads put hardly any torque on it; None if they do.
 
     :param torque: (L, 6) of the loads [N·m].
-    :param index: of the parameter in the fit.
-    :param half_width: of its 95 % interval [rad/(N·m)].
-    :param correlation: (p, p) of the parameters.
     """
     joint = parameter.index
     joint_torque = float(np.abs(torque[:, joint]).max())
-    if joint_torque < _NO_TORQUE * float(np.abs(torque).max()):
-        reason = f"the loads put at most {joint_torque:.2g} N·m on A{joint + 1}"
-        if joint == 0:
-            reason += " (they are vertical, parallel to its axis)"
-            advice = "Pull the arm sideways too, for instance by a cable over a pulley."
-        elif joint == 5:
-            reason += " (they act on its axis)"
-            advice = "Hang the load at a distance from the axis of A6: on a bracket, with another load point."
-        else:
-            advice = f"Choose configurations in which the load has a lever about A{joint + 1}."
-        return UnobservableParameter(parameter, reason, advice)
-    cross_correlation = np.abs(correlation[index].copy())
-    cross_correlation[index] = 0.0
-    partner = fit.structure.parameters[int(np.argmax(cross_correlation))].symbol
-    reason = f"its 95 % interval is ± {half_width * 1e6:.2g} µrad/(N·m) for a value of {fit.values[index] * 1e6:.3g}"
-    if not np.isfinite(half_width):
-        reason = "the configurations do not determine it"
+    if joint_torque >= _NO_TORQUE * float(np.abs(torque).max()):
+        return None
+    reason = f"the loads put at most {joint_torque:.2g} N·m on A{joint + 1}"
+    advice = f"Choose configurations in which the load has a lever about A{joint + 1}."
+    if joint == 0:
+        reason += " (they are vertical, parallel to its axis)"
+        advice = "Pull the arm sideways too, for instance by a cable over a pulley."
+    elif joint == 5:
+        reason += " (they act on its axis)"
+        advice = "Hang the load at a distance from the axis of A6: on a bracket, with another load point."
+    return UnobservableParameter(parameter, reason, advice)
+
+
+def _uncertain_joint(parameter: JointCompliance, fit: Fit, half_width: float) -> UnobservableParameter:
+    """Return that the interval of a joint compliance of a fit is too wide, and what it cannot be separated from.
+
+    :param half_width: of its 95 % interval [rad/(N·m)]; infinite if the readings do not determine it.
+    """
+    index = fit.structure.parameters.index(parameter)
+    correlation = correlations(fit.covariance)[index]
+    correlation[index] = 0.0  # by itself
+    partner = int(np.argmax(np.abs(correlation)))
+    reason = "the configurations do not determine it"
+    if np.isfinite(half_width):
+        value = fit.values[index] * PER_URAD
+        reason = f"its 95 % interval is ± {half_width * PER_URAD:.2g} µrad/(N·m) for a value of {value:.3g}"
     # a correlation that is worth a mention (assumed)
-    if cross_correlation.max() > 0.9:
+    if np.abs(correlation).max() > 0.9:
         reason += (
-            f", and it can hardly be separated from {partner} "
-            f"(correlation {correlation[index, np.argmax(cross_correlation)]:.2f})"
+            f", and it can hardly be separated from {fit.structure.parameters[partner].symbol} "
+            f"(correlation {correlation[partner]:.2f})"
         )
-    return UnobservableParameter(
-        parameter, reason, f"Measure configurations that put more torque on A{joint + 1} alone."
-    )
-
-
-def _correlation(covariance: Array) -> Array:
-    """Return the correlations (p, p) of a covariance (p, p); 0 for parameters without variance."""
-    deviation = np.sqrt(np.diag(covariance))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = covariance / np.outer(deviation, deviation)
-    return np.asarray(np.nan_to_num(correlation))
+    advice = f"Measure configurations that put more torque on {parameter.joint} alone."
+    return UnobservableParameter(parameter, reason, advice)
 
 
 def unloaded_joints(robot: RobotModel, data: Measurements) -> tuple[JointCompliance, ...]:
@@ -282,7 +278,7 @@ def extended_set(robot: RobotModel, data: Measurements, placement: Placement) ->
     except PostprocError:
         return None
     q2 = np.array([data.q[level == index, 1].mean() for index in range(count)])
-    rows = np.arange(1, 1 + count)
+    rows = np.arange(1, 1 + count)  # k2 at the levels, after k1
     return fit, Levels(q2, fit.values[rows], fit.covariance[np.ix_(rows, rows)])
 
 
@@ -323,28 +319,19 @@ def fit_joints(
     :returns: the fit of the others; the parameters that are omitted.
     :raises MeasurementError: there are fewer readings than unknowns, or they determine none of the compliances.
     """
+    _check_count(data)
     parameters: list[Parameter] = [*JOINT_COMPLIANCES, *(COMPENSATOR if robot.compensator is not None else ())]
-    readings = 3 * len(data.loaded_states) * len(data.points)
-    if readings <= len(JOINT_COMPLIANCES):
-        raise MeasurementError(
-            f"{readings} loaded coordinates for {len(JOINT_COMPLIANCES)} compliances",
-            file=data.file,
-            advice="Measure more configurations or points: 15 configurations of 3 points are usual.",
-        )
     open_entries: list[UnobservableParameter] = []
-    is_prior_refuted = False
-    while True:
+    is_prior_refuted = False  # of the compensator's spring
+    while parameters:
         structure = Structure(tuple(parameters), robot)
         fit = _attempt(structure, data, placement, _start_values(structure, start))
         start = None  # of the first fit only
         unobservable = not_observable(fit, data)
-        if (
-            unobservable
-            and unobservable[0].parameter in COMPENSATOR
-            and is_physical(fit)  # a spring that cannot be built is no better than the prior's
-            and (is_prior_refuted or _refutes_prior_spring(fit, data, placement))
-        ):
-            is_prior_refuted, unobservable = True, unobservable[1:]
+        # an uncertain spring stays if the prior's is refuted; one that cannot be built is no better than the prior's
+        if unobservable and unobservable[0].parameter in COMPENSATOR and is_physical(fit):
+            is_prior_refuted = is_prior_refuted or _refutes_prior_spring(fit, data, placement)
+            unobservable = unobservable[1:] if is_prior_refuted else unobservable
         if not unobservable:
             return fit, open_entries
         worst = unobservable[0]
@@ -353,10 +340,21 @@ def fit_joints(
         else:
             parameters.remove(worst.parameter)
             open_entries.append(worst)
-        if not parameters:
-            raise MeasurementError(
-                "none of the compliances can be determined", file=data.file, advice=open_entries[0].advice
-            )
+    raise MeasurementError("none of the compliances can be determined", file=data.file, advice=open_entries[0].advice)
+
+
+def _check_count(data: Measurements) -> None:
+    """Check that there are more readings under load than joint compliances.
+
+    :raises MeasurementError: there are not.
+    """
+    readings = 3 * len(data.loaded_states) * len(data.points)
+    if readings <= len(JOINT_COMPLIANCES):
+        raise MeasurementError(
+            f"{readings} loaded coordinates for {len(JOINT_COMPLIANCES)} compliances",
+            file=data.file,
+            advice="Measure more configurations or points: 15 configurations of 3 points are usual.",
+        )
 
 
 def _start_values(structure: Structure, start: SpringOfJoint2 | None) -> Array:
@@ -410,18 +408,17 @@ def flange_displacements(data: Measurements, placement: Placement) -> Array:
             advice="Measure three points, or use --method enhanced.",
         )
     mean, count = data.means()
-    root = device_to_root(placement, mean)
-    displacement = np.empty((len(data.loaded_states), 6))
+    positions = device_to_root(placement, mean)
+    load_point = np.eye(4)
+    load_point[:3, 3] = data.load_point
+    displacement = np.full((len(data.loaded_states), 6), np.nan)
     for row, state in enumerate(data.loaded_states):
         unloaded_state = data.unloaded_states[data.state_config[state]]
         is_visible = (count[state] > 0) & (count[unloaded_state] > 0)
-        if np.count_nonzero(is_visible) < 3:
-            displacement[row] = np.nan
-            continue
-        frames = [kabsch(placement.points[is_visible], root[index, is_visible]) for index in (unloaded_state, state)]
-        load_point = np.eye(4)
-        load_point[:3, 3] = data.load_point
-        displacement[row] = twist_between(frames[0] @ load_point, frames[1] @ load_point)
+        if np.count_nonzero(is_visible) >= 3:
+            points = placement.points[is_visible]
+            rest, loaded = (kabsch(points, positions[index, is_visible]) for index in (unloaded_state, state))
+            displacement[row] = twist_between(rest @ load_point, loaded @ load_point)
     return displacement
 
 
@@ -474,17 +471,14 @@ def _fit_of_points(
     """
     # no equilibrium without stiffness: compliances are at least 1e-9 rad/(N·m) in the prediction of the points
     prediction, slopes = predict(structure, np.maximum(values, 1e-9), data, placement)
-    residual = displacement_residuals(prediction, data, placement)
-    whitening_matrices = whitening(data)
-    white_residual = whiten(whitening_matrices, residual).ravel()
-    white_design = whiten(whitening_matrices, slopes).reshape(-1, 6)
-    return Fit(
-        structure=structure,
-        values=values,
+    design = whiten(whitening(data), slopes).reshape(-1, 6)
+    return Fit.of(
+        structure,
+        values,
+        data,
+        placement,
         covariance=covariance,
-        residual=residual,
-        chi2=float(white_residual @ white_residual),
-        dof=len(white_residual) - 6,
-        design=white_design,
-        target=white_residual + white_design @ values,
+        dof=len(design) - 6,
+        prediction=prediction,
+        design=design,
     )

@@ -21,13 +21,15 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, kinematics
 from postproc.errors import MeasurementError, NotConvergedError
-from postproc.frames import MM_PER_M, RAD_PER_DEG, Array, displace, hat, inverse, xyzabc_from_pose
+from postproc.frames import MM_PER_M, RAD_PER_DEG, Array, displace, inverse, xyzabc_from_pose
 from postproc.identification.readings import Measurements
 from postproc.program import Ints
 from postproc.robot import JointCompliance, LinkSpring, Parameter, RobotModel
 
 _STEPS = 20
 """Limit of Gauss-Newton steps from a rigid fit, which begins close by (assumed)."""
+_SINGULAR = 1e10
+"""Condition number of scaled normal equations beyond which they are singular but for rounding (assumed)."""
 _SAME_LEVEL = 2.0 * RAD_PER_DEG
 """Sorted angles of A2 belong to one level while each is less than this from the one before (assumed)."""
 
@@ -75,40 +77,47 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
     mean, count = data.means()
     readings, weight = mean[data.unloaded_states], count[data.unloaded_states]
     configs, points = readings.shape[:2]
-    if configs * points * 3 < 6 + 3 * points:
+    unknowns = 6 + 3 * points  # twist of the root, and the points
+    if configs * points * 3 < unknowns:
         raise MeasurementError(
             f"{configs} configurations of {points} points are {configs * points * 3} coordinates for "
-            f"{6 + 3 * points} unknowns of base and points",
+            f"{unknowns} unknowns of base and points",
             file=data.file,
             advice="Measure more configurations.",
         )
     position = data.guess.copy()
-    model = _point_positions(flange, position)
+    model = point_positions(flange, position)
     has_reading = weight.ravel() > 0.0
     pose = kabsch(model.reshape(-1, 3)[has_reading], readings.reshape(-1, 3)[has_reading])
     for _ in range(_STEPS):
-        model = _point_positions(pose @ flange, position)
-        residual = readings - model
-        jacobian = _derivatives(model, pose, flange)
-        rows = (jacobian * np.sqrt(weight)[..., None, None]).reshape(-1, 6 + 3 * points)
+        model = point_positions(pose @ flange, position)
+        white_residual = ((readings - model) * np.sqrt(weight)[..., None]).ravel()
+        jacobian = placement_derivatives(model, pose[:3, 3], pose[:3, :3] @ flange[:, :3, :3])
+        rows = (jacobian * np.sqrt(weight)[..., None, None]).reshape(-1, unknowns)
         normal = rows.T @ rows
-        scale = 1.0 / np.sqrt(np.diag(normal))
-        if np.linalg.cond(normal * np.outer(scale, scale)) > 1e10:
-            raise MeasurementError(
-                "base transform and reference points cannot be separated with these configurations",
-                file=data.file,
-                advice="Turn A1…A6, the wrist above all, more from configuration to configuration.",
-            )
-        step = np.asarray(
-            np.linalg.solve(normal, rows.T @ (residual * np.sqrt(weight)[..., None]).ravel()), dtype=np.float64
-        )
+        _check_separable(normal, data.file)
+        step = np.asarray(np.linalg.solve(normal, rows.T @ white_residual), dtype=np.float64)
         pose = displace(pose, step[:6])
         position = position + step[6:].reshape(points, 3)
         # [m], [rad]: rounding
         if np.abs(step).max() < 1e-11:
             break
-    residual = (readings - _point_positions(pose @ flange, position)) * (weight > 0.0)[..., None]
+    residual = (readings - point_positions(pose @ flange, position)) * (weight > 0.0)[..., None]
     return Placement(pose, position, np.asarray(np.linalg.inv(normal)), residual)
+
+
+def _check_separable(normal: Array, file_name: str) -> None:
+    """Check that normal equations (n, n) determine base transform and reference points.
+
+    :raises MeasurementError: they are singular, but for rounding.
+    """
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    if np.linalg.cond(normal * np.outer(scale, scale)) > _SINGULAR:
+        raise MeasurementError(
+            "base transform and reference points cannot be separated with these configurations",
+            file=file_name,
+            advice="Turn A1…A6, the wrist above all, more from configuration to configuration.",
+        )
 
 
 def unloaded_design(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
@@ -119,7 +128,8 @@ def unloaded_design(robot: RobotModel, data: Measurements, placement: Placement)
     """
     flange = unloaded_flange(robot, data.q)
     root = placement.root_in_device
-    return _derivatives(_point_positions(root @ flange, placement.points), root, flange)
+    positions = point_positions(root @ flange, placement.points)
+    return placement_derivatives(positions, root[:3, 3], root[:3, :3] @ flange[:, :3, :3])
 
 
 def as_positions(robot: RobotModel, data: Measurements) -> Measurements:
@@ -129,7 +139,7 @@ def as_positions(robot: RobotModel, data: Measurements) -> Measurements:
     """
     if not data.are_displacements:
         return data
-    points = _point_positions(unloaded_flange(robot, data.q), data.guess)
+    points = point_positions(unloaded_flange(robot, data.q), data.guess)
     start = points[data.state_config[data.state], data.point]
     return replace(data, position=start + data.position, are_displacements=False)
 
@@ -169,24 +179,26 @@ def device_to_root(placement: Placement, positions: Array) -> Array:
     return np.asarray(positions @ transform[:3, :3].T + transform[:3, 3])
 
 
-def _derivatives(model: Array, pose: Array, flange: Array) -> Array:
+def placement_derivatives(model: Array, origin: Array, rotation: Array) -> Array:
     """Return the derivatives (C, P, 3, 6 + 3P) of points by the twist of the root about itself and by the points.
 
     :param model: (C, P, 3) the points, device axes [m]; they are moved in flange axes.
-    :param pose: (4, 4) of the root in the device frame; `flange` (C, 4, 4) in the root [m].
+    :param origin: (3,) of the root in the device frame [m].
+    :param rotation: (C, 3, 3) of the flange in the device frame.
     """
     configs, points = model.shape[:2]
     jacobian = np.zeros((configs, points, 3, 6 + 3 * points))
-    jacobian[..., 0:3] = np.eye(3)
-    jacobian[..., 3:6] = -hat(model - pose[:3, 3])
-    rotation = pose[:3, :3] @ flange[:, :3, :3]
+    jacobian[..., :3] = np.eye(3)
+    for axis, direction in enumerate(np.eye(3)):
+        jacobian[..., 3 + axis] = np.cross(direction, model - origin)
     for index in range(points):
-        jacobian[:, index, :, 6 + 3 * index : 9 + 3 * index] = rotation
+        first = 6 + 3 * index  # column of the point's X, after the twist
+        jacobian[:, index, :, first : first + 3] = rotation
     return jacobian
 
 
-def _point_positions(frames: Array, points: Array) -> Array:
-    """Return the positions (C, P, 3) of points (P, 3) that are fixed in frames (C, 4, 4)."""
+def point_positions(frames: Array, points: Array) -> Array:
+    """Return the positions (C, P, 3) [m] of points (P, 3) that are fixed in frames (C, 4, 4)."""
     positions: Array = np.einsum("cij,pj->cpi", frames[:, :3, :3], points) + frames[:, None, :3, 3]
     return positions
 

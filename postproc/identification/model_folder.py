@@ -20,7 +20,7 @@ from postproc.compensator import Compensator
 from postproc.errors import InputError, MeasurementError, ModelError
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.identification import calibration, compensator_geometry, plausibility, record, validation
-from postproc.identification.fit import NORMAL_95, to_file_units
+from postproc.identification.fit import NORMAL_95, FileValues, correlations, to_file_units
 from postproc.identification.joint_springs import Levels, SpringOfJoint2
 from postproc.identification.measurement_model import (
     MIN_COMPLIANCE,
@@ -37,9 +37,12 @@ from postproc.identification.uncertainty import Discrepancy
 from postproc.robot import (
     COMPENSATOR,
     JOINT_COMPLIANCES,
+    JOINTS,
     PER_URAD,
     WITH_LINKS,
+    FadingPart,
     JointCompliance,
+    Knee,
     Parameter,
     RobotModel,
     urdf,
@@ -67,9 +70,9 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
     :param geometry_source: of the compensator's geometry if it was identified from markers, else None.
     :raises MeasurementError: the readings do not determine the values in units of the file.
     """
-    parameters, values, covariance = to_file_units(result.fit)
-    half_widths = NORMAL_95 * np.sqrt(np.diag(covariance))
-    tables = _parameter_tables(parameters, values, half_widths, source)
+    in_file = to_file_units(result.fit)
+    half_widths = NORMAL_95 * np.sqrt(np.diag(in_file.covariance))
+    tables = _parameter_tables(in_file.parameters, in_file.values, half_widths, source)
     unknown = {entry.parameter for entry in result.missing}
     observable_tables = {
         joint.joint: tables["joints"][joint.joint]
@@ -77,12 +80,6 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         if joint.joint in tables["joints"] and joint not in unknown
     }
     joints = _joint_springs(observable_tables, prior, source)
-    # a joint that keeps the prior's value keeps its sigma_percent too; without one its variance is in the table
-    rows = [
-        index
-        for index, parameter in enumerate(parameters)
-        if not (isinstance(parameter, JointCompliance) and joints[parameter.joint].sigma_percent is not None)
-    ]
     return ModelFile(
         name=prior.name,
         date=prior.date,
@@ -95,7 +92,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         transmission=prior.transmission,
         geometry_error=prior.geometry_error,
         links=msgspec.convert(tables["links"], dict[str, LinkSprings]),
-        covariance=CovarianceTable.of([parameters[i].name for i in rows], covariance[np.ix_(rows, rows)]),
+        covariance=_covariance_table(in_file, joints),
         discrepancy=DiscrepancyEntry(
             source=source, load_N=result.discrepancy.load.tolist(), u95_mm=(result.discrepancy.u95 * MM_PER_M).tolist()
         ),
@@ -109,6 +106,22 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         geometry_nominal=prior.geometry_nominal,
         speeds=prior.speeds,
     )
+
+
+def _covariance_table(in_file: FileValues, joints: Mapping[str, JointSpring]) -> CovarianceTable:
+    """Return [covariance] of the parameters whose variance is not stated by the spring of their joint.
+
+    A joint that keeps the prior's value keeps its `sigma_percent` too; without one its variance is in the table.
+
+    :param joints: springs of the model, by the name of the joint.
+    """
+    parameters = in_file.parameters
+    rows = [
+        index
+        for index, parameter in enumerate(parameters)
+        if not (isinstance(parameter, JointCompliance) and joints[parameter.joint].sigma_percent is not None)
+    ]
+    return CovarianceTable.of([parameters[index].name for index in rows], in_file.covariance[np.ix_(rows, rows)])
 
 
 def _parameter_tables(
@@ -131,29 +144,30 @@ def _joint_springs(tables: Mapping[str, dict[str, Any]], prior: ModelFile, sourc
     :param tables: keys of the identified joints, by the name of the joint.
     """
     joints = {}
-    for joint in JOINT_COMPLIANCES:
-        table = tables.get(joint.joint)
-        if table is not None and table["compliance_urad_per_Nm"] >= 0.0:
+    for joint in JOINTS:
+        table, prior_spring = tables.get(joint), prior.joints[joint]
+        if table is not None and table[_COMPLIANCE] >= 0.0:
             # where link springs deflect in its place, the prior's value would count twice
-            least = MIN_COMPLIANCE * joint.per_si
-            parts = {
-                key: [
-                    part | {"compliance_urad_per_Nm": max(part["compliance_urad_per_Nm"], least)} for part in table[key]
-                ]
-                for key in ("stiffening", "knees")
-                if key in table
-            }
-            compliance = max(table["compliance_urad_per_Nm"], least)
-            joints[joint.joint] = msgspec.convert(table | parts | {"compliance_urad_per_Nm": compliance}, JointSpring)
+            parts = {key: list(map(_with_least_compliance, table[key])) for key in _GEAR_PARTS if key in table}
+            joints[joint] = msgspec.convert(_with_least_compliance(table) | parts, JointSpring)
         else:
-            prior_spring = prior.joints[joint.joint]
-            joints[joint.joint] = JointSpring(
+            joints[joint] = JointSpring(
                 source=f"prior, not observable in {source}: {prior_spring.source}",
                 assumed=True,
                 compliance_urad_per_Nm=prior_spring.compliance_urad_per_Nm,
                 sigma_percent=prior_spring.sigma_percent,
             )
     return joints
+
+
+_COMPLIANCE = "compliance_urad_per_Nm"
+_GEAR_PARTS = FadingPart.key, Knee.key
+"""Keys of a joint in `model.toml`."""
+
+
+def _with_least_compliance(table: dict[str, Any]) -> dict[str, Any]:
+    """Return a table of `model.toml` with its compliance raised to the least one that a file may hold."""
+    return table | {_COMPLIANCE: max(table[_COMPLIANCE], MIN_COMPLIANCE * PER_URAD)}
 
 
 def _compensator(
@@ -286,15 +300,12 @@ def constant_springs_only(content: ModelFile) -> ModelFile:
 
 def report_data(result: Identification) -> record.IdentificationRecord:
     """Return the content of `identification.json`."""
-    parameters, values, covariance = to_file_units(result.fit)
-    half = NORMAL_95 * np.sqrt(np.diag(covariance))
-    pairs = zip(parameters, values.tolist(), half.tolist(), strict=True)
-    entries = _entries_of(result, {p: (value, reach) for p, value, reach in pairs if value > 0.0 or not p.sparse})
+    in_file = to_file_units(result.fit)
     return record.IdentificationRecord(
         verdict=record.Verdict(bool(result.judgement.distrust), result.judgement.line),
         method=result.method,
         robot=result.prior.name,
-        parameters=entries,
+        parameters=_entries_of(result, in_file),
         k2_levels=_levels(result.levels),
         k2_curve=_k2_curve(result),
         from_levels=_level_springs(result.spring),
@@ -302,7 +313,11 @@ def report_data(result: Identification) -> record.IdentificationRecord:
         discrepancy=_unexplained_records(result.discrepancy),
         workspace=[
             record.InWorkspace(
-                level.load, level.deflection * MM_PER_M, level.bound * MM_PER_M, level.worst, level.chance
+                load_N=level.load,
+                deflection_mm=level.deflection * MM_PER_M,
+                bound_mm=level.bound * MM_PER_M,
+                worst_share=level.worst,
+                chance=level.chance,
             )
             for level in result.workspace.levels
         ],
@@ -316,7 +331,10 @@ def report_data(result: Identification) -> record.IdentificationRecord:
         held_by_prior=None if result.choice is None else [parameter.name for parameter in result.choice.held_by_prior],
         outliers=list(result.left_out),
         warnings=list(result.warnings),
-        correlation=record.Correlation([parameter.name for parameter in parameters], _correlation(covariance)),
+        correlation=record.Correlation(
+            [parameter.name for parameter in in_file.parameters],
+            [[round(value, 4) for value in row] for row in correlations(in_file.covariance).tolist()],
+        ),
         states=_states(result.data),
         torque_Nm=np.abs(joint_torques(result.prior, result.data)).max(axis=0).tolist(),
         torques=validation.torque_record(validation.coverage_of(result.prior, result.data)),
@@ -390,30 +408,49 @@ def _states(data: Measurements) -> list[record.State]:
     ]
 
 
-def _entries_of(result: Identification, values: dict[Parameter, tuple[float, float]]) -> dict[str, record.Parameter]:
+def _entries_of(result: Identification, in_file: FileValues) -> dict[str, record.Parameter]:
     """Return the parameters of `identification.json`: k1…k6, K⁰_θ2, K_c, s₀ always, the others if identified.
 
-    :param values: identified parameter → value and half width of its 95 % interval, in units of files.
+    Sparse parameters (`Parameter.sparse`) count as identified if they are not zero.
+
+    :param in_file: values of the fit.
     """
+    half_widths = NORMAL_95 * np.sqrt(np.diag(in_file.covariance))
+    triples = zip(in_file.parameters, in_file.values.tolist(), half_widths.tolist(), strict=True)
+    values = {
+        parameter: (value, half_width)
+        for parameter, value, half_width in triples
+        if value > 0.0 or not parameter.sparse
+    }
     prior, unknown = result.prior, {entry.parameter for entry in result.missing}
     springs = COMPENSATOR if prior.compensator is not None else ()
-    of_prior: dict[Parameter, float] = {p: prior.value(p) for p in (*JOINT_COMPLIANCES, *springs)} | dict(prior.terms)
+    always_present = (*JOINT_COMPLIANCES, *(springs if result.fit.structure.prior.compensator is not None else ()))
+    # parameters that were fitted about the prior's value
     prior_mean = {p: prior.value(p) for p in values if np.isfinite(prior.prior_sigma(p))}
-    standard = (*JOINT_COMPLIANCES, *(springs if result.fit.structure.prior.compensator is not None else ()))
+    prior_values: dict[Parameter, float] = {p: prior.value(p) for p in (*JOINT_COMPLIANCES, *springs)}
+    prior_values = prior_values | dict(prior.terms) | prior_mean
     entries: dict[str, record.Parameter] = {}
-    for parameter in dict.fromkeys((*standard, *values)):
+    for parameter in dict.fromkeys((*always_present, *values)):
         value = None if parameter in unknown else values.get(parameter)
         prior_value = None
-        if parameter in standard or parameter in prior_mean:
-            prior_value, _ = parameter.file_value(of_prior | prior_mean)
+        if parameter in always_present or parameter in prior_mean:
+            prior_value, _ = parameter.file_value(prior_values)
         source = record.ABOUT_THE_PRIOR if parameter in prior_mean else None
         entries[parameter.name] = _entry(value, parameter.unit, prior_value, source)
-        if parameter == JOINT_COMPLIANCES[-1]:
-            k2 = entries[JOINT_COMPLIANCES[1].name]
-            if k2.value is not None and k2.prior is not None:
-                stiffness = None if k2.ci95 is None else (PER_URAD / k2.value, PER_URAD * k2.ci95 / k2.value**2)
-                entries["K_theta2_0"] = _entry(stiffness, "N·m/rad", PER_URAD / k2.prior)
+        if parameter == JOINT_COMPLIANCES[-1]:  # the stiffness of joint 2 follows the compliances
+            stiffness = _stiffness_entry(entries[JOINT_COMPLIANCES[1].name])
+            entries |= {} if stiffness is None else {"K_theta2_0": stiffness}
     return entries
+
+
+def _stiffness_entry(compliance: record.Parameter) -> record.Parameter | None:
+    """Return the stiffness of a joint [N·m/rad] by the entry of its compliance; None without a value or a prior."""
+    value, ci95, prior_value = compliance.value, compliance.ci95, compliance.prior
+    if value is None or prior_value is None:
+        return None
+    # the interval at first order: the derivative of 1/k is −1/k²
+    stiffness = None if ci95 is None else (PER_URAD / value, PER_URAD * ci95 / value**2)
+    return _entry(stiffness, "N·m/rad", PER_URAD / prior_value)
 
 
 def _entry(
@@ -449,14 +486,6 @@ def _k2_curve(result: Identification) -> list[tuple[float, float]]:
     spring_stiffness = np.zeros_like(q2) if model.compensator is None else model.compensator.stiffness_about_joint(q2)
     compliance = PER_URAD / (stiffness + spring_stiffness)
     return list(zip((q2 * DEG_PER_RAD).tolist(), compliance.tolist(), strict=True))
-
-
-def _correlation(covariance: Array) -> list[list[float]]:
-    """Return the correlations (p, p) of a covariance (p, p), to four decimals; 0 for parameters without variance."""
-    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    divisor = np.where(sigma > 0.0, sigma, 1.0)
-    correlation = covariance / np.outer(divisor, divisor)
-    return [[round(value, 4) for value in row] for row in correlation.tolist()]
 
 
 _UNCERTAIN_NOTE = "   (not determined: the interval is larger than the value)"
@@ -607,7 +636,7 @@ def geometry_folder(
     content = read_prior(folder, setup.payload, experiment.name)
     nominal = robots.load(folder).nominal
     robot = robots.assemble(folder.resolve().name, content, nominal)
-    data = read(measurements, setup, loads=False)
+    data = read(measurements, setup, needs_loads=False)
     _require_positions(data, measurements)
     data, placement, outliers = plausibility.check_placement(robot, data)
     doubts = [*filter(None, [displaced_points(data, placement)]), *moved_device(robot, data, placement)]

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from postproc import elastostatics, kinematics
-from postproc.frames import MM_PER_M, Array, norm, rotation_from_vector
-from postproc.identification.measurement_model import Placement, unloaded_flange
+from postproc.frames import MM_PER_M, Array, norm
+from postproc.identification.measurement_model import Placement, unloaded_design, unloaded_flange
 from postproc.identification.readings import Measurements
 from postproc.robot import JOINTS, RobotModel
 
@@ -34,9 +34,9 @@ def moved_device(robot: RobotModel, data: Measurements, placement: Placement) ->
     the joints, with and without a step of the frame from a configuration on.
     """
     is_visible = np.abs(placement.residual).max(axis=2, keepdims=True) > 0.0
-    sources = (_frame_derivatives, _point_derivatives, _sag_derivatives)
-    columns = [derivatives(robot, data, placement) for derivatives in sources]
-    design = np.concatenate(columns, axis=3) * is_visible[..., None]
+    by_frames, by_sag = (source(robot, data, placement) for source in (_frame_derivatives, _sag_derivatives))
+    by_points = unloaded_design(robot, data, placement)[..., 6:]  # the first six are by the root, see by_frames
+    design = np.concatenate([by_frames, by_points, by_sag], axis=3) * is_visible[..., None]
     chance, first, twist = _clearest_step(design, placement.residual, data.q)
     # size of the movement in the middle of all readings
     mean_point = np.append(np.mean(placement.points, axis=0), 1.0)
@@ -80,10 +80,13 @@ def _clearest_step(design: Array, residual: Array, q: Array) -> _Step:
     remaining = residual.ravel() - basis @ (basis.T @ residual.ravel())  # that no error of the geometry explains
     freedom = 3 * configs - basis.shape[1] - 6
     clearest = _Step(np.inf, 0, np.zeros(6))
-    for first in range(2, configs - 1) if freedom >= _FREEDOM_OF_STEP else ():
+    if freedom < _FREEDOM_OF_STEP:
+        return clearest
+    for first in range(2, configs - 1):
         if _is_correlated_with_step(q, first):
             continue
-        step = (design[..., :6] * (np.arange(configs) >= first)[:, None, None, None]).reshape(-1, 6)
+        is_after_step = np.arange(configs) >= first
+        step = (design[..., :6] * is_after_step[:, None, None, None]).reshape(-1, 6)
         step = step - basis @ (basis.T @ step)
         twist, _, rank, _ = np.linalg.lstsq(step, remaining, rcond=_RANK_TOLERANCE)
         if rank == 6:
@@ -123,19 +126,19 @@ def _frame_derivatives(robot: RobotModel, data: Measurements, placement: Placeme
     """
     x = elastostatics.coordinates(robot, data.q)
     root_axes = placement.root_in_device[:3, :3]
-    slopes = np.zeros((len(data.q), len(placement.points), 3, 42))
+    joint_frames, _ = robot.nominal.joint_frames(data.q)
+    frames = [np.tile(np.eye(4), (len(x), 1, 1)), *np.swapaxes(joint_frames, 0, 1)]
+    slopes = np.zeros((len(data.q), len(placement.points), 3, len(frames), 6))
     for index, point in enumerate(placement.points):
         tool = np.eye(4)
         tool[:3, 3] = point
         pose, _ = kinematics.tcp(robot.actual, x, tool)
-        frames = [np.tile(np.eye(4), (len(x), 1, 1)), *_joint_frames(robot, data.q)]
         for number, frame in enumerate(frames):
             axes = root_axes @ frame[:, :3, :3]
             lever = (pose[:, :3, 3] - frame[:, :3, 3]) @ root_axes.T
-            rotation_slopes = np.cross(np.swapaxes(axes, 1, 2), lever[:, None]).swapaxes(1, 2)
-            slopes[:, index, :, 6 * number : 6 * number + 3] = axes
-            slopes[:, index, :, 6 * number + 3 : 6 * number + 6] = rotation_slopes
-    return slopes
+            slopes[:, index, :, number, :3] = axes
+            slopes[:, index, :, number, 3:] = np.cross(np.swapaxes(axes, 1, 2), lever[:, None]).swapaxes(1, 2)
+    return slopes.reshape(*slopes.shape[:3], -1)
 
 
 def _sag_derivatives(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
@@ -148,27 +151,4 @@ def _sag_derivatives(robot: RobotModel, data: Measurements, placement: Placement
         tool[:3, 3] = point
         jacobian = kinematics.tcp(robot.actual, x, tool)[1][:, :3, list(robot.actuated)]
         slopes[:, index] = placement.root_in_device[:3, :3] @ (jacobian * torque[:, None])
-    return slopes
-
-
-def _joint_frames(robot: RobotModel, q: Array) -> list[Array]:
-    """Return the frames (C, 4, 4) of the six joints in the root, each before the rotation of its joint."""
-    pose, frames = np.tile(np.eye(4), (len(q), 1, 1)), []
-    for joint in range(len(JOINTS)):
-        pose = pose @ robot.nominal.placement[joint]
-        frames.append(pose)
-        rotation = np.tile(np.eye(4), (len(q), 1, 1))
-        for row, angle in enumerate(q[:, joint]):
-            rotation[row, :3, :3] = rotation_from_vector(angle * robot.nominal.axis[joint])
-        pose = pose @ rotation
-    return frames
-
-
-def _point_derivatives(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
-    """Return the derivatives (C, P, 3, 3P) of the points by their places on the flange, device axes."""
-    rotation = placement.root_in_device[:3, :3] @ unloaded_flange(robot, data.q)[:, :3, :3]
-    count = len(placement.points)
-    slopes = np.zeros((len(rotation), count, 3, 3 * count))
-    for index in range(count):
-        slopes[:, index, :, 3 * index : 3 * index + 3] = rotation
     return slopes

@@ -40,12 +40,11 @@ def couplings(joints: Sequence[JointCompliance]) -> tuple[GearCoupling, ...]:
 
 def waves(joints: Sequence[JointCompliance]) -> tuple[PoseWave, ...]:
     """Return the waves cos(n·q), sin(n·q) in which the compliances of some joints may vary with the joint angles q."""
-    return tuple(
-        PoseWave(joint.joint, turns, wave)
-        for joint in joints
-        for turns in _turns(joint.index)
-        for wave in ("cos", "sin")
-    )
+    parameters: list[PoseWave] = []
+    for joint in joints:
+        for turns in _turns(joint.index):
+            parameters += [PoseWave(joint.joint, turns, "cos"), PoseWave(joint.joint, turns, "sin")]
+    return tuple(parameters)
 
 
 def share(wave: PoseWave) -> float:

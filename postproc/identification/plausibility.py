@@ -10,7 +10,7 @@ Hysteresis: loads that are applied on the way up and again on the way down show 
 from __future__ import annotations
 
 from itertools import permutations
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 from msgspec.structs import replace
@@ -282,8 +282,17 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
     weighted_design = weight[..., None] * design.reshape(*weight.shape, -1)
     no_prior = np.empty((0, design.shape[-1]))
     check_configurations(robot, data, placement, weighted_design, no_prior, weight)
-    if placement.rms < _MAX_DISTANCE:
-        return placement
+    if placement.rms >= _MAX_DISTANCE:
+        _refuse_positions(robot, data, placement.rms)
+    return placement
+
+
+def _refuse_positions(robot: RobotModel, data: Measurements, placement_rms: float) -> NoReturn:
+    """Refuse readings without load that do not fit the robot's geometry, with the likeliest cause.
+
+    :param placement_rms: RMS distance of the readings from the geometry [m].
+    :raises MeasurementError: always.
+    """
     size = len(data.q)
     # one wrong configuration of a few first: readings of one point at a few configurations fit any frame
     reduced_rms = np.array([_rms(robot, data, np.delete(np.arange(size), row)) for row in range(size)])
@@ -303,7 +312,7 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
             advice="The tracker was moved or set up anew: identify from one set-up, or bring both into one frame.",
         )
     raise MeasurementError(
-        f"the readings without load are {placement.rms * MM_PER_M:.0f} mm (RMS) off the geometry of {robot.name}",
+        f"the readings without load are {placement_rms * MM_PER_M:.0f} mm (RMS) off the geometry of {robot.name}",
         file=data.file,
         advice=_advice_on_positions(robot, data),
     )
@@ -361,7 +370,9 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
     :raises MeasurementError: names the configuration, or all.
     """
     size = np.linalg.norm(measured_displacements(data, placement), axis=2).max(axis=1)
-    for row in np.flatnonzero(size > _MOST_DEFLECTION).tolist():
+    too_large = np.flatnonzero(size > _MOST_DEFLECTION)
+    if len(too_large):
+        row = int(too_large[0])
         state = int(data.loaded_states[row])
         raise MeasurementError(
             f"{_state_name(data, state)}: the points moved by {size[row] * MM_PER_M:.0f} mm under load",
@@ -372,6 +383,34 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
     displacement, prediction, rows = _visible_displacements(robot, data, placement)
     ratio = _ratios(displacement, prediction)
     median_ratio = float(np.median(ratio))
+    _check_median_ratio(median_ratio, data, robot.name)
+    # two ratios, along the expected direction and by length: where links deflect unlike the joints, one is far off
+    length_ratio = np.sqrt(np.sum(displacement**2, axis=(1, 2)) / np.sum(prediction**2, axis=(1, 2)))
+    # against the force only if it is nearly opposite: links may deflect across what the joints would
+    length_ratio = np.where(ratio < _OPPOSITE * length_ratio, -length_ratio, length_ratio)
+    states = data.loaded_states[rows]
+    _check_single_loads(
+        data,
+        states,
+        ratio=ratio / median_ratio,
+        length_ratio=length_ratio / median_ratio,
+        per_newton=size[rows] / np.maximum(np.linalg.norm(data.wrench[states, :3], axis=1), 1e-9),
+        advice=advice,
+    )
+    if _USUAL_SIZE[0] < median_ratio < _USUAL_SIZE[1]:
+        return []
+    return [
+        f"all points move {median_ratio:.1f} times as far as {robot.name} would under these loads: check the scale of "
+        "the forces. Loads that are all wrong by a factor make all compliances wrong by it, and no residual shows it."
+    ]
+
+
+def _check_median_ratio(median_ratio: float, data: Measurements, robot_name: str) -> None:
+    """Check sign and unit of the forces by the usual ratio of displacements to those of the prior robot.
+
+    :param median_ratio: median over the load cases.
+    :raises MeasurementError: points move against the forces, or another unit would explain their displacements.
+    """
     if median_ratio < 0.0:
         raise MeasurementError(
             "the points move against the forces",
@@ -381,27 +420,14 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
     if not _SAME_UNIT[0] < median_ratio < _SAME_UNIT[1]:
         unit = "kg" if _KILOGRAMS[0] < median_ratio < _KILOGRAMS[1] else "another unit than N"
         raise MeasurementError(
-            f"the points move {median_ratio:.2g} times as far as {robot.name} would: the forces look like {unit}",
+            f"the points move {median_ratio:.2g} times as far as {robot_name} would: the forces look like {unit}",
             file=data.file,
             advice="Give Fx, Fy, Fz in N, Mx, My, Mz in N·m, X, Y, Z in mm.",
         )
-    # two ratios, along the expected direction and by length: where links deflect unlike the joints, one is far off
-    length_ratio = np.sqrt(np.sum(displacement**2, axis=(1, 2)) / np.sum(prediction**2, axis=(1, 2)))
-    # against the force only if it is nearly opposite: links may deflect across what the joints would
-    length_ratio = np.where(ratio < _OPPOSITE * length_ratio, -length_ratio, length_ratio)
-    states = data.loaded_states[rows]
-    per_newton = size[rows] / np.maximum(np.linalg.norm(data.wrench[states, :3], axis=1), 1e-9)
-    _check_single_loads(data, states, ratio / median_ratio, length_ratio / median_ratio, per_newton, advice)
-    if _USUAL_SIZE[0] < median_ratio < _USUAL_SIZE[1]:
-        return []
-    return [
-        f"all points move {median_ratio:.1f} times as far as {robot.name} would under these loads: check the scale of "
-        "the forces. Loads that are all wrong by a factor make all compliances wrong by it, and no residual shows it."
-    ]
 
 
 def _check_single_loads(
-    data: Measurements, states: Ints, ratio: Array, length_ratio: Array, per_newton: Array, advice: str
+    data: Measurements, states: Ints, *, ratio: Array, length_ratio: Array, per_newton: Array, advice: str
 ) -> None:
     """Check that the displacement of each load case fits its force as those of the others do.
 
@@ -409,20 +435,20 @@ def _check_single_loads(
     :param ratio: (n,) displacements over those of the prior robot, along these, relative to the median.
     :param length_ratio: (n,) the same by length; negative against the force.
     :param per_newton: (n,) largest displacements of the points by force [m/N].
+    :param advice: what else to check, added to the advice of the error; may be empty.
     :raises MeasurementError: one does not.
     """
-    for row in range(len(ratio)):
-        relative = length_ratio[row]
+    for row, (along, by_length) in enumerate(zip(ratio, length_ratio, strict=True)):
         other_cases = np.delete(per_newton, row)
         # if the joints would hardly deflect, links may deflect by many times as much: as in other load cases
-        if relative > 0.0 and len(other_cases) and other_cases.min() < per_newton[row] < other_cases.max():
+        if by_length > 0.0 and len(other_cases) and other_cases.min() < per_newton[row] < other_cases.max():
             continue
-        if not any(_SAME_UNIT[0] < factor < _SAME_UNIT[1] for factor in (relative, ratio[row])):
+        if not any(_SAME_UNIT[0] < factor < _SAME_UNIT[1] for factor in (by_length, along)):
             state = int(states[row])
-            unit = "kg" if _KILOGRAMS[0] < relative < _KILOGRAMS[1] else "another unit, direction or configuration"
+            unit = "kg" if _KILOGRAMS[0] < by_length < _KILOGRAMS[1] else "another unit, direction or configuration"
             raise MeasurementError(
                 f"{_state_name(data, state)}: displacement and force do not belong together "
-                f"({relative:.2g} times the usual ratio): the force looks like {unit}",
+                f"({by_length:.2g} times the usual ratio): the force looks like {unit}",
                 file=data.file,
                 line=_first_line(data, state),
                 advice="Give forces in N, root axes, for this load case." + advice,
@@ -489,17 +515,9 @@ def hysteresis_warnings(robot: RobotModel, data: Measurements, placement: Placem
     """
     from scipy.optimize import nnls
 
-    before, after = load_loops(data)
-    if len(before) == 0:
+    design, target = _loop_equations(robot, data, placement)
+    if len(target) == 0:
         return []
-    displacement, visibility = measured_displacements(data, placement), visible(data)[..., 0]
-    is_visible = (visibility[before] * visibility[after]).astype(bool)
-    _, reading_counts = data.means()
-    count = np.maximum(reading_counts[data.loaded_states], 1.0)
-    noise = data.sigma * np.sqrt(1.0 / count[before] + 1.0 / count[after])
-    columns = _motions_by_loops(robot, data, placement, before)
-    design = (columns / noise[..., None, None])[is_visible].reshape(-1, 6)
-    target = ((displacement[after] - displacement[before]) / noise[..., None])[is_visible].ravel()
     scale = norm(design.T)
     joints = np.flatnonzero(scale > 0.0)
     scaled_design = design[:, joints] / scale[joints]
@@ -513,6 +531,23 @@ def hysteresis_warnings(robot: RobotModel, data: Measurements, placement: Placem
         for row, joint in enumerate(joints.tolist())
         if is_certain[row] and half_width[row] > _MIN_LOOP
     ]
+
+
+def _loop_equations(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Array, Array]:
+    """Return whitened equations for the loops of the joints: design (r, 6) [1/rad], and right side (r,).
+
+    Each is a coordinate of a point: its displacement under a load after a larger one, less that before; no rows if no
+    load was measured before and after a larger one.
+    """
+    before, after = load_loops(data)
+    displacement, visibility = measured_displacements(data, placement), visible(data)[..., 0]
+    is_visible = (visibility[before] * visibility[after]).astype(bool)
+    _, reading_counts = data.means()
+    count = np.maximum(reading_counts[data.loaded_states], 1.0)
+    noise = data.sigma * np.sqrt(1.0 / count[before] + 1.0 / count[after])
+    columns = _motions_by_loops(robot, data, placement, before)
+    design = (columns / noise[..., None, None])[is_visible].reshape(-1, 6)
+    return design, ((displacement[after] - displacement[before]) / noise[..., None])[is_visible].ravel()
 
 
 def _motions_by_loops(robot: RobotModel, data: Measurements, placement: Placement, states: Ints) -> Array:
@@ -540,15 +575,13 @@ def load_loops(data: Measurements) -> tuple[Ints, Ints]:
     :returns: (m,) rows of the loaded states before the larger load, and (m,) of those after it.
     """
     load, config = data.wrench[data.loaded_states], data.state_config[data.loaded_states]
-    number, size = data.load[data.loaded_states], norm(load)
-    pairs = [
-        (first, second)
-        for first in range(len(load))
-        for second in np.flatnonzero(config == config[first]).tolist()
-        if number[first] < number[second]
-        and norm(load[first] - load[second]) < _SAME_LOAD * size[first]
-        and _has_larger_load(size, number, config, first, second)
-    ]
+    number, size = data.load[data.loaded_states], norm(load)  # loads are numbered in the order of the measurements
+    pairs: list[tuple[int, int]] = []
+    for first in range(len(load)):
+        is_same_load = norm(load[first] - load) < _SAME_LOAD * size[first]
+        for second in np.flatnonzero(is_same_load & (config == config[first]) & (number > number[first])).tolist():
+            if _has_larger_load(size, number, config, first, second):
+                pairs.append((first, second))
     before, after = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     return before, after
 

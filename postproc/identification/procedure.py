@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -127,39 +127,76 @@ def identify(
     :raises MeasurementError: the readings are unusable; the message names the row or says what to measure.
     """
     checked = check_readings(prior, data)
-    data, placement, outliers, warnings = checked.data, checked.placement, checked.outliers, checked.warnings
     if method == "serial":
         return _serial_identification(prior, checked)
-
     progress("joint springs and compensator")
-    joints, data, placement, names = _located_joints(prior, data, placement)
-    outliers = outliers + names
-    fit, open_entries, choice = joints.fit, joints.missing, None
-    if depth == "joints" and _has_unexplained_error(fit):
-        ratio = fit.chi2 / fit.dof
-        warnings.append(_joint_residual_text(fit))
-        fit = replace(fit, covariance=fit.covariance * ratio)
-    elif depth == "auto" and (_is_hidden(fit) or _has_possible_error(fit)):
-        progress(f"{_joint_residual_text(fit)}: trying link springs and gears that are not linear")
-        clean_data, richer, names = _choose_springs(prior, data, placement)
-        if _has_unexplained_error(fit) or _is_hidden(fit) or _has_clear_evidence(richer, fit, clean_data, placement):
-            data, choice, fit, outliers = clean_data, richer, richer.fit, outliers + names
-            if not prior.subtract_reference:
-                placement = locate(fit.robot, data)
-            open_entries = _undetermined_springs(choice, data, open_entries)
-    if choice is None:
-        fit = held_by_prior(fit, open_entries)
-    warnings += [str(entry) for entry in open_entries] + [f"outlier: {name}" for name in outliers]
-    left = left_out_of(fit, data) if choice is None else choice.left_out
-    model_error = discrepancy(data, placement, fit, left)
+    joints, data, placement, names = _located_joints(prior, checked.data, checked.placement)
+    springs = _Springs(joints.fit, None, data, placement, joints.missing, checked.outliers + names)
+    if depth == "auto" and (_is_hidden(joints.fit) or _has_possible_error(joints.fit)):
+        progress(f"{_joint_residual_text(joints.fit)}: trying link springs and gears that are not linear")
+        springs = _richer_springs(prior, springs)
+    warnings = checked.warnings
+    if depth == "joints" and _has_unexplained_error(joints.fit):
+        warnings = [*warnings, _joint_residual_text(joints.fit)]
+        ratio = joints.fit.chi2 / joints.fit.dof
+        springs = springs._replace(fit=replace(joints.fit, covariance=joints.fit.covariance * ratio))
+    return _enhanced_identification(prior, joints, springs, warnings, checked.doubt)
+
+
+class _Springs(NamedTuple):
+    """Springs that were fitted, and the readings that they were fitted to.
+
+    :param fit: of the springs.
+    :param choice: structures tried; None: the fit is that of joint springs.
+    :param data: readings without gross errors, and their `placement`.
+    :param open_entries: parameters that the readings do not determine.
+    :param outliers: a line for each reading that was left out.
+    """
+
+    fit: Fit
+    choice: Choice | None
+    data: Measurements
+    placement: Placement
+    open_entries: list[UnobservableParameter]
+    outliers: list[str]
+
+
+def _richer_springs(prior: RobotModel, joint_springs: _Springs) -> _Springs:
+    """Return the mean of structures in place of joint springs, if these do not suffice; else the joint springs.
+
+    They do not if they leave an unexplained error, noise would hide other springs, or the evidence for these is clear.
+    """
+    fit, _, data, placement, open_entries, outliers = joint_springs
+    data, choice, names = _choose_springs(prior, data, placement)
+    is_insufficient = _has_unexplained_error(fit) or _is_hidden(fit)
+    if not is_insufficient and not _has_clear_evidence(choice, fit, data, placement):
+        return joint_springs
+    if not prior.subtract_reference:  # the pose without load depends on the springs
+        placement = locate(choice.fit.robot, data)
+    open_entries = _undetermined_springs(choice, data, open_entries)
+    return _Springs(choice.fit, choice, data, placement, open_entries, outliers + names)
+
+
+def _enhanced_identification(
+    prior: RobotModel, joints: _Joints, springs: _Springs, warnings: list[str], doubt: str
+) -> Identification:
+    """Return the identification by the enhanced method: the springs with their uncertainty and the verdict.
+
+    :param joints: fit of joint springs alone.
+    :param springs: those of the model.
+    :param warnings: so far.
+    :param doubt: clause on axes and point of the loads; may be empty.
+    """
+    choice, data, placement, outliers = springs.choice, springs.data, springs.placement, springs.outliers
+    fit = held_by_prior(springs.fit, springs.open_entries) if choice is None else springs.fit
+    model_error = discrepancy(data, placement, fit, left_out_of(fit, data) if choice is None else choice.left_out)
     fit = fit if choice is None else replace(fit, covariance=choice.wider)
     fit = add_stated_errors(fit, data, placement, None if choice is None else choice.influence)
     workspace = over_workspace(_robot_with_bound(fit, model_error), data)
     judgement = judge(data, fit, choice, workspace, displacement_ratio(prior, data, placement))
-    judgement = judgement.reserved(displaced_points(data, placement)).reserved(checked.doubt)
+    judgement = judgement.reserved(displaced_points(data, placement)).reserved(doubt)
     if choice is not None:
         judgement = judgement.reserved(doubt_of_levels(choice.fit, data, placement))
-    warnings += judgement.notes + hysteresis_warnings(prior, data, placement)
     return Identification(
         method="enhanced",
         prior=prior,
@@ -168,14 +205,24 @@ def identify(
         fit=fit,
         levels=joints.levels,
         spring=joints.spring,
-        missing=tuple(open_entries),
+        missing=tuple(springs.open_entries),
         choice=choice,
         discrepancy=model_error,
         workspace=workspace,
         judgement=judgement,
         left_out=tuple(outliers),
-        warnings=tuple(warnings),
+        warnings=(
+            *warnings,
+            *_spring_warnings(springs.open_entries, outliers),
+            *judgement.notes,
+            *hysteresis_warnings(prior, data, placement),
+        ),
     )
+
+
+def _spring_warnings(open_entries: list[UnobservableParameter], outliers: list[str]) -> list[str]:
+    """Return a warning for each parameter that is not observable, and for each reading that was left out."""
+    return [str(entry) for entry in open_entries] + [f"outlier: {name}" for name in outliers]
 
 
 _CHECK_ANGLES = " Check [angles] too: sign, offset_deg and A3_per_J2."
@@ -213,14 +260,24 @@ def check_readings(prior: RobotModel, data: Measurements) -> CheckedReadings:
     return CheckedReadings(data, placement, outliers, warnings + notes, doubt)
 
 
-def _located_joints(
-    prior: RobotModel, data: Measurements, placement: Placement
-) -> tuple[_Joints, Measurements, Placement, list[str]]:
+class _LocatedJoints(NamedTuple):
+    """Joint springs, and the readings that they were fitted to.
+
+    :param joints: the fit.
+    :param data: readings without gross errors, and their `placement`.
+    :param outliers: names of the readings that are left out.
+    """
+
+    joints: _Joints
+    data: Measurements
+    placement: Placement
+    outliers: list[str]
+
+
+def _located_joints(prior: RobotModel, data: Measurements, placement: Placement) -> _LocatedJoints:
     """Fit joint springs and compensator, and the frames of robot and points if these depend on the springs.
 
     Gross errors are left out if joint springs then explain all other readings.
-
-    :returns: the fit, the readings that are kept, the placement, and the names of the readings that are left out.
     """
     joints = _fitted_joints(prior, data, placement)
     if not prior.subtract_reference:  # the pose without load depends on the springs
@@ -230,8 +287,8 @@ def _located_joints(
         clean_data, clean_fit, names = _remove_outliers(prior, data, placement, joints.fit)
         if names and not _has_unexplained_error(clean_fit):
             placement = locate(prior if prior.subtract_reference else clean_fit.robot, clean_data)
-            return _fitted_joints(prior, clean_data, placement), clean_data, placement, names
-    return joints, data, placement, []
+            return _LocatedJoints(_fitted_joints(prior, clean_data, placement), clean_data, placement, names)
+    return _LocatedJoints(joints, data, placement, [])
 
 
 def _joint_residual_text(fit: Fit) -> str:
@@ -244,9 +301,10 @@ def _joint_residual_text(fit: Fit) -> str:
 
 def _robot_with_bound(fit: Fit, model_error: Discrepancy) -> RobotModel:
     """Return the identified robot with the covariance of its parameters and the unmodelled error, for its bound."""
-    parameters, _, covariance = to_file_units(fit)
+    in_file = to_file_units(fit)
+    covariance = robots.Covariance(in_file.parameters, in_file.covariance)
     unmodelled = robots.Discrepancy(model_error.load, model_error.u95)
-    return replace(fit.robot, covariance=robots.Covariance(parameters, covariance), discrepancy=unmodelled)
+    return replace(fit.robot, covariance=covariance, discrepancy=unmodelled)
 
 
 def _has_clear_evidence(richer: Choice, fit: Fit, data: Measurements, placement: Placement) -> bool:
@@ -254,13 +312,16 @@ def _has_clear_evidence(richer: Choice, fit: Fit, data: Measurements, placement:
     return richer.evidence > evidence_of(fit.structure, fit.values, data, placement) + CLEAR
 
 
-def _choose_springs(
-    prior: RobotModel, data: Measurements, placement: Placement
-) -> tuple[Measurements, Choice, list[str]]:
-    """Choose the springs, leave out gross errors against them, and choose again, three times at most.
+class _ChosenSprings(NamedTuple):
+    """A choice of springs, the readings without gross errors that it is of, and the names of those left out."""
 
-    :returns: the readings without gross errors, the choice, and the names of the readings left out.
-    """
+    data: Measurements
+    choice: Choice
+    outliers: list[str]
+
+
+def _choose_springs(prior: RobotModel, data: Measurements, placement: Placement) -> _ChosenSprings:
+    """Choose the springs, leave out gross errors against them, and choose again, three times at most."""
     choice = choose(prior, data, placement)
     outliers: list[str] = []
     for _ in range(3):
@@ -269,7 +330,7 @@ def _choose_springs(
             break
         data, outliers = clean_data, outliers + names
         choice = choose(prior, data, placement)
-    return data, choice, outliers
+    return _ChosenSprings(data, choice, outliers)
 
 
 def _undetermined_springs(
@@ -325,11 +386,10 @@ def _serial_identification(prior: RobotModel, checked: CheckedReadings) -> Ident
 
     :param checked: the readings, with outliers and warnings so far.
     """
-    data, placement, outliers, warnings = checked.data, checked.placement, checked.outliers, checked.warnings
+    data, placement, outliers = checked.data, checked.placement, checked.outliers
     fit = fit_serial(prior, data, placement)
-    open_entries = not_observable(fit, data, with_misfit=True)
+    open_entries = not_observable(fit, data, covariance_has_misfit=True)
     fit = held_by_prior(fit, open_entries)
-    warnings += [str(entry) for entry in open_entries] + [f"outlier: {name}" for name in outliers]
     model_error = discrepancy(data, placement, fit, fit.residual)
     fit = add_stated_errors(fit, data, placement, None)
     workspace = over_workspace(_robot_with_bound(fit, model_error), data)
@@ -349,7 +409,7 @@ def _serial_identification(prior: RobotModel, checked: CheckedReadings) -> Ident
         workspace=workspace,
         judgement=judgement,
         left_out=tuple(outliers),
-        warnings=tuple(warnings + judgement.notes),
+        warnings=(*checked.warnings, *_spring_warnings(open_entries, outliers), *judgement.notes),
     )
 
 
@@ -395,19 +455,24 @@ def _is_hidden(fit: Fit) -> bool:
     return bool(visible_chi2 < _VISIBLE_SIGMAS * np.sqrt(2.0 * max(fit.dof, 0)))
 
 
-def _remove_outliers(
-    prior: RobotModel, data: Measurements, placement: Placement, fit: Fit
-) -> tuple[Measurements, Fit, list[str]]:
+class _CleanFit(NamedTuple):
+    """A fit of joint springs, the readings without gross errors that it is of, and the names of those left out."""
+
+    data: Measurements
+    fit: Fit
+    outliers: list[str]
+
+
+def _remove_outliers(prior: RobotModel, data: Measurements, placement: Placement, fit: Fit) -> _CleanFit:
     """Leave out gross errors against the joint springs one at a time, until the springs explain the other readings.
 
     Nothing is left out if `_MOST_OUTLIERS` of the readings could not explain the misfit.
-
-    :returns: the readings that are kept, the fit to them, and the names of those that are left out.
     """
     names: list[str] = []
     limit = max(1, int(_MOST_OUTLIERS * len(data.state)))
+    # a reading without load counts in the displacements of all loads of its configuration
     if not _can_outliers_explain(fit, limit * (len(data.loaded_states) // len(data.q))):
-        return data, fit, names
+        return _CleanFit(data, fit, names)
     for _ in range(limit):
         clean_data, new_names = plausibility.remove_worst_residual(data, placement, fit)
         if not new_names:
@@ -416,7 +481,7 @@ def _remove_outliers(
         fit = _fitted_joints(prior, data, placement).fit
         if not _has_unexplained_error(fit):
             break
-    return data, fit, names
+    return _CleanFit(data, fit, names)
 
 
 def _can_outliers_explain(fit: Fit, limit: int) -> bool:

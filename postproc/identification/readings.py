@@ -357,10 +357,10 @@ _NO_LOAD = 1e-6
 """Forces below this [N, N·m] are none but for rounding."""
 
 
-def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements:
+def read(path: Path, experiment: Experiment, needs_loads: bool = True) -> Measurements:
     """Read `measurements.csv` and check that it is complete; rows without X, Y and Z are left out.
 
-    :param loads: False if readings without load are enough (calibration of the geometry).
+    :param needs_loads: False if readings without load are enough (calibration of the geometry).
     :raises MeasurementError: a reading is missing, given twice, not a number, belongs to a point that the
         experiment does not name; a loaded state without its unloaded one; angles in radians, lengths not in mm.
     """
@@ -374,7 +374,7 @@ def read(path: Path, experiment: Experiment, loads: bool = True) -> Measurements
     _check_points(rows.texts["point"], tuple(experiment.points), rows.lines, file_name)
     data = _measurements(rows, experiment, path)
     _check_units(data.q * DEG_PER_RAD, data, file_name)
-    _check_complete(data, file_name, loads)
+    _check_complete(data, file_name, needs_loads)
     return data
 
 
@@ -384,17 +384,18 @@ def _measurements(rows: files.CsvTable, experiment: Experiment, path: Path) -> M
     :param rows: of the file, all with X, Y, Z and a point of the experiment.
     :raises MeasurementError: rows of one configuration have different angles, or rows of one state different forces.
     """
-    numbers, config_numbers, lines = rows.numbers, rows.numbers["config"], rows.lines
+    numbers, lines = rows.numbers, rows.lines
     angles = experiment.angles.to_robot(np.column_stack([numbers[name] for name in JOINTS]))
     wrench = np.column_stack([numbers[name] for name in WRENCH])
-    config, config_of_row = np.unique(config_numbers, return_inverse=True)
+    config, config_of_row = np.unique(numbers["config"], return_inverse=True)
     states, first_of_state, state = np.unique(
         np.column_stack([config_of_row, numbers["load"]]), axis=0, return_index=True, return_inverse=True
     )
     state = state.ravel()
     first_of_config = np.array([np.flatnonzero(config_of_row == index)[0] for index in range(len(config))])
-    _check_equal(angles, first_of_config[config_of_row], _SAME_ANGLE, JOINTS, config_numbers, lines, str(path))
-    _check_equal(wrench, first_of_state[state], _SAME_FORCE, WRENCH, config_numbers, lines, str(path))
+    angle_reference, force_reference = first_of_config[config_of_row], first_of_state[state]
+    _check_equal(rows, angles, reference=angle_reference, names=JOINTS, tolerance=_SAME_ANGLE, path=path)
+    _check_equal(rows, wrench, reference=force_reference, names=WRENCH, tolerance=_SAME_FORCE, path=path)
     names = tuple(experiment.points)
     return Measurements(
         file=path.name,
@@ -493,29 +494,29 @@ def _add_unloaded_states(table: files.CsvTable, file_name: str) -> files.CsvTabl
 
 
 def _check_equal(
+    rows: files.CsvTable,
     values: Array,
+    *,
     reference: Ints,
-    tolerance: float,
     names: tuple[str, ...],
-    config: Array,
-    lines: Array,
-    file_name: str,
+    tolerance: float,
+    path: Path,
 ) -> None:
-    """Check that values equal those of their reference rows.
+    """Check that values of rows equal those of their reference rows.
 
-    :param values: (n, k) of the rows of a file, in columns of these `names` (k,).
+    :param rows: of the file, n of them, for messages.
+    :param values: (n, k) of the rows, in columns of these `names` (k,).
     :param reference: (n,) reference row of each.
-    :param config: (n,) number of the configuration of each row, and `lines` (n,) its line, for messages.
     :raises MeasurementError: one differs by more than the tolerance; it names the row.
     """
     differs = np.abs(values - values[reference]) > tolerance
     if differs.any():
         row, column = np.argwhere(differs)[0]
         raise MeasurementError(
-            f"config {config[row]:g}: {names[column]} is {values[row, column]:g} here and "
-            f"{values[reference[row], column]:g} at line {int(lines[reference[row]])}",
-            file=file_name,
-            line=int(lines[row]),
+            f"config {rows.numbers['config'][row]:g}: {names[column]} is {values[row, column]:g} here and "
+            f"{values[reference[row], column]:g} at line {int(rows.lines[reference[row]])}",
+            file=str(path),
+            line=int(rows.lines[row]),
             advice="One configuration has one set of angles, one load case one force: give it another number.",
         )
 
@@ -550,19 +551,21 @@ def _check_units(angles: Array, data: Measurements, file_name: str) -> None:
         )
 
 
-def _check_complete(data: Measurements, file_name: str, loads: bool) -> None:
+def _check_complete(data: Measurements, file_name: str, needs_loads: bool) -> None:
     """Check that no reading is repeated, and that loads and unloaded states belong together.
 
+    :param needs_loads: whether each configuration needs readings under load.
     :raises MeasurementError: names the line.
     """
-    for row in range(len(data.state)):
-        state = data.state[row]
-        if data.load[state] == 0 and np.abs(data.wrench[state]).max() > _NO_LOAD:
-            raise MeasurementError(
-                f"config {data.config[data.state_config[state]]:g}: load 0 means no load, but there is a force",
-                file=file_name,
-                line=int(data.line[row]),
-            )
+    has_force = np.abs(data.wrench).max(axis=1) > _NO_LOAD
+    wrong_rows = np.flatnonzero(((data.load == 0) & has_force)[data.state])
+    if len(wrong_rows):
+        row = int(wrong_rows[0])
+        raise MeasurementError(
+            f"config {data.config[data.state_config[data.state[row]]]:g}: load 0 means no load, but there is a force",
+            file=file_name,
+            line=int(data.line[row]),
+        )
     keys, counts = np.unique(np.column_stack([data.state, data.point, data.repeat]), axis=0, return_counts=True)
     if counts.max() > 1:
         state, point, repeat = keys[np.argmax(counts)]
@@ -574,7 +577,7 @@ def _check_complete(data: Measurements, file_name: str, loads: bool) -> None:
             advice="Is a point name wrong?",
         )
     _check_sets(data, file_name)
-    _check_loads(data, file_name, loads)
+    _check_loads(data, file_name, needs_loads)
 
 
 def _check_sets(data: Measurements, file_name: str) -> None:
@@ -624,8 +627,8 @@ def gaps(data: Measurements) -> list[str]:
     return [f"points without a reading, the others are used: {'; '.join(names[:_MAX_NAMES])}{suffix}"]
 
 
-def _check_loads(data: Measurements, file_name: str, loads: bool) -> None:
-    """Check that each configuration has an unloaded state and, with `loads`, loaded ones with a force.
+def _check_loads(data: Measurements, file_name: str, needs_loads: bool) -> None:
+    """Check that each configuration has an unloaded state and, if it needs loads, loaded ones with a force.
 
     :raises MeasurementError: names the line.
     """
@@ -639,19 +642,19 @@ def _check_loads(data: Measurements, file_name: str, loads: bool) -> None:
                 line=line,
                 advice="Measure the same configuration unloaded, or leave it out.",
             )
-        if loads and len(config_loads) == 1:
+        if needs_loads and len(config_loads) == 1:
             raise MeasurementError(
                 f"config {config:g}: only readings without load",
                 file=file_name,
                 line=line,
                 advice="Measure the same configuration loaded, or leave it out.",
             )
-    for state in data.loaded_states if loads else []:
-        if np.abs(data.wrench[state]).max() <= _NO_LOAD:
-            rows = np.flatnonzero(data.state == state)
-            raise MeasurementError(
-                f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: the force is zero",
-                file=file_name,
-                line=int(data.line[rows[0]]),
-                advice="Give the force on the load point in N, root axes.",
-            )
+    is_without_force = np.abs(data.wrench).max(axis=1) <= _NO_LOAD
+    if needs_loads and is_without_force[data.loaded_states].any():
+        state = int(data.loaded_states[np.argmax(is_without_force[data.loaded_states])])
+        raise MeasurementError(
+            f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: the force is zero",
+            file=file_name,
+            line=int(data.line[np.flatnonzero(data.state == state)[0]]),
+            advice="Give the force on the load point in N, root axes.",
+        )

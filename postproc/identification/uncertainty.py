@@ -31,6 +31,8 @@ nothing: a better one shows more of what the model lacks, of the same robot.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
@@ -109,49 +111,81 @@ def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residua
     :param fold_residual: (L, P, 3) measured − predicted, each by a fit without its configuration [m].
     """
     is_visible = visible(data)[..., 0] > 0.0
-    count = is_visible.sum(axis=1)
-    share = is_visible / np.maximum(count, 1)[:, None]
-    slopes = unwhiten(whitening(data), fit.design.reshape((*fold_residual.shape, len(fit.values))))
-    middle = np.einsum("lp,lpia->lia", share, slopes)
-    fit_covariance = middle @ fit.covariance @ np.swapaxes(middle, 1, 2)
-    noise = np.sum(share**2 * noise_of(data), axis=1)
-    error = np.einsum("lp,lpi->li", share, fold_residual)
-    blur = fit_covariance + noise[:, None, None] / 3.0 * np.eye(3)
-    squares = np.array([np.sum(error**2, axis=1), noise, np.trace(fit_covariance, axis1=1, axis2=2)])
+    errors = _mean_point_errors(data, fit, fold_residual)
     displacement = measured_displacements(data, placement)
     load = norm(data.wrench[data.loaded_states])
     level = levels(load)
-    at_level = [np.flatnonzero((level == index) & (count > 0)) for index in range(int(level.max()) + 1)]
+    at_level = [
+        np.flatnonzero((level == index) & is_visible.any(axis=1)) for index in range(int(level.max()) + 1)
+    ]  # rows of the loaded states with readings, for each level
     at_level = [rows for rows in at_level if len(rows) > 0]
-    u95 = [
-        unmodelled_error(
-            error[rows], blur[rows], _SHARE * float(np.sqrt(np.mean(displacement[rows][is_visible[rows]] ** 2)))
-        )
-        for rows in at_level
-    ]
+    u95 = []
+    for rows in at_level:
+        usual_displacement = float(np.sqrt(np.mean(displacement[rows][is_visible[rows]] ** 2)))
+        u95.append(unmodelled_error(errors.error[rows], errors.covariance[rows], _SHARE * usual_displacement))
+    squares = (np.sum(errors.error**2, axis=1), errors.noise, errors.fit_variance)
     fold_rms, noise_rms, fit_rms = np.sqrt([[values[rows].mean() for rows in at_level] for values in squares])
-    median = np.array([np.median(load[rows]) for rows in at_level])
-    # an error under a load also exists under a larger one
-    return Discrepancy(median, fold_rms, noise_rms, fit_rms, np.maximum.accumulate(u95))
+    return Discrepancy(
+        load=np.array([np.median(load[rows]) for rows in at_level]),
+        held_out=fold_rms,
+        noise=noise_rms,
+        own=fit_rms,
+        u95=np.maximum.accumulate(u95),  # an error under a load also exists under a larger one
+    )
 
 
-def unmodelled_error(error: Array, blur: Array, median: float, weight: Array | float = 1.0) -> float:
+class _MeanPointErrors(NamedTuple):
+    """Cross-validation errors of the mean of the visible points in L loaded states; 0 for states without any.
+
+    :param error: (L, 3) measured − predicted [m].
+    :param noise: (L,) mean square of the noise in it [m²].
+    :param fit_variance: (L,) mean square by the uncertainty of the parameters [m²].
+    :param covariance: (L, 3, 3) by both [m²].
+    """
+
+    error: Array
+    noise: Array
+    fit_variance: Array
+    covariance: Array
+
+
+def _mean_point_errors(data: Measurements, fit: Fit, fold_residual: Array) -> _MeanPointErrors:
+    """Return the errors of the mean of the points of each state; parameters as of `discrepancy`."""
+    is_visible = visible(data)[..., 0] > 0.0
+    share = is_visible / np.maximum(is_visible.sum(axis=1), 1)[:, None]  # of each point in the mean
+    slopes = unwhiten(whitening(data), fit.design.reshape((*fold_residual.shape, len(fit.values))))
+    mean_slopes = np.einsum("lp,lpia->lia", share, slopes)
+    fit_covariance = mean_slopes @ fit.covariance @ np.swapaxes(mean_slopes, 1, 2)
+    noise = np.sum(share**2 * noise_of(data), axis=1)
+    return _MeanPointErrors(
+        error=np.einsum("lp,lpi->li", share, fold_residual),
+        noise=noise,
+        fit_variance=np.trace(fit_covariance, axis1=1, axis2=2),
+        covariance=fit_covariance + noise[:, None, None] / 3.0 * np.eye(3),
+    )
+
+
+def unmodelled_error(error: Array, covariance: Array, median: float, weight: Array | float = 1.0) -> float:
     """Return the 95 % quantile of the length of unmodelled errors [m].
 
+    It is integrated numerically over the posterior distribution of δ, their standard deviation (see the module).
+
     :param error: (n, 3) errors [m].
-    :param blur: (n, 3, 3) their covariance without δ [m²].
+    :param covariance: (n, 3, 3) of the errors without δ: by noise and parameters [m²].
     :param median: of δ before any reading [m].
     :param weight: (n,) of each error; below one where several share what is unmodelled.
     """
     from scipy.special import gammainc
 
-    spread, axes = np.linalg.eigh(blur)
+    variance, axes = np.linalg.eigh(covariance)  # along principal axes the components are independent
     square = np.einsum("nij,ni->nj", axes, error) ** 2
     z = np.linspace(*_SPAN, _STEPS)
     delta = max(median, 1e-9) * np.exp(WIDTH * z)
-    whole = spread + delta[:, None, None] ** 2
-    likely = -0.5 * np.sum((np.log(whole) + square / whole).sum(axis=2) * weight, axis=1) - 0.5 * z**2
-    chance = np.exp(likely - likely.max())
+    whole_variance = variance + delta[:, None, None] ** 2
+    log_density = (
+        -0.5 * np.sum((np.log(whole_variance) + square / whole_variance).sum(axis=2) * weight, axis=1) - 0.5 * z**2
+    )
+    chance = np.exp(log_density - log_density.max())
     chance /= chance.sum()
     length = np.geomspace(delta[0], 4.0 * delta[-1], 2000)
     cumulative = gammainc(1.5, 0.5 * (length[:, None] / delta) ** 2) @ chance  # χ² of three degrees of freedom
@@ -159,14 +193,21 @@ def unmodelled_error(error: Array, blur: Array, median: float, weight: Array | f
 
 
 def levels(load: Array) -> Ints:
-    """Return the level (L,), from 0 up, of loads (L,); loads without gaps form levels of about as many loads each."""
+    """Return the level (L,), from 0 up, of loads (L,) [N].
+
+    Sorted loads are split at gaps. A wide range without gaps is split into levels of about as many loads each, one for
+    each doubling of the load, if there are enough loads.
+    """
     order = np.argsort(load)
-    gaps = np.flatnonzero(np.diff(load[order]) > (_SAME_LEVEL - 1.0) * load[order][:-1]) + 1
-    level, number = np.empty(len(load), dtype=np.int64), 0
-    for rows in np.split(order, gaps):
-        octaves = max(1, int(np.ceil(np.log2(load[rows[-1]] / load[rows[0]]) - 1e-9)))
-        for part in np.array_split(rows, min(octaves, max(1, len(rows) // _LOADS))):
-            level[part], number = number, number + 1
+    first_after_gap = np.flatnonzero(np.diff(load[order]) > (_SAME_LEVEL - 1.0) * load[order][:-1]) + 1
+    parts: list[Ints] = []
+    for rows in np.split(order, first_after_gap):
+        # 1e-9: rounding of a range of exactly one doubling
+        doublings = max(1, int(np.ceil(np.log2(load[rows[-1]] / load[rows[0]]) - 1e-9)))
+        parts += np.array_split(rows, min(doublings, max(1, len(rows) // _LOADS)))
+    level = np.empty(len(load), dtype=np.int64)
+    for number, rows in enumerate(parts):
+        level[rows] = number
     return level
 
 
@@ -229,9 +270,8 @@ def add_stated_errors(fit: Fit, data: Measurements, placement: Placement, influe
 
 def _share(parameter: Parameter) -> float:
     """Return the relative error of a parameter for a relative error of the loads of one."""
-    if isinstance(
-        parameter, Backlash | LinkMass | CompensatorSize
-    ):  # torques; the stated values contain those without load
+    # torques at rest, and angles that do not depend on the size of the load
+    if isinstance(parameter, Backlash | LinkMass | CompensatorSize):
         return 0.0
     return -1.0 if isinstance(parameter, CompensatorTorque) else 1.0
 
@@ -344,15 +384,10 @@ def over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
     q, direction = _poses(robot, tool)
-    force = norm(data.wrench[data.loaded_states, :3])
-    data_torque = np.abs(joint_torques(robot, data)).max(axis=0)
-    _, jacobian = kinematics.tcp(robot.loaded, elastostatics.coordinates(robot, q), tool)
-    torque = np.abs(np.einsum("nij,ni->nj", jacobian[:, :3, list(robot.actuated)], direction)) * force.max()
-    has_torque = data_torque > _TORQUE_SHARE * data_torque.max()
-    largest_force = force.max() * np.minimum(
-        1.0, (data_torque[has_torque] / np.maximum(torque[:, has_torque], 1e-9)).min(axis=1)
-    )
-    levels, worst = [], (0.0, "", q[0])
+    least_load = float(norm(data.wrench[data.loaded_states, :3]).min())
+    largest_force = _largest_forces(robot, data, q, direction)
+    levels: list[WorkspaceLevel] = []
+    worst, cause, worst_pose = 0.0, "", q[0]
     for share in SHARES:
         wrench = np.concatenate([share * largest_force[:, None] * direction, np.zeros_like(direction)], axis=1)
         try:
@@ -360,35 +395,53 @@ def over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
         except NotConvergedError as error:
             row = int(error.rows[0])
             cause = f"the springs have no equilibrium under {share * largest_force[row]:.0f} N"
-            return Workspace((), float(force.min()), cause, tuple(q[row].tolist()))
-        errors = elastostatics.sources_of_error(robot, *elastostatics.loads(q, tool, wrench))
+            return Workspace((), least_load, cause, tuple(q[row].tolist()))
+        errors = elastostatics.sources_of_error(robot, elastostatics.LoadedPlaces.of(q, tool, wrench))
         bound = elastostatics.largest_length(errors.covariances())
-        chance = float(np.quantile(elastostatics.chance_at(errors, deflection), 1.0 - _POSE_SHARE))
-        displacement = norm(deflection)
-        ratio = bound / np.maximum(displacement, 1e-12)
-        limit = float(np.quantile(ratio, _POSE_SHARE))
-        levels.append(
-            WorkspaceLevel(
-                float(np.median(share * largest_force)),
-                float(np.median(displacement)),
-                float(np.median(bound)),
-                limit,
-                chance,
-            )
+        ratio = bound / np.maximum(norm(deflection), 1e-12)
+        level = WorkspaceLevel(
+            load=float(np.median(share * largest_force)),
+            deflection=float(np.median(norm(deflection))),
+            bound=float(np.median(bound)),
+            worst=float(np.quantile(ratio, _POSE_SHARE)),
+            chance=float(np.quantile(elastostatics.chance_at(errors, deflection), 1.0 - _POSE_SHARE)),
         )
-        if levels[-1].load >= force.min() and limit > worst[0]:
-            row = int(np.argmin(np.abs(ratio - limit)))
-            worst = (limit, _cause(robot, q[row], tool, wrench[row], float(bound[row])), q[row])
-    return Workspace(tuple(levels), float(force.min()), worst[1], tuple(worst[2].tolist()))
+        levels.append(level)
+        if level.load >= least_load and level.worst > worst:
+            row = int(np.argmin(np.abs(ratio - level.worst)))
+            worst, worst_pose = level.worst, q[row]
+            cause = _cause(robot, q[row], tool, wrench[row], float(bound[row]))
+    return Workspace(tuple(levels), least_load, cause, tuple(worst_pose.tolist()))
+
+
+def _largest_forces(robot: RobotModel, data: Measurements, q: Array, direction: Array) -> Array:
+    """Return the largest force (n,) [N] at each pose: the largest measured, less where a joint would get more torque.
+
+    Joints that the readings hardly load do not limit it.
+
+    :param q: (n, 6) joint angles [rad], and `direction` (n, 3) unit direction of the force at each, root axes.
+    """
+    tool = np.eye(4)
+    tool[:3, 3] = data.load_point
+    largest = norm(data.wrench[data.loaded_states, :3]).max()
+    data_torque = np.abs(joint_torques(robot, data)).max(axis=0)
+    _, jacobian = kinematics.tcp(robot.loaded, elastostatics.coordinates(robot, q), tool)
+    torque = np.abs(np.einsum("nij,ni->nj", jacobian[:, :3, list(robot.actuated)], direction)) * largest
+    is_loaded = data_torque > _TORQUE_SHARE * data_torque.max()
+    limits = (data_torque[is_loaded] / np.maximum(torque[:, is_loaded], 1e-9)).min(axis=1)
+    return np.asarray(largest * np.minimum(1.0, limits))
 
 
 def _poses(robot: RobotModel, tool: Array) -> tuple[Array, Array]:
-    """Return joint angles (n, 6) [rad], clear of the floor and the axis of A1, and directions (n, 3) of forces."""
+    """Return random joint angles (n, 6) [rad], and random unit directions (n, 3) of forces.
+
+    The tool is clear of the floor and of the axis of A1. n is `_POSES`, or less if few random poses are clear.
+    """
     rng = np.random.default_rng(0)
-    q = rng.uniform(robot.lower, robot.upper, (8 * _POSES, 6))
-    at = kinematics.tcp(robot.loaded, elastostatics.coordinates(robot, q), tool)[0][:, :3, 3]
-    reach = norm(at[:, :2])
-    clear = np.flatnonzero((at[:, 2] > 0.0) & (reach > _CLEARANCE * reach.max()))[:_POSES]
+    q = rng.uniform(robot.lower, robot.upper, (8 * _POSES, 6))  # more than are needed: many are not clear
+    position = kinematics.tcp(robot.loaded, elastostatics.coordinates(robot, q), tool)[0][:, :3, 3]
+    reach = norm(position[:, :2])
+    clear = np.flatnonzero((position[:, 2] > 0.0) & (reach > _CLEARANCE * reach.max()))[:_POSES]
     direction = rng.normal(size=(len(clear), 3))
     return q[clear], direction / norm(direction)[:, None]
 

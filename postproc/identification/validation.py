@@ -230,11 +230,18 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
 
 
 def _is_known_state(data: Measurements, states: Array) -> Bools:
-    """Return which loaded states (L,) of configuration and load are among others (m, 12)."""
-    q, wrench = data.q[data.state_config[data.loaded_states]], data.wrench[data.loaded_states]
-    is_same_pose = np.abs(q[:, None] - states[None, :, :6]).max(axis=2) < _SAME_ANGLE
-    difference = norm((wrench[:, None] - states[None, :, 6:]).reshape(-1, 6)).reshape(is_same_pose.shape)
-    return np.asarray((is_same_pose & (difference < _SAME_LOAD * norm(wrench)[:, None])).any(axis=1))
+    """Return True for loaded states (L,) of the readings whose configuration and load are among some states.
+
+    :param states: (m, 12) joint angles [rad], then force [N] and moment [N·m] at the load point, root axes.
+    """
+    state_q, state_wrench = np.split(states, [6], axis=1)
+    is_known = np.zeros(len(data.loaded_states), dtype=bool)
+    for row, state in enumerate(data.loaded_states):
+        q, wrench = data.q[data.state_config[state]], data.wrench[state]
+        is_same_pose = np.abs(state_q - q).max(axis=1) < _SAME_ANGLE
+        is_same_load = norm(state_wrench - wrench) < _SAME_LOAD * norm(wrench)
+        is_known[row] = (is_same_pose & is_same_load).any()
+    return is_known
 
 
 class _Displacements(Struct, frozen=True, eq=False):
@@ -283,30 +290,34 @@ def _levels(comparison: _Displacements) -> list[ValidatedLevel]:
     A bound that the model does not state leaves its shares NaN and their limits 0 and 1.
     """
     level = levels(comparison.load)
-    level_doubt = _DOUBT / (int(level.max()) + 1)
-    left, ratio = comparison.left, comparison.error_ratio
-    result = []
-    for index in range(int(level.max()) + 1):
-        rows = (level == index)[:, None] & comparison.is_compared
-        if rows.any():
-            lower = _limits(comparison, rows, _DOUBT)[0] if comparison.has_bound else 0.0
-            upper = _limits(comparison, rows, level_doubt)[1] if comparison.has_bound else 1.0
-            squares = [np.mean(left[state, points] ** 2) for state, points in enumerate(rows) if points.any()]
-            result.append(
-                ValidatedLevel(
-                    load=float(np.median(comparison.load[rows.any(axis=1)])),
-                    measured=_rms(comparison.displacement[rows]),
-                    left=_rms(left[rows]),
-                    noise=_rms(np.sqrt(comparison.noise[rows])),
-                    doubt=float(np.std(squares, ddof=1) / np.sqrt(len(squares))) if len(squares) > 1 else np.inf,
-                    inside=float(np.mean(ratio[rows] <= 1.0)) if comparison.has_bound else float("nan"),
-                    limits=(lower, upper),
-                    reach=float(np.quantile(ratio[rows], _BOUND_SHARE)) if comparison.has_bound else float("nan"),
-                    bound=_rms(comparison.bound[rows]),
-                    configurations=len(np.unique(comparison.config[rows.any(axis=1)])),
-                )
-            )
-    return result
+    count = int(level.max()) + 1
+    is_compared_at = ((level == index)[:, None] & comparison.is_compared for index in range(count))
+    return [_validated_level(comparison, rows, _DOUBT / count) for rows in is_compared_at if rows.any()]
+
+
+def _validated_level(comparison: _Displacements, rows: Bools, upper_doubt: float) -> ValidatedLevel:
+    """Return the comparison of some displacements; see `_levels`.
+
+    :param rows: (L, P) True for these displacements; at least one is.
+    :param upper_doubt: probability with which the share inside the bound is above its upper limit.
+    """
+    has_bound, ratio = comparison.has_bound, comparison.error_ratio[rows]
+    lower = _limits(comparison, rows, _DOUBT)[0] if has_bound else 0.0
+    upper = _limits(comparison, rows, upper_doubt)[1] if has_bound else 1.0
+    states = np.flatnonzero(rows.any(axis=1))
+    squares = [np.mean(comparison.left[state, rows[state]] ** 2) for state in states]
+    return ValidatedLevel(
+        load=float(np.median(comparison.load[states])),
+        measured=_rms(comparison.displacement[rows]),
+        left=_rms(comparison.left[rows]),
+        noise=_rms(np.sqrt(comparison.noise[rows])),
+        doubt=float(np.std(squares, ddof=1) / np.sqrt(len(squares))) if len(squares) > 1 else np.inf,
+        inside=float(np.mean(ratio <= 1.0)) if has_bound else float("nan"),
+        limits=(lower, upper),
+        reach=float(np.quantile(ratio, _BOUND_SHARE)) if has_bound else float("nan"),
+        bound=_rms(comparison.bound[rows]),
+        configurations=len(np.unique(comparison.config[states])),
+    )
 
 
 def _coverage(torque: Array, comparison: _Displacements) -> Coverage:
@@ -472,14 +483,18 @@ def coverage(torque: Array, config: Ints, is_refuted: Bools | None = None) -> Co
     sides = split_signs(torque)
     acts = sides > LEAST_TORQUE
     largest = np.where(acts.any(axis=0), sides.max(axis=0, initial=0.0), 0.0)
-    names, place = np.unique(config, return_inverse=True)
-    is_counted = np.zeros((len(names), 6, 2), dtype=bool)
-    np.logical_or.at(is_counted, place, acts)
-    level = np.full(len(names), np.inf)
-    np.minimum.at(level, place, _level(sides, largest))
-    min_level = float(np.sort(level)[min(MIN_CONFIGURATIONS, len(level)) - 1]) if len(level) else np.inf
+    configs, config_row = np.unique(config, return_inverse=True)
+    acts_in_config = np.zeros((len(configs), 6, 2), dtype=bool)
+    np.logical_or.at(acts_in_config, config_row, acts)
+    smallest_level = np.full(len(configs), np.inf)  # of the loads of each configuration
+    np.minimum.at(smallest_level, config_row, _level(sides, largest))
+    # the level down to which enough configurations were measured, or all if they are fewer
+    needed = min(MIN_CONFIGURATIONS, len(configs))
     return Coverage(
-        largest, is_counted.sum(axis=0), np.zeros((6, 2), dtype=bool) if is_refuted is None else is_refuted, min_level
+        largest=largest,
+        configurations=acts_in_config.sum(axis=0),
+        refuted=np.zeros((6, 2), dtype=bool) if is_refuted is None else is_refuted,
+        least=float(np.sort(smallest_level)[needed - 1]) if needed else np.inf,
     )
 
 

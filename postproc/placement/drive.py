@@ -137,7 +137,13 @@ def errors(robot_in_cell: RobotInCell, q: Array, tool: Array, load: Load) -> tup
     series = _in_series(robot_in_cell.tool_spring, load.pose)
     with np.errstate(invalid="ignore", divide="ignore"):
         u95 = elastostatics.position_bound(
-            robot_in_cell.robot, q, tool, load.wrench, load.spread, series, is_proportional=load.is_scaled
+            robot_in_cell.robot,
+            q,
+            tool,
+            load.wrench,
+            force_spread=load.spread,
+            in_series=series,
+            is_proportional=load.is_scaled,
         )
     return np.full(len(q), np.nan) if u95 is None else u95, deflection
 

@@ -42,7 +42,7 @@ def against_chance(runs: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     wrench = np.c_[rng.uniform(-600.0, 600.0, (_POSES, 3)), rng.uniform(-10.0, 10.0, (_POSES, 3))]
     spread = np.zeros((_POSES, 6, 6))
     spread[:, range(3), range(3)] = 0.07 * np.linalg.norm(wrench[:, :3], axis=1)[:, None]
-    bound = elastostatics.position_bound(model, q, SIDE_TOOL, wrench, spread)
+    bound = elastostatics.position_bound(model, q, SIDE_TOOL, wrench, force_spread=spread)
     expected = elastostatics.deflect(model, q, SIDE_TOOL, wrench).twist[:, :3]
     off = model.discrepancy.at(wrench) / 2.7955  # 95 % of the lengths of standard normal vectors
     errors = np.empty((runs, _POSES))

@@ -67,15 +67,16 @@ def errors(request, tmp_path_factory):
 
 
 def at(draft, k, turning):
-    """Sources of error of one target."""
+    """Sources of error of one target, and the bound."""
     path, sample = draft.path, draft.selection.row[k : k + 1]
     tool = path.robot_in_cell.tool_spring
     pose = path.pose_in_root(sample)
     series = None if tool is None else tool.matrices(pose[:, :3, :3])
     spread = path.motions.forces.spread_in_root(path.sample.take(sample))
-    load = draft.q[sample], path.tool(sample), path.wrench_in_root(sample), spread, series
-    is_scaled = np.zeros(1, dtype=bool)
-    return elastostatics.sources_of_error(ROBOT, *elastostatics.loads(*load, turning, is_scaled)), load
+    load = draft.q[sample], path.tool(sample), path.wrench_in_root(sample)
+    errors = {"force_spread": spread, "in_series": series, "turning": turning}
+    sources = elastostatics.sources_of_error(ROBOT, elastostatics.LoadedPlaces.of(*load, **errors))
+    return sources, elastostatics.position_bound(ROBOT, *load, **errors)[0]
 
 
 def test_each_target_has_the_errors_of_its_loads_and_what_its_path_leaves(errors):
@@ -88,7 +89,7 @@ def test_each_target_has_the_errors_of_its_loads_and_what_its_path_leaves(errors
         turning = np.zeros((1, 6), dtype=bool)
         for row, before, joint in zip(reversals.row, reversals.before, reversals.joint, strict=True):
             turning[0, joint] |= k in (row, before)
-        sources, load = at(draft, k, turning)
+        sources, expected_bound = at(draft, k, turning)
         left = np.zeros(3) if kind == "nominal" else simulation.deviation[k]
         on_path = 0.0 if kind == "nominal" else simulation.path_distance[k]
         excess = max(on_path - np.linalg.norm(left), 0.0)
@@ -97,7 +98,7 @@ def test_each_target_has_the_errors_of_its_loads_and_what_its_path_leaves(errors
         gain.add(
             sources, base[None] @ deviation[k], base[None] @ left, np.array([on_path]), result.cut_length[k : k + 1]
         )
-        assert bound[k] == pytest.approx(elastostatics.position_bound(ROBOT, *load, turning)[0], rel=1e-9)
+        assert bound[k] == pytest.approx(expected_bound, rel=1e-9)
         if motions.rapid[targets.motion[k]]:
             assert expected.before[k] == expected.after[k] == 0.0
             continue

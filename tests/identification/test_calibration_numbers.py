@@ -64,7 +64,7 @@ ROOT[:3, 3] = [1.2, -3.4, 0.8]
 def test_derivatives_by_base_points_and_joints_are_differences_of_another_arm():
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (3, 6))
     flange, columns = calibration._derivatives(NOMINAL, q, POINTS)
-    base, tool = calibration._frame_columns(flange, POINTS, ROOT)
+    base, tool = np.split(calibration._placement_columns(flange, POINTS, ROOT), [6], axis=1)
     h = 1e-6
     for column in range(6):
         twist = np.zeros(6)
@@ -96,7 +96,7 @@ def test_displacements_that_are_kept_are_independent_of_the_frames_and_of_each_o
     """By the rank of differences; all others are in the span of those that are kept."""
     q = np.random.default_rng(3).uniform(-1.5, 1.5, (40, 6))
     flange, columns = calibration._derivatives(NOMINAL, q, POINTS)
-    frames = np.hstack(calibration._frame_columns(flange, POINTS, np.eye(4)))
+    frames = calibration._placement_columns(flange, POINTS, np.eye(4))
     kept = calibration.nonredundant(NOMINAL, 3)
     names = ("X", "Y", "Z", "RX", "RY", "RZ")
     own = np.stack([columns[:, JOINTS.index(p.joint), names.index(p.axis)] for p in kept], axis=1)

@@ -404,7 +404,7 @@ def test_no_repeat_is_left_out_where_the_others_do_not_outvote_it(tmp_path):
 def test_a_marker_more_than_two_millimetres_off_its_circle_is_refused(by, refused):
     """All markers move together along the normal, as no circle does, and keep their distances."""
     exact, _ = readings(sigma=0.0)
-    _, axes, _ = cg.joint_axis_radius(exact.q2, exact.p1)
+    _, axes, _ = cg.joint_circle(exact.q2, exact.p1)
     flat = (exact.p0 @ axes[:, :2]).sum(axis=0)
     _, _, rest = np.linalg.svd(np.column_stack([np.ones(6), flat]).T)
     pattern = rest[-1] / np.abs(rest[-1]).max()  # no plane follows it

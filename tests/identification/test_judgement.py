@@ -283,7 +283,7 @@ def test_a_joint_is_open_from_half_its_size_on(half, chi2, with_misfit, open_joi
         sigma[3] = half * max(value, prior[3]) / 1.96
         fit = fit_of(data, values, covariance=np.diag(sigma**2))
         fit = replace(fit, chi2=chi2 * fit.dof)
-        entries = joint_springs.not_observable(fit, data, with_misfit=with_misfit)
+        entries = joint_springs.not_observable(fit, data, covariance_has_misfit=with_misfit)
         assert [JOINT_COMPLIANCES.index(entry.parameter) for entry in entries] == open_joints
 
 

@@ -34,7 +34,10 @@ def settled():
     equations, prior = linearise(structure, np.append(SPRINGS, np.zeros(3)), data, placement), prior_of(structure)
     fold = choice.folds(equations)
     columns = {"joints": np.arange(6), "one link": np.array([6, 0, 1, 2, 3, 4, 5]), "links": np.arange(9)}
-    members = tuple(Member.of(name, name == "links", equations, prior, own, fold) for name, own in columns.items())
+    members = tuple(
+        Member.of(name, name == "links", equations=equations, prior=prior, columns=own, fold=fold)
+        for name, own in columns.items()
+    )
     mean = Mean(structure, equations, members, WEIGHTS)
     solution = choice._CandidateEquations(
         structure, ("joint",) * 6 + ("link",) * 3, prior, equations, members[2].regression

@@ -1,10 +1,14 @@
 """Checks of readings on both sides of each limit: units, sets, loads, forces and frames."""
 
+from functools import partial
+from pathlib import Path
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from postproc.errors import MeasurementError
+from postproc.files import CsvTable
 from postproc.identification import dataset, plausibility
 from postproc.identification import readings as files
 from postproc.identification.measurement_model import levels_of
@@ -104,10 +108,9 @@ def test_configurations_need_states_with_and_without_a_force():
 def test_one_configuration_has_one_set_of_angles(off, refused):
     values = np.tile(np.arange(6.0), (4, 1))
     values[3, 4] += off
-    error = refusal(
-        files._check_equal, values, np.array([0, 0, 2, 2]), 1e-3, JOINTS, np.array([1.0, 1, 2, 2]),
-        np.array([2, 3, 4, 5]), "m.csv",
-    )  # fmt: skip
+    rows = CsvTable({"config": np.array([1.0, 1, 2, 2])}, {}, np.array([2, 3, 4, 5]))
+    check = partial(files._check_equal, reference=np.array([0, 0, 2, 2]), names=JOINTS, tolerance=1e-3, path=Path("m"))
+    error = refusal(check, rows, values)
     assert (error is not None) == refused
     if refused:
         assert "config 2: A5 is 4.0011 here and 4 at line 4" in str(error)

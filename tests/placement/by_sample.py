@@ -105,6 +105,6 @@ class SampleBySample:
         spring = samples.robot_in_cell.tool_spring
         series = None if spring is None else spring.matrices(pose[:, :3, :3])
         spread = samples.forces.spread_in_root(samples.sample.take(np.array(rows)))
-        bound = elastostatics.position_bound(self.robot, q, tool, wrench, spread, series)
+        bound = elastostatics.position_bound(self.robot, q, tool, wrench, force_spread=spread, in_series=series)
         tip = samples.robot_in_cell.tip(q, tool, wrench)
         return list(zip(bound.tolist(), np.linalg.norm(tip - pose[:, :3, 3], axis=1).tolist(), strict=True))

@@ -232,7 +232,7 @@ def bound(robot, law, q, force, *, together=True):
     wrench = np.hstack([force, np.zeros((len(q), 3))])
     spread = law.sigma * np.abs(wrench)[:, :, None] * np.eye(6)
     scaled = np.full(len(q), together and robot.force_factor.is_of(law.numbers))
-    return position_bound(robot, q, tool, wrench, spread, is_proportional=scaled)
+    return position_bound(robot, q, tool, wrench, force_spread=spread, is_proportional=scaled)
 
 
 def worth(part, seed, kind="joints"):
