@@ -170,8 +170,15 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
             """Return the nominal flange (n, 4, 4) in the root at some of the places [m]."""
             return toolpath.flange_from_tcp(program, motion[rows], pose[rows], t[rows])
 
-        start = self.cell.start_joints
-        return kinematics.follow(self.robot, flange, start, free, m.joints[ptp], m.status[ptp], m.turn[ptp])
+        return kinematics.follow(
+            self.robot,
+            flange,
+            self.cell.start_joints,
+            free=free,
+            axis_target=m.joints[ptp],
+            status=m.status[ptp],
+            turn=m.turn[ptp],
+        )
 
     def end_joints(self, program: Program) -> Array:
         """Return the joint angles (M, 6) at the ends of all motions of a program [rad].

@@ -34,6 +34,14 @@ def model(request):
     return robot.load(robot.find(request.param))
 
 
+def followed(robot, flange, start, free, axis_target, status, turn):
+    return kinematics.follow(robot, flange, start, free=free, axis_target=axis_target, status=status, turn=turn)
+
+
+def by_wrist(robot, count, motion, joints, tip, base, tool):
+    return kinematics.ByWrist.of(robot, count, motion=motion, joints=joints, tip=tip, base=base, tool=tool)
+
+
 def test_forward_after_inverse_returns_20_000_random_poses(model):
     q = np.random.default_rng(1).uniform(model.lower, model.upper, (20_000, 6))
     pose, _ = kinematics.tcp(model.nominal, q, np.eye(4))
@@ -132,12 +140,12 @@ def test_follow_keeps_turns_and_branch_along_a_line_and_takes_s_and_t_of_a_ptp(m
     pose, _ = kinematics.tcp(model.nominal, q, np.eye(4))
     n = len(q)
     free = np.zeros(n, dtype=bool)
-    path = kinematics.follow(model, pose.__getitem__, start, free, np.empty((0, 6)), np.empty(0), np.empty(0))
+    path = followed(model, pose.__getitem__, start, free, np.empty((0, 6)), np.empty(0), np.empty(0))
     np.testing.assert_allclose(path.q, q, atol=1e-9)
     flipped = np.radians([10.0, -70.0, 100.0, -10.0, -40.0, 20.0])
     free[0] = True
     status, turn = kinematics.status_of(model, flipped[None]), kinematics.turn_of(flipped[None])
-    path = kinematics.follow(model, pose.__getitem__, start, free, np.full((1, 6), np.nan), status, turn)
+    path = followed(model, pose.__getitem__, start, free, np.full((1, 6), np.nan), status, turn)
     np.testing.assert_allclose(path.q[0], flipped, atol=1e-9)
     np.testing.assert_allclose(kinematics.tcp(model.nominal, path.q, np.eye(4))[0], pose, atol=1e-9)
 
@@ -146,7 +154,7 @@ def test_out_of_reach_names_the_rows(model):
     pose = np.tile(np.eye(4), (3, 1, 1))
     pose[:, :3, 3] = [[1.2, 0.2, 1.0], [9.0, 0, 1.0], [1.2, 0.2, 1.0]]
     with pytest.raises(kinematics.UnreachableError) as found:
-        kinematics.follow(
+        followed(
             model, pose.__getitem__, np.radians([0, -70, 110, 0, 50, 0]), np.zeros(3, dtype=bool),
             np.empty((0, 6)), np.empty(0), np.empty(0),
         )  # fmt: skip
@@ -188,7 +196,7 @@ def test_a_path_of_many_ptp_and_lin_moves_takes_the_branch_and_the_turns_that_ea
     turn = np.where([True, False, False, False, True, True, False], bits, -1)
     poses = np.array([Arm.load(FOLDER).nominal_tcp(row, np.eye(4)) for row in wanted])
     start = np.radians([0.0, -90.0, 90.0, 0.0, 60.0, 0.0])
-    path = kinematics.follow(ROBOT, poses.__getitem__, start, free, axes, status, turn)
+    path = followed(ROBOT, poses.__getitem__, start, free, axes, status, turn)
     np.testing.assert_allclose(np.degrees(path.q), np.degrees(wanted), atol=1e-7)
     assert path.branch.tolist() == [2, 2, 2, 2, 6, 6, 2, 6, 6, 6, 6]
     assert kinematics.status_of(ROBOT, wanted).tolist() == path.branch.tolist()
@@ -199,7 +207,7 @@ def test_turns_beyond_the_limits_are_taken_only_where_none_inside_has_the_sign_t
     pose = Arm.load(FOLDER).nominal_tcp(q[0], np.eye(4))[None]
 
     def solved(turn):
-        path = kinematics.follow(
+        path = followed(
             ROBOT, pose.__getitem__, q[0], np.array([True]), np.full((1, 6), np.nan), np.array([2]), np.array([turn])
         )
         return np.degrees(path.q[0]).round(6).tolist()
@@ -216,12 +224,12 @@ def test_a_path_without_solution_names_all_its_rows_and_one_that_starts_on_the_o
     q = np.radians([[10.0, -70, 100, 30, -40, 20], [12.0, -70, 100, 30, -42, 20]])
     pose = np.array([oracle.nominal_tcp(row, np.eye(4)) for row in q])
     none = (np.zeros(2, dtype=bool), np.empty((0, 6)), np.empty(0), np.empty(0))
-    path = kinematics.follow(ROBOT, pose.__getitem__, q[0], *none)
+    path = followed(ROBOT, pose.__getitem__, q[0], *none)
     np.testing.assert_allclose(path.q, q, atol=1e-9)
     assert path.branch.tolist() == [6, 6]
     pose[:, 0, 3] += 9.0
     with pytest.raises(kinematics.UnreachableError, match="2 poses") as found:
-        kinematics.follow(ROBOT, pose.__getitem__, q[0], *none)
+        followed(ROBOT, pose.__getitem__, q[0], *none)
     assert found.value.rows == (0, 1)
 
 
@@ -325,7 +333,7 @@ def wrist_led():
 def test_the_wrist_turns_the_tool_in_proportion_while_its_tip_is_on_the_line(wrist_led):
     """The closed form, of the tip on the line with that orientation, has A4 to A6 in proportion between both ends."""
     robot_model, motion, begin, end, tip, bases, tools = wrist_led
-    wrist = kinematics.ByWrist.of(robot_model, 8, motion, (begin, end), tip, bases, tools)
+    wrist = by_wrist(robot_model, 8, motion, (begin, end), tip, bases, tools)
     assert wrist.active.tolist() == [False, True, False, False, True, False, True, False]
     places, share = np.array([6, 1, 4, 4, 1, 6]), np.array([0.0, 0.3, 0.9, 1.0, 0.55, 0.4])
     for m, t, orientation in zip(places, share, wrist.at(places, share), strict=True):
@@ -343,7 +351,7 @@ def test_the_wrist_turns_the_tool_in_proportion_while_its_tip_is_on_the_line(wri
 def test_the_rotation_on_a_line_led_by_the_wrist_is_its_sum_with_a_margin(wrist_led):
     """A fifth more than the rotation on eight pieces; motions that the wrist does not lead have none."""
     robot_model, motion, begin, end, tip, bases, tools = wrist_led
-    wrist = kinematics.ByWrist.of(robot_model, 8, motion, (begin, end), tip, bases, tools)
+    wrist = by_wrist(robot_model, 8, motion, (begin, end), tip, bases, tools)
     for _row, m in enumerate(motion):
         orientations = wrist.at(np.full(9, m), np.linspace(0.0, 1.0, 9))
         total = sum(Rotation.from_matrix(a.T @ b).magnitude() for a, b in itertools.pairwise(orientations))
@@ -361,5 +369,5 @@ def test_lines_on_which_the_wrist_cannot_lead_are_named(wrist_led):
     bent[0, 1] = kinematics.tcp(robot_model.nominal, other_branch[:1], tools[:1])[0][0, :3, 3]
     for ends, tips, rows in ((end, far, (6,)), (other_branch, bent, (1,))):
         with pytest.raises(kinematics.UnreachableError) as refused:
-            kinematics.ByWrist.of(robot_model, 8, motion, (begin, ends), tips, bases, tools)
+            by_wrist(robot_model, 8, motion, (begin, ends), tips, bases, tools)
         assert refused.value.rows == rows

@@ -86,10 +86,15 @@ def pair_hits(
             search.look(*pair)
     distances = search.hits
     keys = sorted(distances)
-    rows = np.array(keys, dtype=np.int64).reshape(-1, 3)
-    distance = np.array([distances[key] for key in keys])
+    row, first, second = np.array(keys, dtype=np.int64).reshape(-1, 3).T
     return Hits(
-        search.closest, rows[:, 0], rows[:, 1], rows[:, 2], distance, solids.calls, float(search.less.max(initial=0.0))
+        closest=search.closest,
+        row=row,
+        first=first,
+        second=second,
+        distance=np.array([distances[key] for key in keys]),
+        calls=solids.calls,
+        largest_decrease=float(search.less.max(initial=0.0)),
     )
 
 
@@ -135,27 +140,38 @@ class _Search:
         :param first: the body that moves, and `second` the other one: rows of the bodies.
         """
         count = len(self.q)
-        length = self._length(first, second)
         distance = np.full(count, np.nan)
         ends = distinct(np.append(np.arange(0, count, _FIRST), count - 1))
         self._measure(first, second, ends, distance)
         if self._distance(first, second, self.frames[:1], solid=True)[0] == 0.0:
             distance[0] = 0.0  # also where one is inside the other
             self._record_hit(first, second, 0, 0.0)
+        open_rows = self._open_rows(first, second, ends, distance)
+        if between_samples and len(open_rows):
+            self._halve(first, second, open_rows, distance)
+
+    def _open_rows(self, first: int, second: int, ends: Ints, distance: Array) -> Ints:
+        """Halve intervals of samples until bounds decide them; return the rows of samples before open motions, sorted.
+
+        A motion between two samples is open if more may count in it than at its ends.
+
+        :param ends: samples at the ends of the intervals; their distances are known.
+        :param distance: (n,) of the bodies [m], NaN where not known; those that are computed are filled in.
+        """
+        length = self._length(first, second)
         low, high = ends[:-1], ends[1:]
-        open_rows = []
+        open_rows = [np.zeros(0, dtype=np.int64)]
         while len(low):
             bound = 0.5 * (distance[low] + distance[high] - (length[high] - length[low]))
             is_open = self._is_open(bound)
             low, high = low[is_open], high[is_open]
-            is_step = high - low == 1
+            is_step = high - low == 1  # no sample between
             open_rows.append(low[is_step])
             low, high = low[~is_step], high[~is_step]
             middle = (low + high) // 2
             self._measure(first, second, distinct(middle), distance)
             low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
-        if between_samples and open_rows:
-            self._halve(first, second, np.sort(np.concatenate(open_rows)), distance)
+        return np.sort(np.concatenate(open_rows))
 
     def _length(self, first: int, second: int) -> Array:
         """Return an upper bound on the relative travel of two bodies up to each sample (n,) [m]."""
@@ -206,11 +222,13 @@ class _Search:
     def _halve(self, first: int, second: int, rows: Ints, distance: Array) -> None:
         """Halve the motions from some rows of samples to the next ones until bounds decide them; record hits.
 
+        :param rows: at least one.
         :param distance: (N,) of the bodies at the samples [m].
         """
         begin, end = self.states[rows], self.states[rows + 1]
         begin_distance, end_distance = distance[rows], distance[rows + 1]
         while len(rows):
+            # begin and end in turn: every second motion is one of ours, the others lead to the next one's begin
             pair = np.stack([begin, end], axis=1).reshape(-1, begin.shape[1])
             length = motion_bound(self.solids, first, second, pair[:, :6], self._frames(pair))[::2]
             bound = 0.5 * (begin_distance + end_distance - length)
@@ -256,9 +274,10 @@ def motion_bound(solids: Solids, first: int, second: int, q: Array, frames: Arra
     moving, reference_frame = solids.frame(first, frames), solids.frame(second, frames)
     point = moving[:, :3, :3] @ centre + moving[:, :3, 3] - reference_frame[:, :3, 3]
     point = np.einsum("nji,nj->ni", reference_frame[:, :3, :3], point)
-    turning = np.abs(np.diff(q, axis=0))[:, reference.carrier + 1 : body.carrier + 1].sum(axis=1)
+    joints_between = slice(reference.carrier + 1, body.carrier + 1)  # those that move the body against the reference
+    turning = np.abs(np.diff(q, axis=0))[:, joints_between].sum(axis=1)
     links = norm(np.concatenate([chain.placement[:, :3, 3], chain.flange[None, :3, 3]]))
-    reach = links[reference.carrier + 1 : body.carrier + 1].sum() + norm(centre[None])[0] + radius
+    reach = links[joints_between].sum() + norm(centre[None])[0] + radius
     return np.asarray(norm(np.diff(point, axis=0)) + turning * radius + 0.25 * turning**2 * reach)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from msgspec import Struct
@@ -37,6 +37,8 @@ _ASSUMED = (
     "the arm is checked as capsules of assumed radius, rather too large, since its model has no meshes: five published "
     "arms are inside of them, other arms and balancers may be thicker"
 )
+_MM = 1e-3
+"""Length [m] below which a part of a tube is left out."""
 _SIDES = 32
 """Sides of round bodies: around the circle, they are half a percent larger (capsules one), on the safe side."""
 ACCURACY = 0.5e-3
@@ -164,21 +166,22 @@ def arm_capsules(chain: Chain) -> Iterator[Body]:
     length = float(sum(norm(end[None])[0] for end in ends))
     ahead = _forward_directions(chain)
     for carrier, end in enumerate(ends, -1):
-        tube = _TUBES[carrier + 1] * length
+        tube_radius = _TUBES[carrier + 1] * length
         axis = np.array([0.0, 0.0, 1.0]) if carrier < 0 else chain.axis[carrier]
         if (ball := _BALLS[carrier + 1]) is not None:
-            behind, radius = ball[0] * length, ball[1] * length
-            middle = -behind * ahead.get(carrier, np.zeros(3))
-            yield capsule(_link(carrier), carrier, "arm", middle, middle + 1e-3 * axis, radius)
-        tubes = [(end, tube)]
+            offset, ball_radius = ball[0] * length, ball[1] * length
+            middle = -offset * ahead.get(carrier, np.zeros(3))
+            # a capsule of hardly any length
+            yield capsule(_link(carrier), carrier, "arm", begin=middle, end=middle + _MM * axis, radius=ball_radius)
+        tubes = [(end, tube_radius)]
         if carrier in _FOREARM:
             span = max(float(norm(end[None])[0]), 1e-9)
-            tubes = [(end * max(1.0 - _FORK_LENGTH * length / span, 0.5), tube), (end, _FORK * length)]
-        for stop, radius in tubes:
-            bend = axis * (stop @ axis)
-            for begin, to in ((np.zeros(3), bend), (bend, stop)):
-                if float(norm((to - begin)[None])[0]) > 1e-3:
-                    yield capsule(_link(carrier), carrier, "arm", begin, to, radius)
+            tubes = [(end * max(1.0 - _FORK_LENGTH * length / span, 0.5), tube_radius), (end, _FORK * length)]
+        for tube_end, radius in tubes:
+            corner = axis * (tube_end @ axis)
+            for start, stop in ((np.zeros(3), corner), (corner, tube_end)):
+                if float(norm((stop - start)[None])[0]) > _MM:
+                    yield capsule(_link(carrier), carrier, "arm", begin=start, end=stop, radius=radius)
 
 
 def _forward_directions(chain: Chain) -> dict[int, Array]:
@@ -189,8 +192,9 @@ def _forward_directions(chain: Chain) -> dict[int, Array]:
     to_a2 = chain.placement[1, :3, 3]
     to_a2 = _unit(to_a2 - chain.axis[0] * (to_a2 @ chain.axis[0]))
     turn = chain.placement[3, :3, :3]
-    forearm, offset = turn @ chain.axis[3], chain.placement[3, :3, 3] + turn @ chain.placement[4, :3, 3]
-    return {-1: chain.placement[0, :3, :3] @ to_a2, 0: to_a2, 2: _unit(forearm * (forearm @ offset))}
+    # axis of A4, and the wrist (A5), in the frame of A3
+    forearm, wrist = turn @ chain.axis[3], chain.placement[3, :3, 3] + turn @ chain.placement[4, :3, 3]
+    return {-1: chain.placement[0, :3, :3] @ to_a2, 0: to_a2, 2: _unit(forearm * (forearm @ wrist))}
 
 
 def _unit(vector: Array) -> Array:
@@ -223,20 +227,18 @@ def cylinders(parts: Sequence[HolderTable]) -> Iterator[Cylinder]:
 
 
 def _flange_bodies(parts: Sequence[HolderTable], tool: Array, axis: str, folder: Path) -> Iterator[Body]:
-    """Yield the bodies on the flange: cylinders stacked from the tip upwards, and meshes in the flange frame."""
+    """Yield the bodies on the flange: cylinders stacked from the tip upwards, and meshes in the flange frame.
+
+    :param tool: (4, 4) `$TOOL` in the flange frame [m].
+    :param axis: that points out of the spindle, in the tool frame, as ``+Z``.
+    """
     sign, letter = axis[0], axis[1]
-    up = -(1.0 if sign == "+" else -1.0) * tool[:3, "XYZ".index(letter)]
+    up = -(1.0 if sign == "+" else -1.0) * tool[:3, "XYZ".index(letter)]  # from the tip into the spindle
     tip = tool[:3, 3]
     for part_cylinder in cylinders(parts):
         of: Of = "cutter" if part_cylinder.cuts else "tool"
-        yield cylinder(
-            part_cylinder.name,
-            FLANGE,
-            of,
-            tip + up * part_cylinder.begin,
-            tip + up * part_cylinder.end,
-            part_cylinder.radius,
-        )
+        begin, end = (tip + up * height for height in (part_cylinder.begin, part_cylinder.end))
+        yield cylinder(part_cylinder.name, FLANGE, of, begin=begin, end=end, radius=part_cylinder.radius)
     for number, part in enumerate(parts, 1):
         if part.mesh is not None:
             points, faces = _read(part.mesh, folder)
@@ -244,8 +246,10 @@ def _flange_bodies(parts: Sequence[HolderTable], tool: Array, axis: str, folder:
 
 
 def _obstacle(table: ObstacleTable, number: int, base: Array, folder: Path) -> Body:
-    """Return an obstacle of the cell as a body at the root; `base` (4, 4) [m]: $BASE, in which its table may be
-    given.
+    """Return an obstacle of the cell as a body at the root.
+
+    :param number: of the obstacle, which is its name where none is stated.
+    :param base: (4, 4) `$BASE` in the root [m], in which the table may be stated.
     """
     frame = np.eye(4) if table.frame == "root" else base
     of: Of = "part" if table.part else "obstacle"
@@ -279,7 +283,7 @@ def box(name: str, carrier: int, of: Of, pose: Array, edges: Array) -> Body:
     from trimesh import creation
 
     mesh = creation.box(extents=edges, transform=pose)
-    return _round(name, carrier, of, "box", tuple(edges.tolist()), pose, mesh)
+    return _body(name, carrier, of, mesh, kind="box", size=tuple(edges.tolist()), pose=pose)
 
 
 def cylinder(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: float) -> Body:
@@ -290,15 +294,20 @@ def cylinder(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: 
     # of a radius near 1, then scaled: trimesh leaves out triangles of a tenth of a millimetre
     mesh = creation.cylinder(radius=1.0 / np.cos(np.pi / _SIDES), height=length / radius, sections=_SIDES)
     mesh.apply_scale(radius)
-    return _round(name, carrier, of, "cylinder", (radius, length), pose, mesh.apply_transform(pose))
+    return _body(name, carrier, of, mesh.apply_transform(pose), kind="cylinder", size=(radius, length), pose=pose)
 
 
 def inscribed_capsule(cutter: Body) -> Body:
     """Return the capsule in a cutter whose shape is not known: with a round end, and smaller by the accuracy [m]."""
     radius, length = cutter.size
-    half = max(0.5 * length - radius, 1e-4)
+    half = max(0.5 * length - radius, _SMALLEST)
     begin, end = (cutter.pose[:3, 3] + sign * half * cutter.pose[:3, 2] for sign in (-1.0, 1.0))
-    return capsule(cutter.name, cutter.carrier, "tool", begin, end, max(min(radius, 0.5 * length) - ACCURACY, 1e-4))
+    inner_radius = max(min(radius, 0.5 * length) - ACCURACY, _SMALLEST)
+    return capsule(cutter.name, cutter.carrier, "tool", begin=begin, end=end, radius=inner_radius)
+
+
+_SMALLEST = 1e-4
+"""Smallest radius and half length of a capsule [m]: a tenth of a millimetre, of cutters that have hardly any."""
 
 
 def capsule(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: float) -> Body:
@@ -310,7 +319,7 @@ def capsule(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: f
     mesh = creation.capsule(height=length / radius, radius=outer_radius, count=[_SIDES, _SIDES])
     mesh.apply_scale(radius)  # type: ignore[no-untyped-call]
     mesh.apply_translation(-mesh.bounds.mean(axis=0))  # versions of trimesh differ in where they put the origin
-    return _round(name, carrier, of, "capsule", (radius, length), pose, mesh.apply_transform(pose))
+    return _body(name, carrier, of, mesh.apply_transform(pose), kind="capsule", size=(radius, length), pose=pose)
 
 
 def _line_pose(begin: Array, end: Array) -> tuple[Array, float]:
@@ -326,15 +335,18 @@ def _line_pose(begin: Array, end: Array) -> tuple[Array, float]:
     return pose, length
 
 
-def _round(
-    name: str,
-    carrier: int,
-    of: Of,
-    kind: Kind,
-    size: tuple[float, ...],
-    pose: Array,
-    mesh: object,
-) -> Body:
-    """Return a body with the points and facets of a mesh of trimesh [m]."""
-    points = np.asarray(mesh.vertices)  # type: ignore[attr-defined]
-    return Body(name, carrier, of, kind, size, pose, points, np.asarray(mesh.faces, dtype=np.int64))  # type: ignore[attr-defined]
+def _body(name: str, carrier: int, of: Of, mesh: Any, *, kind: Kind, size: tuple[float, ...], pose: Array) -> Body:
+    """Return a body with the corners and triangles of a `trimesh.Trimesh` in the frame of its carrier [m].
+
+    Other parameters as of the fields of `Body`.
+    """
+    return Body(
+        name=name,
+        carrier=carrier,
+        of=of,
+        kind=kind,
+        size=size,
+        pose=pose,
+        points=np.asarray(mesh.vertices),
+        faces=np.asarray(mesh.faces, dtype=np.int64),
+    )

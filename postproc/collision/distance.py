@@ -46,11 +46,8 @@ def clearance(scene: Scene, q: Array) -> Clearance:
     for first, second in solids.pairs:
         distance = solids.distance(first, second, frames, solid=True)
         is_smaller = distance < smallest.distance
-        smallest.distance[is_smaller], smallest.first[is_smaller], smallest.second[is_smaller] = (
-            distance[is_smaller],
-            first,
-            second,
-        )
+        smallest.distance[is_smaller] = distance[is_smaller]
+        smallest.first[is_smaller], smallest.second[is_smaller] = first, second
     return smallest
 
 

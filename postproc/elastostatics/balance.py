@@ -160,8 +160,8 @@ class Balance(Struct, frozen=True, eq=False):
 
     def deflection_by(self, torque: Array) -> Array:
         """Return the deflections (nv, ..., n) [rad, m] by small torques (nv, ..., n) [N·m, N], at first order."""
-        missing_axes = (1,) * (torque.ndim - 2)
-        deflection = self.slope.reshape(len(self.slope), *missing_axes, -1) * torque
+        middle_axes = (1,) * (torque.ndim - 2)  # those that `slope` (nv, n) lacks
+        deflection = self.slope.reshape(len(self.slope), *middle_axes, -1) * torque
         if self.robot.coupling_compliance is not None:
             deflection = deflection + np.tensordot(self.robot.coupling_compliance, torque, axes=1)
         return np.asarray(deflection)

@@ -34,6 +34,7 @@ class ToolSpring(Struct, frozen=True, eq=False):
         :param orientation: (n, 3, 3) of the tool frame in the axes of the wrench.
         :param wrench: (n, 6) on the tip [N, N·m].
         """
+        # (n, 2, 3): force and moment, then displacement and rotation, in the axes of the tool
         in_tool = np.einsum("nij,nki->nkj", orientation, wrench.reshape(-1, 2, 3)) * self.compliance.reshape(2, 3)
         return np.asarray(np.einsum("nij,nkj->nki", orientation, in_tool)).reshape(-1, 6)
 
@@ -45,7 +46,7 @@ class ToolSpring(Struct, frozen=True, eq=False):
         return compliance
 
     def arm_target(self, target: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return the pose (n, 4, 4) [m] of the unbent tool for a loaded tip at its target, and the wrench (n, 6).
+        """Return the pose (n, 4, 4) [m] of the unbent tool that puts the loaded tip at its target, and the wrench (n, 6).
 
         The wrench is that on the tip, with the moment about the tip of the unbent tool.
 

@@ -396,6 +396,15 @@ class _Solution(Struct, frozen=True, eq=False):
         return self.whole_covariance[first:, first:]
 
 
+def _misfit(white_residual: Array, unknowns: int) -> float:
+    """Return the sum of squares of whitened residuals (n,) per degree of freedom, 1 at least: by how much noise grows.
+
+    :param unknowns: number of unknowns of the fit.
+    """
+    dof = max(1, len(white_residual) - unknowns)
+    return max(1.0, float(white_residual @ white_residual) / dof)
+
+
 class _PosedArm(NamedTuple):
     """An arm without load in C configurations.
 
@@ -426,7 +435,7 @@ def _solve(
     """
     mean, count = data.means()
     readings, weight = mean[data.unloaded_states], count[data.unloaded_states]
-    scale = np.repeat(np.sqrt(weight).ravel(), 3) / data.sigma
+    scale = np.repeat(np.sqrt(weight).ravel(), 3) / data.sigma  # whitens the coordinates
     values, points, usual = np.zeros(len(parameters)), data.guess.copy(), _usual(parameters)
     frame_count = 6 + 3 * len(points)
     ridge = np.diag(np.concatenate([np.zeros(frame_count), 1.0 / usual]))[frame_count:]
@@ -454,14 +463,12 @@ def _solve(
     residual = (readings - point_positions(root @ arm.flange, points)) * (weight > 0.0)[..., None]
     white_residual = residual.ravel() * scale
     covariance = np.linalg.pinv(design.T @ design + ridge.T @ ridge, hermitian=True)
-    dof = max(1, len(white_residual) - design.shape[1])
-    misfit = max(1.0, float(white_residual @ white_residual) / dof)
     unknowns = np.concatenate([np.zeros(frame_count), values])  # of a twist and shifts from the solution on
     return _Solution(
         content=content,
         parameters=parameters,
         values=values,
-        whole_covariance=covariance * misfit,
+        whole_covariance=covariance * _misfit(white_residual, design.shape[1]),
         placement=Placement(root, points, covariance[:frame_count, :frame_count] / data.sigma**2, residual),
         residual=residual,
         design=np.vstack([design, ridge]),

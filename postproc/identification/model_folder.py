@@ -33,7 +33,7 @@ from postproc.identification.moved_device import moved_device
 from postproc.identification.procedure import Depth, Identification, Method, identify, rms_distances
 from postproc.identification.readings import Experiment, Measurements, Payload, read, read_experiment
 from postproc.identification.stated_points import displaced_points
-from postproc.identification.uncertainty import Discrepancy
+from postproc.identification.uncertainty import Discrepancy, Workspace
 from postproc.robot import (
     COMPENSATOR,
     JOINT_COMPLIANCES,
@@ -311,16 +311,7 @@ def report_data(result: Identification) -> record.IdentificationRecord:
         from_levels=_level_springs(result.spring),
         residual=_residual(result),
         discrepancy=_unexplained_records(result.discrepancy),
-        workspace=[
-            record.InWorkspace(
-                load_N=level.load,
-                deflection_mm=level.deflection * MM_PER_M,
-                bound_mm=level.bound * MM_PER_M,
-                worst_share=level.worst,
-                chance=level.chance,
-            )
-            for level in result.workspace.levels
-        ],
+        workspace=_workspace_records(result.workspace),
         workspace_line=result.workspace.line,
         structure=None
         if result.choice is None
@@ -396,6 +387,20 @@ def _unexplained_records(discrepancy: Discrepancy) -> list[record.CrossValidatio
     return [
         record.CrossValidation(load, *row)
         for load, row in zip(discrepancy.load.tolist(), lengths.tolist(), strict=True)
+    ]
+
+
+def _workspace_records(workspace: Workspace) -> list[record.InWorkspace]:
+    """Return deflection and bound in the workspace at each load, in mm."""
+    return [
+        record.InWorkspace(
+            load_N=level.load,
+            deflection_mm=level.deflection * MM_PER_M,
+            bound_mm=level.bound * MM_PER_M,
+            worst_share=level.worst,
+            chance=level.chance,
+        )
+        for level in workspace.levels
     ]
 
 

@@ -209,12 +209,18 @@ _PROBE = 1000.0
 def _by_force(
     structure: Structure, values: Array, data: Measurements, placement: Placement, whitening_matrix: Array
 ) -> Array:
-    """Return the derivatives (n, 9) of the whitened displacements by the matrix that forces are multiplied by."""
+    """Return the derivatives (n, 9) of the whitened displacements by the matrix (3, 3) that forces are multiplied by.
+
+    The columns are the entries of the matrix row by row: a row gives a component of the force in root axes.
+
+    :param values: (p,) of the structure, SI.
+    """
     columns, force = [], data.wrench[data.loaded_states, :3]
     for axis in range(3):
         wrench = np.zeros_like(data.wrench)
         wrench[:, axis] = _PROBE
-        motion = predict(structure, values, replace(data, wrench=wrench), placement)[0] * visible(data) / _PROBE
+        prediction, _ = predict(structure, values, replace(data, wrench=wrench), placement)
+        motion = prediction * visible(data) / _PROBE  # per newton along the axis
         columns += [whiten(whitening_matrix, motion * force[:, None, None, j]).ravel() for j in range(3)]
     return np.stack(columns, axis=1)
 

@@ -65,6 +65,7 @@ def follow(
     robot: RobotModel,
     flange: Callable[[Ints], Array],
     start: Array,
+    *,
     free: Bools,
     axis_target: Array,
     status: Ints,
@@ -84,10 +85,10 @@ def follow(
     :param turn: (J,) T of the PTP targets, −1 where none.
     :raises UnreachableError: a pose has no solution on its branch.
     """
-    jumps, status, turn = np.flatnonzero(free), status.astype(np.int64), turn.astype(np.int64)
+    ptp_rows, status, turn = np.flatnonzero(free), status.astype(np.int64), turn.astype(np.int64)
     by_axes = np.isfinite(axis_target[:, 0])
-    branches = _path_branches(robot, flange(jumps), start, axis_target, status)
-    branch = np.repeat(branches, np.diff(jumps, prepend=0, append=len(free)))
+    branches = _path_branches(robot, flange(ptp_rows), start, axis_target, status)
+    branch = np.repeat(branches, np.diff(ptp_rows, prepend=0, append=len(free)))
     q = np.zeros((len(branch), 6))
     # of the last sample of the part before
     start_angles, turns_removed = np.asarray(start, dtype=float), np.zeros(6)
@@ -95,15 +96,16 @@ def follow(
     for part in chunks(len(branch)):
         rows = np.arange(part.start, min(part.stop, len(branch)))
         exact = branch_joints(robot, flange(rows), branch[part])
-        targets = slice(*np.searchsorted(jumps, (part.start, part.stop)))
-        at, is_axis_target = jumps[targets] - part.start, by_axes[targets]
-        exact[at[is_axis_target]] = axis_target[targets][is_axis_target]
+        targets = slice(*np.searchsorted(ptp_rows, (part.start, part.stop)))  # PTP moves that end in the part
+        target_rows, is_axis_target = ptp_rows[targets] - part.start, by_axes[targets]
+        exact[target_rows[is_axis_target]] = axis_target[targets][is_axis_target]
         unreached += (part.start + np.flatnonzero(any_column(np.isnan(exact)))).tolist()
         has_turn = ~is_axis_target & (turn[targets] >= 0)
-        exact[at[has_turn]] = _whole_turns(robot, exact[at[has_turn]], turn[targets][has_turn])
+        turn_rows = target_rows[has_turn]
+        exact[turn_rows] = _whole_turns(robot, exact[turn_rows], turn[targets][has_turn])
         if len(rows) and not unreached:
-            target_rows = at[is_axis_target | has_turn]
-            q[part], turns_removed = _continuous_angles(exact, start_angles, turns_removed, target_rows)
+            exact_rows = target_rows[is_axis_target | has_turn]  # their turns are those of the target
+            q[part], turns_removed = _continuous_angles(exact, start_angles, turns_removed, exact_rows)
             start_angles = exact[-1]
     if unreached:
         raise UnreachableError(unreached)
@@ -264,6 +266,7 @@ class ByWrist(Struct, frozen=True, eq=False):
         cls,
         robot: RobotModel,
         count: int,
+        *,
         motion: Ints,
         joints: tuple[Array, Array],
         tip: Array,
@@ -280,7 +283,18 @@ class ByWrist(Struct, frozen=True, eq=False):
         """
         active = np.zeros(count, dtype=np.bool_)
         active[motion] = True
-        wrist = cls(robot, motion, *joints, tip, base, tool, active, np.zeros(count))
+        begin, end_joints = joints
+        wrist = cls(
+            robot=robot,
+            motion=motion,
+            begin=begin,
+            end=end_joints,
+            tip=tip,
+            base=base,
+            tool=tool,
+            active=active,
+            travel=np.zeros(count),  # filled below
+        )
         angle, start = np.zeros(len(motion)), wrist.at(motion, np.zeros(len(motion)))
         for piece in range(1, _PIECES + 1):
             end = wrist.at(motion, np.full(len(motion), piece / _PIECES))

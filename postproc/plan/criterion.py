@@ -139,19 +139,17 @@ class Criterion(Struct, frozen=True, eq=False):
     """The criterion for given levels of q2. Its plans are arrays: information (n, p, p) and level (n,) of each pose.
 
     :param grouped: as printed, or pooled.
-    :param two: index of k2 among the p compliances to be identified.
     :param weight: pooled: (p − 1 + m, p − 1 + m) Σ w A₀ᵀA₀ of the extended set; grouped: (p, p).
-    :param spread: (m, p) index of each compliance of a group in the extended set.
-    :param before: information of earlier readings: pooled in the extended set, grouped (m, p, p).
+    :param extended_index: (m, p) index of each compliance of a group in the extended set.
+    :param earlier: information of earlier readings: pooled in the extended set, grouped (m, p, p).
 
     The extended set has p − 1 compliances that all levels share, then k2 of each of the m levels.
     """
 
     grouped: bool
-    two: int
     weight: Array
-    spread: Ints
-    before: Array
+    extended_index: Ints
+    earlier: Array
 
     @classmethod
     def of(
@@ -171,40 +169,37 @@ class Criterion(Struct, frozen=True, eq=False):
         :param earlier_data: readings that were already made; None: there are none.
         """
         keep, levels = list(readings.keep), len(q2)
-        two = keep.index(1)
-        test_regressor = tests.regressor[:, :, keep] * readings.scale[keep]  # (T, 3, p)
+        regressor = tests.regressor[:, :, keep] * readings.scale[keep]  # (T, 3, p)
         size = len(keep)
         if grouped:
-            weight = np.einsum("t,tki,tkj->ij", tests.weight, test_regressor, test_regressor)
-            spread = np.tile(np.arange(size), (levels, 1))
-            prior = np.zeros((levels, size, size))
-            if earlier_data is not None:
-                np.add.at(prior, earlier_data.level, earlier_data.information)
-            return cls(True, two, weight, spread, prior)
-        common_joints = [index for index in range(size) if index != two]
-        level_slopes = joint2.from_levels(q2, tests.q[:, 1])
-        regressor = np.zeros((len(test_regressor), 3, size - 1 + levels))
-        regressor[:, :, : size - 1] = test_regressor[:, :, common_joints]
-        regressor[:, :, size - 1 :] = test_regressor[:, :, two, None] * level_slopes[:, None, :]
+            extended_index = np.tile(np.arange(size), (levels, 1))
+            earlier = np.zeros((levels, size, size))
+        else:
+            k2 = keep.index(1)  # of joint 2, which has one compliance for each level
+            shared = [index for index in range(size) if index != k2]
+            level_slopes = joint2.from_levels(q2, tests.q[:, 1])
+            by_levels = regressor[:, :, k2, None] * level_slopes[:, None, :]
+            regressor = np.concatenate([regressor[:, :, shared], by_levels], axis=2)
+            extended_index = np.empty((levels, size), dtype=np.int64)
+            extended_index[:, shared] = np.arange(size - 1)
+            extended_index[:, k2] = size - 1 + np.arange(levels)
+            earlier = np.zeros((size - 1 + levels, size - 1 + levels))
         weight = np.einsum("t,tki,tkj->ij", tests.weight, regressor, regressor)
-        spread = np.empty((levels, size), dtype=np.int64)
-        spread[:, common_joints] = np.arange(size - 1)
-        spread[:, two] = size - 1 + np.arange(levels)
-        criterion = cls(False, two, weight, spread, np.zeros_like(weight))
+        criterion = cls(grouped, weight, extended_index, earlier)
         if earlier_data is None:
             return criterion
-        return replace(criterion, before=criterion.total(earlier_data.information, earlier_data.level))
+        return replace(criterion, earlier=criterion.total(earlier_data.information, earlier_data.level))
 
     def total(self, information: Array, level: Ints) -> Array:
         """Return the normal matrix of plan and earlier readings: pooled (P, P) of the extended set, grouped (m, p, p).
 
         :param information: (n, p, p) of the poses, and `level` (n,) number of their level.
         """
-        normal = self.before.copy()
+        normal = self.earlier.copy()
         if self.grouped:
             np.add.at(normal, level, information)
             return normal
-        rows = self.spread[level]
+        rows = self.extended_index[level]
         np.add.at(normal, (rows[:, :, None], rows[:, None, :]), information)
         return normal
 
@@ -233,7 +228,7 @@ class Criterion(Struct, frozen=True, eq=False):
         if self.grouped:
             candidates[:, level] += new - old
         else:
-            rows = self.spread[level]
+            rows = self.extended_index[level]
             candidates[:, rows[:, None], rows[None]] += new - old
         return self.of_totals(candidates)
 
@@ -243,7 +238,7 @@ class Criterion(Struct, frozen=True, eq=False):
         slope = -inverse @ self.weight @ inverse
         if self.grouped:
             return np.asarray(slope[level])
-        rows = self.spread[level]
+        rows = self.extended_index[level]
         return np.asarray(slope[rows[:, :, None], rows[:, None, :]])
 
 
@@ -303,14 +298,26 @@ def expected_accuracy(
     square = float(np.sum(product * product.T))
     h, g = mean**2 / square, square / mean
     lower, upper = (float(np.sqrt(g * _chi2_quantile(h, z))) for z in (-NORMAL_95, NORMAL_95))
-    parameters = (*(JOINT_COMPLIANCES[index] for index in keep), *(COMPENSATOR if joint2.free else ()))
-    half_width = NORMAL_95 * np.sqrt(np.diag(covariance))
-    if joint2.free and joint2.compensator is not None:
-        # K_c and s₀K_c in units of the gear stiffness, as the parameters are
-        stiffness = joint2.compensator.stiffness * joint2.compliance
-        # 1e-300 keeps zero out of the denominator
-        half_width[len(keep) :] /= np.maximum([stiffness, stiffness * joint2.compensator.free_length], 1e-300)
-    return Accuracy(float(np.sqrt(mean)), (lower, upper), np.sqrt(variance), parameters, half_width)
+    return Accuracy(
+        rms=float(np.sqrt(mean)),
+        interval=(lower, upper),
+        poses=np.sqrt(variance),
+        parameters=(*(JOINT_COMPLIANCES[index] for index in keep), *(COMPENSATOR if joint2.free else ())),
+        relative=NORMAL_95 * np.sqrt(np.diag(covariance)) / _relative_values(joint2, len(keep)),
+    )
+
+
+def _relative_values(joint2: Joint2, count: int) -> Array:
+    """Return the robot's values (P,) of the parameters: of `count` compliances, which are relative: 1, each.
+
+    Where the compensator is free, K_c and s₀K_c follow, in units of the gear stiffness as the parameters are.
+    """
+    if not joint2.free or joint2.compensator is None:
+        return np.ones(count)
+    stiffness = joint2.compensator.stiffness * joint2.compliance
+    # 1e-300 keeps zero out of the denominator
+    spring = np.maximum([stiffness, stiffness * joint2.compensator.free_length], 1e-300)
+    return np.concatenate([np.ones(count), spring])
 
 
 def unidentifiable_joints(information: Array, count: int) -> tuple[int, ...]:

@@ -69,6 +69,7 @@ def evaluate(
     q: Array,
     tool: Array,
     wrench: Array,
+    *,
     weight: Array,
     source: str,
     by_law: Bools | None = None,
@@ -126,7 +127,7 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
     rows, lengths = _thin_rows(cutting, length[cutting])
     tool, law = program.tools[m.tool[motion[rows]]], motions.forces.by_law
     by_law = None if law is None else np.isin(motion[rows], law.motion)
-    return evaluate(robot, path.joints.q[rows], tool, wrench[rows], lengths, name, by_law)
+    return evaluate(robot, path.joints.q[rows], tool, wrench[rows], weight=lengths, source=name, by_law=by_law)
 
 
 def _thin_rows(rows: Ints, length: Array) -> tuple[Ints, Array]:
@@ -159,7 +160,7 @@ def from_file(path: Path, robot: RobotModel, cell: Cell) -> TestPoses:
         if is_invalid.any():
             raise PlanError(problem, file=str(path), line=int(lines[np.argmax(is_invalid)]))
     q = np.column_stack([numbers[name] for name in JOINTS]) * RAD_PER_DEG
-    return evaluate(robot, q, cell.tool.pose(), wrench, weight, path.name)
+    return evaluate(robot, q, cell.tool.pose(), wrench, weight=weight, source=path.name)
 
 
 def join(parts: Sequence[TestPoses]) -> TestPoses:

@@ -37,6 +37,7 @@ from postproc.plan.milling import TestPoses, representatives
 from postproc.plan.search import (
     Candidates,
     Plan,
+    SizeResult,
     Task,
     criterion_by_number,
     draw_candidates,
@@ -313,14 +314,6 @@ class Options(Struct, frozen=True):
     comparisons: bool = True
 
 
-class Size(Struct, frozen=True, eq=False):
-    """Another number of poses: criterion of the best plan found, and median of random plans [m²]."""
-
-    configurations: int
-    value: float
-    random: float
-
-
 class PlanResult(Struct, frozen=True, eq=False):
     """A plan in the order of least travel, with its expected accuracy. Row i is the same pose in all arrays.
 
@@ -364,7 +357,7 @@ class PlanResult(Struct, frozen=True, eq=False):
     before: Accuracy | None
     random: Array
     serial: Plan | None
-    sizes: tuple[Size, ...]
+    sizes: tuple[SizeResult, ...]
     seconds: float
     via: tuple[Array, ...]
     blocked: Ints
@@ -416,58 +409,76 @@ def plan_measurements(
     :raises PlanError: no pose can be measured, or the readings are fewer than the unknowns.
     """
     _check_identifiable(len(JOINT_COMPLIANCES), options, len(site.points), data)
-    if data is None and options.levels > options.configurations:
-        raise PlanError(
-            f"{options.levels} levels of q2 for {options.configurations} configurations",
-            advice="Each level needs at least one: ask for fewer with --q2-levels.",
-        )
+    if data is None:
+        _check_level_count(options)
     report = progress or (lambda *_: None)
     scale = site.robot.compliance[list(site.robot.actuated)]
     sample = representatives(tests, scale, options.test_poses, options.seed)
     report("drawing poses that can be measured", 0.0, np.nan)
     problem = _planning_problem(site, sample, scale, options, data)
     plan, is_interrupted = _search(problem.task, options, report)
-    plan, force, seconds, via, blocked_rows = _order_plan(problem, plan)
-    information = problem.readings.information_of(plan.q, force)
-    accuracy = expected_accuracy(sample, problem.readings, problem.joint2, plan.q, information, problem.known)
+    ordered = _order_plan(problem, plan)
     comparison = _OtherPlans(np.zeros(0), None, (), is_interrupted)
     if options.comparisons and not is_interrupted:
-        comparison = _compared_plans(problem.task, options, plan, report)
-    warnings = (*problem.warnings, *uncertainty_warnings(accuracy, problem.joint2, blocked_rows))
-    full_moment, sample_moment = (poses.second_moment * np.outer(scale, scale) for poses in (tests, sample))
+        comparison = _compared_plans(problem.task, options, ordered.plan, report)
+    accuracy = _accuracy(problem, sample, ordered.plan.q, ordered.force)
+    before = None
+    if problem.known is not None:  # of a plan without poses
+        before = _accuracy(problem, sample, np.zeros((0, 6)), np.zeros((0, 3)))
     return PlanResult(
         options=options,
         robot=site.robot.name,
         site=site,
         tests=sample,
-        represented=float(np.abs(full_moment - sample_moment).max() / np.abs(full_moment).max()),
-        plan=plan,
-        force=force,
+        represented=_moment_error(tests, sample, scale),
+        plan=ordered.plan,
+        force=ordered.force,
         second_load=second_load(site, tests),
-        torque=problem.readings.torque(plan.q, force),
+        torque=problem.readings.torque(ordered.plan.q, ordered.force),
         directions=problem.task.directions,
         accuracy=accuracy,
         unobservable=tuple(c.name for k, c in enumerate(JOINT_COMPLIANCES) if k not in problem.readings.keep),
-        before=None if problem.known is None else _accuracy_of_earlier_readings(problem, sample, information.shape[1:]),
+        before=before,
         random=comparison.random,
         serial=comparison.serial,
         sizes=comparison.sizes,
-        seconds=seconds,
-        via=via,
-        blocked=blocked_rows,
+        seconds=ordered.seconds,
+        via=ordered.via,
+        blocked=ordered.blocked,
         compensator_free=problem.joint2.free,
-        warnings=warnings,
+        warnings=(*problem.warnings, *uncertainty_warnings(accuracy, problem.joint2, ordered.blocked)),
         interrupted=comparison.is_interrupted,
     )
 
 
-def _accuracy_of_earlier_readings(problem: _Problem, tests: TestPoses, shape: tuple[int, ...]) -> Accuracy:
-    """Return the expected accuracy at the test poses after the earlier readings alone, without a plan.
+def _check_level_count(options: Options) -> None:
+    """Check that each level of q2 may have a configuration.
 
-    :param shape: of the information of one configuration.
+    :raises PlanError: there are more levels than configurations.
     """
-    no_data = np.zeros((0, *shape))
-    return expected_accuracy(tests, problem.readings, problem.joint2, np.zeros((0, 6)), no_data, problem.known)
+    if options.levels > options.configurations:
+        raise PlanError(
+            f"{options.levels} levels of q2 for {options.configurations} configurations",
+            advice="Each level needs at least one: ask for fewer with --q2-levels.",
+        )
+
+
+def _moment_error(tests: TestPoses, sample: TestPoses, scale: Array) -> float:
+    """Return the largest difference of Σ w A₀ᵀA₀ between all test poses and a sample, relative to the largest entry.
+
+    :param scale: (6,) compliances of the robot [rad/(N·m)].
+    """
+    full_moment, sample_moment = (poses.second_moment * np.outer(scale, scale) for poses in (tests, sample))
+    return float(np.abs(full_moment - sample_moment).max() / np.abs(full_moment).max())
+
+
+def _accuracy(problem: _Problem, tests: TestPoses, q: Array, force: Array) -> Accuracy:
+    """Return the expected accuracy at the test poses after the earlier readings and those of a plan.
+
+    :param q: (n, 6) poses of the plan [rad], and `force` (n, 3) at the load point, root axes [N].
+    """
+    information = problem.readings.information_of(q, force)
+    return expected_accuracy(tests, problem.readings, problem.joint2, q, information, problem.known)
 
 
 class _OtherPlans(Struct, frozen=True, eq=False):
@@ -481,20 +492,21 @@ class _OtherPlans(Struct, frozen=True, eq=False):
 
     random: Array
     serial: Plan | None
-    sizes: tuple[Size, ...]
+    sizes: tuple[SizeResult, ...]
     is_interrupted: bool
 
 
 def _compared_plans(task: Task, options: Options, plan: Plan, report: Progress) -> _OtherPlans:
     """Return plans for comparison with `plan`; Ctrl-C ends their computation, and those that are ready are returned."""
-    random, serial, sizes = np.zeros(0), None, []
+    random, serial = np.zeros(0), None
+    sizes: list[SizeResult] = []
     is_interrupted = False
     try:
         report("comparing with other plans", 0.7, np.sqrt(plan.value))
         random = random_values(task, options.seed)
         serial = serial_plan(task)
-        for count, value, median in criterion_by_number(task, options.seed, plan):
-            sizes.append(Size(count, value, median))
+        for size in criterion_by_number(task, options.seed, plan):
+            sizes.append(size)
             report("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 6, np.sqrt(plan.value))
     except KeyboardInterrupt:
         is_interrupted = True
@@ -510,13 +522,73 @@ def _planning_problem(
     :param data: earlier readings; None: there are none.
     :raises PlanError: too few levels of q2 can be measured, or too few readings are planned.
     """
+    pool = _candidate_pool(site, scale, options, data)
+    readings, earlier_data = pool.readings, pool.earlier_data
+    hidden_joints = tuple(joint for joint in range(len(JOINT_COMPLIANCES)) if joint not in readings.keep)
+    hidden_warnings = hidden_by_rig(site, tests, scale, hidden_joints)
+    _check_number(options, readings, len(site.points), pool.levels, earlier_data)
+    torque = pool.candidates.torque.reshape(-1, 6)
+    has_pose = torque.any(axis=1)
+    data_torque = None if data is None else _largest_torques(data, readings)
+    demand = directions(torque[has_pose], tests, options.configurations, data_torque)
+
+    def with_joint2(joint2: Joint2) -> Task:
+        """Return the task of choosing configurations for a model of joint 2."""
+        return Task(
+            site=site,
+            readings=readings,
+            criterion_at=lambda q2: Criterion.of(tests, readings, joint2, q2, options.grouped, earlier_data),
+            candidates=pool.candidates,
+            count=options.configurations,
+            levels=pool.levels,
+            directions=demand,
+            fixed=pool.fixed_levels,
+        )
+
+    joint2 = _joint2(site, tests, earlier_data, with_joint2, options.seed)
+    if joint2.free:
+        _check_identifiable(len(JOINT_COMPLIANCES) + _COMPENSATOR_PARAMETERS, options, len(site.points), data)
+    direction_warnings = out_of_reach(demand, site.rig.largest_tilt < VERTICAL)
+    warnings = (*hidden_warnings, *unchecked_warnings(site), *direction_warnings)
+    return _Problem(with_joint2(joint2), readings, joint2, earlier_data, warnings)
+
+
+class _CandidatePool(NamedTuple):
+    """Poses to choose from, and the compliances that they can show.
+
+    :param candidates: with the information on these compliances; fixed levels come first.
+    :param readings: of these compliances.
+    :param earlier_data: readings that were already made, on these compliances; None: there are none.
+    :param levels: number of levels of q2 of the plan, the fixed ones included.
+    :param fixed_levels: number of levels at which readings were already made.
+    """
+
+    candidates: Candidates
+    readings: Readings
+    earlier_data: MeasuredLoads | None
+    levels: int
+    fixed_levels: int
+
+
+def _candidate_pool(site: Site, scale: Array, options: Options, data: Measurements | None) -> _CandidatePool:
+    """Return the poses to choose from; parameters as of `_planning_problem`.
+
+    :raises PlanError: too few levels of q2 can be measured.
+    """
     # of a displacement, loaded minus unloaded, each the mean of the repeats
     noise = site.sigma * np.sqrt(2.0 / options.repeats)
-    readings = Readings(site.arm, site.load_point, site.points, site.rig.force, noise, scale)
+    readings = Readings(
+        arm=site.arm,
+        load_point=site.load_point,
+        points=site.points,
+        force=site.rig.force,
+        noise=noise,
+        scale=scale,
+    )
     earlier_data = None if data is None else measured_information(data, readings, site.sigma)
     fixed_levels = 0 if earlier_data is None else len(earlier_data.q2)
     levels = min(max(options.levels, fixed_levels), fixed_levels + options.configurations)
-    rng = np.random.default_rng([options.seed, 1 << 16])
+    rng = np.random.default_rng([options.seed, 1 << 16])  # another stream than those of the search
     candidates = draw_candidates(site, readings, rng, None if earlier_data is None else earlier_data.q2)
     if levels > len(candidates):
         raise PlanError(
@@ -524,40 +596,11 @@ def _planning_problem(
             advice="Ask for fewer with --q2-levels, or move the obstacles.",
         )
     hidden_joints = _hidden_joints(candidates, options.configurations, earlier_data)
-    warnings = hidden_by_rig(site, tests, scale, hidden_joints)
     if hidden_joints:
         keep = tuple(joint for joint in range(6) if joint not in hidden_joints)
         readings, candidates = replace(readings, keep=keep), candidates.take_parameters(keep)
         earlier_data = None if data is None else measured_information(data, readings, site.sigma)
-    _check_number(options, readings, len(site.points), levels, earlier_data)
-    warnings = (*warnings, *unchecked_warnings(site))
-
-    torque = candidates.torque.reshape(-1, 6)
-    demand = directions(
-        torque[torque.any(axis=1)],
-        tests,
-        options.configurations,
-        None if data is None else _largest_torques(data, readings),
-    )
-    warnings = (*warnings, *out_of_reach(demand, site.rig.largest_tilt < VERTICAL))
-
-    def with_joint2(joint2: Joint2) -> Task:
-        """Return the task of choosing configurations for a model of joint 2."""
-        return Task(
-            site,
-            readings,
-            lambda q2: Criterion.of(tests, readings, joint2, q2, options.grouped, earlier_data),
-            candidates,
-            options.configurations,
-            levels,
-            demand,
-            fixed_levels,
-        )
-
-    joint2 = _joint2(site, tests, earlier_data, with_joint2, options.seed)
-    if joint2.free:
-        _check_identifiable(len(JOINT_COMPLIANCES) + _COMPENSATOR_PARAMETERS, options, len(site.points), data)
-    return _Problem(with_joint2(joint2), readings, joint2, earlier_data, warnings)
+    return _CandidatePool(candidates, readings, earlier_data, levels, fixed_levels)
 
 
 def _hidden_joints(candidates: Candidates, configurations: int, earlier_data: MeasuredLoads | None) -> tuple[int, ...]:
@@ -603,7 +646,7 @@ def _joint2(
 
 
 def _search(task: Task, options: Options, report: Progress) -> tuple[Plan, bool]:
-    """Return the best plan, and whether Ctrl-C ended the search (then it is the best one so far).
+    """Return the best plan, and True if Ctrl-C ended the search (then it is the best one so far).
 
     :raises KeyboardInterrupt: Ctrl-C before there is a plan.
     """

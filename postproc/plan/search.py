@@ -13,6 +13,7 @@ A plan is compared with random plans, with the semi-intuitive plan of the serial
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -111,7 +112,7 @@ def draw_candidates(
     draws = [feasible_at(site, float(level), _PER_LEVEL, rng) for level in levels]
     is_sufficient = np.array([len(q) >= _PER_LEVEL // 10 for q, _ in draws])
     if not is_sufficient.any():
-        raise PlanError(*blocking(site, rng))
+        raise PlanError(blocking(site, rng))
     fixed_count = 0 if fixed_levels is None else len(fixed_levels)
     rows = [index for index in range(len(levels)) if is_sufficient[index] or index < fixed_count]
     q, tilt = np.zeros((len(rows), _PER_LEVEL, 6)), np.zeros((len(rows), _PER_LEVEL, 2))
@@ -119,8 +120,8 @@ def draw_candidates(
     for place, index in enumerate(rows):
         level_q, level_tilt = draws[index]
         if len(level_q):
-            row = np.arange(_PER_LEVEL) % len(level_q)  # repeated where there are fewer
-            q[place], tilt[place], has_pose[place] = level_q[row], level_tilt[row], True
+            pick = np.arange(_PER_LEVEL) % len(level_q)  # repeated where there are fewer
+            q[place], tilt[place], has_pose[place] = level_q[pick], level_tilt[pick], True
     information = readings.information(q.reshape(-1, 6), tilt.reshape(-1, 2)).reshape(*q.shape[:2], 6, 6)
     information *= has_pose[:, :, None, None]  # no information from a level at which nothing can be measured any more
     load = readings.force * direction(tilt.reshape(-1, 2))
@@ -128,7 +129,24 @@ def draw_candidates(
     return Candidates(levels[rows], q, tilt, information, torque)
 
 
-def blocking(site: Site, rng: np.random.Generator) -> tuple[str]:
+class _Blockage(NamedTuple):
+    """A constraint that forbids random poses.
+
+    :param freed_count: number of poses that it alone forbids: they were possible without it.
+    :param share: of the poses that it forbids.
+    :param name: of the constraint.
+    """
+
+    freed_count: int
+    share: float
+    name: str
+
+    def __str__(self) -> str:
+        note = f", without it {self.freed_count} poses were possible" if self.freed_count else ""
+        return f"{self.name} forbids {100 * self.share:.1f} %{note}"
+
+
+def blocking(site: Site, rng: np.random.Generator) -> str:
     """Return the error text if no pose is feasible, which names the constraint that blocks most.
 
     For each constraint it has the share of random poses that it forbids, and the number of poses possible without it.
@@ -136,18 +154,18 @@ def blocking(site: Site, rng: np.random.Generator) -> tuple[str]:
     q, tilt = draw(site, _LOOK, rng)
     failures = constraints.failures(site, q, tilt)
     failure_count = sum(failures.values(), np.zeros(_LOOK, dtype=int))  # of each pose
-    lines = []  # poses possible without a constraint, share that it forbids, text
-    for name, is_forbidden in sorted(failures.items(), key=lambda entry: -entry[1].mean()):
-        freed_count = int(np.count_nonzero((failure_count == 1) & is_forbidden))
-        share = is_forbidden.mean()
-        if is_forbidden.any():
-            note = f", without it {freed_count} poses were possible" if freed_count else ""
-            lines.append((freed_count, share, f"{name} forbids {100 * share:.1f} %{note}"))
-    sole_causes = [line for line in lines if line[1] > 0.999]
-    freeing_lines = sorted((line for line in lines if line[0]), reverse=True)
-    culprit = (freeing_lines or sole_causes or lines)[0][2].split(" forbids")[0]
-    summary = "; ".join(text for _, _, text in lines[:6])
-    return (f"no pose can be measured: what blocks is: {culprit}. Of {_LOOK} poses at random: {summary}",)
+    blockages = [
+        _Blockage(int(np.count_nonzero((failure_count == 1) & is_forbidden)), float(is_forbidden.mean()), name)
+        for name, is_forbidden in failures.items()
+        if is_forbidden.any()
+    ]
+    blockages.sort(key=lambda blockage: -blockage.share)
+    # the constraint without which most poses were possible; else one that forbids all of them
+    freeing = sorted((blockage for blockage in blockages if blockage.freed_count), reverse=True)
+    forbidding_all = [blockage for blockage in blockages if blockage.share > 0.999]
+    culprit = (freeing or forbidding_all or blockages)[0].name
+    summary = "; ".join(map(str, blockages[:6]))
+    return f"no pose can be measured: what blocks is: {culprit}. Of {_LOOK} poses at random: {summary}"
 
 
 _LEAST_DISTANCE = 8.0 * RAD_PER_DEG
@@ -156,6 +174,8 @@ _EXCHANGE_ROUNDS = 12
 """Limit of the rounds of exchanges (assumed)."""
 _MIN_GAIN = 1e-3
 """A change of the criterion below a thousandth is not worth a further round (assumed)."""
+_ROUNDING = 1e-5
+"""Relative change of the criterion below which a moved pose is no better but for rounding (assumed)."""
 _STEPS = (0.5, 0.25, 0.12, 0.06, 0.03, 0.012, 0.004)
 """Lengths down the gradient that are tried [rad]: by factors of two to three, down to a quarter of a degree."""
 _RANDOM = 24
@@ -282,7 +302,9 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
             break
     best = _exchange_poses(task, _load_both_signs(task, best))
     at = best.row[best.level], best.pick
-    return Plan(candidates.q[at], candidates.tilt[at], best.level, candidates.q2[best.row], best.value)
+    return Plan(
+        q=candidates.q[at], tilt=candidates.tilt[at], level=best.level, q2=candidates.q2[best.row], value=best.value
+    )
 
 
 def first_levels(task: Task, rng: np.random.Generator, spread: bool) -> Ints:
@@ -313,27 +335,25 @@ def _load_both_signs(task: Task, choice: _Choice) -> _Choice:
 
     Of the exchanges that bring the plan nearer to the demand, the one with the smallest criterion is made each time.
     """
-    information, row, criterion, level = task.candidates.information, choice.row, choice.criterion, choice.level
-    pick, demand = choice.pick.copy(), task.directions
-    candidate_sides = demand.loaded_sides(task.candidates.torque[row]).astype(np.int64)  # (m, C, 6, 2)
-    while True:
+    information = task.candidates.information[choice.row]  # (m, C, p, p)
+    level, pick, demand = choice.level, choice.pick.copy(), task.directions
+    candidate_sides = demand.loaded_sides(task.candidates.torque[choice.row]).astype(np.int64)  # (m, C, 6, 2)
+    while (shortfall := demand.missing_count(candidate_sides[level, pick].sum(axis=0))) > 0:
         pose_sides = candidate_sides[level, pick]
-        side_count = pose_sides.sum(axis=0)
-        shortfall = demand.missing_count(side_count)
-        total = criterion.total(information[row[level], pick], level)
+        total = choice.criterion.total(information[level, pick], level)
         best_value, best_place, best_pick = np.inf, 0, 0
-        for place in range(task.count) if shortfall > 0 else ():
-            changed_counts = side_count - pose_sides[place] + candidate_sides[level[place]]
+        for place in range(task.count):
+            changed_counts = pose_sides.sum(axis=0) - pose_sides[place] + candidate_sides[level[place]]
             better_picks = np.flatnonzero(demand.missing_count(changed_counts) < shortfall)
             if len(better_picks):
-                level_information = information[row[level[place]]]
-                old, new = level_information[pick[place]], level_information[better_picks]
-                values = criterion.exchange_values(total, old, new, int(level[place]))
+                old, new = information[level[place], pick[place]], information[level[place], better_picks]
+                values = choice.criterion.exchange_values(total, old, new, int(level[place]))
                 if float(values.min()) < best_value:
                     best_value, best_place, best_pick = float(values.min()), place, int(better_picks[np.argmin(values)])
-        if not np.isfinite(best_value):
-            return replace(choice, pick=pick, value=criterion.value(information[row[level], pick], level))
+        if not np.isfinite(best_value):  # no exchange brings the plan nearer
+            break
         pick[best_place] = best_pick
+    return replace(choice, pick=pick, value=choice.criterion.value(information[level, pick], level))
 
 
 def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
@@ -342,28 +362,29 @@ def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
     With fixed levels, it is the best candidate of any level. An exchange never leaves the plan with fewer of the
     demanded directions of joint torques.
     """
-    information, row, criterion = task.candidates.information, choice.row, choice.criterion
+    information, criterion = task.candidates.information[choice.row], choice.criterion  # (m, C, p, p)
     level, pick, demand = choice.level.copy(), choice.pick.copy(), task.directions
-    sides = demand.loaded_sides(task.candidates.torque[row]).astype(np.int64)
+    sides = demand.loaded_sides(task.candidates.torque[choice.row]).astype(np.int64)  # (m, C, 6, 2)
     for place in range(task.count):
         count = sides[level, pick].sum(axis=0)
-        worse = demand.missing_count(count - sides[level[place], pick[place]] + sides) > demand.missing_count(count)
-        old = information[row[level[place]], pick[place]]
-        total = criterion.total(information[row[level], pick], level)
-        values = criterion.exchange_values(total, old, information[row[level[place]]], int(level[place]))
+        count_without = count - sides[level[place], pick[place]]
+        is_worse = demand.missing_count(count_without + sides) > demand.missing_count(count)  # (m, C)
         if not task.fixed:
-            pick[place] = int(np.argmin(np.where(worse[level[place]], np.inf, values)))
+            old, new = information[level[place], pick[place]], information[level[place]]
+            total = criterion.total(information[level, pick], level)
+            values = criterion.exchange_values(total, old, new, int(level[place]))
+            pick[place] = int(np.argmin(np.where(is_worse[level[place]], np.inf, values)))
         else:
             other_poses = np.delete(np.arange(task.count), place)
-            reduced_total = criterion.total(information[row[level[other_poses]], pick[other_poses]], level[other_poses])
-            zero = np.zeros_like(old)
+            other_levels = level[other_poses]
+            total = criterion.total(information[other_levels, pick[other_poses]], other_levels)
+            no_pose = np.zeros_like(information[0, 0])
             values_by_level = [
-                criterion.exchange_values(reduced_total, zero, information[level_row], group)
-                for group, level_row in enumerate(row)
+                criterion.exchange_values(total, no_pose, new, group) for group, new in enumerate(information)
             ]
-            best = int(np.argmin(np.where(worse, np.inf, values_by_level)))
-            level[place], pick[place] = np.unravel_index(best, (task.levels, information.shape[1]))
-    value = criterion.value(information[row[level], pick], level)
+            best = int(np.argmin(np.where(is_worse, np.inf, values_by_level)))
+            level[place], pick[place] = np.unravel_index(best, is_worse.shape)
+    value = criterion.value(information[level, pick], level)
     return replace(choice, level=level, pick=pick, value=value)
 
 
@@ -372,32 +393,37 @@ def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
 
     The poses of the level are chosen anew at each candidate; it stays without a gain.
     """
-    candidates, level = task.candidates, choice.level
-    members = np.flatnonzero(level == group)
+    candidates, best = task.candidates, choice
     other_rows = np.delete(choice.row, group)
-    best = choice
     for candidate in range(task.fixed, len(candidates)):
         if candidate in choice.row or not _is_distant(candidates.q2[other_rows], candidates.q2[candidate]):
             continue
-        row, pick = choice.row.copy(), choice.pick.copy()
-        row[group] = candidate
-        criterion = task.criterion_at(candidates.q2[row])
-        is_in_other_level = level != group
-        total = criterion.total(
-            candidates.information[row[level[is_in_other_level]], pick[is_in_other_level]], level[is_in_other_level]
-        )
-        zero = np.zeros_like(candidates.information[0, 0])
-        for place in members:  # greedily, one after the other
-            values = criterion.exchange_values(total, zero, candidates.information[candidate], group)
-            pick[place] = int(np.argmin(values))
-            groups = np.array([group])
-            total = (
-                total + criterion.total(candidates.information[candidate, pick[place]][None], groups) - criterion.before
-            )
-        value = float(criterion.of_totals(total[None])[0])
-        if value < best.value * (1.0 - _MIN_GAIN):
-            best = _Choice(row, level, pick, criterion, value)
+        trial = _with_level(task, choice, group, candidate)
+        if trial.value < best.value * (1.0 - _MIN_GAIN):
+            best = trial
     return best
+
+
+def _with_level(task: Task, choice: _Choice, group: int, candidate: int) -> _Choice:
+    """Return the choice with level number `group` of q2 replaced, and its poses chosen anew, greedily one by one.
+
+    :param candidate: row of the new level among the candidates.
+    """
+    candidates, level = task.candidates, choice.level
+    row, pick = choice.row.copy(), choice.pick.copy()
+    row[group] = candidate
+    criterion = task.criterion_at(candidates.q2[row])
+    is_in_other_level = level != group
+    other_levels = level[is_in_other_level]
+    total = criterion.total(candidates.information[row[other_levels], pick[is_in_other_level]], other_levels)
+    zero = np.zeros_like(candidates.information[0, 0])
+    for place in np.flatnonzero(level == group):
+        values = criterion.exchange_values(total, zero, candidates.information[candidate], group)
+        pick[place] = int(np.argmin(values))
+        information = candidates.information[candidate, pick[place]]
+        # the earlier readings are in both totals
+        total = total + criterion.total(information[None], np.array([group])) - criterion.earlier
+    return _Choice(row, level, pick, criterion, float(criterion.of_totals(total[None])[0]))
 
 
 def refine(task: Task, plan: Plan, rng: np.random.Generator, rounds: int) -> Iterator[Plan]:
@@ -422,29 +448,25 @@ def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) 
 
     :param scale: standard deviation of the random steps of angles and tilts [rad].
     """
-    q, tilt = plan.q.copy(), plan.tilt.copy()
-    criterion = task.criterion_at(plan.q2)
-    value = plan.value
+    q, tilt, value = plan.q.copy(), plan.tilt.copy(), plan.value
+    criterion, demand = task.criterion_at(plan.q2), task.directions
     information, sides = task.readings.information(q, tilt), task.sides(q, tilt)
     for place in range(len(q)):
         total = criterion.total(information, plan.level)
         push = criterion.push(total, plan.level[[place]])
         slope = task.readings.slope(q[[place]], tilt[[place]], push)[0]
         new_q, new_tilt = _proposals(task.site, q[place], tilt[place], slope, rng, scale)
-        new = task.readings.information(new_q, new_tilt)
-        values = criterion.exchange_values(total, information[place], new, int(plan.level[place]))
-        order = np.argsort(values, kind="stable")
-        order = order[values[order] < value * (1.0 - 1e-5)]
-        new_sides, count = task.sides(new_q, new_tilt), sides.sum(axis=0)
-        is_worse = task.directions.missing_count(count - sides[place] + new_sides) > task.directions.missing_count(
-            count
-        )
-        order = order[~is_worse[order]]
+        new_information, new_sides = task.readings.information(new_q, new_tilt), task.sides(new_q, new_tilt)
+        values = criterion.exchange_values(total, information[place], new_information, int(plan.level[place]))
+        count = sides.sum(axis=0)
+        is_worse = demand.missing_count(count - sides[place] + new_sides) > demand.missing_count(count)
+        order = np.argsort(values, kind="stable")  # the best first
+        order = order[(values[order] < value * (1.0 - _ROUNDING)) & ~is_worse[order]]
         is_feasible = constraints.feasible(task.site, new_q[order], new_tilt[order])
         if is_feasible.any():
             best = order[np.argmax(is_feasible)]
-            sides[place] = new_sides[best]
-            q[place], tilt[place], information[place], value = new_q[best], new_tilt[best], new[best], values[best]
+            q[place], tilt[place], value = new_q[best], new_tilt[best], values[best]
+            information[place], sides[place] = new_information[best], new_sides[best]
     return replace(plan, q=q, tilt=tilt, value=float(value))
 
 
@@ -481,30 +503,38 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
 
     Either q2 alone changes, or q3 too, so that the forearm keeps its direction.
     """
-    demand = task.directions
     for group in range(task.fixed, len(plan.q2)):
-        members = plan.level == group
-        shortfall = demand.missing_count(task.sides(plan.q, plan.tilt).sum(axis=0))
         for shift in (*_SHIFTS, *-_SHIFTS):
-            q2 = plan.q2.copy()
-            q2[group] += shift
-            is_in_range = task.site.lower[1] <= q2[group] <= task.site.upper[1]
-            if not is_in_range or not _is_distant(np.delete(q2, group), q2[group]):
-                continue
-            criterion = task.criterion_at(q2)
-            for q3_shift in (0.0, -shift):
-                q = plan.q.copy()
-                q[members, 1] = q2[group]
-                q[members, 2] += q3_shift
-                value = criterion.value(task.readings.information(q, plan.tilt), plan.level)
-                is_better = value < plan.value * (1.0 - 1e-5)
-                is_better = is_better and bool(demand.missing_count(task.sides(q, plan.tilt).sum(axis=0)) <= shortfall)
-                if is_better and constraints.feasible(task.site, q[members], plan.tilt[members]).all():
-                    plan = replace(plan, q=q, q2=q2, value=value)
-                    break
-            if plan.q2[group] == q2[group]:
+            better_plan = _with_shifted_level(task, plan, group, float(shift))
+            if better_plan is not None:
+                plan = better_plan
                 break
     return plan
+
+
+def _with_shifted_level(task: Task, plan: Plan, group: int, shift: float) -> Plan | None:
+    """Return the plan with level number `group` of q2 shifted with its poses [rad]; None if that is no better.
+
+    It is better if the criterion is lower, all poses can be measured, and no demanded direction of torques is lost.
+    """
+    q2, members, demand = plan.q2.copy(), plan.level == group, task.directions
+    q2[group] += shift
+    is_in_range = task.site.lower[1] <= q2[group] <= task.site.upper[1]
+    if not is_in_range or not _is_distant(np.delete(q2, group), q2[group]):
+        return None
+    criterion = task.criterion_at(q2)
+    shortfall = demand.missing_count(task.sides(plan.q, plan.tilt).sum(axis=0))
+    for q3_shift in (0.0, -shift):
+        q = plan.q.copy()
+        q[members, 1] = q2[group]
+        q[members, 2] += q3_shift
+        value = criterion.value(task.readings.information(q, plan.tilt), plan.level)
+        if value >= plan.value * (1.0 - _ROUNDING):
+            continue
+        has_directions = demand.missing_count(task.sides(q, plan.tilt).sum(axis=0)) <= shortfall
+        if has_directions and constraints.feasible(task.site, q[members], plan.tilt[members]).all():
+            return replace(plan, q=q, q2=q2, value=value)
+    return None
 
 
 RANDOM_PLANS = 200
@@ -539,13 +569,14 @@ def serial_plan(task: Task) -> Plan:
     pick = np.zeros(task.count, dtype=np.int64)
     for group in range(task.levels):
         members = np.flatnonzero(level == group)
-        dexterity = _dexterity(task, candidates.q[row[group]])
+        level_q = candidates.q[row[group]]
+        dexterity = _dexterity(task, level_q)
         count = max(len(members), int(_BEST_SHARE * len(dexterity)))
-        pick[members] = _distant_rows(
-            candidates.q[row[group]], np.argsort(-dexterity, kind="stable")[:count], len(members)
-        )
-    value = task.criterion_at(candidates.q2[row]).value(candidates.information[row[level], pick], level)
-    return Plan(candidates.q[row[level], pick], candidates.tilt[row[level], pick], level, candidates.q2[row], value)
+        best_conditioned = np.argsort(-dexterity, kind="stable")[:count]
+        pick[members] = _distant_rows(level_q, best_conditioned, len(members))
+    at = row[level], pick
+    value = task.criterion_at(candidates.q2[row]).value(candidates.information[at], level)
+    return Plan(q=candidates.q[at], tilt=candidates.tilt[at], level=level, q2=candidates.q2[row], value=value)
 
 
 def _dexterity(task: Task, q: Array) -> Array:
@@ -575,8 +606,16 @@ def _distant_rows(q: Array, rows: Ints, count: int) -> list[int]:
     return selection
 
 
-def criterion_by_number(task: Task, seed: int, best: Plan) -> Iterator[tuple[int, float, float]]:
-    """Yield number of poses, criterion of the best plan, and median of random plans [m²], for some sizes.
+class SizeResult(NamedTuple):
+    """Another number of poses: criterion of the best plan of that size, and median of random plans [m²]."""
+
+    configurations: int
+    value: float
+    random: float
+
+
+def criterion_by_number(task: Task, seed: int, best: Plan) -> Iterator[SizeResult]:
+    """Yield the results of some numbers of poses.
 
     The search is short: criteria are right to some per cent. For the size of `best` its own value is taken.
     """
@@ -587,4 +626,4 @@ def criterion_by_number(task: Task, seed: int, best: Plan) -> Iterator[tuple[int
         if count != task.count:
             for plan in improve(resized_task, seed, starts=2, finalists=1, rounds=8):
                 value = plan.value
-        yield count, value, float(np.median(random_values(resized_task, seed, 60)))
+        yield SizeResult(count, value, float(np.median(random_values(resized_task, seed, 60))))

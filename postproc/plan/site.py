@@ -237,11 +237,6 @@ def site_of(robot: RobotModel, experiment: Experiment, folder: Path, start: Arra
         joint = int(np.argmax(lower >= upper)) + 1
         raise PlanError(f"a margin of {margin * DEG_PER_RAD:g}° leaves nothing of the range of A{joint}")
     arm = Arm.of(robot)
-    origin = arm.pose(np.zeros((1, 6))).origin[0]
-    reach = float(np.linalg.norm(origin[2] - origin[1]) + np.linalg.norm(origin[4] - origin[2]))
-    radius = np.array(_RADII) * reach if body.radius_mm is None else np.array(body.radius_mm) * M_PER_MM
-    obstacles: list[BoxShape | MeshShape] = [BoxShape.of(box, n) for n, box in enumerate(experiment.boxes, 1)]
-    obstacles += [MeshShape.of(mesh, folder) for mesh in experiment.meshes]
     return Site(
         robot=robot,
         arm=arm,
@@ -254,7 +249,7 @@ def site_of(robot: RobotModel, experiment: Experiment, folder: Path, start: Arra
         start=start,
         lower=lower,
         upper=upper,
-        radius=radius,
+        radius=_radii(arm) if body.radius_mm is None else np.array(body.radius_mm) * M_PER_MM,
         tool_radius=body.tool_radius_mm * M_PER_MM,
         clearance=body.clearance_mm * M_PER_MM,
         load_point=experiment.load_point.position(),
@@ -262,12 +257,22 @@ def site_of(robot: RobotModel, experiment: Experiment, folder: Path, start: Arra
         names=tuple(experiment.points),
         normals=_normals(experiment),
         floor=experiment.floor.Z * M_PER_MM,
-        obstacles=tuple(obstacles),
+        obstacles=(
+            *(BoxShape.of(box, number) for number, box in enumerate(experiment.boxes, 1)),
+            *(MeshShape.of(mesh, folder) for mesh in experiment.meshes),
+        ),
         tracker=None if tracker is None else np.array([tracker.X, tracker.Y, tracker.Z]) * M_PER_MM,
         sigma=experiment.sigma,
         acceptance=np.pi if tracker is None else tracker.acceptance_deg * RAD_PER_DEG,
         torque_limit=_torque_limit(robot, rig.max_torque_Nm),
     )
+
+
+def _radii(arm: Arm) -> Array:
+    """Return the radii (5,) [m] of column, link 2, elbow, forearm and hand that are usual for the size of an arm."""
+    origin = arm.pose(np.zeros((1, 6))).origin[0]
+    reach = float(np.linalg.norm(origin[2] - origin[1]) + np.linalg.norm(origin[4] - origin[2]))
+    return np.array(_RADII) * reach
 
 
 def _normals(experiment: Experiment) -> Array:

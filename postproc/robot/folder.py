@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -151,6 +151,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
     actual = _actual_chain(content, nominal)
     values, load_range = parameters.stated_values(content), content.measured
     covariance, stated_spread = _covariance(content)
+    masses = content.masses or Masses(source="")  # without an entry: its default spread
     rigid = RobotModel(
         name=name,
         title=content.name,
@@ -173,7 +174,7 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
         measured=None if load_range is None else MeasuredRange(np.array(load_range.torque_Nm), load_range.not_trusted),
         language=content.language,
         transmission=Transmission.of(content.transmission),
-        mass_spread=(Masses(source="") if content.masses is None else content.masses).spread_percent / 100.0,
+        mass_spread=masses.spread_percent / 100.0,
         compensator_spread=0.0 if content.compensator is None else content.compensator.spread_percent / 100.0,
         stated_spread=stated_spread,
         spring_basis={name: _basis(spring) for name, spring in content.joints.items()},
@@ -239,17 +240,9 @@ def _covariance(content: ModelFile) -> tuple[Covariance | None, tuple[Parameter,
     :returns: the covariance, None without a table and without spreads; the parameters with a stated spread, which are
         the last ones of the covariance.
     """
-    table, law = content.covariance, content.compensator
+    table = content.covariance
     names = [] if table is None else [name for name in table.parameters if name != FORCES]
-    spreads: dict[Parameter, float] = {
-        parameter: spring.sigma_percent / 100.0 * spring.compliance_urad_per_Nm
-        for parameter in parameters.JOINT_COMPLIANCES
-        if (spring := content.joints[parameter.joint]).sigma_percent is not None and parameter.name not in names
-    }
-    if law is not None and law.sigma_percent is not None and law.stiffness_N_per_m > 0.0:
-        stiffness, preload = parameters.COMPENSATOR
-        if not {stiffness.name, preload.name} & set(names):
-            spreads[stiffness] = law.sigma_percent / 100.0 * law.stiffness_N_per_m
+    spreads = _stated_spreads(content, names)
     if table is None and not spreads:
         return None, ()
     matrix = np.diag([0.0] * len(names) + [sigma**2 for sigma in spreads.values()])
@@ -259,6 +252,24 @@ def _covariance(content: ModelFile) -> tuple[Covariance | None, tuple[Parameter,
         assert square is not None, "_check_covariance has refused the table"
         matrix[: len(names), : len(names)] = square[np.ix_(rows, rows)]
     return Covariance.of([*names, *(parameter.name for parameter in spreads)], matrix), tuple(spreads)
+
+
+def _stated_spreads(content: ModelFile, names: Collection[str]) -> dict[Parameter, float]:
+    """Return parameter → standard deviation by `sigma_percent`, in units of the file, for parameters without a name.
+
+    :param names: of the parameters in [covariance], whose standard deviations it states.
+    """
+    spreads: dict[Parameter, float] = {}
+    for parameter in parameters.JOINT_COMPLIANCES:
+        spring = content.joints[parameter.joint]
+        if spring.sigma_percent is not None and parameter.name not in names:
+            spreads[parameter] = spring.sigma_percent / 100.0 * spring.compliance_urad_per_Nm
+    law = content.compensator
+    if law is not None and law.sigma_percent is not None and law.stiffness_N_per_m > 0.0:
+        stiffness, preload = parameters.COMPENSATOR
+        if stiffness.name not in names and preload.name not in names:
+            spreads[stiffness] = law.sigma_percent / 100.0 * law.stiffness_N_per_m
+    return spreads
 
 
 def _force_factor(content: ModelFile, covariance: Covariance | None) -> ForceFactor | None:

@@ -104,20 +104,21 @@ def adopt(text: str, file: str, name: str | None = None) -> AdoptedModel:
     notes += mass_notes
     notes.append(f"compliances are ASSUMED, {basis}: identify them (postproc identify), or replace them in model.toml")
     notes.append("a gravity compensator, if the arm has one, is not in the model")
+    springs = [
+        JointSpring(
+            source=f"no published value: {basis}",
+            assumed=True,
+            scaled_from=_REFERENCE,
+            compliance_urad_per_Nm=value,
+            sigma_percent=_SCALED_SIGMA,
+        )
+        for value in compliance
+    ]
     content = ModelFile(
         name=title,
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         language="krl",
-        joints={
-            joint: JointSpring(
-                source=f"no published value: {basis}",
-                assumed=True,
-                scaled_from=_REFERENCE,
-                compliance_urad_per_Nm=value,
-                sigma_percent=_SCALED_SIGMA,
-            )
-            for joint, value in zip(JOINTS, compliance, strict=True)
-        },
+        joints=dict(zip(JOINTS, springs, strict=True)),
         masses=masses,
         geometry_nominal=SourcedEntry(source=f"{file}, reach of the wrist {_reach(chain) * MM_PER_M:.0f} mm"),
     )
@@ -148,7 +149,7 @@ def _to_kuka_form(arm: AnyArm, file: str) -> _KukaForm:
     placement[0] = first_link @ placement[0]
     source, zero = _count_from_kuka_zero(replace(arm.chain, placement=placement, flange=_pose_of_flange(arm, file)))
     frames, flange = (array[0] for array in source.joint_frames(np.zeros((1, len(JOINTS)))))
-    axis = np.einsum("jab,jb->ja", frames[:, :3, :3], source.axis)
+    axis = np.einsum("jab,jb->ja", frames[:, :3, :3], source.axis)  # in the root, as all from here on
     sign = np.sign(np.einsum("ja,ja->j", axis, _AXES))
     _check_zero(axis, frames[:, :3, 3], flange, file)
     origin = np.round(_origins(frames[:, :3, 3], flange[:3, 3]), _ROUND)

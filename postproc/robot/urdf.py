@@ -190,15 +190,15 @@ class _Reader:
             for tag in ("visual", "collision"):
                 for shape in self.links[link].findall(tag):
                     for element in _element(shape, "geometry"):
-                        size = tuple(
-                            float(value)
-                            for name, count in _SIZES.get(element.tag, ())
-                            for value in _numbers(element, name, count)
+                        yield Geometry(
+                            carrier=carrier,
+                            pose=pose @ self._origin(shape),
+                            drawn=tag == "visual",
+                            kind=element.tag,
+                            size=_size(element),
+                            file=element.get("filename", ""),
+                            scale=_numbers(element, "scale", 3, "1 1 1"),
                         )
-                        scale = _numbers(element, "scale", 3, "1 1 1")
-                        place = pose @ self._origin(shape)
-                        name = element.get("filename", "")
-                        yield Geometry(carrier, place, tag == "visual", element.tag, size, name, scale)
 
     def _chain(self, flange: Array) -> Chain:
         """Return the chain that was read, up to `flange` (4, 4) in the last link [m]."""
@@ -225,13 +225,8 @@ class _Reader:
         :param carrier: 0…5 the joint that carries it; −1: none, the link is fixed to the root.
         :raises _RefusedError: a mass is negative, a joint is of another type, or joints are parallel.
         """
-        inertial = self.links[link].find("inertial")
-        if inertial is not None and carrier >= 0:
-            mass = _numbers(_element(inertial, "mass"), "value", 1)[0]
-            if mass < 0.0:
-                raise _RefusedError(f"link {link} has a negative mass")
-            mass_sum, moment = self.moments[carrier]
-            self.moments[carrier] = mass_sum + mass, moment + mass * (pose @ self._origin(inertial))[:3, 3]
+        if carrier >= 0:
+            self._add_mass(link, pose, carrier)
         self.frames[link] = carrier, pose
         for joint in self.child_joints[link]:
             name, kind = joint.get("name"), joint.get("type")
@@ -252,6 +247,22 @@ class _Reader:
             self.placement.append(place)
             self.moments.append((0.0, np.zeros(3)))
             self._visit(child, np.eye(4), len(self.joints) - 1)
+
+    def _add_mass(self, link: str, pose: Array, carrier: int) -> None:
+        """Add the mass of a link, if it states one, to that of the joint that carries it.
+
+        :param pose: (4, 4) of the link in the frame of its carrier [m].
+        :param carrier: 0…5 the joint.
+        :raises _RefusedError: the mass is negative, or not stated as numbers.
+        """
+        inertial = self.links[link].find("inertial")
+        if inertial is None:
+            return
+        mass = _numbers(_element(inertial, "mass"), "value", 1)[0]
+        if mass < 0.0:
+            raise _RefusedError(f"link {link} has a negative mass")
+        mass_sum, moment = self.moments[carrier]
+        self.moments[carrier] = mass_sum + mass, moment + mass * (pose @ self._origin(inertial))[:3, 3]
 
     def _origin(self, parent: ET.Element) -> Array:
         """Return the pose (4, 4) [m] that the <origin> of an element states; without one, no displacement.
@@ -320,6 +331,17 @@ def _numbers(element: ET.Element, name: str, count: int, default: str | None = N
     if not (np.abs(values) <= _LARGEST).all():
         raise _RefusedError(f'<{element.tag} {name}="{text[:80]}">: a number is not finite, or beyond {_LARGEST:g}')
     return values
+
+
+def _size(element: ET.Element) -> tuple[float, ...]:
+    """Return the sizes of a primitive as of `Geometry.size` [m]; empty for a mesh.
+
+    :raises _RefusedError: a size is missing, no number or not finite.
+    """
+    sizes: list[float] = []
+    for name, count in _SIZES.get(element.tag, ()):
+        sizes += _numbers(element, name, count).tolist()
+    return tuple(sizes)
 
 
 def _axis(joint: ET.Element) -> Array:

@@ -31,7 +31,7 @@ def work(joints, forces):
     wrench = np.zeros((len(joints), 6))
     wrench[:, :3] = forces
     return milling.evaluate(
-        setting.ROBOT, np.radians(joints), setting.CELL.tool.pose(), wrench, np.ones(len(joints)), "work"
+        setting.ROBOT, np.radians(joints), setting.CELL.tool.pose(), wrench, weight=np.ones(len(joints)), source="work"
     )
 
 

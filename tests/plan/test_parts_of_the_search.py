@@ -215,7 +215,7 @@ def test_each_further_row_is_the_farthest_from_all_before():
 def test_what_blocks_is_the_constraint_without_which_most_poses_were_possible(site, monkeypatch, rows, culprit):
     forbidden = {name: (np.arange(4000) >= low) & (np.arange(4000) < high) for name, (low, high) in rows.items()}
     monkeypatch.setattr(constraints, "failures", lambda *_: {**forbidden, "none": np.zeros(4000, dtype=bool)})
-    (text,) = search.blocking(site, np.random.default_rng(0))
+    text = search.blocking(site, np.random.default_rng(0))
     assert text.startswith(f"no pose can be measured: what blocks is: {culprit}. Of 4000 poses at random: ")
     assert "none" not in text
     stated = re.findall(r"(floor|sight|box) forbids ([\d.]+) %(?:, without it (\d+) poses were possible)?", text)
