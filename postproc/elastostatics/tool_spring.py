@@ -46,9 +46,10 @@ class ToolSpring(Struct, frozen=True, eq=False):
         return compliance
 
     def arm_target(self, target: Array, wrench: Array) -> tuple[Array, Array]:
-        """Return the pose (n, 4, 4) [m] of the unbent tool that puts the loaded tip at its target, and the wrench (n, 6).
+        """Return the pose (n, 4, 4) [m] of the unbent tool for a loaded tip at its target, and the wrench (n, 6).
 
-        The wrench is that on the tip, with the moment about the tip of the unbent tool.
+        The arm has to hold the unbent tool there. The wrench is that on the tip, with the moment about the tip of the
+        unbent tool.
 
         :param target: (n, 4, 4) of the loaded tip [m], and `wrench` (n, 6) on it, in the same axes.
         """

@@ -422,9 +422,8 @@ def plan_measurements(
     if options.comparisons and not is_interrupted:
         comparison = _compared_plans(problem.task, options, ordered.plan, report)
     accuracy = _accuracy(problem, sample, ordered.plan.q, ordered.force)
-    before = None
-    if problem.known is not None:  # of a plan without poses
-        before = _accuracy(problem, sample, np.zeros((0, 6)), np.zeros((0, 3)))
+    # of a plan without poses
+    before = None if problem.known is None else _accuracy(problem, sample, np.zeros((0, 6)), np.zeros((0, 3)))
     return PlanResult(
         options=options,
         robot=site.robot.name,
