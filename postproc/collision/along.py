@@ -118,10 +118,22 @@ def hits(solids: Solids, q: Array, need: float, shift: Array | None = None, *, b
 class _Search:
     """The search of one path; it goes from pair to pair, and prunes by the smallest distance of all so far.
 
-    :param needs_minimum: whether the smallest distance is wanted, too, and not only where less is found than allowed.
+    :ivar less: (b,) by how much distances of each body are reduced, since it may be elsewhere [m].
+    :ivar states: (n, 6 or 9) joint angles [rad], and the shift by E1 [m].
+    :ivar frames: (n, 8, 4, 4) of the carriers, see `link_frames`.
+    :ivar closest: the smallest distance so far; None before the first.
+    :ivar hits: (row, first body, second body) → smallest distance there [m].
     """
 
     def __init__(self, solids: Solids, q: Array, need: float, shift: Array | None, *, needs_minimum: bool) -> None:
+        """Begin without hits.
+
+        :param q: (n, 6) joint angles [rad].
+        :param need: smallest allowed distance [m].
+        :param shift: (n, 3) how far E1 carries the robot from the root [m]; None: there is no E1.
+        :param needs_minimum: whether the smallest distance is wanted, too, and not only where less is found than
+            allowed.
+        """
         self.solids, self.q, self.need, self.needs_minimum = solids, q, need, needs_minimum
         self.less = np.zeros(len(solids.bodies))
         self.chain = solids.scene.robot.nominal
@@ -187,8 +199,8 @@ class _Search:
         reduction = self.less[first] + self.less[second]
         return np.asarray(np.maximum(self.solids.distance(first, second, frames, solid=solid) - reduction, 0.0))
 
-    def _is_open(self, bound: Array) -> np.ndarray:
-        """Return True for lower bounds of distances that leave open a hit, or a new smallest distance."""
+    def _is_open(self, bound: Array) -> Bools:
+        """Return True for lower bounds (n,) of distances [m] that leave open a hit, or a new smallest distance."""
         return np.asarray((bound < self.need) | (bound < self._smallest_distance() - _EXACT))
 
     def _smallest_distance(self) -> float:

@@ -135,8 +135,9 @@ class Scene(Struct, frozen=True, eq=False):
 
 
 def _arm(robot: RobotModel, source: str) -> tuple[list[Body], list[str]]:
-    """Return the bodies of the arm, from its meshes or as capsules, and remarks.
+    """Return the bodies of the arm, from its meshes or as capsules, and remarks on assumptions, one sentence each.
 
+    :param source: `arm` of [collision]: "urdf" for the meshes of the robot model, if it has any, or "capsules".
     :raises ModelError: a mesh is missing.
     """
     if source == "urdf" and robot.geometries:

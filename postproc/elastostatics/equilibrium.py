@@ -195,6 +195,7 @@ def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) 
             step[robot.actuated[A2]] /= compensator_factor(robot, x, slope)
         theta = theta + step
         size = _largest(step)
+        # a weightless robot's geometry has no reference state: the first step is exact
         is_moving = _needs_iteration(size, previous, _SPRING_TOLERANCE) & robot.subtract_reference
         if not is_moving.any():
             _check_size(theta)

@@ -310,7 +310,8 @@ class Measurements(Struct, frozen=True, eq=False):
         return replace(self, used=is_used)
 
     def take_configurations(self, configurations: Ints) -> Measurements:
-        """Return the measurements of some configurations (rows of `q`)."""
+        """Return the measurements of some configurations (rows of `q`), with their states and readings renumbered."""
+        # new number of each configuration and state, −1 for those that are left out
         new_config = np.full(len(self.q), -1)
         new_config[configurations] = np.arange(len(configurations))
         states = np.flatnonzero(new_config[self.state_config] >= 0)

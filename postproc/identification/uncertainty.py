@@ -248,7 +248,7 @@ def add_stated_errors(fit: Fit, data: Measurements, placement: Placement, influe
 
     :param influence: (p, rows) by how much the parameters change with the whitened readings; None: least squares.
     """
-    effects = []
+    effects = []  # of one standard deviation of each independent error on the parameters, (p,) each
     if data.load_error > 0.0:
         share = np.array([_share(parameter) for parameter in fit.structure.parameters])
         effects.append(data.load_error / NORMAL_95 * share * fit.values)
@@ -359,6 +359,7 @@ class Workspace(Struct, frozen=True):
 
     @property
     def _angles(self) -> str:
+        """The joint angles of the pose, for messages [deg]."""
         return ", ".join(f"{angle * DEG_PER_RAD:.0f}" for angle in self.pose)
 
     @property
@@ -451,20 +452,21 @@ def _cause(robot: RobotModel, q: Array, tool: Array, wrench: Array, bound: float
     covariance = robot.covariance
     assert covariance is not None, "the robot states a covariance"
     slopes = elastostatics.sensitivity(robot, q[None], tool, wrench[None])[0]
-    part = np.einsum("ai,ai->i", slopes, slopes @ covariance.matrix)  # of the trace of the covariance of the position
-    of_joint: dict[str, float] = {}
+    # parts of the trace of the covariance of the position
+    part = np.einsum("ai,ai->i", slopes, slopes @ covariance.matrix)
+    part_of_joint: dict[str, float] = {}
     for parameter, value in zip(covariance.parameters, part.tolist(), strict=True):
-        of_joint[_joint(parameter)] = of_joint.get(_joint(parameter), 0.0) + value
+        joint = _joint(parameter)
+        part_of_joint[joint] = part_of_joint.get(joint, 0.0) + value
     unmodelled_error = 0.0 if robot.discrepancy is None else float(robot.discrepancy.at(wrench[None])[0])
-    if unmodelled_error > 0.5 * bound or not of_joint:
+    if unmodelled_error > 0.5 * bound or not part_of_joint:
         return f"the unmodelled error is {unmodelled_error * MM_PER_M:.3f} of {bound * MM_PER_M:.3f} mm"
-    joint = max(of_joint, key=lambda name: of_joint[name])
-    _, title = max(
-        (value, parameter.title)
-        for value, parameter in zip(part.tolist(), covariance.parameters, strict=True)
-        if _joint(parameter) == joint
+    main_joint = max(part_of_joint, key=lambda name: part_of_joint[name])
+    rows = [row for row, parameter in enumerate(covariance.parameters) if _joint(parameter) == main_joint]
+    main_row = max(rows, key=lambda row: (part[row], covariance.parameters[row].title))
+    return (
+        f"most of it comes from {main_joint}, whose readings do not determine {covariance.parameters[main_row].title}"
     )
-    return f"most of it comes from {joint}, whose readings do not determine {title}"
 
 
 def _joint(parameter: Parameter) -> str:
@@ -571,10 +573,13 @@ def _implausible_scale(robot: RobotModel, ratio: float) -> str:
 def _large_misfit(data: Measurements, fit: Fit, choice: Choice | None) -> str:
     """Return that a model describes too little of what was measured; empty if it describes most of it."""
     mean, _ = data.means()
-    measured = mean[data.loaded_states] - mean[data.unloaded_states[data.state_config[data.loaded_states]]]
+    unloaded_states = data.unloaded_states[data.state_config[data.loaded_states]]
+    measured = np.nan_to_num(mean[data.loaded_states] - mean[unloaded_states])
+    residual = fit.residual if choice is None else choice.left_out
+    visibility = visible(data)
     error, size = (
-        float(np.sqrt(np.sum((displacement * visible(data)) ** 2) / max(1.0, visible(data).sum())))
-        for displacement in (fit.residual if choice is None else choice.left_out, np.nan_to_num(measured))
+        float(np.sqrt(np.sum((vectors * visibility) ** 2) / max(1.0, visibility.sum())))
+        for vectors in (residual, measured)
     )
     if error <= _LARGE_MISFIT * size or _square_error(fit, choice) <= _MAX_SQUARE_ERROR:
         return ""

@@ -375,8 +375,9 @@ def limits(inside_counts: Array, counts: Array, doubt: float) -> tuple[float, fl
     scatter = configs / (configs - 1.0) * float(np.sum((inside_counts - share * counts) ** 2)) / count**2
     number = float(configs)  # all alike: each configuration is one displacement
     if scatter > 0.0:
-        fewer = (stdtrit(count - 1.0, doubt) / stdtrit(configs - 1.0, doubt)) ** 2
-        number = min(count, fewer * share * (1.0 - share) / scatter)
+        # few configurations know their scatter badly: by quantiles of Student's t (Korn and Graubard 1998)
+        reduction = (stdtrit(count - 1.0, doubt) / stdtrit(configs - 1.0, doubt)) ** 2
+        number = min(count, reduction * share * (1.0 - share) / scatter)
     inside_number, outside_number = share * number, (1.0 - share) * number
     low = betaincinv(inside_number, outside_number + 1.0, doubt) if inside_number > 0.0 else 0.0
     high = betaincinv(inside_number + 1.0, outside_number, 1.0 - doubt) if outside_number > 0.0 else 1.0

@@ -12,7 +12,7 @@ A plan is compared with random plans, with the semi-intuitive plan of the serial
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -82,6 +82,8 @@ def draw(site: Site, count: int, rng: np.random.Generator, q2: float | None = No
 def feasible_at(site: Site, q2: float, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
     """Return up to `count` random feasible configurations at one q2 [rad].
 
+    They are fewer, or none, if hardly any pose is feasible: the number of draws is limited.
+
     :returns: (k, 6) joint angles [rad]; (k, 2) tilts of the load [rad].
     """
     feasible_q, feasible_tilt, feasible_count = [], [], 0
@@ -114,19 +116,33 @@ def draw_candidates(
     if not is_sufficient.any():
         raise PlanError(blocking(site, rng))
     fixed_count = 0 if fixed_levels is None else len(fixed_levels)
-    rows = [index for index in range(len(levels)) if is_sufficient[index] or index < fixed_count]
-    q, tilt = np.zeros((len(rows), _PER_LEVEL, 6)), np.zeros((len(rows), _PER_LEVEL, 2))
-    has_pose = np.zeros((len(rows), _PER_LEVEL), dtype=bool)
-    for place, index in enumerate(rows):
-        level_q, level_tilt = draws[index]
+    is_sufficient[:fixed_count] = True  # fixed levels stay, even if nothing can be measured there any more
+    level_draws = [poses for poses, is_candidate in zip(draws, is_sufficient, strict=True) if is_candidate]
+    return _candidates_of(readings, levels[is_sufficient], level_draws)
+
+
+def _candidates_of(readings: Readings, q2: Array, draws: Sequence[tuple[Array, Array]]) -> Candidates:
+    """Return the candidates at levels q2 (L,) [rad], as many at each; they are repeated where fewer were drawn.
+
+    :param draws: joint angles (k, 6) and tilts of the load (k, 2) [rad] for each level; without any, its candidates
+        have no information and no torque.
+    """
+    q, tilt = np.zeros((len(q2), _PER_LEVEL, 6)), np.zeros((len(q2), _PER_LEVEL, 2))
+    has_pose = np.zeros((len(q2), _PER_LEVEL), dtype=bool)
+    for row, (level_q, level_tilt) in enumerate(draws):
         if len(level_q):
-            pick = np.arange(_PER_LEVEL) % len(level_q)  # repeated where there are fewer
-            q[place], tilt[place], has_pose[place] = level_q[pick], level_tilt[pick], True
+            pick = np.arange(_PER_LEVEL) % len(level_q)
+            q[row], tilt[row], has_pose[row] = level_q[pick], level_tilt[pick], True
     information = readings.information(q.reshape(-1, 6), tilt.reshape(-1, 2)).reshape(*q.shape[:2], 6, 6)
-    information *= has_pose[:, :, None, None]  # no information from a level at which nothing can be measured any more
     load = readings.force * direction(tilt.reshape(-1, 2))
-    torque = readings.torque(q.reshape(-1, 6), load).reshape(*q.shape[:2], 6) * has_pose[:, :, None]
-    return Candidates(levels[rows], q, tilt, information, torque)
+    torque = readings.torque(q.reshape(-1, 6), load).reshape(*q.shape[:2], 6)
+    return Candidates(
+        q2=q2,
+        q=q,
+        tilt=tilt,
+        information=information * has_pose[:, :, None, None],
+        torque=torque * has_pose[:, :, None],
+    )
 
 
 class _Blockage(NamedTuple):

@@ -160,13 +160,15 @@ class Readings(Struct, frozen=True, eq=False):
         velocity = arm_pose.velocity(arm_pose.point(self.points))
         torque = np.einsum("nij,nj->ni", at_load, load) * factor
         columns = velocity * torque[:, None, :, None]  # (N, P, 6, 3)
-        push = np.zeros_like(columns)
-        push[:, :, keep] = np.einsum("npix,nij->npjx", columns[:, :, keep], weight)
-        curvature = np.cross(arm_pose.axis[:, _FIRST][:, None], velocity[:, :, _LAST])  # (N, P, i, a, 3)
-        bent_load = np.cross(arm_pose.axis[:, _FIRST], at_load[:, _LAST])
-        push_by_joint = np.einsum("npix,npix->ni", push, velocity) * factor
+        # half the gradient by the columns, and by the torques
+        by_columns = np.zeros_like(columns)
+        by_columns[:, :, keep] = np.einsum("npix,nij->npjx", columns[:, :, keep], weight)
+        by_torque = np.einsum("npix,npix->ni", by_columns, velocity) * factor
+        # derivatives of the velocities i by the joint angles a: (N, P, i, a, 3) and (N, i, a, 3)
+        velocity_slope = np.cross(arm_pose.axis[:, _FIRST][:, None], velocity[:, :, _LAST])
+        at_load_slope = np.cross(arm_pose.axis[:, _FIRST], at_load[:, _LAST])
         gradient = np.empty((len(q), 8))
-        gradient[:, :6] = np.einsum("npix,npiax,ni->na", push, curvature, torque)
-        gradient[:, :6] += np.einsum("ni,niax,nx->na", push_by_joint, bent_load, load)
-        gradient[:, 6:] = self.force * np.einsum("ni,nix,nxt->nt", push_by_joint, at_load, direction_slope(tilt))
+        gradient[:, :6] = np.einsum("npix,npiax,ni->na", by_columns, velocity_slope, torque)
+        gradient[:, :6] += np.einsum("ni,niax,nx->na", by_torque, at_load_slope, load)
+        gradient[:, 6:] = self.force * np.einsum("ni,nix,nxt->nt", by_torque, at_load, direction_slope(tilt))
         return 2.0 * gradient
