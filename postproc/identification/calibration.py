@@ -113,16 +113,16 @@ class Geometry(Struct, frozen=True, eq=False):
         return np.asarray(NORMAL_95 * np.sqrt(np.diag(self.covariance)))
 
 
-def nonredundant(nominal: Chain, points: int) -> tuple[GeometryParameter, ...]:
-    """Return the displacements that base transform, points and the ones before cannot imitate.
+def nonredundant(nominal: Chain, point_count: int) -> tuple[GeometryParameter, ...]:
+    """Return the displacements of joints that base transform, points and the displacements before cannot imitate.
 
     Determined by the rank of the derivatives at random configurations, so it is valid for any arm.
 
-    :param points: number of points on the flange.
+    :param point_count: number of points on the flange.
     """
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (60, 6))
     # points that are not on one line: more than three show no more
-    offsets = np.array([[0.2, 0.1, 0.3], [-0.2, 0.15, 0.25], [0.05, -0.3, 0.2]])[: max(1, min(points, 3))]
+    offsets = np.array([[0.2, 0.1, 0.3], [-0.2, 0.15, 0.25], [0.05, -0.3, 0.2]])[: max(1, min(point_count, 3))]
     flange, columns = _derivatives(nominal, q, offsets)
     basis, _ = np.linalg.qr(_placement_columns(flange, offsets, np.eye(4)))
     independent: list[tuple[int, int]] = []
@@ -602,10 +602,10 @@ def warnings(result: Geometry) -> list[str]:
 
 
 def _contradictions(result: Geometry) -> list[str]:
-    """Return a warning if the gears were identified without the weights, but the geometry is that of a weightless
-    robot.
+    """Return a warning if a weightless geometry contradicts gears that were identified under the load alone.
 
-    Lost motion alone is turned over by the load, whatever the geometry describes.
+    In a weightless geometry the weights load the gears too. Lost motion is no contradiction: only the load turns it
+    over, whatever the geometry describes.
     """
     content = result.content
     if not result.sag or content.gravity.in_gears:

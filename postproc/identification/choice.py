@@ -715,17 +715,20 @@ def _is_constant_over_pose(structure: Structure, spread: Array) -> Bools:
 
 
 def design_effect(equations: LinearEquations, influence: Array, residual: Array) -> float:
-    """Return the variance of the fit by residuals that configurations share, over that by independent ones; 1 at least.
+    """Return the design effect of configurations (Kish 1965), at least 1: by how much they raise the variance of a fit.
+
+    It is the variance by residuals as they are, which those of a configuration share, over that by independent ones.
 
     :param influence: (p, rows) derivatives of the parameters by the whitened readings.
     :param residual: (rows,) whitened residuals of configurations left out.
     """
-    common_variance, independent = 0.0, 0.0
+    clustered_variance, independent_variance = 0.0, 0.0
     for config in range(equations.configs):
         rows = np.flatnonzero(equations.config == config)
         effect = (equations.design[rows] @ influence[:, rows]) * np.outer(residual[rows], residual[rows])
-        common_variance, independent = common_variance + float(effect.sum()), independent + float(np.trace(effect))
-    return max(1.0, common_variance / independent) if independent > 0.0 else 1.0
+        clustered_variance += float(effect.sum())
+        independent_variance += float(np.trace(effect))
+    return max(1.0, clustered_variance / independent_variance) if independent_variance > 0.0 else 1.0
 
 
 def projection(equations: LinearEquations, columns: Ints, spread: Array) -> Array:

@@ -15,6 +15,8 @@ instead.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
@@ -258,8 +260,15 @@ class SpringOfJoint2(Struct, frozen=True, eq=False):
     covariance: Array
 
 
-def extended_set(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Fit, Levels] | None:
-    """Return the fit of k1, k2 at each level of q2, and k3…k6; and the levels. First step of Klimchik et al., Eq. (8).
+class ExtendedSet(NamedTuple):
+    """Fit of k1, k2 at each level of q2, and k3…k6, and the values of k2 at the levels."""
+
+    fit: Fit
+    levels: Levels
+
+
+def extended_set(robot: RobotModel, data: Measurements, placement: Placement) -> ExtendedSet | None:
+    """Fit k1, k2 at each level of q2, and k3…k6: first step of Klimchik et al., Eq. (8).
 
     The fit is iterated on the equilibrium. Its first iterate, from zero compliance, is Eq. (8) itself: there the
     derivative of the displacement by k_j is J_j J_jᵀ F.
@@ -279,7 +288,7 @@ def extended_set(robot: RobotModel, data: Measurements, placement: Placement) ->
         return None
     q2 = np.array([data.q[level == index, 1].mean() for index in range(count)])
     rows = np.arange(1, 1 + count)  # k2 at the levels, after k1
-    return fit, Levels(q2, fit.values[rows], fit.covariance[np.ix_(rows, rows)])
+    return ExtendedSet(fit, Levels(q2, fit.values[rows], fit.covariance[np.ix_(rows, rows)]))
 
 
 def compensator_from_levels(levels: Levels, law: Compensator) -> SpringOfJoint2 | None:

@@ -372,8 +372,8 @@ class _Joints(Struct, frozen=True, eq=False):
 
 def _fitted_joints(prior: RobotModel, data: Measurements, placement: Placement) -> _Joints:
     """Fit joint springs and compensator, beginning with values from the levels of q2 if there are enough of them."""
-    level_fit = extended_set(prior, data, placement)
-    levels = level_fit[1] if level_fit else None
+    by_level = extended_set(prior, data, placement)
+    levels = None if by_level is None else by_level.levels
     spring = None
     if levels is not None and prior.compensator is not None:
         spring = compensator_from_levels(levels, prior.compensator)

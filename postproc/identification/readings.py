@@ -36,8 +36,7 @@ ASSUMED_LOAD_ERROR = 0.01
 
 
 class Rig(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """The load on the arm: a hanging weight, or one that pulls over a pulley at up to `max_angle_deg` from the
-    vertical.
+    """The load on the arm: a weight that hangs, or pulls over a pulley at up to `max_angle_deg` from the vertical.
 
     `rope_mm` and `weight_radius_mm` give the space that rope and weight need at the load point; a rope over a pulley
     (`max_angle_deg` > 0) needs `rope_mm` of free run. `max_torque_Nm`: static torque limits of A1…A6, if the URDF has
@@ -81,8 +80,10 @@ class MeshFile(Frame, frozen=True, kw_only=True):
 
 
 class Body(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Simple shape of the arm: radii of capsules along base column, link 2, link 3 with its hump, forearm, hand; of
-    the parts to load point and markers; and the clearance to everything.
+    """Simple shape of the arm as capsules, and the clearance to everything.
+
+    `radius_mm`: along base column, link 2, link 3 with its hump, forearm, hand; `tool_radius_mm`: of the parts from the
+    flange to load point and markers.
     """
 
     radius_mm: tuple[Positive, Positive, Positive, Positive, Positive] | None = None

@@ -339,8 +339,10 @@ class Workspace(Struct, frozen=True):
 
     @property
     def reservation(self) -> str:
-        """Loads under which the gain is smaller than one standard deviation of itself in 5 % of the poses, or the
-        bound about as large as the deflection, and why.
+        """Loads under which correction gains little for sure, and why; empty if there are none.
+
+        The gain is smaller than one standard deviation of itself in 5 % of the poses, or the bound is about as large as
+        the deflection.
         """
         weakest_level = min(self.measured_levels, key=lambda level: level.chance, default=None)
         if weakest_level is None:

@@ -177,8 +177,9 @@ class Validation(Struct, frozen=True, eq=False):
         return f"THE MODEL DOES NOT HOLD: {share}; {_BOUND_SHARE:.0%} are promised. {advice}"
 
     def _validity_text(self, share: str) -> str:
-        """Return for which programs or torques the model holds; `share` is the share of displacements inside the
-        bound, as text.
+        """Return for which programs or torques the model holds.
+
+        :param share: sentence on the share of displacements inside the bound.
         """
         if not self.jobs:
             return f"the model holds for the torques listed below: {share}"

@@ -178,8 +178,10 @@ class Criterion(Struct, frozen=True, eq=False):
             k2 = keep.index(1)  # of joint 2, which has one compliance for each level
             shared = [index for index in range(size) if index != k2]
             level_slopes = joint2.from_levels(q2, tests.q[:, 1])
-            by_levels = regressor[:, :, k2, None] * level_slopes[:, None, :]
-            regressor = np.concatenate([regressor[:, :, shared], by_levels], axis=2)
+            extended_regressor = np.empty((len(regressor), 3, size - 1 + levels))
+            extended_regressor[:, :, : size - 1] = regressor[:, :, shared]
+            extended_regressor[:, :, size - 1 :] = regressor[:, :, k2, None] * level_slopes[:, None, :]
+            regressor = extended_regressor
             extended_index = np.empty((levels, size), dtype=np.int64)
             extended_index[:, shared] = np.arange(size - 1)
             extended_index[:, k2] = size - 1 + np.arange(levels)

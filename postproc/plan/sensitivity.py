@@ -124,7 +124,7 @@ class Readings(Struct, frozen=True, eq=False):
             torque += np.einsum("nij,nj->ni", arm_pose.axis, load[:, 3:])
         torque *= self.scale / self.noise
         velocity = arm_pose.velocity(arm_pose.point(self.points)) * torque[:, None, :, None]
-        return np.ascontiguousarray(np.swapaxes(velocity, 2, 3)).reshape(len(q), -1, 6)
+        return np.ascontiguousarray(np.swapaxes(velocity, 2, 3)).reshape(len(q), 3 * len(self.points), 6)
 
     def torque(self, q: Array, load: Array) -> Array:
         """Return the torques on A1…A6 (N, 6) [N·m] at joint angles q (N, 6) [rad].

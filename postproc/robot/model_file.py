@@ -42,8 +42,9 @@ class Stiffening(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class BacklashEntry(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Backlash or lost motion of a gear: half the angle between its flanks; around `torque_Nm` it changes its flank
-    (`parameters.Backlash`, `parameters.LostMotion`).
+    """Backlash or lost motion of a gear (`parameters.Backlash`, `parameters.LostMotion`).
+
+    `angle_urad`: half the angle between its flanks; around `torque_Nm` it changes its flank.
     """
 
     angle_urad: Positive
