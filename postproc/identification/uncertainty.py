@@ -544,19 +544,24 @@ def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Worksp
     """
     reservations = [
         _large_misfit(data, fit, choice),
+        _few_configurations(data),
         workspace.reservation,
         _implausible_scale(fit.structure.prior, ratio),
     ]
-    if len(data.q) < _FEW_CONFIGURATIONS:
-        reservations.insert(
-            1,
-            f"{len(data.q)} configurations show little of what the model lacks: measure {_FEW_CONFIGURATIONS} or more "
-            "(30 are usual)",
-        )
     return Judgement(
-        _distrust(data, fit, choice) or workspace.refusal,
-        "; ".join(filter(None, reservations)),
-        _notes(data, fit, choice),
+        distrust=_distrust(data, fit, choice) or workspace.refusal,
+        reservation="; ".join(filter(None, reservations)),
+        notes=_notes(data, fit, choice),
+    )
+
+
+def _few_configurations(data: Measurements) -> str:
+    """Return that few configurations were measured; empty if they are enough to show what the model lacks."""
+    if len(data.q) >= _FEW_CONFIGURATIONS:
+        return ""
+    return (
+        f"{len(data.q)} configurations show little of what the model lacks: measure {_FEW_CONFIGURATIONS} or more "
+        "(30 are usual)"
     )
 
 

@@ -128,9 +128,10 @@ def _path_branches(robot: RobotModel, flange: Array, start: Array, axis_target: 
     by_axes = np.isfinite(axis_target[:, 0])
     branch[1:][by_axes] = form.branch_of(axis_target[by_axes])
     pose_targets = np.flatnonzero(~by_axes & (status >= 0))
-    candidates = form.branches(flange[pose_targets])
-    fits = np.isfinite(candidates).all(axis=2)
-    fits &= status_of(robot, candidates.reshape(-1, 6)).reshape(-1, 8) == (status[pose_targets] & 7)[:, None]
+    candidates = form.branches(flange[pose_targets])  # (n, 8, 6)
+    candidate_status = status_of(robot, candidates.reshape(-1, 6)).reshape(-1, 8)
+    stated_status = status[pose_targets] & 7  # further bits of S state no branch
+    fits = np.isfinite(candidates).all(axis=2) & (candidate_status == stated_status[:, None])
     branch[1 + pose_targets] = np.where(fits.any(axis=1), fits.argmax(axis=1), -1)
     # a running maximum finds the last row with a branch; row 0 has one
     last_stated = np.maximum.accumulate(np.where(branch >= 0, np.arange(len(branch)), 0))
