@@ -64,18 +64,21 @@ class ExpectedAt(Struct, frozen=True, eq=False):
     with_known_forces: Array
 
 
-def expected_errors(errors: SourcesOfError, deviation: Array, left: Array) -> ExpectedAt:
+def expected_errors(errors: SourcesOfError, deviation: Array, remaining_deviation: Array) -> ExpectedAt:
     """Return the expected errors at n places.
 
-    :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m]; `left` (n, 3) with correction.
+    :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m].
+    :param remaining_deviation: (n, 3) from nominal with correction [m].
     """
     covariances = errors.covariances()
     return ExpectedAt(
         bound=largest_length(covariances),
         before=largest_length(covariances, deviation),
-        after=largest_length(covariances, left),
-        with_known_robot=largest_length([factor @ np.swapaxes(factor, 1, 2) for factor in errors.by_forces], left),
-        with_known_forces=largest_length([errors.by_robot], left),
+        after=largest_length(covariances, remaining_deviation),
+        with_known_robot=largest_length(
+            [factor @ np.swapaxes(factor, 1, 2) for factor in errors.by_forces], remaining_deviation
+        ),
+        with_known_forces=largest_length([errors.by_robot], remaining_deviation),
     )
 
 
@@ -104,19 +107,25 @@ class ChanceOfGain:
         self._other: dict[str, float] = {}
 
     def add(
-        self, errors: SourcesOfError, deviation: Array, left: Array, path_distance: Array, cut_length: Array
+        self,
+        errors: SourcesOfError,
+        deviation: Array,
+        remaining_deviation: Array,
+        path_distance: Array,
+        cut_length: Array,
     ) -> None:
         """Add the errors of n targets.
 
-        :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m]; `left` (n, 3) with correction.
+        :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m].
+        :param remaining_deviation: (n, 3) from nominal with correction [m].
         :param path_distance: (n,) largest distance from the nominal path on the way to each target with correction [m].
         :param cut_length: (n,) length of the cutting path for which each target stands [m]; those with 0 do not count.
         """
         counts = cut_length > 0.0
-        deviation, left, length = deviation[counts], left[counts], cut_length[counts]
-        change = deviation - left
+        deviation, remaining_deviation, length = deviation[counts], remaining_deviation[counts], cut_length[counts]
+        change = deviation - remaining_deviation
         self._is_changed |= bool(change.any())
-        left_on_path = np.maximum(path_distance[counts], norm(left))
+        left_on_path = np.maximum(path_distance[counts], norm(remaining_deviation))
         self._gain += 0.5 * float(length @ (np.sum(deviation**2, axis=1) - left_on_path**2))
         weighted_change = length[:, None] * change
         by_parameter = np.einsum("ni,nip->p", weighted_change, errors.slopes[counts])

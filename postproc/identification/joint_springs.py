@@ -426,8 +426,10 @@ def flange_displacements(data: Measurements, placement: Placement) -> Array:
         is_visible = (count[state] > 0) & (count[unloaded_state] > 0)
         if np.count_nonzero(is_visible) >= 3:
             points = placement.points[is_visible]
-            rest, loaded = (kabsch(points, positions[index, is_visible]) for index in (unloaded_state, state))
-            displacement[row] = twist_between(rest @ load_point, loaded @ load_point)
+            unloaded_pose, loaded_pose = (
+                kabsch(points, positions[index, is_visible]) for index in (unloaded_state, state)
+            )
+            displacement[row] = twist_between(unloaded_pose @ load_point, loaded_pose @ load_point)
     return displacement
 
 

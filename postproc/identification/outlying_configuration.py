@@ -113,9 +113,9 @@ def _wrong_angle(robot: RobotModel, q: Array, points: Array, error: Array) -> st
     x = elastostatics.coordinates(robot, np.tile(q, (len(points), 1)))
     jacobian = kinematics.tcp(robot.actual, x, tools)[1][:, :3, list(robot.actuated)].reshape(-1, len(JOINTS))
     angle = jacobian.T @ error.ravel() / np.maximum(norm(jacobian.T) ** 2, 1e-12)  # a point on the axis is not moved
-    left = norm(error.ravel() - (jacobian * angle).T)
-    best = int(np.argmin(left))
-    if left[best] > _EXPLAINED * norm(error.ravel()) or abs(angle[best]) > _MOST_ANGLE:
+    unexplained = norm(error.ravel() - (jacobian * angle).T)
+    best = int(np.argmin(unexplained))
+    if unexplained[best] > _EXPLAINED * norm(error.ravel()) or abs(angle[best]) > _MOST_ANGLE:
         return ""
     comparative = "larger" if angle[best] > 0.0 else "smaller"
     return (

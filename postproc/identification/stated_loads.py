@@ -191,8 +191,8 @@ def _best_turn(prior: RobotModel, data: Measurements, placement: Placement, stat
     for _ in range(_ROUNDS):
         design = _by_force(structure, values, data, placement, whitening_matrix)
         mixture = np.linalg.lstsq(design, target, rcond=None)[0].reshape(3, 3)
-        left, _, right = np.linalg.svd(mixture)  # the nearest orthogonal matrix (Higham 2008, section 8.1)
-        matrix = left @ right
+        u, _, vt = np.linalg.svd(mixture)  # the nearest orthogonal matrix (Higham 2008, section 8.1)
+        matrix = u @ vt
         fit = gauss_newton(structure, _turned(data, matrix), placement)
         values = np.maximum(fit.values, _LEAST_COMPLIANCE)
         if fit.rms / stated < best.ratio:

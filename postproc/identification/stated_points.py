@@ -35,13 +35,13 @@ def displaced_points(data: Measurements, placement: Placement) -> str:
         f"point {data.points[worst]} comes out at {coordinates_text(placement.points[worst])} mm in the flange frame, "
         f"{distance[worst] * MM_PER_M:.0f} mm from the stated {coordinates_text(data.guess[worst])}"
     )
-    others = [
+    other_texts = [
         f"{data.points[index]} by {distance[index] * MM_PER_M:.0f} mm"
         for index in far_points.tolist()
         if index != worst
     ]
-    if others:
-        clause += f" ({first_of(others, _MOST_NAMES)})"
+    if other_texts:
+        clause += f" ({first_of(other_texts, _MOST_NAMES)})"
     turn = _flange_turn(data.guess, placement.points)
     if turn is not None:
         subject = "all points are" if len(data.points) > 1 else "it is"

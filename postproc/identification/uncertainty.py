@@ -229,13 +229,14 @@ def left_out_of(fit: Fit, data: Measurements) -> Array:
     scale = np.linalg.norm(fit.design, axis=0)
     rows = fit.design / np.where(scale > 0.0, scale, 1.0)
     inverse = np.linalg.pinv(rows.T @ rows, hermitian=True)
-    left = fit.target - fit.design @ fit.values
+    residual = fit.target - fit.design @ fit.values
     config = np.repeat(data.state_config[data.loaded_states], 3 * len(data.points))
-    fold_residual = np.empty_like(left)
+    fold_residual = np.empty_like(residual)
     for index in range(len(data.q)):
         is_left_out = config == index
         hat = rows[is_left_out] @ inverse @ rows[is_left_out].T
-        fold_residual[is_left_out] = np.linalg.solve(np.eye(len(hat)) - hat * (1.0 - 1e-9), left[is_left_out])
+        # 1e-9: a configuration that alone determines a parameter leaves no residual, and I − H is singular
+        fold_residual[is_left_out] = np.linalg.solve(np.eye(len(hat)) - hat * (1.0 - 1e-9), residual[is_left_out])
     return unwhiten(whitening(data), fold_residual.reshape(shape))
 
 

@@ -184,12 +184,15 @@ class Validation(Struct, frozen=True, eq=False):
         if not self.jobs:
             return f"the model holds for the torques listed below: {share}"
         parts = [f"{_percent(job.share)} of the cutting path of {job.program}" for job in self.jobs if job.share > 0.0]
-        open_ = [job.program for job in self.jobs if job.share < _BOUND_SHARE]
-        measure = f" Measure under the torques that {', '.join(open_)} needs, listed below." if open_ else ""
+        uncovered_programs = [job.program for job in self.jobs if job.share < _BOUND_SHARE]
+        measure = (
+            f" Measure under the torques that {', '.join(uncovered_programs)} needs, listed below."
+            if uncovered_programs
+            else ""
+        )
         if not parts:
-            return f"IT IS NOT KNOWN whether the model holds for {', '.join(open_)}: the readings cover none of it." + (
-                measure
-            )
+            names = ", ".join(uncovered_programs)
+            return f"IT IS NOT KNOWN whether the model holds for {names}: the readings cover none of it.{measure}"
         return f"the model holds for {', '.join(parts)}: {share}.{measure}"
 
 

@@ -187,7 +187,7 @@ def summary(plan: CompensatorPlan) -> dict[str, object]:
 def text_lines(plan: CompensatorPlan) -> list[str]:
     """Return the plan for a terminal."""
     angles = ", ".join(f"{angle:.0f}" for angle in without_negative_zero(np.round(plan.q2 * DEG_PER_RAD)))
-    places = ", ".join(
+    marker_texts = ", ".join(
         f"{name} {angle:.0f}°" for name, angle in zip(marker_names(plan), plan.beta * DEG_PER_RAD, strict=True)
     )
     ci, even_ci = plan.ci95 * MM_PER_M, plan.ci95_even * MM_PER_M
@@ -195,7 +195,7 @@ def text_lines(plan: CompensatorPlan) -> list[str]:
     return [
         f"A2 at {angles}°: the compensator turns by {plan.turn * DEG_PER_RAD:.1f}°",
         "P1 on link 2 where the spring is attached; markers on the compensator around its swivel axis P0, from the "
-        f"line P0 → P1, positive as A2 turns: {places}; any radius{opposite}",
+        f"line P0 → P1, positive as A2 turns: {marker_texts}; any radius{opposite}",
         f"{plan.options.repeats} readings each with {plan.sigma * MM_PER_M:g} mm noise: L ± {ci[0]:.3f} mm, "
         f"a_x ± {ci[1]:.3f} mm, a_y ± {ci[2]:.3f} mm (95 %)",
         f"angles of A2 evenly over the range: L ± {even_ci[0]:.3f} mm, a_x ± {even_ci[1]:.3f} mm, "

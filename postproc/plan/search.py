@@ -317,9 +317,13 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
         if best.value > old_value * (1.0 - _MIN_GAIN):
             break
     best = _exchange_poses(task, _load_both_signs(task, best))
-    at = best.row[best.level], best.pick
+    index = best.row[best.level], best.pick
     return Plan(
-        q=candidates.q[at], tilt=candidates.tilt[at], level=best.level, q2=candidates.q2[best.row], value=best.value
+        q=candidates.q[index],
+        tilt=candidates.tilt[index],
+        level=best.level,
+        q2=candidates.q2[best.row],
+        value=best.value,
     )
 
 
@@ -590,9 +594,9 @@ def serial_plan(task: Task) -> Plan:
         count = max(len(members), int(_BEST_SHARE * len(dexterity)))
         best_conditioned = np.argsort(-dexterity, kind="stable")[:count]
         pick[members] = _distant_rows(level_q, best_conditioned, len(members))
-    at = row[level], pick
-    value = task.criterion_at(candidates.q2[row]).value(candidates.information[at], level)
-    return Plan(q=candidates.q[at], tilt=candidates.tilt[at], level=level, q2=candidates.q2[row], value=value)
+    index = row[level], pick
+    value = task.criterion_at(candidates.q2[row]).value(candidates.information[index], level)
+    return Plan(q=candidates.q[index], tilt=candidates.tilt[index], level=level, q2=candidates.q2[row], value=value)
 
 
 def _dexterity(task: Task, q: Array) -> Array:

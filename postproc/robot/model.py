@@ -350,8 +350,8 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
             return None
         compliance = np.zeros((self.actual.nv, self.actual.nv))
         for parameter, value in couplings:
-            for row, by in self.pairs(parameter):
-                compliance[row, by] += value
+            for row, torque_row in self.pairs(parameter):
+                compliance[row, torque_row] += value
         return compliance
 
     def pairs(self, parameter: Spring) -> tuple[tuple[int, int], ...]:

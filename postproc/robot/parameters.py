@@ -120,11 +120,11 @@ class Spring(Parameter, frozen=True):
     with_rest_torque: ClassVar[bool] = True
     signed: ClassVar[bool] = False
 
-    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+    def effect(self, torque: Array, rest_torque: Array) -> tuple[Array, Array]:
         """Return the deflection per unit of the parameter (N,), and its derivative by the torque (N,).
 
-        :param torque: (N,) on the spring, in addition to `rest` [N·m, N].
-        :param rest: (N,) torque at which the deflection is zero [N·m, N].
+        :param torque: (N,) on the spring, in addition to `rest_torque` [N·m, N].
+        :param rest_torque: (N,) torque at which the deflection is zero [N·m, N].
         """
         return torque, np.ones_like(torque)
 
@@ -229,8 +229,8 @@ class JointCompliance(_JointSpring, frozen=True):
 class FadingPart(_NonlinearSpring, frozen=True):
     """Part of a joint's compliance that fades as the torque grows beyond `torque` [N·m]: ``k1@800``.
 
-    Deflection T·(f(u) − f(u₀)) with f = asinh, u = (torque + rest)/T, u₀ = rest/T: a sum of such parts follows any gear
-    whose compliance falls with load; every part stays monotone, so that the spring is always stable.
+    Deflection T·(f(u) − f(u₀)) with f = asinh, u = (torque + rest_torque)/T, u₀ = rest_torque/T: a sum of such parts
+    follows any gear whose compliance falls with load; every part stays monotone, so that the spring is always stable.
     """
 
     mark: ClassVar[str] = "@"
@@ -274,12 +274,12 @@ class FadingPart(_NonlinearSpring, frozen=True):
         """Return the compliance of the joint, which contains the part in model.toml."""
         return (JointCompliance(self.joint),)
 
-    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+    def effect(self, torque: Array, rest_torque: Array) -> tuple[Array, Array]:
         """Return T·(asinh u − asinh u₀) (N,) and its derivative by the torque, 1/√(1 + u²) (N,).
 
-        T is `self.torque`, u₀ = rest/T, u = (torque + rest)/T; torques (N,) [N·m].
+        T is `self.torque`, u₀ = rest_torque/T, u = (torque + rest_torque)/T; torques (N,) [N·m].
         """
-        u0 = rest / self.torque
+        u0 = rest_torque / self.torque
         u = torque / self.torque + u0
         return self.torque * (np.arcsinh(u) - np.arcsinh(u0)), 1.0 / np.sqrt(1.0 + u**2)
 
@@ -300,12 +300,12 @@ class Knee(FadingPart, frozen=True):
         """Heading in reports: joint and torque, in words."""
         return f"{JointCompliance(self.joint).name}, up to {self.torque:g} N·m"
 
-    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+    def effect(self, torque: Array, rest_torque: Array) -> tuple[Array, Array]:
         """Return T·(f(u) − f(u₀)) (N,) with f(u) = u/(1 + u⁴)^¼, and its derivative f′(u) = (1 + u⁴)^(−5/4) (N,).
 
-        T is `self.torque`, u₀ = rest/T, u = (torque + rest)/T; torques (N,) [N·m].
+        T is `self.torque`, u₀ = rest_torque/T, u = (torque + rest_torque)/T; torques (N,) [N·m].
         """
-        u0 = rest / self.torque
+        u0 = rest_torque / self.torque
         u = torque / self.torque + u0
         loaded_base, rest_base = 1.0 + u**4, 1.0 + u0**4
         return self.torque * (u / loaded_base**0.25 - u0 / rest_base**0.25), loaded_base**-1.25
@@ -314,8 +314,8 @@ class Knee(FadingPart, frozen=True):
 class Backlash(_NonlinearSpring, frozen=True):
     """Backlash of a gear: its angle to the flank on which the torque presses it, ``A4.backlash@3`` [rad].
 
-    Deflection tanh(v) − tanh(v₀) with v = (torque + rest)/T, v₀ = rest/T. The gear changes its flank within about the
-    small torque T [N·m].
+    Deflection tanh(v) − tanh(v₀) with v = (torque + rest_torque)/T, v₀ = rest_torque/T. The gear changes its flank
+    within about the small torque T [N·m].
     """
 
     is_compliance: ClassVar[bool] = False
@@ -362,12 +362,12 @@ class Backlash(_NonlinearSpring, frozen=True):
         """Put the angle [µrad] and its torque under `key` of the joint in the tables of a file."""
         tables["joints"][self.joint][self.key] = {"angle_urad": value, "torque_Nm": self.torque}
 
-    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+    def effect(self, torque: Array, rest_torque: Array) -> tuple[Array, Array]:
         """Return tanh(v) − tanh(v₀) (N,), and its derivative by the torque (N,) [1/(N·m)].
 
-        v = (torque + rest)/T and v₀ = rest/T, T is `self.torque`; torques (N,) [N·m].
+        v = (torque + rest_torque)/T and v₀ = rest_torque/T, T is `self.torque`; torques (N,) [N·m].
         """
-        angle, rest_angle = np.tanh((torque + rest) / self.torque), np.tanh(rest / self.torque)
+        angle, rest_angle = np.tanh((torque + rest_torque) / self.torque), np.tanh(rest_torque / self.torque)
         return angle - rest_angle, (1.0 - angle**2) / self.torque
 
 
@@ -381,7 +381,7 @@ class LostMotion(Backlash, frozen=True):
     key: ClassVar[str] = "lost_motion"
     with_rest_torque: ClassVar[bool] = False
 
-    def effect(self, torque: Array, rest: Array) -> tuple[Array, Array]:
+    def effect(self, torque: Array, rest_torque: Array) -> tuple[Array, Array]:
         """Return tanh(torque/T) (N,), and its derivative by the torque (N,) [1/(N·m)]; T is `self.torque`.
 
         :param torque: (N,) of the load alone [N·m]; the torque at rest has no effect.
