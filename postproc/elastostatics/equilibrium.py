@@ -111,11 +111,13 @@ def deflect(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Deflecti
 def loaded_tip(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> Array:
     """Return the position (N, 3) of the loaded tool in the root [m]; parameters as of `deflect`.
 
-    :param guess: (N, nv) start for the deflections of the springs, e.g. the solution of a neighbouring state.
+    :param guess: (N, nv) start for the deflections of the springs, e.g. the solution of a neighbouring state; None:
+        zero.
     :raises NotConvergedError: the load is too large for the springs, or the numbers are not finite.
     """
     x0, start = elastic_coordinates(robot, q.T), None if guess is None else guess.T
-    return solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T, start)[1].T
+    _, tip = solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T, start)
+    return tip.T
 
 
 def deflection_by_parameter(

@@ -170,14 +170,15 @@ def remove_worst_residual(data: Measurements, placement: Placement, fit: Fit) ->
     if size[row, point] <= limit * _LARGEST_OF_MANY:
         return data, []
     residual, state = fit.residual[row, point], int(data.loaded_states[row])
-    gross = float(np.linalg.norm(residual))
+    config, error = int(data.state_config[state]), float(np.linalg.norm(residual))
     is_common = _is_common_to_loads(data, size[:, point] > limit, state)
-    is_unloaded_wrong = is_common or _is_unloaded_wrong(placement, int(data.state_config[state]), point, gross)
-    wrong_state = int(data.unloaded_states[data.state_config[state]]) if is_unloaded_wrong else state
+    # the displacement is a difference: either of its two readings may be wrong
+    is_unloaded_wrong = is_common or _is_unloaded_wrong(placement, config, point, error)
+    wrong_state = int(data.unloaded_states[config]) if is_unloaded_wrong else state
     candidates = np.flatnonzero((data.state == wrong_state) & (data.point == point) & data.used)
-    wrong_rows = _worst_repeat(data, candidates, residual, placement, not is_unloaded_wrong)
+    wrong_rows = _worst_repeat(data, candidates, residual, placement, has_load=not is_unloaded_wrong)
     sentences = [
-        f"{data.name(reading)} is {gross * MM_PER_M:.2f} mm from what the model predicts: left out"
+        f"{data.name(reading)} is {error * MM_PER_M:.2f} mm from what the model predicts: left out"
         for reading in wrong_rows
     ]
     return data.drop(wrong_rows), sentences

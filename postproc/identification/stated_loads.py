@@ -145,17 +145,29 @@ def _other_point(prior: RobotModel, data: Measurements, placement: Placement, st
     return _Hypothesis(ratio, clause, advice)
 
 
-def _best_point(data: Measurements, placement: Placement, stated: Fit) -> tuple[Array, float]:
-    """Return the load point (3,) [m], flange frame, that joint springs fit best, and the ratio of its residuals.
+class _LoadPoint(NamedTuple):
+    """A load point.
+
+    :param position: (3,) in the flange frame [m].
+    :param ratio: RMS of the residuals with it, over that as stated.
+    """
+
+    position: Array
+    ratio: float
+
+
+def _best_point(data: Measurements, placement: Placement, stated: Fit) -> _LoadPoint:
+    """Return the load point that joint springs fit best, or the stated one if it is no worse.
 
     Gauss-Newton for springs and point together, with differences by the point.
+
+    :param stated: joint springs with the loads as stated.
     """
     structure, whitening_matrix, is_visible = stated.structure, whitening(data), visible(data)
     displacement = measured_displacements(data, placement)
-    point, values, best = data.load_point, stated.values, (data.load_point, 1.0)
+    point, values, best = data.load_point, stated.values, _LoadPoint(data.load_point, 1.0)
     for _ in range(_ROUNDS):
-        moved = replace(data, load_point=point)
-        prediction, slopes = predict(structure, values, moved, placement)
+        prediction, slopes = predict(structure, values, replace(data, load_point=point), placement)
         by_point = [
             predict(structure, values, replace(data, load_point=point + step), placement)[0] - prediction
             for step in _POINT_STEP * np.eye(3)
@@ -163,11 +175,11 @@ def _best_point(data: Measurements, placement: Placement, stated: Fit) -> tuple[
         columns = np.concatenate([slopes, np.stack(by_point, axis=-1) / _POINT_STEP], axis=-1)
         design = whiten(whitening_matrix, columns * is_visible[..., None]).reshape(-1, columns.shape[-1])
         target = whiten(whitening_matrix, displacement - prediction * is_visible).ravel()
-        point = point + solve(design, target)[-3:]
+        point = point + solve(design, target)[-3:]  # the last three unknowns, after the springs
         fit = gauss_newton(structure, replace(data, load_point=point), placement)
         values = np.maximum(fit.values, _LEAST_COMPLIANCE)
-        if fit.rms / stated.rms < best[1]:
-            best = point, fit.rms / stated.rms
+        if fit.rms / stated.rms < best.ratio:
+            best = _LoadPoint(point, fit.rms / stated.rms)
     return best
 
 

@@ -617,12 +617,18 @@ def torque_lines(torque_range: Coverage, model_ranges: Sequence[record.TorqueRan
 
 
 def _cell(torque_range: Coverage, joint: int, side: int) -> str:
-    """Return the largest torque on a side of a joint and the number of configurations, as text of a table."""
+    """Return a cell of the table of torques: largest torque with its sign, and number of configurations in brackets.
+
+    It ends with "off" if the readings contradict the model there.
+
+    :param joint: 0…5, and `side` 0 for negative torques, 1 for positive ones.
+    """
     count = int(torque_range.configurations[joint, side])
     if count == 0:
         return "none"
-    value = f"{(-1.0, 1.0)[side] * torque_range.largest[joint, side]:.0f} ({count})"
-    return f"{value} off" if torque_range.refuted[joint, side] else value
+    largest = torque_range.largest[joint, side] if side else -torque_range.largest[joint, side]
+    suffix = " off" if torque_range.refuted[joint, side] else ""
+    return f"{largest:.0f} ({count}){suffix}"
 
 
 def job_lines(jobs: Sequence[JobShare]) -> list[str]:

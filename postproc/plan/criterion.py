@@ -310,9 +310,12 @@ def expected_accuracy(
 
 
 def _relative_values(joint2: Joint2, count: int) -> Array:
-    """Return the robot's values (P,) of the parameters: of `count` compliances, which are relative: 1, each.
+    """Return the robot's values (P,) of the parameters in the units of the plan.
 
-    Where the compensator is free, K_c and s₀K_c follow, in units of the gear stiffness as the parameters are.
+    Compliances are relative to the robot's own, so that their values are 1. If the compensator is free, K_c and s₀K_c
+    follow, in units of the stiffness of the gear of joint 2.
+
+    :param count: number of compliances.
     """
     if not joint2.free or joint2.compensator is None:
         return np.ones(count)

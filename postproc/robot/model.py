@@ -226,7 +226,7 @@ class OverPose(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, terms: Iterable[tuple[Spring, float]]) -> OverPose | None:
-        """Return the sum of all waves among the terms of a robot, or None."""
+        """Return the sum of all waves among the terms of a robot; None without waves."""
         waves = {parameter: value for parameter, value in terms if isinstance(parameter, PoseWave)}
         if not waves:
             return None
