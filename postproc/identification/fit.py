@@ -528,10 +528,10 @@ class Regression(Struct, frozen=True, eq=False):
     def solve(self, equations: LinearEquations, excluded_configs: Ints | None = None) -> Array:
         """Return the most probable values (p,), SI; zero for parameters that are not among the columns.
 
-        Non-negative least squares (Lawson and Hanson 1974) on the normal equations. Signed parameters come first, and
-        are eliminated by the triangular factor of Cholesky.
+        Non-negative least squares (Lawson and Hanson 1974) on the normal equations. Parameters of either sign come
+        first in `order`. With the triangular factor of Cholesky the others are solved without them; then they follow.
 
-        :param excluded_configs: configurations to leave out.
+        :param excluded_configs: configurations to leave out; None: none.
         """
         from scipy.optimize import nnls
 

@@ -56,7 +56,9 @@ def _uncertainty(placement: Placement) -> Array:
 
 
 def _flange_turn(stated: Array, points: Array) -> float | None:
-    """Return the rotation [rad] about Z of the flange frame from stated to measured points; None if there is none.
+    """Return the rotation [rad] about Z of the flange frame from stated to measured points.
+
+    None if no rotation brings all of them within `_LIMIT`.
 
     :param stated: (P, 3) and `points` (P, 3), in the flange frame [m].
     """
