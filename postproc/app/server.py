@@ -67,13 +67,17 @@ class Window(ThreadingHTTPServer):
     """A window on a folder, on a port of 127.0.0.1.
 
     :param port: 0 = any that is free.
-    :raises PostprocError: the port is in use, or there is no such folder.
     """
 
     daemon_threads = True
     allow_reuse_address = False
 
     def __init__(self, folder: Path, port: int) -> None:
+        """Open the port; see the class.
+
+        :raises InputError: there is no such folder.
+        :raises PostprocError: the port is in use.
+        """
         if not folder.is_dir():
             raise InputError("no such folder", file=str(folder), advice="Give the folder of your programs.")
         self.workspace = Workspace(folder.resolve())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -100,14 +100,11 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
     code = words.column("G")[:count]
     motion = carry_forward(code, codes.CANCEL_CYCLE).astype(np.int8)
     is_arc = (motion == 2.0) | (motion == 3.0)
-    has_motion_code = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
     rotary_words = _rotary_words(words, is_arc, rotary)
     if rotary is not None and rotary.kind == "vector":
         ijk = np.where(is_arc[:, None], ijk, np.nan)
     has_position = any_column(~np.isnan(xyz))
-    has_axis_word = has_position | ~np.isnan(rotary_words).all(axis=1)
-    drilling = np.isin(motion, codes.CYCLES) & has_axis_word
-    moving = ~drilling & (has_axis_word | (is_arc & (has_motion_code | any_column(~np.isnan(ijk)))))
+    kinds = _line_kinds(code, motion, has_position | ~np.isnan(rotary_words).all(axis=1), any_column(~np.isnan(ijk)))
     inverse_time = state["feed"] == 93.0
     feed_words = words.column("F")[:count]
     rate = carry_forward(feed_words, 0.0)
@@ -118,15 +115,15 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
         radius=radius[:, 0],
         turns=words.column("P")[:count],
         motion=motion,
-        named=has_motion_code,
+        named=kinds.named,
         feed=_feeds(feed_words, rate, factor, inverse_time),
         rate=rate,
         plane=state["plane"],
         units=state["units"],
         incremental=state["distance"] == 91.0,
         absolute_centre=state["centre"] == 90.1,
-        moving=moving,
-        drilling=drilling,
+        moving=kinds.moving,
+        drilling=kinds.drilling,
         rotary=rotary_words,
         tip=_tip_control(modes, rotary, count),
         inverse_time=inverse_time,
@@ -134,6 +131,27 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
         pecks=pecks[:, 0],
         repeats=words.column("L")[:count],
     )
+
+
+class _LineKinds(NamedTuple):
+    """Which lines (L,) have a motion code of their own, move by G0…G3, and move by a cycle."""
+
+    named: Bools
+    moving: Bools
+    drilling: Bools
+
+
+def _line_kinds(code: Array, motion: NDArray[np.int8], has_axis_word: Bools, has_centre: Bools) -> _LineKinds:
+    """Return which lines move: those with a word of an axis, and arcs with a code or a centre, such as full circles.
+
+    :param code: (L,) motion code of each line; NaN: it has none. `motion`: (L,) the active one.
+    :param has_axis_word: (L,) lines with X, Y, Z or a rotary axis; `has_centre`: (L,) with I, J or K.
+    """
+    named = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
+    is_arc = (motion == 2.0) | (motion == 3.0)
+    drilling = np.isin(motion, codes.CYCLES) & has_axis_word
+    moving = ~drilling & (has_axis_word | (is_arc & (named | has_centre)))
+    return _LineKinds(named, moving, drilling)
 
 
 def _in_mm(group_words: Array, factor: Array | None) -> Array:
