@@ -238,10 +238,10 @@ class Result(Struct, frozen=True, eq=False):
         """Rows of `reversals` with the largest steps, the first one of each joint and source line; twenty at most."""
         if self.reversals is None:
             return np.zeros(0, dtype=np.int64)
-        order = np.argsort(-self.reversals.step, kind="stable")
-        of = np.stack([self.source_line[self.reversals.row], self.reversals.joint], axis=1)[order]
-        _, first = np.unique(of, axis=0, return_index=True)
-        return order[np.sort(first)[:_MOST_REVERSALS]]
+        largest_first = np.argsort(-self.reversals.step, kind="stable")
+        line_and_joint = np.stack([self.source_line[self.reversals.row], self.reversals.joint], axis=1)
+        _, first_of_each = np.unique(line_and_joint[largest_first], axis=0, return_index=True)
+        return largest_first[np.sort(first_of_each)[:_MOST_REVERSALS]]
 
     @property
     def inserted(self) -> int:

@@ -286,14 +286,16 @@ class OutputPlan:
         self._complete: list[_PendingOutput] = []
 
     def divide(self, cell: Cell) -> None:
-        """Let programs that may correct one file in common wait for each other."""
-        if self._mode != "predict":
-            groups = [sequences(folder.jobs, cell) for folder in self._folders.values()]
-            order = {job.program: number for number, job in enumerate(self.jobs)}
-            sorted_groups = [
-                sorted(group, key=lambda job: order[job.program]) for folder_groups in groups for group in folder_groups
-            ]
-            self._waiting = deque(sorted(sorted_groups, key=lambda group: order[group[0].program]))
+        """Let programs that may correct one file in common wait for each other; all else stays in the order of jobs.
+
+        :param cell: says where called programs are looked for.
+        """
+        if self._mode == "predict":
+            return
+        order = {job.program: number for number, job in enumerate(self.jobs)}
+        groups = [group for folder in self._folders.values() for group in sequences(folder.jobs, cell)]
+        sorted_groups = [sorted(group, key=lambda job: order[job.program]) for group in groups]
+        self._waiting = deque(sorted(sorted_groups, key=lambda group: order[group[0].program]))
 
     def ready(self) -> Iterable[Task]:
         """Yield tasks that may begin now; others wait until those before them are `accept`."""

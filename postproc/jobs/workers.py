@@ -52,7 +52,7 @@ class LocalWorkers:
         self._settings = settings
         self._threads = ThreadPoolExecutor(count)
         self._free: SimpleQueue[_Process] = SimpleQueue()
-        self._all: set[_Process] = set()
+        self._all: set[_Process] = set()  # with those that work
         self._lock = threading.Lock()
         self._ending = False
 

@@ -688,10 +688,13 @@ def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:
     return lengths
 
 
-def _points_in_base(frames: Array, frame: Ints, mm: Array) -> Array:
-    """Return points (n, 3) [mm] of program frames, by their rows (n,) of `frames` (nf, 4, 4), in `$BASE` [m]."""
-    if len(frames) == 1:
-        points: Array = np.einsum("nj,ij->ni", mm, frames[0, :3, :3] * M_PER_MM) + frames[0, :3, 3]
-        return points
+def _points_in_base(frames: Array, frame: Ints, points_mm: Array) -> Array:
+    """Return points of program frames in `$BASE` (n, 3) [m].
+
+    :param frames: (nf, 4, 4) program frames [m]; `frame`: (n,) the row of each point.
+    :param points_mm: (n, 3) in these frames [mm].
+    """
     rotation, origin = frames[:, :3, :3] * M_PER_MM, frames[:, :3, 3]
-    return np.asarray(np.einsum("nij,nj->ni", rotation[frame], mm) + origin[frame])
+    if len(frames) == 1:  # without a matrix for each point
+        return np.asarray(np.einsum("nj,ij->ni", points_mm, rotation[0]) + origin[0])
+    return np.asarray(np.einsum("nij,nj->ni", rotation[frame], points_mm) + origin[frame])
