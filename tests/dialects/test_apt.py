@@ -744,6 +744,17 @@ def test_holes_of_a_refused_cycle_are_no_moves_without_a_feed():
     ]
 
 
+@pytest.mark.parametrize(
+    ("feed", "problem"),
+    [("", "cutting move without a feed"), ("FEDRAT/0.1,MMPR\n", "a feed per turn, but no speed of the spindle")],
+)
+def test_a_cycle_without_a_feed_is_an_error_at_its_line(feed, problem):
+    text = f"UNITS/MM\n{feed}RAPID\nGOTO/0,0,30\nCYCLE/DRILL,DEPTH,10,CLEAR,3\nGOTO/1,1,1\nFINI\n"
+    with pytest.raises(ProgramError, match=problem) as caught:
+        read(text)
+    assert (caught.value.line, caught.value.further_errors) == (text.count("\n", 0, text.index("CYCLE")) + 1, ())
+
+
 def test_all_errors_are_raised_together_and_a_feed_in_inches_needs_units():
     with pytest.raises(ProgramError) as caught:
         read(AT_Z9 + "FEDRAT/0\nGOTO/1,2\nUNKNOWN\n")

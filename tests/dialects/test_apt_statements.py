@@ -174,9 +174,9 @@ def test_pecks_go_on_from_just_above_the_last_depth():
     assert z == [9.0, 7.0, 6.0, 1.0, 1.0 + up, -4.0, -4.0 + up, -8.0, 7.0]
     z, _, _ = heights("CYCLE/BRKCHP2,DEPTH,12,1STPECK,8,SUBPECK,5,FEDTO,12,MMPM,90,RAPTO,3".replace("DEPTH,12,", ""))
     assert z == [9.0, 7.0, -1.0, -1.0 + up, -6.0, -6.0 + up, -8.0, 7.0]
-    plain = Cycle(12.0, 3.0, 3.0, None, 90.0, 0.0, 0.0, 0.0, deep=False)
+    plain = Cycle(12.0, 3.0, 3.0, None, 90.0, 0.0, 0.0, 0.0, retracts_fully=False)
     assert list(plain.pecks()) == []
-    whole = Cycle(12.0, 3.0, 3.0, None, 90.0, 0.0, 5.0, 5.0, deep=True)
+    whole = Cycle(12.0, 3.0, 3.0, None, 90.0, 0.0, 5.0, 5.0, retracts_fully=True)
     assert list(whole.pecks()) == [-2.0, -7.0]  # the last one, at the depth, is that of the hole
 
 

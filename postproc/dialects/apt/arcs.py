@@ -38,14 +38,14 @@ UNKNOWN_START = ("arc before the position is known", "Write a GOTO before it.")
 class PendingArc(Struct, frozen=True, eq=False):
     """A circle for the GOTO that follows.
 
-    :param several: whether more than one point may belong to the arc.
+    :param may_have_points: whether more than one point may belong to the arc.
     :param angle: stated angle of the arc [rad].
     :param turns: whole turns in addition to the arc to its end.
     """
 
     row: int
     circle: Circle
-    several: bool = False
+    may_have_points: bool = False
     angle: float | None = None
     turns: int = 0
 
@@ -84,7 +84,7 @@ def axis_distance(numbers: Array, place: Array) -> float:
 
     :param numbers: (6,) a point of the axis, and its direction.
     """
-    axis = numbers[3:6] / np.maximum(norm(numbers[3:6]), UNIT_LENGTH)
+    axis = numbers[3:6] / np.maximum(norm(numbers[3:6]), UNIT_LENGTH)  # `circle_of` refuses other lengths than 1 later
     return float(norm(np.cross(place - numbers[:3], axis)))
 
 
@@ -123,6 +123,7 @@ def tangent_arc(code: str, direction: Array | None, place: Array | None, unit: f
     :param code: behind the slash of GOFWD.
     :param direction: (3,) in which the arc leaves its start, of INDIRV.
     :param place: (3,) where it starts [mm]; None if that is not known.
+    :param unit: length of a unit of the file [mm].
     :raises StatementError: the statement is not understood, or its parts contradict each other.
     """
     flat = code.replace("(", "").replace(")", "").replace("CIRCLE/", "").replace("LINE/", "L,")
@@ -163,6 +164,9 @@ class Compensation(Struct, frozen=True):
         """Return whether an arc proves that the path is that of the centre.
 
         A control cannot follow a contour whose inside arc is smaller than the cutter, as lead-ins are.
+
+        :param tool: (3,) direction from the tip to the spindle.
+        :param cutter_radius: [mm]; NaN if it is not known.
         """
         is_inside = self.side * float(circle.axis @ tool) > 0.0
         return is_inside and circle.radius < cutter_radius - NEAR_MM

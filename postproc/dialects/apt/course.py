@@ -48,7 +48,8 @@ class Part(Struct, frozen=True, eq=False):
     :param code: `RAPID`, `LINE` or `ARC`; `feed` [mm/min].
     :param tool: number of the tool, or None before the first.
     :param circle: of an arc; `sweep` its angle [rad].
-    :param free: by a joint motion. `exact`: stops at the end. `home`: to [machine] home.
+    :param is_joint_motion: whether it is one; `is_exact_stop`: whether it stops at its end.
+    :param is_to_home: whether it leads to [machine] home.
     """
 
     row: Ints
@@ -59,17 +60,17 @@ class Part(Struct, frozen=True, eq=False):
     tool: float | None
     circle: Circle | None = None
     sweep: float = 0.0
-    free: bool = False
-    exact: bool = False
-    home: bool = False
+    is_joint_motion: bool = False
+    is_exact_stop: bool = False
+    is_to_home: bool = False
 
 
 class Course(Struct, eq=False):
     """Result of the execution.
 
     :ivar tools: numbers of the tools, in order of their first use.
-    :ivar unforced: whether the first move comes from `[start]` at feed.
-    :ivar stated: whether the program states its units.
+    :ivar begins_at_start: whether the first move comes from `[start]` at feed.
+    :ivar has_units: whether the program states its units.
     :ivar after_end: rows of statements behind the end, which are not executed.
     """
 
@@ -78,6 +79,6 @@ class Course(Struct, eq=False):
     faults: list[Fault] = field(default_factory=list)
     remarks: list[Remark] = field(default_factory=list)
     tools: list[float] = field(default_factory=list)
-    unforced: bool = False
-    stated: bool = False
+    begins_at_start: bool = False
+    has_units: bool = False
     after_end: tuple[int, ...] = ()

@@ -39,32 +39,32 @@ class Cycle(Struct, frozen=True):
     """Heights of a cycle [mm], its feed [mm/min] and its dwell [s].
 
     :param depth: below the top of the hole.
-    :param clear: height above the top to which the tool goes in rapid; `near`: at which the feed begins.
-    :param back: height to which it returns; None: that before the hole.
+    :param clear_height: above the top, to which the tool goes in rapid; `feed_height`: at which the feed begins.
+    :param return_height: to which it returns; None: that before the hole.
     :param step: depth of a peck, 0 = none; `first_step`: of the first one.
-    :param deep: whether each peck ends at `clear`.
+    :param retracts_fully: whether each peck ends at `clear_height`.
     """
 
     depth: float
-    clear: float
-    near: float
-    back: float | None
+    clear_height: float
+    feed_height: float
+    return_height: float | None
     feed: float
     dwell: float
     step: float
     first_step: float
-    deep: bool
+    retracts_fully: bool
 
     def pecks(self) -> Iterator[float]:
         """Yield the heights of the bottoms of pecks above the last one [mm]."""
-        bottom = self.near - self.first_step
+        bottom = self.feed_height - self.first_step
         while self.step > 0.0 and bottom > -self.depth:
             yield bottom
             bottom -= self.step
 
     def retracts(self, bottom: float) -> tuple[float, ...]:
         """Return the heights [mm] of the rapids from the bottom of a peck to where the next one begins."""
-        return (*[self.clear] * self.deep, bottom + _ABOVE_CHIPS_MM)
+        return (*([self.clear_height] if self.retracts_fully else ()), bottom + _ABOVE_CHIPS_MM)
 
 
 class CycleWords(Struct, frozen=True):
@@ -92,21 +92,25 @@ class CycleWords(Struct, frozen=True):
         depth, clear = mm["DEPTH"], mm["CLEAR"]
         return_height, rapid_height = mm.get("RETURN", clear), clear - mm.get("RAPTO", 0.0)
         step = mm.get("STEP", 0.0)
-        if not (
-            depth > 0.0
-            and clear > 0.0
-            and clear >= rapid_height >= 0.0
-            and (self.keeps_height or return_height >= clear)
-        ):
+        is_ordered = depth > 0.0 and clear > 0.0 and clear >= rapid_height >= 0.0
+        if not is_ordered or not (self.keeps_height or return_height >= clear):
             raise StatementError("the heights of the cycle contradict each other", ADVICE)
         if self.name in _PECK_CYCLES and not step > (depth + rapid_height) / _MOST_PECKS:
             raise StatementError(f"STEP {self.heights['STEP']:g} is not a valid depth of a peck", ADVICE)
         first_step = mm.get("1STPECK", step)
         if self.name in _PECK_CYCLES and not first_step > 0.0:
             raise StatementError("1STPECK is not above zero", ADVICE)
-        end_height = None if self.keeps_height else return_height
-        dwell = self.heights.get("DWELL", 0.0)
-        return Cycle(depth, clear, rapid_height, end_height, feed, dwell, step, first_step, self.name == "DEEP")
+        return Cycle(
+            depth=depth,
+            clear_height=clear,
+            feed_height=rapid_height,
+            return_height=None if self.keeps_height else return_height,
+            feed=feed,
+            dwell=self.heights.get("DWELL", 0.0),
+            step=step,
+            first_step=first_step,
+            retracts_fully=self.name == "DEEP",
+        )
 
 
 def cycle_words(words: Sequence[float | str], rates: Sequence[str]) -> CycleWords:
@@ -124,15 +128,16 @@ def cycle_words(words: Sequence[float | str], rates: Sequence[str]) -> CycleWord
     if "FEDTO" in couplets[0::2] and len(couplets) % 2 == 0:
         couplets, keeps_height = _normalise_depth(couplets)
     names, numbers = [str(word) for word in couplets[0::2]], couplets[1::2]
-    is_valid = len(names) == len(numbers) == len(set(names)) and all(isinstance(value, float) for value in numbers)
-    is_valid = is_valid and name in (*_PLAIN, *_PECK_CYCLES) and set(names) <= {*_HEIGHTS, *rates}
-    is_valid = is_valid and ("STEP" in names) == (name in _PECK_CYCLES) and {"DEPTH", "CLEAR"} <= set(names)
+    are_couplets = len(names) == len(numbers) == len(set(names)) and all(isinstance(value, float) for value in numbers)
     values = {word: value for word, value in zip(names, numbers, strict=False) if isinstance(value, float)}
-    feeds = [part for word, value in values.items() if word not in _HEIGHTS for part in (value, word)]
-    if not is_valid or len(feeds) > 2:
-        raise StatementError(f"CYCLE/{name} with these values is not supported", _READ)
     heights = {word: value for word, value in values.items() if word in _HEIGHTS}
-    return CycleWords(str(name), heights, tuple(feeds), keeps_height or heights.get("RETURN") == 0.0)
+    feeds = [(value, word) for word, value in values.items() if word not in _HEIGHTS]
+    is_known = name in (*_PLAIN, *_PECK_CYCLES) and set(names) <= {*_HEIGHTS, *rates}
+    is_complete = {"DEPTH", "CLEAR"} <= set(names) and ("STEP" in names) == (name in _PECK_CYCLES)
+    if not (are_couplets and is_known and is_complete) or len(feeds) > 1:
+        raise StatementError(f"CYCLE/{name} with these values is not supported", _READ)
+    feed = feeds[0] if feeds else ()
+    return CycleWords(str(name), heights, feed, keeps_height or heights.get("RETURN") == 0.0)
 
 
 def _normalise_depth(couplets: Sequence[float | str]) -> tuple[list[float | str], bool]:

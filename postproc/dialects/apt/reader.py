@@ -68,24 +68,23 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
     :raises InputError: all that is wrong, together, each with file, line, text and advice.
     """
     source = statements.split(document)
-    base, tool_frames = cell.base.pose(), [cell.tool.pose()]
     course = execute(source, cell)
     notes, comments, errors = _comments(source, course)
     errors += [_changed_system(source, line) for line in systems.changed_axis_systems(source.comments)]
     moves = _Moves(course.parts)
-    faults = list(course.faults)
-    faults += _opposite_directions(moves, source)
+    faults = [*course.faults, *_opposite_directions(moves, source)]
     if faults or errors:
         raise combined_error([*(_error(source, fault.row, fault.problem, fault.advice) for fault in faults), *errors])
     if not course.parts:
         advice = "Check that the file is the right one and complete."
         raise ProgramError("the program moves nothing", file=document.name, advice=advice)
     numbers = {number: row for row, number in enumerate(course.tools, 1)} if cell.tools else {}
-    tool_frames += [cell.tools[f"{number:g}"].pose() for number in numbers]
+    base = cell.base.pose()
+    tools = np.stack([cell.tool.pose(), *(cell.tools[f"{number:g}"].pose() for number in numbers)])
     home = None
     if cell.machine.home_joints is not None:
         joints = np.array(cell.machine.home_joints) * RAD_PER_DEG
-        home = _Home(joints, inverse(base) @ forward_kinematics(joints) @ np.stack(tool_frames))
+        home = _Home(joints, inverse(base) @ forward_kinematics(joints) @ tools)
     motion_moves = _motion_moves(moves, numbers)
     motions = _motions(moves, motion_moves, source, cell, numbers, home)
     return Program(
@@ -94,10 +93,10 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
         documents=(document,),
         motions=motions,
         bases=base[None],
-        tools=np.stack(tool_frames),
+        tools=tools,
         notes=_notes_before_motions(notes, motions),
         events=tuple(_events(course, comments, source, motion_moves, motions)),
-        unforced=np.zeros(int(course.unforced), dtype=np.int64),
+        unforced=np.zeros(int(course.begins_at_start), dtype=np.int64),
         still=distinct(source.line[np.delete(moves.row, motion_moves)]),
         issues=tuple(_issues(course, source, moves, motion_moves)),
     )
@@ -155,13 +154,13 @@ class _Moves:
     """
 
     def __init__(self, parts: Sequence[Part]) -> None:
-        no_arrays = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
+        """Join the moves of all parts; there may be none."""
+        no_rows, no_points = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
         self.parts = parts
-        count = [len(part.row) for part in parts]
-        self.row: Ints = np.concatenate([part.row for part in parts] or no_arrays[0])
-        self.end: Array = np.concatenate([part.end for part in parts] or no_arrays[1])
-        self.axis: Array = np.concatenate([part.axis for part in parts] or no_arrays[1])
-        self.part = np.repeat(np.arange(len(parts)), count)
+        self.row: Ints = np.concatenate([no_rows, *(part.row for part in parts)])
+        self.end: Array = np.concatenate([no_points, *(part.end for part in parts)])
+        self.axis: Array = np.concatenate([no_points, *(part.axis for part in parts)])
+        self.part = np.repeat(np.arange(len(parts)), [len(part.row) for part in parts])
         self.begin = np.concatenate([self.end[:1], self.end[:-1]])  # the first move is one wherever it begins
         previous_axis = np.concatenate([[[0.0, 0.0, 1.0]], self.axis[:-1]])[: len(self.row)]
         self.turns = norm(self.axis - previous_axis) > _NO_TURN
@@ -193,8 +192,8 @@ def _motion_moves(moves: _Moves, numbers: dict[float, int]) -> Ints:
     is_tool_change = np.diff(tool, prepend=tool[:1]) != 0
     is_long = norm(moves.end - moves.begin) > _SAME_MM
     is_first = np.arange(len(tool)) == 0
-    is_arc, is_free = moves.per_move("code") == ARC, moves.per_move("free")
-    return np.flatnonzero(is_long | moves.turns | is_arc | is_free | is_tool_change | is_first)
+    is_arc, is_joint_motion = moves.per_move("code") == ARC, moves.per_move("is_joint_motion")
+    return np.flatnonzero(is_long | moves.turns | is_arc | is_joint_motion | is_tool_change | is_first)
 
 
 def _motions(
@@ -206,23 +205,25 @@ def _motions(
     :param numbers: index of each tool of the program, by its number.
     :param home: None: the cell has none.
     """
-    code, free, at_home = (moves.per_move(name)[motion_moves] for name in ("code", "free", "home"))
+    code, is_joint_motion, is_to_home = (
+        moves.per_move(name)[motion_moves] for name in ("code", "is_joint_motion", "is_to_home")
+    )
     tool = _tools(moves, numbers)[motion_moves]
     count = len(motion_moves)
     target = _targets(moves, motion_moves, cell.tool_orientation())
     joints = np.broadcast_to(np.nan, (count, 6))  # takes no memory
-    if at_home.any() and home is not None:
+    if is_to_home.any() and home is not None:
         joints = joints.copy()
-        joints[at_home] = home.joints
-        target[at_home] = home.poses[tool[at_home]]
+        joints[is_to_home] = home.joints
+        target[is_to_home] = home.poses[tool[is_to_home]]
     arcs = _arcs(moves.parts, moves.part[motion_moves], code == ARC)
     rapid = code == RAPID
     feed = np.where(rapid, cell.gcode.rapid_m_per_s, moves.per_move("feed")[motion_moves] * (M_PER_MM / S_PER_MIN))
-    feed[free] = np.nan
-    blend = np.where(moves.per_move("exact")[motion_moves], 0.0, cell.gcode.approximation_mm * M_PER_MM)
+    feed[is_joint_motion] = np.nan
+    blend = np.where(moves.per_move("is_exact_stop")[motion_moves], 0.0, cell.gcode.approximation_mm * M_PER_MM)
     unset = constant(-1, count)
     motions = Motions(
-        kind=np.where(free, PTP, np.where(code == ARC, CIRC, LIN)).astype(np.int64),
+        kind=np.where(is_joint_motion, PTP, np.where(code == ARC, CIRC, LIN)).astype(np.int64),
         rapid=rapid,
         line=source.line[moves.row[motion_moves]],
         target=Poses.of(target),
@@ -278,7 +279,7 @@ def _arcs(parts: Sequence[Part], part: Ints, is_arc: Bools) -> ArcColumns:
 
 
 def _reference(axis: Array) -> Array:
-    """Return the orientation (3, 3) from whose z the tool is tilted to its directions (n, 3).
+    """Return the orientation (3, 3) from whose z the tool is tilted to its directions `axis` (n, 3).
 
     It is that of `$BASE`, unless the tool comes straight from below somewhere.
     """
@@ -311,15 +312,21 @@ def _events(
     :param comments: line and text; `motion_moves`: (M,) moves that are motions.
     """
     course_events = [
-        (int(source.line[e.row]), int(np.searchsorted(motion_moves, e.before)), e.kind, e.value, e.text)
-        for e in course.events
-        if e.kind != "comment" or parse_force_note(e.text, 1, "") is None
+        Event(
+            int(np.searchsorted(motion_moves, event.before)),
+            event.kind,
+            int(source.line[event.row]),
+            event.value,
+            event.text,
+        )
+        for event in course.events
+        if event.kind != "comment" or parse_force_note(event.text, 1, "") is None
     ]
-    lines = [line for line, _ in comments]
-    motion_index = np.searchsorted(motions.line, lines).tolist()
-    texts = [(line, before, "comment", 0.0, text) for (line, text), before in zip(comments, motion_index, strict=True)]
-    for line, before, kind, value, text in sorted([*course_events, *texts], key=lambda event: (event[1], event[0])):
-        yield Event(before, kind, line, value, text)  # type: ignore[arg-type]
+    motion_index = np.searchsorted(motions.line, [line for line, _ in comments]).tolist()
+    comment_events = [
+        Event(before, "comment", line, 0.0, text) for (line, text), before in zip(comments, motion_index, strict=True)
+    ]
+    yield from sorted([*course_events, *comment_events], key=lambda event: (event.before, event.line))
 
 
 def _issues(course: Course, source: Statements, moves: _Moves, motion_moves: Ints) -> Iterator[Issue]:
@@ -327,7 +334,7 @@ def _issues(course: Course, source: Statements, moves: _Moves, motion_moves: Int
 
     :param motion_moves: (M,) moves that are motions.
     """
-    if not course.stated:
+    if not course.has_units:
         yield Issue("info", "units", "No UNITS are programmed: millimetres are assumed.")
     csys_lines = [line for line, text in source.comments if systems.is_moved(text)]
     if csys_lines:

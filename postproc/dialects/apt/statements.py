@@ -9,6 +9,7 @@ effect are listed, and advice for those that are refused.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -30,8 +31,6 @@ _SPACE = np.frombuffer(bytes(c in b" \t\r\n\x0b\x0c" for c in range(256)), dtype
 _TO_NUMBERS = bytes(_BLANK if c in b",\n" else c for c in range(256))
 LIMIT = 1e7
 """Numbers of this magnitude or more are refused as mistakes."""
-
-
 UNIT_LENGTH = 1e-3
 """Largest difference of the length of a direction from 1: files have three decimals or more."""
 NEAR_MM = 1e-6
@@ -39,7 +38,16 @@ NEAR_MM = 1e-6
 
 
 class StatementError(Exception):
-    """A statement cannot be executed. Its arguments are problem and advice (or None), and its row if it is another."""
+    """A statement cannot be executed.
+
+    :ivar problem: what is wrong with it; `advice`: what to do, or None.
+    :ivar row: its row; None: it is the statement that is executed.
+    """
+
+    def __init__(self, problem: str, advice: str | None, row: int | None = None) -> None:
+        """Keep problem, advice and row."""
+        super().__init__(problem, advice, row)
+        self.problem, self.advice, self.row = problem, advice, row
 
 
 def numbers_of(words: list[float | str], *counts: int) -> Array:
@@ -79,6 +87,7 @@ class Statements(Struct, frozen=True, eq=False):
     spans: tuple[Ints, Ints]
 
     def __len__(self) -> int:
+        """Return the number of statements."""
         return len(self.line)
 
     def of(self, row: int) -> str:
@@ -96,28 +105,40 @@ def split(document: Document) -> Statements:
     raw = document.text.encode("ascii", "replace")
     starts, stops = line_spans(document.text)
     chars = np.frombuffer(raw + b"\n", dtype=np.uint8).copy()
-    comment_spans = [(match.start(), match.end()) for match in _COMMENT.finditer(raw)]
+    comment_spans = [match.span() for match in _COMMENT.finditer(raw)]
     for begin, end in comment_spans:
         chars[begin:end] = _BLANK
-    comment_line = np.searchsorted(
-        starts, np.array([begin for begin, _ in comment_spans], dtype=np.int64), side="right"
-    ).tolist()
-    comments = tuple(
-        (line, _comment(document.text[begin + 2 : end]))
-        for line, (begin, end) in zip(comment_line, comment_spans, strict=True)
-    )
     keep = ~_SPACE[chars]
-    keep[stops] = True
+    keep[stops] = True  # each line ends with one line feed, whatever it ended with
     chars[stops] = _LF
-    lines = chars[keep].tobytes().upper()
-    code, line = _join_lines(np.frombuffer(lines, dtype=np.uint8))
-    ends = np.concatenate([[0], np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == _LF) + 1])
-    points, numbers = _plain_gotos(np.frombuffer(code, dtype=np.uint8), ends)
-    is_plain_or_empty = np.diff(ends) == 1
+    code, line = _join_lines(np.frombuffer(chars[keep].tobytes().upper(), dtype=np.uint8))
+    code_chars = np.frombuffer(code, dtype=np.uint8)
+    ends = np.concatenate([[0], np.flatnonzero(code_chars == _LF) + 1])
+    points, numbers = _plain_gotos(code_chars, ends)
+    is_plain_or_empty = np.diff(ends) == 1  # a line feed alone
     is_plain_or_empty[points] = True
     return Statements(
-        document, code, ends, line, np.flatnonzero(~is_plain_or_empty), points, numbers, comments, (starts, stops)
+        document=document,
+        code=code,
+        ends=ends,
+        line=line,
+        others=np.flatnonzero(~is_plain_or_empty),
+        points=points,
+        numbers=numbers,
+        comments=tuple(_comments(document.text, starts, comment_spans)),
+        spans=(starts, stops),
     )
+
+
+def _comments(text: str, starts: Ints, comment_spans: Sequence[tuple[int, int]]) -> Iterator[tuple[int, str]]:
+    """Yield the 1-based line and the text behind ``$$`` of each comment.
+
+    :param starts: offsets of the lines of the file; `comment_spans`: spans of the comments.
+    """
+    begins = np.array([begin for begin, _ in comment_spans], dtype=np.int64)
+    lines = np.searchsorted(starts, begins, side="right").tolist()
+    for line, (begin, end) in zip(lines, comment_spans, strict=True):
+        yield line, _comment(text[begin + len("$$") : end])
 
 
 def _comment(text: str) -> str:
@@ -132,7 +153,7 @@ def _join_lines(chars: np.typing.NDArray[np.uint8]) -> tuple[bytes, Ints]:
     """
     ends = np.flatnonzero(chars == _LF)
     is_continued = chars[ends - 1] == _DOLLAR
-    is_continued[:1] &= ends[:1] > 0
+    is_continued[:1] &= ends[:1] > 0  # an empty first line: the character before its end is the last of the text
     is_continued[-1:] = False
     if not is_continued.any():
         return chars.tobytes(), np.arange(1, len(ends) + 1)
@@ -149,39 +170,24 @@ def _plain_gotos(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, 
 
     :param chars: bytes of all statements; `ends`: (S + 1,) positions, see `Statements`.
     """
-    no_points = np.zeros(0, dtype=np.int64), np.zeros((0, 6))
-    width = np.diff(ends)
-    rows = np.flatnonzero(width > len(_GOTO) + 1)
-    for column, letter in enumerate(_GOTO):
-        rows = rows[chars[ends[rows] + column] == letter]
-    if not len(rows):
-        return no_points
-    other_character_count = _counts(~_NUMERIC[chars], ends, rows)
-    rows = rows[other_character_count == len(_GOTO)]  # no others than those of the word and the slash
-    count = _counts(chars == _COMMA, ends, rows) + 1
-    has_point = (count == 3) | (count == 6)
-    rows, count = rows[has_point], count[has_point]
+    rows, count = _goto_candidates(chars, ends)
     for _ in range(2):  # once more without the statements that turn out not to be plain
-        # 1 where the numbers of a statement begin and −1 where they end: the sum is 1 between them
-        boundary = np.zeros(len(chars) + 1, dtype=np.int8)
-        boundary[ends[rows] + len(_GOTO)] = 1
-        boundary[ends[rows + 1]] -= 1
-        digits = chars[np.cumsum(boundary[:-1], dtype=np.int8).view(np.bool_)].tobytes().translate(_TO_NUMBERS)
-        text = np.frombuffer(digits, dtype=np.uint8)
+        text = _numbers_text(chars, ends, rows)
         first, last = numbers_in(text)
-        length = width[rows] - len(_GOTO)
+        length = np.diff(ends)[rows] - len(_GOTO)
         begin = np.concatenate([[0], np.cumsum(length)])
         word_count = np.diff(np.searchsorted(first, begin))
         is_complete = word_count == count
         if is_complete.all():
             break
         rows, count = rows[is_complete], count[is_complete]  # a number is missing between two commas
+    no_points = np.zeros(0, dtype=np.int64), np.zeros((0, 6))
     if not len(rows):
         return no_points
     values = parsed_numbers(text, first, last)
     if values is None:
         try:
-            values = np.array([float(word) for word in digits.split()])
+            values = np.array([float(word) for word in text.tobytes().split()])
         except ValueError:
             return no_points
     numbers = np.full((len(rows), 6), np.nan)
@@ -189,6 +195,37 @@ def _plain_gotos(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, 
     numbers[row, ragged_range(count)] = values
     large_rows = distinct(row[np.abs(values) >= LIMIT])
     return np.delete(rows, large_rows), np.delete(numbers, large_rows, axis=0)
+
+
+def _goto_candidates(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Ints]:
+    """Return the rows (n,) of GOTO with digits, signs, points and two or five commas alone, and 3 or 6 for each (n,).
+
+    :param chars: bytes of all statements; `ends`: (S + 1,) positions, see `Statements`.
+    """
+    rows = np.flatnonzero(np.diff(ends) > len(_GOTO) + 1)
+    for column, letter in enumerate(_GOTO):
+        rows = rows[chars[ends[rows] + column] == letter]
+    if not len(rows):
+        return rows, rows
+    other_character_count = _counts(~_NUMERIC[chars], ends, rows)
+    rows = rows[other_character_count == len(_GOTO)]  # no others than those of the word and the slash
+    count = _counts(chars == _COMMA, ends, rows) + 1
+    has_point = (count == 3) | (count == 6)
+    return rows[has_point], count[has_point]
+
+
+def _numbers_text(chars: np.typing.NDArray[np.uint8], ends: Ints, rows: Ints) -> np.typing.NDArray[np.uint8]:
+    """Return the text behind the slash of GOTO statements, one after the other, with blanks for commas and line feeds.
+
+    :param chars: bytes of all statements; `ends`: (S + 1,) positions, see `Statements`.
+    :param rows: (n,) the GOTO statements.
+    """
+    # 1 where the numbers of a statement begin and −1 where they end: the sum is 1 between them
+    boundary = np.zeros(len(chars) + 1, dtype=np.int8)
+    boundary[ends[rows] + len(_GOTO)] = 1
+    boundary[ends[rows + 1]] -= 1
+    is_in_numbers = np.cumsum(boundary[:-1], dtype=np.int8).view(np.bool_)
+    return np.frombuffer(chars[is_in_numbers].tobytes().translate(_TO_NUMBERS), dtype=np.uint8)
 
 
 def _counts(is_counted: np.typing.NDArray[np.bool_], ends: Ints, rows: Ints) -> Ints:

@@ -59,7 +59,7 @@ from postproc.dialects.apt.systems import sequence_at, sequence_lines, system_of
 from postproc.dialects.circles import Circle, arc_point_count
 from postproc.errors import MAX_ERRORS
 from postproc.frames import MM_PER_INCH, Array, norm
-from postproc.program import EventKind, Ints
+from postproc.program import Bools, EventKind, Ints
 
 _PER_MINUTE = {
     "MMPM": 1.0,
@@ -94,53 +94,57 @@ _AMBIGUOUS = (
 class _Walk:
     """State of the machine from statement to statement, and the moves so far (`course`).
 
-    :ivar place: (3,) of the tool tip [mm], if `known`; `axis`: (3,) unit direction from the tip to the spindle.
+    :ivar place: (3,) of the tool tip [mm], if `is_place_known`.
+    :ivar axis: (3,) unit direction from the tip to the spindle.
     :ivar unit: length of a unit of the file [mm].
-    :ivar rapid: whether the next move is rapid.
-    :ivar feed: [mm/min], or [mm/turn] if `per_turn`; `speed`: of the spindle [1/min].
-    :ivar pending: circle of an arc whose end is the next GOTO; `closed`: circle of the last arc, which may go on.
-    :ivar leaving: (3,) direction of INDIRV; `cycle`: active drilling cycle; `is_cycle_refused`: one with a fault.
-    :ivar sequences: first lines of the NC sequences of Creo; `undivided`: those in which arcs have one point.
-    :ivar system: values of MSYS; `work_offset`: of ZERO; None: not stated.
+    :ivar is_next_rapid: whether the next move is rapid.
+    :ivar feed: [mm/min], or [mm/turn] if `is_feed_per_turn`; `spindle_speed` [1/min].
+    :ivar pending_arc: arc whose end is the next GOTO; `circle_before`: circle of the last arc, which may go on.
+    :ivar leaving_direction: (3,) of INDIRV.
+    :ivar cycle: active drilling cycle; `is_cycle_refused`: whether it has a fault.
+    :ivar sequence_lines: first lines of the NC sequences of Creo; `undivided_sequences`: those in which arcs have one
+        point.
+    :ivar axis_system: values of MSYS; `work_offset`: of ZERO; None: not stated.
     :ivar in_fixture: TRNTYP/WORLD; `is_tilted_setup`: CSYS with a tilted tool.
     :ivar is_axis_open: the direction of the tool must be stated again.
-    :ivar number: number of moves so far; `ended`: row of FINI, `parted`: of PARTNO, −1 without.
-    :ivar inches: row of the first feed in inches; None: there is none.
-    :ivar path_ended: whether END-OF-PATH was the last statement with an effect.
-    :ivar doubt: whether the last statement had a fault, so that the next arc cannot be checked.
+    :ivar move_count: number of moves so far; `end_row`: row of FINI, `partno_row`: of PARTNO, −1 without.
+    :ivar inch_feed_row: row of the first feed in inches; None: there is none.
+    :ivar has_path_ended: whether END-OF-PATH was the last statement with an effect.
+    :ivar is_in_doubt: whether the last statement had a fault, so that the next arc cannot be checked.
     """
 
     def __init__(self, statements: Statements, cell: Cell) -> None:
         """Begin at a place that is not known."""
         self.statements, self.cell = statements, cell
         self.course = Course()
-        self.place, self.known = np.zeros(3), False
+        self.place, self.is_place_known = np.zeros(3), False
         self.axis = np.array([0.0, 0.0, 1.0])
         self.unit = 1.0
-        self.rapid = False
-        self.feed, self.per_turn = 0.0, False
-        self.speed, self.spindle = 0.0, "spindle_off"
-        self.coolant = False
+        self.is_next_rapid = False
+        self.feed, self.is_feed_per_turn = 0.0, False
+        self.spindle_speed, self.spindle = 0.0, "spindle_off"
+        self.is_coolant_on = False
         self.tool: float | None = None
-        self.pending: PendingArc | None = None
-        self.closed: Circle | None = None
-        self.sequences, self.undivided = sequence_lines(statements.comments), set[int]()
-        self.leaving: Array | None = None
+        self.pending_arc: PendingArc | None = None
+        self.circle_before: Circle | None = None
+        self.sequence_lines = sequence_lines(statements.comments)
+        self.undivided_sequences: set[int] = set()
+        self.leaving_direction: Array | None = None
         self.cycle: Cycle | None = None
         self.is_cycle_refused = False
-        self.system: list[float | str] | None = None
+        self.axis_system: list[float | str] | None = None
         self.in_fixture = self.is_tilted_setup = False
         self.system_of_file = system_of(statements.comments)
         self.is_axis_open = False
         self.work_offset: float | None = None
         self.cutter_radius = np.nan
         self.compensation: Compensation | None = None
-        self.number = 0
-        self.inches: int | None = None
-        self.ended = -1
-        self.doubt = False
-        self.parted = -1
-        self.path_ended = False
+        self.move_count = 0
+        self.inch_feed_row: int | None = None
+        self.end_row = -1
+        self.is_in_doubt = False
+        self.partno_row = -1
+        self.has_path_ended = False
 
     def run(self) -> Course:
         """Execute all statements of the file in order."""
@@ -149,96 +153,105 @@ class _Walk:
         for row in statements.others.tolist():
             self._run_plain_gotos(next_row, row)
             next_row = row + 1
-            if self.ended >= 0 or len(course.faults) > MAX_ERRORS:
+            if self.end_row >= 0 or len(course.faults) > MAX_ERRORS:
                 break
             try:
                 self._execute(row, statements.of(row))
             except StatementError as cause:
-                course.faults.append(Fault(row, *cause.args))
-                self.doubt = True
+                course.faults.append(_fault_of(cause, row))
+                self.is_in_doubt = True
         else:
             self._run_plain_gotos(next_row, len(statements))
         self._end_compensation()
-        if self.pending is not None and not course.faults:
+        if self.pending_arc is not None and not course.faults:
             problem = "an arc without a GOTO behind it"
-            course.faults.append(Fault(self.pending.row, problem, "Write the end of the arc."))
-        if self.ended >= 0:
-            rows_behind_end = [
-                row for row in statements.others.tolist() if row > self.ended and statements.of(row) != "FINI"
-            ]
-            course.after_end = (
-                *rows_behind_end,
-                *statements.points[np.searchsorted(statements.points, self.ended) :].tolist(),
-            )
-        elif self.parted >= 0 and not course.faults:
-            problem = "the program begins with PARTNO but ends without FINI"
-            course.faults.append(Fault(len(statements) - 1, problem, "Check that the file was transferred completely."))
-        elif not course.faults and not self.path_ended:
-            message = "The program ends without FINI, END or END-OF-PATH. Check that the file is complete."
-            course.remarks.append(Remark(len(statements) - 1, "warning", "program-end", message))
-        if self.inches is not None and not course.stated:
+            course.faults.append(Fault(self.pending_arc.row, problem, "Write the end of the arc."))
+        self._check_end()
+        if self.inch_feed_row is not None and not course.has_units:
             course.faults.append(
-                Fault(self.inches, "a feed in inches, but no UNITS", "Write UNITS/MM or UNITS/INCHES.")
+                Fault(self.inch_feed_row, "a feed in inches, but no UNITS", "Write UNITS/MM or UNITS/INCHES.")
             )
         return course
+
+    def _check_end(self) -> None:
+        """Note the statements behind the end of the program; refuse or report a program without an end."""
+        statements, course = self.statements, self.course
+        if self.end_row >= 0:
+            other_rows = [
+                row for row in statements.others.tolist() if row > self.end_row and statements.of(row) != "FINI"
+            ]
+            goto_rows = statements.points[np.searchsorted(statements.points, self.end_row) :].tolist()
+            course.after_end = (*other_rows, *goto_rows)
+        elif self.partno_row >= 0 and not course.faults:
+            problem = "the program begins with PARTNO but ends without FINI"
+            course.faults.append(Fault(len(statements) - 1, problem, "Check that the file was transferred completely."))
+        elif not course.faults and not self.has_path_ended:
+            message = "The program ends without FINI, END or END-OF-PATH. Check that the file is complete."
+            course.remarks.append(Remark(len(statements) - 1, "warning", "program-end", message))
 
     def _run_plain_gotos(self, begin: int, end: int) -> None:
         """Execute the plain GOTO statements from row `begin` to row `end` (exclusive)."""
         statements = self.statements
         first, last = np.searchsorted(statements.points, [begin, end]).tolist()
-        if first < last and self.ended < 0:
-            self.path_ended = False
+        if first < last and self.end_row < 0:
+            self.has_path_ended = False
             try:
                 self._add_gotos(statements.points[first:last], statements.numbers[first:last])
             except StatementError as cause:
-                row = cause.args[2] if len(cause.args) > 2 else int(statements.points[first])
-                self.course.faults.append(Fault(row, *cause.args[:2]))
+                self.course.faults.append(_fault_of(cause, int(statements.points[first])))
 
     def _add_gotos(self, row: Ints, numbers: Array) -> None:
         """Add the moves of GOTO statements: the end of a pending arc, holes of a cycle, or straight moves.
 
         :param row: (n,) their rows; `numbers`: (n, 6) x, y, z, i, j, k; NaN where the direction is not stated.
-        :raises StatementError: its third argument is the row.
+        :raises StatementError: one of them cannot be executed.
         """
-        has_no_direction = np.isnan(numbers[:, 3])
+        self._check_directions(row, np.isnan(numbers[:, 3]))
+        if self.system_of_file == "Creo":
+            numbers = np.where(np.isnan(numbers[:, 3:4]) & _IS_DIRECTION, _UPRIGHT, numbers)
+        end, axis = numbers[:, :3] * self.unit, self._axes(row, numbers[:, 3:])
+        self.is_axis_open = False
+        first_left = 0  # first statement that is not part of an arc
+        circle, self.circle_before = self.circle_before, None
+        if circle is not None and circle.fault_at(end[0]) is None:
+            raise StatementError(*_AMBIGUOUS, int(row[0]))
+        if self.pending_arc is not None:
+            pending, self.pending_arc = self.pending_arc, None
+            first_left = 1 if self.is_in_doubt else self._add_pending_arc(pending, row, end, axis)
+        if self.cycle is not None:
+            for n in range(first_left, len(row)):
+                self._add_hole(int(row[n]), end[n], axis[n], self.cycle)
+            self.is_next_rapid = False
+        elif self.is_cycle_refused:  # these are holes: a missing feed would be an error that is none
+            self.place, self.is_place_known, self.is_next_rapid = end[-1], True, False
+        elif first_left < len(row):
+            self._add_straight_moves(row[first_left:], end[first_left:], axis[first_left:])
+        self.axis = axis[-1]
+        self.is_in_doubt = False
+
+    def _check_directions(self, row: Ints, has_no_direction: Bools) -> None:
+        """Refuse GOTO statements without a direction of the tool where the last one need not hold.
+
+        :param row: (n,) their rows; `has_no_direction`: (n,) True for those that state none.
+        :raises StatementError: there is one.
+        """
         if self.is_tilted_setup and has_no_direction.any():
             advice = "Let the CAM system write the direction of the tool, i, j, k, in each GOTO."
             raise StatementError(
                 "GOTO without a direction in a tilted CSYS", advice, int(row[np.argmax(has_no_direction)])
             )
-        if self.system_of_file == "Creo":
-            numbers = np.where(has_no_direction[:, None] & _IS_DIRECTION, _UPRIGHT, numbers)
         if self.is_axis_open and has_no_direction[0]:
             advice = "Write the direction of the tool, i, j, k, in this GOTO, or TLAXIS/i,j,k before it."
             raise StatementError("GOTO without a direction behind MULTAX/OFF of a tilted tool", advice, int(row[0]))
-        end, axis = numbers[:, :3] * self.unit, self._axes(row, numbers[:, 3:])
-        self.is_axis_open = False
-        first_left = 0  # first statement that is not part of an arc
-        closed_contour, self.closed = self.closed, None
-        if closed_contour is not None and closed_contour.fault_at(end[0]) is None:
-            raise StatementError(*_AMBIGUOUS, int(row[0]))
-        if self.pending is not None:
-            pending, self.pending = self.pending, None
-            first_left = 1 if self.doubt else self._add_pending_arc(pending, row, end, axis)
-        if self.cycle is not None:
-            for n in range(first_left, len(row)):
-                self._add_hole(int(row[n]), end[n], axis[n], self.cycle)
-            self.rapid = False
-        elif self.is_cycle_refused:  # these are holes: a missing feed would be an error that is none
-            self.place, self.known, self.rapid = end[-1], True, False
-        elif first_left < len(row):
-            self._add_straight_moves(row[first_left:], end[first_left:], axis[first_left:])
-        self.axis = axis[-1]
-        self.doubt = False
 
     def _add_straight_moves(self, row: Ints, end: Array, axis: Array) -> None:
         """Add straight moves; the first may be rapid, or come from a place that is not known.
 
         :param row: (n,) their statements, n > 0; `end`: (n, 3) [mm]; `axis`: (n, 3) direction of the tool there.
-        :raises StatementError: a move has no feed; its third argument is the row.
+        :raises StatementError: a move has no feed.
         """
         first = 0
-        if self.rapid or not self.known:
+        if self.is_next_rapid or not self.is_place_known:
             self._add_single_move(int(row[0]), end[0], axis[0])
             first = 1
         if first < len(row):
@@ -247,6 +260,7 @@ class _Walk:
     def _axes(self, row: Ints, words: Array) -> Array:
         """Return the directions of the tool (n, 3): those of GOTO, or the last one before where it states none.
 
+        :param row: (n,) rows of the statements; `words` (n, 3) i, j, k, NaN where they are not stated.
         :raises StatementError: a direction is not of length 1; the further ones are added to the faults.
         """
         length = norm(words)
@@ -271,42 +285,48 @@ class _Walk:
         :param end: (3,) [mm]; `axis` (3,): direction of the tool there.
         :raises StatementError: a move at feed from home.
         """
-        is_rapid, self.rapid = self.rapid, False
-        if self.known:
+        is_rapid, self.is_next_rapid = self.is_next_rapid, False
+        if self.is_place_known:
             self._add_move(row, end, axis, RAPID if is_rapid else LINE, 0.0 if is_rapid else self._feed_per_minute(row))
             return
         has_motions = bool(self.course.parts)
         if not is_rapid:
             if has_motions:
                 raise StatementError("GOTO at feed behind GOHOME", "Write RAPID before: the tool is at home.", row)
-            message = (
-                "The first GOTO is at feed: it begins at [start] of the cell. Check that the path from there is free."
-            )
-            self.course.remarks.append(Remark(row, "warning", "from-start", message))
-            self.course.unforced = True
-            feed, self.known = self._feed_per_minute(row), True
-            self._add_move(row, end, axis, LINE, feed)
+            self._add_first_move_at_feed(row, end, axis)
             return
         clearance = self.cell.machine.clearance_Z
         if has_motions and clearance is not None and end[2] < clearance - NEAR_MM and axis[2] > _LEVEL:
-            self._add_move(row, end + axis * ((clearance - end[2]) / axis[2]), axis, RAPID, 0.0, free=True)
+            self._add_move(row, end + axis * ((clearance - end[2]) / axis[2]), axis, RAPID, 0.0, is_joint_motion=True)
             self._add_move(row, end, axis, RAPID, 0.0)
         else:
-            self._add_move(row, end, axis, RAPID, 0.0, free=True)
-        self.known = True
+            self._add_move(row, end, axis, RAPID, 0.0, is_joint_motion=True)
+        self.is_place_known = True
+
+    def _add_first_move_at_feed(self, row: int, end: Array, axis: Array) -> None:
+        """Add a first move of the program that is not rapid, with a warning: it begins at `[start]` of the cell.
+
+        :param end: (3,) [mm]; `axis` (3,): direction of the tool there.
+        :raises StatementError: no feed is known.
+        """
+        message = "The first GOTO is at feed: it begins at [start] of the cell. Check that the path from there is free."
+        self.course.remarks.append(Remark(row, "warning", "from-start", message))
+        self.course.begins_at_start = True
+        feed, self.is_place_known = self._feed_per_minute(row), True
+        self._add_move(row, end, axis, LINE, feed)
 
     def _feed_per_minute(self, row: int) -> float:
         """Return the feed of a move [mm/min].
 
-        :raises StatementError: none is known; its third argument is the row.
+        :raises StatementError: none is known.
         """
         if not self.feed > 0.0:
             raise StatementError("cutting move without a feed", "Write FEDRAT before it.", row)
-        if not self.per_turn:
+        if not self.is_feed_per_turn:
             return self.feed
-        if not self.speed > 0.0:
+        if not self.spindle_speed > 0.0:
             raise StatementError("a feed per turn, but no speed of the spindle", "Write SPINDL/n,RPM before.", row)
-        return self.feed * self.speed
+        return self.feed * self.spindle_speed
 
     def _add_pending_arc(self, pending: PendingArc, row: Ints, end: Array, axis: Array) -> int:
         """Add the arc of a CIRCLE to the points that follow it; return how many of them belong to it.
@@ -315,17 +335,17 @@ class _Walk:
         :raises StatementError: that number is ambiguous, or the arc has a fault.
         """
         count: int | None = 1
-        if pending.several and len(row) > 1:
+        if pending.may_have_points and len(row) > 1:
             count = arc_point_count(pending.circle, self.place, end, _DIGIT * self.unit)
-            sequence = sequence_at(self.sequences, int(self.statements.line[row[0]]))
-            if count is None and sequence in self.undivided:
+            sequence = sequence_at(self.sequence_lines, int(self.statements.line[row[0]]))
+            if count is None and sequence in self.undivided_sequences:
                 count = 1
             elif count == 1 and pending.circle.sagitta(self.place, end[0]) > _SAGITTA_MM:
-                self.undivided.add(sequence)
+                self.undivided_sequences.add(sequence)
         if count is None:
             raise StatementError(*_AMBIGUOUS, int(row[1]))
-        if pending.several and count == len(row):
-            self.closed = pending.circle  # a further GOTO, written in another form, may belong to the arc too
+        if pending.may_have_points and count == len(row):
+            self.circle_before = pending.circle  # a further GOTO, written in another form, may belong to the arc too
         for n in range(count):
             self._add_arc(int(row[n]), pending, end[n], axis[n])
         return count
@@ -336,13 +356,13 @@ class _Walk:
         :param end: (3,) its end [mm]; `axis` (3,) direction from the tip to the spindle there.
         :raises StatementError: the start is not known, the points are not on the circle, or the tool is in rapid.
         """
-        if not self.known:
+        if not self.is_place_known:
             raise StatementError(*UNKNOWN_START, row)
         try:
             sweep = pending.sweep(self.place, end)
         except StatementError as cause:
-            raise StatementError(*cause.args, row) from None
-        if self.rapid:
+            raise StatementError(cause.problem, cause.advice, row) from None
+        if self.is_next_rapid:
             raise StatementError("an arc in rapid", ARC_ADVICE, row)
         circle = pending.circle
         if self.compensation is not None and self.compensation.shows_centre(circle, self.axis, self.cutter_radius):
@@ -354,29 +374,32 @@ class _Walk:
         """Add the moves of the active cycle at a hole; heights are above its top.
 
         :param top: (3,) of the hole [mm]; `axis` (3,): direction of the tool.
-        :raises StatementError: the position is not known, or the tool turns; its third argument is the row.
+        :raises StatementError: the position is not known, or the tool turns.
         """
-        if not self.known:
+        if not self.is_place_known:
             raise StatementError("a cycle before the position is known", "Write RAPID and a GOTO before it.", row)
         self._check_same_axis(row, axis)
         start_height = float((self.place - top) @ axis)
-        if start_height < cycle.clear - NEAR_MM:
-            self._add_move(row, self.place + axis * (cycle.clear - start_height), axis, RAPID, 0.0)
-        height = max(start_height, cycle.clear)
-        for rapid_height in (height, cycle.clear, cycle.near):
+        if start_height < cycle.clear_height - NEAR_MM:
+            self._add_move(row, self.place + axis * (cycle.clear_height - start_height), axis, RAPID, 0.0)
+        height = max(start_height, cycle.clear_height)
+        for rapid_height in (height, cycle.clear_height, cycle.feed_height):
             self._add_move(row, top + axis * rapid_height, axis, RAPID, 0.0)
         for bottom in cycle.pecks():
-            self._add_move(row, top + axis * bottom, axis, LINE, cycle.feed, exact=True)
+            self._add_move(row, top + axis * bottom, axis, LINE, cycle.feed, is_exact_stop=True)
             for retract_height in cycle.retracts(bottom):
-                self._add_move(row, top + axis * retract_height, axis, RAPID, 0.0, exact=True)
-        self._add_move(row, top - axis * cycle.depth, axis, LINE, cycle.feed, exact=True)
+                self._add_move(row, top + axis * retract_height, axis, RAPID, 0.0, is_exact_stop=True)
+        self._add_move(row, top - axis * cycle.depth, axis, LINE, cycle.feed, is_exact_stop=True)
         if cycle.dwell > 0.0:
             self._add_event(row, "dwell", cycle.dwell)
-        self._add_move(row, top + axis * (height if cycle.back is None else cycle.back), axis, RAPID, 0.0)
+        self._add_move(
+            row, top + axis * (height if cycle.return_height is None else cycle.return_height), axis, RAPID, 0.0
+        )
 
     def _check_same_axis(self, row: int, axis: Array) -> None:
         """Check that the direction of the tool does not change on the way to a hole.
 
+        :param axis: (3,) unit direction at the hole.
         :raises StatementError: it does.
         """
         if norm(np.cross(axis, self.axis)) > UNIT_LENGTH or axis @ self.axis < 0.0:
@@ -398,12 +421,12 @@ class _Walk:
         :param code: `RAPID`, `LINE` or `ARC`; `feed` [mm/min]; `properties`: further fields of `Part`.
         """
         self.course.parts.append(Part(row, end, axis, code, feed, self.tool, **properties))
-        self.number += len(row)
+        self.move_count += len(row)
         self.place = end[-1]
 
     def _add_event(self, row: int, kind: EventKind, value: float = 0.0, text: str = "") -> None:
-        """Record an event after the moves so far."""
-        self.course.events.append(Happening(self.number, row, kind, value, text))
+        """Record an event after the moves so far; `value` and `text` as in `program.Event`."""
+        self.course.events.append(Happening(self.move_count, row, kind, value, text))
 
     def _execute(self, row: int, code: str) -> None:
         """Execute a statement that is not a plain GOTO.
@@ -413,17 +436,17 @@ class _Walk:
         """
         for word in TEXT:
             if code.startswith(word):
-                if word == "PARTNO" and self.parted < 0:
-                    self.parted = row
+                if word == "PARTNO" and self.partno_row < 0:
+                    self.partno_row = row
                 self._add_event(row, "comment", text=self._text_behind(row, word))
                 return
         if code.startswith("INSERT"):
             self._read_insert(row, "INSERT")
             return
         major, slash, minor_words = code.partition("/")
-        self.path_ended = major == "END-OF-PATH"
+        self.has_path_ended = major == "END-OF-PATH"
         if major != "GOTO":
-            self.closed = None
+            self.circle_before = None
         if code.startswith("TOOLPATH/"):
             self._add_event(row, "comment", text=self._text_behind(row, "TOOL"))
             return
@@ -470,25 +493,22 @@ class _Walk:
 
         :raises StatementError: the numbers are not those of points.
         """
-        points = numbers_of(words, *((3, 6) if self.pending is None else range(3, 301, 3)))
+        points = numbers_of(words, *((3, 6) if self.pending_arc is None else range(3, 301, 3)))
         if len(points) in (3, 6) and (len(points) == 3 or abs(norm(points[3:]) - 1.0) < UNIT_LENGTH):
             numbers = np.append(points, np.full(6 - len(points), np.nan))[None]
-        elif self.pending is not None:
+        elif self.pending_arc is not None:
             numbers = np.hstack([points.reshape(-1, 3), np.full((len(points) // 3, 3), np.nan)])
         else:
             numbers = points[None]
-        self._add_gotos_of_statement(np.full(len(numbers), row), numbers)
+        self._add_gotos(np.full(len(numbers), row), numbers)
 
-    def _add_gotos_of_statement(self, row: Ints, numbers: Array) -> None:
-        """Add moves to points of one statement.
+    def _add_goto(self, row: int, numbers: Array) -> None:
+        """Add the move of a statement that leads to one point.
 
-        :param row: (n,) the row of the statement; `numbers`: (n, 6) see `_add_gotos`.
-        :raises StatementError: without the row that `_add_gotos` names, because all points are in this statement.
+        :param numbers: (3,) x, y, z, or (6,) with i, j, k.
+        :raises StatementError: it cannot be executed.
         """
-        try:
-            self._add_gotos(row, numbers)
-        except StatementError as cause:
-            raise StatementError(*cause.args[:2]) from cause
+        self._add_gotos(np.array([row]), np.append(numbers, np.full(6 - len(numbers), np.nan))[None])
 
     def _read_step(self, row: int, words: list[float | str]) -> None:
         """Read GODLTA: a move by a step from the place of the tool.
@@ -496,11 +516,9 @@ class _Walk:
         :raises StatementError: the position is not known.
         """
         step = numbers_of(words, 3) * self.unit
-        if not self.known:
+        if not self.is_place_known:
             raise StatementError("GODLTA before the position is known", "Write RAPID and a GOTO before it.")
-        self._add_gotos_of_statement(
-            np.array([row]), np.append((self.place + step) / self.unit, np.full(3, np.nan))[None]
-        )
+        self._add_goto(row, (self.place + step) / self.unit)
 
     def _read_start(self, row: int, words: list[float | str]) -> None:
         """Read FROM: a first move to the place, if the position of the tool is unknown.
@@ -509,12 +527,12 @@ class _Walk:
         """
         numbers = numbers_of(words, 3, 6)
         place = numbers[:3] * self.unit
-        if self.known:
+        if self.is_place_known:
             if norm(place - self.place) > NEAR_MM:
                 raise StatementError("FROM at another place than the tool", "Write RAPID and GOTO instead.")
             return
-        self.rapid = True
-        self._add_gotos_of_statement(np.array([row]), np.append(numbers, np.full(6 - len(numbers), np.nan))[None])
+        self.is_next_rapid = True
+        self._add_goto(row, numbers)
 
     def _read_home(self, row: int, words: list[float | str]) -> None:
         """Read GOHOME: retract to clearance_Z, then go to the home position of the cell.
@@ -523,17 +541,17 @@ class _Walk:
         """
         machine = self.cell.machine
         if words:
-            self.rapid = True
-            self._add_gotos_of_statement(np.array([row]), np.append(numbers_of(words, 3), np.full(3, np.nan))[None])
+            self.is_next_rapid = True
+            self._add_goto(row, numbers_of(words, 3))
             return
         if machine.home_joints is None and machine.clearance_Z is None:
             advice = "Give [machine] home or clearance_Z in the cell."
             raise StatementError("GOHOME: where it goes is not known", advice)
-        if self.known and machine.clearance_Z is not None:
+        if self.is_place_known and machine.clearance_Z is not None:
             self._add_retract(row, machine.clearance_Z)
         if machine.home_joints is not None:
-            self._add_move(row, self.place, self.axis, RAPID, 0.0, free=True, home=True)
-            self.known = False
+            self._add_move(row, self.place, self.axis, RAPID, 0.0, is_joint_motion=True, is_to_home=True)
+            self.is_place_known = False
 
     def _read_retract(self, row: int, words: list[float | str]) -> None:
         """Read RETRCT: retract to clearance_Z of the cell.
@@ -544,7 +562,7 @@ class _Walk:
         if words or clearance is None:
             advice = "Give [machine] clearance_Z in the cell, and write RETRCT without values."
             raise StatementError("RETRCT: how high it goes is not known", advice)
-        if self.known:
+        if self.is_place_known:
             self._add_retract(row, clearance)
 
     def _add_retract(self, row: int, clearance: float) -> None:
@@ -567,7 +585,7 @@ class _Walk:
         del row
         if words:
             raise StatementError("RAPID with values", "Write RAPID alone.")
-        self.rapid = True
+        self.is_next_rapid = True
 
     def _read_feed(self, row: int, words: list[float | str]) -> None:
         """Read FEDRAT: the feed, per minute or per turn.
@@ -578,7 +596,7 @@ class _Walk:
         if units == ["INVERS", "OFF"]:
             return
         feed, per_turn = self._feed_of(row, words, "FEDRAT")
-        self.feed, self.per_turn = feed, per_turn
+        self.feed, self.is_feed_per_turn = feed, per_turn
 
     def _feed_of(self, row: int, words: list[float | str], subject: str) -> tuple[float, bool]:
         """Return a feed [mm/min or mm/turn], and whether it is per turn.
@@ -593,7 +611,7 @@ class _Walk:
             raise StatementError(f"{subject} is not understood", f"Give one number and one of {', '.join(factors)}.")
         word = units[0] if units else "PERMIN"
         if word.startswith("I") or word.startswith("F"):
-            self.inches = row if self.inches is None else self.inches
+            self.inch_feed_row = row if self.inch_feed_row is None else self.inch_feed_row
         if not numbers[0] > 0.0:
             raise StatementError(f"{subject} is not above zero", None)
         return numbers[0] * factors[word], word in (*_PER_TURN, "PERREV")
@@ -610,7 +628,7 @@ class _Walk:
         if unit != self.unit and self.course.parts:
             raise StatementError("UNITS change behind a motion", "Write UNITS before all motions.")
         self.unit = unit
-        self.course.stated = True
+        self.course.has_units = True
 
     def _read_multiaxis(self, row: int, words: list[float | str]) -> None:
         """Read MULTAX: whether GOTO has a direction of the tool.
@@ -635,7 +653,7 @@ class _Walk:
         self._set_axis(axis / norm(axis))
 
     def _set_axis(self, axis: Array) -> None:
-        """Set the direction of the moves to come; the tool turns there with the next move."""
+        """Set the direction (`axis`, (3,)) of the moves to come; the tool turns there with the next move."""
         self.axis, self.is_axis_open = axis, False
 
     def _read_circle(self, row: int, words: list[float | str]) -> None:
@@ -648,11 +666,11 @@ class _Walk:
             turns, words = turns_of(words[-1]), words[:-2]
         numbers = numbers_of(words, *((6, 7, 11) if turns == 1 else (11,)))
         if len(numbers) == 6:
-            if not self.known:
+            if not self.is_place_known:
                 raise StatementError(*UNKNOWN_START)
             numbers = np.append(numbers, axis_distance(numbers, self.place / self.unit))
         is_nx = len(numbers) == 11
-        self._set_pending_arc(row, numbers, is_right_hand=not is_nx, several=len(words) == 7, turns=turns - 1)
+        self._set_pending_arc(row, numbers, is_right_hand=not is_nx, may_have_points=len(words) == 7, turns=turns - 1)
 
     def _read_arc(self, row: int, words: list[float | str]) -> None:
         """Read MOVARC: a circle and the angle of the arc on it, whose end the next GOTO states.
@@ -671,11 +689,11 @@ class _Walk:
         :raises StatementError: no arc is possible here.
         """
         circle = circle_of(numbers, self.unit, is_right_hand=is_right_hand)
-        if self.pending is not None or self.cycle is not None:
+        if self.pending_arc is not None or self.cycle is not None:
             raise StatementError("an arc where none is possible", "Write a GOTO for the end of the arc before.")
-        if self.rapid:
+        if self.is_next_rapid:
             raise StatementError("an arc in rapid", ARC_ADVICE)
-        self.pending = PendingArc(row, circle, **properties)
+        self.pending_arc = PendingArc(row, circle, **properties)
 
     def _read_direction(self, row: int, words: list[float | str]) -> None:
         """Read INDIRV: the direction in which the next arc leaves its start.
@@ -683,19 +701,16 @@ class _Walk:
         :raises StatementError: it is no direction.
         """
         del row
-        self.leaving = numbers_of(words, 3)
+        self.leaving_direction = numbers_of(words, 3)
 
     def _read_tangent_arc(self, row: int, code: str) -> None:
         """Read TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…): an arc that leaves along INDIRV.
 
         :raises StatementError: it is not understood, or the arc has a fault.
         """
-        direction, self.leaving = self.leaving, None
-        circle, end = tangent_arc(code, direction, self.place if self.known else None, self.unit)
-        try:
-            self._add_arc(row, PendingArc(row, circle), end, self.axis)
-        except StatementError as cause:
-            raise StatementError(*cause.args[:2]) from cause
+        direction, self.leaving_direction = self.leaving_direction, None
+        circle, end = tangent_arc(code, direction, self.place if self.is_place_known else None, self.unit)
+        self._add_arc(row, PendingArc(row, circle), end, self.axis)
 
     def _read_cycle(self, row: int, values: list[float | str]) -> None:
         """Read CYCLE: begin or end drilling at the points of GOTO.
@@ -712,7 +727,7 @@ class _Walk:
         words = cycle_words(values, (*_PER_MINUTE, *_PER_TURN))
         if words.rates:
             rate, per_turn = self._feed_of(row, list(words.rates), "the feed of the cycle")
-            feed = rate * self.speed if per_turn else rate
+            feed = rate * self.spindle_speed if per_turn else rate
         else:
             feed = self._feed_per_minute(row)
         if not feed > 0.0:
@@ -725,27 +740,29 @@ class _Walk:
         :param words: values behind ``SPINDL/``; without a speed that of the last SPINDL holds.
         :raises StatementError: a word is not supported, or the speed is missing.
         """
-        unknown = {value for value in words if isinstance(value, str)} - _SPINDLE
-        if unknown:
-            raise StatementError(f"SPINDL with {min(unknown)} is not supported", "Give the speed as SPINDL/n,RPM,CLW.")
+        unknown_words = {value for value in words if isinstance(value, str)} - _SPINDLE
+        if unknown_words:
+            raise StatementError(
+                f"SPINDL with {min(unknown_words)} is not supported", "Give the speed as SPINDL/n,RPM,CLW."
+            )
         if "OFF" in words:
             self.spindle = "spindle_off"
             self._add_event(row, "spindle_off")
             return
         numbers = [value for value in words if isinstance(value, float)]
-        if len(numbers) > 1 or (not numbers and not self.speed):
+        if len(numbers) > 1 or (not numbers and not self.spindle_speed):
             raise StatementError("SPINDL without one speed", "Give the speed as SPINDL/n,RPM,CLW.")
-        self.speed = numbers[0] if numbers else self.speed
+        self.spindle_speed = numbers[0] if numbers else self.spindle_speed
         if "CCLW" in words:
             self.spindle = "spindle_ccw"
         elif "CLW" in words or self.spindle == "spindle_off":
             self.spindle = "spindle_on"
-        self._add_event(row, "spindle_ccw" if self.spindle == "spindle_ccw" else "spindle_on", self.speed)
+        self._add_event(row, "spindle_ccw" if self.spindle == "spindle_ccw" else "spindle_on", self.spindle_speed)
 
     def _read_coolant(self, row: int, words: list[float | str]) -> None:
         """Read COOLNT: on, unless its value is OFF."""
-        self.coolant = "OFF" not in words
-        self._add_event(row, "coolant_on" if self.coolant else "coolant_off")
+        self.is_coolant_on = "OFF" not in words
+        self._add_event(row, "coolant_on" if self.is_coolant_on else "coolant_off")
 
     def _read_tool(self, row: int, words: list[float | str]) -> None:
         """Read LOADTL: a tool change, which stops the spindle.
@@ -770,7 +787,7 @@ class _Walk:
             self.course.tools.append(number)
         tool_differs = tools and number != self.tool
         self.tool = number
-        if tool_differs and self.known:
+        if tool_differs and self.is_place_known:
             self._add_move(row, self.place, self.axis, RAPID, 0.0)
 
     def _read_delay(self, row: int, words: list[float | str]) -> None:
@@ -909,13 +926,13 @@ class _Walk:
 
         :raises StatementError: it changes within the program.
         """
-        if self.system is not None and words != self.system:
+        if self.axis_system is not None and words != self.axis_system:
             advice = "Write one file for each MSYS, and give its place as [base] of a cell."
             raise StatementError("MSYS changes within the program", advice)
-        if self.system is None:
+        if self.axis_system is None:
             message = "MSYS: coordinates are those of this system, which is $BASE of the cell."
             self.course.remarks.append(Remark(row, "info", "coordinate-system", message))
-        self.system = words
+        self.axis_system = words
 
     def _read_section_axes(self, row: int, words: list[float | str]) -> None:
         """Read the axes and the origin of a section of Autodesk: its coordinates are in them.
@@ -943,15 +960,20 @@ class _Walk:
     def _read_end(self, row: int, words: list[float | str]) -> None:
         """Read FINI: switch spindle and coolant off."""
         del words
-        self.ended = row
+        self.end_row = row
         if self.spindle != "spindle_off":
             self._add_event(row, "spindle_off")
-        if self.coolant:
+        if self.is_coolant_on:
             self._add_event(row, "coolant_off")
 
-    def _ignore(self, row: int, words: list[float | str]) -> None:
-        """Ignore a statement that has no effect on the motion."""
+    def _read_without_effect(self, row: int, words: list[float | str]) -> None:
+        """Read a statement that has no effect on the motion."""
         del row, words
+
+
+def _fault_of(error: StatementError, row: int) -> Fault:
+    """Return an error as a fault; `row` is that of the statement that is executed."""
+    return Fault(row if error.row is None else error.row, error.problem, error.advice)
 
 
 _SPINDLE = {"RPM", "CLW", "CCLW", "ON", "OFF"}
@@ -979,7 +1001,7 @@ _HANDLERS: Mapping[str, Any] = {
     "CUTTER": _Walk._read_cutter,
     "CSYS": _Walk._read_setup_axes,
     "TRNTYP": _Walk._check_transformation,
-    "SETUP": _Walk._ignore,
+    "SETUP": _Walk._read_without_effect,
     "MULTAX": _Walk._read_multiaxis,
     "TLAXIS": _Walk._read_tool_axis,
     "CIRCLE": _Walk._read_circle,
@@ -1003,7 +1025,7 @@ _HANDLERS: Mapping[str, Any] = {
     "ZERO": _Walk._read_work_offset,
     "END": _Walk._read_end,
     "FINI": _Walk._read_end,
-    "REWIND": _Walk._ignore,
+    "REWIND": _Walk._read_without_effect,
 }
 
 
