@@ -305,11 +305,11 @@ def callers(paths: Sequence[Path]) -> dict[Path, list[Path]]:
         for caller in calling_paths:
             callees[caller].append(path)
     reachable = {path for path in paths if not callers_of[path]}
-    waiting = list(reachable)
-    while waiting:
-        new_paths = set(callees[waiting.pop()]) - reachable
+    unvisited = list(reachable)
+    while unvisited:
+        new_paths = set(callees[unvisited.pop()]) - reachable
         reachable |= new_paths
-        waiting += new_paths
+        unvisited += new_paths
     return {path: calling_paths for path, calling_paths in callers_of.items() if calling_paths and path in reachable}
 
 

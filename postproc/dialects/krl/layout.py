@@ -111,12 +111,14 @@ class Layout(Struct, frozen=True, eq=False):
         """Return the spans of the texts of X … T of n motions (n, 8, 2), or of some of these columns; −1 where missing.
 
         They are offsets in the file of the motion; for array elements (`elements`) in the data list that declares them.
+
+        :param rows: (n,) the motions.
         """
         offsets = self.relative_spans[rows, columns].astype(np.int32)
         return np.where(offsets > 0, offsets + self.target_start[rows, None, None], -1)
 
     def places(self, rows: Ints) -> Places | None:
-        """Return the files and lines of motions (n,); None if all are in the main file."""
+        """Return the files and lines of motions, given by their `rows` (n,); None if all are in the main file."""
         trace = self.course.trace
         if trace.is_file and not self.files:
             return None
@@ -136,5 +138,5 @@ class Layout(Struct, frozen=True, eq=False):
         return self.course.trace.source(self.line.item(row))
 
     def orientation_types(self, rows: Ints) -> NDArray[np.str_]:
-        """Return `$ORI_TYPE` of motions (n,)."""
+        """Return `$ORI_TYPE` (n,) of motions, given by their `rows` (n,)."""
         return np.asarray(np.array(ORIENTATIONS)[self.orientation[rows]])

@@ -174,12 +174,12 @@ def _data_line(data: Source, line: int, word: str) -> DataLine:
     :param word: its first word, upper case.
     """
     start, stop = data.code_span(line)
-    begin, end = int(data.starts[line - 1]), int(data.stops[line - 1])
-    next_start = int(data.starts[line]) if line < len(data.starts) else len(data.text)
     declarations = list(declared_in(data, start, stop)) if word not in DECLARATIONS else []
     names = frozenset(item.name for item in declarations) or _other_declared_names(data.text[start:stop], word)
     is_global = any(item.is_global for item in declarations) or _has_global(data.text, start, stop)
-    text = data.text[begin:next_start] if next_start > end else data.text[begin:end] + "\r\n"  # a last line without end
+    text = data.lines_text(line, line)
+    if not text.endswith(("\r", "\n")):  # the last line of the file
+        text += "\r\n"
     return DataLine(line, text, names, is_global or not names.isdisjoint(CONTROLLER_DATA))
 
 

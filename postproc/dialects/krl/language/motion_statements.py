@@ -9,6 +9,7 @@ motion').
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from msgspec import Struct
 
@@ -123,19 +124,39 @@ def triggers(trace: Trace, rows: Sequence[tuple[int, int, bool]], length: Array)
     """
     for (line, row, is_attached), path_length in zip(rows, length.tolist(), strict=True):
         node = statement(*trace.place(line))
-        if isinstance(node, tree.SplineTiming):
-            yield Trigger(line, row, is_attached, node.from_start, 0.0, None, 0.0, path_length)
-            continue
-        offset = delay = float("nan")
-        from_start, path_span = False, None
-        if isinstance(node, tree.Trigger) and node.value is not None and node.delay is not None:
-            value, delay = _number(node.value), _S_PER_MS * _number(node.delay)
-            from_start = node.from_start or (node.is_distance and value == 0.0)
-            if not node.is_distance:
-                offset, path_span = value * M_PER_MM, (node.value.start, node.value.stop)
-            elif value in (0.0, 1.0):  # DISTANCE=0 is the start of the motion, 1 its end
-                offset = 0.0
-        yield Trigger(line, row, is_attached, from_start, offset, path_span, delay, path_length)
+        switching = _switching_of(node)
+        yield Trigger(
+            line=line,
+            row=row,
+            is_attached=is_attached,
+            from_start=switching.from_start,
+            offset=switching.offset,
+            path_span=switching.path_span,
+            delay=switching.delay,
+            length=path_length,
+        )
+
+
+class _Switching(NamedTuple):
+    """Where and when a trigger switches: the fields of `Trigger` that its statement alone decides."""
+
+    from_start: bool
+    offset: float
+    path_span: tuple[int, int] | None
+    delay: float
+
+
+def _switching_of(node: tree.Statement) -> _Switching:
+    """Return where and when a trigger switches; NaN for what is not a number."""
+    if isinstance(node, tree.SplineTiming):
+        return _Switching(node.from_start, offset=0.0, path_span=None, delay=0.0)
+    if not isinstance(node, tree.Trigger) or node.value is None or node.delay is None:
+        return _Switching(from_start=False, offset=float("nan"), path_span=None, delay=float("nan"))
+    value, delay = _number(node.value), _S_PER_MS * _number(node.delay)
+    if not node.is_distance:
+        return _Switching(node.from_start, value * M_PER_MM, (node.value.start, node.value.stop), delay)
+    is_end_of_motion = value in (0.0, 1.0)  # DISTANCE=0 is the start of the motion, 1 its end
+    return _Switching(node.from_start or value == 0.0, 0.0 if is_end_of_motion else float("nan"), None, delay)
 
 
 def _number(value: Value) -> float:

@@ -242,7 +242,15 @@ def _declaration(code: _Code) -> Statement:
     source, word, start, word_start, stop = code
     names = tuple(declared_in(source, word_start, stop))
     is_constant = bool(names) and key_word(source.text, word_start, names[0].name_start, "CONST") is not None
-    return Declaration(word, start, stop, code.is_global, is_constant, names, structure(source, word_start, stop))
+    return Declaration(
+        word,
+        start,
+        stop,
+        is_global=code.is_global,
+        is_constant=is_constant,
+        names=names,
+        structure=structure(source, word_start, stop),
+    )
 
 
 def _cyclic_input(code: _Code) -> Statement:
@@ -271,7 +279,7 @@ def _import(code: _Code) -> Statement:
     file = text[text.rfind("/", code.word_start, dots) + 1 : dots].strip().upper()
     if name is None or original is None or key_word(text, name.end(), dots, "IS") is None:
         return IdleDeclaration(code.word, code.start, stop)
-    return Import(code.word, code.start, stop, name[0].upper(), original[0].upper(), file)
+    return Import(code.word, code.start, stop, name=name[0].upper(), original=original[0].upper(), file=file)
 
 
 # --- what moves and what follows it ----------------------------------------------------------------------------------
@@ -448,9 +456,15 @@ def _event(code: _Code) -> Statement:
     action = None if do is None else statement_in(source, after_blanks(source.text, do.stop, stop), stop)
     if word == "TRIGGER":
         return _trigger(code, head, action)
-    is_declaration = after_word(source.text, code.word_stop, stop, "DECL") >= 0
-    unparsed_code = _unparsed_code(source, head.start, head.stop)
-    return Event(word, start, stop, code.is_global, is_declaration, action, code=unparsed_code)
+    return Event(
+        word,
+        start,
+        stop,
+        is_global=code.is_global,
+        is_declaration=after_word(source.text, code.word_stop, stop, "DECL") >= 0,
+        action=action,
+        code=_unparsed_code(source, head.start, head.stop),
+    )
 
 
 def _trigger(code: _Code, head: Span, action: Statement | None) -> Trigger:
@@ -506,7 +520,8 @@ def _if(code: _Code) -> Statement:
     head = _stripped_span(text, begin, stop if then_word is None else then_word.start)
     extra_text = "" if then_word is None else text[then_word.stop : stop].strip()
     condition = value_in(code.source, head.start, head.stop) if head.start < head.stop else None
-    return If(code.word, code.start, stop, condition, then_word is not None, extra_text)
+    has_then = then_word is not None
+    return If(code.word, code.start, stop, condition=condition, has_then=has_then, extra_text=extra_text)
 
 
 def _while(code: _Code) -> Statement:
@@ -552,8 +567,16 @@ def _for(code: _Code) -> Statement:
             error = source.error("FOR is not understood", code.start, _FOR_ADVICE) if bounds is None else None
     except ProgramError as cause:
         error = cause
-    unparsed_code = _unparsed_code(source, begin, stop) if bounds is None else None
-    return For(code.word, code.start, stop, name, counter, bounds, error, code=unparsed_code)
+    return For(
+        code.word,
+        code.start,
+        stop,
+        name=name,
+        counter=counter,
+        bounds=bounds,
+        error=error,
+        code=_unparsed_code(source, begin, stop) if bounds is None else None,
+    )
 
 
 def _bounds(source: Source, start: int, stop: int) -> Bounds | None:

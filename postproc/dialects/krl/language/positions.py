@@ -140,6 +140,7 @@ def _component_error(aggregate: Aggregate, name: str, components: frozenset[str]
 def _status_or_turn(aggregate: Aggregate, name: str, value: float | None, highest: int) -> int:
     """Return S or T of a position; −1 if it is not given.
 
+    :param name: ``S`` or ``T``; `value` is its number, None if it is not given.
     :param highest: largest number that its bits can hold.
     :raises ProgramError: it is not an integer from 0 to `highest`.
     """

@@ -68,9 +68,9 @@ class Source(Struct, frozen=True, eq=False):
         """Return the 1-based line that holds an offset."""
         return int(np.searchsorted(self.starts, offset, side="right"))
 
-    def line_at_each(self, offset: Ints) -> Ints:
-        """Return the 1-based lines that hold offsets (n,)."""
-        return np.searchsorted(self.starts, offset, side="right")
+    def line_at_each(self, offsets: Ints) -> Ints:
+        """Return the 1-based lines (n,) that hold each of `offsets` (n,)."""
+        return np.searchsorted(self.starts, offsets, side="right")
 
     def code_span(self, line: int) -> tuple[int, int]:
         """Return the span of the code of a 1-based line, without its comment and the blanks around it.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from itertools import islice
 
 import numpy as np
@@ -13,7 +13,8 @@ from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import word_at, words_in
 from postproc.dialects.krl.language.trace import Trace
-from postproc.dialects.krl.language.tree import BareWord, If, Statement
+from postproc.dialects.krl.language.tree import BareWord, For, If, Statement
+from postproc.dialects.krl.language.values import Reference, walk
 from postproc.errors import MAX_ERRORS, ProgramError, combined_error
 from postproc.program import Bools, Ints
 
@@ -167,6 +168,20 @@ def is_outside(source: Source | Trace, lines: Sequence[int], line_numbers: Ints)
             depth -= 1
             end_lines += [] if depth else [line]
     return np.asarray(np.searchsorted(begin_lines, line_numbers) == np.searchsorted(end_lines, line_numbers))
+
+
+def simple_head(source: Source, block: Block) -> For | None:
+    """Return the head of a FOR that counts in a whole variable; None for another loop, or if it cannot be read."""
+    head = statement(source, block.first)
+    if not isinstance(head, For) or head.bounds is None or head.counter is None:
+        return None
+    return head if head.counter.indices is None and head.counter.field is None else None
+
+
+def bounds_name(head: For, names: Set[str]) -> bool:
+    """Return whether the bounds or the step of a FOR name one of some variables, upper case."""
+    values = walk(bound for bound in head.bounds or () if bound is not None)
+    return any(isinstance(value, Reference) and value.name in names for value in values)
 
 
 def checked_nodes(source: Source, nodes: tuple[Node, ...]) -> tuple[Node, ...]:

@@ -68,7 +68,7 @@ class Circles(Struct, frozen=True, eq=False):
     arcs: Arcs
 
     def take(self, indices: Ints) -> Circles:
-        """Return some of the circles."""
+        """Return some of the circles, given by their `indices` (k,)."""
         arcs = Arcs(*(column[indices] for column in self.arcs))
         return Circles(self.rows[indices], self.start[indices], self.end[indices], self.via[indices], arcs)
 
@@ -171,29 +171,32 @@ def _turns_otherwise(circles: Circles, via_angles: Array, turns_with_path: Bools
     )
 
 
-def _is_longer_way_closer(first: Array, short: Array, via: Array) -> Bools:
+def _is_longer_way_closer(start: Array, shorter_rotation: Array, via: Array) -> Bools:
     """Return where the longer way round (n,) comes as close to an orientation as the shorter, or closer.
 
     Turned from R₀ by φ about k, the tool differs from R_v by an angle whose cosine is a + ρ·cos(φ − φ₀). So the φ of a
     way that is nearest to φ₀ is where it comes closest.
 
-    :param first: R₀ (n, 3, 3).
-    :param short: shorter rotation (n, 3) [rad], about k.
-    :param via: R_v (n, 3, 3).
+    :param start: orientations R₀ (n, 3, 3).
+    :param shorter_rotation: rotation vectors (n, 3) [rad] of the shorter way, about k.
+    :param via: orientations R_v (n, 3, 3).
     """
-    size = norm(short)
-    axis = short / np.maximum(size, _NO_TURN)[:, None]
-    via_rotation = via @ np.swapaxes(first, 1, 2)
+    size = norm(shorter_rotation)
+    axis = shorter_rotation / np.maximum(size, _NO_TURN)[:, None]
+    # φ₀: with Q = R_v·R₀ᵀ, ρ·cos φ₀ is tr Q − kᵀ·Q·k, and ρ·sin φ₀ is −tr(k̂·Q)
+    via_rotation = via @ np.swapaxes(start, 1, 2)
     cosine = np.trace(via_rotation, axis1=1, axis2=2) - np.einsum("ni,nij,nj->n", axis, via_rotation, axis)
     sine = -np.einsum("nij,nji->n", hat(axis), via_rotation)
-    nearest = np.arctan2(sine, cosine)
+    nearest_turn = np.arctan2(sine, cosine)
 
-    def angle(middle: Array, half: Array) -> Array:
-        """Return the smallest angle (n,) [rad] to R_v of the rotations by middle − half … middle + half about k."""
-        rotation = middle + np.clip((nearest - middle + np.pi) % (2.0 * np.pi) - np.pi, -half, half)
-        return angle_between(rotation_from_vector(rotation[:, None] * axis) @ first, via)
+    def smallest_angle(middle: Array, half: Array) -> Array:
+        """Return the smallest angle (n,) [rad] to R_v of the turns by middle − half … middle + half about k."""
+        from_middle = (nearest_turn - middle + np.pi) % (2.0 * np.pi) - np.pi
+        turn = middle + np.clip(from_middle, -half, half)
+        return angle_between(rotation_from_vector(turn[:, None] * axis) @ start, via)
 
-    shorter_angle, longer_angle = angle(0.5 * size, 0.5 * size), angle(0.5 * size + np.pi, np.pi - 0.5 * size)
+    shorter_angle = smallest_angle(0.5 * size, 0.5 * size)  # turns by 0 … size
+    longer_angle = smallest_angle(0.5 * size + np.pi, np.pi - 0.5 * size)  # turns by size … 2π
     return (shorter_angle > _ON_THE_WAY) & (shorter_angle > longer_angle - _ON_THE_WAY) & (size >= _NO_TURN)
 
 

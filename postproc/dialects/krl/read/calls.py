@@ -72,7 +72,8 @@ class Calls:
         That is the expression itself, in its row of the trace, or the text of a copied point. Other text belongs to
         another variable, so that the value counts as computed.
 
-        :param is_copied: see `evaluate_with_calls`.
+        :param value: of the expression.
+        :param is_copied: True if a point that it names keeps the text of its numbers.
         """
         if isinstance(expression, Aggregate) and self.run.is_traced:
             return value if value.is_computed else self.run.with_row(value)
@@ -204,7 +205,7 @@ class Calls:
         for variable, write_place in effects.writes.items():
             if variable in RELEVANT:
                 problem = f"{name} may change {variable} ({write_place})"
-                fields = fields_of(variable) if variable in FIELDS else ["base", "tool"]
+                fields = fields_of(variable) if variable in FIELDS else ["base", "tool"]  # as for $ROBROOT
                 self.run.settings.make_uncertain(self.run.row, fields, place.error(problem, SETTING_ADVICE))
             else:
                 self.run.variables.forget(variable, str(write_place))
@@ -245,7 +246,9 @@ class Calls:
         cause = run.obstacles.get(routine, default_cause)
         reason = place.error(f"{problem}: where the next motion begins is not known", _JOINTS_ADVICE)
         name = call.spelling(place.source)
-        run.untraced_calls.append(UntracedCall(run.row, reason, name, module, routine, cause))
+        run.untraced_calls.append(
+            UntracedCall(row=run.row, reason=reason, name=name, module=module, routine=routine, cause=cause)
+        )
         self._warn_of_untraced_call(name, call.name, cause, motion_place, dependent_place)
 
     def _warn_of_untraced_call(

@@ -37,14 +37,14 @@ def notes_of(
     course: Course,
     motions: Ints,
     rapid: Bools,
-    unknown: Mapping[int, str],
+    unknown_reasons: Mapping[int, str],
     unchecked_joins: Set[Join] = frozenset(),
 ) -> list[tuple[int, ForceNote]]:
     """Return the force comments of a trace, by its lines; the acting force is stated again at branches and joins.
 
     :param motions: (M,) lines of the motions in the trace.
     :param rapid: (M,) True for motions that carry no force.
-    :param unknown: lines of the trace after which the acting force is not known, and why.
+    :param unknown_reasons: lines of the trace after which the acting force is not known, and why.
     :param unchecked_joins: joins at which branches may end in different poses.
     :raises ProgramError: the force on a motion is not known.
     :raises ForceError: a comment cannot be read.
@@ -52,9 +52,9 @@ def notes_of(
     trace = course.trace
     lines, comments = _force_comments(course)
     if course.may_run is not None:
-        live = course.may_run[lines - 1]
-        lines, comments = lines[live], comments[live]
-    unknown_reasons = dict(unknown)
+        is_run = course.may_run[lines - 1]
+        lines, comments = lines[is_run], comments[is_run]
+    unknown_reasons = dict(unknown_reasons)
     for step in course.steps:
         if isinstance(step, UnresolvedStructure):
             in_step = (lines >= step.first) & (lines <= step.last)
@@ -104,7 +104,11 @@ class _ActiveForce:
     """
 
     def __init__(self, course: Course, motions: Ints, rapid: Bools, unchecked_joins: Set[Join]) -> None:
-        """Begin before the first line, without a force; `since` is the last line whose motions have been passed."""
+        """Begin before the first line, without a force; `since` is the last line whose motions have been passed.
+
+        :param motions: (M,) lines of the motions in the trace; `rapid` (M,) True for those that carry no force.
+        :param unchecked_joins: joins at which branches may end in different poses.
+        """
         self.course, self.motions, self.rapid, self.unchecked_joins = course, motions, rapid, unchecked_joins
         self.notes: list[tuple[int, ForceNote]] = []
         self.now: _Force = None
@@ -171,7 +175,10 @@ class _ActiveForce:
         self._set_force(line, ends[0].now if is_common else "branches that meet before it leave different ones")
 
     def _set_force(self, line: int, force: _Force) -> None:
-        """Make a force the acting one from a line on, and add a comment that states it."""
+        """Make a force the acting one from a line of the trace on, and add a comment to `notes` that states it.
+
+        :param force: a comment; None: no force; a text: why it is not known, which no comment can state.
+        """
         self.now = force
         if isinstance(force, str) or (force is None and not self.notes):
             return
@@ -205,7 +212,10 @@ def _certainly_differ(force: tuple[Any, ...], other_force: tuple[Any, ...]) -> b
 
 
 def _turns_with_path(wrench: Sequence[float], frame: str) -> bool:
-    """Return whether a force turns with the direction of travel: it acts along or across the feed."""
+    """Return whether a force turns with the direction of travel: it acts along or across the feed.
+
+    :param wrench: (6,) force [N] and torque [N·m]; `frame` is the name of its axes.
+    """
     return frame == "FEED" and any((*wrench[:2], *wrench[3:5]))
 
 

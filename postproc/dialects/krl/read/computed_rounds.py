@@ -18,18 +18,11 @@ from postproc.dialects.krl.language.names import CIRCLES
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import CARTESIAN, LARGEST_COORDINATE, Position, position_from_aggregate
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.structures import Block
+from postproc.dialects.krl.language.structures import Block, bounds_name, simple_head
 from postproc.dialects.krl.language.tree import Assignment, For, Motion
 from postproc.dialects.krl.language.values import Aggregate, Call, Number, Operation, Reference, Value
 from postproc.dialects.krl.read import plain_settings
-from postproc.dialects.krl.read.motion_reader import KINDS, MotionReader
-from postproc.dialects.krl.read.plain_rounds import (
-    bounds_name,
-    has_plain_tail,
-    may_be_columns,
-    may_be_point_name,
-    simple_head,
-)
+from postproc.dialects.krl.read.motion_reader import KINDS, MotionReader, has_plain_tail, may_be_point_name
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.dialects.krl.read.variables import FUNCTIONS, convert_to_type, operation_result
@@ -306,7 +299,7 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
     :returns: None if the motions are not known.
     """
     head = statement(rounds.source, rounds.head)
-    if not isinstance(head, For) or not may_be_columns(run):
+    if not isinstance(head, For) or not run.may_take_rounds_at_once:
         return None
     motions: list[list[MotionStatement]] = []  # of each statement, one for each round
     targets: list[Value] = []

@@ -114,7 +114,7 @@ def _apply_bitwise(terms: list[Term], operators: list[str]) -> bool:
 
 
 def _logic_value(operator: str, left: Term, right: Term) -> bool | None:
-    """Return the value of AND, OR or EXOR; None if it depends on a term that is not known."""
+    """Return the value of AND, OR or EXOR (`operator`) of two terms; None if it depends on one that is not known."""
     operands = [side for side in (left, right) if isinstance(side, bool)]
     if operator == "AND":
         return False if False in operands else True if len(operands) == 2 else None
@@ -131,7 +131,7 @@ def as_term(value: VariableValue) -> Term:
 
 
 def _comparison_holds(operator: str, left: Term, right: Term) -> bool | None:
-    """Return whether a comparison holds; None where it is not known, or its terms cannot be compared."""
+    """Return whether a comparison such as ``left >= right`` holds; None if it is not known, or makes no sense."""
     if isinstance(left, Number) and isinstance(right, Number):
         return _number_comparison_holds(operator, left, right)
     if left is None or right is None or operator not in ("==", "<>") or type(left) is not type(right):

@@ -231,9 +231,10 @@ class Analysis:
         :param scope: scope of the routine.
         """
         direct, total = _DirectEffects(has_actions=True), Effects()
-        _Statement(
-            self, module, routine, place, direct.action_effects, direct.action_callees, scope
-        ).note_event_effects(event)
+        action = _Statement(
+            self, module, routine, place, direct.action_effects, direct.action_callees, running_scope=scope
+        )
+        action.note_event_effects(event)
         self._add_action_effects(total, direct)
         return total
 
@@ -251,16 +252,16 @@ class Analysis:
 
     def _reachable(self, first: list[Callee]) -> Iterator[Callee]:
         """Yield routines and all routines that they may call, also by interrupts and triggers; each once."""
-        waiting = list(first)
-        queued_routines = {routine for _, routine in waiting}
-        while waiting:
-            node = waiting.pop()
+        unvisited = list(first)
+        queued_routines = {routine for _, routine in unvisited}
+        while unvisited:
+            node = unvisited.pop()
             yield node
             direct = self._direct_effects(*node)
             for callee in (*direct.callees, *direct.action_callees):
                 if callee.routine not in queued_routines:
                     queued_routines.add(callee.routine)
-                    waiting.append(callee)
+                    unvisited.append(callee)
 
     def _direct_effects(self, module: Module, routine: Routine) -> _DirectEffects:
         """Return the effects of the statements of a routine, without those of called routines; the result is stored."""

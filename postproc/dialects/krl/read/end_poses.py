@@ -388,8 +388,15 @@ def end_poses(
         np.abs(programmed_angles - numbers[keeps_orientation, 3:]) > _ANGLE_TOLERANCE
     )
     _check_ignored(targets, is_incomplete, is_ignored)
-    joints = Runs.from_rows(numbers.shape, follower.joints)
-    return EndPoses(numbers, pose, joints, start, follower.starts_from_joints, is_ignored, follower.circles)
+    return EndPoses(
+        numbers=numbers,
+        pose=pose,
+        joints=Runs.from_rows(numbers.shape, follower.joints),
+        start=start,
+        starts_from_joints=follower.starts_from_joints,
+        ignores_orientation=is_ignored,
+        circles=follower.circles,
+    )
 
 
 def _special_rows(targets: TextTargets) -> list[int]:
@@ -434,8 +441,9 @@ def _check_ignored(targets: TextTargets, is_incomplete: Bools, is_ignored: Bools
 
 
 def circle_geometry(trace: Trace, line: Ints, start: Array, via: Array, end: Array) -> Arcs:
-    """Return the arcs through three points each, (n, 3) [m] in `$BASE`.
+    """Return the arcs through three points each, in `$BASE`.
 
+    :param start: (n, 3) [m]; `via` (n, 3) a point between, and `end` (n, 3) likewise.
     :param line: (n,) their rows in the trace, from 1, for messages.
     :raises ProgramError: the three points lie on a straight line, or two of them coincide.
     """
@@ -462,6 +470,6 @@ def rotated_point(start: Array, centre: Array, axis: Array, angle: float) -> Arr
 
 
 def same_orientation(r1: Array, r2: Array) -> Bools:
-    """Return where orientations (..., 3, 3) differ by less than `_UNCHANGED` (...)."""
+    """Return where orientations `r1` and `r2` (..., 3, 3) differ by less than `_UNCHANGED` (...)."""
     trace = np.einsum("...ij,...ij->...", r1, r2)  # of r1ᵀ·r2: 1 + 2·cos of the angle between them
     return np.asarray(trace > 1.0 + 2.0 * np.cos(_UNCHANGED))

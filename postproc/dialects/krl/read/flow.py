@@ -397,12 +397,15 @@ class Flow:
             self.follow_roughly(source, block)
 
     def follow_roughly(self, source: Source, block: Block) -> None:
-        """Mark all variables that a control structure may write as unknown, for any number of iterations."""
+        """Mark all variables that a control structure may write as unknown, for any number of iterations.
+
+        A loop is followed a second time, with the values that its own statements leave.
+        """
         lines = list(block.lines())
         self._add_to_count(len(lines))
-        marks = self.run.finding_counts()
-        for _ in range(1 + (block.word in LOOPS)):  # once more with the values that its own statements leave
-            self.run.drop_findings(marks)
+        counts = self.run.finding_counts()
+        for _ in range(2 if block.word in LOOPS else 1):
+            self.run.drop_findings(counts)
             for line in lines:
                 if self.run.level.is_traced:
                     self._come_to(line)
@@ -602,8 +605,9 @@ class Flow:
         self._add_to_count(len(block.parts) // _CASES)
         if block not in self._cases:
             self._cases[block] = constant_cases([statement(source, part.head) for part in block.parts[1:]])
-        if isinstance(selector, Number) and selector.is_integer and (table := self._cases[block]) is not None:
-            return 1 + table.get(selector.value, table[None])
+        table = self._cases[block]
+        if isinstance(selector, Number) and selector.is_integer and table is not None:
+            return 1 + table.get(selector.value, table[None])  # part 0 precedes the first CASE; the table begins there
         return self._chosen_case(source, block, selector)
 
     def _chosen_case(self, source: Source, block: Block, selector: VariableValue) -> int:
@@ -835,8 +839,16 @@ class Flow:
         if body.is_computed and rounds < FEWEST_ROUNDS:
             return
         self._traced += statement_count
-        length, first = block.last - block.first, recorder.count + 1
-        plain_rounds = PlainRounds(begin, counter.step, first, rounds, length, source, block.first, body)
+        plain_rounds = PlainRounds(
+            begin=begin,
+            step=counter.step,
+            first=recorder.count + 1,
+            count=rounds,
+            length=block.last - block.first,  # the assignment to the counter, and the lines between head and ENDFOR
+            source=source,
+            head=block.first,
+            body=body,
+        )
         recorder.record_plain_rounds(loop, block, plain_rounds)
         for line in body.triggers:  # what they write may change at any time from now on
             self._follow_noting_errors(Place(source, line), statement(source, line))

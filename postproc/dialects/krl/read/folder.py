@@ -77,15 +77,15 @@ class FolderFiles:
 
     def called_code(self, code: str) -> Iterator[str]:
         """Yield code without comments, and that of all files that it calls, directly or not."""
-        waiting, visited_paths = [code], set[Path]()
-        while waiting:
-            code = scan.without_comments(waiting.pop())
+        unread_texts, visited_paths = [code], set[Path]()
+        while unread_texts:
+            code = scan.without_comments(unread_texts.pop())
             yield code
             new_paths = sorted(self.called_files(code) - visited_paths)
             visited_paths.update(new_paths)
             for path in new_paths:
                 with suppress(ProgramError):  # what calls it says so
-                    waiting.append(self.source(path).text)
+                    unread_texts.append(self.source(path).text)
 
     def source(self, path: Path) -> Source:
         """Return a file with its lines.

@@ -193,5 +193,5 @@ def _missing_components(position: Position) -> str:
 
 
 def out_of_reach_error(place: Place, number: float) -> ProgramError:
-    """Return the error for a coordinate beyond `LARGEST_COORDINATE`."""
+    """Return the error for a coordinate beyond `LARGEST_COORDINATE`; `number` is that coordinate [mm or deg]."""
     return place.error(f"{number:g} is out of any robot's reach", "Coordinates are in mm and degrees.")

@@ -95,7 +95,7 @@ class _Successors:
         next_step = self.steps[number + 1] if number + 1 < len(self.steps) else None
         row = int(np.searchsorted(lines, step.row, side="right"))
         if row < len(lines) and (next_step is None or lines[row] <= next_step.row):
-            return _is_ptp_to_joints(self._ordered, row)
+            return is_ptp_to_joints(self._ordered, row)
         if next_step is None:
             return self._next_round_leads_to_joints()
         if isinstance(next_step, Fork):
@@ -136,10 +136,10 @@ class _Successors:
             return True
         row = int(np.searchsorted(lines, loop.first))
         is_before_branches = row < len(lines) and not any(loop.first <= step.row < lines[row] for step in self.steps)
-        return is_before_branches and _is_ptp_to_joints(self._ordered, row)
+        return is_before_branches and is_ptp_to_joints(self._ordered, row)
 
 
-def _is_ptp_to_joints(sequence: OrderedMotions, row: int) -> bool:
+def is_ptp_to_joints(sequence: OrderedMotions, row: int) -> bool:
     """Return whether a motion is an absolute PTP to six joint angles, which ends in one pose wherever it starts."""
     move = sequence.moves.get(row)
     return move is not None and not move.relative_axes and move.end.position.is_axis and move.end.position.is_complete
@@ -149,9 +149,11 @@ def _first_ambiguous_ptp(sequence: OrderedMotions, rows: slice) -> int:
     """Return the first PTP among some motions whose joint angles depend on those before it; −1 if there is none.
 
     That is a PTP to a Cartesian target without status or turn.
+
+    :param rows: the motions, which follow each other.
     """
     for row in (rows.start + np.flatnonzero(sequence.rows.kind[rows] == PTP)).tolist():
-        if not _is_ptp_to_joints(sequence, row) and (sequence.rows.posture[row] < 0).any():
+        if not is_ptp_to_joints(sequence, row) and (sequence.rows.posture[row] < 0).any():
             return int(row)
     return -1
 
@@ -229,6 +231,7 @@ def _branch_predecessors(
 
     Behind a join the one before is the first of the last motions of its branches.
 
+    :param steps: forks, branches and joins of the trace, in order.
     :param line: (M,) lines of the trace with the motions.
     :param predecessors: (M,) predecessors if branches ran one after the other; None: the motion before.
     """
@@ -535,7 +538,7 @@ def endless_rounds(
         path.start_flange,
         all_predecessors,
     )
-    return EndlessRounds(loop, first, stop, motions, start, layout.carriage)
+    return EndlessRounds(loop, first, stop, motions=motions, start=start, carriage=layout.carriage)
 
 
 def check_force(course: Course, loop: UnrolledLoop, line: Ints, notes: Sequence[tuple[int, ForceNote]]) -> None:

@@ -391,6 +391,7 @@ class MainRoutine:
     def _follow_lines(self, lines: Ints, rounds: PlainRounds | None = None) -> None:
         """Run those of some rows of the trace that are not read in bulk.
 
+        :param lines: (n,) the rows, in order.
         :param rounds: the plain rounds that contain them, whose counter they set; None outside of such rounds.
         """
         for line in _rows_with_code(self.run.trace, lines[self._others[lines - 1]]):

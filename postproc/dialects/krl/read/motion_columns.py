@@ -158,7 +158,7 @@ def _via_points_of(moves: Sequence[MotionStatement]) -> ViaPoints:
 
 
 def compact_if_missing(column: Array) -> Array:
-    """Return a copy of a column; one that is NaN throughout becomes a read-only one that takes no memory."""
+    """Return a copy of a column (n, …); one that is NaN throughout becomes a read-only one that takes no memory."""
     return np.broadcast_to(np.nan, column.shape) if np.isnan(column).all() else column.copy()
 
 

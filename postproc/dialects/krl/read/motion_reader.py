@@ -8,7 +8,7 @@ from typing import NamedTuple
 from msgspec.structs import replace
 
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
-from postproc.dialects.krl.language.names import CIRCLES
+from postproc.dialects.krl.language.names import CIRCLES, MAX_LENGTH
 from postproc.dialects.krl.language.positions import AXES, CARTESIAN, LARGEST_COORDINATE, NotANumberError, Position
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.tree import Assignment, Motion, Spline, Statement, Tail
@@ -74,6 +74,17 @@ def reads_robot_position(stmt: Statement) -> bool:
         return any(isinstance(value, Reference) and value.name in ROBOT_POSITIONS for value in walk(stmt.values))
     except ProgramError:
         return False
+
+
+def has_plain_tail(motion: Motion) -> bool:
+    """Return whether nothing but approximation follows the points of a motion."""
+    tail = motion.tail
+    return not tail.assignments and tail.unknown_text is None and tail.error is None
+
+
+def may_be_point_name(name: str) -> bool:
+    """Return whether a name, upper case, may be that of a point of the program: the controller accepts it."""
+    return name not in ROBOT_POSITIONS and len(name) <= MAX_LENGTH
 
 
 class MotionReading(NamedTuple):

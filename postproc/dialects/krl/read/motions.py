@@ -224,12 +224,24 @@ def _text_targets(
     relative_rows = np.array([row for row, move in moves.items() if move.relative_axes], dtype=np.int64)
     uses_root = np.ones(len(rows), dtype=np.bool_)
     uses_root[[row for row, move in moves.items() if move.end.position.is_axis]] = False
-    issues, carriage = external_axes(trace, rows, relative_rows, uses_root, settings.cell.carriage, predecessors)
+    issues, carriage = external_axes(
+        trace, rows, relative_rows, uses_root, direction=settings.cell.carriage, predecessors=predecessors
+    )
     control = _orientation_control(trace, rows, in_force)
     is_missing = np.isnan(rows.numbers)
     is_missing[~uses_root] = False
     is_missing[relative_rows] = False
-    return TextTargets(trace, rows.line, rows.numbers, frames, moves, control, carriage, is_missing), issues
+    targets = TextTargets(
+        trace=trace,
+        line=rows.line,
+        numbers=rows.numbers,
+        frames=frames,
+        statements=moves,
+        control=control,
+        carriage=carriage,
+        is_missing=is_missing,
+    )
+    return targets, issues
 
 
 class _Path(NamedTuple):
@@ -626,6 +638,7 @@ def _circles(trace: Trace, rows: MotionColumns, circle_rows: Ints, ends: EndPose
 def _programmed_angles(moves: Mapping[int, MotionStatement], circle_rows: Ints, count: int) -> Array:
     """Return CA (n,) [rad] of n circles; NaN without it.
 
+    :param circle_rows: (n,) rows of the circles.
     :param count: number of motions of the program.
     """
     angles = np.full(count, np.nan)
@@ -710,9 +723,12 @@ def _speed_blending_issues(trace: Trace, rows: MotionColumns) -> list[Issue]:
     return [Issue("info", "blending-by-speed", message, int(line[0]), count=len(speed_rows), lines=lines)]
 
 
-def _wrist_led_issues(motions: Motions, by_wrist: Bools) -> list[Issue]:
-    """Return the warning on lines on which the wrist axes turn the tool; none if there are none."""
-    wrist_rows = np.flatnonzero(by_wrist)
+def _wrist_led_issues(motions: Motions, is_wrist_led: Bools) -> list[Issue]:
+    """Return the warning on lines on which the wrist axes turn the tool; none if there are none.
+
+    :param is_wrist_led: (M,) True for these lines.
+    """
+    wrist_rows = np.flatnonzero(is_wrist_led)
     if not len(wrist_rows):
         return []
     message = (

@@ -44,8 +44,8 @@ def changed_data_issues(
     if not change_places:
         return
     cell, library, routine = main.run.settings.cell, main.run.library, main.run.routine
-    first_left = main.run.settings.variables
-    start = Start(library, routine, main.run.obstacles, first_left.next_run(), cell, start_joints)
+    variables = main.run.settings.variables.next_run()
+    start = Start(library, routine, main.run.obstacles, variables=variables, cell=cell, joints=start_joints)
     try:
         course, collected = course_of(start)
         line = _first_differing_row(main.course, course)

@@ -332,12 +332,12 @@ def _parsed_numbers(digits: Bytes) -> Array:
 
 
 def _characters_before(raw: Bytes, position: Ints) -> Ints:
-    """Return the codes of the characters before n offsets (n,), blanks skipped."""
+    """Return the codes (n,) of the characters before offsets of a text (`position`, (n,)), blanks skipped."""
     return raw[_skip_blanks(raw, position - 1, -1)].astype(np.int64)
 
 
 def _skip_blanks(raw: Bytes, position: Ints, step: int) -> Ints:
-    """Return for each of n offsets (n,) the next one without a blank, in the direction of `step` (1 or −1)."""
+    """Return for each offset of a text (`position`, (n,)) the next one without a blank; `step`: 1 forward, −1 back."""
     is_blank = _BLANK[raw[position]]
     while is_blank.any():
         position = position + (step * is_blank if not is_blank.all() else step)

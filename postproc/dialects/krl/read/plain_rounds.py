@@ -7,7 +7,7 @@ Other loops are followed round by round (`main_routine`), and so could these be.
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -19,13 +19,13 @@ from postproc.dialects.krl.language.names import CIRCLES, MAX_LENGTH
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import LARGEST_COORDINATE
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.structures import Block
+from postproc.dialects.krl.language.structures import Block, bounds_name, simple_head
 from postproc.dialects.krl.language.tree import Assignment, For, Motion, Statement, Trigger
-from postproc.dialects.krl.language.values import Number, Operation, Reference, Value, walk
+from postproc.dialects.krl.language.values import Number, Operation, Reference, Value
 from postproc.dialects.krl.layout import Offsets
 from postproc.dialects.krl.read import plain_lines, plain_settings
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged_motions
-from postproc.dialects.krl.read.motion_reader import KINDS, ROBOT_POSITIONS, MotionReader
+from postproc.dialects.krl.read.motion_reader import KINDS, MotionReader, has_plain_tail, may_be_point_name
 from postproc.dialects.krl.read.path_settings import FASTEST
 from postproc.dialects.krl.read.plain_settings import NUMBERS, PlainSettings
 from postproc.dialects.krl.read.run import Run
@@ -68,30 +68,6 @@ def plain_body(source: Source, block: Block) -> PlainBody | None:
     return PlainBody((*motions,), (*settings,), (*triggers,)) if motions else None
 
 
-def simple_head(source: Source, block: Block) -> For | None:
-    """Return the head of a FOR that counts in a whole variable; None for another loop, or if it cannot be read."""
-    head = statement(source, block.first)
-    if not isinstance(head, For) or head.bounds is None or head.counter is None:
-        return None
-    return head if head.counter.indices is None and head.counter.field is None else None
-
-
-def bounds_name(head: For, names: Set[str]) -> bool:
-    """Return whether the bounds or the step of a FOR name one of some variables, upper case."""
-    values = walk(bound for bound in head.bounds or () if bound is not None)
-    return any(isinstance(value, Reference) and value.name in names for value in values)
-
-
-def may_be_columns(run: Run) -> bool:
-    """Return whether the motions of the next rounds may be read at once.
-
-    Their frames and other settings must be known, they must run for certain, and be outside of a spline block.
-    """
-    state = run.settings.state
-    has_frames = state.base >= 0 and state.tool >= 0  # negative: not known
-    return has_frames and not state.uncertain_fields and not state.spline_block and run.is_certain
-
-
 def _sets_from_array(stmt: Statement, counter: str) -> bool:
     """Return whether a statement sets a speed or an approximation distance to an array element: ``$VEL.CP=V[I]``.
 
@@ -126,17 +102,6 @@ def _is_motion_to_element(stmt: Statement, counter: str) -> bool:
     if not isinstance(end, Reference) or end.field is not None or not may_be_point_name(end.name):
         return False
     return _counter_offset(end, counter) is not None
-
-
-def has_plain_tail(motion: Motion) -> bool:
-    """Return whether nothing but approximation follows the points of a motion."""
-    tail = motion.tail
-    return not tail.assignments and tail.unknown_text is None and tail.error is None
-
-
-def may_be_point_name(name: str) -> bool:
-    """Return whether a name, upper case, may be that of a point of the program: the controller accepts it."""
-    return name not in ROBOT_POSITIONS and len(name) <= MAX_LENGTH
 
 
 def _counter_offset(point: Reference, counter: str) -> int | None:
@@ -180,7 +145,7 @@ def columns_of(
     :param run: the program as far as it has run, before the first round.
     :returns: the motions of each statement, and the settings; None if the rounds must be followed one by one.
     """
-    if not may_be_columns(run):
+    if not run.may_take_rounds_at_once:
         return None
     motions = []
     for line in rounds.body.motions:

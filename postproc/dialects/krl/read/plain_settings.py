@@ -155,6 +155,8 @@ class PlainAssignments:
     def values_at(self, row: int, line: Ints, change_lines: Ints, state_values: Array) -> Array:
         """Return the values of one of the `NUMBERS` on n lines (n,).
 
+        :param row: its place in `NUMBERS`.
+        :param line: (n,) the lines.
         :param change_lines: (n,) lines at which the states in force were created; later plain assignments replace their
             values.
         :param state_values: (n,) values in these states.

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from postproc import garbage
 from postproc.cell import Cell
-from postproc.dialects.krl.course import Occasion
+from postproc.dialects.krl.course import Join, Occasion
 from postproc.dialects.krl.language.positions import LARGEST_COORDINATE
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Source
@@ -36,6 +36,7 @@ from postproc.dialects.krl.read.issues import (
 from postproc.dialects.krl.read.joins import (
     BranchError,
     FramesAndStart,
+    JoinedEnds,
     branches,
     check_endless_loop,
     check_force,
@@ -43,6 +44,7 @@ from postproc.dialects.krl.read.joins import (
     endless_loop_issue,
     endless_rounds,
     free_joins,
+    is_ptp_to_joints,
     predecessors_and_joins,
     transitions,
 )
@@ -64,7 +66,7 @@ from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, combined_error
 from postproc.frames import DEG_PER_RAD, Array, any_column
-from postproc.program import PTP, Document, NeededFile, Program, distinct
+from postproc.program import PTP, Document, ForceNote, Ints, Motions, NeededFile, Program, distinct
 
 
 def read_program(
@@ -109,7 +111,7 @@ def _read_program(
     other_documents = [document for document in documents[1:] if not _belongs(document, documents[0])]
     library = Library(module, FolderFiles(_folders(documents[0], cell), other_documents))
     code = text_of_lines(source, (np.flatnonzero(scanned_lines[0].is_other(len(source.starts))) + 1).tolist())
-    reading = _Reading(documents, cell, kinematics, name, library, entry, faults, code)
+    reading = _Reading(documents, cell, kinematics, name, library=library, entry=entry, faults=faults, code=code)
     obstacles: dict[Routine | Occasion, ProgramError] = {}
     while True:
         try:
@@ -156,7 +158,8 @@ class _Reading(Struct, frozen=True, eq=False):
         :raises ProgramError: something that changes motion is not understood or not known before the program runs.
         """
         joints = tuple(float(angle) for angle in self.cell.start_joints * DEG_PER_RAD)
-        start = Start(self.library, self.entry, obstacles, self._initial_variables(), self.cell, joints)
+        variables = self._initial_variables()
+        start = Start(self.library, self.entry, obstacles, variables=variables, cell=self.cell, joints=joints)
         course, collected = course_of(start)
         if not course.is_straight:
             plain_lines = plain_rows_of_trace(course.trace, {self.entry.source: plain_lines}, bulk=bulk)
@@ -223,6 +226,51 @@ class _Reading(Struct, frozen=True, eq=False):
         """
         main, separation = executed_program.main, executed_program.separation
         run, course, sequence = main.run, main.course, separation.sequence
+        order = self._motion_order(main, separation)
+        _check_size(course.trace, sequence.rows)
+        _check_starts(main, sequence)
+        motions, layout, assumptions = motions_and_layout(
+            main, sequence, self.cell.start_joints, self.kinematics, order.predecessors
+        )
+        issues = list(_program_issues(executed_program, layout, assumptions))
+        path = _frames_and_start(run.settings, self.kinematics(self.cell.start_joints))
+        joined_ends = _checked_ends(main, order, motions, layout, path)
+        documents, needed_files = self._program_files(main)
+        return Program(
+            name=self.name,
+            dialect="krl",
+            documents=documents,
+            motions=motions,
+            bases=path.bases,
+            tools=path.tools,
+            tool_keys=_tool_keys(run.settings),
+            events=remarks(course, layout.line),
+            notes=tuple(note for _, note in order.notes),
+            still=course.trace.shown[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
+            issues=tuple(issues),
+            carriage=layout.carriage,
+            with_path=layout.turns_with_path if layout.turns_with_path.any() else None,
+            by_wrist=layout.is_wrist_led if layout.is_wrist_led.any() else None,
+            turn_speeds=stated_turn_speeds(sequence.numbers),
+            after=order.predecessors,
+            joins=joined_ends,
+            branches=branches(course, sequence.rows.line),
+            transitions=transitions(
+                course, layout.line, order.predecessors, order.uncorrected_lines, order.unchecked_joins
+            ),
+            unresolved=separation.unresolved,
+            unfollowed=() if self.cell.krl.keep_unresolved else unfollowed_calls(run),
+            needed=needed_files,
+            layout=replace(layout, notes=tuple(line for line, _ in order.notes)),
+        )
+
+    def _motion_order(self, main: MainRoutine, separation: SeparatedMotions) -> _MotionOrder:
+        """Return which motions of a program follow each other, and under which force comments.
+
+        :raises ProgramError: the force on a motion is not known, or an unfollowed routine is called under force.
+        :raises BranchError: a motion in or after a branch depends on more than its start pose.
+        """
+        run, course, sequence = main.run, main.course, separation.sequence
         unchecked_joins = frozenset() if self.cell.carriage is not None else free_joins(course, sequence)
         notes = notes_of(
             course, sequence.rows.line, sequence.rows.kind == PTP, run.unknown_force_reasons, unchecked_joins
@@ -233,46 +281,7 @@ class _Reading(Struct, frozen=True, eq=False):
         predecessors, joins = predecessors_and_joins(
             course, sequence, separation.predecessors, uncorrected_lines, unchecked_joins
         )
-        _check_size(course.trace, sequence.rows)
-        _check_starts(main, sequence)
-        motions, layout, assumptions = motions_and_layout(
-            main, sequence, self.cell.start_joints, self.kinematics, predecessors
-        )
-        issues = list(_program_issues(executed_program, layout, assumptions))
-        path = _frames_and_start(run.settings, self.kinematics(self.cell.start_joints))
-        check_joins(course, joins, motions, layout.carriage, path)
-        round_ends: tuple[tuple[int, int], ...] = ()
-        if (loop := course.endless_loop) is not None:
-            rounds = endless_rounds(loop, layout, motions, path, predecessors)
-            check_endless_loop(course, rounds, run.settings)
-            check_force(course, loop, layout.line, notes)
-            round_ends = rounds.joined_ends()
-        documents, needed_files = self._program_files(main)
-        return Program(
-            self.name,
-            "krl",
-            documents,
-            motions,
-            path.bases,
-            path.tools,
-            tool_keys=_tool_keys(run.settings),
-            events=remarks(course, layout.line),
-            notes=tuple(note for _, note in notes),
-            still=course.trace.shown[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
-            issues=tuple(issues),
-            carriage=layout.carriage,
-            with_path=layout.turns_with_path if layout.turns_with_path.any() else None,
-            by_wrist=layout.is_wrist_led if layout.is_wrist_led.any() else None,
-            turn_speeds=stated_turn_speeds(sequence.numbers),
-            after=predecessors,
-            joins=(*(join.ends for join in joins), *round_ends),
-            branches=branches(course, sequence.rows.line),
-            transitions=transitions(course, layout.line, predecessors, uncorrected_lines, unchecked_joins),
-            unresolved=separation.unresolved,
-            unfollowed=() if self.cell.krl.keep_unresolved else unfollowed_calls(run),
-            needed=needed_files,
-            layout=replace(layout, notes=tuple(line for line, _ in notes)),
-        )
+        return _MotionOrder(notes, predecessors, joins, unchecked_joins, uncorrected_lines)
 
     def _program_files(self, main: MainRoutine) -> tuple[tuple[Document, ...], tuple[NeededFile, ...]]:
         """Return the files of the program, those of inlined routines included, and other files that it needs."""
@@ -310,6 +319,41 @@ class _Reading(Struct, frozen=True, eq=False):
         return variables
 
 
+class _MotionOrder(NamedTuple):
+    """Which of M motions follow each other, and under which force.
+
+    :ivar notes: force comments, by lines of the trace.
+    :ivar predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the one before it.
+    :ivar joins: control-flow joins at which branches must end in one pose.
+    :ivar unchecked_joins: those at which they may end in different poses.
+    :ivar uncorrected_lines: lines of the trace with uncorrected motions.
+    """
+
+    notes: list[tuple[int, ForceNote]]
+    predecessors: Ints | None
+    joins: list[JoinedEnds]
+    unchecked_joins: frozenset[Join]
+    uncorrected_lines: list[int]
+
+
+def _checked_ends(
+    main: MainRoutine, order: _MotionOrder, motions: Motions, layout: Layout, path: FramesAndStart
+) -> tuple[tuple[int, ...], ...]:
+    """Return the motions that end in one pose: at each join, and before each round of a LOOP without EXIT.
+
+    :raises ProgramError: they do not, or a round ends with other settings, or under another force, than it began.
+    """
+    course = main.course
+    check_joins(course, order.joins, motions, layout.carriage, path)
+    ends = tuple(join.ends for join in order.joins)
+    if (loop := course.endless_loop) is None:
+        return ends
+    rounds = endless_rounds(loop, layout, motions, path, order.predecessors)
+    check_endless_loop(course, rounds, main.run.settings)
+    check_force(course, loop, layout.line, order.notes)
+    return (*ends, *rounds.joined_ends())
+
+
 class _ExecutedProgram(Struct, frozen=True, eq=False):
     """A program whose statements have run.
 
@@ -340,7 +384,10 @@ def _program_issues(
 
 
 def _frames_and_start(settings: Settings, start_flange: Array) -> FramesAndStart:
-    """Return the frames that a program has used, and the flange (4, 4) at its start [m]."""
+    """Return the frames that a program has used, and the flange at its start.
+
+    :param start_flange: (4, 4) in the robot root [m].
+    """
     return FramesAndStart(np.stack(settings.frames.bases), np.stack(settings.frames.tools), start_flange)
 
 
@@ -472,14 +519,13 @@ def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:
 
     :raises ProgramError: there is one.
     """
-    for line, reason in () if main.run.keeps_unresolved else main.run.interruptible_calls:
-        row = int(np.searchsorted(sequence.rows.line, line))
+    if main.run.keeps_unresolved:
+        return  # such motions stay as they are
+    for line, reason in main.run.interruptible_calls:
+        row = int(np.searchsorted(sequence.rows.line, line))  # the next motion
         if row < len(sequence.rows) and depends_on_start(sequence, row):
             raise reason
-    for call in () if main.run.keeps_unresolved else main.run.untraced_calls:
+    for call in main.run.untraced_calls:
         row = int(np.searchsorted(sequence.rows.line, call.row))
-        if row < len(sequence.rows):
-            move = sequence.moves.get(row)
-            position = move.end.position if move is not None and not move.relative_axes else None
-            if position is None or not position.is_axis or not position.is_complete:
-                raise call.reason
+        if row < len(sequence.rows) and not is_ptp_to_joints(sequence, row):
+            raise call.reason

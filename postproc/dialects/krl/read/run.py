@@ -72,9 +72,10 @@ class Scopes:
     def _of_module(self, module: Module) -> Scope:
         """Return the scope of the routines in another file, and read the data list of that file."""
         variables, data = self.variables, module.data
-        own_names, public = (frozenset(), frozenset()) if data is None else declared_names(data)
+        data_names, global_names = (frozenset(), frozenset()) if data is None else declared_names(data)
         main_names = (frozenset(variables.types) - variables.global_names) | self.main.local_names
-        scope = Scope(prefixed_names=(main_names | own_names) - public - CONTROLLER_DATA, prefix=f"{module.name}/")
+        prefixed_names = (main_names | data_names) - global_names - CONTROLLER_DATA
+        scope = Scope(prefixed_names=prefixed_names, prefix=f"{module.name}/")
         if data is not None:
             caller_scope, variables.scope, variables.reads_late_list = variables.scope, scope, True
             with suppress(ProgramError):  # variables of a data list with an error have no values
@@ -314,7 +315,12 @@ class Run:
         """Return the present routine and depth of the run, for `return_to`."""
         level = self.level
         return RunPosition(
-            level, len(self.stack), self.variables.scope, level.loop_depth, level.is_left, len(self._forks)
+            level=level,
+            depth=len(self.stack),
+            scope=self.variables.scope,
+            loop_depth=level.loop_depth,
+            is_left=level.is_left,
+            fork_count=len(self._forks),
         )
 
     def return_to(self, position: RunPosition) -> None:
@@ -350,6 +356,16 @@ class Run:
     def is_certain(self) -> bool:
         """Whether the next statement runs exactly once: no control structure is open."""
         return not self.level.open_structures
+
+    @property
+    def may_take_rounds_at_once(self) -> bool:
+        """Whether the motions of the next rounds of a loop may be taken at once.
+
+        Their frames and other settings must be known, they must run for certain, and be outside of a spline block.
+        """
+        state = self.settings.state
+        has_frames = state.base >= 0 and state.tool >= 0  # negative: not known
+        return has_frames and not state.uncertain_fields and not state.spline_block and self.is_certain
 
     def stored_name(self, name: str) -> str:
         """Return the name under which a variable of the running routine is stored."""

@@ -45,7 +45,11 @@ class Settings:
         self._bas = Bas(variables, cell, self.frames, self._path)
 
     def current_value(self, name: str, field: str | None) -> VariableValue:
-        """Return the present value of a setting of motions, such as `$BASE`, or of a component of it."""
+        """Return the present value of a setting of motions, such as `$BASE`, or of a component of it.
+
+        :param field: the component, such as CP of `$VEL`; None: the whole.
+        :returns: an `UnknownValue` if it is not known.
+        """
         state = self.state
         if state.spline_block:
             return UnknownValue(reason="which value it has inside of a spline block is in no source")
@@ -65,7 +69,7 @@ class Settings:
         return NO_VALUE
 
     def _followed(self, value: float) -> VariableValue:
-        """Return a number that plain assignments may set; `NO_VALUE` if these are not followed."""
+        """Return `value`, which plain assignments may set, as a number of KRL; `NO_VALUE` if these are not followed."""
         self.lacked_numbers |= not self.follows_numbers
         return Number(value, 0, 0) if self.follows_numbers else NO_VALUE
 

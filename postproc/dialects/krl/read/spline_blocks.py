@@ -117,7 +117,10 @@ def check_words(trace: Trace, rows: MotionColumns, block: np.ndarray) -> None:
 
 
 def is_spline(trace: Trace, rows: MotionColumns, indices: Ints) -> Bools:
-    """Return which of n motions, given by their rows, are spline motions (n,): SLIN, SCIRC, SPL."""
+    """Return which motions are spline motions (n,): SLIN, SCIRC, SPL.
+
+    :param rows: all motions; `indices` (n,) are the rows of those in question.
+    """
     file, is_spline_row = trace.file[rows.line[indices] - 1], np.zeros(len(indices), dtype=np.bool_)
     for number, source in enumerate(trace.sources):
         keywords = rows.keyword[indices[file == number]].tolist()

@@ -209,6 +209,7 @@ class Variables:
 
         Components that one of two frames lacks do not count. A value that cannot be read is not noted.
 
+        :param key: stored name of the element.
         :param place: for a message: the file and line, or the table of the cell.
         :raises CellError: another place gives another frame.
         """
@@ -250,7 +251,10 @@ class Variables:
                 self.put(key, convert_to_type(value, self.types.get(root, "")))
 
     def put(self, key: str, value: VariableValue | UnparsedValue) -> None:
-        """Store a value unchanged; `set` converts the values of assignments to the type of the variable."""
+        """Store a value unchanged; `set` converts the values of assignments to the type of the variable.
+
+        :param key: stored name of the variable, or of an element, as ``P[3]``.
+        """
         is_new = key not in self._values
         self.change_count += self._values.get(key) != value
         if self.reads_late_list:
@@ -263,6 +267,7 @@ class Variables:
     def set(self, key: str, value: VariableValue, place: Place) -> None:
         """Set a variable to the value of an assignment, converted to its type.
 
+        :param key: stored name of the variable, or of an element, as ``P[3]``.
         :param place: the assignment.
         """
         name = key.partition("[")[0]
@@ -413,6 +418,7 @@ class Variables:
         """Return the numbers (n,) in n elements of an array; None if one of them is not known.
 
         :param name: stored name of the array.
+        :param indices: of the elements, as the program counts them.
         """
         numbers = []
         for index in indices:
@@ -528,7 +534,7 @@ class Variables:
         return value if isinstance(value, bool) else None
 
     def is_chosen_case(self, value: VariableValue, cases: Sequence[Value]) -> bool | None:
-        """Return whether a value of a SWITCH is among those behind CASE; None if that is not known."""
+        """Return whether a value of a SWITCH is among the values behind one CASE (`cases`); None if it is not known."""
         is_chosen: bool | None = False
         for case in cases:
             is_equal = matches_case(value, self.evaluate(case))
@@ -731,7 +737,7 @@ def _check_cell_values(keys: Iterable[str]) -> None:
 
 
 def component(position: Position, field: str) -> VariableValue:
-    """Return a component of a computed Cartesian position [mm, deg].
+    """Return a component (`field`: X … C) of a computed Cartesian position [mm, deg].
 
     A, B and C are known only if one set of them describes the orientation: no source says which of two sets a
     controller has.
@@ -745,6 +751,7 @@ def component(position: Position, field: str) -> VariableValue:
 def with_component(position: Position, field: str, value: float) -> Position | None:
     """Return a computed Cartesian position with another value of one component.
 
+    :param field: X … C; `value` is its new number [mm or deg].
     :returns: None if the component is an angle, and the others may be those of another set of A, B, C.
     """
     if field in ANGLES and not _has_unique_angles(position, whole_turns=True):

@@ -7,6 +7,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc.chunks import compact, ragged_range
@@ -94,7 +95,7 @@ class Replacements(Struct, eq=False):
             (start + shift, stop + shift, text)
             for shift, (start, stop, text) in zip(single_shifts, self._single, strict=True)
         ]
-        return Replacements(starts, stops, self._lengths, self._numbers, self._rows, single, self._single_rows)
+        return replace(self, _starts=starts, _stops=stops, _single=single)
 
     def __bool__(self) -> bool:
         """Return whether there is a piece to replace."""
@@ -160,6 +161,7 @@ def _replace_pieces(text: Codes, starts: Ints, stops: Ints, pieces: Codes, begin
 
     :param starts: (n,) offsets in the text, ascending; `stops` (n,) those behind.
     :param pieces: the characters of new pieces; piece i is ``pieces[begin[i] : begin[i] + length[i]]``.
+    :param begin: (n,) see `pieces`; `length` (n,) likewise.
     """
     # the result alternates between kept characters of the text (even) and new ones (odd): offset of the first, count
     first = np.empty(2 * len(starts), dtype=np.int64)

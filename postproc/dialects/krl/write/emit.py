@@ -190,7 +190,10 @@ class Emitter:
                     yield Issue("info", "after-tool-change", message, event.line, subject=call)
 
     def _follows_call(self, rows: Ints) -> Bools:
-        """Return which of n targets, in order, are the first ones behind a call of a program (n,)."""
+        """Return which targets are the first ones behind a call of a program (n,).
+
+        :param rows: (n,) the targets in question, in order: those of paths, for example.
+        """
         first = np.searchsorted(rows, np.array(self.call_rows, dtype=np.int64))
         return np.isin(np.arange(len(rows)), first)
 
@@ -270,7 +273,11 @@ def _aggregate_parts(numbers: Array) -> list[Part]:
 
 
 def _bits_parts(prefix: bytes, values: Ints) -> list[Part]:
-    """Return S or T for n targets, in parts that are printed side by side; nothing where the value is negative."""
+    """Return S or T for n targets, in parts that are printed side by side.
+
+    :param prefix: printed before it.
+    :param values: (n,) numbers; nothing is printed where one is negative.
+    """
     is_stated = values >= 0
     return [text_in_rows(prefix, is_stated), Number.of(np.where(is_stated, values, np.nan), 0)]
 
@@ -296,7 +303,7 @@ def head(name: str, controller: str, parameters: Sequence[str] = ()) -> list[str
 
 
 def axis_motion(angles: Iterable[float], decimals: int) -> str:
-    """Return the PTP to joint angles A1…A6 [deg]."""
+    """Return the PTP to joint angles A1…A6 [deg], with so many `decimals`."""
     joints = ",".join(f"A{axis} {without_negative_zero(angle):.{decimals}f}" for axis, angle in enumerate(angles, 1))
     return f"PTP {{{joints}}}"
 

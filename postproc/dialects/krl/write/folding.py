@@ -219,7 +219,10 @@ class _Folder(Struct, eq=False):
         return (key, name) if key or name else ()
 
     def _version(self, call: InlinedRoutine) -> _Version:
-        """Return the version of a routine that a call needs; one with other changes is a copy with a new name."""
+        """Return the version of a routine that a call needs, and store it for the call.
+
+        The first version keeps the name of the routine; one with other changes is a copy with a new name.
+        """
         versions, routine = self.versions[call.routine], call.routine
         key = self._body_key(call.body)
         if routine in self.course.unchanged_routines and not versions:  # the unchanged text keeps the name
@@ -389,8 +392,8 @@ class _Folder(Struct, eq=False):
         if not isinstance(definition, Definition):
             return text
         start, name_start = definition.start - begin, definition.name_start - begin
-        public = "" if definition.is_global or source is self.main.source else "GLOBAL "
-        return f"{text[:start]}{public}{text[start:name_start]}{name}{text[name_start + len(definition.name) :]}"
+        prefix = "" if definition.is_global or source is self.main.source else "GLOBAL "
+        return f"{text[:start]}{prefix}{text[start:name_start]}{name}{text[name_start + len(definition.name) :]}"
 
     # --- text --------------------------------------------------------------------------------------------------------
 

@@ -155,6 +155,8 @@ def _heights_above_cuts(program: Program, cell: Cell, candidates: Ints) -> Array
     """Return how high motions (n,) end above everything that the program cuts (n,) [m], along the tool axis there.
 
     Arcs count as whole circles.
+
+    :param candidates: (n,) the motions.
     """
     motions = program.motions
     base = program.bases[motions.base]

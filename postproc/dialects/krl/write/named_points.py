@@ -87,6 +87,8 @@ class NamedPoints(Struct, eq=False):
         """Return whether a point can be corrected in its declaration.
 
         All its uses must have one correction, and nothing but motions may use it.
+
+        :param aggregate: the value in its declaration.
         """
         name = uses[0].operand.name
         is_same = all(use.texts == uses[0].texts and use.operand.name == name for use in uses)

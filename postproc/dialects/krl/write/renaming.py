@@ -41,15 +41,17 @@ def _rename_divided(documents: Sequence[Document], name: str) -> Iterator[Docume
     called_names = [called_name for called_name, _ in called_parts(documents[0])]
     stems = [f"{old_base}{MAIN}", *called_names, *(PurePath(document.name).stem for document in routine_files)]
     new_stems = {stem.upper(): f"{new_base}{stem[len(old_base) :]}" for stem in stems}
-    public = _public_names([document for document in documents if _stem(document) in new_stems], old_base, new_base)
+    new_globals = _public_names(
+        [document for document in documents if _stem(document) in new_stems], old_base, new_base
+    )
     for document in documents:
         new_stem = new_stems.get(_stem(document))
         if new_stem is None:
             yield document
             continue
         text = _replace_names(document.text, new_stems)
-        if public:
-            text = NAME.sub(lambda match: public.get(match[0].upper(), match[0]), text)
+        if new_globals:
+            text = NAME.sub(lambda match: new_globals.get(match[0].upper(), match[0]), text)
         yield _rename_document(replace(document, text=text), new_stem)
 
 

@@ -293,7 +293,7 @@ class _Rewriter:
         return (is_divided and depends_on_start) or (counts_from_start and bool(self.target_numbers.start_differs[row]))
 
     def _make_absolute(self, row: int, k: int, move: MotionStatement) -> None:
-        """Replace instruction and points of a statement by absolute literals of target `k`."""
+        """Replace instruction and points of the statement of motion `row` by absolute literals of target `k`."""
         self._replace_text(row, self.statements.absolute_statement(row, k))
         if move.relative_axes:
             if move.frame_span is not None:

@@ -48,7 +48,7 @@ class _Variables(Struct, frozen=True, eq=False):
     def shared_names(self, *, with_readers: bool) -> set[str]:
         """Return the names that several files use.
 
-        :param with_readers: False for those only that the program may write, too.
+        :param with_readers: False to leave out names that no statement writes.
         """
         return {
             name for name, files in self.users.items() if len(files) > 1 and (with_readers or name in self.write_lines)
@@ -275,11 +275,16 @@ class Sharing:
         return declarations
 
     def _rename_uses(
-        self, new_locals: Mapping[str, str], public: Mapping[str, str], routines: Mapping[str, str], edits: Replacements
+        self,
+        new_locals: Mapping[str, str],
+        new_globals: Mapping[str, str],
+        routines: Mapping[str, str],
+        edits: Replacements,
     ) -> None:
         """Rename variables and routines that become GLOBAL, wherever the program names them.
 
-        :param new_locals: variables of the main routine, old name → new name; `public` likewise those of the `.dat`.
+        :param new_locals: variables of the main routine, old name → new name.
+        :param new_globals: likewise those of the `.dat`.
         :param routines: routines, old name → new name.
         :param edits: of the `.src`; gets the new names.
         """
@@ -287,7 +292,7 @@ class Sharing:
         removed_lines = {line for line, item in self.main_declarations if item.name in new_locals}
         for routine in (self.main, *self.subroutines):
             local_names = self.unshared_names if routine is self.main else routine.local_names
-            names = {name: new_name for name, new_name in public.items() if name not in local_names}
+            names = {name: new_name for name, new_name in new_globals.items() if name not in local_names}
             names |= new_locals if routine is self.main else {}
             all_names = names.keys() | routines.keys()
             for line in range(routine.first, routine.last):
@@ -304,10 +309,10 @@ class Sharing:
                 start, _ = self.source.code_span(routine.first)
                 edits.add(start, start, "GLOBAL ")
 
-    def _data_file(self, public: Mapping[str, str], declarations: Sequence[str]) -> Document | None:
+    def _data_file(self, new_globals: Mapping[str, str], declarations: Sequence[str]) -> Document | None:
         """Return the `.dat` with the new GLOBAL names, and with further declarations; None if it has nothing.
 
-        :param public: its variables that become GLOBAL, old name, upper case → new name.
+        :param new_globals: its variables that become GLOBAL, old name, upper case → new name.
         :param declarations: lines to be added before its end.
         """
         if self.data is None:
@@ -325,9 +330,9 @@ class Sharing:
             elif word == "ENDDAT":
                 edits.add(start, start, "".join(f"{declaration}\r\n" for declaration in declarations))
         for data_line in self.data_lines:
-            if not public.keys().isdisjoint(data_line.names):
+            if not new_globals.keys().isdisjoint(data_line.names):
                 start, stop = self.data.code_span(data_line.line)
-                new_line = _with_new_names(text[start:stop], public)
+                new_line = _with_new_names(text[start:stop], new_globals)
                 is_declaration = any(item.kind for item in self.declarations_of_line[data_line.line])
                 edits.add(start, stop, _global_declaration(new_line) if is_declaration else new_line)
         return replace(self.data.document, text=edits.apply(text))

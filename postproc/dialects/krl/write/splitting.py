@@ -80,11 +80,11 @@ def _needed_lines(lines: Sequence[DataLine], document: Document) -> set[int]:
         for name in data_line.names:
             lines_of_name.setdefault(name, []).append(data_line)
     numbers: set[int] = set()
-    waiting = names_in(document.text) & lines_of_name.keys()
-    while waiting:
-        new_lines = [data_line for data_line in lines_of_name[waiting.pop()] if data_line.line not in numbers]
+    needed_names = names_in(document.text) & lines_of_name.keys()
+    while needed_names:
+        new_lines = [data_line for data_line in lines_of_name[needed_names.pop()] if data_line.line not in numbers]
         numbers |= {data_line.line for data_line in new_lines}
-        waiting |= set().union(*(names_in(data_line.text) for data_line in new_lines)) & lines_of_name.keys()
+        needed_names |= set().union(*(names_in(data_line.text) for data_line in new_lines)) & lines_of_name.keys()
     return numbers
 
 
@@ -161,6 +161,9 @@ class _Splitter:
     def __init__(self, name: str, output: WrittenProgram, limit: int, used_names: Collection[str]) -> None:
         """Find the routines of the program, and a prefix for the names of its files.
 
+        :param name: of the program; `output` is the program as one text.
+        :param limit: lines of a file at most.
+        :param used_names: names of other programs and GLOBAL routines, upper case.
         :raises ProgramError: it has no DEF, or its DEF has parameters.
         """
         self.undivided, self.limit, self.issues = output, limit, list(output.issues)
@@ -216,10 +219,10 @@ class _Splitter:
             names = first_of([f"{old_name} is {new_name}" for old_name, new_name in new_names.items()], _MOST_NAMES)
             message = f"Routines of its own are GLOBAL, for all its files to see them: {names}."
             yield Issue("info", "global-routines", message)
-        if public := [name for name in self._former_global_names() if name.upper() not in new_names]:
-            old_file = self.undivided.documents[0].name
+        if former_names := [name for name in self._former_global_names() if name.upper() not in new_names]:
+            old_file, names = self.undivided.documents[0].name, first_of(former_names, _MOST_NAMES)
             message = (
-                f"These files have GLOBAL routines as {old_file} has ({first_of(public, _MOST_NAMES)}), which they "
+                f"These files have GLOBAL routines as {old_file} has ({names}), which they "
                 f"replace: remove {old_file} from the controller, where calls could reach its uncorrected routines."
             )
             yield Issue("warning", "global-routines", message)
@@ -258,6 +261,7 @@ class _Splitter:
         """Return the main program: its lines up to the first cut, a call of each part, and its END.
 
         :param blocks: see `_routine_blocks`.
+        :param first_cut: line at which the first of `part_count` parts begins.
         """
         first = min(routine.first for routine in (self.main, *self.subroutines))
         last = max(routine.last for routine in (self.main, *self.subroutines))

@@ -179,30 +179,34 @@ def fixed_point(number: float, decimals: int, min_decimals: int) -> str:
 
 
 def _round_values(values: Array, decimals: Ints) -> Array:
-    """Return numbers rounded to given decimals, without negative zeros."""
+    """Return `values` rounded to `decimals`, each to those of its own if there are as many; without negative zeros."""
     scale = 10.0**decimals
     return without_negative_zero(np.rint(values * scale) / scale)
 
 
 def _nearest_angles(abc: Array, reference: Array) -> Array:
-    """Return A, B, C (K, 3) [deg] of the same orientations, as close as possible to those of a reference (K, 3).
+    """Return A, B, C (K, 3) [deg] of the same orientations, as close as possible to those of a reference.
 
     An orientation has two triples, each modulo 360°. At B = ±90° only A ∓ C is determined, so that A may be any. Angles
     beyond ±180° are returned only if the reference has such.
+
+    :param abc: A, B, C (K, 3) of the orientations; `reference` (K, 3) other triples.
     """
-    upright = np.abs(np.abs(abc[:, 1]) - 90.0) < _UPRIGHT
-    turn = np.where(upright, reference[:, 0] - abc[:, 0], 0.0)
-    abc = np.stack([abc[:, 0] + turn, abc[:, 1], abc[:, 2] + np.sign(abc[:, 1]) * turn], axis=1)
-    second_triple = np.stack([abc[:, 0] + 180.0, 180.0 - abc[:, 1], abc[:, 2] + 180.0], axis=1)
+    a, b, c = abc.T
+    is_upright = np.abs(np.abs(b) - 90.0) < _UPRIGHT
+    turn = np.where(is_upright, reference[:, 0] - a, 0.0)
+    a, c = a + turn, c + np.sign(b) * turn
     first_triple, second_triple = (
-        triple + 360.0 * np.rint((reference - triple) / 360.0) for triple in (abc, second_triple)
+        triple + 360.0 * np.rint((reference - triple) / 360.0)
+        for triple in (np.stack([a, b, c], axis=1), np.stack([a + 180.0, 180.0 - b, c + 180.0], axis=1))
     )
-    second_is_nearer = ((first_triple - reference) ** 2).sum(axis=1) > ((second_triple - reference) ** 2).sum(
-        axis=1
-    ) + _EQUAL
-    nearest_triple = np.where(second_is_nearer[:, None], second_triple, first_triple)
+    first_distance, second_distance = (
+        ((triple - reference) ** 2).sum(axis=1) for triple in (first_triple, second_triple)
+    )
+    is_second_nearer = first_distance > second_distance + _EQUAL
+    nearest_triple = np.where(is_second_nearer[:, None], second_triple, first_triple)
     is_outside = (np.abs(nearest_triple) > 180.0) & (np.abs(reference) <= 180.0)
-    return np.where(is_outside, nearest_triple - 360.0 * np.sign(nearest_triple), nearest_triple)
+    return np.asarray(np.where(is_outside, nearest_triple - 360.0 * np.sign(nearest_triple), nearest_triple))
 
 
 def _input_decimals(layout: Layout) -> Ints:
@@ -241,6 +245,7 @@ def _next_offsets(is_sought: Bools, offsets: Ints) -> Ints:
     """Return the offset of the first sought character of a text at or behind each of some offsets.
 
     :param is_sought: (T,) for each character of the text.
+    :param offsets: any shape; so is the result.
     :returns: T where there is none.
     """
     sought_offsets = np.append(np.flatnonzero(is_sought), len(is_sought))

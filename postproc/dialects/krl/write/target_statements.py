@@ -97,7 +97,10 @@ def edited_literal(literal: Literal, pieces: list[Replacement]) -> str:
 
 
 def aggregate_text(texts: Mapping[str, str]) -> str:
-    """Return a new literal with the given components."""
+    """Return a new literal ``{X 1.0,…}``.
+
+    :param texts: component → its number as printed.
+    """
     return "{" + ",".join(f"{name} {text}" for name, text in texts.items()) + "}"
 
 
@@ -331,7 +334,10 @@ def _bits_text(name: str, value: int, text: str) -> dict[str, str]:
 
 
 def consecutive_motions(layout: Layout, rows: Ints) -> list[tuple[int, int]]:
-    """Return the first and the last motion of each run of motions (n,) between which there are only comments."""
+    """Return the first and the last motion of each run of motions between which there are only comments.
+
+    :param rows: (n,) the motions, in order.
+    """
     run_bounds: list[tuple[int, int]] = []
     for row in rows.tolist():
         if run_bounds and run_bounds[-1][1] == row - 1 and _is_next_line(layout, row):
