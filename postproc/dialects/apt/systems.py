@@ -31,12 +31,12 @@ def system_of(comments: Sequence[tuple[int, str]]) -> System | None:
 
 def changed_axis_systems(comments: Sequence[tuple[int, str]]) -> list[int]:
     """Return the lines of machining axis systems of CATIA that are not the first one."""
-    systems = [
-        (comments[n][0], [_numbers(text) for _, text in comments[n + 2 : n + 2 + _ROWS]])
-        for n, (_, text) in enumerate(comments)
-        if text.startswith(_CATIA_SYSTEM)
-    ]
-    return [line for line, rows in systems if rows != systems[0][1]]
+    systems: list[tuple[int, list[list[float] | None]]] = []  # line and axes of each
+    for index, (line, text) in enumerate(comments):
+        if text.startswith(_CATIA_SYSTEM):
+            first_axis = index + 2  # a comment with its name is between
+            systems.append((line, [_numbers(axis) for _, axis in comments[first_axis : first_axis + _ROWS]]))
+    return [line for line, axes in systems if axes != systems[0][1]]
 
 
 def sequence_lines(comments: Sequence[tuple[int, str]]) -> list[int]:

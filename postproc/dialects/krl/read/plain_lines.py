@@ -169,27 +169,35 @@ def _motions_of_lines(
         return None
     numbers, spans, points, via_points = _points(raw, begins, shift, tokens)
     keyword = _skip_blanks(raw, begins, 1)
-    motion_letter = raw[keyword + ((raw[keyword] | 32) == ord("s"))] | 32  # lower case, behind the S of splines
+    kind = _kinds(raw, keyword)
     ends = np.concatenate([begins[1:], [len(raw)]])
     stop = _skip_blanks(raw, ends - 1, -1) + 1
-    is_ptp = motion_letter == ord("p")
+    target_start = points[:, :1, None] + shift[:, None, None]
     return MotionColumns(
         line=compact(index + 1 + lines, np.int32),
-        kind=compact(np.where(is_ptp, PTP, np.where(motion_letter == ord("c"), CIRC, LIN)), np.int8),
+        kind=compact(kind, np.int8),
         numbers=numbers[:, :6].copy(),
         posture=compact_postures(np.nan_to_num(numbers[:, 6:8], nan=-1.0).astype(np.int64)),
         external=compact_if_missing(numbers[:, 8:]),
-        relative_spans=narrow_integers(
-            np.where(spans < 0, 0, spans - points[:, :1, None] - shift[:, None, None])[:, : len(COLUMNS)]
-        ),
+        relative_spans=narrow_integers(np.where(spans < 0, 0, spans - target_start)[:, : len(COLUMNS)]),
         keyword=(keyword + shift).astype(np.int32),
         target=(points + shift[:, None]).astype(np.int32),
         tail=(np.stack([points[:, 1], stop], axis=1) + shift[:, None]).astype(np.int32),
-        approximated=_approximated(raw, begins, is_ptp),
+        approximated=_approximated(raw, begins, kind == PTP),
         via=via_points.numbers,
         via_spans=via_points.spans,
         via_target=via_points.targets,
     )
+
+
+def _kinds(raw: Bytes, keyword: Ints) -> Ints:
+    """Return the kinds of P motions (P,): `LIN`, `CIRC` or `PTP`.
+
+    :param raw: the text of the lines; `keyword` (P,) offsets of the instructions in it.
+    """
+    is_spline = (raw[keyword] | 32) == ord("s")  # lower case
+    letter = raw[keyword + is_spline] | 32  # of LIN, CIRC or PTP, behind the S of splines
+    return np.where(letter == ord("p"), PTP, np.where(letter == ord("c"), CIRC, LIN))
 
 
 class _PlainBody(NamedTuple):

@@ -510,7 +510,7 @@ class Variables:
 
         Components without a known value become `OpaqueText`.
         """
-        for item in aggregate.items.values():
+        for item in aggregate.items.values():  # a loop: `all` takes longer, and nearly all aggregates are constant
             if not isinstance(item, _CONSTANT):
                 break
         else:

@@ -179,7 +179,11 @@ class TargetStatements:
         return {"E1": fixed_point(float(carriage.at(row, t)[0]) * MM_PER_M, 4, 4)}
 
     def end_texts(self, k: int, operand: Point, *, copy: bool = False) -> dict[str, str]:
-        """Return the numbers to be written for the end point of a statement, by component, wherever its text is."""
+        """Return the numbers to be written for the end point of a statement, by component.
+
+        :param operand: the end point; its numbers may be in the statement, in a declaration or in no text.
+        :param copy: see `number_texts`.
+        """
         aggregate = operand.position.aggregate
         if aggregate is None:
             return self.target_numbers.texts(k, range(6))
