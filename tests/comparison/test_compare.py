@@ -107,6 +107,31 @@ def test_a_corrected_program_against_its_gcode_is_what_convert_said_of_it():
         assert content["cut"][which]["rms_mm"] == pytest.approx(np.sqrt(mean_square), abs=2e-6)
 
 
+@pytest.mark.parametrize("has_forces", [True, False])
+def test_statistics_follow_from_the_table_of_pairs_and_the_lengths_for_which_they_count(has_forces):
+    if not has_forces:
+        Path("part.nc").write_text(re.sub(r"\(FORCE.*\)\n", "", GCODE))
+    content = compare("part.nc", "other.src", code=3)
+    with Path("found/other.compare.pairs.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["cut_length_mm"] for row in rows if row["state"] != "pair"} == {""}
+    pairs = [row for row in rows if row["state"] == "pair"]
+    lengths = np.array([float(row["cut_length_mm"]) for row in pairs])
+    assert [length == 0.0 for length in lengths] == [row["rapid"] == "1" for row in pairs]
+    columns = {"offset_mm": content["offset"]}
+    if has_forces:
+        columns |= {f"cut_{name}_mm": content["cut"][name] for name in ("nominal", "corrected")}
+    for column, stated in columns.items():
+        values = np.array([float(row[column]) for row in pairs])
+        assert stated["rms_mm"] == pytest.approx(np.sqrt(lengths @ values**2 / lengths.sum()), abs=2e-6)
+        assert stated["mean_mm"] == pytest.approx(lengths @ values / lengths.sum(), abs=2e-6)
+        beyond = lengths[values > stated["p95_mm"] + 1e-6].sum()
+        not_below = lengths[values > stated["p95_mm"] - 1e-6].sum()
+        assert beyond <= 0.05 * lengths.sum() < not_below
+    degrees = np.array([float(row["rotation_deg"]) for row in pairs])
+    assert content["rotation"]["rms_deg"] == pytest.approx(np.sqrt(lengths @ degrees**2 / lengths.sum()), abs=2e-6)
+
+
 def test_every_pair_is_the_one_that_convert_made():
     corrected_text()
     compare("part.nc", "out/part.src")

@@ -513,9 +513,9 @@ _NUMBERS = (
     *(f"{name}_nominal" for name in _XYZABC),
     *(f"{name}_corrected" for name in _XYZABC),
     "offset_mm", "rotation_deg", "speed_nominal_mm_per_s", "speed_corrected_mm_per_s",
-    "cut_nominal_mm", "cut_corrected_mm", "between_mm",
+    "cut_nominal_mm", "cut_corrected_mm", "between_mm", "cut_length_mm",
 )  # fmt: skip
-_DECIMALS = (6,) * 13 + (6, 3, 3, 6, 6, 6)
+_DECIMALS = (6,) * 13 + (6, 3, 3, 6, 6, 6, 6)
 """Decimals of `_NUMBERS`."""
 PAIR_COLUMNS = ("state", "nominal_file", "nominal_line", "corrected_file", "corrected_line", "rapid", *_NUMBERS)
 """Columns of the file, in order."""
@@ -624,6 +624,7 @@ def _numbers_of_targets(comparison: Comparison, targets: _TableTargets) -> Array
             of_pairs(None if cuts is None else norm(cuts.nominal) * MM_PER_M),
             of_pairs(None if cuts is None else norm(cuts.corrected_deviation) * MM_PER_M),
             of_pairs(comparison.path_distance * MM_PER_M),
+            of_pairs(comparison.cut_length * MM_PER_M),
         ]
     )
 
