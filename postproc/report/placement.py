@@ -35,8 +35,10 @@ _NO_BODIES = "Collisions do not count in this choice: the cell has no [collision
 _NO_STOCK = "Stock is not among these bodies: convert checks it, with --process."
 _LATER_REFUSALS = 4
 """Reasons of the whole path or of conversions that are printed."""
-_SAME_PLACE = 0.01
+_LEAST_GAIN = 0.01
 """Share of the expected error below which a gain is none."""
+_NO_MOVE = 0.05
+"""Distance of two places on an axis that is none [mm, deg]: they are printed with one decimal."""
 _NO_FORCE_NOTE = "No cutting move carries a force, so the error is not compared: give --forces or --process."
 
 
@@ -88,19 +90,24 @@ def summary(
     search: Search,
     cell: Cell,
     programs: Sequence[str],
+    region: Region,
+    *,
     margin_deg: float,
     clearance_mm: float | None,
-    region: Region,
     start: str | None,
     moved_frames: list[str],
 ) -> PlaceSummary:
-    """Return the result as plain data.
+    """Return the result of a search as plain data.
 
+    :param programs: names of the programs.
+    :param region: in which places were tried.
+    :param margin_deg: distance from the joint limits that was kept.
     :param clearance_mm: distance of bodies that was kept; None: they were not compared.
     :param start: how the start was chosen; None: the cell states it.
     :param moved_frames: tables of frames by number that move with `[base]`, such as ``"base_data.1"``.
     """
-    reasons = np.bincount([place.reason for place in search.trials], minlength=len(PLACE_REASONS)).tolist()
+    # of each reason the number of places; the first reason is that of places that can be driven
+    reachable, *refused = np.bincount([place.reason for place in search.trials], minlength=len(PLACE_REASONS)).tolist()
     return PlaceSummary(
         programs=list(programs),
         robot=cell.robot,
@@ -112,8 +119,8 @@ def summary(
         best=None if search.best is None else _place_entry(search.best),
         grid="place.csv",
         tried=len(search.trials),
-        reachable=reasons[0],
-        refused={name: count for name, count in zip(PLACE_REASONS[1:], reasons[1:], strict=True) if count},
+        reachable=reachable,
+        refused={name: count for name, count in zip(PLACE_REASONS[1:], refused, strict=True) if count},
         refused_later=dict(Counter(place.problem for place in search.refusals)),
         moved_frames=moved_frames,
         sentence=_sentence(search),
@@ -121,7 +128,7 @@ def summary(
 
 
 def _finite(value: float | None, decimals: int) -> float | None:
-    """Return a number with so many decimals; None for None, NaN and infinity, which JSON does not have."""
+    """Return a number rounded to some decimals; None for None, NaN and infinity, which JSON does not have."""
     return None if value is None or not np.isfinite(value) else round(value, decimals)
 
 
@@ -155,32 +162,43 @@ def _place_entry(place: JudgedPlace) -> PlaceEntry:
 def _sentence(search: Search) -> str:
     """Return the advice of the search in one sentence: where to move the part, and the gain."""
     today, best = search.today, search.best
-    if best is None and search.refusals:
-        place = search.refusals[0]
-        return (
-            f"No place of the region was found at which the programs can be driven: {len(search.refusals)} that can be "
-            f"by samples of the path were tried further. {_coordinates(place.place)}: {place.problem}."
-        )
     if best is None:
-        return "No place in the region can be driven."
-    moves = []
-    for axis, unit, today_value, best_value in zip(AXES, _UNITS, today.place, best.place, strict=True):
-        if abs(best_value - today_value) > 0.05:
-            moves.append(f"{axis} {best_value - today_value:+.4g} {unit}".replace(" °", "°"))
-    move = ", ".join(moves)
+        return _no_place_sentence(search)
+    move = _move_text(today, best)
     kind = "deflection" if np.isnan(best.u95) else "expected error (95 %)"
     error = f"up to {_cost_text(best)} mm"
     is_unloaded = best.cost == 0.0
     if not today.reachable:
-        advice = f"move the part by {move}" if moves else "the same place with another turn of the tool can be driven"
+        advice = f"move the part by {move}" if move else "the same place with another turn of the tool can be driven"
         if is_unloaded:
             return f"Today's place cannot be driven ({today.problem}): {advice}. {_NO_FORCE_NOTE}"
         return f"Today's place cannot be driven ({today.problem}): {advice}; the {kind} is then {error}."
     if is_unloaded:
         return f"Today's place can be driven. {_NO_FORCE_NOTE}"
-    if best.stated_cost >= (1.0 - _SAME_PLACE) * today.stated_cost or not moves:
+    if best.stated_cost >= (1.0 - _LEAST_GAIN) * today.stated_cost or not move:
         return f"Today's place is as good as any in the region: the {kind} is up to {_cost_text(today)} mm."
     return f"Moving the part by {move} lowers the {kind} from up to {_cost_text(today)} to {error}."
+
+
+def _no_place_sentence(search: Search) -> str:
+    """Return the sentence of a search without a best place: why the first place that was tried further was refused."""
+    if not search.refusals:
+        return "No place in the region can be driven."
+    place = search.refusals[0]
+    return (
+        f"No place of the region was found at which the programs can be driven: {len(search.refusals)} that can be "
+        f"by samples of the path were tried further. {_coordinates(place.place)}: {place.problem}."
+    )
+
+
+def _move_text(start: JudgedPlace, end: JudgedPlace) -> str:
+    """Return the differences of two places by axis, for example "X +100 mm, A -15°"; empty if they are the same."""
+    moves = [
+        f"{axis} {end_value - start_value:+.4g}{'' if unit == '°' else ' '}{unit}"
+        for axis, unit, start_value, end_value in zip(AXES, _UNITS, start.place, end.place, strict=True)
+        if abs(end_value - start_value) > _NO_MOVE
+    ]
+    return ", ".join(moves)
 
 
 def _cost_text(place: JudgedPlace) -> str:
@@ -189,7 +207,7 @@ def _cost_text(place: JudgedPlace) -> str:
 
 
 def places_csv(search: Search) -> Iterator[bytes]:
-    """Yield one row for each place that was tried, in order."""
+    """Yield place.csv: the head, and one row for each place that was tried, in order."""
     yield (",".join(_COLUMNS) + "\n").encode()
     for place in search.trials:
         entry = _place_entry(place)
@@ -201,7 +219,10 @@ def places_csv(search: Search) -> Iterator[bytes]:
 
 
 def base_toml(search: Search, cell: Cell, content: PlaceSummary) -> bytes:
-    """Return the `[base]` of the best place, and what moves with it, ready to paste."""
+    """Return the `[base]` of the best place, and what moves with it, ready to paste.
+
+    :param search: one that found a best place.
+    """
     best = search.best
     assert best is not None
     x, y, z, a, e1 = best.place
@@ -219,29 +240,32 @@ def base_toml(search: Search, cell: Cell, content: PlaceSummary) -> bytes:
 
 
 def place_json(content: PlaceSummary, files: list[FileEntry]) -> bytes:
-    """Return `place.json`."""
+    """Return the summary as `place.json`.
+
+    :param files: the files written with it.
+    """
     return json_bytes(replace(content, files=files))
 
 
 def as_text(content: PlaceSummary) -> str:
-    """Return the result as text."""
-    lines = [content.sentence]
-    lines += [_place_line("today", content.today), _place_line("best", content.best)]
-    refusals = ", ".join(f"{count} {name}" for name, count in content.refused.items())
-    lines.append(
-        f"  {content.tried} places tried, {content.reachable} can be driven by samples of the path"
-        + (f"; {refusals}" if refusals else "")
+    """Return the result as text for a terminal."""
+    refusals = "".join(
+        f"{', ' if k else '; '}{count} {name}" for k, (name, count) in enumerate(content.refused.items())
     )
-    lines += [f"  {note}" for note in _later_refusal_lines(content)]
-    lines += [] if content.start is None else [f"  {content.start}"]
-    lines += [f"  {note}" for note in _frame_notes(content)]
-    margins = f"  kept: {content.margin_deg:g}° to joint limits"
+    margins = f"kept: {content.margin_deg:g}° to joint limits"
     if content.clearance_mm is not None:
-        return "\n".join(
-            [*lines, f"{margins}, {content.clearance_mm:g} mm between bodies of [collision]", f"  {_NO_STOCK}"]
-        )
-    lines += [margins, f"  {_NO_BODIES}"]
-    return "\n".join(lines)
+        margins += f", {content.clearance_mm:g} mm between bodies of [collision]"
+    lines = [
+        _place_line("today", content.today),
+        _place_line("best", content.best),
+        f"{content.tried} places tried, {content.reachable} can be driven by samples of the path{refusals}",
+        *_later_refusal_lines(content),
+        *([] if content.start is None else [content.start]),
+        *_frame_notes(content),
+        margins,
+        _NO_BODIES if content.clearance_mm is None else _NO_STOCK,
+    ]
+    return "\n".join([content.sentence, *(f"  {line}" for line in lines)])
 
 
 def _later_refusal_lines(content: PlaceSummary) -> Iterator[str]:
@@ -262,21 +286,24 @@ def _frame_notes(content: PlaceSummary) -> Iterator[str]:
 
 
 def _place_line(name: str, entry: PlaceEntry | None) -> str:
-    """Return a place with its error and margin as one line."""
+    """Return a place with its error and margin as one line; None: there is no such place.
+
+    :param name: "today" or "best".
+    """
     if entry is None:
-        return f"  {name}: none"
+        return f"{name}: none"
     place = f"X {entry.X:.1f} Y {entry.Y:.1f} Z {entry.Z:.1f} A {entry.A:.2f}"
     place += f" E1 {entry.E1:.1f}" if entry.E1 else ""
     place += f", tool turned by {entry.turn_deg:+.0f}°" if entry.turn_deg else ""
     if not entry.reachable:
-        return f"  {name}: {place}: {entry.reason}"
+        return f"{name}: {place}: {entry.reason}"
     error = f"deflection up to {two_digits(entry.deflection_mm or 0.0)} mm"
     if entry.uncorrected_mm is not None and entry.corrected_mm is not None:
         error = (
             f"uncorrected up to {two_digits(entry.uncorrected_mm)}, corrected up to {two_digits(entry.corrected_mm)} mm"
         )
         error += " (95 %)"
-    return f"  {name}: {place}: {error}, joint margin {entry.min_joint_margin_deg:.1f}°"
+    return f"{name}: {place}: {error}, joint margin {entry.min_joint_margin_deg:.1f}°"
 
 
 def page(search: Search, content: PlaceSummary) -> Iterator[bytes]:
@@ -307,23 +334,25 @@ def _collision_note(content: PlaceSummary) -> str:
 
 
 def _place_section(search: Search, content: PlaceSummary) -> Section:
-    """Return the section with today's and the best place."""
-    tiles = []
-    for title, place in (("Today", search.today), ("Best place", search.best)):
-        if place is None or not place.reachable:
-            tiles.append(Tile(title, "-", "", "none" if place is None else place.problem, "warning"))
-            continue
-        x, y, z, a, _ = place.place
-        kind = "deflection, largest" if np.isnan(place.u95) else "expected error (95 %), largest"
-        turn = f"; tool turned by {place.turn * DEG_PER_RAD:+.0f}°" if place.turn else ""
-        place_text = f"X {x:.0f} Y {y:.0f} Z {z:.0f} A {a:.1f}{turn}"
-        note = f"{kind}; {place_text}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
-        tiles.append(Tile(title, _cost_text(place), "mm", note))
+    """Return the section with today's and the best place: the advice, notes, and a tile for each."""
+    tiles = Tiles((_place_tile("Today", search.today), _place_tile("Best place", search.best)))
     start_notes = () if content.start is None else (Note(content.start),)
     frame_notes = map(Note, _frame_notes(content))
     later_notes = map(Note, _later_refusal_lines(content))
     notes = Notes((Note(content.sentence), Note(_collision_note(content)), *later_notes, *start_notes, *frame_notes))
-    return Section("place", "Where the part should be", (notes, Tiles(tuple(tiles))))
+    return Section("place", "Where the part should be", (notes, tiles))
+
+
+def _place_tile(title: str, place: JudgedPlace | None) -> Tile:
+    """Return the tile of a place: its expected error, or why it cannot be driven; None: there is no such place."""
+    if place is None or not place.reachable:
+        return Tile(title, "-", "", "none" if place is None else place.problem, "warning")
+    x, y, z, a, _ = place.place
+    kind = "deflection, largest" if np.isnan(place.u95) else "expected error (95 %), largest"
+    turn = f"; tool turned by {place.turn * DEG_PER_RAD:+.0f}°" if place.turn else ""
+    place_text = f"X {x:.0f} Y {y:.0f} Z {z:.0f} A {a:.1f}{turn}"
+    note = f"{kind}; {place_text}; joint margin {place.margin * DEG_PER_RAD:.1f}°"
+    return Tile(title, _cost_text(place), "mm", note)
 
 
 def _map_sections(search: Search) -> Iterator[Section]:
@@ -331,35 +360,38 @@ def _map_sections(search: Search) -> Iterator[Section]:
 
     The second is left out unless the search tried a whole grid in A and Z.
     """
+    slice_x, slice_y, slice_z, slice_a, slice_e1 = search.slice_place
     x, y = search.slice
     if len(x):
-        # the trials of the map are consecutive, column by column; without a match the last ones are taken
-        first = len(search.trials) - len(x) * len(y)
-        for first in range(len(search.trials) - len(x) * len(y) + 1):
-            if search.trials[first].place[:2] == (x[0], y[0]) and _is_slice(search, first):
-                break
-        columns = [search.trials[first + i * len(y) : first + (i + 1) * len(y)] for i in range(len(x))]
-        rows = [[column[k] for column in columns] for k in range(len(y))]
-        title = f"Map at Z {search.slice_place[2]:.0f}, A {search.slice_place[3]:.1f}°"
-        yield Section("map", title, (_map_plot(search, rows, (0, 1), tuple(x), tuple(y), title),))
-    grid = [
-        judged_place
-        for judged_place in search.trials
-        if judged_place.place[:2] == search.slice_place[:2] and judged_place.place[4] == search.slice_place[4]
-    ]
-    z, a = (sorted({judged_place.place[k] for judged_place in grid}) for k in (2, 3))
-    place_at = {(judged_place.place[2], judged_place.place[3]): judged_place for judged_place in reversed(grid)}
-    if len(z) > 2 and len(a) > 2 and all((height, angle) in place_at for height in z for angle in a):
-        title = f"Map at X {search.slice_place[0]:.0f}, Y {search.slice_place[1]:.0f}"
-        rows = [[place_at[height, angle] for angle in a] for height in z]
-        yield Section("map-turn", title, (_map_plot(search, rows, (3, 2), tuple(a), tuple(z), title),))
+        title = f"Map at Z {slice_z:.0f}, A {slice_a:.1f}°"
+        yield Section("map", title, (_map_plot(search, _slice_rows(search), (0, 1), x, y, title),))
+    place_at: dict[tuple[float, float], JudgedPlace] = {}  # by Z and A; of several trials the first counts
+    for trial in search.trials:
+        trial_x, trial_y, trial_z, trial_a, trial_e1 = trial.place
+        if (trial_x, trial_y, trial_e1) == (slice_x, slice_y, slice_e1):
+            place_at.setdefault((trial_z, trial_a), trial)
+    heights, angles = sorted({z for z, _ in place_at}), sorted({a for _, a in place_at})
+    is_whole_grid = all((z, a) in place_at for z in heights for a in angles)
+    if len(heights) > 2 and len(angles) > 2 and is_whole_grid:
+        title = f"Map at X {slice_x:.0f}, Y {slice_y:.0f}"
+        rows = [[place_at[z, a] for a in angles] for z in heights]
+        yield Section("map-turn", title, (_map_plot(search, rows, (3, 2), angles, heights, title),))
 
 
-def _is_slice(search: Search, first: int) -> bool:
-    """Return whether the trials from row `first` end, after as many as the map has, at its last corner."""
+def _slice_rows(search: Search) -> list[list[JudgedPlace]]:
+    """Return the places of the map in X and Y by row (Y) and column (X).
+
+    Its trials are consecutive, column by column, from corner to corner; without a match the last ones are taken.
+    """
     x, y = search.slice
-    last = first + len(x) * len(y) - 1
-    return last < len(search.trials) and search.trials[last].place[:2] == (x[-1], y[-1])
+    count = len(x) * len(y)
+    trials = search.trials[len(search.trials) - count :]
+    for first in range(len(search.trials) - count + 1):
+        begin, end = search.trials[first].place, search.trials[first + count - 1].place
+        if begin[:2] == (x[0], y[0]) and end[:2] == (x[-1], y[-1]):
+            trials = search.trials[first : first + count]
+            break
+    return [list(trials[row :: len(y)]) for row in range(len(y))]
 
 
 def _map_plot(
@@ -375,53 +407,42 @@ def _map_plot(
     :param rows: places by row (`y`) and column (`x`).
     :param axes: indices in `AXES` of the horizontal and the vertical axis, `x` and `y` the values on them [mm, deg].
     """
-    values = [
-        [judged_place.cost * MM_PER_M if judged_place.reachable else None for judged_place in row] for row in rows
-    ]
-    quantity = (
-        "deflection, mm"
-        if all(np.isnan(judged_place.u95) for row in rows for judged_place in row)
-        else "expected error (95 %), mm"
-    )
-    grid = Map(
-        list(x),
-        list(y),
-        values,
-        [[judged_place.reason for judged_place in row] for row in rows],
-        PLACE_REASONS,
-        quantity,
-    )
+    horizontal, vertical = axes
+    values = [[place.cost * MM_PER_M if place.reachable else None for place in row] for row in rows]
+    reasons = [[place.reason for place in row] for row in rows]
+    is_unbounded = all(np.isnan(place.u95) for row in rows for place in row)
+    quantity = "deflection, mm" if is_unbounded else "expected error (95 %), mm"
+    grid = Map(list(x), list(y), values, reasons, PLACE_REASONS, quantity)
     marks, notes = [], []
+    today, best = search.today.place, None if search.best is None else search.best.place
     if _is_on_map(search, axes, x, y):
-        marks.append(
-            Points([search.today.place[axes[0]]], [search.today.place[axes[1]]], "today", "before", hollow=True)
-        )
+        marks.append(Points([today[horizontal]], [today[vertical]], "today", "before", hollow=True))
         notes.append("Ring: today's place.")
     else:
-        notes.append(f"Today's place is not on this map: {_coordinates(search.today.place)}.")
-    if search.best is not None:
-        marks.append(Points([search.best.place[axes[0]]], [search.best.place[axes[1]]], "best", "warning"))
-        notes.append(f"Dot: the best place, {_coordinates(search.best.place)}.")
+        notes.append(f"Today's place is not on this map: {_coordinates(today)}.")
+    if best is not None:
+        marks.append(Points([best[horizontal]], [best[vertical]], "best", "warning"))
+        notes.append(f"Dot: the best place, {_coordinates(best)}.")
     return Plot(
         label=f"{title}: expected error by place, and why places are refused.",
         traces=[grid, *marks],
-        x=Axis(title=f"{AXES[axes[0]]}, {_UNITS[axes[0]]}"),
-        y=Axis(title=f"{AXES[axes[1]]}, {_UNITS[axes[1]]}"),
+        x=Axis(title=f"{AXES[horizontal]}, {_UNITS[horizontal]}"),
+        y=Axis(title=f"{AXES[vertical]}, {_UNITS[vertical]}"),
         height=460,
         note=" ".join(notes),
     )
 
 
 def _is_on_map(search: Search, axes: tuple[int, int], x: Sequence[float], y: Sequence[float]) -> bool:
-    """Return whether today's place is in the plane of a map and between its edges."""
-    place = search.today.place
-    other_axes = [k for k in range(len(AXES)) if k not in axes]
-    in_plane = all(abs(place[k] - search.slice_place[k]) <= _SAME_PLANE for k in other_axes)
-    return in_plane and x[0] <= place[axes[0]] <= x[-1] and y[0] <= place[axes[1]] <= y[-1]
+    """Return whether today's place is in the plane of a map and between its edges; parameters as of `_map_plot`."""
+    place, (horizontal, vertical) = search.today.place, axes
+    normal_axes = [k for k in range(len(AXES)) if k not in axes]
+    is_in_plane = all(abs(place[k] - search.slice_place[k]) <= _SAME_PLANE for k in normal_axes)
+    return is_in_plane and x[0] <= place[horizontal] <= x[-1] and y[0] <= place[vertical] <= y[-1]
 
 
 def _coordinates(place: Sequence[float]) -> str:
-    """Return a place in words; E1 is left out where it is 0."""
+    """Return a place [mm, deg] in words, for example "X 1500, Y 0, Z 700, A 15°"; E1 is left out where it is 0."""
     return ", ".join(
         f"{axis} {value:g}{'' if unit == 'mm' else unit}"
         for axis, unit, value in zip(AXES, _UNITS, place, strict=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -45,10 +45,13 @@ _ANGLE_DECIMALS = 3
 
 
 def plan_csv(result: PlanResult) -> bytes:
-    """Return ``config,A1…A6,Fx,Fy,Fz``: deg; N, root axes, at the load point; in the order of least travel."""
+    """Return the plan as CSV, ``config,A1…A6,Fx,Fy,Fz``, in the order of least travel.
+
+    Angles in degrees; forces in N, root axes, at the load point.
+    """
     rows = [_HEADER]
     for number, (q, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True), 1):
-        angles = ",".join(decimal_text(value, 3) for value in q)
+        angles = ",".join(decimal_text(value, _ANGLE_DECIMALS) for value in q)
         rows.append(f"{number},{angles},{','.join(decimal_text(value, 1) for value in force)}")
     return ("\n".join(rows) + "\n").encode()
 
@@ -95,7 +98,6 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
 
     Criteria are given as square roots: the RMS distance that remains after compensation.
     """
-    criterion = float(np.sqrt(result.plan.value)) * MM_PER_M
     content: dict[str, object] = {
         "robot": result.robot,
         "configurations": len(result.plan),
@@ -106,20 +108,7 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
             "N": result.second_load * result.site.rig.force,
         },
         "torques": _torque_entries(result),
-        "criterion": {"kind": "grouped" if result.options.grouped else "pooled", "rms_mm": criterion},
-        "expected": {
-            "rms_mm": result.accuracy.rms * MM_PER_M,
-            "interval95_mm": [value * MM_PER_M for value in result.accuracy.interval],
-            "worst_test_pose_mm": float(result.accuracy.poses.max()) * MM_PER_M,
-        },
-        "uncompensated": {
-            "rms_mm": float(np.sqrt(result.tests.weight @ result.tests.deflection**2)) * MM_PER_M,
-            "max_mm": float(result.tests.deflection.max()) * MM_PER_M,
-        },
-        "parameters": [
-            {"name": name, "ci95_percent": float(half) * 100.0}
-            for name, half in zip((p.symbol for p in result.accuracy.parameters), result.accuracy.relative, strict=True)
-        ],
+        **_accuracy_content(result),
         "test_poses": {"count": len(result.tests), "source": result.tests.source},
         "travel_s": result.seconds,
         "interrupted": result.interrupted,
@@ -129,31 +118,66 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
         # infinite while a parameter is unidentifiable from the readings so far
         is_determined = math.isfinite(result.before.rms)
         content["measured_so_far"] = {"rms_mm": result.before.rms * MM_PER_M if is_determined else None}
-    return content | _comparison_content(result, criterion)
+    return content | _comparison_content(result)
+
+
+def _criterion_mm(value: float) -> float:
+    """Return the root of the criterion of a plan [mm], the RMS distance that remains; `value` is the criterion [m²]."""
+    return float(np.sqrt(value)) * MM_PER_M
+
+
+def _uncompensated_rms_mm(result: PlanResult) -> float:
+    """Return the RMS of the deflections at the test poses by their shares of the work, without compensation [mm]."""
+    return float(np.sqrt(result.tests.weight @ result.tests.deflection**2)) * MM_PER_M
+
+
+def _accuracy_content(result: PlanResult) -> dict[str, object]:
+    """Return the criterion, the expected errors with and without compensation [mm], and intervals of the parameters."""
+    accuracy = result.accuracy
+    return {
+        "criterion": {
+            "kind": "grouped" if result.options.grouped else "pooled",
+            "rms_mm": _criterion_mm(result.plan.value),
+        },
+        "expected": {
+            "rms_mm": accuracy.rms * MM_PER_M,
+            "interval95_mm": [value * MM_PER_M for value in accuracy.interval],
+            "worst_test_pose_mm": float(accuracy.poses.max()) * MM_PER_M,
+        },
+        "uncompensated": {
+            "rms_mm": _uncompensated_rms_mm(result),
+            "max_mm": float(result.tests.deflection.max()) * MM_PER_M,
+        },
+        "parameters": [
+            {"name": parameter.symbol, "ci95_percent": float(half_width) * 100.0}
+            for parameter, half_width in zip(accuracy.parameters, accuracy.relative, strict=True)
+        ],
+    }
 
 
 def _torque_entries(result: PlanResult) -> list[dict[str, object]]:
     """Return an entry for each joint: torques of the loads [N·m], poses by their sign, and torques of the work."""
-    rows = zip(JOINTS, *torque_extremes(result), pose_counts_by_side(result), result.directions.work, strict=True)
+    low, high = torque_extremes(result)
+    counts, work = pose_counts_by_side(result), result.directions.work
+
+    def by_sign(name: str, values: Iterable[float]) -> dict[str, float]:
+        """Return the two values, of the negative and of the positive side, with the sign in their keys."""
+        return {name.format(sign): value for sign, value in zip(SIGNS, values, strict=True)}
+
     return [
         {
             "joint": joint,
-            **{f"{sign}_Nm": float(value) for sign, value in zip(SIGNS, (low, high), strict=True)},
-            **{f"{sign}_poses": int(number) for sign, number in zip(SIGNS, count, strict=True)},
-            **{
-                f"work_{sign}_Nm": float(value)
-                for sign, value in zip(SIGNS, (without_negative_zero(-work[0]), work[1]), strict=True)
-            },
+            **by_sign("{}_Nm", (float(low[k]), float(high[k]))),
+            **by_sign("{}_poses", counts[k].tolist()),
+            **by_sign("work_{}_Nm", (float(without_negative_zero(-work[k, 0])), float(work[k, 1]))),
         }
-        for joint, low, high, count, work in rows
+        for k, joint in enumerate(JOINTS)
     ]
 
 
-def _comparison_content(result: PlanResult, criterion: float) -> dict[str, object]:
-    """Return the section that compares random plans, the serial approach, and other numbers of poses.
-
-    :param criterion: of the plan [mm].
-    """
+def _comparison_content(result: PlanResult) -> dict[str, object]:
+    """Return the sections that compare random plans, the serial approach, and other numbers of poses; empty without."""
+    criterion = _criterion_mm(result.plan.value)
     random = np.sqrt(result.random) * MM_PER_M
     content: dict[str, object] = {}
     if len(random):
@@ -165,14 +189,14 @@ def _comparison_content(result: PlanResult, criterion: float) -> dict[str, objec
             "gain_over_median": float(np.median(random)) / criterion,
         }
     if result.serial is not None:
-        serial = float(np.sqrt(result.serial.value)) * MM_PER_M
+        serial = _criterion_mm(result.serial.value)
         content["serial_approach"] = {"rms_mm": serial, "gain": serial / criterion}
     if result.sizes:
         content["sizes"] = [
             {
                 "configurations": size.configurations,
-                "rms_mm": float(np.sqrt(size.value)) * MM_PER_M,
-                "random_median_rms_mm": float(np.sqrt(size.random)) * MM_PER_M,
+                "rms_mm": _criterion_mm(size.value),
+                "random_median_rms_mm": _criterion_mm(size.random),
             }
             for size in result.sizes
         ]
@@ -201,41 +225,44 @@ def plan_json(result: PlanResult, files: Sequence[FileEntry]) -> bytes:
 def plan_lines(result: PlanResult) -> list[str]:
     """Return the summary of a plan as lines to print."""
     low, high = (value * MM_PER_M for value in result.accuracy.interval)
-    criterion = float(np.sqrt(result.plan.value)) * MM_PER_M
-    uncompensated = float(np.sqrt(result.tests.weight @ result.tests.deflection**2)) * MM_PER_M
+    force = result.site.rig.force
     levels = ", ".join(f"{value:.1f}" for value in np.sort(np.unique(result.plan.q[:, 1])) * DEG_PER_RAD)
+    torques = ", ".join(
+        f"{joint} {least:.0f} … {largest:.0f}"
+        for joint, least, largest in zip(JOINTS, *torque_extremes(result), strict=True)
+    )
     names = " and ".join(result.unobservable)
-    aside = f", but for that by {names}, which this rig does not show" if names else ""
-    lines = [
+    exception = f", but for that by {names}, which this rig does not show" if names else ""
+    return [
         f"{len(result.plan)} poses, A2 at {levels}°; {len(result.tests)} test poses from {result.tests.source}",
-        f"each under two loads: {result.site.rig.force:.0f} N as planned, and {result.second_load:.0%} of it, "
-        f"{result.second_load * result.site.rig.force:.0f} N, in the same direction: as near to the work "
+        f"each under two loads: {force:.0f} N as planned, and {result.second_load:.0%} of it, "
+        f"{result.second_load * force:.0f} N, in the same direction: as near to the work "
         "as the readings allow",
-        "torques of the loads: "
-        + ", ".join(f"{n} {a:.0f} … {b:.0f}" for n, a, b in zip(JOINTS, *torque_extremes(result), strict=True))
-        + " N·m",
-        f"expected error after compensation{aside}: {result.accuracy.rms * MM_PER_M:.3g} mm RMS "
-        f"(95 %: {low:.3g} … {high:.3g}); without compensation: {uncompensated:.3g} mm",
+        f"torques of the loads: {torques} N·m",
+        f"expected error after compensation{exception}: {result.accuracy.rms * MM_PER_M:.3g} mm RMS "
+        f"(95 %: {low:.3g} … {high:.3g}); without compensation: {_uncompensated_rms_mm(result):.3g} mm",
+        *_comparison_lines(result),
+        *(["interrupted: this is the best plan so far"] if result.interrupted else []),
     ]
+
+
+def _comparison_lines(result: PlanResult) -> Iterator[str]:
+    """Yield lines on the error with the readings so far, on random plans, and on the plan of the serial approach."""
+    criterion = _criterion_mm(result.plan.value)
     if result.before is not None:
         error = f"{result.before.rms * MM_PER_M:.3g} mm RMS"
         if not math.isfinite(result.before.rms):
             error = "unknown, it does not determine every parameter"
-        lines.append(f"with what was measured so far alone: {error}")
+        yield f"with what was measured so far alone: {error}"
     if len(result.random):
         random = np.sqrt(result.random) * MM_PER_M
-        lines.append(
+        yield (
             f"criterion {criterion:.3g} mm; {len(random)} random plans: best {random.min():.3g}, median "
             f"{np.median(random):.3g} mm ({np.median(random) / criterion:.2f} × the plan's)"
         )
     if result.serial is not None:
-        serial = float(np.sqrt(result.serial.value)) * MM_PER_M
-        lines.append(
-            f"semi-intuitive plan of the serial approach: {serial:.3g} mm ({serial / criterion:.2f} × the plan's)"
-        )
-    if result.interrupted:
-        lines.append("interrupted: this is the best plan so far")
-    return lines
+        serial = _criterion_mm(result.serial.value)
+        yield f"semi-intuitive plan of the serial approach: {serial:.3g} mm ({serial / criterion:.2f} × the plan's)"
 
 
 _ARROW = 0.45
@@ -266,9 +293,10 @@ def poses_section(result: PlanResult) -> Section:
     traces = [*surroundings, *all_poses, *single_poses]
     # a step shows traces by their rows in `traces`: surroundings, then two of all poses, then three of each pose
     surrounding_rows = list(range(len(surroundings)))
-    begin = len(surrounding_rows) + len(all_poses)
-    steps = [[*surrounding_rows, len(surrounding_rows), len(surrounding_rows) + 1]]
-    steps += [[*surrounding_rows, *(begin + 3 * pose + index for index in range(3))] for pose in range(count)]
+    begin = len(surroundings) + len(all_poses)
+    rows_of_all_poses = list(range(len(surroundings), begin))
+    rows_of_pose = [list(range(begin + 3 * pose, begin + 3 * pose + 3)) for pose in range(count)]
+    steps = [[*surrounding_rows, *rows] for rows in (rows_of_all_poses, *rows_of_pose)]
     plot = Plot(
         label="The arm in all poses of the plan, and in each; angles and loads are in the table below",
         traces=list(traces),
@@ -305,7 +333,11 @@ def _drawn_surroundings(result: PlanResult) -> list[Lines]:
 
 
 def _line_with_gaps(pieces: list[Array], name: str, colour: Colour, width: float, *, dots: bool = False) -> Lines:
-    """Return pieces of any number of points (n, 3) [m] as one line in space, with gaps between the pieces."""
+    """Return pieces of any number of points (n, 3) [m] as one line in space, with gaps between the pieces.
+
+    :param width: of the line, or of the dots [px].
+    :param dots: draw the points as dots instead of a line.
+    """
     gap = np.full((1, 3), np.nan)
     points = np.concatenate([part for piece in pieces for part in (piece, gap)] or [gap])
     x, y, z = (points[:, axis].tolist() for axis in range(3))
@@ -314,6 +346,7 @@ def _line_with_gaps(pieces: list[Array], name: str, colour: Colour, width: float
 
 def _box_corners(obstacle: object) -> Array:
     """Return the eight corners (8, 3) of a box, or of the box around a mesh [m], robot root; see `_EDGES`."""
+    # bit k of the number of a corner: low (−1) or high (1) along axis k
     signs = np.array([[1 if corner >> axis & 1 else -1 for axis in range(3)] for corner in range(8)])
     if isinstance(obstacle, BoxShape):
         rotation, shift = obstacle.to_box[:3, :3], obstacle.to_box[:3, 3]
@@ -332,7 +365,6 @@ _BINS = 60
 def expected_section(result: PlanResult) -> Section:
     """Return the section on the expected accuracy of the planned measurements."""
     low, high = (value * MM_PER_M for value in result.accuracy.interval)
-    uncompensated = float(np.sqrt(result.tests.weight @ result.tests.deflection**2))
     tiles = [
         Tile(
             "After compensation, RMS",
@@ -340,7 +372,7 @@ def expected_section(result: PlanResult) -> Section:
             "mm",
             f"95 %: {low:.3g} … {high:.3g} mm",
         ),
-        Tile("Without compensation, RMS", f"{uncompensated * MM_PER_M:.3g}", "mm"),
+        Tile("Without compensation, RMS", f"{_uncompensated_rms_mm(result):.3g}", "mm"),
     ]
     if len(result.random):
         gain = np.sqrt(np.median(result.random) / result.plan.value)
@@ -358,12 +390,15 @@ def warnings_section(result: PlanResult) -> Section | None:
 
 
 def comparison_section(result: PlanResult) -> Section | None:
-    """Return the section with the histogram of the criterion of random plans, and where this plan is [mm]."""
+    """Return the section with the histogram of the criterion of random plans, and where this plan is [mm].
+
+    None without random plans.
+    """
     if not len(result.random):
         return None
     random = np.sqrt(result.random) * MM_PER_M
-    criterion = float(np.sqrt(result.plan.value)) * MM_PER_M
-    serial = None if result.serial is None else float(np.sqrt(result.serial.value)) * MM_PER_M
+    criterion = _criterion_mm(result.plan.value)
+    serial = None if result.serial is None else _criterion_mm(result.serial.value)
     # some random plans are hopeless: the picture ends where 97 % of them are in
     top = max(float(np.quantile(random, 0.97)), serial or 0.0, criterion) * 1.05
     counts, edges = np.histogram(np.clip(random, 0.0, top), bins=_BINS, range=(0.0, top))
@@ -395,7 +430,7 @@ def sizes_section(result: PlanResult) -> Section | None:
     criterion = (np.sqrt([size.value for size in result.sizes]) * MM_PER_M).tolist()
     random = (np.sqrt([size.random for size in result.sizes]) * MM_PER_M).tolist()
     plan_point = [(n, value) for n, value in zip(number, criterion, strict=True) if n == len(result.plan)]
-    high = min(max(random), 4.0 * max(criterion)) * 1.05
+    high = min(max(random), 4.0 * max(criterion)) * 1.05  # random plans of few poses may be hopeless
     plot = Plot(
         label="Criterion against the number of poses, for the best plans found and for random ones",
         traces=[

@@ -58,18 +58,12 @@ def design_page(
     :param box: of the block in `$BASE` [mm].
     :param robot: its name, for the head of the page.
     """
+    remarks = Notes(tuple(Note(text) for text in _remarks(design, prior)))
     sections = (
         Section("numbers", "What the part will show", (_design_tiles(design, parts),)),
         Section("drawing", "Drawing", _drawings(design, cutting, parts, box)),
         Section("steps", "How to use it", (Notes(_design_steps(parts, box), marked=True),)),
-        Section(
-            "parameters",
-            "What each parameter will be known to",
-            (
-                _parameter_table(design, prior),
-                Notes(tuple(Note(text) for text in _remarks(design, prior))),
-            ),
-        ),
+        Section("parameters", "What each parameter will be known to", (_parameter_table(design, prior), remarks)),
         Section("features", "Features", (_feature_table(design, parts),)),
     )
     feed = cutting.feed * MM_PER_M * 60.0
@@ -95,7 +89,12 @@ def _design_tiles(design: Design, parts: dict[Placement, Program]) -> Tiles:
 
 
 def _design_steps(parts: dict[Placement, Program], box: Box) -> tuple[Note, ...]:
-    """Return the steps of a test part: clamp, touch off, cut, probe, identify."""
+    """Return the steps of a test part: clamp, touch off, cut, probe, identify.
+
+    :param parts: program of each placement of the block.
+    :param box: of the block in `$BASE` [mm].
+    """
+    programs = " ".join(placement.name for placement, part in parts.items() if len(part.feature))
     return (
         Note(
             f"Clamp a block of X {box.X[0]:g} … {box.X[1]:g}, Y {box.Y[0]:g} … {box.Y[1]:g}, "
@@ -118,7 +117,7 @@ def _design_steps(parts: dict[Placement, Program], box: Box) -> tuple[Note, ...]
         ),
         Note(
             "postproc identify part probing.csv --cell CELL --process testpart.process.toml "
-            f"--program {' '.join(placement.name for placement, part in parts.items() if len(part.feature))} -o MODEL"
+            f"--program {programs} -o MODEL"
         ),
     )
 
@@ -136,18 +135,14 @@ def _remarks(design: Design, prior: Prior) -> list[str]:
 def _parameter_table(design: Design, prior: Prior) -> Table:
     """Return the table of standard deviations before and after the part is measured."""
     rows = []
-    names = [parameter.title for parameter in prior.parameters]
-    for name, value, sigma, share, change in zip(
-        names, prior.values, prior.sigma[:-1], design.sigma[:-1], design.change.tolist(), strict=True
-    ):
-        sigma_percent = 100.0 * sigma / value if value else float("nan")
+    for k, parameter in enumerate(prior.parameters):
+        value, change = prior.values[k], float(design.change[k])
+        sigma_percent = 100.0 * prior.sigma[k] / value if value else float("nan")
         change_text = f"{100.0 * change:.0f}" if change < MOST_CHANGE else "not seen"
-        rows.append(_parameter_row(name, sigma_percent, sigma_percent * float(share), float(share), change_text))
-    sigma_percent = 100.0 * float(prior.sigma[-1])
+        rows.append(_parameter_row(parameter.title, sigma_percent, float(design.sigma[k]), change_text))
+    # the last standard deviation, after those of the parameters, is that of the scale of the forces
     rows.append(
-        _parameter_row(
-            "scale of the forces", sigma_percent, sigma_percent * float(design.sigma[-1]), float(design.sigma[-1]), ""
-        )
+        _parameter_row("scale of the forces", 100.0 * float(prior.sigma[-1]), float(design.sigma[-1]), change_text="")
     )
     return Table(
         ("parameter", "now, σ %", "with the part, σ %", "change seen later, %", ""),
@@ -158,16 +153,17 @@ def _parameter_table(design: Design, prior: Prior) -> Table:
     )
 
 
-def _parameter_row(name: str, prior_sigma: float, sigma_with_part: float, share: float, change_text: str) -> Row:
-    """Return the row of a parameter.
+def _parameter_row(name: str, prior_sigma: float, share: float, change_text: str) -> Row:
+    """Return the row of a parameter: its standard deviation now and with the part, and what the part does not show.
 
-    :param prior_sigma: standard deviation now [%], `sigma_with_part` the one with the part [%], `share` their ratio.
-    :param change_text: smallest change that the same part shows later.
+    :param prior_sigma: standard deviation now, in percent of the value; NaN if the value is 0.
+    :param share: what the part leaves of it, in [0, 1].
+    :param change_text: smallest change that the same part shows later [%]; empty if there is none to show.
     """
     is_hidden = share > _HIDDEN_SHARE
     kind: Kind = "soft" if is_hidden else ""
     text = Cell("value not shown by this part" if is_hidden else "", kind)
-    return Row((name, f"{prior_sigma:.2g}", f"{sigma_with_part:.2g}", change_text, text))
+    return Row((name, f"{prior_sigma:.2g}", f"{prior_sigma * share:.2g}", change_text, text))
 
 
 def _unseen_change_sentence(design: Design, prior: Prior) -> str | None:
@@ -232,23 +228,22 @@ def _weight_steps(parts: dict[Placement, Program]) -> list[Note]:
 def _feature_table(design: Design, parts: dict[Placement, Program]) -> Table:
     """Return the table of the features, in mm and degrees of `$BASE`."""
     rows = []
-    frames = [placement.title for placement, program in parts.items() for _ in range(program.features)]
+    block_frames = [placement.title for placement, program in parts.items() for _ in range(program.features)]
     has_placements = len(parts) > 1
-    for number, (feature, row) in enumerate(zip(design.features, design.chosen.tolist(), strict=True), start=1):
-        rows.append(
-            Row(
-                (
-                    f"F{number:02d}",
-                    *([frames[number - 1]] if has_placements else []),
-                    feature.kind.title,
-                    f"{feature.kind.depth * MM_PER_M:g}",
-                    f"{feature.x * MM_PER_M:.1f}",
-                    f"{feature.y * MM_PER_M:.1f}",
-                    f"{np.degrees(feature.angle):.0f}",
-                    f"{design.candidates.deflection[row] * MM_PER_M:.3f}",
-                )
-            )
-        )
+    deflections = design.candidates.deflection[design.chosen] * MM_PER_M
+    for index, feature in enumerate(design.features):
+        cells = [f"F{index + 1:02d}"]
+        if has_placements:
+            cells.append(block_frames[index])
+        cells += [
+            feature.kind.title,
+            f"{feature.kind.depth * MM_PER_M:g}",
+            f"{feature.x * MM_PER_M:.1f}",
+            f"{feature.y * MM_PER_M:.1f}",
+            f"{np.degrees(feature.angle):.0f}",
+            f"{deflections[index]:.3f}",
+        ]
+        rows.append(Row(tuple(cells)))
     head = ("kind", "depth, mm", "X, mm", "Y, mm", "direction, °", "deflection, mm")
     title = "Features with the largest expected deflection of the tool"
     if has_placements:
@@ -257,7 +252,7 @@ def _feature_table(design: Design, parts: dict[Placement, Program]) -> Table:
 
 
 def _drawings(design: Design, cutting: Cutting, parts: dict[Placement, Program], box: Box) -> tuple[Drawing, ...]:
-    """Return a drawing for each placement of the block."""
+    """Return a drawing for each placement of the block in which something is cut."""
     drawings, first = [], 0
     for placement, program in parts.items():
         feature_numbers = range(first, first + program.features)
@@ -269,27 +264,31 @@ def _drawings(design: Design, cutting: Cutting, parts: dict[Placement, Program],
     return tuple(drawings)
 
 
-class _Plan:
-    """Plan view of a block: places of the drawing [px] for points in `$BASE` [m]."""
+class _PlanView:
+    """Plan view of a block: places of the drawing [px] for points in `$BASE` [m].
+
+    `height` is that of the drawing [px].
+    """
 
     def __init__(self, box: Box) -> None:
+        """Scale the drawing so that a block, `box` in `$BASE` [mm], fills its width."""
         self._low = np.array([box.X[0], box.Y[0]])
         self._scale = _WIDE / (box.X[1] - box.X[0])
-        self.tall = self._scale * (box.Y[1] - box.Y[0])
+        self.height = self._scale * (box.Y[1] - box.Y[0])
 
     def xy(self, points: Array) -> Array:
         """Return the places (n, 2) [px] of points (n, 2 or 3) [m]; y of a picture points down."""
         x, y = (points[:, :2] * MM_PER_M - self._low).T * self._scale
-        return np.column_stack([x, self.tall - y])
+        return np.column_stack([x, self.height - y])
 
     def path(self, points: Array, style: str) -> str:
         """Return an svg path: the closed line through points (n, 2 or 3) [m] in a style."""
         return f'<path d="M{" L".join(f"{x:.1f} {y:.1f}" for x, y in self.xy(points).tolist())}Z" {style}/>'
 
-    def text(self, words: str, point: Array, rise: float, style: str) -> str:
+    def text(self, text: str, point: Array, rise: float, style: str) -> str:
         """Return an svg text centred above a point (3,) or (2,) [m] by `rise` pixels."""
         x, y = self.xy(point[None])[0].tolist()
-        return f'<text x="{x:.1f}" y="{y - rise:.1f}" text-anchor="middle" fill="currentColor" {style}>{words}</text>'
+        return f'<text x="{x:.1f}" y="{y - rise:.1f}" text-anchor="middle" fill="currentColor" {style}>{text}</text>'
 
 
 def _drawing(
@@ -300,26 +299,17 @@ def _drawing(
     :param feature_numbers: features of this placement; of others the outlines are shown.
     :param program: of this placement.
     """
-    plan = _Plan(box)
-    shapes = [f'<rect x="0" y="0" width="{_WIDE:.0f}" height="{plan.tall:.0f}" fill="none" stroke="currentColor"/>']
+    plan = _PlanView(box)
+    shapes = [f'<rect x="0" y="0" width="{_WIDE:.0f}" height="{plan.height:.0f}" fill="none" stroke="currentColor"/>']
     for index, feature in enumerate(design.features):
         if index in feature_numbers:
             shapes += _feature_shapes(plan, feature, cutting, f"F{index + 1:02d}")
         else:
             faint = 'fill="none" stroke="currentColor" stroke-opacity="0.15"'
             shapes += _outlines(plan, feature, cutting, "", faint)
-    shapes += _touch_off_shapes(plan, program)
-    for text, x, y, anchor in (
-        (f"X {box.X[0]:g}", 0.0, plan.tall + 18.0, "start"),
-        (f"X {box.X[1]:g}", _WIDE, plan.tall + 18.0, "end"),
-        (f"Y {box.Y[0]:g}", -6.0, plan.tall, "end"),
-        (f"Y {box.Y[1]:g}", -6.0, 12.0, "end"),
-    ):
-        shapes.append(
-            f'<text x="{x:.0f}" y="{y:.0f}" text-anchor="{anchor}" font-size="13" fill="currentColor">{text}</text>'
-        )
+    shapes += [*_touch_off_shapes(plan, program), *_edge_labels(plan, box)]
     svg = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-60 -8 {_WIDE + 70:.0f} {plan.tall + 34:.0f}" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-60 -8 {_WIDE + 70:.0f} {plan.height + 34:.0f}" '
         f'style="width:100%;max-height:40rem">{"".join(shapes)}</svg>'
     )
     return Drawing(
@@ -331,7 +321,21 @@ def _drawing(
     )
 
 
-def _feature_shapes(plan: _Plan, feature: features.Feature, cutting: Cutting, name: str) -> list[str]:
+def _edge_labels(plan: _PlanView, box: Box) -> list[str]:
+    """Return the coordinates of the edges of the block [mm] as svg texts: X below the drawing, Y left of it."""
+    labels = (
+        (f"X {box.X[0]:g}", 0.0, plan.height + 18.0, "start"),
+        (f"X {box.X[1]:g}", _WIDE, plan.height + 18.0, "end"),
+        (f"Y {box.Y[0]:g}", -6.0, plan.height, "end"),
+        (f"Y {box.Y[1]:g}", -6.0, 12.0, "end"),
+    )
+    return [
+        f'<text x="{x:.0f}" y="{y:.0f}" text-anchor="{anchor}" font-size="13" fill="currentColor">{text}</text>'
+        for text, x, y, anchor in labels
+    ]
+
+
+def _feature_shapes(plan: _PlanView, feature: features.Feature, cutting: Cutting, name: str) -> list[str]:
     """Return a feature as svg elements: its surfaces, its probed points, its name with its depth [mm]."""
     areas = 'fill="currentColor" fill-opacity="0.12" stroke="currentColor"'
     hidden_lines = 'fill="none" stroke="currentColor" stroke-dasharray="4 3"'
@@ -347,7 +351,7 @@ def _feature_shapes(plan: _Plan, feature: features.Feature, cutting: Cutting, na
     return [*shapes, plan.text(f"{name} · {feature.kind.depth * MM_PER_M:g}", middle, -5.0, style)]
 
 
-def _outlines(plan: _Plan, feature: features.Feature, cutting: Cutting, surface: str, style: str) -> list[str]:
+def _outlines(plan: _PlanView, feature: features.Feature, cutting: Cutting, surface: str, style: str) -> list[str]:
     """Return the outlines of the passes of a feature that make a surface, as svg elements in a style.
 
     :param surface: beginning of its name; empty: all surfaces.
@@ -356,7 +360,7 @@ def _outlines(plan: _Plan, feature: features.Feature, cutting: Cutting, surface:
     return [plan.path(_stadium(feature, begin, end, radius), style) for begin, end in _runs(feature, cutting, surface)]
 
 
-def _touch_off_shapes(plan: _Plan, program: Program) -> list[str]:
+def _touch_off_shapes(plan: _PlanView, program: Program) -> list[str]:
     """Return the touch-off points as crosses with their names."""
     shapes = []
     for name, point in zip(program.feature, program.point, strict=True):
@@ -386,35 +390,34 @@ def _stadium(feature: features.Feature, begin: Array, end: Array, radius: float)
     """Return the outline (n, 2) in `$BASE` of the area that a tool covers on a straight run [m].
 
     :param begin: (2,) of the run in the axes of the feature [m], `end` (2,) its end.
+    :param radius: of the tool [m].
     """
-    direction = np.arctan2(*(end - begin)[::-1])
-    turn = np.pi * (np.arange(_ARC + 1) / _ARC - 0.5)
-    ends = [
+    run_x, run_y = end - begin
+    direction = np.arctan2(run_y, run_x)
+    turn = np.pi * (np.arange(_ARC + 1) / _ARC - 0.5)  # of a half circle, from −90° to 90° about the direction
+    half_circles = [
         centre + radius * np.column_stack([np.cos(angle + turn), np.sin(angle + turn)])
         for centre, angle in ((end, direction), (begin, direction + np.pi))
     ]
-    points = np.concatenate(ends)
+    points = np.concatenate(half_circles)
     return features.to_base(feature, 0.0, np.column_stack([points, np.zeros(len(points))]))[:, :2]
 
 
 def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, Program]) -> list[str]:
-    """Return a chosen part as lines to print."""
+    """Return a chosen part as lines to print: features, expected errors, and what the part will show."""
     names = [*(parameter.name for parameter in prior.parameters), "forces"]
-    sigma_texts = [
-        f"{name} {100 * share:.0f} %" for name, share in zip(names, design.sigma, strict=True) if share <= _HIDDEN_SHARE
-    ]
-    hidden_names = [name for name, share in zip(names, design.sigma, strict=True) if share > _HIDDEN_SHARE]
+    shares = list(zip(names, design.sigma, strict=True))
+    sigma_texts = [f"{name} {100 * share:.0f} %" for name, share in shares if share <= _HIDDEN_SHARE]
+    hidden_names = [name for name, share in shares if share > _HIDDEN_SHARE]
+    placement_texts = [f"{placement.title}: {program.features}" for placement, program in parts.items()]
     lines = [
         f"{len(design.features)} features, {design.seconds / 60.0:.1f} min of cutting, "
         f"full cuts at {cutting.feed * MM_PER_M * 60:.0f} mm/min",
+        *([f"block at {', '.join(placement_texts)}"] if len(parts) > 1 else []),
         f"expected error where you mill ({design.tests}): {design.before * MM_PER_M:.3f} mm now, "
         f"{design.after * MM_PER_M:.3f} mm with the part, of {design.deflection * MM_PER_M:.2f} mm deflection (RMS)",
         f"standard deviations left: {', '.join(sigma_texts)} of those now",
     ]
-    if len(parts) > 1:
-        lines.insert(
-            1, "block at " + ", ".join(f"{placement.title}: {program.features}" for placement, program in parts.items())
-        )
     if hidden_names:
         lines.append(f"not shown by this part: {', '.join(hidden_names)}")
     if (hidden_changes := _unseen_change_sentence(design, prior)) is not None:
@@ -464,17 +467,33 @@ def agreement_lines(data: PartIdentification, agreement: Agreement) -> list[str]
     """Return lines to print on the agreement of the cell's model with the part."""
     state = "the model holds" if agreement.holds else "THE MODEL DOES NOT HOLD"
     return [
-        *([f"NOT DECIDED: {agreement.fault}"] if agreement.fault else []),
-        *([] if agreement.fault else [f"{state}: {agreement.line}"]),
+        f"NOT DECIDED: {agreement.fault}" if agreement.fault else f"{state}: {agreement.line}",
         f"deviations {data.deviation_mm:.4f} mm RMS, of which the model leaves {data.without_mm:.4f}; "
         f"probe {data.sigma_mm:.4f}",
     ]
 
 
 def part_page(data: PartIdentification, name: str) -> bytes:
-    """Return the page of a model from a test part as HTML in UTF-8."""
+    """Return the page of a model from a test part as HTML in UTF-8.
+
+    :param name: of the model, for the head of the page.
+    """
     is_refused = data.verdict.refused
     verdict = Verdict("failed" if is_refused else "ok", "Refused" if is_refused else "Usable", data.verdict.line)
+    notes = [*(Note(f"{text}.", "warning") for text in data.warnings), Note(_PRODUCT)]
+    sections = (
+        Section("verdict", "Verdict", (verdict, _part_tiles(data))),
+        Section("measured", "Measured and predicted", (_prediction_plot(data),), "half"),
+        Section("errors", "Remaining errors", (_error_plot(data),), "half"),
+        Section("parameters", "Parameters", (_interval_plot(data), _value_table(data))),
+        Section("issues", "What to know", (Notes(tuple(notes), marked=True),)),
+        Section("points", "Probed points", (_point_table(data),)),
+    )
+    return b"".join(Page("Model from a test part", name, f"{len(data.points)} probed points", sections).render())
+
+
+def _part_tiles(data: PartIdentification) -> Tiles:
+    """Return the tiles of a measured part: what the models leave of the deviations, forces, heights of the programs."""
     tiles = (
         Tile("Deviations, RMS", f"{data.deviation_mm:.3f}", "mm"),
         Tile("Left by the model before", f"{data.without_mm:.4f}", "mm"),
@@ -491,17 +510,7 @@ def part_page(data: PartIdentification, name: str) -> bytes:
             for error in data.touch_off
         ),
     )
-    notes = [Note(f"{text}.", "warning") for text in data.warnings]
-    notes.append(Note(_PRODUCT))
-    sections = [
-        Section("verdict", "Verdict", (verdict, Tiles(tiles))),
-        Section("measured", "Measured and predicted", (_prediction_plot(data),), "half"),
-        Section("errors", "Remaining errors", (_error_plot(data),), "half"),
-        Section("parameters", "Parameters", (_interval_plot(data), _value_table(data))),
-        Section("issues", "What to know", (Notes(tuple(notes), marked=True),)),
-        Section("points", "Probed points", (_point_table(data),)),
-    ]
-    return b"".join(Page("Model from a test part", name, f"{len(data.points)} probed points", tuple(sections)).render())
+    return Tiles(tiles)
 
 
 def _prediction_plot(data: PartIdentification) -> Plot:
@@ -524,20 +533,17 @@ def _prediction_plot(data: PartIdentification) -> Plot:
 
 def _error_plot(data: PartIdentification) -> Plot:
     """Return the plot of the error of each point predicted from all others [µm], with 95 % bars."""
-    order = list(range(len(data.points)))
-    names = [point.feature for point in data.points]
+    errors = Points(
+        [float(number) for number in range(len(data.points))],
+        [1e3 * point.error_mm for point in data.points],
+        "predicted from all others",
+        "after",
+        half=[1.96e3 * point.sigma_mm for point in data.points],  # 95 % of a normal distribution, in µm
+        texts=[point.feature for point in data.points],
+    )
     return Plot(
         label="Error of each point predicted from all others",
-        traces=[
-            Points(
-                [float(k) for k in order],
-                [1e3 * point.error_mm for point in data.points],
-                "predicted from all others",
-                "after",
-                half=[1.96e3 * point.sigma_mm for point in data.points],
-                texts=names,
-            )
-        ],
+        traces=[errors],
         x=Axis(title="probed point"),
         y=Axis(title="error, µm"),
     )
@@ -545,18 +551,18 @@ def _error_plot(data: PartIdentification) -> Plot:
 
 def _interval_plot(data: PartIdentification) -> Plot:
     """Return the plot of the change of each parameter against its prior value [%], with its 95 % interval."""
-    names, changes, half = list[str](), list[float](), list[float | None]()
+    names, changes, half_widths = list[str](), list[float](), list[float | None]()
     entries = {**data.parameters, "forces": data.force_scale}
     for name, entry in entries.items():
         if entry.value is None or entry.ci95 is None or not entry.prior:
-            continue
+            continue  # without an interval, or without a value to compare with
         names.append(name)
         changes.append(100.0 * (entry.value / entry.prior - 1.0))
-        half.append(100.0 * entry.ci95 / abs(entry.prior))
+        half_widths.append(100.0 * entry.ci95 / abs(entry.prior))
     rows = [float(k) for k in range(len(names))]
     return Plot(
         label="Change of each parameter against the model before, with its 95 % interval",
-        traces=[Points(changes, rows, "this model", "after", half=half, across=True, texts=names)],
+        traces=[Points(changes, rows, "this model", "after", half=half_widths, across=True, texts=names)],
         x=Axis(title="change against the model before, %"),
         y=Axis(categories=names),
         height=60 + 36 * len(names),
@@ -579,18 +585,10 @@ def _value_table(data: PartIdentification) -> Table:
 
 
 def _point_table(data: PartIdentification) -> Table:
-    """Return the table of the probed points [mm]."""
-    rows = tuple(
-        Row(
-            (
-                point.feature,
-                *(
-                    f"{value:.4f}"
-                    for value in (point.measured_mm, point.before_mm, point.after_mm, point.error_mm, point.sigma_mm)
-                ),
-            )
-        )
-        for point in data.points
-    )
+    """Return the table of the probed points: measured and predicted deviation, error and its uncertainty [mm]."""
+    rows = []
+    for point in data.points:
+        values = (point.measured_mm, point.before_mm, point.after_mm, point.error_mm, point.sigma_mm)
+        rows.append(Row((point.feature, *(f"{value:.4f}" for value in values))))
     head = ("feature", "measured, mm", "model before", "this model", "error from others", "σ of that")
-    return Table(head, rows, "Deviations of the probed points", sortable=True)
+    return Table(head, tuple(rows), "Deviations of the probed points", sortable=True)
