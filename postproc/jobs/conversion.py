@@ -404,7 +404,13 @@ def _output_of(
         contents |= _surface_files(surface, cell.tolerance, stem)
     record = _record(origin, settings.cell, cell)
     contents[f"{stem}report.html"] = report.page(
-        result, tolerance, surface, process, cell.part_tolerance, stem, record=record
+        result,
+        tolerance,
+        surface=surface,
+        process=process,
+        part_tolerance=cell.part_tolerance,
+        stem=stem,
+        record=record,
     )
     if process is not None:
         from postproc.jobs import process_forces

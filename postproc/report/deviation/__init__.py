@@ -57,6 +57,7 @@ _MODE_NOTES = {
 def page(
     result: Result,
     tolerance: float | None = None,
+    *,
     surface: Surface | None = None,
     process: ProcessForces | None = None,
     part_tolerance: float | None = None,
@@ -75,10 +76,19 @@ def page(
     :param remedies: what would lower the expected error, see `postproc.report.summary.summary`.
     :param record: when, with what and for whom it is made; None = not stated.
     """
-    data = Deviation(result, tolerance, surface, process, part_tolerance, stem, tuple(remedies), record)
+    data = Deviation(
+        result,
+        tolerance,
+        surface=surface,
+        process=process,
+        part_tolerance=part_tolerance,
+        stem=stem,
+        remedies=tuple(remedies),
+        record=record,
+    )
     all_sections = (section for make in SECTIONS if (section := make(data)) is not None)
     sections = tuple(replace(section, printed=section.id in ON_PAPER) for section in all_sections)
-    views = len(result) > 0
+    has_views = len(result) > 0
     content = data.content
     yield from Page(
         kind="Deviation report",
@@ -91,11 +101,11 @@ def page(
                 f"measurements, in millimetres. Statistics are along the cutting path. {_MODE_NOTES[result.mode]}"
             ),
         ),
-        facts=data.facts() if views else None,
-        columns=data.columns() if views else {},
-        scripts=tuple(("postproc.report.deviation", name) for name in _SCRIPTS) if views else (),
+        facts=data.facts() if has_views else None,
+        columns=data.columns() if has_views else {},
+        scripts=tuple(("postproc.report.deviation", name) for name in _SCRIPTS) if has_views else (),
         record="" if record is None else record.head(),
-        texts={"source": data.source} if views and data.source else {},
+        texts={"source": data.source} if has_views and data.source else {},
     ).render()
 
 

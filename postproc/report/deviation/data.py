@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -198,12 +198,12 @@ class Deviation(Struct, frozen=True, dict=True):
     def _linked_rows(self) -> Ints:
         """Return the rows that tables of the page lead to: thinning must keep them."""
         result = self.result
-        rows = [self.worst_rows, np.array([operation.first for operation in self.operations], dtype=np.int64)]
-        rows.append(
-            np.array([row for issue in result.issues if (row := self.row_of(issue)) is not None], dtype=np.int64)
-        )
+        issue_rows = [row for issue in result.issues if (row := self.row_of(issue)) is not None]
+        operation_rows = [operation.first for operation in self.operations]
+        rows = [self.worst_rows, np.array([*operation_rows, *issue_rows], dtype=np.int64)]
         if self.surface is not None:
-            rows += [self.surface.row[self.gouges], self.surface.programmed_row[self.surface.programmed_row >= 0][:1]]
+            programmed_cuts = self.surface.programmed_row[self.surface.programmed_row >= 0]
+            rows += [self.surface.row[self.gouges], programmed_cuts[:1]]
         if result.reversals is not None:
             rows.append(result.reversals.row[result.largest_reversals])
         return np.concatenate(rows)
@@ -230,10 +230,10 @@ class Deviation(Struct, frozen=True, dict=True):
         """Return the columns of the page by name: places, path, stock, meshes of links and bodies, surface."""
         tables = {"places": self.places.columns, "drawn": self.places.path_columns}
         tables |= self.stock()
-        meshes = [*self.links, *self.bodies]
+        meshes: list[LinkShape | Body] = [*self.links, *self.bodies]
         if meshes:
-            points, faces = (np.concatenate([getattr(mesh, of) for mesh in meshes]) for of in ("points", "faces"))
-            points = points * MM_PER_M
+            points = np.concatenate([mesh.points for mesh in meshes]) * MM_PER_M
+            faces = np.concatenate([mesh.faces for mesh in meshes])
             tables["link_points"] = Columns.of(dict(zip("xyz", points.T, strict=True)))
             tables["link_faces"] = Columns.of(dict(zip("ijk", faces.T, strict=True)))
         if self.surface is not None:
@@ -281,23 +281,21 @@ class Deviation(Struct, frozen=True, dict=True):
 
     def reversals(self) -> list[tuple[int, str]]:
         """Return place and joint of each of the largest reversals, in the order of their table."""
-        reversal_data = self.result.reversals
-        if reversal_data is None:
-            return []
-        indices = self.result.largest_reversals.tolist()
-        return [
-            (self.places.of(int(reversal_data.row[index])), JOINTS[reversal_data.joint[index]]) for index in indices
-        ]
+        return self._places_and_joints(self.result.largest_reversals) if self.result.reversals is not None else []
 
     def reversal_marks(self) -> list[tuple[int, str]]:
         """Return place and joint of all reversals with lost motion, each place and joint once, in order."""
         reversals = self.result.reversals
         if reversals is None:
             return []
-        steps = np.flatnonzero(reversals.step > 0.0).tolist()
-        return list(
-            dict.fromkeys((self.places.of(int(reversals.row[step])), JOINTS[reversals.joint[step]]) for step in steps)
-        )
+        return list(dict.fromkeys(self._places_and_joints(np.flatnonzero(reversals.step > 0.0))))
+
+    def _places_and_joints(self, index: Ints) -> list[tuple[int, str]]:
+        """Return place of the page and joint of reversals, `index` (n,) among those of the result, which has some."""
+        reversals = self.result.reversals
+        assert reversals is not None
+        rows, joints = reversals.row[index].tolist(), reversals.joint[index].tolist()
+        return [(self.places.of(row), JOINTS[joint]) for row, joint in zip(rows, joints, strict=True)]
 
 
 def _worst_rows(measure: Array, rapid: Bools, line: Ints) -> Ints:
@@ -320,7 +318,8 @@ def _sharp_edges(points: Array, faces: Ints) -> Ints:
 
     :param points: (V, 3) vertices, `faces` (F, 3) rows of the corners of each face.
     """
-    normal = np.cross(points[faces[:, 1]] - points[faces[:, 0]], points[faces[:, 2]] - points[faces[:, 0]])
+    first_corner, second_corner, third_corner = (points[faces[:, k]] for k in range(3))
+    normal = np.cross(second_corner - first_corner, third_corner - first_corner)
     # 1e-300 keeps zero out of the denominator
     normal /= np.maximum(norm(normal), 1e-300)[:, None]
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
@@ -442,11 +441,8 @@ def _place_columns(result: Result, row: Ints, path_length: Array, duration: Arra
     :param path_length: (K,) length of the path up to each target [m], `duration` (K,) the time from the one before [s].
     """
     m, motion = result.program.motions, result.motion
-    length, feed, seconds = np.diff(path_length, prepend=0.0)[row], m.feed[motion[row]], duration[row]
-    is_slow = (length > 0.0) & (seconds * feed > length * _SLOW)
-    speed = np.where(is_slow, length / np.where(is_slow, seconds, 1.0), feed)
-    correction_mm, coordinates = correction(result, row) * MM_PER_M, xyzabc_from_pose(result.nominal[row])
-    axes = _feed_axes(result, row)
+    correction_mm = correction(result, row) * MM_PER_M
+    speed = _speeds(np.diff(path_length, prepend=0.0)[row], m.feed[motion[row]], duration[row])
     columns: dict[str, Array | Ints | Bools] = {
         "source_line": result.source_line[row],
         "output_line": result.output_line[row],
@@ -464,29 +460,29 @@ def _place_columns(result: Result, row: Ints, path_length: Array, duration: Arra
         "singular": _singular_values(result, row),
         "rapid": result.rapid[row],
     }
-    for name, values in (
-        ("X", coordinates),
-        ("cX", correction_mm),
-        ("F", result.wrench[row]),
-        ("q", result.q[row] * DEG_PER_RAD),
-    ):
-        for index in range(values.shape[1]):
-            columns[_NAMES[name][index]] = values[:, index]
-    for name, vector in (("b", result.deviation_before[row]), ("a", result.deviation_after[row])):
-        components = np.einsum("nij,ni->nj", axes, vector)
-        for index, axis in enumerate("XYZ"):
-            columns[f"{name}{axis}"] = vector[:, index] * MM_PER_M
-        for index, axis in enumerate(("along", "across", "normal")):
-            columns[f"{name}_{axis}"] = components[:, index] * MM_PER_M
+    vectors: list[tuple[Sequence[str], Array]] = [
+        ("XYZABC", xyzabc_from_pose(result.nominal[row])),
+        (("cX", "cY", "cZ"), correction_mm),
+        (WRENCH, result.wrench[row]),
+        (JOINTS, result.q[row] * DEG_PER_RAD),
+    ]
+    axes = _feed_axes(result, row)
+    for letter, deviation in (("b", result.deviation_before[row]), ("a", result.deviation_after[row])):
+        vectors.append(([f"{letter}{axis}" for axis in "XYZ"], deviation * MM_PER_M))
+        feed_names = [f"{letter}_{direction}" for direction in ("along", "across", "normal")]
+        vectors.append((feed_names, np.einsum("nij,ni->nj", axes, deviation) * MM_PER_M))
+    for names, values in vectors:
+        columns |= {name: values[:, index] for index, name in enumerate(names)}
     return columns
 
 
-_NAMES = {
-    "X": ("X", "Y", "Z", "A", "B", "C"),
-    "cX": ("cX", "cY", "cZ"),
-    "F": WRENCH,
-    "q": JOINTS,
-}
+def _speeds(length: Array, feed: Array, seconds: Array) -> Array:
+    """Return the speeds (P,) of pieces of path [m/s]: the feed, or less where the turn of the tool takes longer.
+
+    :param length: (P,) of the pieces [m], `feed` (P,) [m/s], `seconds` (P,) that they take [s].
+    """
+    is_slow = (length > 0.0) & (seconds * feed > length * _SLOW)
+    return np.where(is_slow, length / np.where(is_slow, seconds, 1.0), feed)
 
 
 def _path_columns(result: Result, position: Array, leads_to: Ints, row: Ints) -> Columns:
@@ -506,8 +502,10 @@ def _path_columns(result: Result, position: Array, leads_to: Ints, row: Ints) ->
 
 
 def _durations(result: Result, length: Array) -> Array:
-    """Return the time (K,) [s] to each target: at the feed or, if longer, the turn of the tool at the speed of turning
-    that the program states; of PTP with the slowest joint at its full speed.
+    """Return the time (K,) to each target from the one before [s].
+
+    At the feed or, if that takes longer, by the turn of the tool at the speed of turning that the program states; of
+    PTP with the slowest joint at its full speed.
 
     :param length: (K,) length of the path to each target [m].
     """
@@ -520,8 +518,9 @@ def _durations(result: Result, length: Array) -> Array:
 
 
 def _turn_times(result: Result) -> Array:
-    """Return the least time (K,) [s] of the turn of the tool from the target before, at the speeds that the program
-    states; 0 where it states none or the frames change.
+    """Return the least time (K,) of the turn of the tool from the target before [s], at the stated speeds of turning.
+
+    0 where the program states none, or where `$BASE` or `$TOOL` changes.
     """
     program, motion = result.program, result.motion
     seconds = np.zeros(len(result))
@@ -535,18 +534,17 @@ def _turn_times(result: Result) -> Array:
 
 
 def _feed_axes(result: Result, row: Ints) -> Array:
-    """Return the axes (P, 3, 3) along, across and normal to the feed as columns in `$BASE`; NaN along the spindle."""
-    m, end = result.program.motions, result.nominal.position
+    """Return the axes (P, 3, 3) along, across and normal to the feed at targets, as columns in `$BASE`.
+
+    NaN where the tool moves along its spindle or not at all, and where `$BASE` changes.
+
+    :param row: (P,) rows of the targets in the result.
+    """
+    m, position = result.program.motions, result.nominal.position
     motion, previous = result.motion[row], np.maximum(row - 1, 0)
-    travel = end[row] - end[previous]
-    arcs = np.flatnonzero(m.kind[motion] == CIRC)
-    # the direction at the end of an arc is its tangent: the chord deviates by half the angle of the piece
-    radius_vector = end[row[arcs]] - m.centre[motion[arcs]]
-    turning = np.cross(m.normal[motion[arcs]], radius_vector)
-    rise = np.einsum("ni,ni->n", travel[arcs], m.normal[motion[arcs]])[:, None] * m.normal[motion[arcs]]
-    same_motion = (result.motion[previous[arcs]] == motion[arcs]) & (row[arcs] > 0)
-    angle = m.sweep[motion[arcs]] * (result.t[row[arcs]] - np.where(same_motion, result.t[previous[arcs]], 0.0))
-    travel[arcs] = turning + rise / np.where(angle > 0.0, angle, 1.0)[:, None]
+    travel = position[row] - position[previous]
+    is_arc = m.kind[motion] == CIRC
+    travel[is_arc] = _arc_tangents(result, row[is_arc], travel[is_arc])
     length = norm(travel)[:, None]  # steps of finishing programs are shorter than a millimetre
     travel = np.divide(travel, length, out=np.zeros_like(travel), where=length > 0.0)
     axes, is_defined = axes_of_travel(result.nominal[row, :3, :3], travel, result.axis)
@@ -555,8 +553,29 @@ def _feed_axes(result: Result, row: Ints) -> Array:
     return axes
 
 
+def _arc_tangents(result: Result, row: Ints, chord: Array) -> Array:
+    """Return the vectors (n, 3) along the feed at targets on arcs and helices, `$BASE` [m].
+
+    The chord from the target before deviates from it by half the angle of the piece.
+
+    :param row: (n,) rows of the targets in the result; `chord` (n, 3) from the target before to each [m].
+    """
+    m, motion, previous = result.program.motions, result.motion[row], np.maximum(row - 1, 0)
+    normal = m.normal[motion]
+    turning = np.cross(normal, result.nominal.position[row] - m.centre[motion])  # travel per radian in the plane
+    rise = np.einsum("ni,ni->n", chord, normal)[:, None] * normal
+    is_same_motion = (result.motion[previous] == motion) & (row > 0)
+    angle = m.sweep[motion] * (result.t[row] - np.where(is_same_motion, result.t[previous], 0.0))
+    return np.asarray(turning + rise / np.where(angle > 0.0, angle, 1.0)[:, None])
+
+
 def _singular_values(result: Result, row: Ints) -> Array:
-    """Return the smallest singular value (P,) of the tool's Jacobian, metres and radians per radian."""
+    """Return the smallest singular value (P,) of the tool's Jacobian, metres and radians per radian.
+
+    At more than `_SINGULAR_AT` places it is interpolated between some of them.
+
+    :param row: (P,) row of the result that each place is.
+    """
     samples = distinct(np.linspace(0, len(row) - 1, min(len(row), _SINGULAR_AT)).astype(np.int64))
     tool = result.program.tools[result.program.motions.tool[result.motion[row[samples]]]]
     values = kinematics.singular_values(result.robot, result.q[row[samples]], tool)

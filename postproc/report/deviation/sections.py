@@ -48,6 +48,7 @@ from postproc.robot import JOINTS, WITH_LINKS
 if TYPE_CHECKING:
     from postproc.machining import ProcessForces
     from postproc.machining.sweep import Cuts
+    from postproc.report.surface import Surface
 
 
 def verdict_section(data: Deviation) -> Section:
@@ -102,13 +103,11 @@ def _deviation_table(data: Deviation) -> Table:
     """Return the table of predicted deviations [mm] before and after compensation, as far as there are such."""
     content = data.content
     u95 = None if content.u95 is None else content.u95.max_mm
+    measures = zip(_MEASURES, astuple(content.before), strict=True)
+    rows = tuple(Row((label, estimate(value, u95))) for label, value in measures)
     if not data.is_compared:
-        measures = zip(_MEASURES, astuple(content.before), strict=True)
-        rows = tuple(Row((label, estimate(value, u95))) for label, value in measures)
         return Table(("Criterion", "Predicted, mm"), rows, "Predicted deviation")
     if content.after.max_mm < ROUNDING_MM:
-        measures = zip(_MEASURES, astuple(content.before), strict=True)
-        rows = tuple(Row((label, estimate(value, u95))) for label, value in measures)
         return Table(
             ("Criterion", "Before compensation, mm"),
             rows,
@@ -157,39 +156,51 @@ def surface_section(data: Deviation) -> Section | None:
 
     None without a surface.
     """
-    surface = data.surface
-    measures = data.content.surface
+    surface, measures = data.surface, data.content.surface
     if surface is None or measures is None:
         return None
-    is_touched = surface.is_touched
     if not surface.is_reached.any():
         text = "No tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools."
         return Section("surface", "Surface of the part", (Notes((Note(text, "warning"),)),))
     deviation = surface.after if data.is_compared else surface.before
     words = "with the program as written" if data.is_compared else "as programmed"
-    tiles = [_programmed_tile(measures, data)]
-    if is_touched.any():
-        tiles += [
-            _depth_tile("Gouged before, at most", -surface.before[is_touched].min(), _DEFLECTION),
-            _depth_tile("Left before, at most", surface.before[is_touched].max(), _DEFLECTION),
-        ]
-        if data.is_compared:
-            tiles.append(_depth_tile("Gouged after, at most", -deviation[is_touched].min(), "as the model predicts it"))
-            tiles.append(_depth_tile("Left after, at most", deviation[is_touched].max()))
-        if surface.bound is not None:
-            tiles.append(
-                Tile("Expected error (95 %), up to", two_digits(surface.bound[is_touched].max() * MM_PER_M), "mm")
-            )
     share = measures.reached_percent
-    tiles.append(Tile("Of the surface reached", f"{share:.0f}", "%", f"no tool reaches {100.0 - share:.0f} %"))
+    tiles = Tiles(
+        (
+            _programmed_tile(measures, data),
+            *_deflection_tiles(data, surface),
+            Tile("Of the surface reached", f"{share:.0f}", "%", f"no tool reaches {100.0 - share:.0f} %"),
+        )
+    )
     label = "The part, coloured by the deviation along its outward normal; the table below lists the gouges"
     note = "Below 0 the tool gouges, above it leaves material. Grey: no tool reaches it. Before and after are "
     view = View("surface", label, f"{note}deviations from the programmed path.")
-    parts: list[Part] = [Tiles(tuple(tiles)), view, *_gouge_parts(data, deviation, words)]
-    return Section("surface", "Surface of the part", tuple(parts))
+    return Section("surface", "Surface of the part", (tiles, view, *_gouge_parts(data, deviation, words)))
 
 
 _DEFLECTION = "from the programmed path"
+
+
+def _deflection_tiles(data: Deviation, surface: Surface) -> list[Tile]:
+    """Return the tiles of the largest gouges and of the most material left before and after, and of the bound.
+
+    Empty if no tool touches a facet.
+    """
+    is_touched = surface.is_touched
+    if not is_touched.any():
+        return []
+    before, after = surface.before[is_touched], surface.after[is_touched]
+    tiles = [
+        _depth_tile("Gouged before, at most", -before.min(), _DEFLECTION),
+        _depth_tile("Left before, at most", before.max(), _DEFLECTION),
+    ]
+    if data.is_compared:
+        tiles.append(_depth_tile("Gouged after, at most", -after.min(), "as the model predicts it"))
+        tiles.append(_depth_tile("Left after, at most", after.max()))
+    if surface.bound is not None:
+        bound_mm = surface.bound[is_touched].max() * MM_PER_M
+        tiles.append(Tile("Expected error (95 %), up to", two_digits(bound_mm), "mm"))
+    return tiles
 
 
 def _programmed_tile(measures: OnSurface, data: Deviation) -> Tile:
@@ -255,6 +266,10 @@ def program_section(data: Deviation) -> Section | None:
 
 _CURVE_POINTS = 600
 """Points of a curve: the largest and the least of each group."""
+_MOST_CURVE_POINTS = 10 * _CURVE_POINTS
+"""Points of a curve with the ends of its runs (assumed)."""
+_KEY_ROUNDING = 1e-9
+"""Share of a motion by which a station at the end of a target may be behind it by rounding."""
 _CM3_PER_MIN = 1e6 * 60.0
 _CM3 = 1e6
 """cm³/min of one m³/s, and cm³ of one m³."""
@@ -276,38 +291,36 @@ def cut_section(data: Deviation) -> Section | None:
 
 def _cut_plots(data: Deviation, cuts: Cuts) -> list[Plot]:
     """Return the plots of the engagement over the length of the path: depth and width, angles, removal rate, power."""
-    run, rows, motion, t = _stations_in_contact(cuts)
-    # motion + t is one increasing key; a station at the end of a target belongs to it in spite of rounding
-    place = np.searchsorted(data.result.motion + data.result.t, motion + t - 1e-9)
-    place = np.minimum(np.searchsorted(data.places.row, place), len(data.places.row) - 1)
-    x = np.interp(motion + t, data.result.motion + data.result.t, data.places.path_length) * MM_PER_M
-    curves_of_plots: tuple[tuple[str, str, tuple[tuple[str, Array, float], ...]], ...] = (
-        (
-            "Depth and width of cut",
-            "mm",
-            (("depth", cuts.depth[rows], MM_PER_M), ("width", cuts.width[rows], MM_PER_M)),
-        ),
-        (
-            "Angles of engagement",
-            "°",
-            (("entry", cuts.enter[rows], DEG_PER_RAD), ("exit", cuts.leave[rows], DEG_PER_RAD)),
-        ),
-        ("Removal rate", "cm³/min", (("removal rate", cuts.rate[rows], _CM3_PER_MIN),)),
-        ("Power", "W", (("power", cuts.power[rows], 1.0),)),
-    )
-    colours: tuple[Colour, ...] = ("before", "after")
-    return [
-        Plot(
+    stations = _stations_in_contact(cuts)
+    # motion + t is one increasing key of targets and stations
+    target_key, station_key = data.result.motion + data.result.t, stations.motion + stations.t
+    row = np.searchsorted(target_key, station_key - _KEY_ROUNDING)
+    place = np.minimum(np.searchsorted(data.places.row, row), len(data.places.row) - 1)
+    length_mm = np.interp(station_key, target_key, data.places.path_length) * MM_PER_M
+
+    def curve(values: Array, name: str, colour: Colour) -> Curve:
+        """Return the values of the cuts at the stations as a curve."""
+        return _curve_with_gaps(length_mm, values[stations.row], stations.run, place, name, colour)
+
+    def plot(label: str, unit: str, *curves: Curve) -> Plot:
+        """Return the plot of one or two curves in a unit."""
+        return Plot(
             label=f"{label}, {unit}, along the path. Left and right arrow keys step.",
-            traces=[
-                _curve_with_gaps(x, values * factor, run, place, name, colour)
-                for (name, values, factor), colour in zip(curves, colours, strict=False)
-            ],
+            traces=[*curves],
             x=Axis(title="length of the path, mm"),
             y=Axis(title=f"{label.lower()}, {unit}"),
             height=220,
         )
-        for label, unit, curves in curves_of_plots
+
+    depth = curve(cuts.depth * MM_PER_M, "depth", "before")
+    width = curve(cuts.width * MM_PER_M, "width", "after")
+    entry = curve(cuts.enter * DEG_PER_RAD, "entry", "before")
+    leave = curve(cuts.leave * DEG_PER_RAD, "exit", "after")
+    return [
+        plot("Depth and width of cut", "mm", depth, width),
+        plot("Angles of engagement", "°", entry, leave),
+        plot("Removal rate", "cm³/min", curve(cuts.rate * _CM3_PER_MIN, "removal rate", "before")),
+        plot("Power", "W", curve(cuts.power, "power", "before")),
     ]
 
 
@@ -361,18 +374,18 @@ def _stations_in_contact(cuts: Cuts) -> _ContactStations:
 
     Where the engagement is the same along a motion, the process has one station: it is shown at both ends.
     """
-    # a motion with one station has it twice here: at t = 0 and at t = 1
     order = np.lexsort((cuts.t, cuts.motion))
-    _, place, count = np.unique(cuts.motion[order], return_inverse=True, return_counts=True)
-    rows = np.repeat(order, np.where(count[place] == 1, 2, 1))
-    is_single = np.repeat(count[place] == 1, np.where(count[place] == 1, 2, 1))
-    second = np.append(False, rows[1:] == rows[:-1])
+    _, motion_index, station_count = np.unique(cuts.motion[order], return_inverse=True, return_counts=True)
+    # a motion with one station has it twice here: at t = 0 and at t = 1
+    copies = np.where(station_count[motion_index] == 1, 2, 1)
+    rows, is_copied = np.repeat(order, copies), np.repeat(copies == 2, copies)
+    is_second = np.append(False, rows[1:] == rows[:-1])
     motion = cuts.motion[rows]
-    t = np.where(is_single, np.where(second, 1.0, 0.0), cuts.t[rows])
-    contact = cuts.rate[rows] > 0.0
-    starts_run = np.append(0, (np.diff(motion) > 1) | ~contact[1:] | ~contact[:-1])
+    t = np.where(is_copied, np.where(is_second, 1.0, 0.0), cuts.t[rows])
+    is_contact = cuts.rate[rows] > 0.0
+    starts_run = np.append(0, (np.diff(motion) > 1) | ~is_contact[1:] | ~is_contact[:-1])
     run = np.cumsum(starts_run)
-    return _ContactStations(run[contact], rows[contact], motion[contact], t[contact])
+    return _ContactStations(run[is_contact], rows[is_contact], motion[is_contact], t[is_contact])
 
 
 def _drawn_rows(values: Array, run: Ints) -> Ints:
@@ -380,19 +393,19 @@ def _drawn_rows(values: Array, run: Ints) -> Ints:
 
     :param run: (n,) number of the run of each value.
     """
-    group_size = -(-2 * len(values) // _CURVE_POINTS)
+    group_size = -(-2 * len(values) // _CURVE_POINTS)  # rounded up
     if group_size <= 2:
         return np.arange(len(values))
     finite_values = np.nan_to_num(values)
     # filled up with the last value to whole groups, which leaves their extremes as they are
-    groups = np.append(finite_values, np.full(-len(finite_values) % group_size, finite_values[-1])).reshape(
-        -1, group_size
-    )
+    filling = np.full(-len(finite_values) % group_size, finite_values[-1])
+    groups = np.append(finite_values, filling).reshape(-1, group_size)
     first = np.arange(len(groups)) * group_size
     ends = np.flatnonzero(np.diff(run, prepend=-1, append=-1))
     rows = np.concatenate([first + groups.argmin(axis=1), first + groups.argmax(axis=1), ends, ends - 1])
     rows = distinct(np.clip(rows, 0, len(values) - 1))
-    return rows if len(rows) <= 10 * _CURVE_POINTS else rows[:: -(-len(rows) // (10 * _CURVE_POINTS))]
+    # many short runs: then only some of the rows
+    return rows if len(rows) <= _MOST_CURVE_POINTS else rows[:: -(-len(rows) // _MOST_CURVE_POINTS)]
 
 
 def histogram_section(data: Deviation) -> Section | None:
@@ -655,30 +668,16 @@ def turn_section(data: Deviation) -> Section | None:
     tool_turn = data.result.turn
     if tool_turn is None:
         return None
-    reasons = tool_turn.map.reasons(tool_turn.keep)
     turns = placement.bin_turns(tool_turn)
     blocks = tool_turn.map.blocks
+    # length of the path up to each row of the map [m]
     metres = np.cumsum(blocks.length)[blocks.block] - blocks.length[blocks.block] * (1.0 - blocks.share)
-    # metres: path up to each row of the map; rows without travel would be columns without width
-    travel_rows = np.flatnonzero(np.diff(metres, prepend=0.0) > 0.0)
-    column_count = min(_MAP_COLUMNS, len(travel_rows))
-    map_rows = travel_rows[distinct(np.linspace(0, len(travel_rows) - 1, column_count).astype(np.int64))]
-    values, title = _map_values(tool_turn)
     degrees = (tool_turn.map.offset + tool_turn.constant) * DEG_PER_RAD
-    cells = np.where(reasons == FREE, values, np.nan)[map_rows].T
-    grid = Map(
-        metres[map_rows].tolist(),
-        [float(angle) for angle in degrees],
-        [[None if np.isnan(cell) else float(cell) for cell in row] for row in cells],
-        reasons[map_rows].T.tolist(),
-        REASONS,
-        title,
-    )
     line = _wrap_to_map((turns + tool_turn.constant) * DEG_PER_RAD, degrees)
     curve = Curve(metres.tolist(), line.tolist(), "chosen turn", "warning")
     plot = Plot(
         label="Map of the path by the turn of the tool about its axis, with the chosen line.",
-        traces=[grid, curve],
+        traces=[_turn_map(tool_turn, metres, degrees), curve],
         x=Axis(title="along the path, m"),
         y=Axis(title="turn about the tool axis, °", range=(float(degrees[0]) - 2.5, float(degrees[-1]) + 2.5)),
         height=420,
@@ -686,6 +685,29 @@ def turn_section(data: Deviation) -> Section | None:
     )
     notes = Notes(tuple(Note(text) for text in _turn_sentences(tool_turn, turns)))
     return Section("turn", "Turn about the tool axis", (plot, notes))
+
+
+def _turn_map(tool_turn: Turn, metres: Array, degrees: Array) -> Map:
+    """Return the map of the turn: a column for each piece of the path, a row for each angle.
+
+    :param metres: (K,) length of the path up to each row of the map of the turn [m].
+    :param degrees: (J,) angles of the tool about its axis [deg].
+    """
+    reasons = tool_turn.map.reasons(tool_turn.keep)
+    # rows without travel would be columns without width
+    travel_rows = np.flatnonzero(np.diff(metres, prepend=0.0) > 0.0)
+    column_count = min(_MAP_COLUMNS, len(travel_rows))
+    map_rows = travel_rows[distinct(np.linspace(0, len(travel_rows) - 1, column_count).astype(np.int64))]
+    values, title = _map_values(tool_turn)
+    cells = np.where(reasons == FREE, values, np.nan)[map_rows].T
+    return Map(
+        metres[map_rows].tolist(),
+        [float(angle) for angle in degrees],
+        [[None if np.isnan(cell) else float(cell) for cell in row] for row in cells],
+        reasons[map_rows].T.tolist(),
+        REASONS,
+        title,
+    )
 
 
 def _turn_sentences(tool_turn: Turn, turns: Array) -> list[str]:
@@ -708,9 +730,8 @@ def _map_values(tool_turn: Turn) -> tuple[Array, str]:
         cuts = tool_turn.map.blocks.cuts[tool_turn.map.blocks.block]
         error = np.where(cuts[:, None], error, np.nan)
         return error, "expected error (95 %), mm" if np.isfinite(tool_turn.map.u95).any() else "deflection, mm"
-    return np.where(
-        np.isfinite(tool_turn.map.margin.joint), tool_turn.map.margin.joint * DEG_PER_RAD, np.nan
-    ), "joint margin, °"
+    margin = tool_turn.map.margin.joint * DEG_PER_RAD
+    return np.where(np.isfinite(margin), margin, np.nan), "joint margin, °"
 
 
 def _wrap_to_map(angle: Array, degrees: Array) -> Array:
@@ -734,7 +755,7 @@ def _gain_sentences(tool_turn: Turn, turns: Array) -> list[str]:
     cut_length = tool_turn.map.blocks.cut_length
     error, offset = tool_turn.map.error, tool_turn.map.offset
     step = offset[1] - offset[0]
-    columns = np.rint((turns - offset[0]) / step).astype(np.int64) % len(offset)
+    columns = np.rint((turns - offset[0]) / step).astype(np.int64) % len(offset)  # offsets go round once
     cell_column = int(np.argmin(np.abs(offset)))
     line_error = error[np.arange(len(columns)), columns]
     cut_error = line_error[cut_length > 0.0]

@@ -93,23 +93,23 @@ def nearest_place(path: CutPath, centre: Array, normal: Array) -> NearestPlace:
     :param centre: (n, 3) centres of the facets [m], `normal` (n, 3) their outward normals.
     """
     _, nearest = path.tree.query(centre)
-    a = path.axis[nearest]  # one spindle direction for all candidates of a facet: it changes little between them
-    up = np.einsum("ni,ni->n", normal, a)
-    _, index = path.tree.query(centre, k=min(_CANDIDATES, len(path.point)))
-    index = index.reshape(len(centre), -1)
-    point, step_share = path.nearest_points(centre, index)
+    axis = path.axis[nearest]  # one spindle direction for all candidates of a facet: it changes little between them
+    up = np.einsum("ni,ni->n", normal, axis)
+    _, candidates = path.tree.query(centre, k=min(_CANDIDATES, len(path.point)))
+    candidates = candidates.reshape(len(centre), -1)
+    point, step_share = path.nearest_points(centre, candidates)
     from_centre = point - centre[:, None]
-    height = np.einsum("nki,ni->nk", from_centre, a)
+    height = np.einsum("nki,ni->nk", from_centre, axis)
+    outward_distance = np.einsum("nki,ni->nk", from_centre, normal)
     distance = np.linalg.norm(from_centre, axis=-1)
-    can_touch = (distance <= _REACH) & _can_touch(height, np.einsum("nki,ni->nk", from_centre, normal), up[:, None])
-    step = path.step[index]
+    can_touch = (distance <= _REACH) & _can_touch(height, outward_distance, up[:, None])
+    step = path.step[candidates]
     # 1e-300 keeps zero out of the denominator
-    climb = np.abs(np.einsum("nki,ni->nk", step, a)) / np.maximum(np.linalg.norm(step, axis=-1), 1e-300)
+    climb = np.abs(np.einsum("nki,ni->nk", step, axis)) / np.maximum(np.linalg.norm(step, axis=-1), 1e-300)
     can_touch &= (climb <= _STEEP) | (up <= _STEEP)[:, None]
     distance = np.where(can_touch, distance, np.inf)
-    best = np.argmin(distance, axis=1)
-    facets = np.arange(len(centre))
-    sample, smallest = index[facets, best], distance[facets, best]
+    facets, best = np.arange(len(centre)), np.argmin(distance, axis=1)
+    sample, smallest = candidates[facets, best], distance[facets, best]
     row = np.where(np.isfinite(smallest), path.row[sample], -1)
     share = path.share[sample] + step_share[facets, best] * path.share_step[sample]
     return NearestPlace(row, share, smallest)

@@ -57,7 +57,10 @@ class RemainingSurface(Struct, frozen=True, eq=False):
 
 
 def remaining_surface(path: CutPath, centre: Array, normal: Array, cutter: Cutter) -> RemainingSurface:
-    """Return the surfaces that the path of a tool leaves at facets with centres and outward normals (n, 3)."""
+    """Return the surfaces that the path of a tool leaves at n facets.
+
+    :param centre: (n, 3) centres of the facets [m], `normal` (n, 3) their outward normals.
+    """
     largest = [float(norm(deviation).max(initial=0.0)) for deviation in path.deviation]
     grid = _Grid.of(path.point + cutter.corner * path.axis, 0.25 * cutter.radius)
     parts = []
@@ -66,7 +69,9 @@ def remaining_surface(path: CutPath, centre: Array, normal: Array, cutter: Cutte
         _, nearest = path.tree.query(centre[rows])
         facets = _Facets.of(centre[rows], normal[rows], path.axis[nearest], cutter)
         highest, offset = _seeds(path, facets, cutter)
-        pairs = _Pairs(*grid.points_in_boxes(*_region(facets, cutter, highest + 2.0 * max(largest), offset)))
+        # deviations move the tool of a facet, and those that compete with it, by the largest one each
+        low, high = _region(facets, cutter, highest + 2.0 * max(largest), offset)
+        pairs = _Pairs(*grid.points_in_boxes(low, high))
         parts.append(_lowest_entries(path, facets, cutter, pairs, highest, largest))
     return RemainingSurface(
         np.concatenate([part.programmed for part in parts]),

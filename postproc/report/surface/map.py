@@ -168,9 +168,10 @@ def _nearest_places(paths: list[tuple[CutPath, Cutter | None]], centre: Array, n
         for first in range(0, len(centre), _CHUNK):
             part = slice(first, first + _CHUNK)
             place = nearest_place(path, centre[part], normal[part])
-            nearer = place[2] < distance[part]
-            for values, tool_values in zip((row, share, distance), place, strict=True):
-                values[part] = np.where(nearer, tool_values, values[part])
+            is_nearer = place.distance < distance[part]
+            row[part] = np.where(is_nearer, place.row, row[part])
+            share[part] = np.where(is_nearer, place.share, share[part])
+            distance[part] = np.where(is_nearer, place.distance, distance[part])
     return _Place(row, share)
 
 
@@ -200,10 +201,8 @@ def _deepest_surfaces(surfaces: list[RemainingSurface], count: int) -> _DeepestS
     for tool in surfaces:
         is_deeper = tool.deflected[1] < deflected_heights[1]
         row, share = np.where(is_deeper, tool.row, row), np.where(is_deeper, tool.share, share)
-        programmed_height, deflected_heights = (
-            np.minimum(programmed_height, tool.programmed),
-            np.minimum(deflected_heights, tool.deflected),
-        )
+        programmed_height = np.minimum(programmed_height, tool.programmed)
+        deflected_heights = np.minimum(deflected_heights, tool.deflected)
     programmed_height[row < 0] = np.nan
     deflected_heights[:, row < 0] = np.nan
     return _DeepestSurface(
@@ -221,7 +220,7 @@ def _interpolated(result: Result, place: _Place, values: Array) -> Array:
     """
     facets = np.flatnonzero(place.row >= 0)
     end = place.row[facets]
-    weight = place.share[facets].reshape(-1, *(1,) * (values.ndim - 1))
+    weight = place.share[facets].reshape(-1, *(1,) * (values.ndim - 1))  # of as many axes as the values have
     of_facets: Array = np.full((len(place.row), *values.shape[1:]), np.nan)
     of_facets[facets] = (1.0 - weight) * values[piece_start(result, end)] + weight * values[end]
     return of_facets
