@@ -14,7 +14,7 @@ from postproc.decimals import Bytes, Number, rows_of_csv
 from postproc.dialects import registry
 from postproc.forces import Knots
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm, xyzabc_from_pose
-from postproc.program import FORCE_FRAMES, PTP, WRENCH, Bools, Ints
+from postproc.program import FORCE_FRAMES, PTP, WRENCH, Ints
 from postproc.robot import JOINTS
 
 _XYZABC = ("X", "Y", "Z", "A", "B", "C")
@@ -41,57 +41,33 @@ def targets_csv(result: Result) -> Iterator[bytes]:
 
     Units: mm, degrees, N, N·m; `t` in (0, 1]; `u95_mm` is empty where the model has no covariance.
     """
-    m = result.program.motions
-    places = registry.dialect_of_name(result.program.dialect).command_decimals
     carriage = result.program.carriage
     yield (",".join(TARGET_COLUMNS if carriage is None else (*TARGET_COLUMNS, CARRIAGE)) + "\n").encode()
-    for part in chunks(len(result)):
-        motion = result.motion[part]
-        yield _target_rows(
-            (result.output_line[part], m.line[motion], result.t[part], m.rapid[motion]),
-            (result.nominal[part], result.printed[part], places, result.wrench[part]),
-            (result.deflection[part], norm(result.deviation_before[part]), norm(result.deviation_after[part])),
-            None if result.bound is None else result.bound[part],
-            result.q[part],
-            None if carriage is None else carriage.at(motion, result.t[part]),
-        )
+    for rows in chunks(len(result)):
+        yield _target_rows(result, rows)
 
 
-def _target_rows(
-    origin: tuple[Ints, Ints, Array, Bools],
-    command: tuple[Array, Array, tuple[int, ...], Array],
-    deviation: tuple[Array, Array, Array],
-    bound: Array | None,
-    q: Array,
-    carriage: Array | None,
-) -> bytes:
-    """Return the rows of targets.csv, one for each of n targets.
-
-    :param origin: written line, source line, place t and flag of rapid moves, each (n,).
-    :param command: nominal poses (n, 4, 4) [m]; commanded X Y Z A B C as printed (n, 6) [mm, deg] and their decimals;
-        wrenches (n, 6) [N, N·m].
-    :param deviation: deflection (n, 3), and lengths of the deviation before and after (n,) [m].
-    :param bound: (n,) 95 % bound [m], or None.
-    :param q: (n, 6) joint angles [rad].
-    :param carriage: (n,) position of the linear axis [m]; None without one.
-    """
-    (output_line, source_line, t, rapid), (nominal, written_command, places, wrench) = origin, command
-    deflection, *distances = deviation
+def _target_rows(result: Result, rows: slice) -> bytes:
+    """Return the rows of targets.csv for some of the targets."""
+    m, motion, t = result.program.motions, result.motion[rows], result.t[rows]
+    command_decimals = registry.dialect_of_name(result.program.dialect).command_decimals
+    no_bound = np.empty((len(t), 0), dtype=np.uint8)  # no bytes: an empty cell in each row
     columns: list[Number | Bytes] = [
-        Number.of(output_line.astype(float), 0),
-        Number.of(source_line.astype(float), 0),
+        Number.of(result.output_line[rows].astype(float), 0),
+        Number.of(m.line[motion].astype(float), 0),
         Number.of(t, _PLACE),
-        Number.of(rapid.astype(float), 0),
-        *_number_columns(xyzabc_from_pose(nominal), _NOMINAL),
-        *_number_columns(written_command, places),
-        *_number_columns(wrench, _WRENCH_DECIMALS),
-        *_number_columns(deflection * MM_PER_M, (_LENGTH,) * 3),
-        *(Number.of(values * MM_PER_M, _LENGTH) for values in distances),
-        # no bytes: an empty cell in each row
-        np.empty((len(t), 0), dtype=np.uint8) if bound is None else Number.of(bound * MM_PER_M, _LENGTH),
-        *_number_columns(q * DEG_PER_RAD, (_ANGLE,) * 6),
-        *([] if carriage is None else [Number.of(carriage * MM_PER_M, _LENGTH)]),
+        Number.of(m.rapid[motion].astype(float), 0),
+        *_number_columns(xyzabc_from_pose(result.nominal[rows]), _NOMINAL),
+        *_number_columns(result.printed[rows], command_decimals),
+        *_number_columns(result.wrench[rows], _WRENCH_DECIMALS),
+        *_number_columns(result.deflection[rows] * MM_PER_M, (_LENGTH,) * 3),
+        Number.of(norm(result.deviation_before[rows]) * MM_PER_M, _LENGTH),
+        Number.of(norm(result.deviation_after[rows]) * MM_PER_M, _LENGTH),
+        no_bound if result.bound is None else Number.of(result.bound[rows] * MM_PER_M, _LENGTH),
+        *_number_columns(result.q[rows] * DEG_PER_RAD, (_ANGLE,) * 6),
     ]
+    if result.program.carriage is not None:
+        columns.append(Number.of(result.program.carriage.at(motion, t) * MM_PER_M, _LENGTH))
     return rows_of_csv(columns)
 
 
@@ -167,7 +143,7 @@ def _force_rows(knots: Knots, output_line: Ints) -> bytes:
 
 
 def _knots_of_rows(knots: Knots, values: Array) -> tuple[Ints, Ints]:
-    """Return the first and the last knot (R,) of each row of forces.csv.
+    """Return the indices (R,) of the first and of the last knot of each row of forces.csv.
 
     Neighbouring targets share a row if each has one knot, and these are the same.
 

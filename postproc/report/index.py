@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 from urllib.parse import quote
 
 from msgspec import Struct
@@ -115,7 +116,7 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
     :param entries: in any order.
     :param folder: its name.
     """
-    sorted_entries = sorted(entries, key=_sort_key)
+    sorted_entries = sorted(entries, key=_SortKey.of)
     reports = [entry.content for entry in entries if entry.content is not None]
     counts = {state: sum(entry.state == state for entry in entries) for state in _WORDS}
     tiles = [Tile("Programs", str(len(entries)))]
@@ -145,12 +146,18 @@ def _error_tile(title: str, lengths_mm: Sequence[float | None]) -> Tile:
     return Tile(title, two_digits(max(known_lengths)), "mm", note)
 
 
-def _sort_key(entry: Entry) -> tuple[int, float, str]:
-    """Return the key that sorts the overview: by state, then by the expected error, largest first, then by name."""
-    if entry.content is None:
-        return _STATES.index(entry.state), 0.0, entry.name
-    worst = entry.content.expected_mm[1]
-    return _STATES.index(entry.state), 0.0 if worst is None else -worst, entry.name
+class _SortKey(NamedTuple):
+    """Sorts the overview: by state, the worst first, then by the expected error, the largest first, then by name."""
+
+    state_rank: int
+    negative_error_mm: float
+    name: str
+
+    @classmethod
+    def of(cls, entry: Entry) -> _SortKey:
+        """Return the key of a program; one without an expected error counts as one of 0 mm."""
+        corrected_mm = None if entry.content is None else entry.content.expected_mm[1]
+        return cls(_STATES.index(entry.state), -(corrected_mm or 0.0), entry.name)
 
 
 def _program_table(entries: Sequence[Entry], reports: Sequence[ReportEntry]) -> Table:

@@ -10,14 +10,16 @@ from postproc.report.kit import Axis, Curve, Note, Notes, Page, Plot, Points, Ro
 from postproc.report.kit.parts import PlotItem
 
 _COMPONENTS = ("Fx", "Fy", "Fz", "power")
+_UNITS = ("N/mm²",) * 3 + ("N/mm",) * 3
+"""Units of the coefficients `NAMES`: of shear, then of the edge."""
 
 
 def as_text(material: IdentifiedMaterial) -> str:
     """Return the result as lines to print."""
     lines = [
-        f"{name} {value:.4g} ± {half:.2g} {'N/mm²' if k < 3 else 'N/mm'}{'' if is_identified else ' (not measured)'}"
-        for k, (name, value, half, is_identified) in enumerate(
-            zip(NAMES, material.value, material.half, material.identified, strict=True)
+        f"{name} {value:.4g} ± {half:.2g} {unit}{'' if is_identified else ' (not measured)'}"
+        for name, value, half, unit, is_identified in zip(
+            NAMES, material.value, material.half, _UNITS, material.identified, strict=True
         )
     ]
     if np.isfinite(material.residual):
@@ -62,17 +64,9 @@ def material_page(material: IdentifiedMaterial, readings: CutReadings, name: str
 def _coefficient_table(material: IdentifiedMaterial) -> Table:
     """Return the table of the cutting coefficients [N/mm², N/mm] with their 95 % intervals."""
     rows = tuple(
-        Row(
-            (
-                coefficient,
-                f"{value:.4g}",
-                f"{half:.2g}",
-                "N/mm²" if k < 3 else "N/mm",
-                "readings" if is_identified else "process",
-            )
-        )
-        for k, (coefficient, value, half, is_identified) in enumerate(
-            zip(NAMES, material.value, material.half, material.identified, strict=True)
+        Row((coefficient, f"{value:.4g}", f"{half:.2g}", unit, "readings" if is_identified else "process"))
+        for coefficient, value, half, unit, is_identified in zip(
+            NAMES, material.value, material.half, _UNITS, material.identified, strict=True
         )
     )
     head = ("coefficient", "value", "± 95 %", "unit", "from")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -30,37 +31,75 @@ def drawn_path(result: Result, chord: float | None = None) -> tuple[Array, Ints]
         (P,) of the target at the end of the piece that the point lies on. Each target is the last of its points.
     """
     motions = result.program.motions
-    end = result.nominal.position
-    row = np.arange(len(result))
-    arcs = np.flatnonzero(motions.kind[result.motion] == CIRC)
-    if len(arcs):
-        motion = result.motion[arcs]
-        same_motion = (arcs > 0) & (result.motion[arcs - 1] == motion)
-        begin = np.where(same_motion, result.t[arcs - 1], 0.0)
-        angle = motions.sweep[motion] * (result.t[arcs] - begin)
-        normal, radius_vector = motions.normal[motion], end[arcs] - motions.centre[motion]
-        height = np.einsum("ni,ni->n", radius_vector, normal)[:, None] * normal
-        radial, tangent = radius_vector - height, np.cross(normal, radius_vector)
-        axis = motions.centre[motion] + height
-        start = end[np.maximum(arcs - 1, 0)]
-        rise = (np.einsum("ni,ni->n", end[arcs] - start, normal) * (arcs > 0))[:, None] * normal
-        unseen = _UNSEEN * float(np.ptp(end, axis=0).max()) if chord is None else chord
-        step = 2.0 * np.arccos(np.clip(1.0 - unseen / np.maximum(norm(radial), unseen), -1.0, 1.0))
-        step = np.clip(step, _STEP[0] if chord is None else _FINEST, _STEP[1])
+    position, row = result.nominal.position, np.arange(len(result))
+    arc_rows = np.flatnonzero(motions.kind[result.motion] == CIRC)
+    if len(arc_rows):
+        arcs = _ArcPieces.of(result, arc_rows)
+        distance = _UNSEEN * float(np.ptp(position, axis=0).max()) if chord is None else chord
         count = np.ones(len(result), dtype=np.int64)
-        count[arcs] = np.maximum(np.ceil(angle / step), 1.0).astype(np.int64)
+        count[arc_rows] = arcs.chord_counts(distance, _STEP[0] if chord is None else _FINEST)
         row, share = toolpath.even_places(row, count)
         remaining_share = 1.0 - share
-        inner = np.flatnonzero(remaining_share > 0.0)
-        arc, remaining_share = np.searchsorted(arcs, row[inner]), remaining_share[inner]
-        cos, sin = np.cos(angle[arc] * remaining_share)[:, None], np.sin(angle[arc] * remaining_share)[:, None]
-        end = end[row]
-        end[inner] = axis[arc] + cos * radial[arc] - sin * tangent[arc] - remaining_share[:, None] * rise[arc]
+        inner = np.flatnonzero(remaining_share > 0.0)  # the others are targets
+        position = position[row]
+        position[inner] = arcs.points(np.searchsorted(arc_rows, row[inner]), remaining_share[inner])
     bases = result.program.bases
     if len(bases) > 1:
         base = bases[motions.base[result.motion[row]]]
-        end = np.einsum("nij,nj->ni", base[:, :3, :3], end) + base[:, :3, 3]
-    return np.asarray(end), row
+        position = np.einsum("nij,nj->ni", base[:, :3, :3], position) + base[:, :3, 3]
+    return np.asarray(position), row
+
+
+class _ArcPieces(NamedTuple):
+    """The A pieces of arcs and helices that lead to targets, in their `$BASE`.
+
+    :param axis: (A, 3) point of the axis at the height of the end [m].
+    :param radial: (A, 3) from there to the end [m].
+    :param tangent: (A, 3) direction of travel at the end, as long as the radius [m].
+    :param angle: (A,) of the piece [rad].
+    :param rise: (A, 3) by which a helix rises along the axis on the piece [m].
+    """
+
+    axis: Array
+    radial: Array
+    tangent: Array
+    angle: Array
+    rise: Array
+
+    @classmethod
+    def of(cls, result: Result, rows: Ints) -> _ArcPieces:
+        """Return the pieces to targets on arcs, `rows` (A,) of the result."""
+        motions, motion, end = result.program.motions, result.motion[rows], result.nominal.position[rows]
+        previous = np.maximum(rows - 1, 0)
+        is_same_motion = (rows > 0) & (result.motion[previous] == motion)
+        angle = motions.sweep[motion] * (result.t[rows] - np.where(is_same_motion, result.t[previous], 0.0))
+        normal, radius_vector = motions.normal[motion], end - motions.centre[motion]
+        height = np.einsum("ni,ni->n", radius_vector, normal)[:, None] * normal
+        chord = end - result.nominal.position[previous]  # zero before the first target
+        return cls(
+            axis=motions.centre[motion] + height,
+            radial=radius_vector - height,
+            tangent=np.cross(normal, radius_vector),
+            angle=angle,
+            rise=np.einsum("ni,ni->n", chord, normal)[:, None] * normal,
+        )
+
+    def chord_counts(self, distance: float, least_angle: float) -> Ints:
+        """Return the number of chords (A,) by which each piece is drawn.
+
+        :param distance: largest distance of a chord from the arc [m].
+        :param least_angle: smallest angle of a chord [rad].
+        """
+        step = 2.0 * np.arccos(np.clip(1.0 - distance / np.maximum(norm(self.radial), distance), -1.0, 1.0))
+        step = np.clip(step, least_angle, _STEP[1])
+        return np.asarray(np.maximum(np.ceil(self.angle / step), 1.0).astype(np.int64))
+
+    def points(self, piece: Ints, remaining_share: Array) -> Array:
+        """Return the points (n, 3) on pieces (n,) of which a share (n,) remains until their end [m]."""
+        angle = self.angle[piece] * remaining_share
+        cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+        on_circle = self.axis[piece] + cos * self.radial[piece] - sin * self.tangent[piece]
+        return np.asarray(on_circle - remaining_share[:, None] * self.rise[piece])
 
 
 class Operation(Struct, frozen=True):
