@@ -24,7 +24,7 @@ _ROWS = ("max", "RMS", "mean", "95 %")
 def program_text(content: Summary, display: Display = PLAIN) -> str:
     """Return the summary of one program on one screen: the verdict, the paper's Table 3, and other facts.
 
-    :param display: how it looks.
+    :param display: style of the text; plain by default.
     """
     verdict = content.verdict
     lines = [
@@ -35,22 +35,30 @@ def program_text(content: Summary, display: Display = PLAIN) -> str:
     lines += [f"  - {reason}" for reason in verdict.reasons[:_REASONS]]
     if len(verdict.reasons) > _REASONS:
         lines.append(f"  - {_further_reasons_text(len(verdict.reasons))}: see the report")
-    lines.append("")
     no_correction = nothing_to_correct(content)
-    u95 = _largest_u95(content)
-    rows: list[tuple[str, ...]]
-    if no_correction is not None:
-        lines.append(f"  {no_correction}")
-    elif content.mode == "predict":
-        rows = [(label, estimate(value, u95)) for label, value in zip(_ROWS, astuple(content.before), strict=True)]
-        lines.append(display.table(("deviation [mm]", "predicted"), rows, (1,), "  "))
-    else:
-        pairs = zip(_ROWS, astuple(content.before), astuple(content.after), strict=True)
-        rows = [(label, estimate(old, u95), estimate(new, u95), factor_text(old, new)) for label, old, new in pairs]
-        lines.append(display.table(("deviation [mm]", "before", "after", "improvement"), rows, range(1, 4), "  "))
-    lines += ["", *_fact_lines(content), *_feed_lines(content, display)]
-    lines += [issue_line(issue, content.program) for issue in content.issues if issue.level == "info"]
+    lines += [
+        "",
+        _deviation_table(content, display) if no_correction is None else f"  {no_correction}",
+        "",
+        *_fact_lines(content),
+        *_feed_lines(content, display),
+        *(issue_line(issue, content.program) for issue in content.issues if issue.level == "info"),
+    ]
     return "\n".join(lines)
+
+
+def _deviation_table(content: Summary, display: Display) -> str:
+    """Return the table of deviations [mm]: as predicted, or before and after correction."""
+    u95 = _largest_u95(content)
+    if content.mode == "predict":
+        rows = [(label, estimate(value, u95)) for label, value in zip(_ROWS, astuple(content.before), strict=True)]
+        return display.table(("deviation [mm]", "predicted"), rows, (1,), "  ")
+    values = zip(_ROWS, astuple(content.before), astuple(content.after), strict=True)
+    table_rows = [
+        (label, estimate(before, u95), estimate(after, u95), factor_text(before, after))
+        for label, before, after in values
+    ]
+    return display.table(("deviation [mm]", "before", "after", "improvement"), table_rows, range(1, 4), "  ")
 
 
 def target_count_text(content: Summary) -> str:
@@ -148,18 +156,24 @@ def programs_table(rows: Sequence[tuple[str, Summary | None, str]], display: Dis
         )
     summaries = [content for _, content, _ in rows if content is not None]
     if len(rows) > 1 and summaries:
-        answers = [better for content in summaries if (better := content.verdict.better) is not None]
-        worst = (
-            _largest_length_text([answer.uncorrected_mm for answer in answers]),
-            _largest_length_text([answer.corrected_mm for answer in answers]),
-        )
-        words = [_verdict_word(content) for content in summaries]
-        counts = [f"{words.count(word)} {word}" for word in (*_STATES.values(), _NO_FORCES) if word in words]
-        if len(rows) > len(summaries):
-            counts.insert(0, f"{len(rows) - len(summaries)} not written")
-        target_count = str(sum(content.targets for content in summaries))
-        cells.append((f"all {len(rows)}, at most", target_count, *worst, "", "", "", ", ".join(counts)))
+        cells.append(_totals_row(summaries, len(rows)))
     return "\n".join([display.table(head, cells, right=range(1, 6)), *_reason_lines(rows)])
+
+
+def _totals_row(summaries: Sequence[Summary], count: int) -> tuple[str, ...]:
+    """Return the last row of the table of programs: number of targets, largest errors, and how many have each verdict.
+
+    :param summaries: of the programs that were written, at least one.
+    :param count: number of all programs.
+    """
+    answers = [better for content in summaries if (better := content.verdict.better) is not None]
+    uncorrected = _largest_length_text([answer.uncorrected_mm for answer in answers])
+    corrected = _largest_length_text([answer.corrected_mm for answer in answers])
+    words = [_verdict_word(content) for content in summaries]
+    counts = [f"{count - len(summaries)} not written"] if count > len(summaries) else []
+    counts += [f"{words.count(word)} {word}" for word in (*_STATES.values(), _NO_FORCES) if word in words]
+    targets = str(sum(content.targets for content in summaries))
+    return (f"all {count}, at most", targets, uncorrected, corrected, "", "", "", ", ".join(counts))
 
 
 class _ErrorTexts(NamedTuple):

@@ -191,15 +191,7 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
 
     :param other_remedies: remedies besides those that the result itself says.
     """
-    part, reasons = content.part, list[str]()
-    if content.targets and content.tolerance_held is False and content.mode != "predict":
-        assert content.tolerance_mm is not None
-        deviation_text = above_limit_text(
-            max(content.between_max_mm or 0.0, content.after.max_mm), content.tolerance_mm
-        )
-        reasons.append(
-            f"the predicted path leaves the nominal one by {deviation_text} mm: more than {content.tolerance_mm:g} mm"
-        )
+    part, reasons = content.part, _path_reasons(content)
     if part.tolerance_mm is None or _is_corrected_input(content):
         if not reasons or content.tolerance_mm is None:
             return None
@@ -222,8 +214,18 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
         f"corners and path included), more than the {part.tolerance_mm:g} mm of [part] tolerance_mm, on "
         f"{_percent_digits(part.beyond_percent)} % of the cutting path"
     )
-    reasons.insert(0, _with_line(text, part.source_line))
+    reasons = [_with_line(text, part.source_line), *reasons]
     return Tolerance("failed", "part", part.tolerance_mm, False, part.beyond_percent, actions, reasons)
+
+
+def _path_reasons(content: Summary) -> list[str]:
+    """Return the reason why the written path does not hold its tolerance; empty if it does, or none is judged."""
+    if not content.targets or content.tolerance_held is not False or content.mode == "predict":
+        return []
+    assert content.tolerance_mm is not None
+    largest_mm = max(content.between_max_mm or 0.0, content.after.max_mm)
+    deviation_text = above_limit_text(largest_mm, content.tolerance_mm)
+    return [f"the predicted path leaves the nominal one by {deviation_text} mm: more than {content.tolerance_mm:g} mm"]
 
 
 _UNKNOWN = "whether [part] tolerance_mm is held is unknown: the robot model states no uncertainty of its parameters"
