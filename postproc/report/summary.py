@@ -319,11 +319,11 @@ def _blending_entry(result: Result) -> Blending:
     worst = cuts[np.argmax(result.rounding[cuts])] if len(cuts) else None
     file_name = result.documents[0].name if result.documents else None
     dialect = result.program.dialect if file_name is None else registry.dialect_of_file(Path(file_name)).name
-    by = registry.written_in(dialect, None)[1].approximation
+    _, writer = registry.written_in(dialect)
     if worst is None or not result.rounding[worst] > 0.0:
-        return Blending(by=by, max_mm=0.0, programmed_max_mm=0.0, source_line=None)
+        return Blending(by=writer.approximation, max_mm=0.0, programmed_max_mm=0.0, source_line=None)
     return Blending(
-        by=by,
+        by=writer.approximation,
         max_mm=float(result.rounding[worst]) * MM_PER_M,
         programmed_max_mm=float(result.programmed[cuts].max()) * MM_PER_M,
         source_line=int(result.source_line[worst]),
