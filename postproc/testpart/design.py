@@ -205,6 +205,7 @@ def candidates(
     placements: tuple[RobotInCell, ...],
     process: Process,
     cutting: Cutting,
+    *,
     depth: float,
     box: Box,
     sigma: float,
@@ -212,19 +213,20 @@ def candidates(
     """Return the features that fit into a block, and how they are cut: trimmed by more than the tool deflects.
 
     :param placements: the robot in a cell whose `[base]` is that of the block, for each of its placements.
-    :param depth: largest depth of cut [m].
+    :param depth: largest depth of cut [m]; `box`: the block, `$BASE` [mm].
     :param sigma: noise of the probe [m].
     :raises PlanError: none fits, or the robot reaches none in a placement.
     """
     kinds = [Kind(round(share * depth, 6), side) for share in _SHARES for side in (0, 1, -1)]
     low, high = (np.array([span[k] for span in (box.X, box.Y, box.Z)]) / MM_PER_M for k in (0, 1))
-    for _ in range(2):
+    for _ in range(2):  # a second time with deeper trimming, if the tool deflects further than was assumed
         if depth + cutting.trims[-1][1] + _LEAST_FLOOR > high[2] - low[2]:
             raise PlanError(f"the block is too thin for grooves of {depth * MM_PER_M:g} mm", file=process.path)
         loads_by_kind = loads(kinds, cutting, process, placements[0])
         all_features = _inside_block(kinds, cutting, (low, high), max(1, _MOST_PLACES // len(placements)))
+        survey = _Survey(prior, cutting, sigma)
         by_placement = [
-            _reachable_features(prior, robot_in_cell, kinds, all_features, loads_by_kind, cutting, sigma)
+            _reachable_features(survey, robot_in_cell, all_features, dict(zip(kinds, loads_by_kind, strict=True)))
             for robot_in_cell in placements
         ]
         largest_deflection = max(entry.deflection for reachable in by_placement for entry in reachable)
@@ -263,6 +265,19 @@ def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array],
             advice="Give a larger block, or a smaller tool.",
         )
     return fitting
+
+
+class _Survey(NamedTuple):
+    """What the information of a feature depends on, next to its place.
+
+    :param prior: knowledge of robot and forces before the part.
+    :param cutting: how features are cut.
+    :param sigma: noise of the probe [m].
+    """
+
+    prior: Prior
+    cutting: Cutting
+    sigma: float
 
 
 class _ReachableFeature(NamedTuple):
@@ -309,23 +324,18 @@ def _join_candidates(by_placement: list[list[_ReachableFeature]], cutting: Cutti
 
 
 def _reachable_features(
-    prior: Prior,
-    robot_in_cell: RobotInCell,
-    kinds: list[Kind],
-    all_features: list[Feature],
-    loads_by_kind: list[Loads],
-    cutting: Cutting,
-    sigma: float,
+    survey: _Survey, robot_in_cell: RobotInCell, all_features: list[Feature], load_of_kind: dict[Kind, Loads]
 ) -> list[_ReachableFeature]:
-    """Return those of the features that the robot reaches in a placement.
+    """Return those of the features that the robot reaches in a placement, kind by kind.
 
+    :param load_of_kind: kind of feature → loads on the tool in it, in its axes.
     :raises PlanError: there is none.
     """
     reachable: list[_ReachableFeature] = []
-    for kind, load in zip(kinds, loads_by_kind, strict=True):
+    for kind, load in load_of_kind.items():
         features_of_kind = [feature for feature in all_features if feature.kind == kind]
         if features_of_kind:
-            reachable += _features_of_kind(prior, robot_in_cell, features_of_kind, load, cutting, sigma)
+            reachable += _features_of_kind(survey, robot_in_cell, features_of_kind, load)
     if not reachable:
         base = robot_in_cell.cell.base
         raise PlanError(
@@ -337,53 +347,23 @@ def _reachable_features(
 
 
 def _features_of_kind(
-    prior: Prior,
-    robot_in_cell: RobotInCell,
-    features_of_kind: list[Feature],
-    load: Loads,
-    cutting: Cutting,
-    sigma: float,
+    survey: _Survey, robot_in_cell: RobotInCell, features_of_kind: list[Feature], load: Loads
 ) -> list[_ReachableFeature]:
     """Return the features of one kind that the robot reaches, with information, displacement and most loaded state.
 
     :param load: on the tool in a feature of this kind, in its axes.
-    :param sigma: noise of the probe [m].
     """
-    probes = features.probes(features_of_kind[0].kind, cutting)
-    count = len(probes)
-    points = np.array([probe.point for probe in probes])
-    normals = np.array([probe.normal for probe in probes])
-
-    def of_all(vectors: Array, *, is_direction: bool = False) -> Array:
-        """Return vectors in the frames of all features of the kind, one feature after the other, in `$BASE`."""
-        return np.concatenate(
-            [features.to_base(f, cutting.top, vectors, is_direction=is_direction) for f in features_of_kind]
-        )
-
-    def of_wrench(wrench: Array) -> Array:
-        """Return wrenches in the frames of all features of the kind, in `$BASE`."""
-        return np.concatenate([of_all(part, is_direction=True) for part in (wrench[:, :3], wrench[:, 3:])], axis=1)
-
-    tip, point, normal = of_all(load.tip), of_all(points), of_all(normals, is_direction=True)
-    wrenches = of_wrench(load.wrench), of_wrench(load.by_lift)
-    states, reachable, rotation = _states(robot_in_cell, tip, wrenches, cutting, count)
-    if not reachable.any():
+    cutting, count = survey.cutting, len(load.tip)
+    tip = _in_base(features_of_kind, cutting, load.tip)
+    wrenches = tuple(_wrenches_in_base(features_of_kind, cutting, wrench) for wrench in (load.wrench, load.by_lift))
+    states, is_reached, rotation = _states(robot_in_cell, tip, (wrenches[0], wrenches[1]), cutting, count)
+    if not is_reached.any():
         return []
-    axis = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
-    travel = of_all(load.travel, is_direction=True)
-    weight = turn_weights(rotation, weights(normal, point - tip, axis, travel, 0.5 * cutting.diameter))
-    wall = (np.abs(normal[:, 2]) < 0.5).astype(float)
-    rows = np.repeat(reachable, count)
-    no_wrench = np.zeros((int(rows.sum()), 6))
-    surfaces = Surfaces(
-        no_wrench[:, 0].astype(np.int64), no_wrench[:, 0], weight[rows], wall[rows], no_wrench, point[rows]
-    )
-    information, deflection = _information(
-        prior, robot_in_cell, states, surfaces, (point - points.mean(axis=0))[rows], normal[rows], count, sigma
-    )
+    points = _probed_points(features_of_kind, load, cutting, tip, rotation, np.repeat(is_reached, count))
+    information, deflection = _information(survey, robot_in_cell, states, points)
     worst_probe = np.argmax(deflection, axis=1)
     reached_features = [
-        feature for feature, is_reached in zip(features_of_kind, reachable.tolist(), strict=True) if is_reached
+        feature for feature, reached in zip(features_of_kind, is_reached.tolist(), strict=True) if reached
     ]
     return [
         _ReachableFeature(
@@ -393,36 +373,87 @@ def _features_of_kind(
     ]
 
 
-def _information(
-    prior: Prior,
-    robot_in_cell: RobotInCell,
-    states: States,
-    surfaces: Surfaces,
-    arm: Array,
-    normal: Array,
-    count: int,
-    sigma: float,
-) -> tuple[Array, Array]:
-    """Return the information (k, m, m) of features of `count` probed points each, and the displacements (k, count) [m].
+def _in_base(features_of_kind: list[Feature], cutting: Cutting, vectors: Array, *, is_direction: bool = False) -> Array:
+    """Return vectors (s, 3) in the frame of each of k features in `$BASE`, feature after feature: (k·s, 3)."""
+    return np.concatenate(
+        [features.to_base(feature, cutting.top, vectors, is_direction=is_direction) for feature in features_of_kind]
+    )
 
-    :param states: of the k·count points, feature after feature.
-    :param arm: (k·count, 3) from a fixed point of the block to the points [m].
-    :param normal: (k·count, 3) of the surfaces.
-    :param sigma: noise of the probe [m].
+
+def _wrenches_in_base(features_of_kind: list[Feature], cutting: Cutting, wrench: Array) -> Array:
+    """Return wrenches (s, 6) in the frame of each of k features in `$BASE`, feature after feature: (k·s, 6)."""
+    halves = [_in_base(features_of_kind, cutting, half, is_direction=True) for half in (wrench[:, :3], wrench[:, 3:])]
+    return np.concatenate(halves, axis=1)
+
+
+class _ProbedPoints(NamedTuple):
+    """The n probed points of features of one kind, feature after feature, `$BASE`.
+
+    :param surfaces: the surfaces at them.
+    :param arm: (n, 3) from a fixed point of the block to the points [m].
+    :param normal: (n, 3) of the surfaces.
+    :param point_count: number of points of one feature.
     """
+
+    surfaces: Surfaces
+    arm: Array
+    normal: Array
+    point_count: int
+
+
+def _probed_points(
+    features_of_kind: list[Feature], load: Loads, cutting: Cutting, tip: Array, rotation: Array, is_reached: Bools
+) -> _ProbedPoints:
+    """Return the probed points of those features of one kind that the robot reaches.
+
+    :param load: on the tool in a feature of this kind, in its axes.
+    :param tip: (n, 3) of the tool at the points of all features, `$BASE` [m].
+    :param rotation: (n, 3, 3) axes of `$BASE` as columns in the root.
+    :param is_reached: (n,) True for points of features that are reached.
+    """
+    probes = features.probes(features_of_kind[0].kind, cutting)
+    local_points = np.array([probe.point for probe in probes])
+    point = _in_base(features_of_kind, cutting, local_points)
+    normals = np.array([probe.normal for probe in probes])
+    normal = _in_base(features_of_kind, cutting, normals, is_direction=True)
+    travel = _in_base(features_of_kind, cutting, load.travel, is_direction=True)
+    axis = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
+    weight = turn_weights(rotation, weights(normal, point - tip, axis, travel, 0.5 * cutting.diameter))
+    no_wrench = np.zeros((int(is_reached.sum()), 6))
+    surfaces = Surfaces(
+        motion=no_wrench[:, 0].astype(np.int64),  # motions and their places count for the program of a part only
+        t=no_wrench[:, 0],
+        weight=weight[is_reached],
+        wall=(np.abs(normal[:, 2]) < 0.5).astype(float)[is_reached],
+        weight_wrench=no_wrench,
+        point=point[is_reached],
+    )
+    arm = point - local_points.mean(axis=0)
+    return _ProbedPoints(surfaces, arm[is_reached], normal[is_reached], len(probes))
+
+
+def _information(
+    survey: _Survey, robot_in_cell: RobotInCell, states: States, points: _ProbedPoints
+) -> tuple[Array, Array]:
+    """Return the information (k, m, m) of k features, and the displacements (k, s) [m] at the s points of each.
+
+    :param states: of the k·s points, feature after feature.
+    """
+    prior, count = survey.prior, points.point_count
     twist, by_parameter, by_scale = states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
-    at = surfaces.deviation(twist)[1]
-    slopes = np.einsum("nk,nkp->np", at, by_parameter) @ prior.by_file * prior.sigma[:-1]
+    by_twist = points.surfaces.deviation(twist)[1]
+    slopes = np.einsum("nk,nkp->np", by_twist, by_parameter) @ prior.by_file * prior.sigma[:-1]
     deflection = np.linalg.norm(by_scale[:, :3], axis=1).reshape(-1, count)
-    by_force = prior.sigma[-1] * np.einsum("nk,nk->n", at, by_scale)
-    by_lift = np.einsum("nk,nk->n", at, states.twist_by_lift(robot_in_cell, prior.robot, 1.0))
-    direction = normal + by_lift[:, None] * np.array([0.0, 0.0, 1.0])
-    position = np.concatenate([_POSITION[0] * direction, _POSITION[1] * np.cross(arm, direction)], axis=1)
+    by_force = prior.sigma[-1] * np.einsum("nk,nk->n", by_twist, by_scale)
+    by_lift = np.einsum("nk,nk->n", by_twist, states.twist_by_lift(robot_in_cell, prior.robot, 1.0))
+    direction = points.normal + by_lift[:, None] * np.array([0.0, 0.0, 1.0])
+    position = np.concatenate([_POSITION[0] * direction, _POSITION[1] * np.cross(points.arm, direction)], axis=1)
     # unknowns scaled to unit standard deviation: parameters, force, cutter radius, position of the part, lift
-    columns = np.column_stack([slopes, by_force, RADIUS_ERROR * surfaces.wall, position, UNEVENNESS * by_lift])
+    columns = np.column_stack([slopes, by_force, RADIUS_ERROR * points.surfaces.wall, position, UNEVENNESS * by_lift])
+    # from here on by feature: errors of its points have causes in common
     columns = columns.reshape(-1, count, columns.shape[1])
     direction, by_lift = direction.reshape(-1, count, 3), by_lift.reshape(-1, count, 1)
-    noise = PATH_ERROR**2 * direction @ np.swapaxes(direction, 1, 2) + sigma**2 * np.eye(count)
+    noise = PATH_ERROR**2 * direction @ np.swapaxes(direction, 1, 2) + survey.sigma**2 * np.eye(count)
     noise += UNEVENNESS**2 * by_lift @ np.swapaxes(by_lift, 1, 2)
     noise += (_MODEL * deflection)[:, :, None] ** 2 * np.eye(count)
     return np.swapaxes(columns, 1, 2) @ np.linalg.solve(noise, columns), deflection
@@ -455,22 +486,8 @@ def _states(
     motion = np.full(len(tip), last)
     pose = Poses.fixed(tip, motions.motions.target.rotation[last])
     t = np.full(len(tip), 0.5)
-    reachable = np.ones(len(tip) // count, dtype=bool)
-    rows = np.arange(len(tip))
-    while True:
-        rows = np.flatnonzero(np.repeat(reachable, count))
-        if not len(rows):
-            q = np.zeros((0, 6))
-            break
-        try:
-            q = robot_in_cell.follow(motions, motion[rows], t[rows], pose.take(rows)).q[:]
-        except UnreachableError as cause:
-            reachable[rows[list(cause.rows)] // count] = False
-            continue
-        within_limits = ((q >= robot_in_cell.robot.lower) & (q <= robot_in_cell.robot.upper)).all(axis=1)
-        if within_limits.all():
-            break
-        reachable[rows[~within_limits] // count] = False
+    q, is_reached = _reached_angles(robot_in_cell, motions, motion, t, pose, count=count)
+    rows = np.flatnonzero(np.repeat(is_reached, count))
     rotation = np.broadcast_to(toolpath.base_of(motions, motion)[..., :3, :3], (len(tip), 3, 3))
     wrench, by_lift = (toolpath.wrench_in_root(motions, motion[rows], vectors[rows]) for vectors in wrenches)
     states = States(
@@ -482,7 +499,33 @@ def _states(
         np.zeros(len(rows)),
         by_lift,
     )
-    return _ReachedStates(states, reachable, rotation)
+    return _ReachedStates(states, is_reached, rotation)
+
+
+def _reached_angles(
+    robot_in_cell: RobotInCell, motions: Motions, motion: Ints, t: Array, pose: Poses, *, count: int
+) -> tuple[Array, Bools]:
+    """Return the joint angles (k, 6) [rad] at points of reached features, and which features (n / count,) these are.
+
+    A feature with a point that is out of reach or beyond a joint limit is left out, and the others are followed again.
+
+    :param motion: (n,) motion of each point, `t` (n,) place on it, and `pose` (n,) of the tool there.
+    :param count: number of points of a feature.
+    """
+    robot = robot_in_cell.robot
+    is_reached = np.ones(len(motion) // count, dtype=bool)
+    while is_reached.any():
+        rows = np.flatnonzero(np.repeat(is_reached, count))
+        try:
+            q = robot_in_cell.follow(motions, motion[rows], t[rows], pose.take(rows)).q[:]
+        except UnreachableError as cause:
+            is_reached[rows[list(cause.rows)] // count] = False
+            continue
+        within_limits = ((q >= robot.lower) & (q <= robot.upper)).all(axis=1)
+        if within_limits.all():
+            return q, is_reached
+        is_reached[rows[~within_limits] // count] = False
+    return np.zeros((0, 6)), is_reached
 
 
 def _is_in_box(feature: Feature, cutting: Cutting, box: tuple[Array, Array]) -> bool:
@@ -702,22 +745,20 @@ def evaluate(
         - tests.states.twist(robot_in_cell, prior.robot, 0.0)[:, :3]
     )
 
-    def order(row: int) -> tuple[float, float, float]:
-        """Return the key by which features are cut: by placement, along Y, then along X."""
-        feature = candidates_in_block.feature[row]
-        return candidates_in_block.placement[row], feature.y, feature.x
-
+    # features are cut by placement, along Y, then along X
+    x, y = (np.array([getattr(candidates_in_block.feature[row], axis) for row in rows]) for axis in "xy")
+    order = np.lexsort((x, y, candidates_in_block.placement[rows]))
     return Design(
-        candidates_in_block,
-        np.array(sorted(rows.tolist(), key=order), dtype=np.int64),
-        np.sqrt(np.diag(covariance)[:size]),
-        np.sqrt(np.diag(covariance_without_weight)[:size]) if np.any(weight_information) else None,
-        _visible_changes(prior, whole + weight_information - start),
-        float(np.sqrt(criterion(start))),
-        float(np.sqrt(np.sum(covariance * criterion.weight))),
-        float(np.sqrt(np.sum(tests.weight * np.sum(deflection**2, axis=1)))),
-        float(candidates_in_block.seconds[rows].sum()),
-        tests.source,
+        candidates=candidates_in_block,
+        chosen=rows[order],
+        sigma=np.sqrt(np.diag(covariance)[:size]),
+        sigma_without_weight=np.sqrt(np.diag(covariance_without_weight)[:size]) if np.any(weight_information) else None,
+        change=_visible_changes(prior, whole + weight_information - start),
+        before=float(np.sqrt(criterion(start))),
+        after=float(np.sqrt(np.sum(covariance * criterion.weight))),
+        deflection=float(np.sqrt(np.sum(tests.weight * np.sum(deflection**2, axis=1)))),
+        seconds=float(candidates_in_block.seconds[rows].sum()),
+        tests=tests.source,
     )
 
 

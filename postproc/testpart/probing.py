@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -128,23 +127,21 @@ def read(path: Path) -> ProbedSurfaces:
             advice="Fill in deviation_mm: along the normal, positive where material is left.",
         )
     row_numbers = lines.astype(np.int64)
-    normal = _normals(numbers, np.flatnonzero(is_filled), row_numbers, str(path))
-    return ProbedSurfaces(
-        tuple(texts["feature"][k] for k in filled_rows),
-        numbers["source_line"][filled_rows].astype(np.int64),
-        numbers["t"][filled_rows],
-        np.column_stack([numbers[name] for name in "XYZ"])[filled_rows] * M_PER_MM,
-        normal[filled_rows],
-        numbers["deviation_mm"][filled_rows] * M_PER_MM,
-        mass[filled_rows],
-        tuple(texts[PROGRAM][k] for k in filled_rows) if PROGRAM in texts else ("",) * len(filled_rows),
-        base[filled_rows].astype(np.int64),
-        row_numbers[filled_rows],
-        str(path),
-        _touch_off_points(
-            numbers, texts["feature"], normal, base, mass, np.flatnonzero(is_filled & is_top), row_numbers, str(path)
-        ),
+    all_rows = ProbedSurfaces(
+        name=tuple(texts["feature"]),
+        line=numbers["source_line"].astype(np.int64),
+        t=numbers["t"],
+        point=np.column_stack([numbers[name] for name in "XYZ"]) * M_PER_MM,
+        normal=_normals(numbers, np.flatnonzero(is_filled), row_numbers, str(path)),
+        deviation=numbers["deviation_mm"] * M_PER_MM,
+        mass=mass,
+        program=tuple(texts[PROGRAM]) if PROGRAM in texts else ("",) * len(lines),
+        base=base.astype(np.int64),
+        row=row_numbers,
+        file=str(path),
     )
+    touch_off = _touch_off_points(all_rows.take(np.flatnonzero(is_filled & is_top)))
+    return replace(all_rows.take(filled_rows), touch_off=touch_off)
 
 
 def _masses(numbers: dict[str, Array], lines: Array, path: Path) -> Array:
@@ -176,37 +173,21 @@ def _normals(numbers: dict[str, Array], rows: Ints, lines: Ints, file: str) -> A
     return normal
 
 
-def _touch_off_points(
-    numbers: dict[str, Array],
-    names: Sequence[str],
-    normal: Array,
-    base: Array,
-    mass: Array,
-    rows: Ints,
-    lines: Ints,
-    file: str,
-) -> TouchOff:
-    """Return the touch-off points of a table.
+def _touch_off_points(rows: ProbedSurfaces) -> TouchOff:
+    """Return rows of a table as touch-off points of the top of the block.
 
-    :param numbers: columns by name; `names`, `normal` (n, 3), `base` (n,), `mass` (n,) [kg] and `lines` (n,) of all
-        rows.
-    :param rows: of the touch-off points.
     :raises MeasurementError: one has a normal that is not Z, or a weight.
     """
-    is_invalid = (normal[rows, 2] < 1.0 - _UNIT) | (mass[rows] > 0.0)
+    is_invalid = (rows.normal[:, 2] < 1.0 - _UNIT) | (rows.mass > 0.0)
     if is_invalid.any():
+        first = int(np.argmax(is_invalid))
         raise MeasurementError(
-            f"{names[rows[np.argmax(is_invalid)]]} is no point of the top",
-            file=file,
-            line=int(lines[rows][np.argmax(is_invalid)]),
+            f"{rows.name[first]} is no point of the top",
+            file=rows.file,
+            line=int(rows.row[first]),
             advice="Touch-off points have nx, ny, nz = 0, 0, 1, and no mass_kg.",
         )
-    return TouchOff(
-        tuple(names[k] for k in rows),
-        np.column_stack([numbers[name] for name in "XYZ"])[rows] * M_PER_MM,
-        numbers["deviation_mm"][rows] * M_PER_MM,
-        base[rows].astype(np.int64),
-    )
+    return TouchOff(rows.name, rows.point, rows.deviation, rows.base)
 
 
 def is_probed(path: Path) -> bool:

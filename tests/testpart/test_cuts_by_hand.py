@@ -196,7 +196,9 @@ def test_a_block_has_two_millimetres_below_the_deepest_cut(tmp_path, monkeypatch
     with pytest.raises(
         PlanError if is_refused else pytest.fail.Exception, match=r"too thin for grooves of 3 mm|6 kinds"
     ):
-        design.candidates(PRIOR, (ROBOT_IN_CELL,), process, replace(CUTTING, trim=3e-4), 3e-3, box, 5e-6)
+        design.candidates(
+            PRIOR, (ROBOT_IN_CELL,), process, replace(CUTTING, trim=3e-4), depth=3e-3, box=box, sigma=5e-6
+        )
 
 
 class LinearStates(SimpleNamespace):
@@ -222,7 +224,8 @@ def test_the_information_of_a_feature_is_that_of_its_readings_about_all_unknowns
     wall, none = np.array([1.0, 1, 0, 1, 0, 0]), np.zeros(rows)
     where = Surfaces(none.astype(int), none, weight, wall, np.zeros((rows, 6)), np.zeros((rows, 3)))
     normal, arm = rng.normal(size=(rows, 3)), 0.1 * rng.normal(size=(rows, 3))
-    information, deflection = design._information(PRIOR, ROBOT_IN_CELL, states, where, arm, normal, count, 5e-6)
+    survey, points = design._Survey(PRIOR, CUTTING, 5e-6), design._ProbedPoints(where, arm, normal, count)
+    information, deflection = design._information(survey, ROBOT_IN_CELL, states, points)
     np.testing.assert_allclose(deflection, np.linalg.norm(states.by_scale[:, :3], axis=1).reshape(2, count))
     for k in range(2):
         columns, noise = np.zeros((count, size + 8)), np.zeros((count, count))
@@ -262,6 +265,26 @@ def test_the_states_of_places_are_those_of_the_robot_at_them_and_those_out_of_re
         np.testing.assert_allclose(turned[:, 3:], given[:2, 3:] @ base[:3, :3].T, atol=1e-9)
     assert not states.weight_wrench.any()
     assert not states.lift.any()
+
+
+def test_features_with_a_place_beyond_a_joint_limit_are_left_out():
+    """Two places a feature: the limit of one joint is between the places of the second feature."""
+    tips = np.array([[0.05, 0.06, 0.01], [0.06, 0.06, 0.01], [0.05, 0.10, 0.01], [0.06, 0.12, 0.01]])
+    none = np.zeros((4, 6))
+    states, reached, _ = design._states(ROBOT_IN_CELL, tips, (none, none), CUTTING, 2)
+    assert reached.tolist() == [True, True]
+    q = states.q[:, 0]  # of the base joint
+    order = np.argsort(q)
+    assert order[0] == 3 or order[-1] == 3
+    lower, upper = ROBOT_IN_CELL.robot.lower.copy(), ROBOT_IN_CELL.robot.upper.copy()
+    if order[-1] == 3:
+        upper[0] = 0.5 * (q[order[-1]] + q[order[-2]])
+    else:
+        lower[0] = 0.5 * (q[order[0]] + q[order[1]])
+    robot = replace(ROBOT_IN_CELL.robot, lower=lower, upper=upper)
+    narrow, reached, _ = design._states(replace(ROBOT_IN_CELL, robot=robot), tips, (none, none), CUTTING, 2)
+    assert reached.tolist() == [True, False]
+    np.testing.assert_allclose(narrow.q, states.q[:2], atol=1e-12)
 
 
 def test_the_information_of_a_gauge_is_that_of_the_sag_under_its_weight():

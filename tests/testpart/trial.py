@@ -63,7 +63,7 @@ def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, d
     robot_in_cell = settings[0]
     prior = Prior.of(robot_in_cell.robot, process.law().sigma)
     cutting = features.Cutting(0.01, 6000.0, 0.06 * 3 * 6000 / 60e3, 1, 0.0)
-    found, cutting = design.candidates(prior, settings, process, cutting, depth, Box(*box), SIGMA)
+    found, cutting = design.candidates(prior, settings, process, cutting, depth=depth, box=Box(*box), sigma=SIGMA)
     low, high = (1e-3 * np.array([span[k] for span in box]) for k in (0, 1))
     hung = features.hanging_places(low, high, cutting.top) if mass else np.zeros((0, 3))
     weighed = design.gauge_information(prior, settings, cutting, mass, hung, SIGMA)
