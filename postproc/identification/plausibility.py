@@ -73,11 +73,13 @@ def remove_gross_errors(data: Measurements) -> tuple[Measurements, list[str]]:
     """Remove readings that contradict their repeats or the rigid body.
 
     :returns: the measurements without them; a sentence for each.
+    :raises MeasurementError: the points move against each other in most sets.
     """
     sigma = max(data.sigma, _robust_sigma(data))
     faulty_rows, sentences = _off_repeats(data, sigma)
     data = data.drop(faulty_rows)
     if len(data.points) >= 3:
+        _check_rigid_body(data)
         faulty_rows, body_sentences = _rigid_body(data, sigma)
         data, sentences = data.drop(faulty_rows), sentences + body_sentences
     return data, sentences
@@ -115,6 +117,27 @@ def _robust_sigma(data: Measurements) -> float:
     # n repeats deviate from their mean by less than from the true value
     shrinkage = np.sqrt(1.0 - 1.0 / np.median(count[count >= 2]))
     return float(np.median(np.abs(deviation)) / _MEDIAN_SIZE / shrinkage)
+
+
+def _check_rigid_body(data: Measurements) -> None:
+    """Check that the points keep their distances in most sets of readings under load, as those of a rigid body do.
+
+    :raises MeasurementError: they do not: markers are loose, or displacements are in other axes.
+    """
+    sets = _complete_sets(data)
+    is_loaded = np.array([data.load[data.state[rows[0]]] > 0 for rows in sets], dtype=bool)
+    if np.count_nonzero(is_loaded) < 3:
+        return
+    distances = np.array([_distances(data.position[rows]) for rows in sets])
+    change = np.abs(distances - np.median(distances, axis=0)).max(axis=(1, 2))[is_loaded]
+    usual_change = float(np.median(change))
+    if usual_change > _LOOSE:
+        raise MeasurementError(
+            f"the distances between the points change by {usual_change * MM_PER_M:.2f} mm or more under half of the "
+            "loads: this is no rigid body",
+            file=data.file,
+            advice="Check that the markers are tight. Displacements must be in the axes of the robot root ($ROBROOT).",
+        )
 
 
 def _rigid_body(data: Measurements, sigma: float) -> tuple[list[int], list[str]]:
@@ -229,6 +252,8 @@ _MAX_DISTANCE = 0.015
 """Distance [m] of unloaded readings from the geometry that no sag and no tolerance explains (assumed)."""
 _MOST_DEFLECTION = 0.1
 """Displacement by a load [m] beyond that of any industrial robot (assumed)."""
+_LOOSE = 2e-4
+"""Usual change of distances between points [m] beyond which readings are no noise of a tracker (assumed)."""
 _SAME_UNIT = (0.2, 5.0)
 """Ratios of displacements to those of the prior robot that compliances explain (assumed); another unit does not."""
 _USUAL_SIZE = (0.6, 1.7)
@@ -384,9 +409,9 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
     displacement, prediction, rows = _visible_displacements(robot, data, placement)
     ratio = _ratios(displacement, prediction)
     median_ratio = float(np.median(ratio))
-    _check_median_ratio(median_ratio, data, robot.name)
     # two ratios, along the expected direction and by length: where links deflect unlike the joints, one is far off
     length_ratio = np.sqrt(np.sum(displacement**2, axis=(1, 2)) / np.sum(prediction**2, axis=(1, 2)))
+    _check_median_ratios(median_ratio, float(np.median(length_ratio)), data, robot.name)
     # against the force only if it is nearly opposite: links may deflect across what the joints would
     length_ratio = np.where(ratio < _OPPOSITE * length_ratio, -length_ratio, length_ratio)
     states = data.loaded_states[rows]
@@ -406,17 +431,23 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
     ]
 
 
-def _check_median_ratio(median_ratio: float, data: Measurements, robot_name: str) -> None:
-    """Check sign and unit of the forces by the usual ratio of displacements to those of the prior robot.
+def _check_median_ratios(median_ratio: float, median_length_ratio: float, data: Measurements, robot_name: str) -> None:
+    """Check sign, axes and unit of the forces by the usual ratios of displacements to those of the prior robot.
 
-    :param median_ratio: median over the load cases.
-    :raises MeasurementError: points move against the forces, or another unit would explain their displacements.
+    :param median_ratio: along the expected direction, median over the load cases; `median_length_ratio` by length.
+    :raises MeasurementError: points move against the forces or across them, or in another unit.
     """
     if median_ratio < 0.0:
         raise MeasurementError(
             "the points move against the forces",
             file=data.file,
             advice="F is the force ON the tool, root axes: a hanging weight has Fz < 0.",
+        )
+    if median_ratio < _SAME_UNIT[0] < median_length_ratio < _SAME_UNIT[1]:
+        raise MeasurementError(
+            f"the points move {median_length_ratio:.2g} times as far as {robot_name} would, but in other directions",
+            file=data.file,
+            advice="Give F and M in the axes of the robot root ($ROBROOT), and displacements too; check the angles.",
         )
     if not _SAME_UNIT[0] < median_ratio < _SAME_UNIT[1]:
         unit = "kg" if _KILOGRAMS[0] < median_ratio < _KILOGRAMS[1] else "another unit than N"

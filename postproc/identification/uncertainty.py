@@ -484,6 +484,8 @@ _MAX_SQUARE_ERROR = 4.0
 _LARGE_MISFIT = 0.3
 """Cross-validation error over displacement (RMS) beyond which the set-up is in question: exchanged axes of the forces
 left half of the displacements of a measured robot, true ones less than a tenth (assumed)."""
+_USELESS_MISFIT = 0.5
+"""The same beyond which a model may not be used: right set-ups leave less than a tenth (assumed)."""
 _FEWEST = 3
 """Fewest configurations whose scatter can be estimated."""
 _FEW_CONFIGURATIONS = 5
@@ -538,19 +540,41 @@ class Judgement(Struct, frozen=True):
         return replace(self, reservation="; ".join(filter(None, (reservation, self.reservation))))
 
 
+class _Misfit(NamedTuple):
+    """Displacements that a model does not describe.
+
+    :param error: RMS [m], and `size` of all displacements.
+    :param is_noise: whether noise may make this error.
+    """
+
+    error: float
+    size: float
+    is_noise: bool
+
+    def text_beyond(self, share: float) -> str:
+        """Return the error as a clause if it is no noise and beyond a share of the displacements; else ""."""
+        if self.is_noise or self.error <= share * self.size:
+            return ""
+        return (
+            f"the model is off by {self.error * MM_PER_M:.2g} mm RMS of displacements of {self.size * MM_PER_M:.2g} "
+            "mm: check axes, signs and units of forces and positions"
+        )
+
+
 def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Workspace, ratio: float) -> Judgement:
     """Return whether a model may be used.
 
     :param ratio: of the displacements to those of the prior robot (`plausibility.displacement_ratio`).
     """
+    misfit = _misfit(data, fit, choice)
     reservations = [
-        _large_misfit(data, fit, choice),
+        misfit.text_beyond(_LARGE_MISFIT),
         _few_configurations(data),
         workspace.reservation,
         _implausible_scale(fit.structure.prior, ratio),
     ]
     return Judgement(
-        distrust=_distrust(data, fit, choice) or workspace.refusal,
+        distrust=_distrust(data, fit, choice) or misfit.text_beyond(_USELESS_MISFIT) or workspace.refusal,
         reservation="; ".join(filter(None, reservations)),
         notes=_notes(data, fit, choice),
     )
@@ -578,8 +602,8 @@ def _implausible_scale(robot: RobotModel, ratio: float) -> str:
     )
 
 
-def _large_misfit(data: Measurements, fit: Fit, choice: Choice | None) -> str:
-    """Return that a model describes too little of what was measured; empty if it describes most of it."""
+def _misfit(data: Measurements, fit: Fit, choice: Choice | None) -> _Misfit:
+    """Return how much of the displacements a model leaves, on configurations left out if a structure was chosen."""
     mean, _ = data.means()
     unloaded_states = data.unloaded_states[data.state_config[data.loaded_states]]
     measured = np.nan_to_num(mean[data.loaded_states] - mean[unloaded_states])
@@ -589,12 +613,7 @@ def _large_misfit(data: Measurements, fit: Fit, choice: Choice | None) -> str:
         float(np.sqrt(np.sum((vectors * visibility) ** 2) / max(1.0, visibility.sum())))
         for vectors in (residual, measured)
     )
-    if error <= _LARGE_MISFIT * size or _square_error(fit, choice) <= _MAX_SQUARE_ERROR:
-        return ""
-    return (
-        f"the model is off by {error * MM_PER_M:.2g} mm RMS of displacements of {size * MM_PER_M:.2g} mm: check axes, "
-        "signs and units of forces and positions"
-    )
+    return _Misfit(error, size, _square_error(fit, choice) <= _MAX_SQUARE_ERROR)
 
 
 def _square_error(fit: Fit, choice: Choice | None) -> float:

@@ -41,7 +41,9 @@ def test_errors_beyond_noise_and_a_third_of_the_displacements_put_the_set_up_in_
     left *= share * SIZE / np.sqrt(np.sum(left**2) / 79)
     choice = SimpleNamespace(left_out=left, held_out=np.array([square_error, square_error])) if is_chosen else None
     fit = SimpleNamespace(residual=left, chi2=square_error * 100.0, dof=100)
-    text = uncertainty._large_misfit(data, fit, choice)
-    assert bool(text) == (share > 0.3 and square_error > 4.0)
-    if text:
-        assert f"off by {1e3 * share * SIZE:.2g} mm RMS of displacements of 0.7 mm: check axes" in text
+    misfit = uncertainty._misfit(data, fit, choice)
+    for limit in (0.3, 0.5):
+        text = misfit.text_beyond(limit)
+        assert bool(text) == (share > limit and square_error > 4.0)
+        if text:
+            assert f"off by {1e3 * share * SIZE:.2g} mm RMS of displacements of 0.7 mm: check axes" in text

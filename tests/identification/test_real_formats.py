@@ -66,6 +66,37 @@ def test_displacements_of_one_point_without_unloaded_readings_give_the_same_spri
     np.testing.assert_allclose(by_displacement, by_position, rtol=0.01)
 
 
+def displacements_in_axes(folder, turn_deg, points, axis=(0.0, 0.0, 1.0)):
+    """Read displacements of some points of a simulated robot, in axes that are turned about one of the root."""
+    rng = np.random.default_rng(5)
+    true, (q, f) = simulator.paper_like(rng), simulator.plan(rng, 14)
+    places = {name: simulator.POINTS[name] for name in points}
+    at_rest, loaded = (true.solve(q, force) for force in (0.0 * f, f))
+    turn = simulator.rot(np.array(axis), np.radians([turn_deg]))[0]
+    moved = {
+        name: (loaded[:, :3] @ [*place, 1.0] - at_rest[:, :3] @ [*place, 1.0]) @ turn.T
+        for name, place in places.items()
+    }
+    raw = np.stack([np.stack([moved[name]] * 2, axis=1) for name in places], axis=2)[:, :, None]
+    simulator.write(folder, q, f, raw, 0.03e-3, points=places)
+    return changed(folder, folder, lambda cells: None if cells[1] == "0" else cells, 'readings = "displacements"\n')
+
+
+@pytest.mark.parametrize("turn_deg", [70.0, 180.0])
+def test_displacements_in_axes_of_the_device_are_no_motion_of_a_rigid_body(tmp_path, turn_deg):
+    right = displacements_in_axes(tmp_path, 0.0, simulator.POINTS)
+    assert check_readings(harness.PRIOR, right).outliers == []
+    turned = displacements_in_axes(tmp_path, turn_deg, simulator.POINTS)
+    with pytest.raises(MeasurementError, match=r"no rigid body. .* must be in the axes of the robot root"):
+        check_readings(harness.PRIOR, turned)
+
+
+def test_a_point_that_moves_as_far_as_it_should_but_elsewhere_is_no_wrong_unit(tmp_path):
+    turned = displacements_in_axes(tmp_path, 90.0, ["P1"], axis=(1.0, 0.0, 0.0))
+    with pytest.raises(MeasurementError, match=r"times as far as kuka_kr270 would, but in other directions"):
+        check_readings(harness.PRIOR, turned)
+
+
 def test_displacements_with_a_parallelogram_that_is_not_declared_say_what_to_check(measured, tmp_path):
     folder, _, moved = measured
 
