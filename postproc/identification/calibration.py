@@ -596,9 +596,30 @@ def _parameter_table(
     return table
 
 
-def warnings(result: Geometry) -> list[str]:
-    """Return what the user must know before the calibrated geometry is used."""
-    return [*_contradictions(result), *_small_motion_warnings(result)]
+def warnings(result: Geometry, sigma: float) -> list[str]:
+    """Return what the user must know before the calibrated geometry is used.
+
+    :param sigma: noise of one coordinate of one reading [m].
+    """
+    return [*_large_residuals(result, sigma), *_contradictions(result), *_small_motion_warnings(result)]
+
+
+_LARGE_RESIDUAL = 5e-4
+"""RMS distance [m] that no calibrated arm leaves: some tenths of a millimetre are usual (assumed)."""
+
+
+def _large_residuals(result: Geometry, sigma: float) -> list[str]:
+    """Return a warning if the geometry leaves far more of the readings than calibrated arms and noise do.
+
+    :param sigma: noise of one coordinate of one reading [m].
+    """
+    rms = result.placement.rms
+    if rms <= max(_LARGE_RESIDUAL, 5.0 * sigma):
+        return []
+    return [
+        f"the best geometry leaves {rms * MM_PER_M:.2f} mm RMS of the readings without load, a calibrated arm some "
+        "tenths of a millimetre: check that the noted angles are those of the controller, the tracker and the markers"
+    ]
 
 
 def _contradictions(result: Geometry) -> list[str]:

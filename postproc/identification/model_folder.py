@@ -603,7 +603,7 @@ def identify_folder(
         data = msgspec.structs.replace(
             data,
             geometry=calibration.report_data(geometry),
-            warnings=[*data.warnings, *calibration.warnings(geometry)],
+            warnings=[*data.warnings, *calibration.warnings(geometry, result.data.sigma)],
             **_placement_entries(geometry.placement, result.data),
         )
     write(output, content, data, prior_folder, render)
@@ -653,7 +653,7 @@ def geometry_folder(
         sigma_mm=setup.sigma_mm,
         **_placement_entries(geometry.placement, data),
         outliers=outliers,
-        warnings=[*(f"outlier: {name}" for name in outliers), *doubts, *calibration.warnings(geometry)],
+        warnings=[*(f"outlier: {name}" for name in outliers), *doubts, *calibration.warnings(geometry, data.sigma)],
     )
     write(output, geometry.content, report, folder, render)
     return IdentifiedFolder(None, report, summary(report))

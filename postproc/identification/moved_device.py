@@ -17,6 +17,10 @@ from postproc.robot import JOINTS, RobotModel
 
 _FREEDOM_OF_STEP = 12
 """Fewest degrees of freedom that a step is judged by (assumed)."""
+_USUAL_FRAMES = np.concatenate([np.full(6, np.inf), np.full(36, 1e-3)])
+"""Standard deviations of twists of the root, which is free, and of the six joint frames [m, rad] (assumed)."""
+_UNMODELLED = 2e-4
+"""Standard deviation of the error that a calibrated geometry leaves of a coordinate [m] (assumed)."""
 _RARE = 1e-4
 """Chance of a step as clear as this one in readings of one set-up, at any of the configurations (assumed)."""
 _RANK_TOLERANCE = 1e-6
@@ -31,13 +35,16 @@ def moved_device(robot: RobotModel, data: Measurements, placement: Placement) ->
     """Return a warning if the measuring device seems to have moved between two configurations; none if not.
 
     Readings without load are fitted by a frame, the points, errors of the geometry (six for each joint) and the sag of
-    the joints, with and without a step of the frame from a configuration on.
+    the joints, with and without a step of the frame from a configuration on. Errors of the geometry are free if there
+    are enough configurations for that; else they are as large as they usually are.
     """
     is_visible = np.abs(placement.residual).max(axis=2, keepdims=True) > 0.0
     by_frames, by_sag = (source(robot, data, placement) for source in (_frame_derivatives, _sag_derivatives))
     by_points = unloaded_design(robot, data, placement)[..., 6:]  # the first six are by the root, see by_frames
     design = np.concatenate([by_frames, by_points, by_sag], axis=3) * is_visible[..., None]
-    chance, first, twist = _clearest_step(design, placement.residual, data.q)
+    free = np.full(by_points.shape[3], np.inf)
+    usual_sizes = np.concatenate([_USUAL_FRAMES, free, robot.compliance[list(robot.actuated)]])
+    chance, first, twist = _clearest_step(design, usual_sizes, placement.residual, data.q)
     # size of the movement in the middle of all readings
     mean_point = np.append(np.mean(placement.points, axis=0), 1.0)
     mean_position = np.mean((unloaded_flange(robot, data.q) @ mean_point)[:, :3], axis=0)
@@ -63,22 +70,29 @@ class _Step(NamedTuple):
     twist: Array
 
 
-def _clearest_step(design: Array, residual: Array, q: Array) -> _Step:
+def _clearest_step(design: Array, usual_sizes: Array, residual: Array, q: Array) -> _Step:
     """Return the step of the measuring device that explains most of the residuals, with its chance by the F-test.
 
     Source: Draper and Smith, "Applied Regression Analysis", 1998, ch. 6. Points of a configuration share the error of
     the geometry, so they count as one. Without a step that can be tested the chance is infinite.
 
     :param design: (C, P, 3, n) derivatives of the readings, those by a twist of the root first.
+    :param usual_sizes: (n,) standard deviations of what the derivatives are by, infinite if free; they count where too
+        few degrees of freedom would be left without them.
     :param residual: (C, P, 3) of the readings without load [m].
     :param q: (C, 6) joint angles [rad].
     """
-    configs = len(residual)
-    columns = design.reshape(-1, design.shape[3])
-    basis, singular_values, _ = np.linalg.svd(columns / np.maximum(norm(columns.T), 1e-12), full_matrices=False)
-    basis = basis[:, singular_values > _RANK_TOLERANCE * singular_values[0]]
-    remaining = residual.ravel() - basis @ (basis.T @ residual.ravel())  # that no error of the geometry explains
+    configs, points = residual.shape[:2]
+    columns, errors = design.reshape(-1, design.shape[3]), residual.ravel()
+    basis = _basis(columns)
     freedom = 3 * configs - basis.shape[1] - 6
+    if freedom < _FREEDOM_OF_STEP:
+        # a pseudo-reading of zero for each error of a usual size; points count as one, so it weighs as many readings
+        weight = np.diag(_UNMODELLED * np.sqrt(points) / usual_sizes)[np.isfinite(usual_sizes)]
+        columns, errors = np.concatenate([columns, weight]), np.append(errors, np.zeros(len(weight)))
+        basis = _basis(columns)
+        freedom = 3 * configs + len(weight) - basis.shape[1] - 6
+    remaining = errors - basis @ (basis.T @ errors)  # that no error of the geometry explains
     clearest = _Step(np.inf, 0, np.zeros(6))
     if freedom < _FREEDOM_OF_STEP:
         return clearest
@@ -86,7 +100,8 @@ def _clearest_step(design: Array, residual: Array, q: Array) -> _Step:
         if _is_correlated_with_step(q, first):
             continue
         is_after_step = np.arange(configs) >= first
-        step = (design[..., :6] * is_after_step[:, None, None, None]).reshape(-1, 6)
+        step = np.zeros((len(errors), 6))
+        step[: residual.size] = (design[..., :6] * is_after_step[:, None, None, None]).reshape(-1, 6)
         step = step - basis @ (basis.T @ step)
         twist, _, rank, _ = np.linalg.lstsq(step, remaining, rcond=_RANK_TOLERANCE)
         if rank == 6:
@@ -97,6 +112,12 @@ def _clearest_step(design: Array, residual: Array, q: Array) -> _Step:
             if chance < clearest.chance:
                 clearest = _Step(chance, first, np.asarray(twist))
     return clearest
+
+
+def _basis(columns: Array) -> Array:
+    """Return an orthonormal basis (rows, r) of columns (rows, n), without directions that are rounding alone."""
+    basis, singular_values, _ = np.linalg.svd(columns / np.maximum(norm(columns.T), 1e-12), full_matrices=False)
+    return np.asarray(basis[:, singular_values > _RANK_TOLERANCE * singular_values[0]])
 
 
 def _chance(ratio: float, freedom: int) -> float:

@@ -41,6 +41,36 @@ def test_a_tracker_that_moved_by_a_millimetre_between_two_poses_is_named(tmp_pat
     assert float(match[1]) == pytest.approx(1.0, abs=0.25)
 
 
+@pytest.mark.parametrize("poses", [13, 18])
+@pytest.mark.parametrize("distance", [0.0, 0.003, 0.016])
+def test_a_tracker_that_moved_by_millimetres_is_named_with_few_poses_too(tmp_path, poses, distance):
+    def change(raw):
+        raw[7:] += distance * np.array([0.6, -0.64, 0.48])
+
+    data = measured(tmp_path, 1, change, poses=poses)
+    warnings = moved_device(harness.PRIOR, data, locate(harness.PRIOR, data))
+    if distance == 0.0:
+        assert warnings == []
+        return
+    match = re.match(r"from config (\d+) on the measuring device seems to have moved by ([\d.]+) mm", warnings[0])
+    assert abs(int(match[1]) - 8) <= 1
+    assert float(match[2]) == pytest.approx(1e3 * distance, rel=0.2)
+
+
+def test_angles_noted_half_a_degree_off_leave_more_than_a_calibrated_arm(tmp_path):
+    def calibrated(offset_deg):
+        rng = np.random.default_rng(2)
+        true, (q, f) = simulator.hard(rng), simulator.plan(rng, 30)
+        _, raw = simulator.measure(true, q, f, rng, SIGMA)
+        q[::2, 4] += np.radians(offset_deg)
+        simulator.write(tmp_path, q, f, raw, SIGMA)
+        return geometry_folder(*(tmp_path / name for name in ("measurements.csv", "experiment.toml", "model")))
+
+    assert not any("RMS of the readings without load" in text for text in calibrated(0.0).data.warnings)
+    (warning,) = (text for text in calibrated(0.5).data.warnings if "RMS of the readings without load" in text)
+    assert "check that the noted angles are those of the controller" in warning
+
+
 @pytest.mark.parametrize("distance", [0.05, 0.07, 0.2])
 def test_a_tracker_that_moved_by_centimetres_is_named_at_the_configuration_where_it_moved(tmp_path, distance):
     """By 50 mm: with a configuration on the wrong side both parts are within the limit too."""
