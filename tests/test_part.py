@@ -216,6 +216,24 @@ def test_a_mesh_that_does_not_fit_is_stated_before_anything_else():
         assert np.nanmin(facets["programmed"]) == pytest.approx(-3.0, abs=0.02)
 
 
+@pytest.mark.parametrize(("tolerance", "is_doubted"), [("3.05", True), ("20", False)])
+def test_a_cut_into_the_part_and_the_expected_error_together_are_judged_by_the_tolerance(tolerance, is_doubted):
+    box("high.stl", (50, 14, 7), (30, 10, -0.5))
+    options = ("--part", "high.stl", "--part-tolerance", tolerance)
+    _run("convert", "part.nc", *options)
+    content = json.loads(Path("out/part.report.json").read_text())
+    assert content["part"]["held"]
+    assert content["part"]["expected_mm"] > 0.05
+    reasons = [text for text in content["verdict"]["reasons"] if "together more than" in text]
+    assert bool(reasons) == is_doubted
+    if is_doubted:
+        assert content["verdict"]["state"] == "warning"
+        assert (
+            f"cuts 3.0 mm into the part, and the tool may be off by {content['part']['expected_mm']:.2g} mm"
+            in reasons[0]
+        )
+
+
 def test_a_mesh_that_fits_is_said_to_fit_and_how_much_of_it_no_tool_reaches():
     Path("part.nc").write_text(WITHOUT_FORCES)
     Path("process.toml").write_text(PROCESS.replace("-5.0, 0.0", "-5.0, 1.0"))

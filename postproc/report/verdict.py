@@ -30,7 +30,7 @@ from postproc.report.formatting import State, above_limit_text, two_digits
 from postproc.robot import JOINTS, RobotModel
 
 if TYPE_CHECKING:
-    from postproc.report.summary import Summary
+    from postproc.report.summary import OnPart, Summary
 
 NOTHING_MM = 1e-6
 """Deviations below this everywhere are noise of the arithmetic (assumed)."""
@@ -388,23 +388,20 @@ def _largest_expected_error(result: Result) -> float:
 def _surface_findings(content: Summary) -> tuple[list[Finding], list[Finding]]:
     """Return doubts about the programmed path against the mesh of the part, and findings that hold.
 
-    The first of these applies: no tool reaches the mesh; the path cuts in, or leaves material, beyond the tolerance.
+    The first of these applies: no tool reaches the mesh; the path cuts in beyond the tolerance, alone or with the
+    expected error; it leaves material beyond the tolerance.
     """
-    surface = content.surface
+    surface, part = content.surface, content.part
     if surface is None:
         return [], []
-    limit = content.part.tolerance_mm or content.tolerance_mm or CUT_MM
+    limit = part.tolerance_mm or content.tolerance_mm or CUT_MM
     reach_text = f"tools reach {surface.reached_percent:.0f} % of its surface"
     if surface.reached_percent == 0.0:
-        text = "no tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools"
+        text = "no tool reaches the part: check that its mesh is in mm and in its frame, and the shapes of the tools"
         return [Finding(_FIRST, text)], []
-    cut_mm, left_mm = surface.cut_into_mm, surface.left_mm
-    if cut_mm > limit:
-        text = (
-            f"the programmed path itself cuts {two_digits(cut_mm)} mm into the part: check that the mesh is in place "
-            f"and is the finished part; {reach_text}"
-        )
-        return [Finding(_FIRST, _with_line(text, surface.source_line))], []
+    if (cut_doubt := _cut_doubt(surface.cut_into_mm, part, limit)) is not None:
+        return [Finding(_FIRST, _with_line(f"{cut_doubt}; {reach_text}", surface.source_line))], []
+    left_mm = surface.left_mm
     if left_mm is not None and left_mm > max(limit, LEFT_MM):
         text = (
             f"the programmed path itself leaves {two_digits(left_mm)} mm on the part: check that the mesh is in place "
@@ -413,6 +410,23 @@ def _surface_findings(content: Summary) -> tuple[list[Finding], list[Finding]]:
         return [Finding(_FIRST, text)], []
     text = f"the programmed path cuts into the part by no more than {limit:g} mm; {reach_text}"
     return [], [Finding(_NO_SIZE, text)]
+
+
+def _cut_doubt(cut_mm: float, part: OnPart, limit_mm: float) -> str | None:
+    """Return a doubt about how deep the programmed path cuts into the part; None where it may.
+
+    :param cut_mm: largest depth without any deflection.
+    :param limit_mm: tolerance of the part, or what counts without one.
+    """
+    cut_text = f"the programmed path itself cuts {two_digits(cut_mm)} mm into the part"
+    if cut_mm > limit_mm:
+        return f"{cut_text}: check that the mesh is in place and is the finished part"
+    if part.held and part.expected_mm is not None and cut_mm + part.expected_mm > limit_mm:
+        return (
+            f"{cut_text}, and the tool may be off by {two_digits(part.expected_mm)} mm (95 %): together more than "
+            f"[part] tolerance_mm = {limit_mm:g}"
+        )
+    return None
 
 
 def clearance_text(content: Summary) -> str:

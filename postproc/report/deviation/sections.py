@@ -160,7 +160,7 @@ def surface_section(data: Deviation) -> Section | None:
     if surface is None or measures is None:
         return None
     if not surface.is_reached.any():
-        text = "No tool reaches the part: check that its mesh is in mm and in $BASE, and the shapes of the tools."
+        text = "No tool reaches the part: check that its mesh is in mm and in its frame, and the shapes of the tools."
         return Section("surface", "Surface of the part", (Notes((Note(text, "warning"),)),))
     deviation = surface.after if data.is_compared else surface.before
     words = "with the program as written" if data.is_compared else "as programmed"
