@@ -157,9 +157,9 @@ def _piece_samples(path: CommandedPath, stretch: Ints) -> _PieceSamples:
     """
     arcs, sample = path.arcs, path.sample
     # the samples on arcs are those of the stretches in order: the running sum of sizes is where each stretch begins
-    size = arcs.number * arcs.each
+    size = arcs.number * arcs.samples_per_piece
     first = np.flatnonzero(np.isin(sample.motion, arcs.motion))[np.cumsum(size) - size]
-    number, samples_of_piece = arcs.number[stretch], np.repeat(arcs.each[stretch], arcs.number[stretch])
+    number, samples_of_piece = arcs.number[stretch], np.repeat(arcs.samples_per_piece[stretch], arcs.number[stretch])
     piece = ragged_range(number)
     row = np.repeat(first[stretch], number) + piece * samples_of_piece
     begin = path.position[row - 1]

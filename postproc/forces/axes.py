@@ -35,19 +35,30 @@ def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, las
     x, sine = _perpendicular_directions(z, tangent(program, path, sample.motion, sample.t))
     parallel_rows = np.flatnonzero(sine < _PARALLEL)
     if len(parallel_rows):
-        motion, t = sample.motion[parallel_rows], sample.t[parallel_rows]
-        offset_tangent = tangent(
-            program, path, motion, np.where(t > _TANGENT_OFFSET, t - _TANGENT_OFFSET, t + _TANGENT_OFFSET)
-        )
-        direction, sine = _perpendicular_directions(z[parallel_rows], offset_tangent)
-        undefined_rows = np.flatnonzero(sine < _PARALLEL)
-        sample_rows = parallel_rows[undefined_rows]
-        # column − 2 is the next column of the tool frame, perpendicular to the spindle: 2 → 0, 0 → −2, which is 1
-        fallback, tool_axis = last[motion[undefined_rows]], sample.pose[sample_rows, :3, _SPINDLE[axis][0] - 2]
-        fallback = np.where(np.isnan(fallback), tool_axis, fallback)
-        direction[undefined_rows] = _perpendicular_directions(z[sample_rows], fallback)[0]
-        x[parallel_rows] = direction
+        x[parallel_rows] = _directions_along_spindle(program, path, sample.take(parallel_rows), axis, last)
     return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
+def _directions_along_spindle(program: Program, path: Segments, sample: Toolpath, axis: str, last: Array) -> Array:
+    """Return x (n, 3) of FEED axes in `$BASE` at samples whose travel is along the spindle.
+
+    Where an arc is tangent to the spindle, x is that at a point of the arc nearby. Elsewhere it is that of the last
+    motion across the spindle; without one, any direction perpendicular to the spindle.
+
+    :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
+    :param last: (M, 3) x for motions along the spindle, see `last_travel`; NaN without a motion across it.
+    """
+    z, t = _towards_spindle(sample, axis), sample.t
+    offset_t = np.where(t > _TANGENT_OFFSET, t - _TANGENT_OFFSET, t + _TANGENT_OFFSET)
+    x, sine = _perpendicular_directions(z, tangent(program, path, sample.motion, offset_t))
+    # motions that are parallel to the spindle all along
+    rows = np.flatnonzero(sine < _PARALLEL)
+    inherited_travel = last[sample.motion[rows]]
+    # column − 2 is the next column of the tool frame, perpendicular to the spindle: 2 → 0, 0 → −2, which is 1
+    tool_axis = sample.pose[rows, :3, _SPINDLE[axis][0] - 2]
+    fallback = np.where(np.isnan(inherited_travel), tool_axis, inherited_travel)
+    x[rows] = _perpendicular_directions(z[rows], fallback)[0]
+    return x
 
 
 def is_arc_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bools:
@@ -80,8 +91,9 @@ def is_line_across(program: Program, path: Segments, lines: Ints, axis: str) -> 
     ends = at(program, path, lines, np.ones(len(lines)))
     travel = tangent(program, path, lines, ends.t)
     start = path.start.at(lines)[:, :3, _SPINDLE[axis][0]]
-    nearest = np.maximum(*(np.abs(np.einsum("ni,ni->n", z, travel)) for z in (_towards_spindle(ends, axis), start)))
-    return np.asarray(np.arccos(np.minimum(nearest, 1.0)) - 0.5 * path.turn[lines] > _LEAST_ANGLE)
+    cosines = [np.abs(np.einsum("ni,ni->n", z, travel)) for z in (_towards_spindle(ends, axis), start)]
+    smallest_angle = np.arccos(np.minimum(np.maximum(*cosines), 1.0))
+    return np.asarray(smallest_angle - 0.5 * path.turn[lines] > _LEAST_ANGLE)
 
 
 def axes_of_travel(orientation: Array, travel: Array, axis: str) -> tuple[Array, Bools]:
@@ -107,13 +119,9 @@ def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Boo
     m = program.motions
     rows, end = np.arange(len(m)), np.ones(len(m))
     z = _towards_spindle(at(program, path, rows, end), axis)
-    x, sine = _perpendicular_directions(z, tangent(program, path, rows, end))
-    tangent_arcs = np.flatnonzero((m.kind == CIRC) & (sine < _PARALLEL))
-    x[tangent_arcs], sine[tangent_arcs] = _perpendicular_directions(
-        z[tangent_arcs], tangent(program, path, tangent_arcs, end[tangent_arcs] - _TANGENT_OFFSET)
-    )
-    is_undefined = sine < _PARALLEL
+    x, is_undefined = _end_directions(program, path, z)
     source = _last_across(predecessors(program), is_undefined)
+    # before the first motion across the spindle: that one; −1 if no motion runs across it
     source[source < 0] = -1 if is_undefined.all() else int(np.argmin(is_undefined))
     rotation = program.bases[:, :3, :3]
     travel_in_root = np.einsum("nij,nj->ni", rotation[m.base[source]], x[source])
@@ -122,6 +130,23 @@ def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Boo
     has_turned = _perpendicular_directions(z, inherited_travel)[1] < _PARALLEL  # the tool, into that direction
     inherited_travel[has_turned] = np.nan
     return inherited_travel, is_undefined
+
+
+def _end_directions(program: Program, path: Segments, z: Array) -> tuple[Array, Bools]:
+    """Return the travel directions across the spindle (M, 3) at the ends of motions, and (M,) True for motions without.
+
+    An arc that ends along the spindle has the direction of a point shortly before its end.
+
+    :param z: (M, 3) unit directions from the tip to the spindle at the ends of motions, `$BASE`.
+    """
+    m = program.motions
+    rows, end = np.arange(len(m)), np.ones(len(m))
+    x, sine = _perpendicular_directions(z, tangent(program, path, rows, end))
+    tangent_arcs = np.flatnonzero((m.kind == CIRC) & (sine < _PARALLEL))
+    x[tangent_arcs], sine[tangent_arcs] = _perpendicular_directions(
+        z[tangent_arcs], tangent(program, path, tangent_arcs, end[tangent_arcs] - _TANGENT_OFFSET)
+    )
+    return x, sine < _PARALLEL
 
 
 def predecessors(program: Program) -> Ints:
@@ -213,6 +238,7 @@ class Axes(Struct, frozen=True, eq=False):
         ends[rows] = self.into_base(columns[rows], frame[rows], end)
         at_starts = np.where((previous >= 0)[:, None, None, None], ends[previous], 0.0)
         base_change = np.flatnonzero(m.base != m.base[previous])
+        # from `$BASE` of the motion before through the root to that of the motion
         rotation = np.swapaxes(bases[m.base[base_change], :3, :3], 1, 2) @ bases[m.base[previous[base_change]], :3, :3]
         at_starts[base_change] = np.einsum("nij,nhjm->nhim", rotation, at_starts[base_change])
         return at_starts

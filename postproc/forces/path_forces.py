@@ -186,33 +186,43 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
         a move along the spindle, without any move across it; a force on a move from [start] of the cell.
     """
     m = program.motions
-    by_law = stock = None
-    if source is None:
-        knots_of_motions, issues = comment_knots(program), list[Issue]()
-    else:
-        knots = source.along(program, path).check(program, source.name)
-        knots_of_motions, issues = combine(program, knots, source.name)
-        issues += knots.issues
-        by_law, stock = knots.by_law, knots.stock
-        has_force = any_column(knots.wrench != 0.0) & m.rapid[knots.motion]
-        issues += _warning(program, knots.motion[has_force], "force-on-rapid", _ON_RAPID)
+    stated_forces, issues = _stated_knots(program, path, source)
+    by_law, stock = stated_forces.by_law, stated_forces.stock
     issues += unused_comments(program)
     if by_law is None:
-        issues += small_forces(program, knots_of_motions)
+        issues += small_forces(program, stated_forces)
     is_forceless = np.ones(len(m), dtype=np.bool_)
-    is_forceless[knots_of_motions.motion] = False
+    is_forceless[stated_forces.motion] = False
     has_travel = ~m.rapid & (path.length > _NO_LENGTH)
     issues = _warning(program, np.flatnonzero(is_forceless & has_travel), "no-force", _NO_FORCE) + issues
-    knots_of_motions = knots_of_motions.take(~m.rapid[knots_of_motions.motion])
-    is_forceless |= m.rapid
-    _check_start(program, knots_of_motions)
-    forceless = np.flatnonzero(is_forceless)
-    knots_of_motions = knots_of_motions.or_fallback(
+    cutting_forces = stated_forces.take(~m.rapid[stated_forces.motion])
+    _check_start(program, cutting_forces)
+    forceless = np.flatnonzero(is_forceless | m.rapid)
+    knots = cutting_forces.or_fallback(
         Knots.throughout(forceless, np.zeros((len(forceless), 6)), np.full(len(forceless), BASE))
     )
-    travel, lead = _travel(program, path, knots_of_motions, axis)
-    path_forces = _resolve(knots_of_motions, Axes(program, path, axis, travel), ramp, (*issues, *lead), by_law)
+    travel, travel_notes = _feed_travel(program, path, knots, axis)
+    path_forces = _resolve(knots, Axes(program, path, axis, travel), ramp, (*issues, *travel_notes), by_law)
     return replace(path_forces, stock=stock)
+
+
+def _stated_knots(program: Program, path: Segments, source: ForceSource | None) -> tuple[Knots, list[Issue]]:
+    """Return the forces that a source states, or the comments of the program, and issues about them.
+
+    Rapid moves keep their forces here; the knots have the cutting law and the stock of the source.
+
+    :param path: the geometry of the motions.
+    :param source: None: the comments of the program only.
+    :raises ForceError: the source cannot be used for this program.
+    """
+    if source is None:
+        return comment_knots(program), []
+    source_knots = source.along(program, path).check(program, source.name)
+    knots, issues = combine(program, source_knots, source.name)
+    has_rapid_force = any_column(source_knots.wrench != 0.0) & program.motions.rapid[source_knots.motion]
+    issues += source_knots.issues
+    issues += _warning(program, source_knots.motion[has_rapid_force], "force-on-rapid", _ON_RAPID)
+    return replace(knots, by_law=source_knots.by_law, stock=source_knots.stock), issues
 
 
 def _check_start(program: Program, knots: Knots) -> None:
@@ -365,7 +375,7 @@ def _continuous(wrench: Array, frame: Ints, previous: Array, axes: Axes) -> Ints
     return rows[any_column(start_wrench != 0.0) & (difference < _CONTINUOUS * norm(start_wrench))]
 
 
-def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[Array, list[Issue]]:
+def _feed_travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[Array, list[Issue]]:
     """Return `Axes.travel` (M, 3), or (0, 3) without forces in FEED axes, and notes about it for the user.
 
     :raises ForceError: a FEED force on a piece of a spline, or on a move along the spindle without a travel direction.
@@ -379,8 +389,9 @@ def _travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[
         problem = "a FEED force on a piece of a spline, whose direction is not known"
         raise _refusal(program, spline_motions, problem, "Give its force in BASE or TOOL axes.")
     travel, needs_direction = last_travel(program, path, axis)
-    # components along z, the spindle, are the same for any travel direction
-    is_lateral = (knots.wrench[:, [0, 1, 3, 4]] != 0.0) | (knots.sigma[:, [0, 1, 3, 4]] != 0.0)
+    # components along z, the spindle, are the same for any travel direction: those along x and y need one
+    lateral = [0, 1, 3, 4]
+    is_lateral = (knots.wrench[:, lateral] != 0.0) | (knots.sigma[:, lateral] != 0.0)
     has_lateral_force = np.zeros(len(m), dtype=np.bool_)
     has_lateral_force[knots.motion[feed & any_column(is_lateral)]] = True
     needs_direction &= has_lateral_force
@@ -414,7 +425,7 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
     """
     m, path = forces.axes.program.motions, forces.axes.path
     motion = np.repeat(np.arange(len(m)), np.diff(forces.first))
-    change, bends = _changes(forces, motion)
+    change, bends = _changes_and_bends(forces, motion)
     step_size = _displacement_sizes(_steps(forces), compliance)
     step = np.flatnonzero(step_size > _STEP_SIZE)
     step_place = np.minimum(0.5, BEHIND_STEP / np.maximum(path.length[step], BEHIND_STEP))
@@ -472,13 +483,13 @@ def _turning_displacements(forces: PathForces, motion: Ints, compliance: tuple[f
     return size, swings
 
 
-def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
+def _changes_and_bends(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
     """Return the change (K, 6) of the force since the knot before, and (K,) True where its rate changes.
 
     :param motion: (K,) motion of each knot.
     :returns: the change [N, N·m] in the axes of the later knot, zero at the first knot of a motion.
     """
-    t, count = forces.t, len(forces.t)
+    t = forces.t
     follows = np.append(False, np.diff(motion) == 0)
     # wrenches in the same frame are subtracted; otherwise both are turned into the axes of the later knot
     same_frame = follows & (np.diff(forces.knot_frame, prepend=0) == 0)
@@ -487,7 +498,17 @@ def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
     rows = np.flatnonzero(follows & ~same_frame)
     place = at(forces.axes.program, forces.axes.path, motion[rows], t[rows])
     change[rows] = forces.at(place) - forces.wrench[rows - 1]
-    bends = np.zeros(count, dtype=np.bool_)
+    return change, _bends(t, change, follows)
+
+
+def _bends(t: Array, change: Array, follows: Bools) -> Bools:
+    """Return True for knots (K,) inside of a motion at which the rate of the force changes.
+
+    :param t: (K,) position of the knots on their motions, in [0, 1].
+    :param change: (K, 6) change of the force since the knot before [N, N·m].
+    :param follows: (K,) True for knots that follow another one of the same motion.
+    """
+    bends = np.zeros(len(t), dtype=np.bool_)
     inner_knots = np.flatnonzero((t > 0.0) & (t < 1.0))
 
     def rate(rows: Ints) -> Array:
@@ -500,7 +521,7 @@ def _changes(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
     # a change of the rate counts by the change of force that it makes over the interval before it
     width = np.where(follows[inner_knots], t[inner_knots] - t[inner_knots - 1], 1.0)
     bends[inner_knots] = largest((rate(inner_knots + 1) - rate(inner_knots)) * width[:, None]) >= _NO_CHANGE
-    return change, bends
+    return bends
 
 
 def _steps(forces: PathForces) -> Array:

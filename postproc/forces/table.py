@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
-from msgspec.structs import replace
 
 from postproc import files
 from postproc.chunks import Runs, ragged_range
@@ -80,7 +79,25 @@ class ForceTable(Struct, frozen=True, eq=False):
             if np.any(self.wrench[(self.first <= call.line) & (call.line <= self.last)]):
                 raise call.error
         self._check_rows(program)
-        # rows of one first line are a block: its rows are the knots of each motion that starts on its lines
+        motion, row = self._rows_of_motions(program)
+        is_constant = np.isnan(self.t[row])
+        return Knots(
+            motion=motion,
+            t=np.where(is_constant, 1.0, self.t[row]),
+            wrench=self.wrench[row],
+            frame=self.frame[row],
+            sigma=self.sigma[row],
+            factor=self.factor[row],
+            ramped=is_constant,
+            issues=tuple(self._zero_length_issues(program)),
+        )
+
+    def _rows_of_motions(self, program: Program) -> tuple[Ints, Ints]:
+        """Return the motion (k,) and the row of the table (k,) of each knot, in order along the program.
+
+        Rows of one first line are a block: its rows are the knots of each motion that starts on its lines. Rapid
+        motions on a line that also cuts have none.
+        """
         block_begins = np.flatnonzero(np.diff(self.first, prepend=-1))
         block_sizes = np.diff(np.append(block_begins, len(self.row)))
         line, rapid = program.motions.line, program.motions.rapid
@@ -88,12 +105,7 @@ class ForceTable(Struct, frozen=True, eq=False):
         has_knots = ~rapid | ~np.isin(line, line[~rapid])
         motion = np.flatnonzero((block >= 0) & (line <= self.last[block_begins[block]]) & has_knots)
         count = block_sizes[block[motion]]
-        row = np.repeat(block_begins[block[motion]], count) + ragged_range(count)
-        is_constant = np.isnan(self.t[row])
-        t = np.where(is_constant, 1.0, self.t[row])
-        knot_motion, wrench, frame = np.repeat(motion, count), self.wrench[row], self.frame[row]
-        knots = Knots(knot_motion, t, wrench, frame, self.sigma[row], self.factor[row], is_constant)
-        return replace(knots, issues=tuple(self._zero_length_issues(program)))
+        return np.repeat(motion, count), np.repeat(block_begins[block[motion]], count) + ragged_range(count)
 
     def _zero_length_issues(self, program: Program) -> Iterator[Issue]:
         """Yield a warning if rows with a force cover only moves of zero length."""
@@ -136,13 +148,13 @@ def read_force_csv(path: Path) -> ForceTable:
         places t that do not increase along a line, standard deviations below zero or given twice; all of them together
         (`errors.combined_error`).
     """
-    numbers, texts, at, faults = files.parse_csv(
+    numbers, texts, row, faults = files.parse_csv(
         path, _REQUIRED_COLUMNS, _OPTIONAL, ForceError, ("frame",), ("line_end", "t", *_SIGMAS, *_PERCENT)
     )
-    columns = _Columns(str(path), at.astype(np.int64), numbers, texts.get("frame", []), faults)
+    columns = _Columns(str(path), row.astype(np.int64), numbers, texts.get("frame", []), faults)
     lines, wrenches = columns.lines(), columns.wrench()
     frame = columns.frame()
-    t = columns.places()
+    t = columns.positions()
     order = np.lexsort((columns.row, lines.first))
     columns.check_order(order, lines, t, frame)
     if faults:
@@ -219,16 +231,20 @@ class _Columns(Struct, frozen=True, eq=False):
         return _SourceLines(first_line, last_line, valid)
 
     def wrench(self) -> _Wrenches:
-        """Return the wrench of each row and its standard deviations, and add errors for invalid values.
-
-        Percentages give the deviation of all six components; a column of one component replaces it.
-        """
+        """Return the wrench of each row and its standard deviations, and add errors for invalid values."""
         wrench = np.zeros((len(self.row), 6))
         for index, name in enumerate(WRENCH):
             if name in self.numbers:
                 wrench[:, index] = self.numbers[name]
                 advice = "This is more than any robot carries: give newtons and newton metres."
                 self.check(np.abs(wrench[:, index]) > MOST_FORCE, f"{name} is {{:g}}", wrench[:, index], advice)
+        return _Wrenches(wrench, *self._sigma_and_factor(wrench))
+
+    def _sigma_and_factor(self, wrench: Array) -> tuple[Array, Array]:
+        """Return `sigma` and `factor` of `_Wrenches` for wrenches (R, 6), and add errors for invalid values.
+
+        Percentages give the deviation of all six components; a column of one component replaces it.
+        """
         percent, factor_percent = (self._deviations(name, np.inf) for name in _PERCENT)
         factor = np.nan_to_num(np.where(np.isnan(percent), factor_percent, percent)) / 100.0
         sigma = np.abs(wrench) * factor[:, None]
@@ -240,15 +256,15 @@ class _Columns(Struct, frozen=True, eq=False):
         self.check(
             has_both, "standard deviations in addition to sigma_percent = {:g}", percent, "Give one or the other."
         )
-        return _Wrenches(wrench, sigma, factor)
+        return sigma, factor
 
-    def _deviations(self, name: str, most: float) -> Array:
+    def _deviations(self, name: str, limit: float) -> Array:
         """Return a column of standard deviations (R,), NaN where none is given.
 
-        Errors are added for those below 0 or above `most`.
+        Errors are added for those below 0 or above the limit.
         """
         values = self.numbers.get(name, np.full(len(self.row), np.nan))
-        is_wrong = ~((values >= 0.0) & (values <= most) | np.isnan(values))
+        is_wrong = ~((values >= 0.0) & (values <= limit) | np.isnan(values))
         self.check(
             is_wrong,
             f"{name} is {{:g}}",
@@ -265,7 +281,7 @@ class _Columns(Struct, frozen=True, eq=False):
         self.check(frame < 0, "unknown frame {!r}", names, valid=FORCE_FRAMES)
         return frame
 
-    def places(self) -> Array:
+    def positions(self) -> Array:
         """Return positions along the moves (R,) in [0, 1]; NaN where a row applies to the whole move."""
         t = self.numbers.get("t", np.full(len(self.row), np.nan))
         advice = "Give a position along the move: 0 at its start, 1 at its end."
@@ -283,8 +299,10 @@ class _Columns(Struct, frozen=True, eq=False):
         begin, end, usable = lines.first[order], lines.last[order], lines.valid[order]
         t, frame = t[order], frame[order]
         rank = np.argsort(order)  # of each row of the file
-        shares_line = np.append(False, (np.diff(begin) == 0) & (np.diff(end) == 0)) & ~np.isnan(t)
-        shares_line &= ~np.isnan(np.append(np.nan, t[:-1]))
+        has_same_lines = np.append(False, (np.diff(begin) == 0) & (np.diff(end) == 0))
+        previous_t = np.append(np.nan, t[:-1])
+        # two positions along the same move
+        shares_line = has_same_lines & ~np.isnan(t) & ~np.isnan(previous_t)
         previous_end = np.append(0, np.maximum.accumulate(end)[:-1])
         repeats_line = usable & (begin <= previous_end) & ~shares_line
         step = np.diff(t, prepend=0.0)
@@ -394,10 +412,8 @@ def once_a_line(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
     _, first, line_of_target = np.unique(line[target], return_index=True, return_inverse=True)
     first_pass = first[line_of_target]  # of the line of each target, as a row of `target`
     later_passes = np.flatnonzero(first_pass != np.arange(len(target)))
-    differs = [
-        not _is_same_force(knots, *(slice(begin[i], begin[i] + count[i]) for i in (k, first_pass[k])))
-        for k in later_passes.tolist()
-    ]
+    knots_of_pass = [slice(start, start + size) for start, size in zip(begin.tolist(), count.tolist(), strict=True)]
+    differs = [not _is_same_force(knots, knots_of_pass[k], knots_of_pass[first_pass[k]]) for k in later_passes.tolist()]
     rows = np.flatnonzero(np.isin(knots.motion, target[first]))
     rows = rows[np.argsort(line[knots.motion[rows]], kind="stable")]
     return knots.take(rows), target[later_passes[np.array(differs, dtype=np.bool_)]]

@@ -7,6 +7,7 @@ it takes depends on how the displacement by the force turns and grows along it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -44,6 +45,10 @@ _LEAST_SHARE = 0.1
 (assumed)."""
 _CERTAIN = 0.2
 """Share of the tolerance up to which the estimated error of a piece is accepted without being measured (assumed)."""
+_SAME_PLACE = 1e-9
+"""Places t on a motion that differ by less are one place: the difference is rounding."""
+_ROUNDING = 1e-9
+"""Subtracted before a number of parts is rounded up: a whole number but for rounding remains as it is."""
 
 
 _Row = TypeVar("_Row", bound=np.integer[Any])
@@ -77,8 +82,7 @@ def even_parts(length: Array, turn: Array, spacing: float, rotation: float) -> I
     :param length: (K,) [m], `turn` (K,) rotation of the tool [rad].
     :param spacing: largest length of a part [m], `rotation` its largest rotation [rad].
     """
-    # a length that is a multiple of the spacing but for rounding is not divided once more
-    parts = np.ceil(np.maximum(length / spacing, turn / rotation) - 1e-9)
+    parts = np.ceil(np.maximum(length / spacing, turn / rotation) - _ROUNDING)
     return np.maximum(parts, 1.0).astype(np.int64)
 
 
@@ -127,9 +131,9 @@ class Pieces(Columns, frozen=True, eq=False):
     uncertain: Bools
 
     @property
-    def each(self) -> Ints:
+    def samples_per_piece(self) -> Ints:
         """(S,) samples on each piece: an even number, so that its middle is one."""
-        return 2 * np.maximum(1, np.ceil(self.samples / (2 * self.number) - 1e-9).astype(np.int64))
+        return 2 * np.maximum(1, np.ceil(self.samples / (2 * self.number) - _ROUNDING).astype(np.int64))
 
     def with_enough_pieces(self, number: Ints) -> Pieces:
         """Return the stretches with the numbers (S,) of pieces that are estimated to be enough."""
@@ -200,22 +204,23 @@ def pieces(
     samples = share * np.maximum(path.travel[motion] / step, path.turn[motion] / _SAMPLE_ROTATION)
     if linearize_arcs:  # the sagitta radius·(angle/n)²/8 of n chords is half the tolerance
         samples = np.maximum(samples, angle * np.sqrt(radius / tolerance) / 2.0)
-    min_pieces = np.maximum(1, np.ceil(angle / _LARGEST_ANGLE - 1e-9).astype(np.int64))
-    turning = estimate.turning[motion] + estimate.size[motion] * radius / _DEFLECTION_LENGTH
-    growing = stretches.change + share * (
+    min_pieces = np.maximum(1, np.ceil(angle / _LARGEST_ANGLE - _ROUNDING).astype(np.int64))
+    # displacements that turn with the arc, and those that grow along it [m]
+    turning_part = estimate.turning[motion] + estimate.size[motion] * radius / _DEFLECTION_LENGTH
+    growing_part = stretches.change + share * (
         norm(arcs.climb)[arc] + np.abs(arcs.growth[arc]) * radius + estimate.size[motion] * path.turn[motion]
     )
-    path_error = (_TURNING * angle**2 * turning + _GROWING * angle * growing) / min_pieces**2
+    path_error = (_TURNING * angle**2 * turning_part + _GROWING * angle * growing_part) / min_pieces**2
     uncertain = (path_error > _CERTAIN * tolerance) & (not linearize_arcs)
-    even_number = 2 * np.ceil(np.maximum(angle / _COARSE_ANGLE, min_pieces) / 2.0 - 1e-9).astype(np.int64)
+    even_number = 2 * np.ceil(np.maximum(angle / _COARSE_ANGLE, min_pieces) / 2.0 - _ROUNDING).astype(np.int64)
     return Pieces(
-        motion,
-        stretches.begin,
-        stretches.end,
-        np.where(uncertain, even_number, min_pieces),
-        min_pieces,
-        samples,
-        uncertain,
+        motion=motion,
+        begin=stretches.begin,
+        end=stretches.end,
+        number=np.where(uncertain, even_number, min_pieces),
+        min_number=min_pieces,
+        samples=samples,
+        uncertain=uncertain,
     )
 
 
@@ -269,35 +274,58 @@ def places(
 
     :param tolerance: largest path error [m].
     :param arcs: the pieces of the arcs.
-    :param extra_places: further places of straight motions: motion (n,) and t (n,).
+    :param extra_places: further places of straight motions: motion (n,) and t (n,); None: there are none.
     :returns: motion (N,) and t (N,), in order.
     """
-    m = program.motions
+    bends = np.flatnonzero(estimate.bends & (program.motions.kind[estimate.motion] == LIN))
+    further_places = [(estimate.motion[bends], estimate.t[bends]), _arc_places(arcs)]
+    if extra_places is not None:
+        further_places.append(extra_places)
+    return _merge_places(_straight_places(program, path, tolerance), further_places)
+
+
+def _straight_places(program: Program, path: Segments, tolerance: float) -> tuple[Ints, Array]:
+    """Return the places on motions other than arcs, without regard to forces: motion (n,) and t (n,), in order.
+
+    PTP motions and pieces of splines are computed at their ends only.
+
+    :param tolerance: largest path error [m].
+    """
+    kind = program.motions.kind
     step = _STEP * np.sqrt(tolerance / _REFERENCE_TOLERANCE)
     parts = np.maximum(
         even_parts(path.travel, path.turn, step, _SAMPLE_ROTATION), swivel_pieces(program, path, tolerance)
     )
-    parts[(m.kind == PTP) | (m.kind == SPL)] = 1
-    straight = np.flatnonzero(m.kind != CIRC)
-    motion, t = even_places(straight, parts[straight])
-    bends = np.flatnonzero(estimate.bends & (m.kind[estimate.motion] == LIN))
-    further_places = [
-        (estimate.motion[bends], estimate.t[bends]),
-        *([extra_places] if extra_places is not None else []),
-    ]
-    if len(arcs.motion):
-        stretch, share = even_places(np.arange(len(arcs.motion)), arcs.number * arcs.each)
-        begin, end = arcs.begin[stretch], arcs.end[stretch]
-        further_places.append((arcs.motion[stretch], np.where(share == 1.0, end, begin + (end - begin) * share)))
-    if any(len(rows) for rows, _ in further_places):
-        motion = np.concatenate([motion, *(rows for rows, _ in further_places)])
-        t = np.concatenate([t, *(places for _, places in further_places)])
-        order = np.lexsort((t, motion))
-        motion, t = motion[order], t[order]
-        # of places that differ by rounding the later one stays: it may be the end, t = 1
-        repetitions = np.flatnonzero((np.diff(motion) == 0) & (np.diff(t) < 1e-9))
-        motion, t = np.delete(motion, repetitions), np.delete(t, repetitions)
-    return motion, t
+    parts[(kind == PTP) | (kind == SPL)] = 1
+    straight = np.flatnonzero(kind != CIRC)
+    return even_places(straight, parts[straight])
+
+
+def _arc_places(arcs: Pieces) -> tuple[Ints, Array]:
+    """Return the samples on the pieces of arcs: motion (n,) and t (n,), in order of the stretches."""
+    stretch, share = even_places(np.arange(len(arcs.motion)), arcs.number * arcs.samples_per_piece)
+    begin, end = arcs.begin[stretch], arcs.end[stretch]
+    return arcs.motion[stretch], np.where(share == 1.0, end, begin + (end - begin) * share)
+
+
+def _merge_places(
+    ordered_places: tuple[Ints, Array], further_places: Sequence[tuple[Ints, Array]]
+) -> tuple[Ints, Array]:
+    """Return all places in order, each once: motion (N,) and t (N,).
+
+    :param ordered_places: motion and t of places that are in order already, and of which none is repeated.
+    :param further_places: motion and t of others, in any order.
+    """
+    motion, t = ordered_places
+    if not any(len(rows) for rows, _ in further_places):
+        return motion, t
+    motion = np.concatenate([motion, *(rows for rows, _ in further_places)])
+    t = np.concatenate([t, *(values for _, values in further_places)])
+    order = np.lexsort((t, motion))
+    motion, t = motion[order], t[order]
+    # of places that differ by rounding the later one stays: it may be the end, t = 1
+    repetitions = np.flatnonzero((np.diff(motion) == 0) & (np.diff(t) < _SAME_PLACE))
+    return np.delete(motion, repetitions), np.delete(t, repetitions)
 
 
 def swivel_pieces(program: Program, path: Segments, tolerance: float) -> Ints:
@@ -322,5 +350,5 @@ def swivel_pieces(program: Program, path: Segments, tolerance: float) -> Ints:
             orientation_error, angle_between(interpolate(start, end, t)[:, :3, :3], turning.at(rows, t))
         )
     piece_count = np.maximum(np.sqrt(orientation_error * _LEVER / tolerance), travel[rows] / _MOST_SWIVEL)
-    number[rows] = np.maximum(1, np.ceil(piece_count - 1e-9)).astype(np.int64)
+    number[rows] = np.maximum(1, np.ceil(piece_count - _ROUNDING)).astype(np.int64)
     return number

@@ -30,7 +30,7 @@ def commanded(seed):
         if kind == CIRC:
             t = np.concatenate([
                 b + (e - b) * np.arange(1, n * each + 1) / (n * each)
-                for (m, b, e, n, _), each in zip(STRETCHES, arcs.each, strict=True) if m == k
+                for (m, b, e, n, _), each in zip(STRETCHES, arcs.samples_per_piece, strict=True) if m == k
             ])  # fmt: skip
             radius = 10 ** rng.uniform(-3.5, 1.0)
             angle = min(5.0, 0.02 / radius) * t
@@ -84,7 +84,7 @@ def by_loops(path, whole, every):
             targets = [(own[row - 1], LIN, -1) for row in divided(t, place)]
         else:
             targets, row = [], own[0]
-            for (m, _, _, number, _), each in zip(STRETCHES, path.arcs.each, strict=True):
+            for (m, _, _, number, _), each in zip(STRETCHES, path.arcs.samples_per_piece, strict=True):
                 for _ in range(number if m == k else 0):
                     before = path.start[k] if row == own[0] else path.position[row - 1]
                     middle, end = row + each // 2 - 1, row + each - 1
@@ -123,7 +123,7 @@ def test_as_many_pieces_of_an_arc_are_needed_as_what_twice_as_large_ones_miss_as
     arcs = Pieces(np.array([2, 2, 6]), np.array([0.0, 0.4, 0.0]), np.array([0.4, 1.0, 1.0]), np.array([4, 2, 6]),
                   np.array([1, 2, 1]), np.array([3.0, 4.0, 20.0]), np.array([True, False, True]))  # fmt: skip
     path = commanded(seed)
-    motion, t, place, size = [0], [1.0], [np.zeros(3)], arcs.number * arcs.each
+    motion, t, place, size = [0], [1.0], [np.zeros(3)], arcs.number * arcs.samples_per_piece
     for s in range(3):
         share = np.arange(1, size[s] + 1) / size[s]
         here = arcs.begin[s] + (arcs.end[s] - arcs.begin[s]) * share
@@ -142,8 +142,14 @@ def test_as_many_pieces_of_an_arc_are_needed_as_what_twice_as_large_ones_miss_as
             continue
         worst = 0.0
         for pair in range(arcs.number[s] // 2):
-            rows = first[s] + 2 * pair * arcs.each[s] + np.arange(1, 5) * arcs.each[s] // 2 - 1
-            begin = start[0] if pair == 0 and arcs.begin[s] == 0.0 else path.position[rows[0] - arcs.each[s] // 2]
+            rows = (
+                first[s] + 2 * pair * arcs.samples_per_piece[s] + np.arange(1, 5) * arcs.samples_per_piece[s] // 2 - 1
+            )
+            begin = (
+                start[0]
+                if pair == 0 and arcs.begin[s] == 0.0
+                else path.position[rows[0] - arcs.samples_per_piece[s] // 2]
+            )
             spots = np.vstack([begin, path.position[rows]])
             worst = max(worst, missed_at_quarters(spots))
         expected = int(np.ceil(arcs.number[s] // 2 * np.sqrt(worst / LIMIT)))

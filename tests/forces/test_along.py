@@ -506,7 +506,7 @@ def test_places_at_which_the_rate_of_the_force_changes_are_those_off_the_line_be
         knots[motion] = list(zip(places, values, strict=True))
     load = put_on(made, OfKnots(knots))
     motion = np.repeat(np.arange(6), np.diff(load.first))
-    change, bent = path_forces._changes(load, motion)
+    change, bent = path_forces._changes_and_bends(load, motion)
     assert [(int(m), float(t)) for m, t in zip(motion[bent], load.t[bent], strict=True)] == expected
     for row in range(1, len(motion)):
         same = motion[row] == motion[row - 1]

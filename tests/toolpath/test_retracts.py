@@ -48,7 +48,7 @@ def test_each_piece_has_an_even_number_of_samples_that_rounding_does_not_raise()
     none = np.zeros(6)
     pieces = Pieces(none.astype(int), none, none + 1.0, number, number, samples, none.astype(bool))
     assert samples[1] > 6.0
-    assert pieces.each.tolist() == [6, 6, 8, 2, 4, 6]
+    assert pieces.samples_per_piece.tolist() == [6, 6, 8, 2, 4, 6]
 
 
 @pytest.mark.parametrize("place", [0.25, 0.5, 0.75])

@@ -129,10 +129,10 @@ def test_arcs_are_sampled_as_closely_as_lines(tolerance, degrees):
         found = pieces(made, estimate(made), tolerance)
         length = np.radians(degrees) * radius / 1e3
         most = max(length / (0.02 * np.sqrt(tolerance / 1e-5)), turned_by / 3.0)
-        count = int((found.number * found.each)[0])
-        assert found.each[0] % 2 == 0
+        count = int((found.number * found.samples_per_piece)[0])
+        assert found.samples_per_piece[0] % 2 == 0
         assert most <= count + 1e-6
-        assert count - 2 * found.number[0] < most or found.each[0] == 2
+        assert count - 2 * found.number[0] < most or found.samples_per_piece[0] == 2
         motion, t = toolpath.places(made, toolpath.segments(made, START), tolerance, estimate(made), found)
         np.testing.assert_allclose(t[motion == 1], np.arange(1, count + 1) / count)
         assert t[-1] == 1.0
@@ -258,9 +258,9 @@ def random_pieces(rng, count=8):
 def test_pieces_cut_joined_settled_and_made_finer(seed):
     rng = np.random.default_rng(seed)
     arcs = random_pieces(rng)
-    assert (arcs.each % 2 == 0).all()
-    assert (arcs.each * arcs.number >= arcs.samples - 1e-6).all()
-    assert ((arcs.each == 2) | ((arcs.each - 2) * arcs.number < arcs.samples)).all()
+    assert (arcs.samples_per_piece % 2 == 0).all()
+    assert (arcs.samples_per_piece * arcs.number >= arcs.samples - 1e-6).all()
+    assert ((arcs.samples_per_piece == 2) | ((arcs.samples_per_piece - 2) * arcs.number < arcs.samples)).all()
     wanted = rng.integers(1, 6, len(arcs.motion))
     settled = arcs.with_enough_pieces(wanted)
     np.testing.assert_array_equal(settled.number, np.maximum(wanted, arcs.min_number))
