@@ -112,31 +112,40 @@ class _Writer:
         """Return a program as text.
 
         A KRL program is written in its own text, see `write.rewrite`; others as new ones, see
-        `write.divide_into_modules`.
-        Both may be divided into files, see `write.split_files`.
+        `write.divide_into_modules`. Both may be divided into files, see `write.split_files`.
         """
-        if not isinstance(program.layout, Layout):
-            new_program = write.divide_into_modules(program, targets, joints, cell, comments)
-            return (
-                write.split_files(program.name, (), new_program, cell.output.lines_per_file)
-                if new_program.modules is None
-                else new_program
-            )
-        other_names = {document.name for document in program.layout.course.files}
+        if isinstance(program.layout, Layout):
+            return self._rewrite(program, program.layout, targets, cell, comments)
+        new_program = write.divide_into_modules(program, targets, joints, cell, comments)
+        if new_program.modules is not None:
+            return new_program
+        return write.split_files(program.name, (), new_program, cell.output.lines_per_file)
+
+    def _rewrite(
+        self, program: Program, layout: Layout, targets: Targets, cell: Cell, comments: TargetForces | None
+    ) -> WrittenProgram:
+        """Return a KRL program with corrected targets; its own files may be divided, those of its calls are not."""
+        limit = cell.output.lines_per_file
+        called_names = {document.name for document in layout.course.files}
         rewritten = write.rewrite(program, targets, comments)
-        program_files = replace(rewritten, documents=tuple(d for d in rewritten.documents if d.name not in other_names))
-        files = [document for document in program.documents if document.name not in other_names]
-        limit, layout = cell.output.lines_per_file, program.layout
-        output = write.split_files(
-            program.name, files, program_files, limit, layout.course.used_names, layout.resume_place
+        own_documents, called_documents = (
+            tuple(document for document in rewritten.documents if (document.name in called_names) == is_called)
+            for is_called in (False, True)
         )
-        other_files = tuple(document for document in rewritten.documents if document.name in other_names)
+        output = write.split_files(
+            program.name,
+            [document for document in program.documents if document.name not in called_names],
+            replace(rewritten, documents=own_documents),
+            limit,
+            layout.course.used_names,
+            layout.resume_place,
+        )
         issues = [
             _long_file_warning(document, limit)
-            for document in other_files
+            for document in called_documents
             if limit and document.name.lower().endswith(self.extension) and document.text.count("\n") > limit
         ]
-        return replace(output, documents=(*output.documents, *other_files), issues=(*output.issues, *issues))
+        return replace(output, documents=(*output.documents, *called_documents), issues=(*output.issues, *issues))
 
     def rename(self, documents: Sequence[Document], name: str) -> tuple[Document, ...]:
         """Return the files of a program under another name."""

@@ -743,8 +743,9 @@ class Flow:
         if self.recorder is None or not level.is_traced or level.loop_depth or not self.run.is_certain:
             return 0
         jumps = [line for line in level.routine.statement_lines if self.label_of(source, line) == label.name]
-        for number in range(index + 1, len(nodes) if len(jumps) == 1 else 0):
-            block = nodes[number]
+        if len(jumps) != 1:
+            return 0
+        for number, block in enumerate(nodes[index + 1 :], start=index + 1):
             if isinstance(block, Block) and block.word == "IF" and [part.nodes for part in block.parts] == [(*jumps,)]:
                 return number
         return 0
