@@ -472,6 +472,10 @@ def surveyed(text):
     return survey(decode("part.apt", text.encode()))
 
 
+def test_a_survey_leaves_out_tool_numbers_that_are_none():
+    assert surveyed(f"LOADTL/{'9' * 5000}\nLOADTL/7\n").tool_changes == ((2, 7),)
+
+
 def test_a_survey_has_tools_cutters_switches_and_unit():
     found = surveyed(
         "UNITS/INCHES\n$$ made by hand\nLOADTL/3\nCUTTER/10,0,5\nSPINDL/900,RPM\nLOAD/TOOL,12,ADJUST,1\nCOOLNT/MIST\n"

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from postproc.dialects import gcode
+from postproc.dialects.gcode.survey import survey
 from postproc.dialects.text import decode
 from postproc.errors import ProgramError, SubprogramError
 from postproc.program import Program
@@ -83,7 +84,17 @@ REFUSED = {
     "no ending of a subprogram": ("M98 P5\nM2\nO5\nG1 X1", "O5 does not end with M99"),
     "O words amid others": ("G1 o1 call", "an O word among other words"),
     "an offset of the control": ("#5221=3\nG1 X1", "belongs to the control"),
+    "a product beyond all numbers": ("#1=[10**300]\n#2=[#1*#1]", r"\[1e\+300 \* 1e\+300\] has no value"),
+    "a value of 400 digits": (f"#1={'9' * 400}", "a number of 400 digits"),
+    "a subprogram of 400 digits": (f"M98 P{'9' * 400}", "inf is not a whole number"),
+    "a label of 5000 digits": (f"o{'9' * 5000} call", "is neither in this file nor in its folder"),
 }
+
+
+def test_a_survey_leaves_out_words_that_are_no_numbers() -> None:
+    text = f"G55.0 T{'9' * 400} M{'9' * 400} T1.2.3 M1.2.3\nT4 M6 M31\n"
+    result = survey(decode("part.nc", text.encode()))
+    assert (result.tool_changes, result.work_offsets, result.m_codes) == (((2, 4),), ("G55",), ("M31",))
 
 
 @pytest.mark.parametrize(("text", "problem"), REFUSED.values(), ids=REFUSED)

@@ -8,7 +8,8 @@ from postproc.dialects.apt.statements import split
 from postproc.dialects.dialect import Survey
 from postproc.program import Document
 
-_LOAD = re.compile(r"(?:LOADTL/|LOAD/TOOL,)(\d+)")
+_LOAD = re.compile(r"(?:LOADTL/|LOAD/TOOL,)(\d{1,15})(?!\d)")
+"""Change of a tool; a number of more digits is a fault, which the reader states."""
 
 
 def survey(document: Document) -> Survey:

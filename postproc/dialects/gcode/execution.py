@@ -316,7 +316,7 @@ class _Run:
             else:
                 self._execute_percent(row)
         except BlockError as cause:
-            self._add_fault(row, *cause.args)
+            self._add_fault(row, cause.problem, cause.advice)
             if isinstance(unit.lines.get(row), Order) or len(self.faults) > MAX_ERRORS:
                 raise _EndError from cause  # the next line is not known
 

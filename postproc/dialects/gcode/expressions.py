@@ -164,7 +164,7 @@ def nearest_integer(value: float) -> int:
 
     :raises BlockError: it is not.
     """
-    if abs(value - round(value)) > _EQUALITY_TOLERANCE:
+    if not math.isfinite(value) or abs(value - round(value)) > _EQUALITY_TOLERANCE:
         raise BlockError(f"{value:g} is not a whole number", None)
     return round(value)
 
@@ -194,11 +194,13 @@ class Reader:
     def _value(self) -> Value:
         """Return the next value: a number, [expression], parameter or function, with its sign.
 
-        :raises BlockError: there is none.
+        :raises BlockError: there is none, or it is beyond the range of floats.
         """
         number = self._match(_NUMBER)
         if number is not None:
             constant = float(number[0])
+            if not math.isfinite(constant):
+                raise BlockError(f"a number of {len(number[0])} digits", "Check the number.")
             return lambda _: constant
         following = self.code[self.at : self.at + 1]
         if following == "[":
@@ -337,8 +339,11 @@ def _binary_value(name: str, function: Callable[[float, float], float], left: Va
         """
         a, b = left(parameters), right(parameters)
         try:
-            return function(a, b)
+            result = function(a, b)
         except (ValueError, OverflowError, ZeroDivisionError):
-            raise BlockError(f"[{a:g} {name} {b:g}] has no value", None) from None
+            result = math.nan
+        if not math.isfinite(result):  # a product that is too large is infinite, without an exception
+            raise BlockError(f"[{a:g} {name} {b:g}] has no value", None)
+        return result
 
     return apply

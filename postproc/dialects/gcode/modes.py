@@ -495,7 +495,7 @@ def read_modes(
         try:
             reader.read(row, code)
         except BlockError as cause:
-            faults.append(Fault(row, cause.args[0], cause.args[1], code))
+            faults.append(cause.fault(row, code))
         if reader.has_ended or len(faults) > MAX_ERRORS:
             rows = row + 1
             if not faults_of_run and source.goes_on(row):

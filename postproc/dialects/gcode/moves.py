@@ -388,7 +388,7 @@ class _Walk:
                 retracts_to_r=bool(rows.to_r[row]),
             )
         except BlockError as cause:
-            self.faults.append(Fault(row, *cause.args))
+            self.faults.append(cause.fault(row))
             return CycleMoves([], [])
         if self.cycle.lifts and not self.known[axes[:2]].all():
             advice = "Program X and Y by G0 before, or Z above R: the tool goes up to R where it is."
@@ -415,7 +415,7 @@ class _Walk:
             try:
                 words["P"] = dwell_time(name, words["P"], self.modes.dwell_unit, with_point=with_point)
             except BlockError as cause:  # the time does not matter to the holes that follow
-                self.faults.append(Fault(row, *cause.args))
+                self.faults.append(cause.fault(row))
                 words["P"] = 0.0
         return words
 

@@ -388,7 +388,7 @@ class _Doubt:
         def lost(letters: str) -> Ints:
             """Return for each row (L,) the latest one so far whose fault lost one of some words; -1: none."""
             at = np.zeros(count, dtype=bool)
-            at[[fault.row for fault in faults if set(letters) & set(fault.lost)]] = True
+            at[[fault.row for fault in faults if set(letters) & set(fault.lost_text)]] = True
             return latest(at)
 
         latest_rows = [latest(~np.isnan(rows.xyz[:, axis]) & ~rows.incremental) for axis in range(3)]

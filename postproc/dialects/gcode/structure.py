@@ -255,7 +255,7 @@ def _order(code: str, at: int) -> Order:
     label: str | Value
     if name is not None:
         reader.at = name.end()
-        label = key_of(name[1]) if name[1] else str(int(name[2]))
+        label = key_of(name[1]) if name[1] else name[2].lstrip("0") or "0"
     else:
         label = reader.value()
     keyword = _KEYWORD.match(code, reader.at)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 
@@ -23,7 +24,7 @@ _OFFSETS = {f"G{code:g}" for code in codes.WORK_OFFSETS[1:]}
 def survey(document: Document) -> Survey:
     """Return the survey of a text; nothing is executed, so words of expressions and loops are not seen."""
     source = split(document)
-    words = {_normal_word(match[0]) for match in _CODES.finditer(source.code)}
+    words = set(_code_words(source.code))
     machine_codes = sorted((word for word in words if word[0] == "M" and _is_of_machine(float(word[1:]))), key=_order)
     rotary = tuple(sorted({match[1].decode() for match in _ROTARY.finditer(source.code)}))
     switches = {name for name, group in (("spindle", codes.SPINDLE[:2]), ("coolant", codes.COOLANT[:2]))
@@ -51,7 +52,7 @@ def _tool_changes(source: Source) -> Iterator[tuple[int, int]]:
     """Yield line and number of each M6, with the T in force; of a program without M6, those of each T."""
     changes, selections, tool = [], [], None
     for match in _CODE_LINE.finditer(source.code):
-        words = [_normal_word(word[0]) for word in _CODES.finditer(match[0])]
+        words = list(_code_words(match[0]))
         line = source.code.count(b"\n", 0, match.start())
         for word in words:
             if word[0] == "T" and float(word[1:]) == int(float(word[1:])):
@@ -62,13 +63,19 @@ def _tool_changes(source: Source) -> Iterator[tuple[int, int]]:
     yield from changes or selections
 
 
-def _normal_word(word: bytes) -> str:
-    """Return a word as codes are written: ``G54`` for ``G054.0``; the letter alone where there is no number."""
-    text = word.decode("ascii")
-    try:
-        return f"{text[0]}{float(text[1:]):g}"
-    except ValueError:
-        return f"{text[0]}-1"
+def _code_words(code: bytes) -> Iterator[str]:
+    """Yield the G, M and T words of a text as codes are written, ``G54`` for ``G054.0``; those without a number are none.
+
+    :param code: packed lines, see `Source.code`.
+    """
+    for match in _CODES.finditer(code):
+        text = match[0].decode("ascii")
+        try:
+            number = float(text[1:])
+        except ValueError:  # 1.2.3 is no number
+            continue
+        if math.isfinite(number):
+            yield f"{text[0]}{number:g}"
 
 
 def _order(word: str) -> float:

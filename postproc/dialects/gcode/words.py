@@ -313,15 +313,19 @@ _O_ADVICE = "Write an O number in a line of its own."
 
 
 class Fault(Struct, frozen=True):
-    """Why a line cannot be read: its row, the problem, the advice.
+    """Why a line cannot be read.
 
-    `lost` is the text of a block whose effect is unknown: positions, modes and feed may differ from there on.
+    :param row: of the line.
+    :param problem: what is wrong.
+    :param advice: what to do; None: that is clear from the problem.
+    :param lost_text: text of a block whose effect is unknown: positions, modes and feed may differ from there on;
+        empty: the fault changes nothing for later lines.
     """
 
     row: int
     problem: str
     advice: str | None = None
-    lost: str = ""
+    lost_text: str = ""
 
 
 class Remark(NamedTuple):
@@ -338,7 +342,18 @@ class Remark(NamedTuple):
 
 
 class BlockError(Exception):
-    """A block cannot be read. Its arguments are problem and advice (or None)."""
+    """A block cannot be read.
+
+    :ivar problem: why; `advice`: what to do, or None.
+    """
+
+    def __init__(self, problem: str, advice: str | None) -> None:
+        super().__init__(problem, advice)
+        self.problem, self.advice = problem, advice
+
+    def fault(self, row: int, lost_text: str = "") -> Fault:
+        """Return the error as the fault of a row; `lost_text`: see `Fault`."""
+        return Fault(row, self.problem, self.advice, lost_text)
 
 
 def words_of(code: str) -> list[tuple[str, float]]:
