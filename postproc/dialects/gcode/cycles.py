@@ -43,9 +43,9 @@ class Step(Struct, frozen=True):
 
 
 class CycleEvent(Struct, frozen=True):
-    """An event of a cycle after its first `after` moves: a dwell [s], or a change of the spindle."""
+    """An event of a cycle after its first `step_count` moves: a dwell [s], or a change of the spindle."""
 
-    after: int
+    step_count: int
     kind: EventKind
     value: float = 0.0
 

@@ -25,7 +25,7 @@ class LineStates(Struct, frozen=True, eq=False):
     :param ijk: words I, J, K; `radius`: R, of cycles the height to which they retract; NaN where absent.
     :param turns: P, turns of an arc or dwell of a cycle.
     :param motion: active motion code, such as 1 for G1; 80: none.
-    :param named: whether the line itself has a motion code.
+    :param has_motion_code: whether the line itself has a motion code.
     :param feed: [mm/min]; in G93 [1/min]. `rate`: F as written, in deg/min for rotary axes alone.
     :param plane: 17, 18 or 19; `units`: 20 or 21.
     :param incremental: G91; `absolute_centre`: G90.1.
@@ -42,7 +42,7 @@ class LineStates(Struct, frozen=True, eq=False):
     radius: Array
     turns: Array
     motion: NDArray[np.int8]
-    named: Bools
+    has_motion_code: Bools
     feed: Array
     rate: Array
     plane: Array
@@ -115,7 +115,7 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
         radius=radius[:, 0],
         turns=words.column("P")[:count],
         motion=motion,
-        named=kinds.named,
+        has_motion_code=kinds.has_motion_code,
         feed=_feeds(feed_words, rate, factor, inverse_time),
         rate=rate,
         plane=state["plane"],
@@ -134,9 +134,9 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
 
 
 class _LineKinds(NamedTuple):
-    """Which lines (L,) have a motion code of their own, move by G0…G3, and move by a cycle."""
+    """Which lines (L,) have a motion code themselves, move by G0…G3, and move by a cycle."""
 
-    named: Bools
+    has_motion_code: Bools
     moving: Bools
     drilling: Bools
 
@@ -147,11 +147,11 @@ def _line_kinds(code: Array, motion: NDArray[np.int8], has_axis_word: Bools, has
     :param code: (L,) motion code of each line; NaN: it has none. `motion`: (L,) the active one.
     :param has_axis_word: (L,) lines with X, Y, Z or a rotary axis; `has_centre`: (L,) with I, J or K.
     """
-    named = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
+    has_motion_code = ~np.isnan(code) & (code != codes.CANCEL_CYCLE)
     is_arc = (motion == 2.0) | (motion == 3.0)
     drilling = np.isin(motion, codes.CYCLES) & has_axis_word
-    moving = ~drilling & (has_axis_word | (is_arc & (named | has_centre)))
-    return _LineKinds(named, moving, drilling)
+    moving = ~drilling & (has_axis_word | (is_arc & (has_motion_code | has_centre)))
+    return _LineKinds(has_motion_code, moving, drilling)
 
 
 def _in_mm(group_words: Array, factor: Array | None) -> Array:

@@ -54,12 +54,12 @@ class RowEvent(Struct, frozen=True):
     """An event of a line.
 
     :param row: of the line.
-    :param after: True if it follows the motion of the line, False if it precedes it.
+    :param is_after_motion: True if it follows the motion of the line, False if it precedes it.
     :param kind: see `EventKind`; `value`: see `Event`.
     """
 
     row: int
-    after: bool
+    is_after_motion: bool
     kind: EventKind
     value: float = 0.0
 
@@ -111,18 +111,25 @@ class Switching:
             elif code in codes.END:
                 self._end_program(row)
         for code in m:
-            if self.is_known(row, f"M{code:g}"):
-                continue
-            cell_lines = None if code in FIXED_M_CODES else self.cell.m_codes.get(f"M{code:g}")
-            if cell_lines is None and code in codes.OVERRIDES and values.pop("P", -1.0) in (0.0, 1.0):
-                continue
-            if cell_lines is None and code not in codes.ACCEPTED_M:
-                raise BlockError(*codes.refusal("M", code))
-            if cell_lines == []:  # without effect, and so are its words
-                values.pop("P", None)
-                values.pop("Q", None)
-            if cell_lines:
-                self.events.append(RowEvent(row, False, "m_code", code))
+            if not self.is_known(row, f"M{code:g}"):
+                self._read_machine_code(row, code, values)
+
+    def _read_machine_code(self, row: int, code: float, values: dict[str, float]) -> None:
+        """Record an M code for which the cell has lines; codes without effect are accepted.
+
+        :param values: words of the block by letter; P and Q of the code are removed.
+        :raises BlockError: the code is unknown or impossible.
+        """
+        cell_lines = None if code in FIXED_M_CODES else self.cell.m_codes.get(f"M{code:g}")
+        if cell_lines is None and code in codes.OVERRIDES and values.pop("P", -1.0) in (0.0, 1.0):
+            return
+        if cell_lines is None and code not in codes.ACCEPTED_M:
+            raise BlockError(*codes.refusal("M", code))
+        if cell_lines == []:  # without effect, and so are its words
+            values.pop("P", None)
+            values.pop("Q", None)
+        if cell_lines:
+            self.events.append(RowEvent(row, False, "m_code", code))
 
     def check_tool_length(self, row: int, length: float | None) -> None:
         """Check G43 against the tool in the spindle; before the first M6, H selects the tool.
@@ -130,22 +137,22 @@ class Switching:
         :param length: number of the stored tool length (H), or None.
         """
         tools = self.cell.tools
-        mounted = self._tool if self._spindle_tool is None else self._spindle_tool
+        mounted_tool = self._tool if self._spindle_tool is None else self._spindle_tool
         if not tools:
             message = "G43 has no effect: $TOOL contains the tool length, and X Y Z are those of the tool tip."
             self._add_remark("info", "tool-length", message, row)
-            if length and mounted and length != mounted:
+            if length and mounted_tool and length != mounted_tool:
                 message = (
-                    f"G43 H{length:g} with tool {mounted:g}: the length of another tool. Its tip is elsewhere if "
-                    f"[tool] of the cell is not that of tool {mounted:g}."
+                    f"G43 H{length:g} with tool {mounted_tool:g}: the length of another tool. Its tip is elsewhere if "
+                    f"[tool] of the cell is not that of tool {mounted_tool:g}."
                 )
                 self._add_remark("warning", "tool-length", message, row, f"{length:g}")
         elif length and self._spindle_tool is None and f"{length:g}" in tools:
             self.tools.append((row, length))
             message = "There is no M6 before G43: the tool is selected by H."
             self._add_remark("info", "tool-length", message, row)
-        elif length and length != mounted and f"{length:g}" in tools:
-            message = f"G43 H{length:g} is not the tool in the spindle: $TOOL of tool {mounted or 0:g} is used."
+        elif length and length != mounted_tool and f"{length:g}" in tools:
+            message = f"G43 H{length:g} is not the tool in the spindle: $TOOL of tool {mounted_tool or 0:g} is used."
             self._add_remark("warning", "tool-length", message, row, f"{length:g}")
 
     def add_dwell(self, row: int, seconds: float) -> None:
@@ -385,7 +392,7 @@ class FrameCodes:
         number = int(system)
         if number:
             self.offsets.add(f"G{codes.WORK_OFFSETS[number - 1]:g}")
-        self.origins.append(Origin(row, codes.STORE, axes, number, turn, target == 20.0))
+        self.origins.append(Origin(row, codes.STORE, axes, system=number, turn=turn, is_here=target == 20.0))
 
 
 _UNIT_SYNONYMS = {70.0: 20.0, 71.0: 21.0}
@@ -529,19 +536,20 @@ class _Reader:
     """Reader of single blocks, with the modal state and the results so far.
 
     :ivar words: words of all lines; `put` enters those of the blocks that are read.
-    :ivar tape: row of the ``%`` that opens the program; −1: there is none. `taped`: True behind the closing one.
+    :ivar tape_row: row of the ``%`` that opens the program; −1: there is none.
+    :ivar is_tape_closed: whether the closing ``%`` has been read.
     :ivar code: text of the present block.
     :ivar with_point: rows whose P has a decimal point.
     :ivar approximation: approximation distance of the cell [m].
     :ivar changes, blends, roundings, dwells, issues: see `Modes`.
-    :ivar smooth: rows whose code is a mode of smoothing, which is ignored.
+    :ivar smoothing_rows: rows whose code is a mode of smoothing, which is ignored.
     :ivar letters: words that are entered as coordinates and numbers.
     :ivar takes_directions: whether I, J, K of G0 and G1 are the direction of the tool.
     :ivar mm_per_unit: length of the active unit [mm].
     """
 
-    def __init__(self, words: Words, cell: Cell, tape: int) -> None:
-        self.words, self.cell, self.tape = words, cell, tape
+    def __init__(self, words: Words, cell: Cell, tape_row: int) -> None:
+        self.words, self.cell, self.tape_row = words, cell, tape_row
         self.code = ""
         self.with_point: set[int] = set()
         self.approximation = cell.gcode.approximation_mm * M_PER_MM
@@ -549,19 +557,19 @@ class _Reader:
         self.blends: list[tuple[int, float]] = []
         self.roundings: list[tuple[int, float]] = []
         self.dwells: list[int] = []
-        self.smooth: set[int] = set()
+        self.smoothing_rows: set[int] = set()
         self.issues: list[Issue] = []
         self.tip = TipControl(cell.rotary)
         self.frame_codes, self.switching = FrameCodes(cell), Switching(cell, self.issues, self.tip.read)
         self.letters = [letter for letter in COLUMNS if letter not in "ABC" or letter in self.frame_codes.rotary]
         self.takes_directions = cell.rotary is not None and cell.rotary.kind == "vector"
         self.mm_per_unit = 1.0
-        self.taped = False
+        self.is_tape_closed = False
 
     @property
     def has_ended(self) -> bool:
         """Whether the program has ended."""
-        return self.taped or self.switching.ended
+        return self.is_tape_closed or self.switching.ended
 
     def read(self, row: int, code: str) -> None:
         """Read the codes and words of a block.
@@ -569,14 +577,14 @@ class _Reader:
         :raises BlockError: the first fault; the valid words still count.
         """
         if code.lstrip(MARK).startswith("%"):
-            self.taped = row != self.tape
+            self.is_tape_closed = row != self.tape_row
             return
         delete_mark = _DELETE.match(code)
         if delete_mark:
             code = code[delete_mark.end() :]
             self._add_remark("info", "block-delete", "Blocks with / are executed (block delete is off).", row)
         if code.endswith("%"):  # the end of the tape in the last block
-            code, self.taped = code[:-1], True
+            code, self.is_tape_closed = code[:-1], True
         code = self._replace_sender_command(row, code)
         self.code = code
         if _P_WITH_POINT.search(code):
@@ -611,9 +619,9 @@ class _Reader:
         command = code.strip(MARK)
         if not command.startswith("$"):
             return code
-        homed = _GRBL_HOMING.fullmatch(command)
-        if homed is not None:
-            return f"G28{homed[1]}"
+        homing = _GRBL_HOMING.fullmatch(command)
+        if homing is not None:
+            return f"G28{homing[1]}"
         if command in _GRBL_WITHOUT_MOTION:
             name = "?" if command == "$?" else command
             message = f"{name} is a command to Grbl: it moves nothing."
@@ -707,10 +715,7 @@ class _Reader:
             elif group is not None:
                 self.changes[group].append((row, code))
                 if group == "units":
-                    if "F" in values and MM_PER_UNIT[code] != self.mm_per_unit:
-                        message = "F in the block of G20 or G21 is in the new units. LinuxCNC reads it in those before."
-                        self._add_remark("warning", "feed-units", message, row)
-                    self.mm_per_unit = MM_PER_UNIT[code]
+                    self._change_units(row, code, has_feed="F" in values)
             elif code in codes.MOVING or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOVING)):
                 self.words.put("G", row, code)
                 if code == 84.0:
@@ -722,13 +727,23 @@ class _Reader:
         if first_refusal is not None:
             raise BlockError(*first_refusal)
 
+    def _change_units(self, row: int, code: float, *, has_feed: bool) -> None:
+        """Apply G20 or G21; warn if the block also has F, which controls read in different units then."""
+        if has_feed and MM_PER_UNIT[code] != self.mm_per_unit:
+            message = "F in the block of G20 or G21 is in the new units. LinuxCNC reads it in those before."
+            self._add_remark("warning", "feed-units", message, row)
+        self.mm_per_unit = MM_PER_UNIT[code]
+
     def _is_read_elsewhere(self, row: int, code: float) -> bool:
-        """Return whether a G code is none of the modes: of tool-centre-point control, which is recorded, or ignored."""
+        """Return whether a G code is no modal code of `codes.GROUPS`: it is read by another step, or has no effect.
+
+        A code that switches tool-centre-point control is recorded here.
+        """
         return (
             self.tip.read(row, f"G{code:g}")
             or self._repeats_units(code)
             or code in codes.RADIUS
-            or (row in self.smooth and code in codes.SMOOTHING_MODES)
+            or (row in self.smoothing_rows and code in codes.SMOOTHING_MODES)
         )
 
     def _read_frames(self, block: _Block) -> None:
@@ -741,7 +756,7 @@ class _Reader:
             g = [code for code in g if code != codes.MACHINE]
             message = "G53 without X, Y or Z has no effect: it holds for its own block only."
             self._add_remark("info", "machine-position", message, row)
-        self.frame_codes.read(row, g, self._motion_code(row), values, self.mm_per_unit)
+        self.frame_codes.read(row, g, motion=self._motion_code(row), values=values, mm_per_unit=self.mm_per_unit)
 
     def _read_switching(self, block: _Block) -> None:
         """Record M codes, T and S of a block.
@@ -760,7 +775,7 @@ class _Reader:
             if code_words is None or not set(block.values) <= set(code_words):
                 continue
             if block.values or code in (103.0, 187.0):
-                self.smooth.add(block.row)
+                self.smoothing_rows.add(block.row)
                 block.values.clear()
                 message = f"G{code:g} is ignored: [gcode] corner_tolerance_mm says how exactly corners are cut."
                 self._add_remark("info", "smoothing", message, block.row, f"G{code:g}")
@@ -837,5 +852,6 @@ class _Reader:
         elif set(block.g) & set(codes.EXACT):
             self.blends.append((row, 0.0))
         elif codes.EXACT_BLOCK in block.g:
+            # G9 holds for its own block: from the next row on, the distance before it is valid again
             previous_blend = self.blends[-1][1] if self.blends else self.approximation
             self.blends += [(row, 0.0), (row + 1, previous_blend)]

@@ -83,6 +83,7 @@ class Moves(Struct, frozen=True, eq=False):
     :param unknown: first and last row of each range of lines in which the position of some axis is unknown.
     :param last_start_row: last row of the lines whose moves at feed come from `[start]`; −1 if there are none.
     :param offset: (L,) active work offset of each line.
+    :param faults: faults of the lines; `remarks`: remarks on them for the user.
     """
 
     row: Ints
@@ -105,10 +106,10 @@ class Moves(Struct, frozen=True, eq=False):
     remarks: Sequence[Remark]
 
     def begin(self, move: Ints) -> Array:
-        """Return the starts (n, 3) of moves (n,)."""
+        """Return the starts (n, 3) of moves (n,): the end of the move before, except for the moves `first`."""
         starts = self.end[move - 1]
         index = np.searchsorted(self.first, move)
-        has_own_start = np.append(self.first, -1)[index] == move
+        has_own_start = np.append(self.first, -1)[index] == move  # -1 is behind the last of `first`
         starts[has_own_start] = self.start[index[has_own_start]]
         return starts
 
@@ -130,21 +131,23 @@ def moves_of(rows: LineStates, modes: Modes, cell_frames: CellFrames) -> Moves:
     return _Walk(rows, modes, cell_frames).moves()
 
 
-def below_top(rows: LineStates, first: int, complete: int) -> Bools:
-    """Return which lines (L,) from row `first` to row `complete` are not at the highest Z that the program states.
+def below_top(rows: LineStates, first: int, complete_row: int) -> Bools:
+    """Return which lines (L,) from row `first` to `complete_row` are not at the highest Z that the program states.
 
-    At row `complete` X, Y and Z have all been programmed; other lines are False. Programs for hobby controls go up by
+    At `complete_row` X, Y and Z have all been programmed; other lines are False. Programs for hobby controls go up by
     G1 first, and then to the start position: these moves are at the top. A highest Z that is the only one, or not above
     zero, may be that of a cut: no line is at the top then.
     """
     is_below = np.zeros(len(rows.motion), dtype=np.bool_)
-    window = slice(first, complete + 1)
+    window = slice(first, complete_row + 1)
     z = rows.xyz[window, 2]
     has_z = ~np.isnan(z)
-    latest_z_row = np.maximum.accumulate(np.where(has_z, np.arange(len(z)), -1))
-    lowest, top = np.nanmin(rows.xyz[:, 2], initial=np.inf), np.nanmax(rows.xyz[:, 2], initial=-np.inf)
-    is_top = (latest_z_row >= 0) & (z[latest_z_row] >= top) & (lowest < top) & (top > 0.0)
-    is_below[window] = ~is_top | rows.incremental.any() | ~has_z[: complete - first].any()
+    latest_z_row = np.maximum.accumulate(np.where(has_z, np.arange(len(z)), -1))  # -1: no Z so far
+    lowest_z, highest_z = np.nanmin(rows.xyz[:, 2], initial=np.inf), np.nanmax(rows.xyz[:, 2], initial=-np.inf)
+    is_safe_height = (lowest_z < highest_z) & (highest_z > 0.0)
+    is_top = (latest_z_row >= 0) & (z[latest_z_row] >= highest_z) & is_safe_height
+    has_earlier_z = has_z[: complete_row - first].any()  # else nothing has gone up before the last row
+    is_below[window] = ~is_top | rows.incremental.any() | ~has_earlier_z  # words of G91 are no heights
     return is_below
 
 
@@ -251,7 +254,7 @@ class _Walk:
     def _add_straight_moves(self, begin: int, end: int) -> None:
         """Process lines of G0 to G3: coordinates are modal (G90), or they add up (G91)."""
         rows = self.rows
-        if (rows.named[begin:end]).any() or (rows.motion[begin:end] == codes.CANCEL_CYCLE).any():
+        if (rows.has_motion_code[begin:end]).any() or (rows.motion[begin:end] == codes.CANCEL_CYCLE).any():
             self.cycle.end()
         last_swing = max(
             self._add_lines(begin + part.start, min(begin + part.stop, end)) for part in chunks(end - begin)
@@ -448,10 +451,12 @@ class _Walk:
         if not len(row):
             return
         steps, cycle_events = cycle_moves
-        first = np.arange(self.number, self.number + len(row), len(steps))
+        first = np.arange(self.number, self.number + len(row), len(steps))  # number of the first move of each hole
         if cycle_events:
             holes = zip(first.tolist(), row[:: len(steps)].tolist(), strict=True)
-            self.events += [(begin + event.after, at, event) for begin, at in holes for event in cycle_events]
+            self.events += [
+                (begin + event.step_count, hole_row, event) for begin, hole_row in holes for event in cycle_events
+            ]
         bottom = [n for n, step in enumerate(steps) if step.bottom]
         self.bottoms += (first[:, None] + np.array(bottom, dtype=np.int64)).ravel().tolist()
         self._add_moves(row, np.tile([step.code for step in steps], len(first)), places)
@@ -718,13 +723,13 @@ class _Walk:
         is_bottom, is_home = np.zeros(self.number, dtype=bool), np.zeros(self.number, dtype=bool)
         is_bottom[self.bottoms] = True
         is_home[self.homes] = True
-        if not self.first:
+        if not self.first:  # arrays of no moves, so that the columns have a shape
             self._add_moves(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3)))
         columns = {name: np.concatenate(self.parts.pop(name)) for name in list(self.parts)}
         position, frame, tool = zip(*self.starts, strict=True)
         count = np.diff(self.first, append=self.number)
         unknown, last_start_row = self._ranges_behind_start(self._unknown_ranges())
-        indices = np.flatnonzero(count)
+        indices = np.flatnonzero(count)  # runs of lines without a move have no start
         moves = Moves(
             **columns,
             first=np.array(self.first)[indices],
@@ -767,10 +772,13 @@ class _Walk:
         for line_row in row[g80_moves[~is_safe]][:1].tolist():
             self.faults.append(Fault(line_row, "coordinates without G0, G1, G2 or G3", advice))
 
-    def _is_retract_along_tool(self, moves: Moves, rows: Ints) -> Bools:
-        """Return which moves (n,), `rows` of all, retract along the tool."""
-        tool_direction = self.cell_frames.rotary.tool_direction(moves.turn[rows, 1])
-        displacement = moves.end[rows] - moves.begin(rows)
+    def _is_retract_along_tool(self, moves: Moves, indices: Ints) -> Bools:
+        """Return which of some moves (n,) retract along the tool.
+
+        :param indices: (n,) these moves among all.
+        """
+        tool_direction = self.cell_frames.rotary.tool_direction(moves.turn[indices, 1])
+        displacement = moves.end[indices] - moves.begin(indices)
         axial_step = np.einsum("ni,ni->n", displacement, tool_direction)
         lateral_step = np.abs(displacement - axial_step[:, None] * tool_direction).max(axis=1)
         return np.asarray((axial_step > 0.0) & (lateral_step < _LEAST_MM))
@@ -841,7 +849,8 @@ class _Walk:
     def _unknown_ranges(self) -> list[tuple[int, int]]:
         """Return ranges (first, last) of rows with an unknown position, one for each of `losses`.
 
-        Each lasts until every lost axis is programmed again, or until the next loss. Where none is lost it is empty.
+        Each lasts until every lost axis is programmed again, or until the next loss. If no axis is lost, it is empty:
+        `last` is the row before `first`.
         """
         has_word = ~np.isnan(self.rows.xyz)
         for plane, axes in PLANE_AXES.items():  # the word across the plane is the bottom of the hole
@@ -855,8 +864,9 @@ class _Walk:
                 ranges.append((first, first - 1))
                 continue
             part = has_word[first:end]
-            complete = np.where(part.any(axis=0), first + part.argmax(axis=0) if len(part) else end, self.count)
-            last = int(complete[unknown_axes].max(initial=first))
+            # row of the next word of each axis; `count`: none before the next loss
+            next_word_row = np.where(part.any(axis=0), first + part.argmax(axis=0) if len(part) else end, self.count)
+            last = int(next_word_row[unknown_axes].max(initial=first))
             ranges.append((first, min(last, end)))
-            unknown_axes = unknown_axes & (complete >= end)
+            unknown_axes = unknown_axes & (next_word_row >= end)
         return ranges

@@ -76,7 +76,8 @@ def arrivals(moves: Moves) -> tuple[Bools, Bools]:
     for first, last in moves.unknown:
         begin, end = np.searchsorted(moves.row, [first, last]).tolist()
         is_held_back[begin:end] = ~moves.home[begin:end]
-        is_arrival[end : end + 1] = moves.code[end : end + 1] == 0.0
+        arrival = slice(end, end + 1)  # the move on the last row; empty if the program ends before
+        is_arrival[arrival] = moves.code[arrival] == 0.0
     return is_held_back, is_arrival
 
 
@@ -90,24 +91,37 @@ def add_approaches(moves: Moves, cell_frames: CellFrames) -> ApproachedMoves:
     if cell_frames.clearance is None or not is_return.any():
         return ApproachedMoves(moves, is_held_back, is_arrival)
     returns = np.flatnonzero(is_return)
-    frames = moves.machine_frames[moves.frame[returns]]
     tool_direction = cell_frames.rotary.tool_direction(moves.turn[returns, 1])
-    tool_z = np.einsum("ni,ni->n", frames[:, 2, :3], tool_direction)
-    z = np.einsum("ni,ni->n", frames[:, 2, :3], moves.end[returns]) + frames[:, 2, 3] / M_PER_MM
-    needs_approach = (z < cell_frames.clearance - _NEAR_MM) & (tool_z > LEVEL)
+    length = _approach_lengths(moves, returns, tool_direction, cell_frames.clearance)
+    needs_approach = length > 0.0
     count = np.ones(len(moves.row), dtype=np.int64)
     count[returns[needs_approach]] = 2
     # each of these moves becomes two: the first ends at the clearance height, along the tool axis above its end
     approach_moves = np.cumsum(count)[returns[needs_approach]] - 2
     new_moves = moves.repeat(count)
     end, turn = new_moves.end.copy(), new_moves.turn.copy()
-    end[approach_moves] += (
-        tool_direction[needs_approach] * ((cell_frames.clearance - z[needs_approach]) / tool_z[needs_approach])[:, None]
-    )
+    end[approach_moves] += tool_direction[needs_approach] * length[needs_approach][:, None]
     turn[approach_moves + 1, 0] = turn[approach_moves, 1]
     is_arrival = np.repeat(is_arrival, count)
     is_arrival[approach_moves + 1] = False
     return ApproachedMoves(replace(new_moves, end=end, turn=turn), np.repeat(is_held_back, count), is_arrival)
+
+
+def _approach_lengths(moves: Moves, returns: Ints, tool_direction: Array, clearance: float) -> Array:
+    """Return the length (n,) of the approach of moves, along the tool from the clearance height to their ends [mm].
+
+    It is 0 for a move that needs none, since it ends at that height, and where the tool is nearly horizontal.
+
+    :param returns: (n,) these moves among all; `tool_direction`: (n, 3) unit vectors from the tip to the spindle there.
+    :param clearance: Z in `$BASE` [mm].
+    """
+    frames = moves.machine_frames[moves.frame[returns]]
+    tool_z = np.einsum("ni,ni->n", frames[:, 2, :3], tool_direction)
+    z = np.einsum("ni,ni->n", frames[:, 2, :3], moves.end[returns]) + frames[:, 2, 3] / M_PER_MM
+    needs_approach = (z < clearance - _NEAR_MM) & (tool_z > LEVEL)
+    length = np.zeros(len(returns))
+    length[needs_approach] = (clearance - z[needs_approach]) / tool_z[needs_approach]
+    return length
 
 
 def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[Moves, Ints]:
@@ -175,25 +189,12 @@ def rotation_bound(moves: Moves, axes: Array) -> Array:
     return angles
 
 
-def swivel_of(selected: _MotionMoves, rows: LineStates, cell_frames: CellFrames) -> Swivel:
-    """Return the rotation of the tool in the motions of a program.
-
-    F of a motion that only rotates the tool is in deg/min of √(ΔA² + ΔB² + ΔC²); in G93 it is 1/min.
-    """
-    moves, index = selected.moves, selected.index
-    active = ~selected.is_free & ~moves.home[index]
+def swivel_of(motion_moves: _MotionMoves, rows: LineStates, cell_frames: CellFrames) -> Swivel:
+    """Return the rotation of the tool in the motions of a program."""
+    moves, index = motion_moves.moves, motion_moves.index
+    active = ~motion_moves.is_free & ~moves.home[index]
     active[:1] = False  # the first motion comes from wherever the robot is
     start_angles, end_angles = moves.turn[index, 0] * RAD_PER_DEG, moves.turn[index, 1] * RAD_PER_DEG
-    rate = np.full(len(index), np.nan)
-    rotations = np.flatnonzero(selected.is_rotation)
-    if len(rotations):
-        row = moves.row[index[rotations]]
-        degrees = norm(moves.turn[index[rotations], 1] - moves.turn[index[rotations], 0])
-        if moves.turn.shape[2] == COMPONENTS:
-            degrees = np.full(len(rotations), np.nan)  # what F means while a direction turns alone is stated nowhere
-        minutes = np.where(rows.inverse_time[row], 1.0, degrees) / rows.rate[row]
-        swept_angles = _swept_angles(cell_frames.rotary.directions, start_angles[rotations], end_angles[rotations])
-        rate[rotations] = swept_angles / (minutes * S_PER_MIN)
     return Swivel(
         begin=start_angles,
         end=end_angles,
@@ -202,8 +203,30 @@ def swivel_of(selected: _MotionMoves, rows: LineStates, cell_frames: CellFrames)
         frames=moves.machine_frames[:, :3, :3],
         tool=cell_frames.orientation,
         active=active,
-        rate=rate,
+        rate=_rotation_rates(motion_moves, rows, cell_frames.rotary.directions),
     )
+
+
+def _rotation_rates(motion_moves: _MotionMoves, rows: LineStates, axes: Array) -> Array:
+    """Return the angular speed (M,) of motions that only rotate the tool [rad/s]; NaN for all others.
+
+    F of such a motion is in deg/min of √(ΔA² + ΔB² + ΔC²); in G93 it is 1/min.
+
+    :param axes: (k, 3) unit vectors of the rotary axes.
+    """
+    rate = np.full(len(motion_moves.index), np.nan)
+    rotations = np.flatnonzero(motion_moves.is_rotation)
+    if not len(rotations):
+        return rate
+    index = motion_moves.index[rotations]
+    row, turn = motion_moves.moves.row[index], motion_moves.moves.turn[index]
+    degrees = norm(turn[:, 1] - turn[:, 0])
+    if turn.shape[2] == COMPONENTS:
+        degrees = np.full(len(rotations), np.nan)  # what F means while a direction turns alone is stated nowhere
+    minutes = np.where(rows.inverse_time[row], 1.0, degrees) / rows.rate[row]
+    swept_angles = _swept_angles(axes, turn[:, 0] * RAD_PER_DEG, turn[:, 1] * RAD_PER_DEG)
+    rate[rotations] = swept_angles / (minutes * S_PER_MIN)
+    return rate
 
 
 def _swept_angles(axes: Array, begin: Array, end: Array) -> Array:
@@ -230,11 +253,11 @@ def check_turning(rows: LineStates, moves: Moves, is_early: Bools, rotary_axes: 
     axes = rotary_axes.directions
     has_position = ~np.isnan(rows.xyz[moves.row]).all(axis=1) | (moves.code > 0.0)
 
-    points_away = [direction(axes, moves.turn[:, end] * RAD_PER_DEG)[:, 2] < _LEAST_Z for end in (0, 1)]
+    is_upside_down = [direction(axes, moves.turn[:, end] * RAD_PER_DEG)[:, 2] < _LEAST_Z for end in (0, 1)]
     faults: dict[int, Fault] = {}
     for is_invalid, problem, advice in (
         (
-            np.any(points_away, axis=0),
+            np.any(is_upside_down, axis=0),
             "the tool points away from the part",
             "Check axes and signs in [rotary].",
         ),
@@ -316,7 +339,7 @@ def _check_words(rows: LineStates, modes: Modes, doubt: _Doubt, faults: _LineFau
 def _check_feeds(rows: LineStates, doubt: _Doubt, faults: _LineFaults) -> None:
     """Add faults of lines that cut without a feed, and of cycles in G93."""
     is_feed_motion = (rows.motion == 1.0) | _is_arc(rows)
-    cuts = ((rows.named | rows.moving) & is_feed_motion) | rows.drilling
+    cuts = ((rows.has_motion_code | rows.moving) & is_feed_motion) | rows.drilling
     no_feed = cuts & ~(rows.feed > 0.0) & ~doubt.motion & ~doubt.feed
     in_g93 = no_feed & rows.inverse_time & rows.moving
     faults.check(no_feed & ~rows.inverse_time, "cutting move without a feed", "Give F.", first=True)
@@ -348,16 +371,16 @@ def _check_unknown_positions(rows: LineStates, moves: Moves, doubt: _Doubt, faul
     unset_axes = [axis for axis, words in zip("XYZ", rows.xyz.T, strict=True) if np.isnan(words).all()]
     if unset_axes:
         advice += f" {' and '.join(unset_axes)} {'is' if len(unset_axes) == 1 else 'are'} never programmed."
-    for first, complete in moves.unknown:
+    for first, complete_row in moves.unknown:
         if first >= len(line):
             continue
-        is_within = (line >= first) & (line <= complete)
+        is_within = (line >= first) & (line <= complete_row)
         is_early = has_axis_word & is_within & ~doubt.position
         problem = "incremental move before the position is known"
         faults.check(is_early & rows.incremental, problem, advice, first=True)
         begin = first + int(np.argmax(has_axis_word[first:])) if has_axis_word[first:].any() else first
-        is_low = (begin != complete) & below_top(rows, first, complete)
-        is_low_cut = ((rows.motion == 1.0) & is_low) | (rows.drilling & (line < complete))
+        is_low = (begin != complete_row) & below_top(rows, first, complete_row)
+        is_low_cut = ((rows.motion == 1.0) & is_low) | (rows.drilling & (line < complete_row))
         is_cut = is_early & is_low_cut & ~doubt.motion
         faults.check(is_cut, "cutting move before the position is known", advice, first=True)
         is_unknown_arc = rows.moving & _is_arc(rows) & is_within & ~doubt.motion & ~doubt.position
@@ -386,7 +409,7 @@ class _Doubt:
             return np.asarray(np.maximum.accumulate(np.where(at, line, -1)), dtype=np.int64)
 
         def lost(letters: str) -> Ints:
-            """Return for each row (L,) the latest one so far whose fault lost one of some words; -1: none."""
+            """Return for each row (L,) the latest so far whose unreadable text has one of some letters; -1: none."""
             at = np.zeros(count, dtype=bool)
             at[[fault.row for fault in faults if set(letters) & set(fault.lost_text)]] = True
             return latest(at)
@@ -394,7 +417,8 @@ class _Doubt:
         latest_rows = [latest(~np.isnan(rows.xyz[:, axis]) & ~rows.incremental) for axis in range(3)]
         latest_position = np.minimum.reduce(latest_rows)
         latest_position = np.concatenate([[-1], latest_position[:-1]])  # the line itself needs its start
-        self.motion = (lost("G") >= 0) & (latest(rows.named) <= lost("G"))
+        # a value is in doubt until the next row that states it
+        self.motion = (lost("G") >= 0) & (latest(rows.has_motion_code) <= lost("G"))
         self.position = (lost("GXYZIJK") >= 0) & (latest_position <= lost("GXYZIJK"))
         self.feed = lost("F") >= 0
 
@@ -428,9 +452,9 @@ class MotionPath(Struct, frozen=True, eq=False):
     :param motions: see `Motions`; their lines are rows + 1.
     :param swivel: see `Program`.
     :param row: (M,) row of each motion, never decreasing.
-    :param still: (n,) rows of moves without a motion, ascending: moves of zero length, and those held back.
+    :param still_rows: (n,) rows of moves without a motion, ascending: moves of zero length, and those held back.
     :param unforced: (n,) motions at feed that come from `[start]` of the cell.
-    :param held_back: (n,) the rows of `still` with rapid moves before the position is known.
+    :param held_back_rows: (n,) the rows of `still_rows` with rapid moves before the position is known.
     :param events: events of cycles: index of the motion after it, row, event.
     """
 
@@ -438,8 +462,8 @@ class MotionPath(Struct, frozen=True, eq=False):
     swivel: Swivel | None
     row: Ints
     unforced: Ints
-    still: Ints
-    held_back: Ints
+    still_rows: Ints
+    held_back_rows: Ints
     events: Sequence[tuple[int, int, CycleEvent]]
     remarks: Sequence[Remark]
 
@@ -476,46 +500,50 @@ def read_path(
     :param modes: modal state and events of the blocks that are not plain.
     :param rotary: rotary axes of the cell; None: it has none.
     """
-    approached = add_approaches(moves_of(rows, modes, cell_frames), cell_frames)
-    moves = approached.moves
+    approached_moves = add_approaches(moves_of(rows, modes, cell_frames), cell_frames)
+    moves = approached_moves.moves
     circular = np.flatnonzero(moves.code >= 2.0)
     arcs = _arcs(rows, moves, circular)
     faults = faults_of(rows, moves, modes, moves.row[circular], arcs.faults)
     if not faults and rotary is not None:
         switched_on = np.array([row for row, on in modes.tip if on], dtype=np.int64)
         faults = kind_faults(rotary, rows.rotary, switched_on) or check_turning(
-            rows, moves, approached.is_held_back, cell_frames.rotary, " or ".join(rotary.tcp_on or tip_codes(rotary))
+            rows,
+            moves,
+            approached_moves.is_held_back,
+            cell_frames.rotary,
+            " or ".join(rotary.tcp_on or tip_codes(rotary)),
         )
     if faults:
         return faults
-    selected = _motion_moves(approached, circular, arcs, cell_frames.rotary, speeds.chord)
-    moves, row = selected.moves, selected.moves.row[selected.index]
-    swivel = None if rotary is None else swivel_of(selected, rows, cell_frames)
-    held_rows = moves.row[selected.is_held_back]
+    motion_moves = _motion_moves(approached_moves, circular, arcs, cell_frames.rotary, speeds.chord)
+    moves, row = motion_moves.moves, motion_moves.moves.row[motion_moves.index]
+    swivel = None if rotary is None else swivel_of(motion_moves, rows, cell_frames)
+    held_rows = moves.row[motion_moves.is_held_back]
     return MotionPath(
-        motions=_motions(selected, rows, modes, swivel, cell_frames, speeds),
+        motions=_motions(motion_moves, rows, modes, swivel, cell_frames, speeds),
         swivel=swivel,
         row=row,
-        unforced=np.flatnonzero((row <= moves.last_start_row) & (moves.code[selected.index] == 1.0)),
-        still=distinct(np.concatenate([held_rows, moves.row[selected.is_null_move]])),
-        held_back=distinct(held_rows),
-        events=[(int(np.searchsorted(selected.index, move)), row, event) for move, row, event in moves.events],
+        unforced=np.flatnonzero((row <= moves.last_start_row) & (moves.code[motion_moves.index] == 1.0)),
+        still_rows=distinct(np.concatenate([held_rows, moves.row[motion_moves.is_null_move]])),
+        held_back_rows=distinct(held_rows),
+        events=[(int(np.searchsorted(motion_moves.index, move)), row, event) for move, row, event in moves.events],
         remarks=moves.remarks,
     )
 
 
 def _motion_moves(
-    approached: ApproachedMoves, circular: Ints, arcs: Arcs, rotary_axes: RotaryAxes, chord_tolerance: float
+    approached_moves: ApproachedMoves, circular: Ints, arcs: Arcs, rotary_axes: RotaryAxes, chord_tolerance: float
 ) -> _MotionMoves:
     """Return the moves that are motions: not held back, and with an effect.
 
     :param circular: (A,) moves that are arcs; `arcs`: their geometry.
     :param chord_tolerance: deviation of chords from arcs along which rotary axes turn [mm].
     """
-    moves, count = chords(approached.moves, circular, arcs, chord_tolerance)
-    is_held_back = np.repeat(approached.is_held_back, count)
-    is_arrival = np.repeat(approached.is_arrival, count)
-    length = np.repeat(_lengths(approached.moves, circular, arcs), count)
+    moves, count = chords(approached_moves.moves, circular, arcs, chord_tolerance)
+    is_held_back = np.repeat(approached_moves.is_held_back, count)
+    is_arrival = np.repeat(approached_moves.is_arrival, count)
+    length = np.repeat(_lengths(approached_moves.moves, circular, arcs), count)
     is_tool_change = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
     rotates = rotation_bound(moves, rotary_axes.directions) > _NO_ROTATION
     is_short = length <= SAME_MM
@@ -556,7 +584,7 @@ def _arcs(rows: LineStates, moves: Moves, circular: Ints) -> Arcs:
 
 
 def _motions(
-    selected: _MotionMoves,
+    motion_moves: _MotionMoves,
     rows: LineStates,
     modes: Modes,
     swivel: Swivel | None,
@@ -567,16 +595,23 @@ def _motions(
 
     :param swivel: rotation of the tool; None: there are no rotary axes.
     """
-    moves, index = selected.moves, selected.index
+    moves, index = motion_moves.moves, motion_moves.index
     row, code, home = moves.row[index], moves.code[index], moves.home[index]
-    kind = np.where(selected.is_free, PTP, np.where(code < 2.0, LIN, CIRC))
+    kind = np.where(motion_moves.is_free, PTP, np.where(code < 2.0, LIN, CIRC))
     frame = take_rows(moves.frame, index)
     joints = np.broadcast_to(np.nan, (len(index), 6))  # takes no memory
     if home.any() and cell_frames.home is not None:
         joints = joints.copy()
         joints[home] = speeds.home
-    arcs = _arcs_in_base(selected, kind, frame)
-    feed = _speeds_of(rows, row, code == 0.0, selected.is_rotation, selected.length, speeds)
+    arcs = _arcs_in_base(motion_moves, kind, frame)
+    feed = _speeds_of(
+        rows,
+        row,
+        is_rapid=code == 0.0,
+        is_rotation=motion_moves.is_rotation,
+        length=motion_moves.length,
+        speeds=speeds,
+    )
     feed[kind == PTP] = np.nan
     blend, rounding = _corner_distances(modes, row, moves.bottom[index], speeds)
     unset = constant(-1, len(index))
@@ -644,7 +679,7 @@ def _rotations(frames: Array, frame: Ints, swivel: Swivel | None, orientation: A
     return np.broadcast_to(frames[0, :3, :3] @ orientation, (len(frame), 3, 3))
 
 
-def _arcs_in_base(selected: _MotionMoves, kind: Ints, frame: Ints) -> ArcColumns:
+def _arcs_in_base(motion_moves: _MotionMoves, kind: Ints, frame: Ints) -> ArcColumns:
     """Return the arcs of motions in `$BASE`.
 
     :param kind: (M,) of each motion; `frame`: (M,) its row of the program frames.
@@ -653,8 +688,8 @@ def _arcs_in_base(selected: _MotionMoves, kind: Ints, frame: Ints) -> ArcColumns
     arc_motions = np.flatnonzero(kind == CIRC)
     if not len(arc_motions):
         return ArcColumns(empty, empty, empty[:, 0])
-    arcs, frames = selected.arcs, selected.moves.frames
-    arc_rows = np.searchsorted(selected.circular, selected.index[arc_motions])
+    arcs, frames = motion_moves.arcs, motion_moves.moves.frames
+    arc_rows = np.searchsorted(motion_moves.circular, motion_moves.index[arc_motions])
     columns = ArcColumns(empty.copy(), empty.copy(), empty[:, 0].copy())
     columns.centre[arc_motions] = _points_in_base(frames, frame[arc_motions], arcs.centre[arc_rows])
     columns.normal[arc_motions] = np.einsum("nij,nj->ni", frames[frame[arc_motions], :3, :3], arcs.normal[arc_rows])
@@ -662,17 +697,19 @@ def _arcs_in_base(selected: _MotionMoves, kind: Ints, frame: Ints) -> ArcColumns
     return columns
 
 
-def _speeds_of(rows: LineStates, row: Ints, rapid: Bools, is_rotation: Bools, length: Array, speeds: Speeds) -> Array:
+def _speeds_of(
+    rows: LineStates, row: Ints, *, is_rapid: Bools, is_rotation: Bools, length: Array, speeds: Speeds
+) -> Array:
     """Return the speeds of motions (M,) [m/s].
 
     :param row: (M,) line of each motion; `length`: (M,) [mm].
-    :param rapid: (M,) motions of G0; `is_rotation`: (M,) motions that only rotate the tool.
+    :param is_rapid: (M,) motions of G0; `is_rotation`: (M,) motions that only rotate the tool.
     """
     per_minute = rows.feed[row]  # [mm/min]; in G93 [1/min]
-    is_inverse_time = rows.inverse_time[row] & ~rapid
+    is_inverse_time = rows.inverse_time[row] & ~is_rapid
     per_minute[is_inverse_time] *= length[is_inverse_time]
     per_minute[is_inverse_time & is_rotation] = speeds.rapid * S_PER_MIN / M_PER_MM  # the speed of rotation counts
-    return np.where(rapid, speeds.rapid, per_minute * (M_PER_MM / S_PER_MIN))
+    return np.where(is_rapid, speeds.rapid, per_minute * (M_PER_MM / S_PER_MIN))
 
 
 def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:

@@ -185,7 +185,7 @@ def _executed_program(
         events=events,
         swivel=path.swivel,
         unforced=path.unforced,
-        still=distinct(run.main[path.still]),
+        still=distinct(run.main[path.still_rows]),
         issues=(
             *_program_issues(run, path, modes, document.text, comments),
             *([Issue("info", "absolute-centres", _ABSOLUTE)] if absolute else []),
@@ -220,7 +220,7 @@ def _checked_path(
         raise combined_error([*_errors(run, faults), *force_faults])
     if not len(path.motions):
         advice = "Check that the file is the right one and complete."
-        if len(path.held_back):
+        if len(path.held_back_rows):
             advice = "There are rapid moves, but X, Y and Z are never all programmed."
         raise ProgramError("the program moves nothing", file=run.documents[0].name, advice=advice)
     return path
@@ -356,11 +356,11 @@ def _events(
     """
     entries = [_Entry(row, _COMMENT_ORDER, "comment", text=text) for row, text in comments if isinstance(text, str)]
     entries += [
-        _Entry(event.row, _STOP_ORDER if event.after else _EVENT_ORDER, event.kind, event.value)
+        _Entry(event.row, _STOP_ORDER if event.is_after_motion else _EVENT_ORDER, event.kind, event.value)
         for event in modes.row_events
     ]
     entries += [
-        _Entry(row, _EVENT_ORDER, event.kind, event.value or _spindle_speed(modes, row, event.kind), before=motion)
+        _Entry(row, _EVENT_ORDER, event.kind, event.value or _spindle_speed(modes, row, event.kind), motion=motion)
         for motion, row, event in path.events
     ]
     entries.sort(key=attrgetter("row", "order"))
@@ -368,7 +368,7 @@ def _events(
     next_motions = np.searchsorted(path.row, next_rows).tolist()
     events = tuple(
         Event(
-            before=motion if entry.before is None else entry.before,
+            before=motion if entry.motion is None else entry.motion,
             kind=entry.kind,
             line=int(run.main[entry.row]),
             value=entry.value,
@@ -394,7 +394,7 @@ class _Entry(NamedTuple):
 
     :param row: of the line; `order` within it.
     :param kind, value, text: see `Event`.
-    :param before: motion that it precedes, if it is one of a cycle; None: that follows from its line.
+    :param motion: motion that it precedes, if it is one of a cycle; None: that follows from its line.
     """
 
     row: int
@@ -402,7 +402,7 @@ class _Entry(NamedTuple):
     kind: EventKind
     value: float = 0.0
     text: str = ""
-    before: int | None = None
+    motion: int | None = None
 
 
 def _spindle_speed(modes: Modes, row: int, kind: str) -> float:
@@ -442,11 +442,11 @@ def _issues(path: MotionPath, modes: Modes, text: str) -> Iterator[Issue]:
         yield _unit_issue(path, text)
     for remark in path.remarks:
         yield Issue(remark.level, remark.kind, remark.message, remark.row + 1)
-    if len(path.held_back):
+    if len(path.held_back_rows):
         message = "Moves are held back until X, Y and Z are all known."
-        lines = tuple((path.held_back + 1).tolist())
+        lines = tuple((path.held_back_rows + 1).tolist())
         yield Issue("info", "start-position", message, lines[0], count=len(lines), lines=lines)
-    null_rows = np.setdiff1d(path.still, path.held_back, assume_unique=True)
+    null_rows = np.setdiff1d(path.still_rows, path.held_back_rows, assume_unique=True)
     if len(null_rows):
         message = "A move of zero length is left out."
         lines = tuple((null_rows + 1).tolist())

@@ -64,7 +64,9 @@ def _tool_changes(source: Source) -> Iterator[tuple[int, int]]:
 
 
 def _code_words(code: bytes) -> Iterator[str]:
-    """Yield the G, M and T words of a text as codes are written, ``G54`` for ``G054.0``; those without a number are none.
+    """Yield the G, M and T words of a text as codes are written: ``G54`` for ``G054.0``.
+
+    A word without a valid number is left out.
 
     :param code: packed lines, see `Source.code`.
     """
