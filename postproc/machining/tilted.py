@@ -176,27 +176,42 @@ def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) 
     """
     axes, is_axial = local_axes(path.heading, path.axis)
     edge_axes = axes.copy()
-    edge_axes[:, :, 1] *= hand[:, None]
-    sine, cosine = np.sin(turn.phi), np.cos(turn.phi)
-    rise = np.where(np.isfinite(turn.rise), turn.rise, 0.0)
-    edge_points = np.stack([turn.radius * sine, turn.radius * cosine, turn.low + 0.5 * rise]).astype(np.float32)
-    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.axial**2, 0.0))
-    normal = np.stack([turn.front, sine_of_kappa * cosine, -turn.axial]).astype(np.float32)
+    edge_axes[:, :, 1] *= hand[:, None]  # M4 mirrors the turn of the edge
+    edge_points = _edge_points(turn)
     point = path.tip.astype(np.float32)[:, None] + np.einsum("nik,kp->npi", edge_axes.astype(np.float32), edge_points)
-    travel = np.nan_to_num(path.pace * tooth)[:, None] * np.einsum("nik,ni->nk", edge_axes, path.heading)
-    axis_step = tooth[:, None] * np.einsum("nik,ni->nk", edge_axes, path.swing)
-    # the points of a tool whose axis changes by e move by e h − a (e·r)
-    travel_row, axis_step_row = travel.astype(np.float32), axis_step[:, :2].astype(np.float32)
-    middle, change = (
-        travel_row @ direction + axis_step_row @ (direction[:2] * point[2] - direction[2] * point[:2])
-        for direction, point in ((normal, edge_points), (turn.tangent[turn.round].T, edge_points[:, turn.round]))
-    )
-    chip = Chips.of(turn, middle, change)
+    chip = _tilted_chips(turn, path, edge_axes, edge_points, tooth)
     engagement = tilted_cut_edge(stock, turn, point, edge_axes)
     descent_sine = np.maximum(-np.einsum("ni,ni->n", path.heading, path.axis), 0.0).astype(np.float32)
     # a cell of the map is cell² / cos(tilt) on a surface square to the tool: a square as large has this width
     turn_loads = mean_loads(turn, engagement, chip, descent_sine, stock.cell / np.sqrt(path.axis[:, 2]))
     return TiltedLoads(turn_loads, engagement.length * chip.share, is_axial)
+
+
+def _edge_points(turn: Turn) -> Floats:
+    """Return the middles (3, P) of the pieces of edge over a turn, in the axes of the tool from its tip [m]."""
+    rise = np.where(np.isfinite(turn.rise), turn.rise, 0.0)
+    x, y = turn.radius * np.sin(turn.phi), turn.radius * np.cos(turn.phi)
+    return np.stack([x, y, turn.low + 0.5 * rise]).astype(np.float32)
+
+
+def _tilted_chips(turn: Turn, path: TiltedPath, edge_axes: Array, edge_points: Floats, tooth: Array) -> Chips:
+    """Return the chips of a tool that leans or turns: its edge moves by travel and turn from one tooth to the next.
+
+    :param edge_axes: (S, 3, 3) axes of the edge as columns, frame of the map; mirrored for M4.
+    :param edge_points: (3, P) middles of the pieces of edge in these axes, from the tip [m].
+    :param tooth: (S,) time from one tooth to the next [s].
+    """
+    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.axial**2, 0.0))
+    normal = np.stack([turn.front, sine_of_kappa * np.cos(turn.phi), -turn.axial]).astype(np.float32)
+    travel = np.nan_to_num(path.pace * tooth)[:, None] * np.einsum("nik,ni->nk", edge_axes, path.heading)
+    axis_step = tooth[:, None] * np.einsum("nik,ni->nk", edge_axes, path.swing)
+    travel_row, axis_step_row = travel.astype(np.float32), axis_step[:, :2].astype(np.float32)
+    # a point r of a tool with axis a, at height h = a·r, moves by e h − a (e·r) where the axis changes by e
+    middle, change = (
+        travel_row @ direction + axis_step_row @ (direction[:2] * point[2] - direction[2] * point[:2])
+        for direction, point in ((normal, edge_points), (turn.tangent[turn.round].T, edge_points[:, turn.round]))
+    )
+    return Chips.of(turn, middle, change)
 
 
 class SweptCells(Struct, frozen=True, eq=False):

@@ -100,21 +100,13 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: ProbedSur
     slope = np.einsum("ni,ni->n", probe_data.normal, axis)
     is_floor, is_wall = slope > _FLOOR_COSINE, np.abs(slope) < _WALL_COSINE
     offset = np.where(is_floor, np.abs(height), norm(radial + radius * probe_data.normal))
-    is_impossible = (
-        ~(is_floor | is_wall)
-        | ~(offset < _SURFACE_TOLERANCE)
-        | (norm(radial) > radius + _SURFACE_TOLERANCE)
-        | (height < -_SURFACE_TOLERANCE)
+    is_possible = (
+        (is_floor | is_wall)
+        & (offset < _SURFACE_TOLERANCE)
+        & (norm(radial) <= radius + _SURFACE_TOLERANCE)
+        & (height >= -_SURFACE_TOLERANCE)
     )
-    is_impossible &= ~is_gauge  # a gauge may be anywhere on the tool
-    if is_impossible.any():
-        k = int(np.argmax(is_impossible))
-        raise MeasurementError(
-            f"{probe_data.name[k]}: the tool makes no surface with this normal at this point",
-            file=probe_data.file,
-            line=int(probe_data.row[k]),
-            advice="Points are on walls along the axis of a flat end mill, or on the floor below it.",
-        )
+    _check_points(probe_data, is_possible | is_gauge)  # a gauge may be anywhere on the tool
     weight = weights(probe_data.normal, lever, axis, travel, radius)
     gauge_weight = np.concatenate([probe_data.normal, np.cross(lever, probe_data.normal)], axis=1)
     weight[is_gauge] = gauge_weight[is_gauge, None]
@@ -123,6 +115,23 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: ProbedSur
     rotation = np.broadcast_to(toolpath.base_of(program, motion)[..., :3, :3], (len(motion), 3, 3))
     wall = (is_wall & ~is_gauge).astype(float)
     return Surfaces(motion, probe_data.t, turn_weights(rotation, weight), wall, weight_wrench, probe_data.point)
+
+
+def _check_points(probe_data: ProbedSurfaces, is_possible: Bools) -> None:
+    """Refuse points that the tool does not make.
+
+    :param is_possible: (n,) True for points that the tool makes.
+    :raises MeasurementError: there are others; it names the first one.
+    """
+    if is_possible.all():
+        return
+    k = int(np.argmin(is_possible))
+    raise MeasurementError(
+        f"{probe_data.name[k]}: the tool makes no surface with this normal at this point",
+        file=probe_data.file,
+        line=int(probe_data.row[k]),
+        advice="Points are on walls along the axis of a flat end mill, or on the floor below it.",
+    )
 
 
 def _motions_of(program: Program, probe_data: ProbedSurfaces, is_gauge: Bools) -> Ints:
@@ -313,13 +322,11 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, new
         path.wrench_in_root(rows),
     )
     motion, t = path.sample.motion, path.sample.t
-    index = np.array(
-        [
-            int(np.flatnonzero(motion == row)[np.argmin(np.abs(t[motion == row] - share))])
-            for row, share in zip(new_surfaces.motion.tolist(), new_surfaces.t.tolist(), strict=True)
-        ]
-    )
-    at = replace(path_states.take(index), weight_wrench=new_surfaces.weight_wrench)
+    nearest_samples = []
+    for surface_motion, surface_t in zip(new_surfaces.motion.tolist(), new_surfaces.t.tolist(), strict=True):
+        samples = np.flatnonzero(motion == surface_motion)
+        nearest_samples.append(int(samples[np.argmin(np.abs(t[samples] - surface_t))]))
+    at = replace(path_states.take(np.array(nearest_samples)), weight_wrench=new_surfaces.weight_wrench)
     return Cut(at, path_states, motion, t, path.sample.pose.position, program)
 
 

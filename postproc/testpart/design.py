@@ -8,6 +8,7 @@ Features are taken one by one, each the one that gains most for its time, and th
 
 from __future__ import annotations
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -252,10 +253,7 @@ def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array],
     angles = 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES
     all_features = [
         Feature(kind, float(x), float(y), float(angle))
-        for kind in kinds
-        for x in x_positions
-        for y in y_positions
-        for angle in angles
+        for kind, x, y, angle in product(kinds, x_positions, y_positions, angles)
     ]
     fitting = [feature for feature in all_features if _is_in_box(feature, cutting, box)]
     if not fitting:

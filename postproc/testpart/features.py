@@ -150,7 +150,7 @@ def passes(kind: Kind, cutting: Cutting) -> list[Pass]:
     along the half u > 0, whose surfaces are the reference.
     """
     long, deep, step = half_length(cutting.diameter), -kind.depth, _STEP * cutting.diameter * kind.side
-    moves = [
+    groove_moves = [
         Pass((long, 0.0, _CLEAR), 0.0),
         Pass((long, 0.0, _ENTRY), _PLUNGE),
         Pass((0.0, 0.0, 0.5 * deep), _PLUNGE),
@@ -159,15 +159,21 @@ def passes(kind: Kind, cutting: Cutting) -> list[Pass]:
         Pass((-long, 0.0, deep), 1.0, "groove"),
         Pass((-long, 0.0, _CLEAR), 0.0),
     ]
-    if kind.side:
-        moves += [
-            Pass((long, 0.0, _CLEAR), 0.0),
-            Pass((long, 0.0, deep), _PLUNGE),
-            Pass((long, step, deep), _PLUNGE),
-            Pass((0.0, step, deep), 1.0),
-            Pass((-long, step, deep), 1.0, "step"),
-            Pass((-long, step, _CLEAR), 0.0),
-        ]
+    step_moves = [
+        Pass((long, 0.0, _CLEAR), 0.0),
+        Pass((long, 0.0, deep), _PLUNGE),
+        Pass((long, step, deep), _PLUNGE),
+        Pass((0.0, step, deep), 1.0),
+        Pass((-long, step, deep), 1.0, "step"),
+        Pass((-long, step, _CLEAR), 0.0),
+    ]
+    return [*groove_moves, *(step_moves if kind.side else []), *_trimming_moves(kind, cutting)]
+
+
+def _trimming_moves(kind: Kind, cutting: Cutting) -> list[Pass]:
+    """Return the moves that trim walls and floor of the half u > 0, from above the block to above the block."""
+    long, deep, step = half_length(cutting.diameter), -kind.depth, _STEP * cutting.diameter * kind.side
+    moves = []
     for number, (side, floor) in enumerate(cutting.trims):
         high, low, trim_depth = max(step, 0.0) + side, min(step, 0.0) - side, deep - floor
         last = number == len(cutting.trims) - 1
@@ -335,16 +341,30 @@ def touch_off_places(features: Sequence[Feature], cutting: Cutting, low: Array, 
     return np.column_stack([places, np.full(len(places), cutting.top)])
 
 
-class _Lines(Struct, frozen=True):
-    """Lines of a program, and the points that are probed where they cut.
+class _ProgramPoint(Struct, frozen=True, eq=False):
+    """A probed point, or a reading of a gauge, with the line of the program whose motion makes it.
 
-    :param text: lines.
-    :param points: name, number of the line (from 1 for the first of these), place on its motion, point and normal in
-        `$BASE`, mass of a weight; the number is 0 for points that no line makes.
+    :param name: of feature and surface, ``F01.left``.
+    :param line: number of the line, from 1 for the first of its block; 0 if no line makes the point.
+    :param t: place on the motion of the line, in [0, 1].
+    :param point: (3,) in `$BASE` [m].
+    :param normal: (3,) out of the material; of a gauge the direction in which it reads positive.
+    :param mass: of the weight on the tool [kg]; 0 at probed points.
     """
 
-    text: list[str]
-    points: list[tuple[str, int, float, Array, Array, float]]
+    name: str
+    line: int
+    t: float
+    point: Array
+    normal: Array
+    mass: float = 0.0
+
+
+class _Block(Struct, frozen=True):
+    """Consecutive lines of a program, and the points that are probed where they cut."""
+
+    lines: list[str]
+    points: list[_ProgramPoint]
 
 
 def program(
@@ -359,39 +379,39 @@ def program(
 ) -> Program:
     """Return the G-code of a part with some features, and the points to be probed.
 
-    :param mass: of a weight [kg] that is hung on the tool at places `weight_places` (n, 3) in `$BASE`, after cutting.
-    :param touches: (k, 3) touch-off points on the uncut top, `$BASE` [m].
+    :param mass: of a weight [kg] that is hung on the tool at places `weight_places` (n, 3) in `$BASE` [m], after
+        cutting; None: no weight.
+    :param touches: (k, 3) touch-off points on the uncut top, `$BASE` [m]; None: there are none.
     :param first: numbers of the first feature, of the first of these places and of the first touch-off point.
-    :param placement_title: the placement of the block, for the operator.
+    :param placement_title: the placement of the block, for the operator; empty: there is one only.
     """
     no_points = np.zeros((0, 3))
     blocks = [_head(cutting, no_points if touches is None else touches, first[2], placement_title)]
     for number, feature in enumerate(features, start=first[0]):
         blocks.append(_feature_lines(number, feature, cutting, has_height=number > first[0]))
     count = len(blocks) - 1
-    blocks.append(_Lines([f"G0 Z{(cutting.top + 4.0 * _CLEAR) * MM_PER_M:.4f}", "M5"], []))
+    blocks.append(_Block([f"G0 Z{(cutting.top + 4.0 * _CLEAR) * MM_PER_M:.4f}", "M5"], []))
     blocks.append(_stops(mass, no_points if weight_places is None else weight_places, first[1]))
     lines: list[str] = []
-    points = []
+    line_numbers: list[int] = []
     for block in blocks:
         # lines count from the start of their block; 0, a point that no line makes, stays 0
-        points += [(name, line and line + len(lines), *values) for name, line, *values in block.points]
-        lines += block.text
-    # columns of the points; a program without points has six empty ones
-    names, line_numbers, t, positions, normals, masses = zip(*points, strict=True) if points else [()] * 6
+        line_numbers += [point.line + len(lines) if point.line else 0 for point in block.points]
+        lines += block.lines
+    points = [point for block in blocks for point in block.points]
     return Program(
-        "\n".join([*lines, "M30", ""]),
-        count,
-        tuple(names),
-        np.array(line_numbers, dtype=np.int64),
-        np.array(t, dtype=float),
-        np.array(positions).reshape(-1, 3),
-        np.array(normals).reshape(-1, 3),
-        np.array(masses, dtype=float),
+        text="\n".join([*lines, "M30", ""]),
+        features=count,
+        feature=tuple(point.name for point in points),
+        line=np.array(line_numbers, dtype=np.int64),
+        t=np.array([point.t for point in points], dtype=float),
+        point=np.array([point.point for point in points]).reshape(-1, 3),
+        normal=np.array([point.normal for point in points]).reshape(-1, 3),
+        mass=np.array([point.mass for point in points], dtype=float),
     )
 
 
-def _head(cutting: Cutting, touches: Array, first: int, placement_title: str) -> _Lines:
+def _head(cutting: Cutting, touches: Array, first: int, placement_title: str) -> _Block:
     """Return the first lines of the program: comments for the operator with the touch-off points, tool and spindle.
 
     :param touches: (k, 3) touch-off points in `$BASE` [m]; `first` number of the first one.
@@ -408,12 +428,12 @@ def _head(cutting: Cutting, touches: Array, first: int, placement_title: str) ->
     for number, touch in enumerate(touches, start=first):
         x, y, z = without_negative_zero(touch * MM_PER_M).tolist()
         lines.append(f"(T{number:02d}: X{x:g} Y{y:g} Z{z:g}, left uncut, to be probed with the features)")
-        points.append((f"T{number:02d}.top", 0, 0.0, touch, np.array([0.0, 0.0, 1.0]), 0.0))
+        points.append(_ProgramPoint(f"T{number:02d}.top", 0, 0.0, touch, np.array([0.0, 0.0, 1.0])))
     lines += ["G21 G90 G17 G94", f"T{cutting.tool} M6", f"S{cutting.rpm:g} M3"]
-    return _Lines(lines, points)
+    return _Block(lines, points)
 
 
-def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_height: bool) -> _Lines:
+def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_height: bool) -> _Block:
     """Return the G-code lines that cut a feature, and the points to be probed on it.
 
     :param number: of the feature.
@@ -436,11 +456,11 @@ def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_heigh
         share = float((probe.point[0] - begin[0]) / (end[0] - begin[0]))
         point = to_base(feature, cutting.top, np.array([probe.point]))[0]
         normal = to_base(feature, cutting.top, np.array([probe.normal]), is_direction=True)[0]
-        points.append((f"{name}.{probe.name}", line, share, point, normal, 0.0))
-    return _Lines(lines, points)
+        points.append(_ProgramPoint(f"{name}.{probe.name}", line, share, point, normal))
+    return _Block(lines, points)
 
 
-def _stops(mass: float, places: Array, first: int) -> _Lines:
+def _stops(mass: float, places: Array, first: int) -> _Block:
     """Return the G-code lines of the stops at which a weight is hung on the tool, and the readings of the gauge.
 
     :param mass: of the weight [kg]; `places` (n, 3) of the tip in `$BASE` [m]; `first` number of the first place.
@@ -450,6 +470,6 @@ def _stops(mass: float, places: Array, first: int) -> _Lines:
         x, y, z = (place * MM_PER_M).tolist()
         lines.append(f"(W{number:02d}: set the gauge to 0, hang {mass:g} kg on the tool, read)")
         lines += [*([f"G0 Z{z:.4f}"] if number == first else []), f"G0 X{x:.4f} Y{y:.4f}"]
-        points.append((f"W{number:02d}.gauge", len(lines), 1.0, place, np.array([0.0, 0.0, -1.0]), mass))
+        points.append(_ProgramPoint(f"W{number:02d}.gauge", len(lines), 1.0, place, np.array([0.0, 0.0, -1.0]), mass))
         lines.append("M0")
-    return _Lines(lines, points)
+    return _Block(lines, points)

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import combinations
 from math import erfc, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -202,7 +203,7 @@ def _chance(score: Array, information: Array) -> float:
         covariance.
     """
     variance = np.diag(information)
-    is_testable = variance > 1e-9 * variance.max()
+    is_testable = variance > 1e-9 * variance.max()  # others are zero but for rounding
     largest_score = float((np.abs(score[is_testable]) / np.sqrt(variance[is_testable])).max(initial=0.0))
     return min(1.0, int(is_testable.sum()) * erfc(largest_score / sqrt(2.0)))
 
@@ -233,6 +234,21 @@ class _Estimate(Struct, frozen=True, eq=False):
     local: LinearPrediction | None = None
 
 
+class _PriorPrediction(NamedTuple):
+    """Prediction of the prior model under the forces of the tool that the first solution deflects.
+
+    :param local: the linear model at the prior, for k readings.
+    :param rows: (k,) ascending numbers of these readings among all that were read.
+    """
+
+    local: LinearPrediction
+    rows: Ints
+
+    def of(self, rows: Ints) -> LinearPrediction:
+        """Return the prediction for readings (n,), all of which are among these."""
+        return self.local.take(np.searchsorted(self.rows, rows))
+
+
 def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: CutAt) -> tuple[Fit, tuple[str, ...]]:
     """Return the fit of a model to a part, without gross errors, with undetermined parameters at their prior values.
 
@@ -243,38 +259,35 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
     whole = prior.covariance
     no_change = np.zeros(len(prior.parameters))
     states = cut_at(prior.robot, 1.0, ())
-    local = linearise(prior, readings, states, robot_in_cell, no_change, 1.0)
+    local = linearise(prior, readings, states, robot_in_cell, z=no_change, scale=1.0)
     _check_size(readings, local)
     exchanged_pair = swapped_features(prior, readings, local)
     estimate = _Estimate(readings, np.arange(len(readings.probed)), (), np.diag(whole) > 0.0, states, no_change, 1.0)
     max_outliers = int(_MOST_OUTLIERS * len(readings.probed))
-    prior_prediction_and_rows, change = None, np.inf
+    prior_prediction: _PriorPrediction | None = None
+    change = np.inf
     for _ in range(_ROUNDS):
         estimate = _solve(prior, robot_in_cell, estimate)
-        if (
-            smaller_estimate := _remove_outlier(estimate, whole, max_outliers) or _hold_parameters(estimate, whole)
-        ) is not None:
+        smaller_estimate = _remove_outlier(estimate, whole, max_outliers) or _hold_parameters(estimate, whole)
+        if smaller_estimate is not None:
             estimate = smaller_estimate
             continue
         z, scale, local = estimate.z, estimate.scale, _local(estimate)
         heights = _heights(_lifts(estimate, whole), MOST_LIFT * readings.least_depth)
         states = cut_at(prior.robot_with_change(z), scale, heights).take(estimate.rows)
-        if prior_prediction_and_rows is None:  # the tool of the prior model deflects by nearly as much
-            prior_prediction_and_rows = (
-                linearise(prior, estimate.readings, states, robot_in_cell, no_change, 1.0),
-                estimate.rows,
-            )
-        value = linearise(prior, estimate.readings, states, robot_in_cell, z, scale).value
+        if prior_prediction is None:  # the tool of the prior model deflects by nearly as much
+            prior_local = linearise(prior, estimate.readings, states, robot_in_cell, z=no_change, scale=1.0)
+            prior_prediction = _PriorPrediction(prior_local, estimate.rows)
+        value = linearise(prior, estimate.readings, states, robot_in_cell, z=z, scale=scale).value
         change = float(np.sqrt(np.mean((value - local.value) ** 2)))
         estimate = replace(estimate, states=states)
         if change < _CONVERGENCE_RMS:
             break
-    if not change < _LARGEST_RESIDUAL or prior_prediction_and_rows is None:
+    if not change < _LARGEST_RESIDUAL or prior_prediction is None:
         raise MeasurementError(
             "the fit of the test part does not settle", file=readings.probed.file, advice="Check the deviations."
         )
-    prior_linear, prior_rows = prior_prediction_and_rows
-    prior_linear = prior_linear.take(np.searchsorted(prior_rows, estimate.rows))
+    prior_linear = prior_prediction.of(estimate.rows)
     return _fit_at_end(prior, estimate, prior_linear, exchanged_pair), estimate.outliers
 
 
@@ -287,7 +300,13 @@ def _local(estimate: _Estimate) -> LinearPrediction:
 def _solve(prior: Prior, robot_in_cell: RobotInCell, estimate: _Estimate) -> _Estimate:
     """Return the estimate with the solution for its fixed forces."""
     local, z, scale, gamma = solve(
-        prior, estimate.readings, estimate.states, robot_in_cell, estimate.z, estimate.scale, estimate.free
+        prior,
+        estimate.readings,
+        estimate.states,
+        robot_in_cell,
+        z=estimate.z,
+        scale=estimate.scale,
+        free=estimate.free,
     )
     return replace(estimate, local=local, z=z, scale=scale, gamma=gamma)
 
@@ -296,7 +315,7 @@ def _remove_outlier(estimate: _Estimate, whole: Array, max_outliers: int) -> _Es
     """Return the estimate without its worst gross error; None if there is none."""
     # with the median of γ before any reading: a gross error enlarges γ, and would hide in it
     error, variance = cross_validation_errors(
-        estimate.readings, _local(estimate), GAMMA, whole, estimate.z, estimate.scale
+        estimate.readings, _local(estimate), GAMMA, whole, z=estimate.z, scale=estimate.scale
     )
     size = np.abs(error) / np.sqrt(variance)
     worst = int(np.argmax(size))
@@ -361,7 +380,7 @@ def _fit_at_end(
     deviation = readings.probed.deviation
     gain = readings.part_covariance(local.by_lift) @ np.linalg.inv(noise_of(readings, local, gamma))
     prior_residual = deviation - prior_linear.value
-    error, variance = cross_validation_errors(readings, local, gamma, whole, estimate.z, scale)
+    error, variance = cross_validation_errors(readings, local, gamma, whole, z=estimate.z, scale=scale)
     jacobian = kinematics.tcp(prior.robot.nominal, states.q, states.tool)[1]
     return Fit(
         prior=prior,
@@ -431,13 +450,18 @@ def _likeness(deviation: Array, prediction: Array, noise: Array) -> float:
 
 
 def _other_sides(names: Sequence[str]) -> Ints:
-    """Return the rows (n,) of the same features with ``left`` and ``right`` exchanged; of other surfaces, their own."""
+    """Return the rows (n,) of the same features with ``left`` and ``right`` exchanged.
+
+    Surfaces without an opposite one that was probed keep their own row.
+
+    :param names: of feature and surface, ``F01.left``.
+    """
     row_of = {name: row for row, name in enumerate(names)}
-    other = {"left": "right", "right": "left"}
+    opposite = {"left": "right", "right": "left"}
     rows = []
     for row, name in enumerate(names):
         feature, _, surface = name.partition(".")
-        rows.append(row_of.get(f"{feature}.{other.get(surface, surface)}", row))
+        rows.append(row_of.get(f"{feature}.{opposite.get(surface, surface)}", row))
     return np.array(rows)
 
 

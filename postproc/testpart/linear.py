@@ -48,10 +48,11 @@ class LinearPrediction(Columns, frozen=True, eq=False):
 
 
 def linearise(
-    prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, z: Array, scale: float
+    prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, *, z: Array, scale: float
 ) -> LinearPrediction:
     """Return predicted deviations and their derivatives at values of the unknowns.
 
+    :param states: of the robot where the surfaces are made, with the forces.
     :param z: (p,) change of the parameters from the prior, units of files; `scale` factor of the forces.
     :raises MeasurementError: the springs have no equilibrium under the forces.
     """
@@ -105,7 +106,7 @@ class Solution(NamedTuple):
 
 
 def solve(
-    prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, z: Array, scale: float, free: Bools
+    prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, *, z: Array, scale: float, free: Bools
 ) -> Solution:
     """Return the most probable unknowns for fixed forces.
 
@@ -119,7 +120,7 @@ def solve(
     prior_covariance = prior.covariance
     gamma = 0.0
     for _ in range(_ROUNDS):
-        local = linearise(prior, readings, states, robot_in_cell, z, scale)
+        local = linearise(prior, readings, states, robot_in_cell, z=z, scale=scale)
         last_solution = np.append(z, scale - 1.0)
         target = readings.probed.deviation - local.value + local.slopes @ last_solution
         gamma = unmodelled_share(readings, local, prior_covariance, target)
@@ -129,7 +130,7 @@ def solve(
         z, scale = solution[:-1], max(1.0 + float(solution[-1]), MIN_SHARE)
         if float(np.abs(local.slopes @ (solution - last_solution)).max()) < _STEP_TOLERANCE:
             break
-    return Solution(linearise(prior, readings, states, robot_in_cell, z, scale), z, scale, gamma)
+    return Solution(linearise(prior, readings, states, robot_in_cell, z=z, scale=scale), z, scale, gamma)
 
 
 def unmodelled_share(readings: Readings, local: LinearPrediction, whole: Array, target: Array) -> float:
@@ -169,7 +170,7 @@ def posterior(readings: Readings, local: LinearPrediction, gamma: float, whole: 
 
 
 def cross_validation_errors(
-    readings: Readings, local: LinearPrediction, gamma: float, whole: Array, z: Array, scale: float
+    readings: Readings, local: LinearPrediction, gamma: float, whole: Array, *, z: Array, scale: float
 ) -> tuple[Array, Array]:
     """Return the error (n,) of each point predicted from all others [m], and its variance (n,) [m²].
 

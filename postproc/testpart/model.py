@@ -189,14 +189,14 @@ def agreement(fit: Fit, prior: Prior, outliers: tuple[str, ...] = ()) -> Agreeme
             "seen: give the process with the material.toml of the model"
         )
     return Agreement(
-        surprise.chi2 <= largest_chi2 and not is_changed and not fault,
-        fault,
-        line,
-        round(surprise.chi2, 2),
-        count,
-        round(surprise.chance, 4),
-        changes,
-        warnings,
+        holds=surprise.chi2 <= largest_chi2 and not is_changed and not fault,
+        fault=fault,
+        line=line,
+        chi2=round(surprise.chi2, 2),
+        points=count,
+        chance=round(surprise.chance, 4),
+        drifted=changes,
+        warnings=warnings,
     )
 
 
@@ -225,11 +225,11 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
         unmodelled_percent=round(100.0 * fit.gamma, 2),
         discrepancy=[
             CrossValidation(
-                float(level),
-                _rms_mm(fit.error),
-                readings.sigma * MM_PER_M,
-                _rms_mm(fit.spread),
-                float(bound) * MM_PER_M,
+                load_N=float(level),
+                held_out_mm=_rms_mm(fit.error),
+                noise_mm=readings.sigma * MM_PER_M,
+                own_mm=_rms_mm(fit.spread),
+                u95_mm=float(bound) * MM_PER_M,
             )
             for level, bound in zip(load, u95, strict=True)
         ],

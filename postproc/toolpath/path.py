@@ -161,9 +161,28 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
         begin, end = start.at(rows), m.target.take(rows)
         return norm(end.position - begin[:, :3, 3]), angle_between(begin[:, :3, :3], end.rotation)
 
-    length, turn = in_chunks(chord, np.arange(len(m)))
-    if not turn.any():
-        turn = constant(0.0, len(m))
+    length, shortest_turn = in_chunks(chord, np.arange(len(m)))
+    arcs = _arcs(program, start)
+    length[arcs.motion] = np.hypot(norm(arcs.radial) * arcs.sweep, norm(arcs.climb))
+    length[m.kind == PTP] = 0.0
+    return Segments(
+        start=start,
+        end=m.target.position,
+        length=length,
+        travel=length if program.carriage is None else np.maximum(length, program.carriage.travel),
+        turn=_turns(program, start, shortest_turn),
+        arcs=arcs,
+    )
+
+
+def _turns(program: Program, start: Starts, shortest_turn: Array) -> Array:
+    """Return how far the tool turns on each motion (M,) [rad], an upper bound: see `Segments.turn`.
+
+    :param start: tool frames where the motions start.
+    :param shortest_turn: (M,) angle between the orientations at start and end [rad].
+    """
+    m = program.motions
+    turn = shortest_turn if shortest_turn.any() else constant(0.0, len(m))
     if program.turning is not None:
         turn = np.maximum(turn, program.turning.travel)
     if program.with_path is not None:
@@ -172,11 +191,7 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
         orientation_from_path = _turn_back(program, rows, m.sweep[rows], m.target[rows, :3, :3])
         # the turn of the path and that relative to it: their sum is an upper bound
         turn[rows] = m.sweep[rows] + angle_between(start.at(rows)[:, :3, :3], orientation_from_path)
-    arcs = _arcs(program, start)
-    length[arcs.motion] = np.hypot(norm(arcs.radial) * arcs.sweep, norm(arcs.climb))
-    length[m.kind == PTP] = 0.0
-    travel = length if program.carriage is None else np.maximum(length, program.carriage.travel)
-    return Segments(start, m.target.position, length, travel, turn, arcs)
+    return turn
 
 
 def _arcs(program: Program, start: Starts) -> Arcs:
@@ -204,13 +219,25 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     the arc where `Program.with_path` is set. PTP: from joint interpolation (`Segments.joint_moves`); without a
     robot, its end everywhere. A piece of a spline is represented by its chord.
     """
+    pose = program.motions.target.take(motion)
+    _move_to_places(program, path, motion, t, pose.position)
+    return Toolpath(
+        motion, t, Poses(pose.position, _rotations(program, path, motion, t, pose)), path.length[motion] * t
+    )
+
+
+def _rotations(program: Program, path: Segments, motion: Ints, t: Array, end: Poses) -> Array:
+    """Return the orientations (n, 3, 3) of the tool at places (motion, t), `$BASE`; see `at`.
+
+    :param end: n tool frames at the ends of the motions. Their rotations are changed in place, unless these are fixed.
+    """
     m = program.motions
-    pose = m.target.take(motion)
     inner_rows = np.flatnonzero((t < 1.0) & (m.kind[motion] != PTP))
+    joint_move_rows = _axis_interpolated_rows(program, path, motion, t)
     turn = path.turn[motion[inner_rows]]
     small_turn, turning = inner_rows[(turn > 0.0) & (turn < _LEAST_TURN)], inner_rows[turn >= _LEAST_TURN]
-    rotation = pose.rotation
-    if pose.is_fixed and len(small_turn) + len(turning):
+    rotation = end.rotation
+    if end.is_fixed and len(small_turn) + len(turning) + len(joint_move_rows):
         rotation = rotation.copy()
     if len(small_turn):
         start_rotation, end_rotation = path.start.at(motion[small_turn])[:, :3, :3], rotation[small_turn]
@@ -226,12 +253,9 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
     if len(turning):
         rows = motion[turning]
         rotation[turning] = interpolate(path.start.at(rows), m.target[rows], t[turning])[:, :3, :3]
-    _move_to_places(program, path, motion, t, pose.position)
-    joint_move_rows = _axis_interpolated_rows(program, path, motion, t)
     if path.joint_moves is not None and len(joint_move_rows):
-        rotation = rotation.copy() if pose.is_fixed else rotation
         rotation[joint_move_rows] = path.joint_moves.at(motion[joint_move_rows], t[joint_move_rows])[:, :3, :3]
-    return Toolpath(motion, t, Poses(pose.position, rotation), path.length[motion] * t)
+    return rotation
 
 
 def _axis_interpolated_rows(program: Program, path: Segments, motion: Ints, t: Array) -> Ints:

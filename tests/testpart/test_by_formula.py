@@ -111,7 +111,7 @@ def test_errors_of_points_are_those_of_a_prediction_from_all_others():
     rng = np.random.default_rng(4)
     root = rng.normal(size=(3, 3))
     whole, z, scale = root @ root.T, rng.normal(size=2), 1.3
-    error, variance = linear.cross_validation_errors(READINGS, local, 0.01, whole, z, scale)
+    error, variance = linear.cross_validation_errors(READINGS, local, 0.01, whole, z=z, scale=scale)
     covariance = local.slopes @ whole @ local.slopes.T + linear.noise_of(READINGS, local, 0.01)
     offset = READINGS.probed.deviation - local.value + local.slopes @ [*z, 0.3]
     for k in range(COUNT):
@@ -139,7 +139,7 @@ def test_a_prediction_has_the_derivatives_of_its_surfaces(monkeypatch):
         twist_by_lift=lambda place, robot, scale: by_lift if (place, robot, scale) == ("cell", "robot", 1.2) else None,
     )  # fmt: skip
     prior = SimpleNamespace(robot_with_change=lambda z: "robot" if z == "z" else None, order="order", by_file=by_file)
-    found = linear.linearise(prior, read, states, "cell", "z", 1.2)
+    found = linear.linearise(prior, read, states, "cell", z="z", scale=1.2)
     assert calls == [("cell", "robot", "order", 1.2)]
     for n in range(COUNT):
         values = [float(side @ twist[n]) for side in weight[n]]
@@ -178,7 +178,7 @@ def test_the_solution_of_a_linear_model_is_the_most_probable_one(monkeypatch):
         information, local.slopes.T @ np.linalg.solve(noise, READINGS.probed.deviation - local.value)
     )
     for free in (np.ones(3), np.array([1.0, 0.0, 1.0]), np.array([1.0, 1.0, 0.0])):
-        at, z, scale, gamma = linear.solve(prior, READINGS, None, None, np.array([0.3, -0.2]), 1.4, free)
+        at, z, scale, gamma = linear.solve(prior, READINGS, None, None, z=np.array([0.3, -0.2]), scale=1.4, free=free)
         solution = free * expected
         np.testing.assert_allclose(z, solution[:2], rtol=1e-6)
         assert scale == pytest.approx(1.0 + solution[2])
@@ -189,7 +189,7 @@ def test_the_solution_of_a_linear_model_is_the_most_probable_one(monkeypatch):
 def test_the_solution_of_a_bent_model_is_stationary(monkeypatch):
     """The derivative of the sum of squares, with the prior, is zero there."""
     _, prior, linearised = linear_world(monkeypatch, bend=300.0)
-    at, z, scale, _ = linear.solve(prior, READINGS, None, None, np.zeros(2), 1.0, np.ones(3))
+    at, z, scale, _ = linear.solve(prior, READINGS, None, None, z=np.zeros(2), scale=1.0, free=np.ones(3))
     noise = linear.noise_of(READINGS, at, 0.01)
 
     def cost(x):

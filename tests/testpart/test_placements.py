@@ -97,7 +97,7 @@ def test_the_model_predicts_the_surfaces_of_both_placements(folder):
     states = CutForces(parts)
     states(robot_in_cell.robot, 1.0)
     found = linearise(
-        prior, given, states(robot_in_cell.robot, 1.0), robot_in_cell, np.zeros(len(prior.parameters)), 1.0
+        prior, given, states(robot_in_cell.robot, 1.0), robot_in_cell, z=np.zeros(len(prior.parameters)), scale=1.0
     )
     off = found.value - read.deviation
     for number in NUMBERS.values():

@@ -128,7 +128,7 @@ def test_the_model_predicts_the_surfaces_that_the_simulator_cuts(folder):
     zero = np.zeros(len(prior.parameters))
     states = states()
     states(robot_in_cell.robot, 1.0)
-    found = linearise(prior, given, states(robot_in_cell.robot, 1.0), robot_in_cell, zero, 1.0)
+    found = linearise(prior, given, states(robot_in_cell.robot, 1.0), robot_in_cell, z=zero, scale=1.0)
     off = found.value - given.probed.deviation
     assert np.abs(given.probed.deviation).max() > 3e-4
     assert np.sqrt(np.mean(off**2)) < 4e-6
@@ -230,7 +230,7 @@ def test_features_probed_in_each_others_place_are_named(folder, cut):
     """No pair is named where none was exchanged; each pair that was exchanged is."""
     given, robot_in_cell, states = readings(folder, "probed.csv")
     prior, here = Prior.of(robot_in_cell.robot, 0.1), states()(robot_in_cell.robot, 1.0)
-    local = linearise(prior, given, here, robot_in_cell, np.zeros(len(prior.parameters)), 1.0)
+    local = linearise(prior, given, here, robot_in_cell, z=np.zeros(len(prior.parameters)), scale=1.0)
     assert swapped_features(prior, given, local) is None
     rows = {name: row for row, name in enumerate(given.probed.name)}
     features = sorted({name.partition(".")[0] for name in rows})
@@ -347,11 +347,11 @@ def test_derivatives_are_those_of_finite_differences(folder, cut):
     at = states()(robot_in_cell.robot, 1.0)
     sigma = prior.sigma[:-1]
     z = 0.2 * sigma
-    slopes = linearise(prior, given, at, robot_in_cell, z, 1.1).slopes
+    slopes = linearise(prior, given, at, robot_in_cell, z=z, scale=1.1).slopes
     for k in range(len(z) + 1):
         step = np.append(sigma, 1.0) * 0.02 * (np.arange(len(z) + 1) == k)
         more, less = (
-            linearise(prior, given, at, robot_in_cell, z + sign * step[:-1], 1.1 + sign * step[-1]).value
+            linearise(prior, given, at, robot_in_cell, z=z + sign * step[:-1], scale=1.1 + sign * step[-1]).value
             for sign in (1, -1)
         )
         expected = (more - less) / (2.0 * step[k])
@@ -405,7 +405,7 @@ def test_parameters_that_are_held_keep_their_value_and_spread(folder, cut, held)
     given, robot_in_cell, states = readings(folder, "probed.csv")
     prior = Prior.of(robot_in_cell.robot, 0.1)
     local = linearise(
-        prior, given, states()(robot_in_cell.robot, 1.0), robot_in_cell, np.zeros(len(prior.parameters)), 1.0
+        prior, given, states()(robot_in_cell.robot, 1.0), robot_in_cell, z=np.zeros(len(prior.parameters)), scale=1.0
     )
     count = local.slopes.shape[1]
     free = ~np.isin(np.arange(count), held)

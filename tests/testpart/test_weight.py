@@ -56,7 +56,7 @@ def test_the_gauge_reads_what_the_independent_arm_deflects_under_the_weight(part
     source = trial.ProcessSource(part.process, trial.CELL.tool.axis)
     states = CutForces([ClampedProgram(only(part), part.robot_in_cell, source, where)])(part.robot_in_cell.robot, 1.0)
     given = Readings.of(read, where, trial.SIGMA)
-    found = linearise(part.prior, given, states, part.robot_in_cell, np.zeros(len(part.prior.parameters)), 1.0)
+    found = linearise(part.prior, given, states, part.robot_in_cell, z=np.zeros(len(part.prior.parameters)), scale=1.0)
     assert min(exact) > 5e-5
     np.testing.assert_allclose(found.value, exact, atol=2e-7)
     np.testing.assert_array_equal(found.slopes[:, -1], 0.0)  # the cutting forces have no part in it
