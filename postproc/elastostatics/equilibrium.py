@@ -48,7 +48,7 @@ _FIRST_RATIO = 0.02
 """Assumed ratio of the second step to the first; usable arms have a far smaller one."""
 MAX_ITERATIONS = 40
 """Usable arms need under ten, each step being at most a few hundredths of the one before: more is no convergence."""
-_NOT_FOUND = "equilibrium not found: check the payload, the forces and the robot model"
+_NO_EQUILIBRIUM = "equilibrium not found: check the payload, the forces and the robot model"
 _LARGEST_DEFLECTION = 0.1
 """Deflection of a spring [rad, m] beyond which the model is not valid: an error."""
 _AT_TARGET = 1e-10
@@ -170,7 +170,7 @@ def solve_equilibrium(
             _check_size(theta)
             return theta, state.point + tool_step[:3]
         previous = size
-    raise NotConvergedError(_NOT_FOUND, np.flatnonzero(is_moving))
+    raise NotConvergedError(_NO_EQUILIBRIUM, np.flatnonzero(is_moving))
 
 
 def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) -> Array:
@@ -204,7 +204,7 @@ def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) 
             return theta
         previous = size
         rest_torque = balanced_torque(robot, x - theta)
-    raise NotConvergedError(_NOT_FOUND, np.flatnonzero(is_moving))
+    raise NotConvergedError(_NO_EQUILIBRIUM, np.flatnonzero(is_moving))
 
 
 def _largest(values: Array) -> Array:
@@ -220,7 +220,7 @@ def _needs_iteration(size: Array, previous: Array, tolerance: float) -> Bools:
     :raises NotConvergedError: a step is not finite.
     """
     if not np.isfinite(size).all():
-        raise NotConvergedError(_NOT_FOUND, np.flatnonzero(~np.isfinite(size)))
+        raise NotConvergedError(_NO_EQUILIBRIUM, np.flatnonzero(~np.isfinite(size)))
     # two steps that are alike by accident do not make the next one zero; steps that grow are not extrapolated
     ratio = np.where(np.isnan(previous), _FIRST_RATIO, size / np.where(previous > 0.0, previous, 1.0))
     return np.asarray(~(size * np.clip(ratio, 1e-4, 1.0) <= tolerance))

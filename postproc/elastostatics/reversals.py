@@ -53,22 +53,22 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
     tools = np.broadcast_to(tool, (len(q), 4, 4))
     signals = _signals(robot)
     torque = in_chunks(lambda *rows: (_torques(robot, signals, *rows),), q, tools, wrench)[0]
-    rows, rows_before, joints, steps = [], [], [], []
+    rows, all_start_rows, joints, steps = [], [], [], []
     for signal, signal_torque in zip(signals, torque.T, strict=True):
         largest = float(np.abs(signal_torque).max(initial=0.0))
-        before, after = _changes(signal_torque, max(signal.threshold, _NO_DIRECTION * largest))
-        step = np.zeros(len(after))
+        start_rows, reversal_rows = _changes(signal_torque, max(signal.threshold, _NO_DIRECTION * largest))
+        step = np.zeros(len(reversal_rows))
         if signal.half_play > 0.0:
-            state = undeflected_balance(robot, q[after], tools[after], wrench[after])
+            state = undeflected_balance(robot, q[reversal_rows], tools[reversal_rows], wrench[reversal_rows])
             lever = np.moveaxis(state.jacobian[:3, robot.actuated[signal.joint]], 0, -1)
             step = 2.0 * signal.half_play * norm(lever)
-        rows.append(after)
-        rows_before.append(before)
-        joints.append(np.full(len(after), signal.joint))
+        rows.append(reversal_rows)
+        all_start_rows.append(start_rows)
+        joints.append(np.full(len(reversal_rows), signal.joint))
         steps.append(step)
     row = np.concatenate(rows)
     order = np.argsort(row, kind="stable")
-    return Reversals(row[order], *(np.concatenate(column)[order] for column in (rows_before, joints, steps)))
+    return Reversals(row[order], *(np.concatenate(column)[order] for column in (all_start_rows, joints, steps)))
 
 
 class _Signal(Struct, frozen=True):

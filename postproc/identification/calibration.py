@@ -47,9 +47,9 @@ _INDEPENDENT = 1e-6
 """Share of a column that the columns before it leave, below which it is dependent: the rounding of derivatives."""
 _SPARE_READINGS = 10
 """Coordinates that must be read beyond the number of unknowns, so that residuals show the noise (assumed)."""
-_NOT_NARROWED = 0.8
+_WIDE_SHARE = 0.8
 """Share of the prior's interval beyond which an interval counts as not narrowed by the readings (assumed)."""
-_CONVERGED = 1e-9
+_STEP_TOLERANCE = 1e-9
 """Largest change of an unknown [m, rad] in the last Gauss-Newton step."""
 _CONFIGURATIONS = 200
 """Random configurations over which the error that readings allow for is averaged."""
@@ -202,7 +202,7 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
     )
     calibrated_content = _add_geometry(solution.content, solution.parameters, solution.values, source, half_width)
     _check_configurations(assemble(name, calibrated_content, nominal), data, solution)
-    is_wide = half_width > _NOT_NARROWED * NORMAL_95 * _usual(solution.parameters)
+    is_wide = half_width > _WIDE_SHARE * NORMAL_95 * _usual(solution.parameters)
     return Geometry(
         parameters=solution.parameters,
         values=solution.values,
@@ -299,15 +299,19 @@ def _variants(content: ModelFile, parameters: tuple[GeometryParameter, ...], *, 
         gravity=Gravity("calibrated", content.gravity.in_gears),
     )
     heavy = msgspec.structs.replace(bare, gravity=Gravity("rigid", content.gravity.in_gears))
-    calibrated = [
+    calibrated_variants = [
         _Variant("calibrated geometry", bare, parameters),
         _Variant("calibrated geometry with sag", heavy, parameters),
     ]
-    variants = [_Variant("nominal geometry", bare, ()), _Variant("nominal geometry with sag", heavy, ()), *calibrated]
+    variants = [
+        _Variant("nominal geometry", bare, ()),
+        _Variant("nominal geometry with sag", heavy, ()),
+        *calibrated_variants,
+    ]
     if with_gears:
         variants += [
             _Variant(f"{variant.label}, gears", variant.content, (*variant.parameters, *_GEARS))
-            for variant in calibrated
+            for variant in calibrated_variants
         ]
     return variants
 
@@ -458,7 +462,7 @@ def _solve(
         points = points + step[6:frame_count].reshape(points.shape)
         values = values + step[frame_count:]
         arm = pose_arm(values)
-        if np.abs(step).max() < _CONVERGED:
+        if np.abs(step).max() < _STEP_TOLERANCE:
             break
     residual = (readings - point_positions(root @ arm.flange, points)) * (weight > 0.0)[..., None]
     white_residual = residual.ravel() * scale
@@ -486,11 +490,11 @@ def _parameter_columns(
     :param points: (P, 3) [m], flange axes.
     :param root: (4, 4) pose of the robot root in the device frame [m].
     """
-    commanded, loaded = angles
-    _, columns = _derivatives(chain, loaded, points)
-    by_joint = columns.reshape(len(commanded), len(points), 3, 6, 6)
+    commanded_angles, loaded_angles = angles
+    _, columns = _derivatives(chain, loaded_angles, points)
+    by_joint = columns.reshape(len(commanded_angles), len(points), 3, 6, 6)
     by_joint = np.einsum("ij,cpjab->cpiab", root[:3, :3], by_joint)
-    return [_column(parameter, by_joint, chain, commanded) for parameter in parameters]
+    return [_column(parameter, by_joint, chain, commanded_angles) for parameter in parameters]
 
 
 def _column(parameter: GeometryParameter, by_joint: Array, chain: Chain, q: Array) -> Array:
@@ -643,7 +647,7 @@ def _contradictions(result: Geometry) -> list[str]:
     ]
 
 
-_SPAN_FEW = 30.0
+_USUAL_SPAN = 30.0
 """Span of a joint [deg] that programs usually leave: a part of half a metre two metres away turns A1 by 15°."""
 
 
@@ -651,12 +655,12 @@ def _small_motion_warnings(result: Geometry) -> list[str]:
     """Return a warning if joints turned so little in the readings that programs will leave what was measured."""
     error = result.content.geometry_error
     assert error is not None, "a calibration states its error"
-    spans = [(joint, high - low) for joint, (low, high) in error.angles_deg.items() if high - low < _SPAN_FEW]
+    spans = [(joint, high - low) for joint, (low, high) in error.angles_deg.items() if high - low < _USUAL_SPAN]
     if not spans:
         return []
     return [
         f"{', '.join(f'{joint} turned by {span:.0f}°' for joint, span in spans)} in the readings: the geometry is not "
-        f"known beyond that, and u95_mm grows there. Measure with every joint turned by {_SPAN_FEW:.0f}° and more, "
+        f"known beyond that, and u95_mm grows there. Measure with every joint turned by {_USUAL_SPAN:.0f}° and more, "
         "over the space in which you mill."
     ]
 

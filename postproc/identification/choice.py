@@ -138,8 +138,8 @@ def full_structure(
     :param in_gears: weights and compensator load the gears at rest.
     :param compensator: K_c and s₀ are free.
     """
-    unloaded = unloaded_joints(robot, data)
-    loaded = [joint for joint in JOINT_COMPLIANCES if joint not in unloaded]
+    idle_joints = unloaded_joints(robot, data)
+    loaded_joints = [joint for joint in JOINT_COMPLIANCES if joint not in idle_joints]
     largest = np.abs(joint_torques(robot, data)).max(axis=0)
     springs, springs_with_ends = link_springs(robot, with_ends=False), link_springs(robot, with_ends=True)
     parameters_by_kind: dict[str, Iterable[Parameter]] = {
@@ -147,11 +147,11 @@ def full_structure(
         COMPENSATOR_SPRING: COMPENSATOR if compensator else (),
         LINK: springs,
         END: (spring for spring in springs_with_ends if spring not in springs),
-        FADING: _gear_parameters(FadingPart, _FADE_AT, loaded, largest),
-        KNEE: _gear_parameters(Knee, _BREAKPOINTS_AT, loaded, largest),
-        BACKLASH: _gear_parameters(Backlash, _TURNS_OVER_AT, loaded, largest),
+        FADING: _gear_parameters(FadingPart, _FADE_AT, loaded_joints, largest),
+        KNEE: _gear_parameters(Knee, _BREAKPOINTS_AT, loaded_joints, largest),
+        BACKLASH: _gear_parameters(Backlash, _TURNS_OVER_AT, loaded_joints, largest),
         # if the load alone acts on the gears, backlash is lost motion
-        LOST_MOTION: _gear_parameters(LostMotion, _TURNS_OVER_AT, loaded, largest) if in_gears else (),
+        LOST_MOTION: _gear_parameters(LostMotion, _TURNS_OVER_AT, loaded_joints, largest) if in_gears else (),
         # a free compensator replaces the weights on joint 2: masses are not identifiable then
         AT_REST: _gravity_parameters(robot) if not compensator and (in_gears or not robot.subtract_reference) else (),
     }
@@ -512,9 +512,9 @@ def _extend(
 
     :returns: the mean, and `solution` with the new parameters; both unchanged if the evidence is against them.
     """
-    unloaded = unloaded_joints(mean.structure.prior, data)
-    loaded = [joint for joint in JOINT_COMPLIANCES if joint not in unloaded]
-    couplings, waves = over_pose.couplings(loaded), over_pose.waves(loaded)
+    idle_joints = unloaded_joints(mean.structure.prior, data)
+    loaded_joints = [joint for joint in JOINT_COMPLIANCES if joint not in idle_joints]
+    couplings, waves = over_pose.couplings(loaded_joints), over_pose.waves(loaded_joints)
     parameters = (*mean.structure.parameters, *couplings, *waves)
     structure = replace(mean.structure, parameters=parameters)
     prior, first_new = prior_of(structure), len(mean.structure.parameters)
@@ -621,14 +621,14 @@ def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurement
     fit = _fit_of(mean, columns, transform @ posterior @ transform.T, dof, data, placement)
     square_errors, table = equations.mean_squares(held_out_residual), _candidate_table(mean)
     is_narrower = np.sqrt(np.diag(posterior)) < _PRIOR_SHARE * spread
-    left_out = held_out_residual.reshape(len(data.loaded_states), len(data.points), 3)
+    held_out_by_state = held_out_residual.reshape(len(data.loaded_states), len(data.points), 3)
     return Choice(
         fit=fit,
         wider=transform @ wider @ transform.T,
         candidates=table,
         reason=_choice_reason(table, float(square_errors.mean())),
         held_out=square_errors,
-        left_out=unwhiten(whitening(data), left_out),
+        left_out=unwhiten(whitening(data), held_out_by_state),
         influence=transform @ influence,
         determined=dof,
         held_by_prior=tuple(parameters[index] for index in np.flatnonzero((spread > 0.0) & ~is_narrower)),

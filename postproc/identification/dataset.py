@@ -153,11 +153,11 @@ def _agreement_findings(robot: RobotModel, data: Measurements) -> list[Finding]:
     These are outliers and the doubts of `check_readings`; or the error that makes the readings unusable.
     """
     try:
-        checked = check_readings(robot, data)
+        checked_readings = check_readings(robot, data)
     except PostprocError as error:
         return [Finding(str(error), has=False, required=True)]
-    faults = [*(f"outlier: {name}" for name in checked.outliers), *filter(None, [checked.doubt])]
-    faults += [note for note in checked.warnings if note not in gaps(data)]
+    faults = [*(f"outlier: {name}" for name in checked_readings.outliers), *filter(None, [checked_readings.doubt])]
+    faults += [note for note in checked_readings.warnings if note not in gaps(data)]
     if not faults:
         return [Finding(f"readings that agree with {robot.name}: points, angles, frame, direction of the loads", True)]
     return [Finding(fault, has=False) for fault in faults]
@@ -174,12 +174,14 @@ def _checksum_finding(folder: Path) -> Finding:
     advice = f"run `{_SUMS_COMMAND}` in the folder"
     if not path.is_file():
         return Finding(f"{SUMS}: {advice}", has=False, required=True)
-    stated = {name: digest.lower() for digest, name in _SUM.findall(files.read_text(path, MeasurementError))}
+    stated_digests = {name: digest.lower() for digest, name in _SUM.findall(files.read_text(path, MeasurementError))}
     present = {p.relative_to(folder).as_posix(): p for p in sorted(folder.rglob("*")) if p.is_file() and p != path}
     files_by_fault = {
-        "not those of": [name for name in present if name in stated and stated[name] != _digest(present[name])],
-        "none for": [name for name in present if name not in stated],
-        "no such files:": [name for name in stated if name not in present],
+        "not those of": [
+            name for name in present if name in stated_digests and stated_digests[name] != _digest(present[name])
+        ],
+        "none for": [name for name in present if name not in stated_digests],
+        "no such files:": [name for name in stated_digests if name not in present],
     }
     parts = [f"{fault} {', '.join(names)}" for fault, names in files_by_fault.items() if names]
     if parts:

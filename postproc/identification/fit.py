@@ -539,11 +539,17 @@ class Regression(Struct, frozen=True, eq=False):
         order, signed_count = np.argsort(~self.signed, kind="stable"), int(np.count_nonzero(self.signed))
         lower = np.linalg.cholesky(normal[np.ix_(order, order)])
         target, upper = np.linalg.solve(lower, right[order]), lower.T
-        signed, bounded = slice(0, signed_count), slice(signed_count, None)  # parts of the order; bounded: ≥ 0
+        signed_part, bounded_part = (
+            slice(0, signed_count),
+            slice(signed_count, None),
+        )  # parts of the order; bounded: ≥ 0
         scaled_values = np.empty(len(order))
-        scaled_values[bounded], _ = nnls(upper[bounded, bounded], target[bounded], maxiter=100 * len(order))
-        scaled_values[signed] = np.linalg.solve(
-            upper[signed, signed], target[signed] - upper[signed, bounded] @ scaled_values[bounded]
+        scaled_values[bounded_part], _ = nnls(
+            upper[bounded_part, bounded_part], target[bounded_part], maxiter=100 * len(order)
+        )
+        scaled_values[signed_part] = np.linalg.solve(
+            upper[signed_part, signed_part],
+            target[signed_part] - upper[signed_part, bounded_part] @ scaled_values[bounded_part],
         )
         values = np.zeros(self.size)
         values[self.columns[order]] = scaled_values * self.spread[order]
@@ -651,8 +657,12 @@ class _Evidence(Struct, frozen=True, eq=False):
         lower = np.linalg.cholesky(normal)
         inverse = np.linalg.inv(normal)
         values = inverse @ (factor * self.right) / noise  # over their standard deviations
-        scaled = factor * values
-        residual_sum = self.square_sum - 2.0 * float(scaled @ self.right) + float(scaled @ self.square @ scaled)
+        scaled_values = factor * values
+        residual_sum = (
+            self.square_sum
+            - 2.0 * float(scaled_values @ self.right)
+            + float(scaled_values @ self.square @ scaled_values)
+        )
         log_determinant_half = float(np.log(np.diag(lower)).sum())
         value = 0.5 * (residual_sum / noise + values @ values + self.count * logs[-1]) + log_determinant_half
         information_share = 1.0 - np.diag(inverse)  # of the readings in what is known of each parameter

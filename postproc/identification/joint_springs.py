@@ -202,7 +202,7 @@ def unloaded_joints(robot: RobotModel, data: Measurements) -> tuple[JointComplia
     """Return the compliances of joints on which the loads put less than `_NO_TORQUE` of the largest joint torque."""
     torque = np.abs(joint_torques(robot, data)).max(axis=0)
     is_unloaded = torque < _NO_TORQUE * torque.max()
-    return tuple(joint for joint, unloaded in zip(JOINT_COMPLIANCES, is_unloaded, strict=True) if unloaded)
+    return tuple(joint for joint, is_idle in zip(JOINT_COMPLIANCES, is_unloaded, strict=True) if is_idle)
 
 
 def held_by_prior(fit: Fit, open_entries: list[UnobservableParameter]) -> Fit:

@@ -385,8 +385,10 @@ def _unexplained_records(discrepancy: Discrepancy) -> list[record.CrossValidatio
     """Return the cross-validation errors at each level of loads, in mm."""
     lengths = np.stack([discrepancy.held_out, discrepancy.noise, discrepancy.own, discrepancy.u95], axis=1) * MM_PER_M
     return [
-        record.CrossValidation(load_N=load, held_out_mm=held_out, noise_mm=noise, own_mm=own, u95_mm=u95)
-        for load, (held_out, noise, own, u95) in zip(discrepancy.load.tolist(), lengths.tolist(), strict=True)
+        record.CrossValidation(load_N=load, held_out_mm=held_out_mm, noise_mm=noise_mm, own_mm=own_mm, u95_mm=u95_mm)
+        for load, (held_out_mm, noise_mm, own_mm, u95_mm) in zip(
+            discrepancy.load.tolist(), lengths.tolist(), strict=True
+        )
     ]
 
 

@@ -92,7 +92,7 @@ def _clearest_step(design: Array, usual_sizes: Array, residual: Array, q: Array)
         columns, errors = np.concatenate([columns, weight]), np.append(errors, np.zeros(len(weight)))
         basis = _basis(columns)
         freedom = 3 * configs + len(weight) - basis.shape[1] - 6
-    remaining = errors - basis @ (basis.T @ errors)  # that no error of the geometry explains
+    unexplained_errors = errors - basis @ (basis.T @ errors)  # that no error of the geometry explains
     clearest = _Step(np.inf, 0, np.zeros(6))
     if freedom < _FREEDOM_OF_STEP:
         return clearest
@@ -103,12 +103,12 @@ def _clearest_step(design: Array, usual_sizes: Array, residual: Array, q: Array)
         step = np.zeros((len(errors), 6))
         step[: residual.size] = (design[..., :6] * is_after_step[:, None, None, None]).reshape(-1, 6)
         step = step - basis @ (basis.T @ step)
-        twist, _, rank, _ = np.linalg.lstsq(step, remaining, rcond=_RANK_TOLERANCE)
+        twist, _, rank, _ = np.linalg.lstsq(step, unexplained_errors, rcond=_RANK_TOLERANCE)
         if rank == 6:
-            explained = float(np.sum((step @ twist) ** 2))
+            explained_square = float(np.sum((step @ twist) ** 2))
             # 1e-300 keeps zero out of the denominator
-            unexplained = max(float(np.sum(remaining**2)) - explained, 1e-300)
-            chance = _chance(explained / 6.0 * freedom / unexplained, freedom)
+            unexplained_square = max(float(np.sum(unexplained_errors**2)) - explained_square, 1e-300)
+            chance = _chance(explained_square / 6.0 * freedom / unexplained_square, freedom)
             if chance < clearest.chance:
                 clearest = _Step(chance, first, np.asarray(twist))
     return clearest

@@ -30,7 +30,7 @@ _NO_SCATTER = 1e-15
 """Scatter of readings that were made from the model itself, in any unit: rounding."""
 _SINGULAR = 1e-6
 """Share of a direction that the other configurations leave open, below which they predict nothing along it."""
-_EXPLAINED = 0.2
+_EXPLAINED_SHARE = 0.2
 """Share of an error that a wrong joint angle may leave: other errors leave most of it."""
 _MOST_ANGLE = 10.0 * RAD_PER_DEG
 """Error of an angle up to which the displacement of a point is linear in it, by 2 %."""
@@ -86,15 +86,17 @@ def check_configurations(
     """
     if len(data.q) < _MIN_CONFIGURATIONS:
         return
-    judged = deletion(design, placement.residual.reshape(weight.shape) * weight, ridge)
-    error = np.divide(judged.error, weight, out=np.zeros_like(weight), where=weight > 0.0).reshape(len(data.q), -1, 3)
+    deletions = deletion(design, placement.residual.reshape(weight.shape) * weight, ridge)
+    error = np.divide(deletions.error, weight, out=np.zeros_like(weight), where=weight > 0.0).reshape(
+        len(data.q), -1, 3
+    )
     distance = np.sqrt(np.mean(np.sum(error**2, axis=2), axis=1))
-    worst = int(np.argmax(judged.ratio))
-    if judged.ratio[worst] < _LIMIT or distance[worst] < _MIN_DISTANCE:
+    worst = int(np.argmax(deletions.ratio))
+    if deletions.ratio[worst] < _LIMIT or distance[worst] < _MIN_DISTANCE:
         return
     raise MeasurementError(
         f"config {data.config[worst]:g}: without load the points are {distance[worst] * MM_PER_M:.1f} mm from where "
-        f"the other configurations put them, {judged.ratio[worst]:.0f} times as far as usual"
+        f"the other configurations put them, {deletions.ratio[worst]:.0f} times as far as usual"
         f"{_wrong_angle(robot, data.q[worst], placement.points, in_root_axes(placement, error[worst]))}",
         file=data.file,
         line=data.first_line(worst),
@@ -115,7 +117,7 @@ def _wrong_angle(robot: RobotModel, q: Array, points: Array, error: Array) -> st
     angle = jacobian.T @ error.ravel() / np.maximum(norm(jacobian.T) ** 2, 1e-12)  # a point on the axis is not moved
     unexplained = norm(error.ravel() - (jacobian * angle).T)
     best = int(np.argmin(unexplained))
-    if unexplained[best] > _EXPLAINED * norm(error.ravel()) or abs(angle[best]) > _MOST_ANGLE:
+    if unexplained[best] > _EXPLAINED_SHARE * norm(error.ravel()) or abs(angle[best]) > _MOST_ANGLE:
         return ""
     comparative = "larger" if angle[best] > 0.0 else "smaller"
     return (

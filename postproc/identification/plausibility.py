@@ -40,7 +40,7 @@ _GROSS = 6.0
 """Standard deviations beyond which a reading counts as a gross error."""
 _DISTANCE = 1.5
 """Distance of a reading from others over the noise of one coordinate, about: three coordinates (assumed)."""
-_LARGEST_OF_MANY = 1.3
+_MAXIMUM_FACTOR = 1.3
 """Factor on the limit for the largest of all residuals, of points with three coordinates (assumed)."""
 _MEDIAN_SIZE = 0.6745
 """Median size of a standard normal number."""
@@ -190,7 +190,7 @@ def remove_worst_residual(data: Measurements, placement: Placement, fit: Fit) ->
     sigma = float(np.median(np.abs(white))) / _MEDIAN_SIZE
     row, point = (int(index) for index in np.unravel_index(int(np.argmax(size)), size.shape))
     limit = _GROSS * max(1.0, sigma)
-    if size[row, point] <= limit * _LARGEST_OF_MANY:
+    if size[row, point] <= limit * _MAXIMUM_FACTOR:
         return data, []
     residual, state = fit.residual[row, point], int(data.loaded_states[row])
     config, error = int(data.state_config[state]), float(np.linalg.norm(residual))
@@ -244,7 +244,7 @@ def _worst_repeat(data: Measurements, rows: Ints, residual: Array, placement: Pl
     return [int(row) for row in rows]
 
 
-_SWAPPED = 0.2
+_SWAP_SHARE = 0.2
 """Share of the change of distances that remains, at most, once swapped names are put right (assumed)."""
 _BODY = 2e-3
 """Change of the distance between two points of one rigid body [m] that exceeds any noise (assumed)."""
@@ -281,7 +281,7 @@ def check_points(data: Measurements) -> None:
             continue
         for order in permutations(range(count)):
             swapped_change = np.abs(set_distances[np.ix_(order, order)] - median_distances).max()
-            if list(order) != list(range(count)) and swapped_change < _SWAPPED * largest_change:
+            if list(order) != list(range(count)) and swapped_change < _SWAP_SHARE * largest_change:
                 swapped_names = [data.points[index] for index in range(count) if order[index] != index]
                 raise MeasurementError(
                     f"{data.name(int(rows[0])).partition(': ')[2].rpartition(',')[0]}: the distances between the "
@@ -354,8 +354,8 @@ def _advice_on_positions(robot: RobotModel, data: Measurements) -> str:
     sizes = [np.linalg.norm(points[..., 1:, :] - points[..., :1, :], axis=-1) for points in (mean, data.guess[None])]
     if len(data.points) > 1 and abs(np.nanmedian(sizes[0] / sizes[1]) / (M_PER_MM / _INCH) - 1.0) < _SAME_SCALE:
         return "The points are as far apart as if X, Y, Z were in inch: give them in mm."
-    mirrored = replace(data, position=data.position * np.array([1.0, 1.0, -1.0]))
-    if _rms(robot, mirrored, np.arange(len(data.q))) < _MAX_DISTANCE:
+    mirrored_data = replace(data, position=data.position * np.array([1.0, 1.0, -1.0]))
+    if _rms(robot, mirrored_data, np.arange(len(data.q))) < _MAX_DISTANCE:
         return "They fit in a mirror: the axes of the measuring device are left-handed. Exchange two, or negate one."
     return "Check the robot named in the experiment, the signs of A1…A6 and the guesses of the points."
 
@@ -470,12 +470,12 @@ def _check_single_loads(
     :param advice: what else to check, added to the advice of the error; may be empty.
     :raises MeasurementError: one does not.
     """
-    for row, (along, by_length) in enumerate(zip(ratio, length_ratio, strict=True)):
+    for row, (by_displacement, by_length) in enumerate(zip(ratio, length_ratio, strict=True)):
         other_cases = np.delete(per_newton, row)
         # if the joints would hardly deflect, links may deflect by many times as much: as in other load cases
         if by_length > 0.0 and len(other_cases) and other_cases.min() < per_newton[row] < other_cases.max():
             continue
-        if not any(_SAME_UNIT[0] < factor < _SAME_UNIT[1] for factor in (by_length, along)):
+        if not any(_SAME_UNIT[0] < factor < _SAME_UNIT[1] for factor in (by_length, by_displacement)):
             state = int(states[row])
             unit = "kg" if _KILOGRAMS[0] < by_length < _KILOGRAMS[1] else "another unit, direction or configuration"
             raise MeasurementError(
@@ -571,15 +571,15 @@ def _loop_equations(robot: RobotModel, data: Measurements, placement: Placement)
     Each is a coordinate of a point: its displacement under a load after a larger one, less that before; no rows if no
     load was measured before and after a larger one.
     """
-    before, after = load_loops(data)
+    start_rows, end_rows = load_loops(data)
     displacement, visibility = measured_displacements(data, placement), visible(data)[..., 0]
-    is_visible = (visibility[before] * visibility[after]).astype(bool)
+    is_visible = (visibility[start_rows] * visibility[end_rows]).astype(bool)
     _, reading_counts = data.means()
     count = np.maximum(reading_counts[data.loaded_states], 1.0)
-    noise = data.sigma * np.sqrt(1.0 / count[before] + 1.0 / count[after])
-    columns = _motions_by_loops(robot, data, placement, before)
+    noise = data.sigma * np.sqrt(1.0 / count[start_rows] + 1.0 / count[end_rows])
+    columns = _motions_by_loops(robot, data, placement, start_rows)
     design = (columns / noise[..., None, None])[is_visible].reshape(-1, 6)
-    return design, ((displacement[after] - displacement[before]) / noise[..., None])[is_visible].ravel()
+    return design, ((displacement[end_rows] - displacement[start_rows]) / noise[..., None])[is_visible].ravel()
 
 
 def _motions_by_loops(robot: RobotModel, data: Measurements, placement: Placement, states: Ints) -> Array:
@@ -614,8 +614,8 @@ def load_loops(data: Measurements) -> tuple[Ints, Ints]:
         for second in np.flatnonzero(is_same_load & (config == config[first]) & (number > number[first])).tolist():
             if _has_larger_load(size, number, config, first, second):
                 pairs.append((first, second))
-    before, after = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    return before, after
+    start_rows, end_rows = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    return start_rows, end_rows
 
 
 def _has_larger_load(size: Array, number: Array, config: Ints, first: int, second: int) -> bool:

@@ -126,21 +126,21 @@ def identify(
     :param progress: called with a line of text before each step.
     :raises MeasurementError: the readings are unusable; the message names the row or says what to measure.
     """
-    checked = check_readings(prior, data)
+    checked_readings = check_readings(prior, data)
     if method == "serial":
-        return _serial_identification(prior, checked)
+        return _serial_identification(prior, checked_readings)
     progress("joint springs and compensator")
-    joints, data, placement, names = _located_joints(prior, checked.data, checked.placement)
-    springs = _Springs(joints.fit, None, data, placement, joints.missing, checked.outliers + names)
+    joints, data, placement, names = _located_joints(prior, checked_readings.data, checked_readings.placement)
+    springs = _Springs(joints.fit, None, data, placement, joints.missing, checked_readings.outliers + names)
     if depth == "auto" and (_is_hidden(joints.fit) or _has_possible_error(joints.fit)):
         progress(f"{_joint_residual_text(joints.fit)}: trying link springs and gears that are not linear")
         springs = _richer_springs(prior, springs)
-    warnings = checked.warnings
+    warnings = checked_readings.warnings
     if depth == "joints" and _has_unexplained_error(joints.fit):
         warnings = [*warnings, _joint_residual_text(joints.fit)]
         ratio = joints.fit.chi2 / joints.fit.dof
         springs = springs._replace(fit=replace(joints.fit, covariance=joints.fit.covariance * ratio))
-    return _enhanced_identification(prior, joints, springs, warnings, checked.doubt)
+    return _enhanced_identification(prior, joints, springs, warnings, checked_readings.doubt)
 
 
 class _Springs(NamedTuple):

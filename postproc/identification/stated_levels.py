@@ -28,13 +28,13 @@ _USUAL = 0.2
 """Standard deviation of the logarithm of the factor on a level that is stated wrong (assumed)."""
 _STEP = 0.02
 """Logarithm of the factor for its difference quotient: displacements are linear in the load to some per cent."""
-_LEAST = 0.05
+_SMALLEST_LOG = 0.05
 """Smallest logarithm of a factor that is no error of load cells and scales (assumed)."""
 _SIGMAS = 2.0
-"""Jackknife standard deviations that the factor must be beyond `_LEAST`."""
+"""Jackknife standard deviations that the factor must be beyond `_SMALLEST_LOG`."""
 _EVIDENCE = 10.0
 """Gain of log evidence from which a factor is reported."""
-_ALIKE = 10.0
+_EVIDENCE_MARGIN = 10.0
 """Difference of log evidence below which it is not known which of two levels is wrong."""
 
 
@@ -55,7 +55,7 @@ class _Factor(NamedTuple):
     @property
     def is_clear(self) -> bool:
         """Whether the readings ask for a factor that is not 1."""
-        return self.gain > _EVIDENCE and abs(self.log) - _SIGMAS * self.sigma > _LEAST
+        return self.gain > _EVIDENCE and abs(self.log) - _SIGMAS * self.sigma > _SMALLEST_LOG
 
 
 def doubt_of_levels(fit: Fit, data: Measurements, placement: Placement) -> str:
@@ -73,7 +73,7 @@ def doubt_of_levels(fit: Fit, data: Measurements, placement: Placement) -> str:
     parts = [
         _text(factor, float(np.median(load[level == factor.level])))
         for factor in factors
-        if factor.is_clear and factor.gain > factors[0].gain - _ALIKE
+        if factor.is_clear and factor.gain > factors[0].gain - _EVIDENCE_MARGIN
     ]
     return f"the loads near {', or those near '.join(parts)}: check their scale, mass or pulley"
 
@@ -98,15 +98,17 @@ def _factors(fit: Fit, data: Measurements, placement: Placement, level: Ints) ->
     structure, values = _all_parameters(fit, data)
     equations, prior = linearise(structure, values, data, placement), prior_of(structure)
     size = len(values)
-    without = learn(equations, prior, np.arange(size)).evidence
+    plain_evidence = learn(equations, prior, np.arange(size)).evidence
     prior = _with_factor(prior)
     factors = []
     for number in range(int(level.max()) + 1):
         column = _by_factor(structure, values, data, placement, data.loaded_states[level == number])
-        extended = replace(equations, design=np.column_stack([equations.design, column]))
-        regression = learn(extended, prior, np.arange(size + 1))
-        log = float(regression.unbounded_values(extended)[-1])
-        factors.append(_Factor(number, log, _jackknife(regression, extended), regression.evidence - without))
+        extended_equations = replace(equations, design=np.column_stack([equations.design, column]))
+        regression = learn(extended_equations, prior, np.arange(size + 1))
+        log = float(regression.unbounded_values(extended_equations)[-1])
+        factors.append(
+            _Factor(number, log, _jackknife(regression, extended_equations), regression.evidence - plain_evidence)
+        )
     return factors
 
 
@@ -139,8 +141,8 @@ def _by_factor(structure: Structure, values: Array, data: Measurements, placemen
     wrench = data.wrench.copy()
     wrench[states] *= np.exp(_STEP)
     prediction, _ = predict(structure, values, data, placement)
-    scaled, _ = predict(structure, values, replace(data, wrench=wrench), placement)
-    return whiten(whitening(data), (scaled - prediction) * visible(data) / _STEP).ravel()
+    scaled_prediction, _ = predict(structure, values, replace(data, wrench=wrench), placement)
+    return whiten(whitening(data), (scaled_prediction - prediction) * visible(data) / _STEP).ravel()
 
 
 def _jackknife(regression: Regression, equations: LinearEquations) -> float:

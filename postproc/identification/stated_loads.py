@@ -38,7 +38,7 @@ DOUBTFUL_RATIO, CERTAIN_RATIO = 0.75, 0.5
 backlash and couplings, whose forces were stated right, one is below 0.8 and none below 0.75."""
 _DOUBTFUL_POINT = 0.6
 """The same of a load point, which springs of links imitate more: two of 137 such robots are at 0.7."""
-_EXPLAINED = 2.0
+_EXPLAINED_CHI2 = 2.0
 """χ² per degree of freedom up to which joint springs explain the readings: a turn by 5° leaves two tenths of a
 millimetre of displacements of 2 mm, more than three times the noise of a tracker."""
 _MIN_LOADS = 3
@@ -47,7 +47,7 @@ _MIN_DISTANCE = 0.05
 """Distance [m] of another load point that is no inexact measurement (assumed)."""
 _MIN_SPREAD = 0.1
 """Least singular value of the directions of the forces, over the largest, by which all three axes can be told."""
-_ALIGNED, _NAMED = 5.0 * RAD_PER_DEG, 12.0 * RAD_PER_DEG
+_ALIGNED_ANGLE, _NAMED_ANGLE = 5.0 * RAD_PER_DEG, 12.0 * RAD_PER_DEG
 """Angles up to which axes are those of the root (assumed: no rig is aligned much better), and up to which a turn is one
 with a name: springs of links mislead the angle by some degrees."""
 _OPPOSITE = 30.0 * RAD_PER_DEG
@@ -67,7 +67,7 @@ class _Hypothesis(NamedTuple):
     advice: str
 
 
-_NONE = _Hypothesis(1.0, "", "")
+_STATED_LOADS = _Hypothesis(1.0, "", "")
 """The loads as stated."""
 
 
@@ -88,15 +88,15 @@ def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement) 
     :raises MeasurementError: they fit twice as well.
     """
     try:
-        stated = _joint_springs(prior, data, placement)
+        stated_fit = _joint_springs(prior, data, placement)
     except PostprocError:  # no equilibrium: other checks name the cause
         return ""
-    if len(data.loaded_states) < _MIN_LOADS or stated.chi2 < _EXPLAINED * stated.dof:
+    if len(data.loaded_states) < _MIN_LOADS or stated_fit.chi2 < _EXPLAINED_CHI2 * stated_fit.dof:
         return ""
-    hypotheses = [_NONE]
+    hypotheses = [_STATED_LOADS]
     for best_hypothesis in (_other_axes, _other_point):
         with suppress(PostprocError):  # no equilibrium: it does not explain the readings
-            hypotheses.append(best_hypothesis(prior, data, placement, stated))
+            hypotheses.append(best_hypothesis(prior, data, placement, stated_fit))
     best = min(hypotheses)
     if best.ratio > DOUBTFUL_RATIO:
         return ""
@@ -116,7 +116,7 @@ def _other_axes(prior: RobotModel, data: Measurements, placement: Placement, sta
     force = data.wrench[data.loaded_states, :3]
     spread = np.linalg.svd(force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9), compute_uv=False)
     if spread[2] < _MIN_SPREAD * spread[0]:
-        return _NONE
+        return _STATED_LOADS
     advice = (
         "F and M are in the axes of the robot root ($ROBROOT), whatever the axes of load cell or tracker are. Turn or "
         "exchange them."
@@ -126,7 +126,7 @@ def _other_axes(prior: RobotModel, data: Measurements, placement: Placement, sta
     if flange_ratio < turn.ratio:
         return _Hypothesis(flange_ratio, "if they are in flange axes", advice)
     axes = _description(turn.matrix, placement)
-    return _Hypothesis(turn.ratio, axes, advice) if axes else _NONE
+    return _Hypothesis(turn.ratio, axes, advice) if axes else _STATED_LOADS
 
 
 def _other_point(prior: RobotModel, data: Measurements, placement: Placement, stated: Fit) -> _Hypothesis:
@@ -137,7 +137,7 @@ def _other_point(prior: RobotModel, data: Measurements, placement: Placement, st
     point, ratio = _best_point(data, placement, stated)
     distance = float(norm(point - data.load_point))
     if distance < _MIN_DISTANCE or ratio > _DOUBTFUL_POINT:
-        return _NONE
+        return _STATED_LOADS
     clause = (
         f"if they pull at {coordinates_text(point)} mm in the flange frame, not at {coordinates_text(data.load_point)}"
     )
@@ -254,22 +254,22 @@ def _from_flange_axes(prior: RobotModel, data: Measurements) -> Measurements:
 
 def _description(matrix: Array, placement: Placement) -> str:
     """Return what a turn or a mirror does to the forces; empty if it is small, or only the sign of all."""
-    if _angle(matrix, np.eye(3)) < _ALIGNED or _angle(matrix, -np.eye(3)) < _OPPOSITE:
+    if _angle(matrix, np.eye(3)) < _ALIGNED_ANGLE or _angle(matrix, -np.eye(3)) < _OPPOSITE:
         return ""
     column = np.argmax(np.abs(matrix), axis=1)
     sign = np.sign(matrix[range(3), column])
     exchange = np.eye(3)[column] * sign[:, None]
     is_exchange = len(set(column.tolist())) == 3 and not np.array_equal(exchange, np.eye(3))
-    if is_exchange and _angle(matrix, exchange) < _NAMED:
+    if is_exchange and _angle(matrix, exchange) < _NAMED_ANGLE:
         parts = ", ".join(f"{'-' if sign[row] < 0.0 else ''}F{'xyz'[column[row]]}" for row in range(3))
         return f"if Fx, Fy, Fz of the root are the columns {parts}"
     if np.linalg.det(matrix) < 0.0:
         return "mirrored"
-    if _angle(matrix, placement.root_in_device[:3, :3].T) < _NAMED:
+    if _angle(matrix, placement.root_in_device[:3, :3].T) < _NAMED_ANGLE:
         return "if they are in the axes of the measuring device"
     turn = rotation_vector(matrix)
     angle, main = float(norm(turn)), int(np.argmax(np.abs(turn)))
-    if norm(np.delete(turn, main)) < np.sin(_NAMED) * angle:
+    if norm(np.delete(turn, main)) < np.sin(_NAMED_ANGLE) * angle:
         return f"turned by {turn[main] * DEG_PER_RAD:.1f}° about {'XYZ'[main]} of the root"
     direction = ", ".join(f"{part:.2f}" for part in turn / angle)
     return f"turned by {angle * DEG_PER_RAD:.1f}° about ({direction}) of the root"

@@ -91,7 +91,7 @@ def follow(
     branch = np.repeat(branches, np.diff(ptp_rows, prepend=0, append=len(free)))
     q = np.zeros((len(branch), 6))
     # of the last sample of the part before
-    start_angles, turns_removed = np.asarray(start, dtype=float), np.zeros(6)
+    start_angles, removed_turns = np.asarray(start, dtype=float), np.zeros(6)
     unreached: list[int] = []
     for part in chunks(len(branch)):
         rows = np.arange(part.start, min(part.stop, len(branch)))
@@ -105,7 +105,7 @@ def follow(
         exact[turn_rows] = _whole_turns(robot, exact[turn_rows], turn[targets][has_turn])
         if len(rows) and not unreached:
             exact_rows = target_rows[is_axis_target | has_turn]  # their turns are those of the target
-            q[part], turns_removed = _continuous_angles(exact, start_angles, turns_removed, exact_rows)
+            q[part], removed_turns = _continuous_angles(exact, start_angles, removed_turns, exact_rows)
             start_angles = exact[-1]
     if unreached:
         raise UnreachableError(unreached)
@@ -134,8 +134,8 @@ def _path_branches(robot: RobotModel, flange: Array, start: Array, axis_target: 
     fits = np.isfinite(candidates).all(axis=2) & (candidate_status == stated_status[:, None])
     branch[1 + pose_targets] = np.where(fits.any(axis=1), fits.argmax(axis=1), -1)
     # a running maximum finds the last row with a branch; row 0 has one
-    last_stated = np.maximum.accumulate(np.where(branch >= 0, np.arange(len(branch)), 0))
-    return np.asarray(branch[last_stated])
+    last_stated_row = np.maximum.accumulate(np.where(branch >= 0, np.arange(len(branch)), 0))
+    return np.asarray(branch[last_stated_row])
 
 
 def _continuous_angles(q: Array, start_angles: Array, turns_removed: Array, exact_rows: Ints) -> tuple[Array, Array]:
@@ -199,8 +199,8 @@ def joint_margin(robot: RobotModel, q: Array) -> Array:
     """
     parts = (q[part].T for part in chunks(len(q)))  # by columns: much faster than along short rows
     extremes = np.array([[(angle.min(), angle.max()) for angle in part] for part in parts])
-    least, largest_angle = extremes[..., 0].min(axis=0), extremes[..., 1].max(axis=0)
-    return np.asarray(np.minimum(least - robot.lower, robot.upper - largest_angle))
+    smallest_angle, largest_angle = extremes[..., 0].min(axis=0), extremes[..., 1].max(axis=0)
+    return np.asarray(np.minimum(smallest_angle - robot.lower, robot.upper - largest_angle))
 
 
 def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:

@@ -417,35 +417,35 @@ def plan_measurements(
     report("drawing poses that can be measured", 0.0, np.nan)
     problem = _planning_problem(site, sample, scale, options, data)
     plan, is_interrupted = _search(problem.task, options, report)
-    ordered = _order_plan(problem, plan)
+    ordered_plan = _order_plan(problem, plan)
     comparison = _OtherPlans(np.zeros(0), None, (), is_interrupted)
     if options.comparisons and not is_interrupted:
-        comparison = _compared_plans(problem.task, options, ordered.plan, report)
-    accuracy = _accuracy(problem, sample, ordered.plan.q, ordered.force)
+        comparison = _compared_plans(problem.task, options, ordered_plan.plan, report)
+    accuracy = _accuracy(problem, sample, ordered_plan.plan.q, ordered_plan.force)
     # of a plan without poses
-    before = None if problem.known is None else _accuracy(problem, sample, np.zeros((0, 6)), np.zeros((0, 3)))
+    initial_accuracy = None if problem.known is None else _accuracy(problem, sample, np.zeros((0, 6)), np.zeros((0, 3)))
     return PlanResult(
         options=options,
         robot=site.robot.name,
         site=site,
         tests=sample,
         represented=_moment_error(tests, sample, scale),
-        plan=ordered.plan,
-        force=ordered.force,
+        plan=ordered_plan.plan,
+        force=ordered_plan.force,
         second_load=second_load(site, tests),
-        torque=problem.readings.torque(ordered.plan.q, ordered.force),
+        torque=problem.readings.torque(ordered_plan.plan.q, ordered_plan.force),
         directions=problem.task.directions,
         accuracy=accuracy,
         unobservable=tuple(c.name for k, c in enumerate(JOINT_COMPLIANCES) if k not in problem.readings.keep),
-        before=before,
+        before=initial_accuracy,
         random=comparison.random,
         serial=comparison.serial,
         sizes=comparison.sizes,
-        seconds=ordered.seconds,
-        via=ordered.via,
-        blocked=ordered.blocked,
+        seconds=ordered_plan.seconds,
+        via=ordered_plan.via,
+        blocked=ordered_plan.blocked,
         compensator_free=problem.joint2.free,
-        warnings=(*problem.warnings, *uncertainty_warnings(accuracy, problem.joint2, ordered.blocked)),
+        warnings=(*problem.warnings, *uncertainty_warnings(accuracy, problem.joint2, ordered_plan.blocked)),
         interrupted=comparison.is_interrupted,
     )
 
@@ -617,9 +617,9 @@ def _hidden_joints(candidates: Candidates, configurations: int, earlier_data: Me
 def _largest_torques(data: Measurements, readings: Readings) -> Array:
     """Return the torques (C, 6) of the largest load of each configuration that was loaded [N·m]."""
     config, load = data.state_config[data.loaded_states], data.wrench[data.loaded_states]
-    descending = np.argsort(norm(load))[::-1]
-    _, first = np.unique(config[descending], return_index=True)
-    largest = descending[first]  # row of the largest load of each configuration
+    descending_rows = np.argsort(norm(load))[::-1]
+    _, first = np.unique(config[descending_rows], return_index=True)
+    largest = descending_rows[first]  # row of the largest load of each configuration
     return readings.torque(data.q[config[largest]], load[largest, :3])
 
 
@@ -705,9 +705,9 @@ def _check_identifiable(parameters: int, options: Options, points: int, data: Me
     fewest = fewest_configurations(parameters, points, float(np.mean(directions)))
     if len(directions) >= fewest:
         return
-    earlier = "" if data is None else f" with the {len(data.q)} that were measured"
+    note = "" if data is None else f" with the {len(data.q)} that were measured"
     raise PlanError(
-        f"{len(directions)} configurations of {points} points{earlier} are too few: `identify` would not trust a model "
+        f"{len(directions)} configurations of {points} points{note} are too few: `identify` would not trust a model "
         f"from fewer than {fewest}",
         advice=f"Ask for {options.configurations + fewest - len(directions)} or more with --configurations"
         + (" (15 are usual), or give earlier readings with --measured." if data is None else "."),

@@ -178,8 +178,8 @@ def blocking(site: Site, rng: np.random.Generator) -> str:
     blockages.sort(key=lambda blockage: -blockage.share)
     # the constraint without which most poses were possible; else one that forbids all of them
     freeing = sorted((blockage for blockage in blockages if blockage.freed_count), reverse=True)
-    forbidding_all = [blockage for blockage in blockages if blockage.share > 0.999]
-    culprit = (freeing or forbidding_all or blockages)[0].name
+    full_blockages = [blockage for blockage in blockages if blockage.share > 0.999]
+    culprit = (freeing or full_blockages or blockages)[0].name
     summary = "; ".join(map(str, blockages[:6]))
     return f"no pose can be measured: what blocks is: {culprit}. Of {_LOOK} poses at random: {summary}"
 
@@ -387,8 +387,8 @@ def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
     sides = demand.loaded_sides(task.candidates.torque[choice.row]).astype(np.int64)  # (m, C, 6, 2)
     for place in range(task.count):
         count = sides[level, pick].sum(axis=0)
-        count_without = count - sides[level[place], pick[place]]
-        is_worse = demand.missing_count(count_without + sides) > demand.missing_count(count)  # (m, C)
+        remaining_count = count - sides[level[place], pick[place]]
+        is_worse = demand.missing_count(remaining_count + sides) > demand.missing_count(count)  # (m, C)
         if not task.fixed:
             old, new = information[level[place], pick[place]], information[level[place]]
             total = criterion.total(information[level, pick], level)
@@ -592,8 +592,8 @@ def serial_plan(task: Task) -> Plan:
         level_q = candidates.q[row[group]]
         dexterity = _dexterity(task, level_q)
         count = max(len(members), int(_BEST_SHARE * len(dexterity)))
-        best_conditioned = np.argsort(-dexterity, kind="stable")[:count]
-        pick[members] = _distant_rows(level_q, best_conditioned, len(members))
+        best_rows = np.argsort(-dexterity, kind="stable")[:count]
+        pick[members] = _distant_rows(level_q, best_rows, len(members))
     index = row[level], pick
     value = task.criterion_at(candidates.q2[row]).value(candidates.information[index], level)
     return Plan(q=candidates.q[index], tilt=candidates.tilt[index], level=level, q2=candidates.q2[row], value=value)

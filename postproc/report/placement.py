@@ -107,7 +107,9 @@ def summary(
     :param moved_frames: tables of frames by number that move with `[base]`, such as ``"base_data.1"``.
     """
     # of each reason the number of places; the first reason is that of places that can be driven
-    reachable, *refused = np.bincount([place.reason for place in search.trials], minlength=len(PLACE_REASONS)).tolist()
+    reachable, *refusal_counts = np.bincount(
+        [place.reason for place in search.trials], minlength=len(PLACE_REASONS)
+    ).tolist()
     return PlaceSummary(
         programs=list(programs),
         robot=cell.robot,
@@ -120,7 +122,7 @@ def summary(
         grid="place.csv",
         tried=len(search.trials),
         reachable=reachable,
-        refused={name: count for name, count in zip(PLACE_REASONS[1:], refused, strict=True) if count},
+        refused={name: count for name, count in zip(PLACE_REASONS[1:], refusal_counts, strict=True) if count},
         refused_later=dict(Counter(place.problem for place in search.refusals)),
         moved_frames=moved_frames,
         sentence=_sentence(search),

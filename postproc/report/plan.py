@@ -228,8 +228,8 @@ def plan_lines(result: PlanResult) -> list[str]:
     force = result.site.rig.force
     levels = ", ".join(f"{value:.1f}" for value in np.sort(np.unique(result.plan.q[:, 1])) * DEG_PER_RAD)
     torques = ", ".join(
-        f"{joint} {least:.0f} … {largest:.0f}"
-        for joint, least, largest in zip(JOINTS, *torque_extremes(result), strict=True)
+        f"{joint} {smallest:.0f} … {largest:.0f}"
+        for joint, smallest, largest in zip(JOINTS, *torque_extremes(result), strict=True)
     )
     names = " and ".join(result.unobservable)
     exception = f", but for that by {names}, which this rig does not show" if names else ""

@@ -168,12 +168,12 @@ def _totals_row(summaries: Sequence[Summary], count: int) -> tuple[str, ...]:
     """
     answers = [better for content in summaries if (better := content.verdict.better) is not None]
     uncorrected = _largest_length_text([answer.uncorrected_mm for answer in answers])
-    corrected = _largest_length_text([answer.corrected_mm for answer in answers])
+    corrected_text = _largest_length_text([answer.corrected_mm for answer in answers])
     words = [_verdict_word(content) for content in summaries]
     counts = [f"{count - len(summaries)} not written"] if count > len(summaries) else []
     counts += [f"{words.count(word)} {word}" for word in (*_STATES.values(), _NO_FORCES) if word in words]
     targets = str(sum(content.targets for content in summaries))
-    return (f"all {count}, at most", targets, uncorrected, corrected, "", "", "", ", ".join(counts))
+    return (f"all {count}, at most", targets, uncorrected, corrected_text, "", "", "", ", ".join(counts))
 
 
 class _ErrorTexts(NamedTuple):
@@ -195,8 +195,10 @@ def _error_texts(verdict: Verdict) -> _ErrorTexts:
     if better is None:
         return _ErrorTexts("-", "-", "-")
     chance = "-" if better.chance is None else chance_in_words(better.chance)
-    uncorrected, corrected = (_largest_length_text([error]) for error in (better.uncorrected_mm, better.corrected_mm))
-    return _ErrorTexts(uncorrected, corrected, chance)
+    uncorrected_text, corrected_text = (
+        _largest_length_text([error]) for error in (better.uncorrected_mm, better.corrected_mm)
+    )
+    return _ErrorTexts(uncorrected_text, corrected_text, chance)
 
 
 def _largest_length_text(lengths_mm: Sequence[float | None]) -> str:

@@ -349,8 +349,8 @@ def _check_covariance(content: ModelFile, file_name: str) -> None:
         problem = f"[covariance] matrix is neither {size}×{size} nor the lower triangle of that"
         raise ModelError(problem, file=file_name, advice="Give a row for each parameter, with as many numbers in each.")
     is_symmetric = np.allclose(matrix, matrix.T, rtol=_ASYMMETRY, atol=0.0)
-    least_allowed = _NEGATIVE_EIGENVALUE * np.abs(matrix).max(initial=0.0)
-    if not is_symmetric or np.linalg.eigvalsh(matrix).min(initial=0.0) < least_allowed:
+    allowed_eigenvalue = _NEGATIVE_EIGENVALUE * np.abs(matrix).max(initial=0.0)
+    if not is_symmetric or np.linalg.eigvalsh(matrix).min(initial=0.0) < allowed_eigenvalue:
         raise ModelError(
             "[covariance] matrix is not symmetric positive semidefinite",
             file=file_name,

@@ -131,7 +131,7 @@ class Discrepancy(Struct, frozen=True, eq=False):
         return np.where(np.any(wrench != 0.0, axis=1), interpolated_bound * factor, 0.0)
 
 
-_SPAN_LEAST = np.radians(10.0)
+_SMALLEST_SPAN = np.radians(10.0)
 """Span of a joint that hardly moved [rad], assumed: its errors are those of any joint of an arm, not without limit."""
 
 
@@ -160,7 +160,7 @@ class GeometryError(Struct, frozen=True, eq=False):
         in full at one span beyond.
         """
         beyond = np.maximum(np.maximum(self.lower - q, q - self.upper), 0.0)
-        share = beyond / np.maximum(self.upper - self.lower, _SPAN_LEAST)
+        share = beyond / np.maximum(self.upper - self.lower, _SMALLEST_SPAN)
         extrapolated = self.u95**2 * (1.0 + 6.0 * np.sum(share + share**2, axis=1))
         return np.asarray(np.sqrt(extrapolated + (self.unmeasured * np.minimum(share.max(axis=1), 1.0)) ** 2))
 
@@ -531,23 +531,23 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
     def _with_masses(self, masses: Mapping[LinkMass, float]) -> RobotModel:
         """Return the robot with other masses of links [kg]; the payload is unchanged."""
-        nominal, actual, loaded = self.nominal, self.actual, self.loaded
-        has_payload = loaded is not actual
+        nominal_arm, actual_arm, loaded_arm = self.nominal, self.actual, self.loaded
+        has_payload = loaded_arm is not actual_arm
         for link, mass in masses.items():
-            difference, centre, row = mass - self.value(link), nominal.centre[link.index], self.row(link)
-            nominal = nominal.with_mass(link.index, difference, centre)
-            actual = actual.with_mass(row, difference, centre)
-            loaded = loaded.with_mass(row, difference, centre) if has_payload else actual
-        return replace(self, nominal=nominal, actual=actual, loaded=loaded)
+            difference, centre, row = mass - self.value(link), nominal_arm.centre[link.index], self.row(link)
+            nominal_arm = nominal_arm.with_mass(link.index, difference, centre)
+            actual_arm = actual_arm.with_mass(row, difference, centre)
+            loaded_arm = loaded_arm.with_mass(row, difference, centre) if has_payload else actual_arm
+        return replace(self, nominal=nominal_arm, actual=actual_arm, loaded=loaded_arm)
 
     def with_root(self, root: Array) -> RobotModel:
         """Return the model whose real arm is displaced as a whole; the controller's geometry is unchanged.
 
         :param root: (4, 4) displacement in the root of the robot [m].
         """
-        actual = self.actual.with_root(root)
-        loaded = actual if self.loaded is self.actual else self.loaded.with_root(root)
-        return replace(self, actual=actual, loaded=loaded)
+        actual_arm = self.actual.with_root(root)
+        loaded_arm = actual_arm if self.loaded is self.actual else self.loaded.with_root(root)
+        return replace(self, actual=actual_arm, loaded=loaded_arm)
 
     def with_payload(self, mass: float, centre: Array) -> RobotModel:
         """Return the model carrying a further payload.

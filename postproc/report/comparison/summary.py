@@ -419,12 +419,17 @@ def _cut_distances(comparison: Comparison, names: Sequence[Names], rows: slice) 
     if comparison.cuts is None:
         return None
     rapid, cut_length = comparison.rapid[rows], comparison.cut_length[rows]
-    nominal, corrected = norm(comparison.cuts.nominal[rows]), norm(comparison.cuts.corrected_deviation[rows])
+    nominal_distance, corrected_distance = (
+        norm(comparison.cuts.nominal[rows]),
+        norm(comparison.cuts.corrected_deviation[rows]),
+    )
     lines = _NO_LINES
     if not rapid.all():
-        worst = rows.start + int(np.argmax(np.where(rapid, -1.0, corrected)))
+        worst = rows.start + int(np.argmax(np.where(rapid, -1.0, corrected_distance)))
         lines = asdict(_lines_of_pair(comparison, names, worst))
-    return CutDistances(**lines, nominal=_distances(nominal, cut_length), corrected=_distances(corrected, cut_length))
+    return CutDistances(
+        **lines, nominal=_distances(nominal_distance, cut_length), corrected=_distances(corrected_distance, cut_length)
+    )
 
 
 def _largest_gap(comparison: Comparison, names: Sequence[Names]) -> PathGap:
@@ -576,13 +581,13 @@ def _table_targets(comparison: Comparison) -> _TableTargets:
         _targets_of_state("passed", comparison.passed_rows, None),
         _targets_of_state("only_corrected", None, comparison.additional_rows),
     ]
-    state, nominal, corrected = np.concatenate(states, axis=1)
+    state, nominal_row, corrected_row = np.concatenate(states, axis=1)
     # by motion of the second program; a nominal target without a partner follows the partner of the last paired target
     # before it (−1: it comes first), after that target's own row
-    is_alone = corrected < 0
-    sort_row = corrected.copy()
-    sort_row[is_alone] = np.append(-1, corrected_row)[np.searchsorted(nominal_row, nominal[is_alone])]
-    return _TableTargets(state, nominal, corrected, order=np.lexsort((is_alone, sort_row)))
+    is_alone = corrected_row < 0
+    sort_row = corrected_row.copy()
+    sort_row[is_alone] = np.append(-1, corrected_row)[np.searchsorted(nominal_row, nominal_row[is_alone])]
+    return _TableTargets(state, nominal_row, corrected_row, order=np.lexsort((is_alone, sort_row)))
 
 
 def _targets_of_state(state: str, nominal: Ints | None, corrected: Ints | None) -> Ints:

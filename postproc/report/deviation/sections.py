@@ -189,14 +189,14 @@ def _deflection_tiles(data: Deviation, surface: Surface) -> list[Tile]:
     is_touched = surface.is_touched
     if not is_touched.any():
         return []
-    before, after = surface.before[is_touched], surface.after[is_touched]
+    deviation_before_correction, corrected_deviation = surface.before[is_touched], surface.after[is_touched]
     tiles = [
-        _depth_tile("Gouged before, at most", -before.min(), _DEFLECTION),
-        _depth_tile("Left before, at most", before.max(), _DEFLECTION),
+        _depth_tile("Gouged before, at most", -deviation_before_correction.min(), _DEFLECTION),
+        _depth_tile("Left before, at most", deviation_before_correction.max(), _DEFLECTION),
     ]
     if data.is_compared:
-        tiles.append(_depth_tile("Gouged after, at most", -after.min(), "as the model predicts it"))
-        tiles.append(_depth_tile("Left after, at most", after.max()))
+        tiles.append(_depth_tile("Gouged after, at most", -corrected_deviation.min(), "as the model predicts it"))
+        tiles.append(_depth_tile("Left after, at most", corrected_deviation.max()))
     if surface.bound is not None:
         bound_mm = surface.bound[is_touched].max() * MM_PER_M
         tiles.append(Tile("Expected error (95 %), up to", two_digits(bound_mm), "mm"))
