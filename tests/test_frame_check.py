@@ -74,7 +74,7 @@ def test_a_tool_turned_about_one_axis_hides_an_error_along_it(tmp_path, turns, t
 def test_an_error_of_the_tool_as_large_as_is_said_to_hide_is_as_far_off_as_noise(tmp_path):
     """The tool is too long by the length that is stated, and $BASE is moved so as to hide it."""
     joints, sigma_mm = touching(TURNS, TILTS), 0.1
-    hidden = check_frames(*written(tmp_path, joints), sigma_mm).hidden * 1e3
+    hidden = check_frames(*written(tmp_path, joints), sigma_mm).hidden_error * 1e3
     assert 0.3 < hidden < 1.5
     assert f"errors of $TOOL up to {hidden:.2g} mm" in as_text(check_frames(*written(tmp_path, joints), sigma_mm), 0.1)
     longer = (*TOOL[:2], TOOL[2] + hidden, *TOOL[3:])

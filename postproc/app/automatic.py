@@ -14,22 +14,22 @@ from postproc.jobs.arrivals import Arrivals
 from postproc.jobs.watching import SCAN
 
 _STATE = ".postproc-app.json"
-_CORRECTING = ("convert", "start")
+_CONVERSIONS = ("convert", "start")
 """Commands after which a program is finished, whatever came of it; others only read it."""
 
 
 class AutomaticConversion:
-    """The switch, and what it switches.
+    """Automatic conversion of the programs of a window, which a switch on its page turns on and off.
 
-    :ivar is_on: kept in the folder of the results when it is off.
+    :ivar is_on: whether programs are converted; that it is off is saved in the folder of the results.
     """
 
     def __init__(self, workspace: Workspace, runs: Runs) -> None:
         self._workspace, self._runs = workspace, runs
         self._arrivals = Arrivals(workspace.folder, workspace.results, workspace.cell)
-        self._begun: Run | None = None
-        """What was begun here last."""
-        self._oldest = 0
+        self._last_run: Run | None = None
+        """The last command that `step` began."""
+        self._oldest_number = 0
         """Number of the first command that may have run since the last step."""
         self._end = threading.Event()
         self._state = workspace.results / _STATE
@@ -43,7 +43,7 @@ class AutomaticConversion:
             return True
 
     def switch(self, *, is_on: bool) -> None:
-        """Switch it on or off; what runs goes on."""
+        """Turn the conversion on or off; a command that runs is not stopped."""
         self.is_on = is_on
         if is_on:
             self._state.unlink(missing_ok=True)
@@ -78,12 +78,12 @@ class AutomaticConversion:
         items = {item.name: item for item in self._workspace.items()}
         for path in paths:
             item = items.get(path.name)
-            if item is None or item.current:
+            if item is None or item.is_current:
                 self._arrivals.finish(path)
                 continue
             if not self._end.is_set():
                 title = f"Correct {path.name}"
-                self._begun = self._runs.begin(path.name, title, self._workspace.conversion(path.name))
+                self._last_run = self._runs.begin(path.name, title, self._workspace.conversion(path.name))
                 self._arrivals.finish(path)
             return
 
@@ -92,8 +92,8 @@ class AutomaticConversion:
 
         Commands begun by `step` are left out: if a program changes during such a command, it is converted again.
         """
-        recent = self._runs.runs_since(self._oldest)
+        recent = self._runs.runs_since(self._oldest_number)
         active = [run for run in recent if run.code is None]
-        self._oldest = min((run.number for run in active), default=self._oldest + len(recent))
-        user_runs = (run for run in recent if run is not self._begun and run.arguments[0] in _CORRECTING)
+        self._oldest_number = min((run.number for run in active), default=self._oldest_number + len(recent))
+        user_runs = (run for run in recent if run is not self._last_run and run.arguments[0] in _CONVERSIONS)
         return not active, {run.key for run in user_runs}

@@ -13,6 +13,7 @@ from postproc.jobs.experiments import Readings
 def identification(workspace: Workspace, entry: Readings, form: Mapping[str, str]) -> list[str]:
     """Return the arguments of the command that identifies a model.
 
+    :param entry: the experiment with its files of readings.
     :param form: names of the files `readings` (default: the first) and `compensator` (default: none), and `geometry`.
     :raises InputError: there is no such file next to the experiment.
     """
@@ -27,9 +28,9 @@ def identification(workspace: Workspace, entry: Readings, form: Mapping[str, str
 
 
 def model_path(paths: Sequence[Path], name: str) -> Path:
-    """Return the file of a name.
+    """Return the path whose file has a name.
 
-    :raises InputError: it is not among them.
+    :raises InputError: none of `paths` has it.
     """
     for path in paths:
         if path.name == name:

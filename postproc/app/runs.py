@@ -31,6 +31,8 @@ def command_line(arguments: Sequence[str]) -> str:
 class Run:
     """A command that runs, or has run.
 
+    :ivar number: its place in the order of the commands of the window, from 0; `title`: heading of its page.
+    :ivar arguments: words after `postproc`.
     :ivar key: what it is about, such as ``"part.nc"``; one command at a time has a key.
     :ivar code: exit code; None while it runs.
     :ivar page: address that shows its result; empty: the page of the program `key`.
@@ -94,6 +96,7 @@ class Run:
     @property
     def is_failure(self) -> bool:
         """Return whether the command has ended with an error, and not because it was stopped."""
+        # exit code 3: the files are written, and the verdict is red
         return self.code not in (None, 0, 3) and not self.is_stopped
 
     @property
@@ -181,7 +184,8 @@ class Runs:
 
         :raises InputError: there is none of this number.
         """
-        if not (number.isascii() and number.isdecimal() and len(number) < 10 and int(number) < len(self._runs)):
+        is_number = number.isascii() and number.isdecimal() and len(number) < 10  # as anybody may type an address
+        if not is_number or int(number) >= len(self._runs):
             raise InputError("no such run", advice="The window was started anew: results are in the list of programs.")
         return self._runs[int(number)]
 
@@ -199,7 +203,7 @@ class Runs:
         return self._runs[number:]
 
     def latest(self, key: str) -> Run | None:
-        """Return the latest run about something."""
+        """Return the latest command with a key, see `Run`; None: there is none."""
         return next((run for run in reversed(self._runs) if run.key == key), None)
 
     def stop_all(self) -> None:

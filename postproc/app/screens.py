@@ -100,10 +100,10 @@ def answers_of(item: Item) -> dict[str, Any]:
     )
     better, state = content.verdict.better, item.entry.state
     return {
-        "state": state if item.current else "changed",
-        "run": _VERDICTS.get(state, state) if item.current else "Changed since: correct it again",
+        "state": state if item.is_current else "changed",
+        "run": _VERDICTS.get(state, state) if item.is_current else "Changed since: correct it again",
         "changes": ", ".join(item.changes),
-        "kind": _KINDS.get(state, "") if item.current else "warning",
+        "kind": _KINDS.get(state, "") if item.is_current else "warning",
         "headline": content.verdict.headline,
         "remark": STOCK_REMARK if any(issue.kind == ASSUMED_STOCK for issue in content.issues) else "",
         "reasons": content.verdict.reasons,
@@ -137,7 +137,7 @@ def programs(workspace: Workspace, programs: Sequence[Row], stamp: str, *, is_au
             "name": row.item.name,
             **answers_of(row.item),
             "active": row.run if row.run is not None and row.run.code is None else None,
-            "failure": row.run if row.run is not None and not row.item.current and row.run.is_failure else None,
+            "failure": row.run if row.run is not None and not row.item.is_current and row.run.is_failure else None,
             "waits_for": row.waits_for,
         }
         for row in programs
@@ -224,29 +224,49 @@ def posted_answers(form: dict[str, str]) -> dict[str, str]:
         else:
             texts[key] = value
     for key, parts in frames.items():
-        if "shape" in parts:
-            corner = f",{parts.get('corner', '')}" if parts["shape"] == "bull" else ""
-            texts[key] = f"{parts['shape']},{parts.get('diameter', '')}{corner}" if parts.get("diameter") else ""
-            continue
-        if key == "stock":
-            spans = {axis: (parts.get(f"{axis}/from", ""), parts.get(f"{axis}/to", "")) for axis in "XYZ"}
-            box = ",".join(f"{axis}={low}:{high}" for axis, (low, high) in spans.items())
-            texts[key] = box if any(map(any, spans.values())) else ""
-            continue
-        values = [parts.get(axis, "") for axis in "XYZABC"]
-        has_turn = any(values[3:])
-        texts[key] = ",".join(value or "0" for value in values[: 6 if has_turn else 3]) if any(values) else ""
+        texts[key] = (
+            _cutter_text(parts) if "shape" in parts else _box_text(parts) if key == "stock" else _frame_text(parts)
+        )
     return texts
+
+
+def _cutter_text(parts: Mapping[str, str]) -> str:
+    """Return a posted cutter as `answers.cutter` takes it; empty: it has no diameter.
+
+    :param parts: shape, diameter and corner radius by the last part of the name of the field.
+    """
+    corner = f",{parts.get('corner', '')}" if parts["shape"] == "bull" else ""
+    return f"{parts['shape']},{parts.get('diameter', '')}{corner}" if parts.get("diameter") else ""
+
+
+def _box_text(parts: Mapping[str, str]) -> str:
+    """Return a posted box as `answers.stock` takes it; empty: all its fields are empty.
+
+    :param parts: ends of the spans by name: ``X/from``, ``X/to`` and so on.
+    """
+    spans = {axis: (parts.get(f"{axis}/from", ""), parts.get(f"{axis}/to", "")) for axis in "XYZ"}
+    box = ",".join(f"{axis}={low}:{high}" for axis, (low, high) in spans.items())
+    return box if any(map(any, spans.values())) else ""
+
+
+def _frame_text(parts: Mapping[str, str]) -> str:
+    """Return a posted frame as ``X,Y,Z`` or, if it has angles, ``X,Y,Z,A,B,C``; empty: all its fields are empty.
+
+    :param parts: the numbers by axis; an empty one is 0.
+    """
+    values = [parts.get(axis, "") for axis in "XYZABC"]
+    has_turn = any(values[3:])
+    return ",".join(value or "0" for value in values[: 6 if has_turn else 3]) if any(values) else ""
 
 
 def setup(
     name: str,
+    *,
     facts: Sequence[str],
     refusal: str,
     form: SetupForm,
     command: str,
     fault: str,
-    *,
     is_posted: bool,
     kept_cell: str = "",
     frames: Sequence[str] = (),
@@ -286,11 +306,12 @@ def setup(
     )
 
 
-def program(item: Item, workspace: Workspace, other_programs: Sequence[str], run: Run | None, command: str) -> Page:
+def program(item: Item, workspace: Workspace, other_programs: Sequence[str], *, run: Run | None, command: str) -> Page:
     """Return the page of one program.
 
     :param other_programs: results and programs that it may be compared with.
-    :param run: the latest command about it.
+    :param run: the latest command about it; None: there was none.
+    :param command: the command that corrects it, as it is typed in a terminal.
     """
     stem = Path(item.entry.page.removesuffix(".report.html") if item.entry else item.name).stem
     file_names = sorted(path.name for path in workspace.results.glob(f"{stem}*")) if item.entry else []
@@ -377,9 +398,9 @@ def _table_title(table: str) -> str:
 def cell(
     workspace: Workspace,
     fields: Sequence[FormField],
+    *,
     fault: str,
     texts: Mapping[str, str],
-    *,
     is_saved: bool,
     frames: str = "",
 ) -> Page:
@@ -445,9 +466,9 @@ def process(
     path: Path,
     workspace: Workspace,
     tables: Sequence[ProcessTable],
+    *,
     fault: str,
     texts: Mapping[str, str],
-    *,
     is_saved: bool,
 ) -> Page:
     """Return the page of a process file.

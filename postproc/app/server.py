@@ -39,7 +39,7 @@ from postproc.jobs.guided_start import is_edited, load_answers
 from postproc.jobs.process_edit import edit_process, process_tables
 from postproc.jobs.program_needs import needs_of
 from postproc.jobs.programs import states_forces
-from postproc.jobs.setup_form import CHECKED, setup_form, start_arguments
+from postproc.jobs.setup_form import CHECKED_KEY, setup_form, start_arguments
 from postproc.machining.tool_comments import named_text
 from postproc.robot import shipped_models
 
@@ -60,7 +60,7 @@ _REPORT_POLICY = (
 """A report has the texts of programs in it: its scripts reach neither the window nor its cookie."""
 
 
-_NOTHING: Mapping[str, str] = {}
+_NO_TEXTS: Mapping[str, str] = {}
 
 
 class Window(ThreadingHTTPServer):
@@ -253,10 +253,10 @@ class _Handler(BaseHTTPRequestHandler):
         process = workspace.results / f"{program.stem}.process.toml"
         needs = needs_of(program)
         is_asked = {"cell": not is_edited(workspace.cell, answers), "process": not is_edited(process, answers)}
-        kept_texts = answers.answers | ({CHECKED: "1"} if "stock" in answers.answers else {})
+        kept_texts = answers.answers | ({CHECKED_KEY: "1"} if "stock" in answers.answers else {})
         form = setup_form(needs, kept_texts if texts is None else texts, **is_asked)
         arguments, fault = start_arguments(program, form), ""
-        if texts is not None and form.complete and not needs.refusal:
+        if texts is not None and form.is_complete and not needs.refusal:
             try:
                 return self.begin(name, f"Correct {name}", arguments)
             except InputError as cause:
@@ -266,11 +266,11 @@ class _Handler(BaseHTTPRequestHandler):
         frames = () if is_asked["cell"] else missing_frames(workspace.cell, needs)
         page = screens.setup(
             name,
-            cutters,
-            needs.refusal,
-            form,
-            command_line(arguments),
-            fault,
+            facts=cutters,
+            refusal=needs.refusal,
+            form=form,
+            command=command_line(arguments),
+            fault=fault,
             is_posted=texts is not None,
             kept_cell=kept_cell,
             frames=frames,
@@ -293,7 +293,8 @@ class _Handler(BaseHTTPRequestHandler):
         other_programs = [f"{RESULTS}/{path.name}" for path in results if path.suffix in _COMPARED_SUFFIXES]
         other_programs += [other_program.name for other_program in workspace.items() if other_program.name != name]
         command = command_line(workspace.conversion(name))
-        self._page(screens.program(item, workspace, other_programs, self.server.runs.latest(name), command))
+        run = self.server.runs.latest(name)
+        self._page(screens.program(item, workspace, other_programs, run=run, command=command))
 
     def run(self) -> None:
         """Send the page of a command.
@@ -311,7 +312,7 @@ class _Handler(BaseHTTPRequestHandler):
         content = {"code": run.code, "text": run.text, "share": run.share, "progress": run.progress}
         self._send(200, json.dumps(content).encode(), "application/json")
 
-    def cell(self, fault: str = "", texts: Mapping[str, str] = _NOTHING) -> None:
+    def cell(self, fault: str = "", texts: Mapping[str, str] = _NO_TEXTS) -> None:
         """Send the numbers of the cell.
 
         :param fault: why posted numbers were not written; empty: none were refused.
@@ -323,10 +324,12 @@ class _Handler(BaseHTTPRequestHandler):
             return self._page(screens.message("Cell", text))
         frames = self._frames()
         fields = fields_of(workspace.stated_cell(), frames)
-        page = screens.cell(workspace, fields, fault, texts, is_saved="saved" in self.query, frames=",".join(frames))
+        page = screens.cell(
+            workspace, fields, fault=fault, texts=texts, is_saved="saved" in self.query, frames=",".join(frames)
+        )
         return self._page(page, 400 if fault else 200)
 
-    def process(self, fault: str = "", texts: Mapping[str, str] = _NOTHING) -> None:
+    def process(self, fault: str = "", texts: Mapping[str, str] = _NO_TEXTS) -> None:
         """Send tools, material and stock of a program, with posted values as `cell` does, or the list of programs.
 
         :param fault: why posted values were not written; `texts`: these values, by the name of the field.
@@ -341,7 +344,7 @@ class _Handler(BaseHTTPRequestHandler):
         if needs.refusal:
             raise InputError(f"{name} cannot be read: {needs.refusal}")
         tables = process_tables(path, needs)
-        page = screens.process(name, path, workspace, tables, fault, texts, is_saved="saved" in self.query)
+        page = screens.process(name, path, workspace, tables, fault=fault, texts=texts, is_saved="saved" in self.query)
         return self._page(page, 400 if fault else 200)
 
     def _process_in_words(self, name: str) -> str:
@@ -634,7 +637,7 @@ class _Handler(BaseHTTPRequestHandler):
         :param page: address that shows the result; empty: the page of the program.
         :raises InputError: the command cannot begin now, see `Runs.begin`; nothing was changed.
         """
-        run: Run = self.server.runs.begin(key, title, arguments, change, page)
+        run: Run = self.server.runs.begin(key, title, arguments, change=change, page=page)
         self._redirect(f"/run?number={run.number}")
 
     def _program_name(self, form: dict[str, str]) -> str:

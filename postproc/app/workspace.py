@@ -68,7 +68,7 @@ class Item(Struct, frozen=True):
     name_fault: str = ""
 
     @property
-    def current(self) -> bool:
+    def is_current(self) -> bool:
         """Return whether the results are those of the present inputs."""
         return self.entry is not None and not self.changes and not self.name_fault
 
@@ -266,8 +266,8 @@ def _name_fault(name: str, names: Sequence[str]) -> str:
     same_stem_names = (
         program_name for program_name in names if program_name != name and stems & _written_stems(program_name)
     )
-    first_same = next(same_stem_names, "")
-    return f"its files would be those of {first_same}" if first_same else ""
+    conflict = next(same_stem_names, "")
+    return f"its files would be those of {conflict}" if conflict else ""
 
 
 @cache

@@ -100,7 +100,7 @@ def _show_progress(run: Callable[..., Iterator[Outcome]], count: int) -> Iterato
 
     if as_lines():
         show = line_writer()
-        yield from run(progress=lambda done, total: show("moves through the stock", done / max(total, 1)))
+        yield from run(progress=lambda count, total: show("moves through the stock", count / max(total, 1)))
         return
     if not sys.stderr.isatty():
         yield from run()
@@ -119,9 +119,9 @@ def _show_progress(run: Callable[..., Iterator[Outcome]], count: int) -> Iterato
         task = progress.add_task("programs", total=count)
         sweep = progress.add_task("moves through the stock", visible=False)
 
-        def show_sweep(done: int, total: int) -> None:
+        def show_sweep(count: int, total: int) -> None:
             """Show how many moves the tool has swept; hide the bar at the end."""
-            progress.update(sweep, completed=done, total=total, visible=done < total)
+            progress.update(sweep, completed=count, total=total, visible=count < total)
 
         for outcome in run(progress=show_sweep):
             progress.update(task, advance=1, description=Path(outcome.program).name)

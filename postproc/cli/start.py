@@ -215,7 +215,7 @@ def _ask(
         except InputError as cause:
             source = question.option.split()[0] if question.key in option_texts else str(answers_path)
             raise click.BadParameter(str(cause), param_hint=source) from None
-        is_unchecked_stock = question.key == "stock" and "stock" in answers.offered
+        is_unchecked_stock = question.key == "stock" and "stock" in answers.offered_keys
         if (on_terminal and not is_unchecked_stock) or question.key in option_texts:
             answer_file.answers[question.key] = text
             _save(answers_path, answer_file)

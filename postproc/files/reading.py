@@ -145,8 +145,8 @@ def convert(
         kind = msgspec.inspect.type_info(structure)
         wrong_keys = list(islice(_wrong_keys(data, kind, ""), MAX_ERRORS + 1))
         if wrong_keys:
-            are_missing = all(problem.startswith("missing") for problem, _ in wrong_keys)
-            advice = example if example and are_missing else None
+            has_only_missing_keys = all(problem.startswith("missing") for problem, _ in wrong_keys)
+            advice = example if example and has_only_missing_keys else None
             advices = [valid for _, valid in wrong_keys]
             advices[-1] = "\n".join(filter(None, (advices[-1], advice))) or None
             errors = [
@@ -254,11 +254,11 @@ def _wrong_keys_of_table(
             parent, _, entry = at.rpartition(".")
             advice = f'A name with a dot is in quotes: [{parent}."{entry}.{name}"]. {advice}'
         yield f"unknown {key}", advice
-    misspelt = {nearest_name(name, fields) for name in unknown_names}  # a misspelt key is not missing too
+    intended_names = {nearest_name(name, fields) for name in unknown_names}  # a intended_names key is not missing too
     missing_keys = [
         f"[{_full_key(at, name)}]" if isinstance(_inner(field.type), msgspec.inspect.StructType) else name
         for name, field in fields.items()
-        if field.required and name not in data and name not in misspelt
+        if field.required and name not in data and name not in intended_names
     ]
     if missing_keys:
         yield f"missing {'key' if len(missing_keys) == 1 else 'keys'}{table}: {', '.join(missing_keys)}", None

@@ -27,11 +27,14 @@ class Arrivals:
 
     def __init__(self, folder: Path, output: Path, cell: Path) -> None:
         self.folder, self.output, self.cell = folder, output, cell
-        self._seen: dict[Path, tuple[Signature, float]] = {}
+        self._last_changes: dict[Path, tuple[Signature, float]] = {}
+        """Signature of the inputs of each program, and monotonic time of the scan that first had it [s]."""
         self._finished: dict[Path, Signature] = {}
+        """Signature of the inputs with which each program was converted."""
         self._program_files: dict[Path, Signature] = {}
         """Of each program, before a command began to work on it."""
         self._busy: set[Path] = set()
+        """Programs that a command worked on at the last scan."""
 
     def ready(self, time_s: float, busy: Collection[str] = ()) -> list[Path]:
         """Return the programs whose inputs differ from those last converted, and are unchanged for `QUIET` s; sorted.
@@ -61,22 +64,23 @@ class Arrivals:
             self._program_files[path] = program_files
             if self._finished.get(path) == signature:
                 continue
-            if self._seen.get(path, ((), 0.0))[0] != signature:
-                self._seen[path] = (signature, time_s)
-            elif time_s - self._seen[path][1] >= QUIET and self._has_forces(path) and _is_readable(path):
+            last_signature, change_time = self._last_changes.get(path, ((), time_s))
+            if last_signature != signature:
+                self._last_changes[path] = (signature, time_s)
+            elif time_s - change_time >= QUIET and self._has_forces(path) and _is_readable(path):
                 ready_paths.append(path)
         self._forget(paths)
         return self._main_programs(ready_paths) if ready_paths else []
 
     def finish(self, path: Path) -> None:
         """Note that the conversion of a ready program has begun or is not needed; it is ready again when it changes."""
-        self._finished[path] = self._seen[path][0]
+        self._finished[path] = self._last_changes[path][0]
 
     def _forget(self, paths: Collection[Path]) -> None:
         """Forget programs that are no longer in the folder."""
         for path in self._program_files.keys() - set(paths):
             self._program_files.pop(path)
-            self._seen.pop(path, None)
+            self._last_changes.pop(path, None)
             self._finished.pop(path, None)
             self._busy.discard(path)
 

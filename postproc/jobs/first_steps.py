@@ -679,16 +679,17 @@ def _meshes(geometry: Sequence[Geometry], urdf: Path, arm: AdoptedModel) -> _Lin
     """
     if not geometry:
         return _LinkMeshes({}, ["the URDF names no shapes: pages draw the arm as solids of revolution"])
-    visuals, problems = shapes.read([shape for shape in geometry if shape.drawn], urdf)
-    solids_read, solid_problems = shapes.read([shape for shape in geometry if not shape.drawn], urdf)
-    visuals, solids_read = (
-        [shape.transform(arm.moved[shape.carrier + 1]) for shape in shapes.join_by_carrier(shapes_read)]
-        for shapes_read in (visuals, solids_read)
+    file_visuals, problems = shapes.read([shape for shape in geometry if shape.drawn], urdf)
+    file_solids, solid_problems = shapes.read([shape for shape in geometry if not shape.drawn], urdf)
+    visuals, solids = (
+        # row 0 of `moved` is the base, whose carrier is −1
+        [shape.transform(arm.moved[shape.carrier + 1]) for shape in shapes.join_by_carrier(file_shapes)]
+        for file_shapes in (file_visuals, file_solids)
     )
     drawn_carriers = {shape.carrier for shape in visuals}
-    solid_carriers = {shape.carrier for shape in solids_read}
-    all_solids = solids_read + [shape.hull() for shape in visuals if shape.carrier not in solid_carriers]
-    drawings = visuals + [shape for shape in solids_read if shape.carrier not in drawn_carriers]
+    solid_carriers = {shape.carrier for shape in solids}
+    all_solids = solids + [shape.hull() for shape in visuals if shape.carrier not in solid_carriers]
+    drawings = visuals + [shape for shape in solids if shape.carrier not in drawn_carriers]
     simplified = [shapes.simplify(shape, _TRIANGLES) for shape in drawings]
     link_shapes = [shape for shape, _ in simplified]
     notes = [*_shape_notes(problems + solid_problems)]
@@ -701,13 +702,13 @@ def _meshes(geometry: Sequence[Geometry], urdf: Path, arm: AdoptedModel) -> _Lin
     return _LinkMeshes(surfaces | {(shape.carrier, "collision"): shape for shape in all_solids}, notes)
 
 
-def _size_note(simplified: Sequence[LinkShape], drawings: Sequence[LinkShape], largest_mm: float) -> str:
+def _size_note(link_shapes: Sequence[LinkShape], drawings: Sequence[LinkShape], largest_mm: float) -> str:
     """Return the note on triangles and size of the shapes that pages draw.
 
     :param drawings: the shapes before they were simplified; `largest_mm`: largest displacement of their corners [mm].
     """
-    count, old_count = (sum(len(shape.faces) for shape in group) for group in (simplified, drawings))
-    points = sum(len(shape.points) for shape in simplified)
+    count, old_count = (sum(len(shape.faces) for shape in group) for group in (link_shapes, drawings))
+    points = sum(len(shape.points) for shape in link_shapes)
     size = 16 * (count + points)  # three numbers of 4 bytes each, in base64
     change_text = "" if count == old_count else f" of {old_count}, corners moved by at most {largest_mm:.2g} mm"
-    return f"shapes of {len(simplified)} links: {count} triangles{change_text}; {size / 1000:.0f} kB in a page"
+    return f"shapes of {len(link_shapes)} links: {count} triangles{change_text}; {size / 1000:.0f} kB in a page"

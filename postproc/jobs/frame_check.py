@@ -79,24 +79,25 @@ class FrameCheck(Struct, frozen=True, eq=False):
         ``"unturned"``: no error shows, but the tool was not turned; ``"one-axis"``: it was turned about one axis only;
         ``"contradiction"``: neither frame does.
     :param distances: (n,) distance of each touched point from where it is expected [m].
-    :param left: (n,) the same after the errors of the frames [m].
+    :param distances_left: (n,) the same after the errors of the frames [m].
     :param tool: (3,) error of `$TOOL` in the axes of the flange [m], with half widths of 95 % intervals (3,); or None.
     :param base: (3,) displacement of the points by `$BASE` in the root [m], and its half widths; or None.
     :param turn: (3,) rotation of `$BASE` [rad], root axes, and its half widths; or None.
     :param new_frames: frames that agree with the points, by table of the cell: X, Y, Z, A, B, C [mm, deg].
-    :param hidden: if both frames agree, the largest error of `$TOOL` that may hide behind one of `$BASE` (95 %) [m].
+    :param hidden_error: largest error of `$TOOL` that may hide behind one of `$BASE` (95 %) [m], if both frames agree;
+        else None.
     :param arm: where the tip was taken to be: by the geometry of the controller, or by the robot model at rest.
     """
 
     suspect: Suspect
     points: TouchedPoints
     distances: Array
-    left: Array
+    distances_left: Array
     tool: tuple[Array, Array] | None = None
     base: tuple[Array, Array] | None = None
     turn: tuple[Array, Array] | None = None
     new_frames: dict[str, Array] = {}
-    hidden: float | None = None
+    hidden_error: float | None = None
     arm: Literal["controller", "model"] = "controller"
 
 
@@ -191,7 +192,7 @@ def judge(touches: TouchedPoints, flange: Array, nominal_point: Array, tip: Arra
     for name in frames:
         parts |= _parts(name, matrices[name], residual, sigma)
     if suspect == "none":
-        parts["hidden"] = _INTERVAL_FACTOR * sigma / visible_length
+        parts["hidden_error"] = _INTERVAL_FACTOR * sigma / visible_length
     best_hypothesis = frames[0] if frames else "both" if suspect == "contradiction" else "none"
     distances, distances_left = (norm(values.reshape(-1, 3)) for values in (residual, residual_left[best_hypothesis]))
     return FrameCheck(suspect, touches, distances, distances_left, **parts)
@@ -260,7 +261,7 @@ def _cross(vector: Array) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-_TOUCH_AGAIN = (
+_TOUCH_ADVICE = (
     "Touch two points again: one with the tool turned about its axis by 90°, and one with the tool tilted as far as "
     "you can, 30° at least. Only tilting tells the length of the tool from the height of $BASE."
 )
@@ -270,12 +271,12 @@ _HEADLINES: dict[Suspect, str] = {
     "base": "$BASE is off: correct [base] of the cell and BASE_DATA of the controller.",
     "both": "$TOOL and $BASE are off.",
     "unturned": "The points agree with both frames together. Errors of $TOOL and $BASE that cancel each other do not "
-    f"show. {_TOUCH_AGAIN}",
+    f"show. {_TOUCH_ADVICE}",
     "one-axis": "The points agree with both frames together, but the tool was turned about one axis only: errors of "
     "$TOOL along it and of $BASE that cancel each other do not show. Touch a point again with the tool turned about "
     "another axis by 30° at least: tilted, if it was turned about its own. Only tilting tells the length of the tool "
     "from the height of $BASE.",
-    "undecided": f"One frame is off, and the points do not show which. {_TOUCH_AGAIN}",
+    "undecided": f"One frame is off, and the points do not show which. {_TOUCH_ADVICE}",
     "contradiction": "Neither frame explains the points: check the points and joint angles, and --sigma.",
 }
 
@@ -296,8 +297,8 @@ def _error_meaning(value: float) -> str:
 def as_text(check: FrameCheck, sigma_mm: float) -> str:
     """Return the result for a terminal."""
     lines = [_HEADLINES[check.suspect]]
-    if check.hidden is not None:
-        length = f"{check.hidden * MM_PER_M:.2g} mm"
+    if check.hidden_error is not None:
+        length = f"{check.hidden_error * MM_PER_M:.2g} mm"
         lines.append(f"  errors of $TOOL up to {length} (95 %) that $BASE makes up for would not show")
     if check.tool is not None:
         lines.append(f"  $TOOL, along the axes of the flange: {_lengths(*check.tool)} (95 %)")
@@ -313,7 +314,7 @@ def as_text(check: FrameCheck, sigma_mm: float) -> str:
     for table, frame in check.new_frames.items():
         keys = ", ".join(f"{key} = {value:z.3f}" for key, value in zip("XYZABC", frame, strict=True))
         lines.append(f"  [{table}] that agrees: {keys}")
-    rows = zip(check.points.name, check.distances * MM_PER_M, check.left * MM_PER_M, strict=True)
+    rows = zip(check.points.name, check.distances * MM_PER_M, check.distances_left * MM_PER_M, strict=True)
     lines += [f"  {name}: {distance:.2f} mm off, {left:.2f} mm after that" for name, distance, left in rows]
     if check.arm == "model":
         lines.append('  the tip is where the robot model has it without forces (frames = "model" in the cell)')

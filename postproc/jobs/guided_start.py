@@ -75,7 +75,7 @@ class Answers(Struct):
     """Answers so far: values by key, and the keys of those that were offered and taken as they are."""
 
     values: dict[str, Any] = field(default_factory=dict)
-    offered: set[str] = field(default_factory=set)
+    offered_keys: set[str] = field(default_factory=set)
 
     def put(self, question: Question, text: str, *, is_stated: bool = True) -> None:
         """Take a text as answer.
@@ -85,7 +85,7 @@ class Answers(Struct):
         """
         self.values[question.key] = question.parse(text)
         if not is_stated and text == question.default:
-            self.offered.add(question.key)
+            self.offered_keys.add(question.key)
 
     def by_number(self, name: str) -> dict[int, Any]:
         """Return the values of ``name.N`` by N."""
@@ -338,7 +338,7 @@ def write_process(path: Path, needs: ProgramNeeds, answers: Answers) -> tuple[st
     :raises InputError: it cannot be written, or a value is invalid.
     """
     stock: StockTable = answers.values["stock"]
-    is_assumed = stock.box is not None and "stock" in answers.offered
+    is_assumed = stock.box is not None and "stock" in answers.offered_keys
     lines = [*process_head(needs, answers.values["material"])]
     for key, shape in answers.by_code("cutter").items():
         lines += ["", *_tool_lines(key, shape, needs, answers)]
@@ -483,8 +483,11 @@ def merge_needs(programs: list[ProgramNeeds]) -> ProgramNeeds:
     """Return what several programs need together, for one cell."""
     first = next((program for program in programs if not program.is_of_robot), programs[0])
     spans = [program.span for program in programs if program.span is not None]
-    corners = [tuple(choose(values) for values in zip(*(span[side] for span in spans), strict=True))
-               for side, choose in enumerate((min, max))] if spans else None  # fmt: skip
+    span: Any = None
+    if spans:
+        # the values of X, of Y and of Z at the low corners, and at the high ones
+        low, high = (tuple(zip(*corners, strict=True)) for corners in zip(*spans, strict=True))
+        span = (tuple(map(min, low)), tuple(map(max, high)))
     union: dict[str, Any] = {
         name: tuple(dict.fromkeys(value for program in programs for value in getattr(program, name)))
         for name in ("tools", "work_offsets", "frames", "m_codes", "rotary", "settings")
@@ -497,7 +500,7 @@ def merge_needs(programs: list[ProgramNeeds]) -> ProgramNeeds:
         switches=frozenset().union(*(program.switches for program in programs)),
         has_forces=all(program.has_forces for program in programs),
         has_speeds=all(program.has_speeds for program in programs),
-        span=None if corners is None else (corners[0], corners[1]),
+        span=span,
         **union,
     )
 

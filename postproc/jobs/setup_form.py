@@ -12,7 +12,7 @@ from postproc.jobs.guided_start import Answers, Question, next_question
 from postproc.jobs.program_needs import ProgramNeeds
 from postproc.machining.process import DEFAULT
 
-CHECKED, OFFERED = "stock.checked", "stock.offered"
+CHECKED_KEY, OFFERED_KEY = "stock.checked", "stock.offered"
 """Keys of a tick, the stock that is offered is the real one, and of the stock that the form offered."""
 
 
@@ -32,12 +32,12 @@ class Field(Struct, frozen=True):
 
 
 class SetupForm(Struct, frozen=True):
-    """Fields in the order of the questions; `complete`: each has an answer that can be used."""
+    """Fields in the order of the questions."""
 
     fields: tuple[Field, ...]
 
     @property
-    def complete(self) -> bool:
+    def is_complete(self) -> bool:
         """Return whether each question has a usable answer."""
         return not any(field.fault for field in self.fields)
 
@@ -47,7 +47,7 @@ def setup_form(needs: ProgramNeeds, texts: Mapping[str, str], *, cell: bool, pro
 
     Only optional questions have their default: nobody shall run a robot by a guessed base that was clicked away.
 
-    :param texts: answers by key of the question, and those of `CHECKED` and `OFFERED`.
+    :param texts: answers by key of the question, and those of `CHECKED_KEY` and `OFFERED_KEY`.
     :param cell: ask for the cell; `process`: ask for the process.
     """
     answers, skipped_keys, fields = Answers(), set[str](), []
@@ -55,9 +55,9 @@ def setup_form(needs: ProgramNeeds, texts: Mapping[str, str], *, cell: bool, pro
         text = texts.get(question.key, question.default or "" if question.optional else "").strip()
         fault = ""
         is_guess = question.key == "stock" and question.default is not None
-        if is_guess and text == texts.get(OFFERED) and not texts.get(CHECKED):
+        if is_guess and text == texts.get(OFFERED_KEY) and not texts.get(CHECKED_KEY):
             text = question.default or ""  # it depends on the diameters, which may be other ones now
-        is_checked = not is_guess or text != question.default or bool(texts.get(CHECKED))
+        is_checked = not is_guess or text != question.default or bool(texts.get(CHECKED_KEY))
         try:
             answers.put(question, text)
         except InputError as cause:

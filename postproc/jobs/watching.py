@@ -183,7 +183,7 @@ class _Watcher:
     :ivar same_named: programs that were refused since they would be written under one name.
     :ivar force_folder: folder of forces, None if there is none; `force_files`: what the last scan found there, see
         `programs.force_files`; `plain_options`: arguments of `find_jobs` without the folder.
-    :ivar seen: program → its signature, and the monotonic time of the last change [s].
+    :ivar last_changes: program → its signature, and the monotonic time of the last change [s].
     :ivar finished: program → signature with which it was converted, or refused.
     :ivar entries: content of the state file: name of the program → entry.
     :ivar reported: sentences that the user has seen, and that are not said again.
@@ -204,7 +204,7 @@ class _Watcher:
         self.plain_options = {**options, "forces": None if self.force_folder else force_path}
         self.force_files: dict[str, list[Path]] = {}
         self.workers, self.say = workers, say
-        self.seen: dict[Path, tuple[Signature, float]] = {}
+        self.last_changes: dict[Path, tuple[Signature, float]] = {}
         self.finished: dict[Path, Signature] = {}
         self.entries = self._read_entries()
         self.reported: set[str] = set()
@@ -233,9 +233,9 @@ class _Watcher:
         for path, signature in sorted(signatures.items()):
             if signature is None or self.finished.get(path) == signature:
                 continue
-            last_signature, change_time = self.seen.get(path, (None, time_s))
+            last_signature, change_time = self.last_changes.get(path, (None, time_s))
             if last_signature != signature:
-                self.seen[path] = (signature, time_s)
+                self.last_changes[path] = (signature, time_s)
             elif time_s - change_time >= QUIET and not self._waits_for_forces(path) and self._is_new(path, signature):
                 ready.append(path)
         return ready if is_setup_quiet and ready and self._can_write() else []
@@ -245,8 +245,8 @@ class _Watcher:
         if self.entries and not (self.output / STATE).is_file():
             self.entries = {}
             self.finished.clear()
-        for removed_path in self.seen.keys() - set(programs):
-            self.seen.pop(removed_path)
+        for removed_path in self.last_changes.keys() - set(programs):
+            self.last_changes.pop(removed_path)
             self.finished.pop(removed_path, None)
             if removed_path in self.same_named:
                 self._retry_same_named()
@@ -271,10 +271,7 @@ class _Watcher:
             return False
 
     def _is_setup_quiet(self, time_s: float) -> bool:
-        """Return whether the files that all programs are converted with have not changed for a while.
-
-        If they have changed, all programs are converted again.
-        """
+        """Return whether the files that all programs are converted with are unchanged for `QUIET`; read new ones."""
         if tuple(map(_status, self.setup_paths)) != self.setup_status or not self.setup:
             self.setup_paths = self._setup_paths()
             self.setup_status = tuple(map(_status, self.setup_paths))
@@ -283,6 +280,13 @@ class _Watcher:
             return True
         if self.setup and time_s - self.setup_since < QUIET:
             return False
+        return self._read_setup()
+
+    def _read_setup(self) -> bool:
+        """Compute `setup` from the present files; return False if one of them cannot be read now.
+
+        If it has changed, all programs are converted again.
+        """
         option_texts = {
             **options_of(self.settings),
             **{name: str(value) for name, value in sorted(self.options.items())},
@@ -315,7 +319,7 @@ class _Watcher:
 
     def convert(self, ready: Sequence[Path]) -> Iterator[tuple[Outcome, Job]]:
         """Convert programs, and record each as soon as its files are written."""
-        states = {path: (self.seen[path][0], self._program_digest(path)) for path in ready}
+        states = {path: (self.last_changes[path][0], self._program_digest(path)) for path in ready}
         jobs: list[Job] = []
         try:
             jobs = self._jobs(ready)

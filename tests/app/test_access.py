@@ -159,7 +159,7 @@ def test_results_of_earlier_inputs_are_not_current(shop):
     path = workspace.folder / "part.nc"
 
     def current():
-        return [item.current for item in workspace.items()]
+        return [item.is_current for item in workspace.items()]
 
     assert current() == [True]
     os.utime(path, (4e9, 4e9))

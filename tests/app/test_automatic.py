@@ -203,7 +203,7 @@ def test_whatever_happens_each_program_is_begun_once_for_each_of_its_contents(fo
 
     def items(_):
         return [
-            SimpleNamespace(name=name, current=results.get(name) == content(name), name_fault="")
+            SimpleNamespace(name=name, is_current=results.get(name) == content(name), name_fault="")
             for name in names
             if content(name)
         ]

@@ -72,7 +72,7 @@ def test_look_for_a_place_and_take_it(browser, window):
         assert page.locator(".verdict.warning").count() == 0, "the result is that of the new cell"
     edited = window.workspace.cell.read_text()
     assert edited != cell
-    assert [item.current for item in window.workspace.items()] == [True]
+    assert [item.is_current for item in window.workspace.items()] == [True]
 
 
 def test_compare_and_correct_again(browser, window):

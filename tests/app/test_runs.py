@@ -185,7 +185,7 @@ def test_programs_that_would_be_written_to_the_same_files_are_refused(shop, name
     (shop / name).write_text("x")
     with pytest.raises(InputError, match="its files would be those of"):
         workspace.sole_program("part.nc")
-    assert [item.current for item in workspace.items()] == [False, False]
+    assert [item.is_current for item in workspace.items()] == [False, False]
     (shop / name).unlink()
     assert workspace.sole_program("part.nc").name == "part.nc"
     with open(shop / "part.nc", "rb") as file, pytest.raises(InputError, match="its files would be those of"):  # noqa: PTH123

@@ -12,7 +12,7 @@ from postproc import cell as cells
 from postproc.app.screens import posted_answers
 from postproc.jobs.cell_edit import edit, fields_of, frame_tables, kept_frames, missing_frames
 from postproc.jobs.program_needs import ProgramNeeds, needs_of
-from postproc.jobs.setup_form import CHECKED, OFFERED, setup_form, start_arguments
+from postproc.jobs.setup_form import CHECKED_KEY, OFFERED_KEY, setup_form, start_arguments
 from tests.app.test_window import looked_at, opened
 from tests.commands import CELL_IN_NUMBERS, run
 from tests.kr270 import CELL_TEXT
@@ -52,9 +52,9 @@ def test_a_stock_that_is_offered_is_an_answer_only_if_it_is_checked(program_file
     field, options = stock_field(program_file, {})
     assert (field.is_guess, field.is_checked, options) == (True, False, [])
     guess = field.text
-    field, options = stock_field(program_file, {"stock": guess, OFFERED: guess, CHECKED: "1"})
+    field, options = stock_field(program_file, {"stock": guess, OFFERED_KEY: guess, CHECKED_KEY: "1"})
     assert (field.is_checked, options) == (True, [f"--stock={guess}"])
-    field, options = stock_field(program_file, {"stock": "X=0:60,Y=-9:9,Z=-20:0", OFFERED: guess})
+    field, options = stock_field(program_file, {"stock": "X=0:60,Y=-9:9,Z=-20:0", OFFERED_KEY: guess})
     assert (field.is_checked, options) == (True, ["--stock=X=0:60,Y=-9:9,Z=-20:0"])
 
 
@@ -63,7 +63,7 @@ def test_a_guess_for_another_diameter_does_not_count_as_stated(tmp_path):
     program = tmp_path / "part.nc"
     program.write_text(PART.format(comment="(end mill)"))
     guess = stock_field(program, {})[0].text
-    field, options = stock_field(program, {"cutter.1": "flat,20", "stock": guess, OFFERED: guess})
+    field, options = stock_field(program, {"cutter.1": "flat,20", "stock": guess, OFFERED_KEY: guess})
     assert field.text != guess
     assert (field.is_checked, options) == (False, [])
 

@@ -99,6 +99,8 @@ class _Walk:
     :ivar unit: length of a unit of the file [mm].
     :ivar is_next_rapid: whether the next move is rapid.
     :ivar feed: [mm/min], or [mm/turn] if `is_feed_per_turn`; `spindle_speed` [1/min].
+    :ivar tool: number of the tool in the spindle; None: the program has not selected one.
+    :ivar cutter_radius: of CUTTER [mm]; NaN: not stated. `compensation`: active CUTCOM; None: none is active.
     :ivar pending_arc: arc whose end is the next GOTO; `circle_before`: circle of the last arc, which may go on.
     :ivar leaving_direction: (3,) of INDIRV.
     :ivar cycle: active drilling cycle; `is_cycle_refused`: whether it has a fault.
@@ -491,6 +493,7 @@ class _Walk:
 
         Up to 100 points of three numbers may follow a circle (Creo).
 
+        :param words: numbers behind ``GOTO/``: x, y, z, perhaps i, j, k; several points after CIRCLE.
         :raises StatementError: the numbers are not those of points.
         """
         points = numbers_of(words, *((3, 6) if self.pending_arc is None else range(3, 301, 3)))
@@ -513,6 +516,7 @@ class _Walk:
     def _read_step(self, row: int, words: list[float | str]) -> None:
         """Read GODLTA: a move by a step from the place of the tool.
 
+        :param words: the step behind ``GODLTA/``: x, y, z, in the unit of the file.
         :raises StatementError: the position is not known.
         """
         step = numbers_of(words, 3) * self.unit
@@ -523,6 +527,7 @@ class _Walk:
     def _read_start(self, row: int, words: list[float | str]) -> None:
         """Read FROM: a first move to the place, if the position of the tool is unknown.
 
+        :param words: the place behind ``FROM/``: x, y, z, and perhaps i, j, k, in the unit of the file.
         :raises StatementError: the tool is elsewhere.
         """
         numbers = numbers_of(words, 3, 6)
@@ -537,6 +542,7 @@ class _Walk:
     def _read_home(self, row: int, words: list[float | str]) -> None:
         """Read GOHOME: retract to clearance_Z, then go to the home position of the cell.
 
+        :param words: the place behind ``GOHOME/``: x, y, z, in the unit of the file; empty: home of the cell.
         :raises StatementError: the cell states neither.
         """
         machine = self.cell.machine
@@ -556,6 +562,7 @@ class _Walk:
     def _read_retract(self, row: int, words: list[float | str]) -> None:
         """Read RETRCT: retract to clearance_Z of the cell.
 
+        :param words: values behind ``RETRCT/``, which must be empty.
         :raises StatementError: the cell states none.
         """
         clearance = self.cell.machine.clearance_Z
@@ -580,6 +587,7 @@ class _Walk:
     def _read_rapid(self, row: int, words: list[float | str]) -> None:
         """Read RAPID: the next move is rapid.
 
+        :param words: values behind ``RAPID/``, which must be empty.
         :raises StatementError: it has values.
         """
         del row
@@ -590,6 +598,7 @@ class _Walk:
     def _read_feed(self, row: int, words: list[float | str]) -> None:
         """Read FEDRAT: the feed, per minute or per turn.
 
+        :param words: values behind ``FEDRAT/``: a number, and perhaps its unit.
         :raises StatementError: it is not understood.
         """
         units = [value for value in words if isinstance(value, str)]
@@ -610,7 +619,7 @@ class _Walk:
         if len(numbers) != 1 or len(units) > 1 or not set(units) <= set(factors):
             raise StatementError(f"{subject} is not understood", f"Give one number and one of {', '.join(factors)}.")
         word = units[0] if units else "PERMIN"
-        if word.startswith("I") or word.startswith("F"):
+        if word in ("IPM", "FPM", "IPR", "FPR"):  # inches or feet
             self.inch_feed_row = row if self.inch_feed_row is None else self.inch_feed_row
         if not numbers[0] > 0.0:
             raise StatementError(f"{subject} is not above zero", None)
@@ -619,6 +628,7 @@ class _Walk:
     def _read_units(self, row: int, words: list[float | str]) -> None:
         """Read UNITS.
 
+        :param words: values behind ``UNITS/``: the name of a unit.
         :raises StatementError: the unit is unknown, or changes after a motion.
         """
         del row
@@ -633,6 +643,7 @@ class _Walk:
     def _read_multiaxis(self, row: int, words: list[float | str]) -> None:
         """Read MULTAX: whether GOTO has a direction of the tool.
 
+        :param words: values behind ``MULTAX/``: ON, OFF or none.
         :raises StatementError: it is not understood.
         """
         del row
@@ -644,6 +655,7 @@ class _Walk:
     def _read_tool_axis(self, row: int, words: list[float | str]) -> None:
         """Read a direction of the tool, a unit vector (3,).
 
+        :param words: i, j, k behind ``TLAXIS/``.
         :raises StatementError: it does not have length 1.
         """
         axis = numbers_of(words, 3)
@@ -659,6 +671,7 @@ class _Walk:
     def _read_circle(self, row: int, words: list[float | str]) -> None:
         """Read a circle, which the next GOTO follows: 6, 7 or 11 numbers, by the writer of the file.
 
+        :param words: numbers behind ``CIRCLE/``, and perhaps TIMES with the number of turns.
         :raises StatementError: the numbers are not those of a circle, or no arc is possible here.
         """
         turns = 1
@@ -675,6 +688,7 @@ class _Walk:
     def _read_arc(self, row: int, words: list[float | str]) -> None:
         """Read MOVARC: a circle and the angle of the arc on it, whose end the next GOTO states.
 
+        :param words: values behind ``MOVARC/``, see `stated_angle`.
         :raises StatementError: the numbers are not those of an arc, or no arc is possible here.
         """
         numbers, angle = stated_angle(words)
@@ -698,6 +712,7 @@ class _Walk:
     def _read_direction(self, row: int, words: list[float | str]) -> None:
         """Read INDIRV: the direction in which the next arc leaves its start.
 
+        :param words: x, y, z behind ``INDIRV/``.
         :raises StatementError: it is no direction.
         """
         del row
@@ -715,6 +730,7 @@ class _Walk:
     def _read_cycle(self, row: int, values: list[float | str]) -> None:
         """Read CYCLE: begin or end drilling at the points of GOTO.
 
+        :param values: values behind ``CYCLE/``: OFF, CLEAR, INIT, or the kind of the cycle with its lengths and feed.
         :raises StatementError: the cycle is not supported, or has no feed.
         """
         if values == ["INIT"]:
@@ -760,13 +776,17 @@ class _Walk:
         self._add_event(row, "spindle_ccw" if self.spindle == "spindle_ccw" else "spindle_on", self.spindle_speed)
 
     def _read_coolant(self, row: int, words: list[float | str]) -> None:
-        """Read COOLNT: on, unless its value is OFF."""
+        """Read COOLNT: on, unless its value is OFF.
+
+        :param words: values behind ``COOLNT/``, such as ON, FLOOD, OFF.
+        """
         self.is_coolant_on = "OFF" not in words
         self._add_event(row, "coolant_on" if self.is_coolant_on else "coolant_off")
 
     def _read_tool(self, row: int, words: list[float | str]) -> None:
         """Read LOADTL: a tool change, which stops the spindle.
 
+        :param words: values behind ``LOADTL/``, the number of the tool first; those of ``LOAD/`` begin with TOOL.
         :raises StatementError: the number is invalid, or the cell has no such tool.
         """
         if words[:1] == ["TOOL"]:
@@ -793,6 +813,7 @@ class _Walk:
     def _read_delay(self, row: int, words: list[float | str]) -> None:
         """Read DELAY as a dwell [s].
 
+        :param words: values behind ``DELAY/`` or ``DWELL/``: the time [s].
         :raises StatementError: the time is missing, or in turns.
         """
         words = [value for value in words if value != "DWELL"]
@@ -801,12 +822,15 @@ class _Walk:
         self._add_event(row, "dwell", float(numbers_of(words, 1)[0]))
 
     def _read_stop(self, row: int, words: list[float | str]) -> None:
-        """Read STOP and OPSTOP: the program waits until it is started again."""
+        """Read STOP and OPSTOP, with any `words`: the program waits until it is started again."""
         del words
         self._add_event(row, "stop")
 
     def _read_skip(self, row: int, words: list[float | str]) -> None:
-        """Read OPSKIP, and remark that the statements behind it are executed."""
+        """Read OPSKIP, and remark that the statements behind it are executed.
+
+        :param words: values behind ``OPSKIP/``: ON or OFF.
+        """
         if words != ["OFF"]:
             message = "OPSKIP: the statements behind it are executed, as with the switch off."
             self.course.remarks.append(Remark(row, "info", "block-delete", message))
@@ -814,6 +838,7 @@ class _Walk:
     def _read_auxiliary(self, row: int, words: list[float | str]) -> None:
         """Read AUXFUN: an M code by its number.
 
+        :param words: values behind ``AUXFUN/``: the number of the M code.
         :raises StatementError: the code is missing or not known.
         """
         self._execute_machine_code(row, f"M{self._one_number(words, 'AUXFUN'):g}")
@@ -859,6 +884,7 @@ class _Walk:
     def _read_compensation(self, row: int, words: list[float | str]) -> None:
         """Read CUTCOM: begin or end radius compensation.
 
+        :param words: values behind ``CUTCOM/``: LEFT, RIGHT or OFF among others.
         :raises StatementError: the path may not be that of the centre of the tool.
         """
         self._end_compensation()
@@ -882,13 +908,17 @@ class _Walk:
         self.course.remarks.append(Remark(compensation.row, "info", "radius-compensation", message))
 
     def _read_cutter(self, row: int, words: list[float | str]) -> None:
-        """Read CUTTER: its first value is the diameter of the cutter."""
+        """Read CUTTER: its first value is the diameter of the cutter.
+
+        :param words: numbers behind ``CUTTER/``, in the unit of the file.
+        """
         del row
         self.cutter_radius = words[0] * self.unit / 2.0 if words and isinstance(words[0], float) else np.nan
 
     def _check_transformation(self, row: int, words: list[float | str]) -> None:
         """Check that TRNTYP is WORLD.
 
+        :param words: values behind ``TRNTYP/``.
         :raises StatementError: it is another one.
         """
         del row
@@ -899,6 +929,7 @@ class _Walk:
     def _read_setup_axes(self, row: int, words: list[float | str]) -> None:
         """Read the axes of a setup: rows of (3, 4), whose third column is the direction of the tool.
 
+        :param words: twelve numbers behind ``CSYS/``, row by row.
         :raises StatementError: they are no axes, or the system of the coordinates is not known.
         """
         del row
@@ -915,6 +946,7 @@ class _Walk:
     def _read_mode(self, row: int, words: list[float | str]) -> None:
         """Read MODE; only MILL is supported.
 
+        :param words: values behind ``MODE/``.
         :raises StatementError: it is another one.
         """
         del row
@@ -924,6 +956,7 @@ class _Walk:
     def _read_coordinate_system(self, row: int, words: list[float | str]) -> None:
         """Read MSYS, which is $BASE of the cell.
 
+        :param words: values behind ``MSYS/``, which are only compared.
         :raises StatementError: it changes within the program.
         """
         if self.axis_system is not None and words != self.axis_system:
@@ -937,6 +970,7 @@ class _Walk:
     def _read_section_axes(self, row: int, words: list[float | str]) -> None:
         """Read the axes and the origin of a section of Autodesk: its coordinates are in them.
 
+        :param words: twelve numbers behind ``MCS/``: three axes and the origin.
         :raises StatementError: they are not those of the program.
         """
         del row
@@ -946,6 +980,7 @@ class _Walk:
     def _read_work_offset(self, row: int, words: list[float | str]) -> None:
         """Read ZERO: the work offset, which is $BASE of the cell.
 
+        :param words: values behind ``ZERO/``: the number of the offset.
         :raises StatementError: it changes within the program.
         """
         offset = self._one_number(words, "ZERO")
@@ -958,7 +993,7 @@ class _Walk:
         self.work_offset = offset
 
     def _read_end(self, row: int, words: list[float | str]) -> None:
-        """Read FINI: switch spindle and coolant off."""
+        """Read FINI or END, with any `words`: switch spindle and coolant off."""
         del words
         self.end_row = row
         if self.spindle != "spindle_off":
@@ -967,7 +1002,7 @@ class _Walk:
             self._add_event(row, "coolant_off")
 
     def _read_without_effect(self, row: int, words: list[float | str]) -> None:
-        """Read a statement that has no effect on the motion."""
+        """Read a statement that has no effect on the motion, whatever its `words`."""
         del row, words
 
 
