@@ -541,15 +541,16 @@ def tilted_cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> Enga
     depth = np.zeros_like(x)
     for cell, weight in zip(corners.cell, corners.weight, strict=True):
         upper = high.take(cell)
+        # height of the material over the point of the edge, limited; a cell without material is far below it
         level = np.where(upper > floor.take(cell), np.clip(upper - z, -steepest, steepest), -steepest)
         cut_share = share.take(cell)
-        if cut_share.any():
+        if cut_share.any():  # part of the cell is cut down to its lower level
             level += cut_share * (np.clip(np.minimum(low.take(cell), upper) - z, -steepest, steepest) - level)
         depth += weight * level
     depth[:, turn.bottom] -= np.float32(_FLUSH_DEPTH)
     extent = _vertical_extents(turn, axes)
     share_in_material = np.clip(0.5 + depth / extent, 0.0, 1.0)
-    if float(z.min()) < stock.ground:
+    if float(z.min()) < stock.ground:  # below its floor a cell has no material
         share_in_material *= z > floor.take(corners.cell[0])
     return EngagedEdge(share_in_material * turn.length, np.zeros((len(x), 0), dtype=np.float32))
 

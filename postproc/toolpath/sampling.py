@@ -205,12 +205,7 @@ def pieces(
     if linearize_arcs:  # the sagitta radius·(angle/n)²/8 of n chords is half the tolerance
         samples = np.maximum(samples, angle * np.sqrt(radius / tolerance) / 2.0)
     min_pieces = np.maximum(1, np.ceil(angle / _LARGEST_ANGLE - _ROUNDING).astype(np.int64))
-    # displacements that turn with the arc, and those that grow along it [m]
-    turning_part = estimate.turning[motion] + estimate.size[motion] * radius / _DEFLECTION_LENGTH
-    growing_part = stretches.change + share * (
-        norm(arcs.climb)[arc] + np.abs(arcs.growth[arc]) * radius + estimate.size[motion] * path.turn[motion]
-    )
-    path_error = (_TURNING * angle**2 * turning_part + _GROWING * angle * growing_part) / min_pieces**2
+    path_error = _stretch_errors(path, estimate, stretches) / min_pieces**2
     uncertain = (path_error > _CERTAIN * tolerance) & (not linearize_arcs)
     even_number = 2 * np.ceil(np.maximum(angle / _COARSE_ANGLE, min_pieces) / 2.0 - _ROUNDING).astype(np.int64)
     return Pieces(
@@ -222,6 +217,21 @@ def pieces(
         samples=samples,
         uncertain=uncertain,
     )
+
+
+def _stretch_errors(path: Segments, estimate: DisplacementEstimate, stretches: _Stretches) -> Array:
+    """Return the estimated path errors (S,) [m] of stretches that are each written as one circle.
+
+    :param estimate: the change of the displacement along the motions.
+    """
+    arcs, arc = path.arcs, stretches.arc
+    motion, share = arcs.motion[arc], stretches.end - stretches.begin
+    angle, radius, size = arcs.sweep[arc] * share, norm(arcs.radial)[arc], estimate.size[motion]
+    # displacements that turn with the arc, and those that grow along it [m]
+    turning_part = estimate.turning[motion] + size * radius / _DEFLECTION_LENGTH
+    growth = norm(arcs.climb)[arc] + np.abs(arcs.growth[arc]) * radius + size * path.turn[motion]
+    growing_part = stretches.change + share * growth
+    return _TURNING * angle**2 * turning_part + _GROWING * angle * growing_part
 
 
 class _Stretches(NamedTuple):
