@@ -132,13 +132,13 @@ def _unresolved_statement_differences(comparison: Comparison) -> Iterator[Differ
     for nominal_motion, corrected_motion in zip(nominal.unresolved, corrected.unresolved, strict=True):
         if nominal_motion.file not in nominal_lines or corrected_motion.file not in corrected_lines:
             continue
-        statements_before = _statements_before(nominal_lines[nominal_motion.file], nominal_motion.line)
-        nominal_statements = list(takewhile(bool, statements_before))
+        preceding_statements = _statements_before(nominal_lines[nominal_motion.file], nominal_motion.line)
+        nominal_statements = list(takewhile(bool, preceding_statements))
         # the second program may have inserted motions between them: its statements are compared past these
-        corrected_before = filter(
+        corrected_statements = filter(
             None, _statements_before(corrected_lines[corrected_motion.file], corrected_motion.line)
         )
-        if list(islice(corrected_before, len(nominal_statements))) != nominal_statements:
+        if list(islice(corrected_statements, len(nominal_statements))) != nominal_statements:
             message = "the statements before this motion differ: it is unknown where it leads, or whether it runs."
             yield Difference(
                 "error",

@@ -181,17 +181,17 @@ class _NearestPlaces(Columns, frozen=True, eq=False):
     corrected_distance: Array
 
     @classmethod
-    def by(cls, search: Search, row: Ints, t: Array, guess: Array, enough: float) -> _NearestPlaces:
+    def by(cls, search: Search, row: Ints, t: Array, guess: Array, sufficient_distance: float) -> _NearestPlaces:
         """Return those of n places of the second program that the robot reaches, with the nearest nominal ones.
 
         :param row: (n,) motions of the second program; `t` (n,) places on them.
         :param guess: (n,) approximate arc lengths on the nominal path [m].
-        :param enough: a deviation that is small enough: no nearer place is sought [m].
+        :param sufficient_distance: a deviation that is small enough: no nearer place is sought [m].
         """
         joints = in_chunks(lambda row, t: (search.corrected_path.joints_at(row, t),), row, t)[0]
         is_reachable = np.isfinite(joints).all(axis=1)
         row, t, guess = row[is_reachable], t[is_reachable], guess[is_reachable]
-        deviations = search.deviations(row, t, joints[is_reachable], guess, enough=enough)
+        deviations = search.deviations(row, t, joints[is_reachable], guess, sufficient_distance=sufficient_distance)
         return cls(row, t, deviations.length, deviations.nominal_distance, deviations.corrected_distance)
 
 
@@ -387,18 +387,18 @@ class Search(Struct, frozen=True, eq=False):
     load: PathForces
     ways: Ways
 
-    def deviations(self, row: Ints, t: Array, q: Array, guess: Array, *, enough: float) -> _Deviations:
+    def deviations(self, row: Ints, t: Array, q: Array, guess: Array, *, sufficient_distance: float) -> _Deviations:
         """Return the nearest places of the nominal path, and the distances of the tip from them by both programs.
 
         :param row: (n,) motions of the second program; `t` (n,) places on them; `q` (n, 6) joint angles there [rad].
         :param guess: (n,) approximate arc lengths on the nominal path [m].
-        :param enough: a distance that is small enough: no nearer place is sought [m].
+        :param sufficient_distance: a distance that is small enough: no nearer place is sought [m].
         :raises ForceError: the arm has no equilibrium under a force.
         """
 
         def deviations_in_chunk(row: Ints, t: Array, q: Array, guess: Array) -> _Deviations:
             """Return the deviations of some of the places."""
-            length, distance = self._nearest_places(row, t, q, guess, enough)
+            length, distance = self._nearest_places(row, t, q, guess, sufficient_distance)
             motion, nominal_t = self.nominal_path.at(length)
             nominal_q = self.nominal_path.joints_at(motion, nominal_t)
             displacement = self.nominal_path.carriage_displacement(motion, nominal_t)
@@ -406,7 +406,9 @@ class Search(Struct, frozen=True, eq=False):
 
         return _Deviations(*in_chunks(deviations_in_chunk, row, t, q, guess))
 
-    def _nearest_places(self, row: Ints, t: Array, q: Array, guess: Array, enough: float) -> tuple[Array, Array]:
+    def _nearest_places(
+        self, row: Ints, t: Array, q: Array, guess: Array, sufficient_distance: float
+    ) -> tuple[Array, Array]:
         """Return arc lengths (n,) on the nominal path nearest to the tip, and the distances there (n,) [m].
 
         Where the tip is far from the place near the guess, many places of the way are tried. Parameters as of
@@ -415,8 +417,12 @@ class Search(Struct, frozen=True, eq=False):
         way, displacement = self.ways.way[row], self.corrected_path.carriage_displacement(row, t)
         low, high = self.ways.begin[way], self.ways.end[way]
         low = np.minimum(low + _SHORTEST * 1e-4, high)  # behind the end of the motion before
-        length, distance = self._newton_steps(q, displacement, np.clip(guess, low, high), (low, high), enough)
-        distant_rows = np.flatnonzero(distance > max(enough, _CLOSE * self.nominal_path.robot_in_cell.tolerance))
+        length, distance = self._newton_steps(
+            q, displacement, np.clip(guess, low, high), (low, high), sufficient_distance
+        )
+        distant_rows = np.flatnonzero(
+            distance > max(sufficient_distance, _CLOSE * self.nominal_path.robot_in_cell.tolerance)
+        )
         if len(distant_rows):
             q, displacement = q[distant_rows], displacement[distant_rows]
             limits = low[distant_rows], high[distant_rows]
@@ -468,8 +474,8 @@ class Search(Struct, frozen=True, eq=False):
                 break
             low, high = limits[0][rows], limits[1][rows]
             step = np.where(length[rows] + _DIFFERENCE_STEP < high, _DIFFERENCE_STEP, -_DIFFERENCE_STEP)
-            stepped = self._tip_offset(q[rows], displacement[rows], length[rows] + step)
-            derivative = (stepped - deviations[rows]) / step[:, None]
+            stepped_offset = self._tip_offset(q[rows], displacement[rows], length[rows] + step)
+            derivative = (stepped_offset - deviations[rows]) / step[:, None]
             square = np.einsum("ni,ni->n", derivative, derivative)
             slope = np.einsum("ni,ni->n", deviations[rows], derivative)
             moves = square > _NO_LENGTH**2  # else the path only turns the tool here

@@ -243,8 +243,8 @@ def missed_targets(
     distances = missing_distances(nominal_path, corrected_path, comparison.pair, rows, load, offset)
     if load is not None or not len(comparison.pair):
         return distances, distances <= tolerance
-    pair_after = np.searchsorted(comparison.pair[:, 0], rows)
-    previous_pair, next_pair = np.maximum(pair_after - 1, 0), np.minimum(pair_after, len(comparison.pair) - 1)
+    pair_index = np.searchsorted(comparison.pair[:, 0], rows)
+    previous_pair, next_pair = np.maximum(pair_index - 1, 0), np.minimum(pair_index, len(comparison.pair) - 1)
     largest_offset = np.maximum(comparison.distance[previous_pair], comparison.distance[next_pair])
     is_near_curve = distances <= OFF_PATH + TIMES_OFFSET * largest_offset
     distances = np.maximum(distances - norm(offset[next_pair] - offset[previous_pair]), 0.0)
@@ -387,8 +387,8 @@ def missing_distances(
         positions = positions + np.stack([np.interp(length, pair_length, column) for column in offset.T], axis=1)
     # arc lengths of the second path at which the pairs are, with its begin and its end
     pair_ends = np.concatenate([[0.0], corrected_path.arc_length[pair[:, 1] + 1], corrected_path.arc_length[-1:]])
-    pairs_before = np.searchsorted(pair[:, 0], motion)
-    begin, end = pair_ends[pairs_before], pair_ends[pairs_before + 1]
+    next_pair = np.searchsorted(pair[:, 0], motion)
+    begin, end = pair_ends[next_pair], pair_ends[next_pair + 1]
 
     def distances_in_chunk(motion: Ints, positions: Array, wrench: Array, begin: Array, end: Array) -> tuple[Array]:
         """Return the distances (k,) of the second path from some of the positions (k, 3) [m]."""

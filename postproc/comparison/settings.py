@@ -353,8 +353,8 @@ def _axis_targets(program: Program, paired_rows: Ints, *, from_first_pair: bool)
     :param from_first_pair: leave out those before the first pair.
     """
     rows = np.flatnonzero(np.isfinite(program.motions.joints[:, 0]))
-    pairs_before = np.searchsorted(paired_rows, rows)
-    number_since_pair = np.arange(len(rows)) - np.searchsorted(pairs_before, pairs_before)
-    places = zip(pairs_before.tolist(), number_since_pair.tolist(), strict=True)
+    next_pair = np.searchsorted(paired_rows, rows)
+    number_since_pair = np.arange(len(rows)) - np.searchsorted(next_pair, next_pair)
+    places = zip(next_pair.tolist(), number_since_pair.tolist(), strict=True)
     first = 1 if from_first_pair else 0
     return {place: row for place, row in zip(places, rows.tolist(), strict=True) if place[0] >= first}

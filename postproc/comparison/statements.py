@@ -80,9 +80,9 @@ class _Texts:
         """
         file, line = place
         lines = self.lines.get(file, [])
-        lines_before, lines_after = range(line - 1, 0, -1), range(line + 1, len(lines) + 1)
-        first = next((n for n in lines_before if _ROUTINE.match(self.statement(file, n))), 0)
-        last = next((n for n in lines_after if _END.match(self.statement(file, n))), len(lines) + 1)
+        preceding_lines, following_lines = range(line - 1, 0, -1), range(line + 1, len(lines) + 1)
+        first = next((n for n in preceding_lines if _ROUTINE.match(self.statement(file, n))), 0)
+        last = next((n for n in following_lines if _END.match(self.statement(file, n))), len(lines) + 1)
         return (file, first), (file, last)
 
     def _loop_bound(self, file: str, numbers: range, *, opens: re.Pattern[str], closes: re.Pattern[str]) -> int | None:

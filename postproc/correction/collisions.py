@@ -130,13 +130,13 @@ def _clearance_of_run(
     program: Program, scene: Scene, states: States, hits: Hits, stock: StockInTime | None
 ) -> SmallestClearance:
     """Return the smallest clearance of a run: that of its closest two bodies, infinite without bodies to compare."""
-    closest = hits.closest
+    closest_bodies = hits.closest
     remarks = (*scene.remarks, *_stock_sentences(scene, stock))
-    if closest is None:
+    if closest_bodies is None:
         return SmallestClearance(np.inf, ("", ""), int(program.motions.line[states.motion[0]]), scene, remarks)
-    names = _names(scene.bodies, closest.first, closest.second)
-    line = int(program.motions.line[states.motion_to(closest.row)])
-    return SmallestClearance(closest.distance, names, line, scene, remarks)
+    names = _names(scene.bodies, closest_bodies.first, closest_bodies.second)
+    line = int(program.motions.line[states.motion_to(closest_bodies.row)])
+    return SmallestClearance(closest_bodies.distance, names, line, scene, remarks)
 
 
 def _mesh_questions(scene: Scene) -> Iterator[Issue]:

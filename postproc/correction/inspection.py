@@ -84,10 +84,10 @@ def slow_rapids(
     slowable = positioning | is_capped
     if not slowable.any():
         return None
-    times_slowed, slow_joint = 0, np.full(len(m), -1)
+    slowdown_count, slow_joint = 0, np.full(len(m), -1)
     if before is not None:
-        times_slowed, slow_joint = before.count, before.joint.copy()
-    share_of_limit = _SPEED_SHARE * _NEXT_SHARE**times_slowed
+        slowdown_count, slow_joint = before.count, before.joint.copy()
+    share_of_limit = _SPEED_SHARE * _NEXT_SHARE**slowdown_count
     share, joint = _largest_speeds(path, q, position, slowable, share_of_limit)
     is_fast, on_fast_line = share > 1.0, slowable & np.isin(m.line, list(fast_lines))
     if before is not None and on_fast_line.any():  # else what is too fast cannot be slowed
@@ -102,7 +102,7 @@ def slow_rapids(
     is_first_change = program.feed_as_read is None and bool(is_capped[fast].any())
     feed_as_read = m.feed if is_first_change else program.feed_as_read
     slow_program = replace(program, motions=replace(m, feed=feed), feed_as_read=feed_as_read)
-    return replace(path.motions, program=slow_program), Slowing(slow_joint, is_capped, times_slowed + 1)
+    return replace(path.motions, program=slow_program), Slowing(slow_joint, is_capped, slowdown_count + 1)
 
 
 def _largest_speeds(

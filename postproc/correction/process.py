@@ -696,10 +696,10 @@ def process(
     errors = [issue for issue in task.initial_issues if issue.level == "error"]
     robot_in_cell = RobotInCell.of(robot, cell)
     if not errors:
-        turned = placement.in_chosen_turn(program, robot_in_cell, source)
-        program = turned.program
-        task = replace(task, turn=turned.turn, initial_issues=(*task.initial_issues, *turned.issues))
-        errors = [issue for issue in turned.issues if issue.level == "error"]
+        turned_program = placement.in_chosen_turn(program, robot_in_cell, source)
+        program = turned_program.program
+        task = replace(task, turn=turned_program.turn, initial_issues=(*task.initial_issues, *turned_program.issues))
+        errors = [issue for issue in turned_program.issues if issue.level == "error"]
     if not errors:
         try:
             motions = MotionsUnderLoad.of(program, robot_in_cell, source)

@@ -240,8 +240,8 @@ class Result(Struct, frozen=True, eq=False):
             return np.zeros(0, dtype=np.int64)
         largest_first = np.argsort(-self.reversals.step, kind="stable")
         line_and_joint = np.stack([self.source_line[self.reversals.row], self.reversals.joint], axis=1)
-        _, first_of_each = np.unique(line_and_joint[largest_first], axis=0, return_index=True)
-        return largest_first[np.sort(first_of_each)[:_MOST_REVERSALS]]
+        _, first_rows = np.unique(line_and_joint[largest_first], axis=0, return_index=True)
+        return largest_first[np.sort(first_rows)[:_MOST_REVERSALS]]
 
     @property
     def inserted(self) -> int:

@@ -186,10 +186,10 @@ def _divide_lines(path: CommandedPath, motions: Ints) -> Ints:
     left, right = first, first + size - 1
     piece_ends: list[Ints] = []
     while len(left):
-        largest_distance, farthest = _farthest_points(t, position, left, right)
+        largest_distance, farthest_point = _farthest_points(t, position, left, right)
         is_divided = largest_distance > path.limit
         piece_ends.append(right[~is_divided])
-        division = farthest[is_divided]
+        division = farthest_point[is_divided]
         left, right = np.concatenate([left[is_divided], division]), np.concatenate([division, right[is_divided]])
     return np.asarray(row[np.concatenate(piece_ends)])
 
@@ -211,10 +211,10 @@ def _farthest_points(t: Array, position: Array, left: Ints, right: Ints) -> tupl
     # sorted by piece, then by distance: the last point of each piece is the farthest
     order = np.lexsort((distance, piece))
     last_of_piece = order[np.cumsum(count[count > 0]) - 1]
-    largest_distance, farthest = np.zeros(len(left)), np.full(len(left), -1)
+    largest_distance, farthest_point = np.zeros(len(left)), np.full(len(left), -1)
     largest_distance[piece[last_of_piece]] = distance[last_of_piece]
-    farthest[piece[last_of_piece]] = inner[last_of_piece]
-    return largest_distance, farthest
+    farthest_point[piece[last_of_piece]] = inner[last_of_piece]
+    return largest_distance, farthest_point
 
 
 def _is_flat(a: Array, b: Array, c: Array, distance: float, angle: float) -> Bools:

@@ -376,7 +376,7 @@ def _output_of(
     job: Job,
     settings: Settings,
     cell: Cell,
-    marked: _MarkedResult,
+    marked_output: _MarkedResult,
     process: ProcessForces | None,
 ) -> _ProgramOutput:
     """Return the files to write for a result.
@@ -384,7 +384,7 @@ def _output_of(
     :param process: forces that the process computes; None: there is no process.
     :raises InputError: the mesh of the part is unusable.
     """
-    result, needed_files = marked.result, marked.result.program.needed
+    result, needed_files = marked_output.result, marked_output.result.program.needed
     surface = None
     if settings.part is not None and len(result):
         surface = surface_of(result, settings.part, job.process, cell.part_in_root())
@@ -392,13 +392,13 @@ def _output_of(
     tolerance = _judged_tolerance(settings, cell)
     summary = replace(
         report.summary(result, tolerance, cell.part_tolerance, surface),
-        copied=_motionless_copies(marked) or None,
+        copied=_motionless_copies(marked_output) or None,
         inputs=_inputs(origin, result.program, job.output),
     )
     report_name = job.report(settings.mode)
     stem = report_name.removesuffix("report.json")
     contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.pieces() for doc in result.documents}
-    contents |= marked.copies
+    contents |= marked_output.copies
     contents |= _tables_of(result, stem)
     if surface is not None:
         contents |= _surface_files(surface, cell.tolerance, stem)
@@ -428,16 +428,16 @@ def _output_of(
         summary=summary,
         listed_files=file_entries,
         contents=files.add_record(contents, report_name, rendered),
-        copied_files=tuple(marked.copies),
-        shared_files=(*marked.subprogram_files, *marked.copies),
+        copied_files=tuple(marked_output.copies),
+        shared_files=(*marked_output.subprogram_files, *marked_output.copies),
         read=tuple(map(str, [*sources, *(file.path for file in needed_files)])),
     )
 
 
-def _motionless_copies(marked: _MarkedResult) -> list[str]:
+def _motionless_copies(marked_output: _MarkedResult) -> list[str]:
     """Return the names of the files that are written as they were read, and in which nothing moves the robot."""
-    motionless_names = {Path(file.path).name for file in marked.result.program.needed if not file.moves}
-    return [name for name in marked.copies if name in motionless_names]
+    motionless_names = {Path(file.path).name for file in marked_output.result.program.needed if not file.moves}
+    return [name for name in marked_output.copies if name in motionless_names]
 
 
 def _judged_tolerance(settings: Settings, cell: Cell) -> float | None:

@@ -80,25 +80,25 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     # a conversion chooses the start anew at each place; the samples all have the one that is chosen here
     assess = partial(_assessment, request, cell, robot)
     started_cell, start_message = _cell_with_start(request, cell, robot)
-    sampled = _samples(request, started_cell, robot)
+    sampled_programs = _samples(request, started_cell, robot)
     clearance = _clearance(request, started_cell)
     is_turn_free = started_cell.gcode.redundancy != "constant"
     programs = region.Programs(
-        sampled.samples,
+        sampled_programs.samples,
         LeastMargins(joint=request.margin_deg * RAD_PER_DEG),
-        turns=is_turn_free and not any(samples.program.keeps_text for samples in sampled.samples),
+        turns=is_turn_free and not any(samples.program.keeps_text for samples in sampled_programs.samples),
         clearance_mm=clearance,
     )
     search = region.search(programs, bounds, progress, assess)
     content = report.summary(
         search,
         started_cell,
-        programs=[path.name for path in sampled.paths],
+        programs=[path.name for path in sampled_programs.paths],
         margin_deg=request.margin_deg,
         clearance_mm=clearance,
         region=bounds,
         start=start_message,
-        moved_frames=[f"base_data.{number}" for number in sampled.frame_numbers],
+        moved_frames=[f"base_data.{number}" for number in sampled_programs.frame_numbers],
     )
     return PlaceFiles(content, _write(request.output, search, started_cell, content))
 

@@ -139,13 +139,13 @@ def at_written_feed(
     """
     result = correction.process(program, robot, cell, source, mode, linearize_arcs=linearize_arcs, to=to)
     for _ in range(_CAPPINGS):
-        capped = tuple(issue for issue in result.issues if issue.kind == _CAPPED)
-        if not capped or result.failed:
+        capped_feeds = tuple(issue for issue in result.issues if issue.kind == _CAPPED)
+        if not capped_feeds or result.failed:
             break
-        slowed = _with_feed(program, result.program.motions.feed)
-        result = correction.process(slowed, robot, cell, source, mode, linearize_arcs=linearize_arcs, to=to)
+        slowed_program = _with_feed(program, result.program.motions.feed)
+        result = correction.process(slowed_program, robot, cell, source, mode, linearize_arcs=linearize_arcs, to=to)
         if not any(issue.kind == _CAPPED for issue in result.issues):
-            return replace(result, issues=(*result.issues, *capped))
+            return replace(result, issues=(*result.issues, *capped_feeds))
     return result
 
 
@@ -224,19 +224,19 @@ class _Search:
         """
         is_fixed = self.low >= self.high
         is_within = error <= self.limit
-        raised, lowered = self.open & ~is_fixed & is_within, self.open & ~is_fixed & ~is_within
+        is_raised, is_lowered = self.open & ~is_fixed & is_within, self.open & ~is_fixed & ~is_within
         reserve = np.minimum(self._reserve(error), self.high - self.feed)
-        is_final = is_fixed | (raised & (reserve <= _CLOSE * self.feed))
+        is_final = is_fixed | (is_raised & (reserve <= _CLOSE * self.feed))
         # Illinois method: where one bound moves twice in turn, the error at the other one counts half
-        repeats_good, repeats_bad = raised & self.was_good, lowered & self.was_bad
+        repeats_good, repeats_bad = is_raised & self.was_good, is_lowered & self.was_bad
         self.error_high[repeats_good] = 0.5 * (self.limit + self.error_high[repeats_good])
         self.error_low[repeats_bad] = 0.5 * (self.limit + self.error_low[repeats_bad])
-        is_stuck = lowered & (self.feed <= self.low)  # the error depends on the motions before, too
+        is_stuck = is_lowered & (self.feed <= self.low)  # the error depends on the motions before, too
         unheld = is_stuck & (self.feed <= self.min_feeds)
-        self.low[raised], self.error_low[raised] = self.feed[raised], error[raised]
+        self.low[is_raised], self.error_low[is_raised] = self.feed[is_raised], error[is_raised]
         self.low[is_stuck] = np.maximum(self.min_feeds, _BACKSTEP * self.low)[is_stuck]
-        self.high[lowered], self.error_high[lowered] = self.feed[lowered], error[lowered]
-        self.was_good, self.was_bad = raised, lowered
+        self.high[is_lowered], self.error_high[is_lowered] = self.feed[is_lowered], error[is_lowered]
+        self.was_good, self.was_bad = is_raised, is_lowered
         self.give_up(unheld)
         return bool(np.all(~self.open | is_final)) and not (unheld.any() and not self.uses_min_feed)
 

@@ -85,11 +85,11 @@ def _start_in_turn(program: Program, robot: RobotModel, cell: Cell, start: Chose
     :param start: for the tool as the program is read.
     """
     robot_in_cell = RobotInCell.of(robot, replace(cell, start=Start(start.joints)))
-    turned = placement.in_chosen_turn(program, robot_in_cell, None)
-    if turned.turn is None:
+    turned_program = placement.in_chosen_turn(program, robot_in_cell, None)
+    if turned_program.turn is None:
         return start
     constant_turn = replace(robot_in_cell.cell, gcode=replace(cell.gcode, redundancy="constant"))
-    return chosen_start(turned.program, RobotInCell.of(robot, constant_turn))
+    return chosen_start(turned_program.program, RobotInCell.of(robot, constant_turn))
 
 
 def _are_equal(first: Array, second: Array) -> bool:

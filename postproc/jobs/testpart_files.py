@@ -299,7 +299,7 @@ def _programs(
     parts = {}
     for number, placement in enumerate(placements):
         part_features = [choice.design.features[k] for k in np.flatnonzero(choice.design.placement == number)]
-        features_before = int((choice.design.placement < number).sum())
+        feature_count = int((choice.design.placement < number).sum())
         parts[placement] = features.program(
             part_features,
             choice.cutting,
@@ -307,7 +307,7 @@ def _programs(
             choice.weight_places,
             touches=choice.touches if part_features else None,
             first=(
-                1 + features_before,
+                1 + feature_count,
                 1 + len(choice.weight_places) * number,
                 1 + len(choice.touches) * number,
             ),

@@ -312,7 +312,7 @@ def _forces_up_to_tilt(task: _Task, max_tilt: float) -> ProcessForces:
     coarse = _swept_program(task, max_tilt, {})
     cell_factors: dict[int, int] = {}
     if task.process.stock.resolution_mm is None:
-        cell_factors = factors(coarse.thin_passes, coarse.swept.stock.high.size)
+        cell_factors = factors(coarse.thin_passes, coarse.swept_setups.stock.high.size)
     return _process_forces(task, _swept_program(task, max_tilt, cell_factors) if cell_factors else coarse)
 
 
@@ -322,7 +322,7 @@ class _SweptProgram(NamedTuple):
     :param setups: set-ups in their order; `segments`: of all motions, in the frame of the first one.
     :param bounds: smallest and largest x, smallest and largest y, and top of the uncut stock in that frame [m].
     :param stock_issues: warnings and notes about the stock.
-    :param swept: the sweeps and what they leave.
+    :param swept_setups: the sweeps and what they leave.
     :param thin_passes: passes that need finer cells than they had.
     """
 
@@ -330,7 +330,7 @@ class _SweptProgram(NamedTuple):
     segments: StraightSegments
     bounds: tuple[float, ...]
     stock_issues: list[Issue]
-    swept: _SweptSetups
+    swept_setups: _SweptSetups
     thin_passes: list[ThinPasses]
 
 
@@ -350,17 +350,17 @@ def _swept_program(task: _Task, max_tilt: float, cell_factors: dict[int, int]) -
     bounds = (*material.bounds, material.top)
     segments = task.segments(frame, cell)
     _check_spindle_speed(program, segments, task.tools)
-    swept = _swept_setups(task, ordered_setups, material, segments)
-    _refuse_unknown_forces(program, swept.sweeps)
-    if not any(sweep.contact for sweep in swept.sweeps):
+    swept_setups = _swept_setups(task, ordered_setups, material, segments)
+    _refuse_unknown_forces(program, swept_setups.sweeps)
+    if not any(sweep.contact for sweep in swept_setups.sweeps):
         raise _no_contact_error(segments, bounds, process, task.stock)
     if program.branches:
         segments_of_map = segments if len(ordered_setups) == 1 else None
         is_near = _motions_near_stock(program, segments_of_map, bounds, process.largest_radius)
-        check_branches(program, _engaged_motions(swept.cuts), is_near)
-    _refuse_stopped_spindle(program, swept.stopped_motions)
-    passes = thin_passes(program, task.tools, swept.by_cells)
-    return _SweptProgram(ordered_setups, segments, bounds, stock_issues, swept, passes)
+        check_branches(program, _engaged_motions(swept_setups.cuts), is_near)
+    _refuse_stopped_spindle(program, swept_setups.stopped_motions)
+    passes = thin_passes(program, task.tools, swept_setups.by_cells)
+    return _SweptProgram(ordered_setups, segments, bounds, stock_issues, swept_setups, passes)
 
 
 def _engaged_motions(cuts: Cuts) -> Ints:
@@ -370,26 +370,26 @@ def _engaged_motions(cuts: Cuts) -> Ints:
 
 def _process_forces(task: _Task, swept_program: _SweptProgram) -> ProcessForces:
     """Return the forces of a swept program, with warnings and notes."""
-    program, tools, swept = task.program, task.tools, swept_program.swept
+    program, tools, swept_setups = task.program, task.tools, swept_program.swept_setups
     return ProcessForces(
-        knots=Knots.join(swept.knots),
-        cuts=swept.cuts,
-        power=_largest_power(swept.cuts, len(program.motions)),
+        knots=Knots.join(swept_setups.knots),
+        cuts=swept_setups.cuts,
+        power=_largest_power(swept_setups.cuts, len(program.motions)),
         tools=tools,
         drills=tuple(_ToolColumns.of(tools, task.process).is_drill.tolist()),
-        stock=swept.stock,
+        stock=swept_setups.stock,
         map_in_base=swept_program.setups[-1].frame,
-        removed_volume=swept.removed_volume,
+        removed_volume=swept_setups.removed_volume,
         issues=tuple(_program_issues(task, swept_program)),
-        over_time=None if task.guard is None else _stock_in_time(program, swept_program.setups, swept),
+        over_time=None if task.guard is None else _stock_in_time(program, swept_program.setups, swept_setups),
     )
 
 
 def _program_issues(task: _Task, swept_program: _SweptProgram) -> list[Issue]:
     """Return all warnings and notes about a swept program, in the order in which they are reported."""
     program, process, tools, guard = task.program, task.process, task.tools, task.guard
-    segments, bounds, swept = swept_program.segments, swept_program.bounds, swept_program.swept
-    engaged_motions = _engaged_motions(swept.cuts)
+    segments, bounds, swept_setups = swept_program.segments, swept_program.bounds, swept_program.swept_setups
+    engaged_motions = _engaged_motions(swept_setups.cuts)
     has_one_map = len(swept_program.setups) == 1
     return [
         *swept_program.stock_issues,
@@ -397,13 +397,13 @@ def _program_issues(task: _Task, swept_program: _SweptProgram) -> list[Issue]:
         *slow_turn_issues(program, task.programmed_feed, engaged_motions),
         *stock_base_issues(program),
         *(_beside_stock_issues(program, segments, bounds, process.largest_radius) if has_one_map else []),
-        *swept.issues,
+        *swept_setups.issues,
         *unread_cuts(program),
         *shared_cutters(program, tools, engaged_motions),
         *_scale_issues(segments, bounds),
-        *_cut_issues(program, task.law, swept.cuts, tools, process),
+        *_cut_issues(program, task.law, swept_setups.cuts, tools, process),
         *_coarse_contact_warnings(program, tools, swept_program.thin_passes, swept_program.setups, process.stock.cell),
-        *_collision_issues(program, swept.collisions, guard),
+        *_collision_issues(program, swept_setups.collisions, guard),
         *_cutter_mismatch_issues(program, tools, process, guard),
     ]
 
@@ -497,14 +497,14 @@ def _refuse_unknown_forces(program: Program, sweeps: list[Sweep]) -> None:
         raise _OverhangError(problem, file=name, line=int(lines[worst]), advice=advice)
 
 
-def _stock_in_time(program: Program, setups: list[Setup], swept: _SweptSetups) -> StockInTime:
+def _stock_in_time(program: Program, setups: list[Setup], swept_setups: _SweptSetups) -> StockInTime:
     """Return the stock over time of set-ups that were swept with a guard."""
     base = program.bases[home_base(program)]
     return StockInTime(
         first=tuple(int(np.argmax(setup.motions)) for setup in setups),
         frame=tuple(base @ setup.frame for setup in setups),
-        ceiling=tuple(sweep.ceiling for sweep in swept.sweeps if sweep.ceiling is not None),
-        is_compared=swept.is_compared,
+        ceiling=tuple(sweep.ceiling for sweep in swept_setups.sweeps if sweep.ceiling is not None),
+        is_compared=swept_setups.is_compared,
         removes_material=~program.motions.rapid,
     )
 

@@ -76,10 +76,10 @@ def _needed_rows(halves: Array) -> Iterator[int]:
             continue
         share = ((np.arange(begin + 1, end) - begin) / (end - begin))[:, None, None]
         deviation = norm(halves[begin + 1 : end] - (halves[begin] + share * (halves[end] - halves[begin]))).max(axis=1)
-        farthest = int(np.argmax(deviation))
-        if deviation[farthest] > 1.0:
-            yield begin + 1 + farthest
-            open_ranges += [(begin, begin + 1 + farthest), (begin + 1 + farthest, end)]
+        farthest_row = int(np.argmax(deviation))
+        if deviation[farthest_row] > 1.0:
+            yield begin + 1 + farthest_row
+            open_ranges += [(begin, begin + 1 + farthest_row), (begin + 1 + farthest_row, end)]
 
 
 class Stations(NamedTuple):
@@ -230,11 +230,11 @@ def _wrenches_at(motion: Ints, t: Array, wrench: Array, place_motion: Ints, plac
     next_station = np.searchsorted(motion + 0.5 * t, place_motion + 0.5 * places)
     first_rows = np.searchsorted(motion, place_motion, side="left")
     last_rows = np.searchsorted(motion, place_motion, side="right") - 1
-    row_after = np.clip(next_station, first_rows, last_rows)
-    row_before = np.clip(next_station - 1, first_rows, last_rows)
-    interval = t[row_after] - t[row_before]
-    share = np.clip((places - t[row_before]) / np.where(interval > 0.0, interval, 1.0), 0.0, 1.0)
-    return np.asarray(wrench[row_before] + share[:, None] * (wrench[row_after] - wrench[row_before]))
+    next_row = np.clip(next_station, first_rows, last_rows)
+    previous_row = np.clip(next_station - 1, first_rows, last_rows)
+    interval = t[next_row] - t[previous_row]
+    share = np.clip((places - t[previous_row]) / np.where(interval > 0.0, interval, 1.0), 0.0, 1.0)
+    return np.asarray(wrench[previous_row] + share[:, None] * (wrench[next_row] - wrench[previous_row]))
 
 
 def _feed_axes(poses: ToolPoses, motion: Ints, t: Array) -> tuple[Array, Bools]:

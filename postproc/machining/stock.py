@@ -382,7 +382,7 @@ def _quads_of_cells(is_filled: Bools) -> NDArray[np.int64]:
         [corner[row, column], corner[row, column + 1], corner[row + 1, column + 1], corner[row + 1, column]], axis=-1
     )
     quads = [upper_quads, upper_quads[:, ::-1] + corner_count]
-    padded = np.pad(is_filled, 1)
+    padded_map = np.pad(is_filled, 1)
     # step in rows and columns to a neighbour, and both corners of the side towards it, in the order that turns the
     # face outwards
     for row_step, column_step, (begin_row, begin_column), (end_row, end_column) in (
@@ -391,7 +391,7 @@ def _quads_of_cells(is_filled: Bools) -> NDArray[np.int64]:
         (0, -1, (0, 0), (1, 0)),
         (0, 1, (1, 1), (0, 1)),
     ):
-        is_open = ~padded[row + 1 + row_step, column + 1 + column_step]
+        is_open = ~padded_map[row + 1 + row_step, column + 1 + column_step]
         begin = corner[row[is_open] + begin_row, column[is_open] + begin_column]
         end = corner[row[is_open] + end_row, column[is_open] + end_column]
         quads.append(np.stack([begin, end, end + corner_count, begin + corner_count], axis=-1))
@@ -629,12 +629,12 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[Se
     size = count[:, 0] * count[:, 1]
     order = np.argsort(size, kind="stable")
     order = order[size[order] > 0]
-    done = 0
-    while done < len(order):
+    done_count = 0
+    while done_count < len(order):
         # sorted by size, the last window of a batch is the largest: its size limits the cells of the batch
-        rows = order[done : done + max(1, MOST_CELLS_AT_ONCE // int(size[order[done]]))]
+        rows = order[done_count : done_count + max(1, MOST_CELLS_AT_ONCE // int(size[order[done_count]]))]
         rows = rows[: max(1, MOST_CELLS_AT_ONCE // int(size[rows[-1]]))]
-        done += len(rows)
+        done_count += len(rows)
         window = np.minimum(count[rows].max(axis=0), map_size)
         corner = np.minimum(first[rows], map_size - window)
         yield SegmentWindows(rows, corner, window)

@@ -270,7 +270,7 @@ class Sweep(Struct, eq=False):
         joins_previous = self._joins_previous(segments, may_touch).tolist()
         may_cut = (may_touch & segments.cutting).tolist()
         axes = self._tilted_axes(segments, may_touch)
-        longest = {number: _GROUP_LENGTH * self._cutter(number).radius for number in set(tool)}
+        largest_lengths = {number: _GROUP_LENGTH * self._cutter(number).radius for number in set(tool)}
 
         def turns(begin: int, segment: int) -> bool:
             """Return whether path or tool turn too far from one segment to another."""
@@ -282,7 +282,7 @@ class Sweep(Struct, eq=False):
         for segment in range(1, len(tool)):
             if (
                 not joins_previous[segment]
-                or group_length > longest[tool[begin]]
+                or group_length > largest_lengths[tool[begin]]
                 or (may_cut[segment] and turns(begin, segment))
             ):
                 yield begin, segment

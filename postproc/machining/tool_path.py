@@ -191,13 +191,13 @@ _SAME_TIP = 1e-4
 cutters that are alike to a tenth of a millimetre are rare, and one that was measured twice is not."""
 
 
-def shared_cutters(program: Program, tools: ToolStates, engaged: Ints) -> Iterator[Issue]:
+def shared_cutters(program: Program, tools: ToolStates, engaged_motions: Ints) -> Iterator[Issue]:
     """Yield a warning for each entry of [tools] that cuts with several tools of a robot program.
 
-    :param engaged: (n,) motions that touch material, in order: a LIN may also position.
+    :param engaged_motions: (n,) motions that touch material, in order: a LIN may also position.
     """
     m = program.motions
-    tool, frame = tools.tool[engaged], m.tool[engaged]
+    tool, frame = tools.tool[engaged_motions], m.tool[engaged_motions]
     if not program.keeps_text:
         return
     for place in distinct(tool).tolist():
@@ -207,7 +207,7 @@ def shared_cutters(program: Program, tools: ToolStates, engaged: Ints) -> Iterat
         if len(rows) < 2 or tip_distance.max() <= _SAME_TIP:
             continue
         pair = [int(rows[0]), int(rows[int(np.argmax(tip_distance))])]
-        motion = [int(engaged[np.argmax((frame == row) & (tool == place))]) for row in pair]
+        motion = [int(engaged_motions[np.argmax((frame == row) & (tool == place))]) for row in pair]
         names = [
             f"{_tool_name(program, row)} (line {m.line[row_motion]})"
             for row, row_motion in zip(pair, motion, strict=True)

@@ -162,9 +162,9 @@ def _bins(block: Ints, travel: Array) -> tuple[Ints, Array]:
     first = np.flatnonzero((np.diff(bin_in_block, prepend=-1) != 0) | (np.diff(block, prepend=-1) != 0))
     last = np.append(first[1:], len(block)) - 1
     length = np.bincount(block, travel)
-    length_before = np.cumsum(length) - length
+    preceding_length = np.cumsum(length) - length
     whole = length[block[last]]
-    length_at_end = np.cumsum(travel)[last] - length_before[block[last]]
+    length_at_end = np.cumsum(travel)[last] - preceding_length[block[last]]
     share = np.where(whole > 0.0, length_at_end / np.where(whole > 0.0, whole, 1.0), 1.0)
     return first, np.clip(share, 0.0, 1.0)
 

@@ -142,7 +142,7 @@ def test_behind_a_step_of_the_force_the_new_one_acts_from_the_first_place_on():
     q = side.joints_at(motion, t)
     off = side.robot_in_cell.tip(q, side.program.tools[0], side.wrench(load, motion))[0] - side.points(begin)[0]
     assert off[0] < -1e-4  # against the travel along X
-    deviations = Search(side, side, load, ways).deviations(motion, t, q, begin, enough=1e-8)
+    deviations = Search(side, side, load, ways).deviations(motion, t, q, begin, sufficient_distance=1e-8)
     for distance in (deviations.nominal_distance, deviations.corrected_distance):
         np.testing.assert_allclose(distance, [np.linalg.norm(off)], rtol=1e-3)
 

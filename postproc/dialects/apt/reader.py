@@ -292,10 +292,10 @@ def _opposite_directions(moves: _Moves, source: Statements) -> list[Fault]:
     first_moves = sorted((int(np.argmax(is_side)), side) for side, is_side in sides if is_side.any())
     if len(first_moves) < len(sides):
         return []
-    (earlier, earlier_side), (later, later_side) = first_moves
-    line = int(source.line[moves.row[earlier]])
+    (earlier_move, earlier_side), (later_move, later_side) = first_moves
+    line = int(source.line[moves.row[earlier_move]])
     problem = f"the tool comes from {later_side}, and from {earlier_side} in line {line}"
-    return [Fault(int(moves.row[later]), problem, "Write one file for each clamping of the part.")]
+    return [Fault(int(moves.row[later_move]), problem, "Write one file for each clamping of the part.")]
 
 
 def _notes_before_motions(notes: Sequence[ForceNote], motions: Motions) -> tuple[ForceNote, ...]:

@@ -234,8 +234,8 @@ def _counts(is_counted: np.typing.NDArray[np.bool_], ends: Ints, rows: Ints) -> 
     :param is_counted: (C,) which characters of all statements are counted.
     :param ends: (S + 1,) positions, see `Statements`; `rows`: (n,) the statements.
     """
-    count_before = np.cumsum(np.append(0, is_counted), dtype=np.int64)
-    return np.asarray(count_before[ends[rows + 1]] - count_before[ends[rows]])
+    preceding_count = np.cumsum(np.append(0, is_counted), dtype=np.int64)
+    return np.asarray(preceding_count[ends[rows + 1]] - preceding_count[ends[rows]])
 
 
 _NUMBER = re.compile(r"[-+]?(?:\d{1,30}\.?\d{0,30}|\.\d{1,30})(?:[ED][-+]?\d{1,3})?")

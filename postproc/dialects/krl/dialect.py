@@ -233,8 +233,8 @@ class Krl:
         :raises ProgramError: see `read.reader`; a file is missing; the file is a part of a program and cannot be read
             without the others.
         """
-        if (joined := joined_program(documents)) is not None:
-            return _read_joined(joined, documents, cell, forward_kinematics, name)
+        if (whole_program := joined_program(documents)) is not None:
+            return _read_joined(whole_program, documents, cell, forward_kinematics, name)
         try:
             return read_program(documents, cell, forward_kinematics, name)
         except ProgramError as cause:
@@ -246,7 +246,7 @@ class Krl:
 
 
 def _read_joined(
-    joined: JoinedProgram,
+    whole_program: JoinedProgram,
     documents: Sequence[Document],
     cell: Cell,
     forward_kinematics: Callable[[Array], Array],
@@ -259,23 +259,23 @@ def _read_joined(
     :param main_name: name of the main program.
     :raises ProgramError: see `read.reader`; it names the file that has the line.
     """
-    stems = {PurePath(file).stem.lower() for file, _ in joined.files}
+    stems = {PurePath(file).stem.lower() for file, _ in whole_program.files}
     subprograms = [document for document in documents if PurePath(document.name).stem.lower() not in stems]
     try:
-        program = read_program((*joined.documents, *subprograms), cell, forward_kinematics, main_name)
+        program = read_program((*whole_program.documents, *subprograms), cell, forward_kinematics, main_name)
     except ProgramError as cause:
-        raise joined.error_in_file(cause) from None
+        raise whole_program.error_in_file(cause) from None
     layout = program.layout
     if isinstance(layout, Layout):
         called_files = layout.course.files
         called_names = {document.name for document in called_files}
         documents = [*(document for document in documents if document.name not in called_names), *called_files]
-        layout = replace(layout, documents=(*joined.documents, *called_files), files=joined.files)
+        layout = replace(layout, documents=(*whole_program.documents, *called_files), files=whole_program.files)
     return replace(
         program,
-        name=PurePath(joined.documents[0].name).stem[: -len(MAIN)],
+        name=PurePath(whole_program.documents[0].name).stem[: -len(MAIN)],
         documents=tuple(documents),
-        unresolved=tuple(joined.motion_in_file(motion) for motion in program.unresolved),
+        unresolved=tuple(whole_program.motion_in_file(motion) for motion in program.unresolved),
         needed=tuple(file for file in program.needed if Path(file.path).stem.lower() not in stems),
         layout=layout,
     )

@@ -113,21 +113,23 @@ class _Reader:
         :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
         :raises InputError: the module cannot be followed, or moves nothing.
         """
-        expanded = self._expand(name)
-        execution = expanded.executed
-        line = self._lines(expanded, np.array([move.statement.start for move in execution.moves], dtype=np.int64))
+        expanded_program = self._expand(name)
+        execution = expanded_program.executed
+        line = self._lines(
+            expanded_program, np.array([move.statement.start for move in execution.moves], dtype=np.int64)
+        )
         if execution.errors:
-            lines = self._lines(expanded, np.array([cause.start for cause in execution.errors])).tolist()
+            lines = self._lines(expanded_program, np.array([cause.start for cause in execution.errors])).tolist()
             pairs = zip(execution.errors, lines, strict=True)
             raise combined_error([self._error(cause.problem, at, cause.advice) for cause, at in pairs])
         if not execution.moves:
             raise ProgramError(
                 "there are no motions", file=self.document.name, advice="Check that this is the program."
             )
-        comments, notes = self._notes(expanded)
+        comments, notes = self._notes(expanded_program)
         path = self._motions(execution.moves, line, forward_kinematics)
-        is_plain = not expanded.loops and not expanded.copies
-        all_modules = (*self.loaded.modules, *expanded.modules)
+        is_plain = not expanded_program.loops and not expanded_program.copies
+        all_modules = (*self.loaded.modules, *expanded_program.modules)
         data_names = frozenset(data.name for module in all_modules for data in module.data)
         return Program(
             name,
@@ -138,11 +140,11 @@ class _Reader:
             path.tools,
             tool_keys=_tool_names(execution.moves, path.motions.tool, len(path.tools)),
             notes=notes,
-            issues=tuple(self._issues(expanded)),
+            issues=tuple(self._issues(expanded_program)),
             by_wrist=path.by_wrist if path.by_wrist.any() else None,
             with_path=path.with_path if path.with_path.any() else None,
             turn_speeds=_turn_speeds(execution.moves),
-            layout=Layout(path.numbers, expanded.text, is_plain, tuple(execution.moves), comments, data_names),
+            layout=Layout(path.numbers, expanded_program.text, is_plain, tuple(execution.moves), comments, data_names),
         )
 
     # --- text
@@ -165,9 +167,11 @@ class _Reader:
             raise self._error(cause.problem, max(cause.line, 1), cause.advice) from None
 
     @staticmethod
-    def _lines(expanded: ExpandedProgram, start: Ints) -> Ints:
+    def _lines(expanded_program: ExpandedProgram, start: Ints) -> Ints:
         """Return the lines of the file (n,) of offsets (n,) of the text."""
-        return np.asarray(expanded.line[np.searchsorted(line_spans(expanded.text)[0], start, side="right") - 1])
+        return np.asarray(
+            expanded_program.line[np.searchsorted(line_spans(expanded_program.text)[0], start, side="right") - 1]
+        )
 
     def _entry(self, modules: Sequence[Module], name: str) -> Routine:
         """Return the routine that is the program: that of the file's name, main, or the only one nobody calls.
@@ -218,7 +222,7 @@ class _Reader:
             self.frames[type_] = _FromCell(self.cell.tool.pose() if type_ == "TOOLDATA" else self.cell.base.pose())
         return self.frames[type_]
 
-    def _notes(self, expanded: ExpandedProgram) -> tuple[tuple[Comment, ...], tuple[ForceNote, ...]]:
+    def _notes(self, expanded_program: ExpandedProgram) -> tuple[tuple[Comment, ...], tuple[ForceNote, ...]]:
         """Return the force comments, and as many force notes with the motion that each precedes.
 
         :raises InputError: force comments cannot be read.
@@ -226,9 +230,9 @@ class _Reader:
         comments: list[Comment] = []
         notes: list[ForceNote] = []
         errors: list[InputError] = []
-        starts = line_spans(expanded.text)[0]
-        for comment, motion_index in expanded.executed.notes:
-            line = int(expanded.line[np.searchsorted(starts, comment.start, side="right") - 1])
+        starts = line_spans(expanded_program.text)[0]
+        for comment, motion_index in expanded_program.executed.notes:
+            line = int(expanded_program.line[np.searchsorted(starts, comment.start, side="right") - 1])
             try:
                 note = parse_force_note(comment.text, line, self.document.name)
             except InputError as cause:
@@ -492,32 +496,32 @@ class _Reader:
 
     # --- issues
 
-    def _issues(self, expanded: ExpandedProgram) -> Iterator[Issue]:
+    def _issues(self, expanded_program: ExpandedProgram) -> Iterator[Issue]:
         """Yield information and warnings on how the module was read."""
-        execution = expanded.executed
+        execution = expanded_program.executed
         for name, (start, count) in execution.foreign.items():
             message = f"{name} is in no module of this file: it is assumed not to move the robot."
-            line = int(self._lines(expanded, np.array([start]))[0])
+            line = int(self._lines(expanded_program, np.array([start]))[0])
             yield Issue("warning", "external-call", message, line, subject=name.upper(), count=count)
         yield from self._cell_frame_issues(execution)
-        yield from self._uncalled_issues(expanded)
-        if expanded.loops:
-            lines = line_names(sorted(set(expanded.loops)), _MOST_NAMES)
+        yield from self._uncalled_issues(expanded_program)
+        if expanded_program.loops:
+            lines = line_names(sorted(set(expanded_program.loops)), _MOST_NAMES)
             message = f"Loops with moves are written out, round by round ({lines}): each round has its own targets."
-            yield Issue("info", "loop-expanded", message, min(expanded.loops))
-        if expanded.copies:
-            names = first_of(list(dict.fromkeys(expanded.copies)), _MOST_NAMES)
+            yield Issue("info", "loop-expanded", message, min(expanded_program.loops))
+        if expanded_program.copies:
+            names = first_of(list(dict.fromkeys(expanded_program.copies)), _MOST_NAMES)
             message = f"Routines with moves that are called more than once get a copy for each call: {names}."
             yield Issue("info", "routine-copied", message)
 
-    def _uncalled_issues(self, expanded: ExpandedProgram) -> Iterator[Issue]:
+    def _uncalled_issues(self, expanded_program: ExpandedProgram) -> Iterator[Issue]:
         """Yield a warning for each routine that moves and is not called."""
-        routines = [routine for module in expanded.modules for routine in module.routines]
+        routines = [routine for module in expanded_program.modules for routine in module.routines]
         for routine in routines:
             first_move = next(filter(_is_move, all_statements(routine.body)), None)
-            if first_move is not None and routine.name not in expanded.executed.followed:
+            if first_move is not None and routine.name not in expanded_program.executed.followed:
                 message = f"{routine.kind} {routine.name} has moves but is not called; they are left as they are."
-                line = int(self._lines(expanded, np.array([first_move.start]))[0])
+                line = int(self._lines(expanded_program, np.array([first_move.start]))[0])
                 yield Issue("warning", "uncalled-motions", message, line, subject=routine.name)
 
     @staticmethod

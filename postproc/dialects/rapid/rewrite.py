@@ -357,13 +357,13 @@ class _Rewriter:
                         starts.add(target.expression.start)
                         name_counts[target.data.name] += 1
         for start, texts in uses.items():
-            shared = self.shared[start]
-            assert shared.target.data is not None
-            data_name = shared.target.data.name
-            has_one_text = len(texts) == len(arguments[start]) and all(text == shared.text for _, text in texts)
+            shared_data = self.shared[start]
+            assert shared_data.target.data is not None
+            data_name = shared_data.target.data.name
+            has_one_text = len(texts) == len(arguments[start]) and all(text == shared_data.text for _, text in texts)
             is_only_named_here = mentions[data_name] == 1 + name_counts[data_name]
             if has_one_text and is_only_named_here:
-                self.edits += shared.edits
+                self.edits += shared_data.edits
             else:
                 for argument_start, text in texts:
                     expression = self.data_arguments[argument_start]

@@ -156,8 +156,8 @@ def joined_program(documents: Sequence[Document]) -> JoinedProgram | None:
     sources = (main, *parts, *routine_files)
     stems = [PurePath(document.name).stem.lower() for document in sources]
     data = [document_of[f"{stem}.dat"] for stem in stems if f"{stem}.dat" in document_of]
-    joined = (replace(main, text="".join(texts)), *([_joined_data(main, data)] if data else []))
-    return JoinedProgram(joined, tuple(_files_with_first_lines(sources)))
+    whole_documents = (replace(main, text="".join(texts)), *([_joined_data(main, data)] if data else []))
+    return JoinedProgram(whole_documents, tuple(_files_with_first_lines(sources)))
 
 
 def _files_with_first_lines(documents: Sequence[Document]) -> Iterator[tuple[str, int]]:

@@ -106,13 +106,13 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     :raises ProgramError: see `course_of`.
     """
     main, recorder = start.main, Recorder(start.main)
-    collected = start.collected(has_rows=collects)
-    run, settings = collected.run, collected.run.settings
+    collected_motions = start.collected(has_rows=collects)
+    run, settings = collected_motions.run, collected_motions.run.settings
     lines, free_settings = _split_plain_settings(main.source, main.other_lines, main.setting_lines)
     nodes = checked_nodes(main.source, nodes_of(main.source, lines))
     settings.follows_numbers = len(free_settings) <= _MOST_SETTINGS  # else plain ones are no statements here
     run.is_final = collects and settings.follows_numbers
-    flow = _collecting_flow(collected, recorder)
+    flow = _collecting_flow(collected_motions, recorder)
     if _is_straight(main, flow, nodes):
         return _with_used_names(_straight_course(main, run.trace), start), None
     if settings.follows_numbers and len(free_settings):
@@ -127,24 +127,29 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     course = _with_used_names(recorder.course(run.unfollowed_routines), start)
     # else statements must run once more, along the complete trace
     is_complete = run.is_final and recorder.is_final and not settings.lacked_numbers
-    if not is_complete or fault_of(main.name) or collected.splines.open_block is not None or run.level.open_structures:
+    if (
+        not is_complete
+        or fault_of(main.name)
+        or collected_motions.splines.open_block is not None
+        or run.level.open_structures
+    ):
         return course, None
     run.trace, run.shown_line = course.trace, 0
-    return course, collected
+    return course, collected_motions
 
 
-def _collecting_flow(collected: CollectedMotions, recorder: Recorder) -> Flow:
+def _collecting_flow(collected_motions: CollectedMotions, recorder: Recorder) -> Flow:
     """Return what follows a program, records its trace, and collects its motions while nothing is in doubt.
 
-    :param collected: gets the motions.
+    :param collected_motions: gets the motions.
     """
-    run = collected.run
+    run = collected_motions.run
 
     def take_motion(place: Place, stmt: Statement) -> None:
         """Follow the functions in a motion, and collect it while nothing is in doubt."""
         flow.interpreter.follow_functions(place, stmt.values)  # they may change what a condition depends on
         if run.is_final and recorder.is_final:
-            collected.take_motion(place, stmt)
+            collected_motions.take_motion(place, stmt)
 
     def note_fault(_place: Place, _cause: ProgramError) -> None:
         """Note that a statement has an error; it is reported when the recorded trace is followed."""
@@ -208,7 +213,7 @@ def _note_submit_programs(run: Run) -> None:
 class MainRoutine:
     """Follows the execution trace of a program through the lines that are not plain motions.
 
-    :param collected: its motions, if its statements have run.
+    :param collected_motions: its motions, if its statements have run.
     :ivar run: the program as far as it has run.
     :ivar motions: those of the course, in order.
     :ivar rounds: those of loops over the points of an array, read in bulk.
@@ -216,12 +221,16 @@ class MainRoutine:
     :ivar splines: the spline blocks.
     """
 
-    def __init__(self, collected: CollectedMotions, course: Course, plain: PlainLines) -> None:
+    def __init__(self, collected_motions: CollectedMotions, course: Course, plain: PlainLines) -> None:
         """Begin before the first statement; `_broken` are variables whose statements had errors."""
         self.course = course
-        self.run, self.reader = collected.run, collected.reader
-        self._collected = collected
-        self.motions, self.idle_rows, self.splines = collected.motions, collected.idle_rows, collected.splines
+        self.run, self.reader = collected_motions.run, collected_motions.reader
+        self._collected = collected_motions
+        self.motions, self.idle_rows, self.splines = (
+            collected_motions.motions,
+            collected_motions.idle_rows,
+            collected_motions.splines,
+        )
         self._flow = Flow(self.run, self._take_motion, self._note_fault)
         self._errors: list[ProgramError] = []
         self._broken: set[str] = set()

@@ -47,11 +47,11 @@ def changed_data_issues(
     variables = main.run.settings.variables.next_run()
     start = Start(library, routine, main.run.obstacles, variables=variables, cell=cell, joints=start_joints)
     try:
-        course, collected = course_of(start)
+        course, collected_motions = course_of(start)
         line = _first_differing_row(main.course, course)
         if line is None:
-            second_run = MainRoutine(collected or start.collected(main.course.trace), main.course, plain_lines)
-            if collected is None:
+            second_run = MainRoutine(collected_motions or start.collected(main.course.trace), main.course, plain_lines)
+            if collected_motions is None:
                 second_run.follow([])
             second = ordered_motions(second_run, plain_lines.motions)
             line = _first_difference(main.run.settings, first, second_run.run.settings, second)

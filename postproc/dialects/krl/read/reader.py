@@ -160,14 +160,14 @@ class _Reading(Struct, frozen=True, eq=False):
         joints = tuple(float(angle) for angle in self.cell.start_joints * DEG_PER_RAD)
         variables = self._initial_variables()
         start = Start(self.library, self.entry, obstacles, variables=variables, cell=self.cell, joints=joints)
-        course, collected = course_of(start)
+        course, collected_motions = course_of(start)
         if not course.is_straight:
             plain_lines = plain_rows_of_trace(course.trace, {self.entry.source: plain_lines}, bulk=bulk)
-        if collected is None or self.faults:
+        if collected_motions is None or self.faults:
             main = MainRoutine(start.collected(course.trace), course, plain_lines)
             self._follow(main, plain_lines)
         else:
-            main = MainRoutine(collected, course, plain_lines)
+            main = MainRoutine(collected_motions, course, plain_lines)
         if not self.cell.krl.keep_unresolved:
             refuse_routines_with_force_comments(main.run)
         plain_lines = self._executed_lines(main, plain_lines)

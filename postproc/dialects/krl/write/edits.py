@@ -106,8 +106,8 @@ class Replacements(Struct, eq=False):
         starts, stops, lengths = self._pieces()
         order = np.argsort(starts, kind="stable")
         growth = (lengths - (stops - starts))[order]
-        growth_before = np.append(0, np.cumsum(growth, dtype=np.int64))  # of all pieces before each, then of all
-        return np.asarray(offsets + growth_before[np.searchsorted(starts[order], offsets, side="left")])
+        preceding_growth = np.append(0, np.cumsum(growth, dtype=np.int64))  # of all pieces before each, then of all
+        return np.asarray(offsets + preceding_growth[np.searchsorted(starts[order], offsets, side="left")])
 
     def _pieces(self) -> _Pieces:
         """Return all pieces that are replaced, in the order in which their new texts are kept."""

@@ -228,7 +228,7 @@ class _Divider:
         starts = np.array(self.first_targets[1:], dtype=np.int64)
         # the part of the text that each module has begins behind the line of the target before it
         offsets = [len(_text(header)), *_line_ends(self.undivided)[starts - 1].tolist(), len(document.text)]
-        lines_before = [len(header), *output_line[starts - 1].tolist()]
+        preceding_count = [len(header), *output_line[starts - 1].tolist()]
         documents, lines, line_count = [], [], 0
         for index, (first, stop) in enumerate(pairwise((*self.first_targets, len(output_line)))):
             top_lines = self.emitter.header_lines(self.names[index], self._order(index))
@@ -239,7 +239,7 @@ class _Divider:
                 f"{self.names[index]}.src", _text(top_lines) + part + _text(bottom_lines), document.encoding
             )
             documents.append(module)
-            lines.append(output_line[first:stop] - lines_before[index] + len(top_lines) + line_count)
+            lines.append(output_line[first:stop] - preceding_count[index] + len(top_lines) + line_count)
             line_count += module.text.count("\n")
         modules = Modules(tuple(documents), self.first_targets, np.concatenate(lines))
         return replace(self.undivided, modules=modules, issues=(*self.undivided.issues, self._issue(documents)))

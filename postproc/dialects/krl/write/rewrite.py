@@ -171,13 +171,15 @@ class _Rewriter:
             files[main.name] = replace(main, text=changes.apply(self.sources[0].text))
             return tuple(files.values()), line
         new_rows = edited_rows(self.trace, changes)
-        folded = fold(course, course.main, new_rows)
-        files |= {document.name: document for document in folded.documents}
-        self.issues = [*map(self._with_shown_line, self.issues), *folded.issues]
+        folded_program = fold(course, course.main, new_rows)
+        files |= {document.name: document for document in folded_program.documents}
+        self.issues = [*map(self._with_shown_line, self.issues), *folded_program.issues]
         trace_row = self.layout.line[self.row]
         # lines from the first one that the row of the motion is written as to that of the target
-        lines_below = line - (new_rows.begins[trace_row - 1] + 1)
-        return tuple(files.values()), folded.line[trace_row] + np.where(folded.is_in_main[trace_row], lines_below, 0)
+        following_count = line - (new_rows.begins[trace_row - 1] + 1)
+        return tuple(files.values()), folded_program.line[trace_row] + np.where(
+            folded_program.is_in_main[trace_row], following_count, 0
+        )
 
     def _with_shown_line(self, issue: Issue) -> Issue:
         """Return an issue on a row of the trace with the line of the `.src` to report; one on no row unchanged."""
@@ -316,15 +318,15 @@ class _Rewriter:
         """Insert targets, force comments and settings as lines of their own; return the line of every target (K,)."""
         line = self.layout.line[self.row]
         lines = InsertedLines(self.trace, self.replacements[0])
-        line_before, moved_triggers = self._place_triggers()
-        forces = self._missing_force_comments(line, line_before)
+        following_line, moved_triggers = self._place_triggers()
+        forces = self._missing_force_comments(line, following_line)
         free_targets, reset_targets = self._free_orientation_spans()
         lowering_feeds, restoring_feeds = self._feed_statements()
-        affected = [*moved_triggers, *forces, *free_targets, *reset_targets, *lowering_feeds, *restoring_feeds]
-        for k in np.flatnonzero(~self.is_last | np.isin(np.arange(len(line)), affected)).tolist():
+        affected_targets = [*moved_triggers, *forces, *free_targets, *reset_targets, *lowering_feeds, *restoring_feeds]
+        for k in np.flatnonzero(~self.is_last | np.isin(np.arange(len(line)), affected_targets)).tolist():
             row, motion_line = int(self.row[k]), int(line[k])
             next_line, indent, line_end = (
-                line_before.get(k, motion_line),
+                following_line.get(k, motion_line),
                 self._indent(k),
                 self.statements.line_end(row),
             )
@@ -391,18 +393,18 @@ class _Rewriter:
         """Return the text before the instruction on the line of a motion, given by one of its targets."""
         return self.statements.indent(int(self.row[k]))
 
-    def _missing_force_comments(self, line: Ints, line_before: Mapping[int, int]) -> dict[int, str]:
+    def _missing_force_comments(self, line: Ints, following_line: Mapping[int, int]) -> dict[int, str]:
         """Return the force comments that the program lacks, by the target that needs them.
 
         :param line: (K,) lines of the targets.
-        :param line_before: inserted target → line before which it is written.
+        :param following_line: inserted target → line before which it is written.
         """
         if self.comment_forces is None:
             return {}
         # the first line whose comment does not hold for the target: one on the line of a motion holds for the motion,
         # but not for the targets inserted before it
         limit_line = line + self.is_last
-        limit_line[list(line_before)] = list(line_before.values())
+        limit_line[list(following_line)] = list(following_line.values())
         note = np.searchsorted(self.layout.notes, limit_line) - 1  # the last comment that holds; −1: none
         rows = np.flatnonzero(needs_comment(self.comment_forces, self.targets.kind, note, self.program.notes, 0.0))
         return dict(zip(rows.tolist(), texts(b";", self.comment_forces, rows), strict=True))
@@ -429,29 +431,33 @@ class _Rewriter:
         :returns: inserted target → line before which it is written; target → TRIGGERs that are moved before it, with
             their text.
         """
-        line_before: dict[int, int] = {}
+        following_line: dict[int, int] = {}
         moved_lines: dict[int, list[tuple[Trigger, str]]] = {}
         for row, triggers in groupby(self.layout.triggers, attrgetter("row")):
             first, stop = np.searchsorted(self.row, [row, row + 1]).tolist()  # targets of the motion
             if stop - first < 2:
                 continue  # no target is inserted into it
             speed = float(self.program.motions.feed[row])
-            placed = place_triggers(tuple(triggers), self.layout.line.item(row), self.targets.t[first:stop], speed)
-            line_before |= dict(zip(range(first, stop - 1), placed.target_lines, strict=True))
-            for k, moved_triggers in enumerate(placed.moved_triggers, first):
+            placed_triggers = place_triggers(
+                tuple(triggers), self.layout.line.item(row), self.targets.t[first:stop], speed
+            )
+            following_line |= dict(zip(range(first, stop - 1), placed_triggers.target_lines, strict=True))
+            for k, moved_triggers in enumerate(placed_triggers.moved_triggers, first):
                 if moved_triggers:
                     moved_lines[k] = [
-                        (trigger, self._trigger_line(trigger, placed.path_texts.get(trigger)))
+                        (trigger, self._trigger_line(trigger, placed_triggers.path_texts.get(trigger)))
                         for trigger in moved_triggers
                     ]
-            self._change_paths(placed)
-            self.issues += [Issue("error", "trigger", _LOST_TRIGGER, trigger.line) for trigger in placed.lost_triggers]
-        return line_before, moved_lines
+            self._change_paths(placed_triggers)
+            self.issues += [
+                Issue("error", "trigger", _LOST_TRIGGER, trigger.line) for trigger in placed_triggers.lost_triggers
+            ]
+        return following_line, moved_lines
 
-    def _change_paths(self, placed: PlacedTriggers) -> None:
+    def _change_paths(self, placed_triggers: PlacedTriggers) -> None:
         """Change the PATH of the TRIGGERs that stay on their lines."""
-        moved_triggers = {trigger for triggers in placed.moved_triggers for trigger in triggers}
-        for trigger, path in placed.path_texts.items():
+        moved_triggers = {trigger for triggers in placed_triggers.moved_triggers for trigger in triggers}
+        for trigger, path in placed_triggers.path_texts.items():
             if trigger not in moved_triggers and trigger.path_span is not None:
                 self.replacements[0].add(*trigger.path_span, path, trigger.line)
 

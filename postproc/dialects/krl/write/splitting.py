@@ -127,14 +127,17 @@ def split_files(
 
 def _restore_files(documents: Sequence[Document], output: WrittenProgram, limit: int) -> WrittenProgram:
     """Return a program that was read from several files in the same files, which keep their division."""
-    joined = joined_program(documents)
-    if joined is None or all(
-        new_file.text == old_file.text for new_file, old_file in zip(output.documents, joined.documents, strict=True)
+    whole_program = joined_program(documents)
+    if whole_program is None or all(
+        new_file.text == old_file.text
+        for new_file, old_file in zip(output.documents, whole_program.documents, strict=True)
     ):
         return replace(output, documents=tuple(documents))
     texts = separated_texts(output.documents[0].text)
     document_of = {document.name: document for document in documents}
-    sources = [replace(document_of[file], text=text) for (file, _), text in zip(joined.files, texts, strict=True)]
+    sources = [
+        replace(document_of[file], text=text) for (file, _), text in zip(whole_program.files, texts, strict=True)
+    ]
     longest_file = max(sources, key=lambda document: document.text.count("\n"))
     issues = list(output.issues)
     if limit and longest_file.text.count("\n") > limit:
@@ -267,9 +270,9 @@ class _Splitter:
         last = max(routine.last for routine in (self.main, *self.subroutines))
         begin = max((block.stop for block in blocks if block.stop <= self.main.first), default=first)
         calls = [f"{self.base}{number}( ){self.line_end}" for number in range(1, part_count + 1)]
-        lines_behind = range(last + 1, len(self.source.starts) + 1)
+        following_lines = range(last + 1, len(self.source.starts) + 1)
         head = range(1, first), range(begin, first_cut)
-        return _File(f"{self.base}{MAIN}", (*head, *calls, _one_line(self.main.last), lines_behind))
+        return _File(f"{self.base}{MAIN}", (*head, *calls, _one_line(self.main.last), following_lines))
 
     def _routine_blocks(self) -> list[range]:
         """Return the lines of each routine but the main one, with the comments before it."""
