@@ -20,7 +20,7 @@ def test_95_percent_of_random_parameters_forces_and_discrepancies_stay_within_th
 def test_a_bound_without_one_of_its_sources_would_be_noticed(monkeypatch, left_out):
     whole = elastostatics.position_bound
 
-    def without(model, q, tool, wrench, spread):
+    def without(model, q, tool, wrench, *, force_spread):
         covariance = model.covariance
         changed = {
             "covariance": {"covariance": type(covariance)(covariance.parameters, 0.0 * covariance.matrix)},
@@ -28,7 +28,8 @@ def test_a_bound_without_one_of_its_sources_would_be_noticed(monkeypatch, left_o
             "spread": {},
         }[left_out]
 
-        return whole(replace(model, **changed), q, tool, wrench, 0.0 * spread if left_out == "spread" else spread)
+        spread = 0.0 * force_spread if left_out == "spread" else force_spread
+        return whole(replace(model, **changed), q, tool, wrench, force_spread=spread)
 
     monkeypatch.setattr(elastostatics, "position_bound", without)
     found, bound = against_chance(200)

@@ -79,7 +79,7 @@ def remove_gross_errors(data: Measurements) -> tuple[Measurements, list[str]]:
     faulty_rows, sentences = _off_repeats(data, sigma)
     data = data.drop(faulty_rows)
     if len(data.points) >= 3:
-        _check_rigid_body(data)
+        _check_rigid_body(data, sigma)
         faulty_rows, body_sentences = _rigid_body(data, sigma)
         data, sentences = data.drop(faulty_rows), sentences + body_sentences
     return data, sentences
@@ -119,9 +119,10 @@ def _robust_sigma(data: Measurements) -> float:
     return float(np.median(np.abs(deviation)) / _MEDIAN_SIZE / shrinkage)
 
 
-def _check_rigid_body(data: Measurements) -> None:
+def _check_rigid_body(data: Measurements, sigma: float) -> None:
     """Check that the points keep their distances in most sets of readings under load, as those of a rigid body do.
 
+    :param sigma: noise of one coordinate [m].
     :raises MeasurementError: they do not: markers are loose, or displacements are in other axes.
     """
     sets = _complete_sets(data)
@@ -131,7 +132,7 @@ def _check_rigid_body(data: Measurements) -> None:
     distances = np.array([_distances(data.position[rows]) for rows in sets])
     change = np.abs(distances - np.median(distances, axis=0)).max(axis=(1, 2))[is_loaded]
     usual_change = float(np.median(change))
-    if usual_change > _LOOSE:
+    if usual_change > max(_LOOSE, _USUAL_OF_THREE * sigma):
         raise MeasurementError(
             f"the distances between the points change by {usual_change * MM_PER_M:.2f} mm or more under half of the "
             "loads: this is no rigid body",
@@ -254,6 +255,8 @@ _MOST_DEFLECTION = 0.1
 """Displacement by a load [m] beyond that of any industrial robot (assumed)."""
 _LOOSE = 2e-4
 """Usual change of distances between points [m] beyond which readings are no noise of a tracker (assumed)."""
+_USUAL_OF_THREE = 4.0
+"""The same in standard deviations of a coordinate: the largest of three distances usually changes by two of them."""
 _SAME_UNIT = (0.2, 5.0)
 """Ratios of displacements to those of the prior robot that compliances explain (assumed); another unit does not."""
 _USUAL_SIZE = (0.6, 1.7)

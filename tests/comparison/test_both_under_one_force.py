@@ -145,8 +145,8 @@ def test_pieces_are_looked_at_inside_if_they_cover_some_of_the_nominal_path_with
     with_step = {float(place[int(row)]) for row in pieces if int(row) in place and rng.random() < 0.2}
     asked = []
 
-    def deviations(self, row, t, q, guess, *, enough):
-        asked.append((row.tolist(), t.tolist(), guess.tolist(), enough))
+    def deviations(self, row, t, q, guess, *, sufficient_distance):
+        asked.append((row.tolist(), t.tolist(), guess.tolist(), sufficient_distance))
         length = np.array([at_end[int(k)] for k in row] if (t == 1.0).all() and len(row) else guess)
         return SimpleNamespace(length=length, nominal_distance=10.0 * t, corrected_distance=20.0 * t)
 

@@ -262,7 +262,7 @@ def test_the_clearest_step_is_that_of_the_f_test_over_all_configurations(seed):
     def squares(columns):
         return float(np.sum((target - columns @ np.linalg.lstsq(columns, target, rcond=1e-9)[0]) ** 2))
 
-    without, rank = squares(design), 13
+    without, rank, free = squares(design), 13, np.full(rows.shape[3], np.inf)
     spare = 3 * configs - rank - 6
     best = (np.inf, 0)
     for row in range(2, configs - 1):
@@ -274,13 +274,13 @@ def test_the_clearest_step_is_that_of_the_f_test_over_all_configurations(seed):
         with_step = squares(np.hstack([design, step]))
         chance = stats.f.sf((without - with_step) / 6.0 * spare / with_step, 6, spare)
         best = min(best, (chance, row))
-    chance, row, found = moved_device._clearest_step(rows, residual, q)
+    chance, row, found = moved_device._clearest_step(rows, free, residual, q)
     assert (chance, row) == (pytest.approx(best[0], rel=1e-6), best[1])
     step = (rows[..., :6] * (np.arange(configs) >= row)[:, None, None, None]).reshape(-1, 6)
     values = np.linalg.lstsq(np.hstack([design[:, :13], step]), target, rcond=None)[0]
     np.testing.assert_allclose(found, values[13:], atol=1e-9)
     few = 7 if seed % 2 else 8
-    assert moved_device._clearest_step(rows[:few], residual[:few], q[:few])[0] == np.inf
+    assert moved_device._clearest_step(rows[:few], free, residual[:few], q[:few])[0] == np.inf
 
 
 def compared(rng, states=20, points=3):

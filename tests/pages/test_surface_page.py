@@ -24,7 +24,7 @@ def test_each_facet_has_the_colour_of_its_deviation(browser, tmp_path):
     normal, none = np.tile([0.0, 0, 1], (50, 1)), np.full(50, -1)
     surface = Surface(corners, normal, before, 0.02 * before, np.full(50, 3e-5), row, np.zeros(50), none)
     path = tmp_path / "part.html"
-    path.write_bytes(b"".join(rendered(result, 1e-5, surface)))
+    path.write_bytes(b"".join(rendered(result, 1e-5, surface=surface)))
     with opened(browser, path) as page:
         page.wait_for_function("document.querySelector('#surface-view canvas') !== null")
         mesh = "document.getElementById('surface-view').data[0]"
