@@ -11,7 +11,7 @@ import numpy as np
 
 from postproc import elastostatics, kinematics
 from postproc.frames import MM_PER_M, Array, norm
-from postproc.identification.measurement_model import Placement, unloaded_design, unloaded_flange
+from postproc.identification.measurement_model import MIN_COMPLIANCE, Placement, unloaded_design, unloaded_flange
 from postproc.identification.readings import Measurements
 from postproc.robot import JOINTS, RobotModel
 
@@ -43,7 +43,8 @@ def moved_device(robot: RobotModel, data: Measurements, placement: Placement) ->
     by_points = unloaded_design(robot, data, placement)[..., 6:]  # the first six are by the root, see by_frames
     design = np.concatenate([by_frames, by_points, by_sag], axis=3) * is_visible[..., None]
     free = np.full(by_points.shape[3], np.inf)
-    usual_sizes = np.concatenate([_USUAL_FRAMES, free, robot.compliance[list(robot.actuated)]])
+    compliance = np.maximum(robot.compliance[list(robot.actuated)], MIN_COMPLIANCE)
+    usual_sizes = np.concatenate([_USUAL_FRAMES, free, compliance])
     chance, first, twist = _clearest_step(design, usual_sizes, placement.residual, data.q)
     # size of the movement in the middle of all readings
     mean_point = np.append(np.mean(placement.points, axis=0), 1.0)

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc.errors import MeasurementError
 from postproc.identification.measurement_model import locate
@@ -55,6 +56,15 @@ def test_a_tracker_that_moved_by_millimetres_is_named_with_few_poses_too(tmp_pat
     match = re.match(r"from config (\d+) on the measuring device seems to have moved by ([\d.]+) mm", warnings[0])
     assert abs(int(match[1]) - 8) <= 1
     assert float(match[2]) == pytest.approx(1e3 * distance, rel=0.2)
+
+
+def test_a_joint_without_compliance_is_no_obstacle_to_few_poses(tmp_path):
+    data = measured(tmp_path, 1, lambda raw: None, poses=13)
+    stiffness = harness.PRIOR.stiffness.copy()
+    stiffness[harness.PRIOR.actuated[3], harness.PRIOR.actuated[3]] = np.inf
+    rigid = replace(harness.PRIOR, stiffness=stiffness)
+    assert rigid.compliance[rigid.actuated[3]] == 0.0
+    assert moved_device(rigid, data, locate(harness.PRIOR, data)) == []
 
 
 def test_angles_noted_half_a_degree_off_leave_more_than_a_calibrated_arm(tmp_path):
