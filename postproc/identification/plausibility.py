@@ -129,9 +129,7 @@ def _check_rigid_body(data: Measurements, sigma: float) -> None:
     is_loaded = np.array([data.load[data.state[rows[0]]] > 0 for rows in sets], dtype=bool)
     if np.count_nonzero(is_loaded) < 3:
         return
-    distances = np.array([_distances(data.position[rows]) for rows in sets])
-    change = np.abs(distances - np.median(distances, axis=0)).max(axis=(1, 2))[is_loaded]
-    usual_change = float(np.median(change))
+    usual_change = float(np.median(_distance_errors(data, sets).max(axis=(1, 2))[is_loaded]))
     if usual_change > max(_LOOSE, _USUAL_OF_THREE * sigma):
         raise MeasurementError(
             f"the distances between the points change by {usual_change * MM_PER_M:.2f} mm or more under half of the "
@@ -152,10 +150,8 @@ def _rigid_body(data: Measurements, sigma: float) -> tuple[list[int], list[str]]
     if len(sets) < 3:
         return [], []
     faulty_rows, sentences = [], []
-    distances = np.array([_distances(data.position[rows]) for rows in sets])
-    errors = np.abs(distances - np.median(distances, axis=0))
     limit = _GROSS * np.sqrt(2.0) * sigma  # a distance has the noise of two points
-    for rows, set_errors in zip(sets, errors, strict=True):
+    for rows, set_errors in zip(sets, _distance_errors(data, sets), strict=True):
         worst = int(np.argmax(set_errors.sum(axis=1)))
         other_errors = np.delete(np.delete(set_errors, worst, axis=0), worst, axis=1)
         if set_errors[worst].max() > limit and other_errors.max() <= limit:
@@ -166,6 +162,15 @@ def _rigid_body(data: Measurements, sigma: float) -> tuple[list[int], list[str]]
                 "points: left out"
             )
     return faulty_rows, sentences
+
+
+def _distance_errors(data: Measurements, sets: list[Ints]) -> Array:
+    """Return how far (S, P, P) the distances between the points of each set are from their median over the sets [m].
+
+    :param sets: rows (P,) of the readings of each of S sets.
+    """
+    distances = np.array([_distances(data.position[rows]) for rows in sets])
+    return np.asarray(np.abs(distances - np.median(distances, axis=0)))
 
 
 def _complete_sets(data: Measurements) -> list[Ints]:
