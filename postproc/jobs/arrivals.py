@@ -57,20 +57,35 @@ class Arrivals:
                 self._busy.add(path)
                 self._program_files.setdefault(path, program_files)
                 continue
-            if path in self._busy:
-                self._busy.remove(path)
-                if self._program_files[path] == program_files:
-                    self._finished[path] = signature
-            self._program_files[path] = program_files
-            if self._finished.get(path) == signature:
-                continue
-            last_signature, change_time = self._last_changes.get(path, ((), time_s))
-            if last_signature != signature:
-                self._last_changes[path] = (signature, time_s)
-            elif time_s - change_time >= QUIET and self._has_forces(path) and _is_readable(path):
+            self._end_command(path, program_files, signature)
+            if self._is_quiet(path, signature, time_s) and self._has_forces(path) and _is_readable(path):
                 ready_paths.append(path)
         self._forget(paths)
         return self._main_programs(ready_paths) if ready_paths else []
+
+    def _end_command(self, path: Path, program_files: Signature, signature: Signature) -> None:
+        """Note that no command works on a program; if one did, its inputs are finished unless the program changed.
+
+        :param program_files: signature of the program itself, and signature: of all its inputs.
+        """
+        if path in self._busy:
+            self._busy.remove(path)
+            if self._program_files[path] == program_files:
+                self._finished[path] = signature
+        self._program_files[path] = program_files
+
+    def _is_quiet(self, path: Path, signature: Signature, time_s: float) -> bool:
+        """Return whether the inputs of a program are not finished and unchanged for `QUIET` s; note when they change.
+
+        :param signature: of all its inputs, and time_s: monotonic time [s].
+        """
+        if self._finished.get(path) == signature:
+            return False
+        last_signature, change_time = self._last_changes.get(path, ((), time_s))
+        if last_signature != signature:
+            self._last_changes[path] = (signature, time_s)
+            return False
+        return time_s - change_time >= QUIET
 
     def finish(self, path: Path) -> None:
         """Note that the conversion of a ready program has begun or is not needed; it is ready again when it changes."""

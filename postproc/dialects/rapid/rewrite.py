@@ -26,7 +26,7 @@ from postproc.dialects.rapid.instructions import MOVES
 from postproc.dialects.rapid.language import abb_from_joints, configuration, quaternions
 from postproc.dialects.rapid.layout import Layout
 from postproc.dialects.rapid.moves import Move, Target
-from postproc.dialects.rapid.syntax import Expression
+from postproc.dialects.rapid.syntax import Argument, Expression
 from postproc.dialects.rapid.values import NONE
 from postproc.dialects.text import line_spans
 from postproc.errors import Issue
@@ -233,34 +233,32 @@ class _Rewriter:
         kind = int(self.targets.kind[k])
         positional_arguments = [argument for argument in move.statement.arguments if not argument.name]
         tail = positional_arguments[form.points :]  # speed, perhaps a trigger, zone, tool
-        speed, zone, tool = tail[0], tail[1 + form.before_zone], tail[2 + form.before_zone]
-        options = {
-            argument.name: self.text[argument.start : argument.stop]
-            for argument in move.statement.arguments
-            if argument.name
-        }
-        speed_text = self.text[speed.start : speed.stop]
+        speed, zone, tool = (self._text_of(tail[index]) for index in (0, 1 + form.before_zone, 2 + form.before_zone))
+        options = {argument.name: self._text_of(argument) for argument in move.statement.arguments if argument.name}
         if (value := self._new_speed(row)) is not None:
             options.pop("T", None)
             options["V"] = f"\\V:={value}"
-        zone_text = self.text[zone.start : zone.stop]
         if move.zone == 0.0 and self.targets.blend[k] > 0.0 and "Z0" not in self.layout.declared:
-            zone_text = "z0"
+            zone = "z0"
             options.pop("INPOS", None)
             options.pop("Z", None)
-        points = []
+        points = [self._whole(move.target.numbers, self.place[k], k)]
         if kind == CIRC:
-            points.append(self._whole(move.target.numbers, self.targets.via[k] * MM_PER_M, k))
-        points.append(self._whole(move.target.numbers, self.place[k], k))
-        concurrent = options.get("CONC", "")
-        timing = options.get("V", options.get("T", ""))
-        load = options.get("TLOAD", "")
-        wobj = options.get("WOBJ", "")
-        zone_text += options.get("Z", "") + options.get("INPOS", "")
+            points.insert(0, self._whole(move.target.numbers, self.targets.via[k] * MM_PER_M, k))
+
+        def option(*names: str) -> str:
+            """Return the text of the first of some optional arguments that the statement has; empty if none."""
+            return next((options[name] for name in names if name in options), "")
+
+        concurrent = f"{option('CONC')}," if "CONC" in options else ""
         return (
-            f"{_PLAIN[kind]} {concurrent + ',' if concurrent else ''}{','.join(points)},{speed_text}{timing},"
-            f"{zone_text},{self.text[tool.start : tool.stop]}{wobj}{load};"
+            f"{_PLAIN[kind]} {concurrent}{','.join(points)},{speed}{option('V', 'T')},"
+            f"{zone}{option('Z')}{option('INPOS')},{tool}{option('WOBJ')}{option('TLOAD')};"
         )
+
+    def _text_of(self, argument: Argument) -> str:
+        """Return an argument as it is written."""
+        return self.text[argument.start : argument.stop]
 
     def _new_speed(self, row: int) -> str | None:
         """Return the new speed [mm/s] of a move as text; None if the speed is unchanged."""

@@ -106,6 +106,26 @@ class _Pairs(NamedTuple):
         return _Pairs(self.facet[is_chosen], self.sample[is_chosen])
 
 
+class _Contacts(NamedTuple):
+    """The m facets that the tool touches without deviation.
+
+    :param facet: (m,) the facets; `entry`: (m,) lowest entries into the tool there [m].
+    :param sample: (m,) samples of these entries.
+    """
+
+    facet: Ints
+    entry: Array
+    sample: Ints
+
+
+class _DeflectedEntries(NamedTuple):
+    """Entries (m,) into the deflected tool at the contacts [m], and row and share (m,) as of `RemainingSurface`."""
+
+    entry: Array
+    row: Ints
+    share: Array
+
+
 def _lowest_entries(
     path: CutPath, facets: _Facets, cutter: Cutter, pairs: _Pairs, highest: Array, largest: list[float]
 ) -> RemainingSurface:
@@ -118,34 +138,58 @@ def _lowest_entries(
     tip, _ = _tips(path, facets, pairs, None)
     line = _Line.of(tip, path.axis[pairs.sample], facets, pairs.facet)
     gap = highest + 2.0 * max(largest)
-    nominal_entry, best, lower_bound = _first_entry(line, pairs.facet, -limit, gap.copy(), cutter)
-    low_pairs = np.flatnonzero(lower_bound <= gap[pairs.facet])
+    nominal = _first_entry(line, pairs.facet, -limit, gap.copy(), cutter)
+    low_pairs = np.flatnonzero(nominal.lower_bound <= gap[pairs.facet])
     facet = pairs.facet[low_pairs]
     touches = is_touching(tip[low_pairs] - facets.tip[facet], facets.axis[facet], facets.normal[facet], cutter)
-    is_touched = (np.bincount(facet[touches], minlength=count) > 0) & (nominal_entry <= limit)
-    place = np.flatnonzero(is_touched)
-    nominal_sample = pairs.sample[best[place]]
-    deflected_entry, row, share = np.full((2, count), np.inf), np.full(count, -1), np.zeros(count)
+    is_touched = (np.bincount(facet[touches], minlength=count) > 0) & (nominal.height <= limit)
+    touched_facets = np.flatnonzero(is_touched)
+    contacts = _Contacts(touched_facets, nominal.height[touched_facets], pairs.sample[nominal.line[touched_facets]])
+    deflected, row, share = np.full((2, count), np.inf), np.full(count, -1), np.zeros(count)
     for case, deviation in enumerate(largest):
         gap = highest + 2.0 * deviation
-        near_pairs = pairs.take(is_touched[pairs.facet] & (lower_bound <= gap[pairs.facet]))
-        tip, sample_shares = _tips(path, facets, near_pairs, case)
-        line = _Line.of(tip, path.axis[near_pairs.sample], facets, near_pairs.facet)
-        entry, best, _ = _first_entry(line, near_pairs.facet, -limit - 2.0 * deviation, gap, cutter)
-        # The surface moves by no more than the tool. Along the normal it would seem to: at a sharp edge a pass beside
-        # it takes away all that the normal goes through, and where the normal misses the tool it leaves all.
-        upper_bound = nominal_entry[place] + norm(path.deviation[case, nominal_sample])
-        is_hit = np.isfinite(entry[place])
-        hit_sample = near_pairs.sample[best[place[is_hit]]]
-        deflected_entry[case, place] = upper_bound
-        lower_bound_of_cut = nominal_entry[place[is_hit]] - norm(path.deviation[case, hit_sample])
-        deflected_entry[case, place[is_hit]] = np.clip(entry[place[is_hit]], lower_bound_of_cut, upper_bound[is_hit])
-        if case == 1:
-            hit = place[is_hit]
-            row[place], share[place] = path.row[nominal_sample], path.share[nominal_sample]
-            row[hit] = path.row[hit_sample]
-            share[hit] = path.share[hit_sample] + sample_shares[best[hit]] * path.share_step[hit_sample]
-    return RemainingSurface(np.where(is_touched, nominal_entry, np.inf), deflected_entry, row, share)
+        near_pairs = pairs.take(is_touched[pairs.facet] & (nominal.lower_bound <= gap[pairs.facet]))
+        entries = _deflected_entries(
+            path, facets, cutter, near_pairs, contacts, case=case, start=-limit - 2.0 * deviation, gap=gap
+        )
+        deflected[case, touched_facets] = entries.entry
+    row[touched_facets], share[touched_facets] = entries.row, entries.share  # of the last case: the program as written
+    return RemainingSurface(np.where(is_touched, nominal.height, np.inf), deflected, row, share)
+
+
+def _deflected_entries(
+    path: CutPath,
+    facets: _Facets,
+    cutter: Cutter,
+    pairs: _Pairs,
+    contacts: _Contacts,
+    *,
+    case: int,
+    start: float,
+    gap: Array,
+) -> _DeflectedEntries:
+    """Return the lowest entries into the deflected tool at contacts.
+
+    :param pairs: facets, and samples that may cut them.
+    :param case: 0 without correction, 1 with the program as written.
+    :param start: s at which the lines begin [m], and gap: (n,) largest entry that counts [m]; lowered in place.
+    """
+    tip, sample_shares = _tips(path, facets, pairs, case)
+    line = _Line.of(tip, path.axis[pairs.sample], facets, pairs.facet)
+    entries = _first_entry(line, pairs.facet, start, gap, cutter)
+    is_hit = np.isfinite(entries.height[contacts.facet])  # elsewhere the deflected tool misses the line
+    hit_facets = contacts.facet[is_hit]
+    hit_pairs = entries.line[hit_facets]
+    hit_sample = pairs.sample[hit_pairs]
+    # The surface moves by no more than the tool. Along the normal it would seem to: at a sharp edge a pass beside
+    # it takes away all that the normal goes through, and where the normal misses the tool it leaves all.
+    highest_entry = contacts.entry + norm(path.deviation[case, contacts.sample])
+    lowest_entry = contacts.entry[is_hit] - norm(path.deviation[case, hit_sample])
+    entry, row, share = highest_entry.copy(), path.row[contacts.sample], path.share[contacts.sample]
+    entry[is_hit] = np.clip(entries.height[hit_facets], lowest_entry, highest_entry[is_hit])
+    row[is_hit] = path.row[hit_sample]
+    share[is_hit] = path.share[hit_sample] + sample_shares[hit_pairs] * path.share_step[hit_sample]
+    return _DeflectedEntries(entry, row, share)
 
 
 def _tips(path: CutPath, facets: _Facets, pairs: _Pairs, case: int | None) -> tuple[Array, Array]:
