@@ -11,22 +11,24 @@ from msgspec import Struct
 from postproc.frames import Array, norm
 from postproc.program import Bools
 
-_FLAT = 1e-9
-"""Three points whose triangle is lower than this, in its longest side, lie on a line (assumed)."""
+_FLATNESS_TOLERANCE = 1e-9
+"""Three points lie on a line if the height of their triangle is less than this share of its longest side (assumed)."""
 TOLERANCE_MM = 0.02 * np.sqrt(2.0)
 """Difference of radii that is accepted [mm], as for G-code by LinuxCNC; beyond it 0.1 % of the radius."""
-_RELATIVE = 1e-3
-"""As LinuxCNC: radii may differ by a thousandth of the radius, too."""
-_SAME_MM = 1e-6
-"""Start and end of a full circle that are this near are one point but for the last digits."""
-_LEAST_MM = 1e-3
-"""Radius [mm] below which start and end are the rounding of one point."""
-_UNEVEN = 0.02
-"""Points whose angles differ by less, of their mean, are evenly spaced (assumed)."""
-_MARGIN = 1e-3
-"""A whole turn may be exceeded by this share, for the digits of points."""
-_OFF_CIRCLE = 100.0
-"""A point whose distance from a circle is so many times that of start and first point is not of the arc (assumed)."""
+_RADIUS_TOLERANCE = 1e-3
+"""Share of the radius by which radii may differ, as for LinuxCNC."""
+_COINCIDENCE_TOLERANCE_MM = 1e-6
+"""Start and end of a full circle coincide if their distance is less than this: it is rounding."""
+_MIN_RADIUS_MM = 1e-3
+"""A circle with a smaller radius is the rounding of one point."""
+_SPACING_TOLERANCE = 0.02
+"""Points are evenly spaced if the angles between them differ by less than this share of their mean (assumed)."""
+_TURN_TOLERANCE = 1e-3
+"""Share by which an arc of points may exceed a whole turn, because their coordinates are rounded."""
+_OFF_CIRCLE_FACTOR = 100.0
+"""A point is not of the arc if it is this many times as far from the circle as the start and first point (assumed)."""
+_MIN_TANGENT_SINE = 0.99
+"""Sine of the angle between radius and tangent; 8° are more than the rounding of coordinates (assumed)."""
 
 
 class ArcColumns(NamedTuple):
@@ -59,14 +61,18 @@ class ArcsThroughPoints(NamedTuple):
 
 
 def arcs_through(start: Array, via: Array, end: Array) -> ArcsThroughPoints:
-    """Return the arcs from `start` through `via` to `end`, (n, 3) each [m]."""
+    """Return the arcs from `start` through `via` to `end`, (n, 3) each [m].
+
+    Centre: circumcentre of the triangle, c = s + ((v·v) e − (e·e) v) × (v × e) / (2 |v × e|²), v and e seen from s.
+    """
     to_via, to_end = via - start, end - start
     via_square, end_square, chord_square = (
         np.einsum("ni,ni->n", v, v) for v in (to_via, to_end, to_end - to_via)
     )  # squared lengths
     cross = np.cross(to_via, to_end)
     size = np.linalg.norm(cross, axis=1)
-    is_flat = ~(size > _FLAT * np.maximum(np.maximum(via_square, end_square), chord_square))
+    longest_square = np.maximum(np.maximum(via_square, end_square), chord_square)
+    is_flat = ~(size > _FLATNESS_TOLERANCE * longest_square)  # size is height times base; NaN counts as flat
     size = np.where(is_flat, 1.0, size)
     centre = (
         start + np.cross(via_square[:, None] * to_end - end_square[:, None] * to_via, cross) / (2.0 * size**2)[:, None]
@@ -82,9 +88,9 @@ def arcs_through(start: Array, via: Array, end: Array) -> ArcsThroughPoints:
 class Circle(Struct, frozen=True, eq=False):
     """A circle in the program frame [mm].
 
-    :param centre: (3,) at any height along the axis.
+    :param centre: (3,) a point on the axis.
     :param axis: (3,) unit vector about which the tool turns right-handed.
-    :param radius: as stated.
+    :param radius: radius that the program states [mm].
     """
 
     centre: Array
@@ -92,7 +98,7 @@ class Circle(Struct, frozen=True, eq=False):
     radius: float
 
     def polar_components(self, point: Array) -> tuple[Array, float]:
-        """Return the component of a point (3,) across the axis, seen from the centre (3,), and its length."""
+        """Return the vector (3,) from the axis to a point (3,), at right angles to the axis, and its length [mm]."""
         radial = point - self.centre
         radial = radial - self.axis * (self.axis @ radial)
         return radial, float(norm(radial))
@@ -101,38 +107,38 @@ class Circle(Struct, frozen=True, eq=False):
         """Return the reason that a point (3,) is not on the circle, or None if it is on it."""
         length = self.polar_components(point)[1]
         deviation = abs(length - self.radius)
-        if self.radius < _LEAST_MM or deviation > max(TOLERANCE_MM, _RELATIVE * self.radius):
+        if self.radius < _MIN_RADIUS_MM or deviation > max(TOLERANCE_MM, _RADIUS_TOLERANCE * self.radius):
             return f"{length:.4f} mm from the axis of a circle with radius {self.radius:.4f} mm"
         return None
 
     def sweep(self, start: Array, end: Array) -> float:
-        """Return the angle from one point (3,) to another [rad], in (0, 2π]."""
+        """Return the angle from `start` (3,) to `end` (3,) [rad], in (0, 2π]; 2π if the points coincide."""
         start_vector, end_vector = self.polar_components(start)[0], self.polar_components(end)[0]
-        if norm(end_vector - start_vector) <= _SAME_MM:
+        if norm(end_vector - start_vector) <= _COINCIDENCE_TOLERANCE_MM:
             return 2.0 * np.pi
         angle = float(np.arctan2(self.axis @ np.cross(start_vector, end_vector), start_vector @ end_vector))
         return angle if angle > 0.0 else angle + 2.0 * np.pi
 
     def sagitta(self, start: Array, end: Array) -> float:
-        """Return the height of the arc from one point (3,) to another above its chord [mm]."""
+        """Return the largest distance between the arc from `start` (3,) to `end` (3,) and its chord [mm]."""
         return float(self.radius * (1.0 - np.cos(self.sweep(start, end) / 2.0)))
 
     def centre_at_height(self, point: Array) -> Array:
-        """Return the centre (3,) at the height of a point."""
+        """Return the point (3,) of the axis that is nearest to a point (3,)."""
         return np.asarray(point - self.polar_components(point)[0])
 
 
 def tangent_circle(start: Array, direction: Array, centre: Array, radius: float) -> Circle | None:
     """Return the circle about a centre (3,) on which the tool leaves a start (3,) along a direction (3,).
 
-    None if the direction is more than 8° from the tangent, whose sine is 0.99: that is no rounding.
+    None if the direction is more than 8° from the tangent, or has no length, or if start and centre coincide.
 
-    :param radius: as stated [mm].
+    :param radius: radius that the program states [mm].
     """
     axis = np.cross(start - centre, direction)
     size = float(norm(axis))
     largest_size = float(norm(start - centre)) * float(norm(direction))
-    if largest_size == 0.0 or size < 0.99 * largest_size:
+    if largest_size == 0.0 or size < _MIN_TANGENT_SINE * largest_size:
         return None
     return Circle(centre, axis / size, radius)
 
@@ -140,11 +146,13 @@ def tangent_circle(start: Array, direction: Array, centre: Array, radius: float)
 def arc_point_count(circle: Circle, start: Array, points: Array, digit_mm: float) -> int | None:
     """Return the number of points (n, 3) after a CIRCLE that belong to its arc; None if it is ambiguous.
 
-    Creo divides an arc by points on it, evenly spaced. A straight line whose end happens to be on the circle must not
-    be taken for a piece of the arc. A point above the helix through the first one is not of the arc: a retract at the
-    end of a full circle. Nor is one that is beside the circle while start and first point are on it to the last digit.
+    The first point always belongs to the arc. Creo divides an arc by points on it, evenly spaced. A straight line whose
+    end happens to be on the circle must not be taken for a piece of the arc. Two kinds of points end the arc:
 
-    :param digit_mm: more than the last digits of coordinates may amount to.
+    - a point off the helix through start and first point: a retract at the end of a full circle;
+    - a point `_OFF_CIRCLE_FACTOR` times as far from the circle as start and first point, and more than `digit_mm`.
+
+    :param digit_mm: largest rounding of a point [mm].
     """
     count = 0
     while count < len(points) and circle.fault_at(points[count]) is None:
@@ -156,15 +164,15 @@ def arc_point_count(circle: Circle, start: Array, points: Array, digit_mm: float
     total_sweep, height = np.cumsum(sweeps), (points[:count] - start) @ circle.axis
     off_helix = np.abs(height - height[0] * total_sweep / total_sweep[0]) > TOLERANCE_MM
     deviation = np.array([abs(circle.polar_components(point)[1] - circle.radius) for point in path])
-    is_beside = deviation[1:] > max(digit_mm, _OFF_CIRCLE * float(deviation[:2].max()))
+    is_beside = deviation[1:] > max(digit_mm, _OFF_CIRCLE_FACTOR * float(deviation[:2].max()))  # path[0] is the start
     is_off_circle = off_helix | is_beside
     if is_off_circle.any():
         count = int(np.argmax(is_off_circle))
         sweeps = sweeps[:count]
     if count <= 1:
         return 1
-    # chords that leave the arc by less than the tolerance are of it either way
+    # as arc or as chords, the tool passes the same points if the chords leave the arc by less than the tolerance
     is_close = circle.radius * (1.0 - np.cos(np.minimum(sweeps[1:], np.pi) / 2.0)) < TOLERANCE_MM
-    is_one_turn = sweeps.sum() < 2.0 * np.pi * (1.0 + _MARGIN)
-    is_even = count > 2 and np.ptp(sweeps) < _UNEVEN * sweeps.mean() and is_one_turn
+    is_one_turn = sweeps.sum() < 2.0 * np.pi * (1.0 + _TURN_TOLERANCE)
+    is_even = count > 2 and np.ptp(sweeps) < _SPACING_TOLERANCE * sweeps.mean() and is_one_turn
     return count if is_close.all() or is_even else None

@@ -29,8 +29,10 @@ class Writer(Protocol):
 
     @property
     def least_arc(self) -> tuple[float, float]:
-        """Smallest arc that the controller accepts: distance of its other points from its start [m], and the angle
-        [rad] between them as seen from there. Smaller arcs are written as lines.
+        """Smallest arc that the controller accepts: two limits. Smaller arcs are written as lines.
+
+        First, the distance of auxiliary point and end from the start [m]. Second, the angle at the start between the
+        directions to auxiliary point and end [rad].
         """
         ...
 
@@ -45,11 +47,11 @@ class Writer(Protocol):
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
     ) -> WrittenProgram:
-        """Return a program as text; if it has a `layout`, its own text with other numbers.
+        """Return a program as text. A program with a `layout` keeps its own text with other numbers.
 
         :param targets: targets to be commanded.
-        :param joints: joint angles there.
-        :param comments: forces that comments must give to the targets, or None.
+        :param joints: joint angles at the targets.
+        :param comments: forces at the targets, to be written as comments; None: no force comments.
         :raises ProgramError: it cannot be written.
         """
         ...
@@ -59,7 +61,11 @@ class Writer(Protocol):
         ...
 
     def mark(self, documents: Sequence[Document], origin: Origin) -> tuple[tuple[Document, ...], int]:
-        """Return the files with the line that states their origin, see `provenance.mark`."""
+        """Return the files with the line that states their origin, see `provenance.mark`.
+
+        :returns: the files, and the 1-based line of the main file from which on its lines have moved down by one; 0 if
+            no line has moved.
+        """
         ...
 
     def origin(self, documents: Sequence[Document]) -> Provenance:
@@ -97,14 +103,14 @@ class Dialect(Protocol):
     def read(
         self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str
     ) -> Program:
-        """Return the program read from some files.
+        """Return the program that the files contain.
 
-        :param documents: the main file first.
+        :param documents: the main file first, then its companions.
         :param cell: frames, settings and start position of the robot.
         :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the nominal geometry
             of the controller.
-        :param name: of the program.
-        :raises ProgramError: it cannot be interpreted; the message gives file, line, text and advice.
+        :param name: name of the program.
+        :raises ProgramError: the program cannot be interpreted; the message gives file, line, text and advice.
         """
         ...
 
@@ -121,14 +127,14 @@ class WithNumberedFrames(Protocol):
 class Survey(Struct, frozen=True):
     """What the text of a CAM program shows before it is read: the basis for the questions of `start` and `init`.
 
-    :param comments: 1-based line and text of each.
+    :param comments: 1-based line and text of each comment.
     :param tool_changes: line and tool number of each change, in order of lines.
     :param work_offsets: codes of work offsets other than the first, such as ``"G55"``.
     :param m_codes: M codes that only the machine knows, such as ``"M31"``.
     :param rotary: letters of the rotary axes that have words.
-    :param tip_controlled: it switches tool-centre-point control on.
-    :param switches: what it switches on: ``"spindle"``, ``"coolant"``.
-    :param inches: its lengths are inches.
+    :param tip_controlled: True if the program switches tool-centre-point control on.
+    :param switches: devices that the program switches on: ``"spindle"``, ``"coolant"``.
+    :param inches: True if its lengths are in inches.
     """
 
     comments: tuple[tuple[int, str], ...] = ()
@@ -145,8 +151,8 @@ class CamFormat(Struct, frozen=True):
     """A dialect of CAM systems: a program is one file, and is read only.
 
     :param reader: reads a document, see `Dialect.read`.
-    :param survey: looks over a document without a cell; None: nothing is known of its text.
-    :param command_decimals: those of the robot programs written from it.
+    :param survey: reads what `Survey` states, without a cell; None: the dialect has no survey.
+    :param command_decimals: decimals of X … C in robot programs made from programs of this dialect.
     """
 
     name: str
@@ -173,11 +179,11 @@ class Calling(Protocol):
     """Additional interface of a dialect whose programs call others by file name."""
 
     def callers(self, paths: Sequence[Path]) -> dict[Path, list[Path]]:
-        """Return the files that are only called by others of them, with their callers."""
+        """Return the files that are only run by calls of other files in `paths`: file → files that call it."""
         ...
 
     def moving(self, paths: Sequence[Path], cell: Cell) -> dict[Path, set[Path]]:
-        """Return for each program the files with motions that it may call, directly or indirectly."""
+        """Return the files with motions that each program may call, directly or indirectly: program → called files."""
         ...
 
     def copy_subprograms(

@@ -19,7 +19,7 @@ from postproc.safe_text import one_line
 
 LINE_END = "\r\n"
 _DECIMALS = 6
-"""Of speeds [m/s]: 1e-6 m/s is 0.06 mm/min, finer than feeds are programmed."""
+"""Decimals of speeds [m/s]: 1e-6 m/s is 0.06 mm/min, finer than feeds are programmed."""
 _WITHOUT_VALUE = ("spindle_off", "coolant_on", "coolant_off")
 """Kinds of events whose value says nothing."""
 _FASTEST_TURN = 200.0
@@ -32,11 +32,11 @@ class Words(Struct, frozen=True):
     """Instructions of a robot language.
 
     :param comment: prefix of comments.
-    :param dwell: a wait; ``{}`` is its time [s].
-    :param halt: the program stops until it is started again.
-    :param wait: statement before lines of the cell that delays them until the robot is there; empty if an exact stop
-        is enough.
-    :param axis_motion: a motion to joint angles (6,) [rad], KUKA signs.
+    :param dwell: statement that waits; ``{}`` is its time [s].
+    :param halt: statement that stops the program until it is started again.
+    :param wait: statement before lines of the cell that delays them until the robot has reached the target before;
+        empty if an exact stop is enough.
+    :param axis_motion: returns the statement that moves to joint angles (6,) [rad], KUKA signs.
     :param encoding: code page of the controller.
     """
 
@@ -55,88 +55,101 @@ class Words(Struct, frozen=True):
 class NewProgram:
     """Collects the lines between the targets.
 
-    :ivar before: lines before each target; the key K (number of targets) means the end of the program.
-    :ivar stops: targets before which the robot must stop.
-    :ivar cell_lines: lines of the cell before each target that has some; they are in `before` too.
+    :ivar motion_of_target: (K,) motion of each target, ascending: rows of `Program.motions`.
+    :ivar lines_before: target → lines before it; the key K (number of targets) means the end of the program.
+    :ivar stop_targets: targets before which the robot must stop.
+    :ivar cell_lines: target → lines of the cell before it; `lines_before` has them too.
     :ivar issues: warnings for the user.
+    :ivar events_without_lines: events for which the cell has no lines.
     """
 
     def __init__(self, program: Program, targets: Targets, cell: Cell, words: Words) -> None:
         self.program, self.targets, self.cell, self.words = program, targets, cell, words
-        self.row = targets.motion
-        self.before: defaultdict[int, list[str]] = defaultdict(list)
-        self.stops: set[int] = {len(self.row)}
+        self.motion_of_target = targets.motion
+        self.lines_before: defaultdict[int, list[str]] = defaultdict(list)
+        self.stop_targets: set[int] = {len(self.motion_of_target)}
         self.cell_lines: defaultdict[int, list[str]] = defaultdict(list)
         self.issues: list[Issue] = []
-        self.without_lines: list[Event] = []
+        self.events_without_lines: list[Event] = []
 
-    def kind(self) -> str:
-        """Return the description of the targets for the head of the program; the first chunk usually decides it."""
-        ends = np.flatnonzero(np.append(self.row[1:] != self.row[:-1], True)[: len(self.row)])
-        is_corrected = any(
-            np.abs(self.program.motions.target[self.row[part]] - self.targets.pose[part]).max() > _NOMINAL_TOLERANCE
+    def target_description(self) -> str:
+        """Return whether the targets are corrected or nominal, as text for the head of the program."""
+        # the last target of each motion: only this one has a programmed pose
+        ends = np.flatnonzero(
+            np.append(self.motion_of_target[1:] != self.motion_of_target[:-1], True)[: len(self.motion_of_target)]
+        )
+        is_corrected = any(  # in chunks, because the first chunk usually decides
+            np.abs(self.program.motions.target[self.motion_of_target[part]] - self.targets.pose[part]).max()
+            > _NOMINAL_TOLERANCE
             for part in map(ends.__getitem__, chunks(len(ends)))
             if len(part)
         )
         return "targets corrected for deflection" if is_corrected else "nominal targets"
 
-    def frames(self, k: int) -> tuple[int, int]:
-        """Return base and tool of a target: rows of `Program.bases` and `Program.tools`."""
-        motions, motion = self.program.motions, int(self.row[k]) if len(self.row) else 0
+    def frames_of_target(self, k: int) -> tuple[int, int]:
+        """Return base and tool of target `k`: rows of `Program.bases` and `Program.tools`; 0 without targets."""
+        motions, motion = self.program.motions, int(self.motion_of_target[k]) if len(self.motion_of_target) else 0
         base, tool = (int(rows[motion]) if len(rows) else 0 for rows in (motions.base, motions.tool))
         return base, tool
 
     def frame_changes(self) -> Iterator[int]:
-        """Yield the targets that have other frames than the one before; the robot stops before them."""
+        """Yield the targets whose base or tool differs from the target before; add each to `stop_targets`."""
         motions = self.program.motions
-        base, tool = motions.base[self.row], motions.tool[self.row]
+        base, tool = motions.base[self.motion_of_target], motions.tool[self.motion_of_target]
         for k in (np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1).tolist():
-            self.stops.add(k)
+            self.stop_targets.add(k)
             yield k
 
-    def events(self) -> None:
-        """Write the cell's lines at the first target of the motion that they precede."""
-        waiting = -1  # the target before which the advance run already stops
+    def add_events(self) -> None:
+        """Add the lines of events and the motions to joint angles to `lines_before`.
+
+        Each goes before the first target of the motion that it precedes. Dwells, stops, lines of the cell and motions
+        to joint angles are added to `stop_targets`. Events without lines of the cell get a comment and one warning.
+        """
+        waiting = -1  # the target before which the advance run already stops; −1: none
         words = self.words
         for event in self._ordered_events():
             if isinstance(event, int):
-                k = self._first(event)
-                self.before[k].append(words.axis_motion(self.program.motions.joints[event]))
-                self.stops.add(k)
+                k = self._first_target_of(event)
+                self.lines_before[k].append(words.axis_motion(self.program.motions.joints[event]))
+                self.stop_targets.add(k)
                 waiting = -1
                 continue
             k = self.first_target(event)
             if event.kind == "comment":
-                self.before[k].append(f"{words.comment} {words.printable(event.text)}".rstrip())
+                self.lines_before[k].append(f"{words.comment} {words.printable(event.text)}".rstrip())
             elif event.kind in ("dwell", "stop"):
-                self.before[k].append(words.halt if event.kind == "stop" else words.dwell.format(number(event.value)))
-                self.stops.add(k)
+                self.lines_before[k].append(
+                    words.halt if event.kind == "stop" else words.dwell.format(number_text(event.value))
+                )
+                self.stop_targets.add(k)
                 waiting = k
             else:
                 cell_lines = self._lines_or_warning(event)
                 if cell_lines and waiting != k and words.wait:
-                    self.before[k].append(words.wait)
+                    self.lines_before[k].append(words.wait)
                     waiting = k
                 if cell_lines:
-                    self.stops.add(k)
+                    self.stop_targets.add(k)
                     self.cell_lines[k] += cell_lines
-                self.before[k] += cell_lines or [f"{words.comment} {no_lines(event)}"]
-        if self.without_lines:
-            names = ", ".join(dict.fromkeys(event.kind for event in self.without_lines))
+                self.lines_before[k] += cell_lines or [f"{words.comment} {no_lines_comment(event)}"]
+        if self.events_without_lines:
+            names = ", ".join(dict.fromkeys(event.kind for event in self.events_without_lines))
             message = f"The cell has no lines for {names} in [gcode]: the program does nothing there."
-            first, count = self.without_lines[0].line, len(self.without_lines)
+            first, count = self.events_without_lines[0].line, len(self.events_without_lines)
             self.issues.append(Issue("warning", "no-lines", message, first, count=count))
 
     def first_target(self, event: Event) -> int:
-        """Return the target before which an event takes place; their number at the end."""
-        return self._first(event.before)
+        """Return the target before which an event takes place; K (number of targets) for the end of the program."""
+        return self._first_target_of(event.before)
 
-    def _first(self, motion: int) -> int:
-        """Return the first target of a motion, or of the next one that has targets."""
-        return int(np.searchsorted(self.row, self.row.dtype.type(motion)))  # another type would convert all rows
+    def _first_target_of(self, motion: int) -> int:
+        """Return the first target of a motion, or of the next motion that has targets; K if there is none."""
+        return int(np.searchsorted(self.motion_of_target, self.motion_of_target.dtype.type(motion)))
+        # of the same type as the array: any other type would make NumPy convert the whole array
 
     def _ordered_events(self) -> Iterator[Event | int]:
-        """Yield events, and the rows of motions to joint angles, which have no target, in order."""
+        """Yield events, and the rows of motions to joint angles, in execution order; these motions have no target."""
         axes = np.flatnonzero(np.isfinite(self.program.motions.joints[:, 0])).tolist()
         for event in self.program.events:
             while axes and axes[0] < event.before:
@@ -145,51 +158,58 @@ class NewProgram:
         yield from axes
 
     def _lines_or_warning(self, event: Event) -> list[str]:
-        """Return the cell's lines for an event, with its value inserted; warn if there are none."""
+        """Return the cell's lines for an event, with its value inserted.
+
+        Add a warning to `issues` if M4 uses the lines of M3; add the event to `events_without_lines` if the cell has
+        no entry for it.
+        """
         gcode, cell_lines = self.cell.gcode, self.lines_of(event)
         if event.kind == "spindle_ccw" and cell_lines and not gcode.spindle_ccw:
             message = "M4 uses the lines of spindle_on: give spindle_ccw in [gcode] if the direction is to change."
             self.issues.append(Issue("warning", "spindle-direction", message, event.line))
         if not cell_lines and event.kind != "m_code" and not self._has_lines(event):
-            self.without_lines.append(event)
+            self.events_without_lines.append(event)
         return cell_lines
 
     def _has_lines(self, event: Event) -> bool:
-        """Return whether the cell says what an event needs; an empty list says that it needs nothing."""
+        """Return whether the cell has an entry for an event; an empty list is an entry: the event needs no lines."""
         gcode = self.cell.gcode
         kinds = ("spindle_ccw", "spindle_on") if event.kind == "spindle_ccw" else (event.kind,)
         return any(getattr(gcode, kind) is not None for kind in kinds)
 
     def lines_of(self, event: Event) -> list[str]:
-        """Return the cell's lines for an event, with its value inserted; those of M3 for M4 without own ones."""
+        """Return the cell's lines for an event, with its value inserted; M4 without lines uses the lines of M3."""
         if event.kind == "m_code":
-            return [self.words.printable(line) for line in self.cell.m_codes[f"M{number(event.value)}"]]
+            return [self.words.printable(line) for line in self.cell.m_codes[f"M{number_text(event.value)}"]]
         cell_lines: Sequence[str] = getattr(self.cell.gcode, event.kind) or []
         if event.kind == "spindle_ccw":
             cell_lines = cell_lines or self.cell.gcode.spindle_on or []
-        value = number(event.value)
+        value = number_text(event.value)
         return [self.words.printable(line.replace("{S}", value).replace("{T}", value)) for line in cell_lines]
 
-    def distances(self) -> Array:
-        """Return the approximation distance of each target (K,) [m]; 0 where the robot must stop."""
+    def approximation_distances(self) -> Array:
+        """Return the approximation distance of each target (K,) [m].
+
+        It is 0 before `stop_targets` and before PTP motions: the robot stops there exactly.
+        """
         distances = self.targets.blend.copy()
-        exact = np.array(sorted(k - 1 for k in self.stops if k > 0), dtype=np.int64)
-        distances[exact] = 0.0
+        exact_targets = np.array(sorted(k - 1 for k in self.stop_targets if k > 0), dtype=np.int64)
+        distances[exact_targets] = 0.0
         distances[:-1][self.targets.kind[1:] == PTP] = 0.0
         return distances
 
-    def speeds(self) -> tuple[Ints, Array]:
-        """Return the targets of paths (n,) and their speeds (n,) in millionths of a metre per second, whole numbers.
+    def path_speeds(self) -> tuple[Ints, Array]:
+        """Return the targets of lines and circles (n,), and their speeds (n,) [1e-6 m/s], whole numbers.
 
         :raises ProgramError: a move has no feed, or one that would be printed as 0.
         """
         motions = self.program.motions
         path = np.flatnonzero(self.targets.kind != PTP)
-        feed = motions.feed[self.row[path]]
+        feed = motions.feed[self.motion_of_target[path]]
         millionths = np.rint(feed * 10.0**_DECIMALS)
         invalid_rows = np.flatnonzero(~(millionths > 0.0))
         if len(invalid_rows):
-            line, speed = int(motions.line[self.row[path[invalid_rows[0]]]]), feed[invalid_rows[0]]
+            line, speed = int(motions.line[self.motion_of_target[path[invalid_rows[0]]]]), feed[invalid_rows[0]]
             problem = "a move has no feed" if np.isnan(speed) else f"the feed is too small: {speed * 60e3:g} mm/min"
             raise ProgramError(
                 problem, file=self.program.documents[0].name, line=line, advice="Give F above 0.06 mm/min."
@@ -197,61 +217,65 @@ class NewProgram:
         return path, millionths
 
     def turning_speeds(self) -> Array:
-        """Return the rotational speed at each target (K,) [deg/s] if the program gives it, else NaN.
+        """Return the rotational speed at each target (K,) [deg/s]; NaN where the program states none.
 
-        NaN also above the largest speed of controllers: they limit it.
+        Also NaN above `_FASTEST_TURN`: the controller limits the speed itself.
         """
         swivel = self.program.swivel
         if swivel is None:
-            return np.full(len(self.row), np.nan)
-        rate = swivel.rate[self.row] * DEG_PER_RAD
+            return np.full(len(self.motion_of_target), np.nan)
+        rate = swivel.rate[self.motion_of_target] * DEG_PER_RAD
         return np.asarray(np.where(rate < _FASTEST_TURN, np.maximum(rate, 10.0**-_DECIMALS), np.nan))
 
     def text_and_lines(
         self, head: Sequence[str], print_lines: Callable[[int, Ints], bytes], end: Sequence[str]
     ) -> tuple[str, Ints]:
-        """Return the text of the program, and the line of each target (K,).
+        """Return the text of the program, and the 1-based line (K,) of each target.
 
         :param head: lines before the first target.
-        :param print_lines: returns the lines of targets (n,) of a kind, in order.
+        :param print_lines: returns the lines of targets (n,) of one kind (`LIN`, `CIRC`, `PTP`), one line per target.
         :param end: lines after the last target.
         """
-        count = len(self.row)
-        note_targets = np.array(sorted(self.before), dtype=np.int64)
+        count = len(self.motion_of_target)
+        note_targets = np.array(sorted(self.lines_before), dtype=np.int64)
         step = np.ones(count + 1, dtype=np.int32)
-        step[note_targets] += np.array([len(self.before[k]) for k in note_targets.tolist()], dtype=np.int32)
+        step[note_targets] += np.array([len(self.lines_before[k]) for k in note_targets.tolist()], dtype=np.int32)
         step[0] += len(head)
         text = "".join(line + LINE_END for line in head)
         for part in chunks(count):
             rows = np.arange(part.start, min(part.stop, count))
             text += self._chunk(
                 rows, print_lines, note_targets[(note_targets >= part.start) & (note_targets < part.stop)]
-            )  # extended in place
-        text += "".join(line + LINE_END for line in (*self.before.get(count, ()), *end))
+            )
+        text += "".join(line + LINE_END for line in (*self.lines_before.get(count, ()), *end))
         return text, np.cumsum(step[:count], dtype=step.dtype)
 
     def _chunk(self, rows: Ints, print_lines: Callable[[int, Ints], bytes], note_targets: Ints) -> str:
-        """Return the lines of consecutive targets (n,), with those before targets `note_targets` (m,) of them.
+        """Return the lines of consecutive targets, with the lines that precede them.
 
-        Targets are printed kind by kind, in bulk. `rank` is the place of a target among those of its kind, so that
-        the texts can be cut at line ends and put in order.
+        Targets are printed kind by kind, in bulk, and the texts are then cut at line ends and put in order. `rank` is
+        the number of earlier targets of the same kind.
+
+        :param rows: (n,) the targets, ascending.
+        :param print_lines: see `text_and_lines`.
+        :param note_targets: (m,) the targets among them that have `lines_before`.
         """
         kind = self.targets.kind[rows]
         rank = np.zeros(len(rows), dtype=np.int64)
         texts, ends = {}, {}
-        for value in (LIN, CIRC, PTP):
-            indices = np.flatnonzero(kind == value)
+        for code in (LIN, CIRC, PTP):
+            indices = np.flatnonzero(kind == code)
             rank[indices] = np.arange(len(indices))
-            texts[value] = print_lines(value, rows[indices]) if len(indices) else b""
-            ends[value] = np.flatnonzero(np.frombuffer(texts[value], dtype=np.uint8) == ord("\n")) + 1
+            texts[code] = print_lines(code, rows[indices]) if len(indices) else b""
+            ends[code] = np.flatnonzero(np.frombuffer(texts[code], dtype=np.uint8) == ord("\n")) + 1
         changes = np.flatnonzero(np.diff(kind) != 0) + 1
         cuts = distinct(np.concatenate([[0], note_targets - rows[:1], changes, [len(rows)]])) if len(rows) else rows
         parts = []
         for first, last in pairwise(cuts.tolist()):
-            parts += [line + LINE_END for line in self.before.get(int(rows[first]), ())]
-            value = int(kind[first])
-            begin = int(ends[value][rank[first] - 1]) if rank[first] else 0
-            parts.append(texts[value][begin : int(ends[value][rank[last - 1]])].decode("ascii"))
+            parts += [line + LINE_END for line in self.lines_before.get(int(rows[first]), ())]
+            code = int(kind[first])
+            begin = int(ends[code][rank[first] - 1]) if rank[first] else 0
+            parts.append(texts[code][begin : int(ends[code][rank[last - 1]])].decode("ascii"))
         return "".join(parts)
 
 
@@ -260,8 +284,9 @@ def check_name(
 ) -> None:
     """Refuse a program whose name the controller would not accept.
 
-    :param language: for the message.
-    :param fault_of: see `dialects.dialect.Writer`, and `valid_name`.
+    :param language: name of the robot language, for the message.
+    :param fault_of: returns why the controller refuses a name, None if it accepts it; see `dialects.dialect.Writer`.
+    :param valid_name: returns a valid name similar to a name; see there.
     :raises ProgramError: the name is invalid; the message gives the reason and a valid name.
     """
     fault = fault_of(program.name)
@@ -273,20 +298,20 @@ def check_name(
         )
 
 
-def no_lines(event: Event) -> str:
-    """Return the comment in place of an event that the cell has no lines for.
+def no_lines_comment(event: Event) -> str:
+    """Return the text of the comment that replaces an event for which the cell has no lines.
 
-    >>> no_lines(Event(0, "spindle_on", 1, 9000.0)), no_lines(Event(0, "coolant_on", 1))
+    >>> no_lines_comment(Event(0, "spindle_on", 1, 9000.0)), no_lines_comment(Event(0, "coolant_on", 1))
     ('spindle_on 9000: no lines for it in the cell', 'coolant_on: no lines for it in the cell')
     """
-    value = "" if event.kind in _WITHOUT_VALUE else f" {number(event.value)}"
+    value = "" if event.kind in _WITHOUT_VALUE else f" {number_text(event.value)}"
     return f"{event.kind}{value}: no lines for it in the cell"
 
 
-def number(value: float) -> str:
-    """Return a number in fixed-point notation without needless zeros.
+def number_text(value: float) -> str:
+    """Return a number as text in fixed-point notation, rounded to six decimals, without trailing zeros.
 
-    >>> number(12.5), number(-0.0), number(3.0)
+    >>> number_text(12.5), number_text(-0.0), number_text(3.0)
     ('12.5', '0', '3')
     """
     return decimal_text(value, _DECIMALS).rstrip("0").rstrip(".")

@@ -1,11 +1,11 @@
-"""The program formats there are: our own, and those of other packages, imported when they are asked for.
+"""Program formats: our own dialects and those of other packages, imported when they are needed.
 
-Another package adds one by an entry point, whose object fulfils `dialect.Dialect`:
+Another package adds a dialect by an entry point, whose object fulfils `dialect.Dialect`:
 
     [project.entry-points."postproc.dialects"]
     fanuc = "my_package.fanuc:FANUC"
 
-One that cannot be imported stops nothing: it says why where it is asked for, and where an extension is not known.
+A dialect that cannot be imported raises no error until it is needed; `broken_dialects` gives the reasons.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ _EXTENSIONS = {
     ".mod": "rapid",
     ".modx": "rapid",
 }
-"""Extensions of our own, so that none is imported only to ask for them."""
+"""Extensions of our own dialects; stated here so that a dialect need not be imported to get its extensions."""
 _DEFAULT_OUTPUT = "krl"
-"""What a program becomes whose own dialect is not written."""
+"""Dialect of the output if the dialect of the program cannot be written."""
 _NO_PROGRAMS = {
     ".dat": "the data of a KRL program. Give the .src file; the .dat of the same name is read with it.",
     ".sub": "a KRL submit program, which moves no robot. Give the .src file of the part.",
@@ -53,9 +53,9 @@ _NO_PROGRAMS = {
 
 
 def dialect_of_name(name: str) -> Dialect:
-    """Return the dialect of a name.
+    """Return the dialect with a name.
 
-    :raises InputError: there is none of that name, or the package that has it cannot be used.
+    :raises InputError: no dialect has this name, or its package cannot be used.
     """
     if name in _OURS:
         return _ours(name)
@@ -76,12 +76,15 @@ def names() -> tuple[str, ...]:
 
 
 def broken_dialects() -> dict[str, str]:
-    """Return the dialects of other packages that cannot be used, and why."""
+    """Return the dialects of other packages that cannot be used: name → reason."""
     return {name: reason for name, reason in _plugins().items() if isinstance(reason, str)}
 
 
 def extensions() -> dict[str, str]:
-    """Return the extension of every kind of program (lower case) and the name of its dialect; ours win."""
+    """Return the known extensions (lower case): extension → name of its dialect.
+
+    Our dialects have precedence over dialects of other packages, and these over later ones.
+    """
     dialect_names = dict(_EXTENSIONS)
     for dialect in _plugins().values():
         if not isinstance(dialect, str):
@@ -93,7 +96,8 @@ def extensions() -> dict[str, str]:
 def dialect_of_file(path: Path) -> Dialect:
     """Return the dialect of a file by its extension.
 
-    :raises ProgramError: the extension is not known.
+    :raises ProgramError: the extension is not known, or is that of a file that cannot be read (`_NO_PROGRAMS`).
+    :raises InputError: the package of the dialect cannot be used.
     """
     extension = path.suffix.lower()
     if extension in _EXTENSIONS:
@@ -113,11 +117,13 @@ def dialect_of_file(path: Path) -> Dialect:
 
 
 def written_in(dialect: str, to: str | None = None) -> tuple[str, Writer]:
-    """Return in which dialect a program is written, and by what.
+    """Return the name of the dialect in which a program is written, and the writer of this dialect.
 
-    :param dialect: of the program.
-    :param to: in which it is wanted; None = its own if that is written, else KRL.
-    :raises InputError: it cannot be written so.
+    A program in a dialect with a writer is always written in its own dialect.
+
+    :param dialect: dialect of the program as it was read.
+    :param to: requested dialect of the output; None = the program's own if it has a writer, else KRL.
+    :raises InputError: the program cannot be written in the requested dialect.
     """
     own_writer = dialect_of_name(dialect).writer
     if own_writer is not None:
@@ -139,7 +145,7 @@ def written_in(dialect: str, to: str | None = None) -> tuple[str, Writer]:
 
 @cache
 def _ours(name: str) -> Dialect:
-    """Return a dialect of this package, imported when it is first asked for."""
+    """Return a dialect of this package, imported at the first call."""
     module, _, attribute = _OURS[name].partition(":")
     dialect: Dialect = getattr(import_module(module), attribute)
     return dialect
@@ -147,18 +153,18 @@ def _ours(name: str) -> Dialect:
 
 @cache
 def _plugins() -> dict[str, Dialect | str]:
-    """Return the dialects of other packages by name, or why one of them cannot be used."""
-    from importlib.metadata import entry_points  # needed where a dialect is asked for that is not ours
+    """Return the dialects of other packages: name → dialect, or the reason why it cannot be used, as text."""
+    from importlib.metadata import entry_points  # late: slow to import, and not needed for our own dialects
 
     return {entry.name: _plugin(entry) for entry in entry_points(group=GROUP) if entry.name not in _OURS}
 
 
 def _plugin(entry: EntryPoint) -> Dialect | str:
-    """Return the dialect of an entry point, or why it cannot be used."""
+    """Return the dialect of an entry point, or the reason why it cannot be used, as text."""
     origin = f"of {entry.dist.name} {entry.dist.version}" if entry.dist else f"({entry.value})"
     try:
         plugin = entry.load()
-    except (Exception, SystemExit) as cause:  # whatever another package does wrong
+    except (Exception, SystemExit) as cause:  # another package may do anything at import
         return f"the import {origin} fails ({type(cause).__name__}: {cause})"
     missing_names = [name for name in _REQUIRED_MEMBERS if not hasattr(plugin, name)]
     if missing_names:

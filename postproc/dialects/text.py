@@ -1,4 +1,4 @@
-"""Program files as text: decoding to the byte, and where the lines are. What every dialect shares.
+"""Program files as text: decoding that can be reversed to the byte, and the spans of lines. All dialects use it.
 
 Line numbers are those an editor shows. A line ends with LF, CR, CR LF, or CR CR LF (one end: what a text-mode
 transfer makes of CR LF); nothing else ends a line, neither form feed nor the Unicode separators.
@@ -15,7 +15,7 @@ from postproc.program import Document, Ints
 
 _LF, _CR = 10, 13
 _PIECE = 1_000_000
-"""Characters whose lines are looked for at once: the arrays of a whole text would take several times its memory."""
+"""Characters that are searched for line ends at once: arrays of a whole text would take several times its memory."""
 _ENCODINGS = ("utf-8", "cp1252", "latin-1")
 
 
@@ -47,15 +47,17 @@ def decode(name: str, data: bytes) -> Document:
 
 
 def line_spans(text: str, piece: int = _PIECE) -> tuple[Ints, Ints]:
-    """Return the starts (L,) and stops (L,) of the lines: ``text[start:stop]`` is line i + 1 without its line end.
+    """Return the starts (L,) and stops (L,) of the lines: ``text[starts[i]:stops[i]]`` is line i + 1.
 
-    The line end is not part of the line. What follows the last line end is a line only if it is not empty.
+    The line end is not part of the line. Text behind the last line end is a line only if it is not empty.
 
-    :param piece: characters that are looked begin together, and those to the end of the line.
+    :param piece: number of characters that are searched at once; extended to the next LF.
     """
     starts, stops, begin = [], [], 0
     while True:
-        piece_end = text.find("\n", begin + piece) + 1 or len(text)  # a line end of several characters ends with LF
+        piece_end = text.find("\n", begin + piece) + 1 or len(
+            text
+        )  # behind LF no line end is cut in two: LF is always its last character
         first, last = _spans(text[begin:piece_end])
         starts.append(first + begin)
         stops.append(last + begin)
@@ -65,7 +67,10 @@ def line_spans(text: str, piece: int = _PIECE) -> tuple[Ints, Ints]:
 
 
 def _spans(text: str) -> tuple[Ints, Ints]:
-    """Return starts (L,) and stops (L,) of the lines of a text; ends of lines are LF, CR LF, CR CR LF and CR."""
+    """Return starts (L,) and stops (L,) of the lines of a text; line ends are LF, CR LF, CR CR LF and CR.
+
+    `stops` are offsets of the first character of each line end, `ends` of its last character.
+    """
     try:
         units = np.frombuffer(text.encode("latin-1"), dtype=np.uint8)
     except UnicodeEncodeError:
@@ -73,9 +78,12 @@ def _spans(text: str) -> tuple[Ints, Ints]:
     stops = ends = np.flatnonzero(units == _LF)
     carriage_returns = np.flatnonzero(units == _CR)
     if len(carriage_returns):
-        following = np.concatenate([units, np.zeros(2, units.dtype)])
+        following = np.concatenate(
+            [units, np.zeros(2, units.dtype)]
+        )  # so that a CR at the end has two characters behind it
         next_unit, second_unit = following[carriage_returns + 1], following[carriage_returns + 2]
         lone_returns = carriage_returns[(next_unit != _LF) & ((next_unit != _CR) | (second_unit != _LF))]
+        # ends - 1 and ends - 2 wrap round at the beginning of the text: the conditions below exclude that
         ends_with_cr, ends_with_two_cr = units[ends - 1] == _CR, units[ends - 2] == _CR
         ends_with_cr &= ends >= 1
         ends_with_two_cr &= ends_with_cr & (ends >= 2)
@@ -85,7 +93,7 @@ def _spans(text: str) -> tuple[Ints, Ints]:
             ends.sort()
             stops.sort()
     starts = np.concatenate([[0], ends + 1])
-    if starts[-1] == len(units):
+    if starts[-1] == len(units):  # no text behind the last line end
         starts = starts[:-1]
     else:
         stops = np.concatenate([stops, [len(units)]])

@@ -1,4 +1,4 @@
-"""What runs, along the execution trace of a program: loops unrolled, called routines inlined, branches.
+"""Execution trace of a program: loops unrolled, called routines inlined, branches.
 
 Reading and correction treat the rows of the trace as a straight program; `write.folding` maps them back to the files.
 """
@@ -20,14 +20,17 @@ from postproc.program import Bools, Document, Ints
 
 
 class Lines(Struct, frozen=True):
-    """Lines first … last of the trace, which run one after the other."""
+    """Rows first … last of the trace, which run one after the other."""
 
     first: int
     last: int
 
 
 class UnresolvedStructure(Struct, frozen=True):
-    """A control structure on lines first … last of the trace whose branch taken is not known before run time."""
+    """A control structure on rows first … last of the trace whose branch taken is not known before run time.
+
+    :ivar why: reason, as the error that is raised if it matters.
+    """
 
     first: int
     last: int
@@ -37,7 +40,8 @@ class UnresolvedStructure(Struct, frozen=True):
 class Occasion(NamedTuple):
     """One visit of the trace to a place, which it may reach several times.
 
-    :ivar enclosing: enclosing loops and calls, each with its iteration.
+    :ivar place: the place: file and line.
+    :ivar enclosing: places of enclosing loops and calls, outermost first, each with the number of its iteration.
     """
 
     place: Place
@@ -52,7 +56,7 @@ class Fork(Struct, frozen=True):
 
 
 class Branch(Struct, frozen=True):
-    """One of the branches begins after this row."""
+    """One of the branches of the last `Fork` begins after this row."""
 
     row: int
 
@@ -83,9 +87,9 @@ Step = Lines | UnresolvedStructure | Fork | Branch | Join | RoutineEntry | Routi
 
 
 class Body(Struct, eq=False):
-    """Lines first … stop − 1 of the trace, which are contiguous in a file.
+    """Rows first … stop − 1 of the trace. Apart from `parts`, they are contiguous lines of a file.
 
-    :ivar parts: unrolled loops and inlined routines in them, in order.
+    :ivar parts: unrolled loops and inlined routines in these rows, in order.
     """
 
     first: int
@@ -94,7 +98,7 @@ class Body(Struct, eq=False):
 
 
 class PlainBody(Struct, frozen=True, eq=False):
-    """Statements, by their lines in the file, of a FOR that moves, sets speeds and distances, and switches outputs.
+    """Statements, by their lines in the file, of a FOR that does nothing but move, set values and switch outputs.
 
     :ivar motions: motions to points of arrays.
     :ivar settings: ``$VEL.CP=V[I]``, ``$APO.CDIS=D[I+1]``.
@@ -113,10 +117,13 @@ class PlainBody(Struct, frozen=True, eq=False):
 class PlainRounds(Struct, frozen=True, eq=False):
     """The rounds of a FOR with a plain body: they differ in the number of the counter only.
 
-    :ivar begin: number of the counter in the first round; `step` what each round adds.
-    :ivar first: line of the trace on which the first round begins, with the assignment to the counter.
-    :ivar count: number of rounds; `length` lines of each.
-    :ivar head: line of FOR in the file `source`.
+    :ivar begin: value of the counter in the first round.
+    :ivar step: increment of the counter in each round.
+    :ivar first: row of the trace on which the first round begins, with the assignment to the counter.
+    :ivar count: number of rounds.
+    :ivar length: number of rows of each round.
+    :ivar source: file of the loop.
+    :ivar head: line of FOR in this file.
     :ivar body: the lines of its statements.
     """
 
@@ -135,7 +142,7 @@ class PlainRounds(Struct, frozen=True, eq=False):
         return self.first + self.count * self.length
 
     def counter_value(self, row: int) -> int | None:
-        """Return the value that a row of the trace gives the counter; None for rows that do not assign it."""
+        """Return the value that a row of the trace assigns to the counter; None for rows without an assignment."""
         round_number, remainder = divmod(row - self.first, self.length)
         return None if remainder else self.begin + round_number * self.step
 
@@ -155,14 +162,15 @@ class PlainRounds(Struct, frozen=True, eq=False):
 class UnrolledLoop(Struct, eq=False):
     """An unrolled loop.
 
-    :ivar opener: text of its first line, with its line end; `closer` that of its last, or of all that jump back.
-    :ivar counter: of FOR, as it is spelled; empty for other loops.
-    :ivar step: of FOR, each body of which begins with an assignment to its counter; 0 for other loops.
+    :ivar opener: text of the first line of the loop, with its line end.
+    :ivar closer: text of its last line, or of all lines that jump back to its beginning.
+    :ivar counter: name of the counter of a FOR, as it is spelled; empty for other loops.
+    :ivar step: increment of the counter of a FOR; each body begins with an assignment to it. 0 for other loops.
     :ivar has_exit: True if it contains EXIT.
-    :ivar first: its first line of the trace.
-    :ivar stop: line of the trace after its last.
+    :ivar first: first row of the trace that is in the loop.
+    :ivar stop: row of the trace behind the loop.
     :ivar bodies: one per iteration; empty if the loop does not run.
-    :ivar plain_rounds: the rounds of FOR with a plain body.
+    :ivar plain_rounds: the rounds of a FOR with a plain body; None for other loops.
     :ivar is_endless: True for LOOP without EXIT: its only body is one iteration, which ends in the state in which it
         began.
     """
@@ -182,7 +190,8 @@ class UnrolledLoop(Struct, eq=False):
 class InlinedRoutine(Struct, eq=False):
     """An inlined routine.
 
-    :ivar row: of the trace with the call; `name` the span of the routine's name in its file.
+    :ivar row: row of the trace with the call.
+    :ivar name: span of the routine's name in the call, in the file of the call.
     """
 
     row: int
@@ -196,15 +205,15 @@ class Course(Struct, frozen=True, eq=False):
 
     :param main: the main routine.
     :param trace: its rows; the lines of the `.src` itself if nothing is unrolled or inlined.
-    :param steps: what runs, in execution order.
+    :param steps: steps of the program, in execution order.
     :param body: the lines of the main routine.
     :param may_run: (L,) False for lines that do not run: branches that are not taken; None: all may run.
     :param inlined_routines: routines whose calls are followed.
-    :param unchanged_routines: those of these that are also reached by a call that is not followed, and must stay as
-        they are.
+    :param unchanged_routines: inlined routines that are also reached by a call that is not followed: their text must
+        not change.
     :param files: other source and data files of the inlined routines.
     :param used_names: names, upper case, of programs and GLOBAL routines of all folders, if new names are needed.
-    :param count_of_row: row with an assignment to the counter of a FOR → its value; those of plain rounds are left out.
+    :param count_of_row: row with an assignment to the counter of a FOR → its value; without the rows of plain rounds.
     :param other_callers: file of an inlined routine → other programs of the folders that name the routine.
     """
 
@@ -227,7 +236,10 @@ class Course(Struct, frozen=True, eq=False):
         return last if isinstance(last, UnrolledLoop) and last.is_endless else None
 
     def counter_value(self, loop: UnrolledLoop, row: int) -> int:
-        """Return the value that a row of the trace assigns to the counter of a FOR."""
+        """Return the value that a row of the trace assigns to the counter of a FOR.
+
+        :raises KeyError: the row does not assign it.
+        """
         number = (
             loop.plain_rounds.counter_value(row)
             if loop.plain_rounds is not None and row < loop.plain_rounds.stop_row
@@ -236,41 +248,43 @@ class Course(Struct, frozen=True, eq=False):
         return self.count_of_row[row] if number is None else number
 
     def counter_values(self) -> Array:
-        """Return the values (L,) that the rows of the trace assign to the counter of a FOR; NaN for lines of files."""
+        """Return the values (L,) that the rows of the trace assign to the counter of a FOR; NaN for other rows."""
         counter = np.full(len(self.trace), np.nan)
         rows = np.array([*self.count_of_row], dtype=np.int64)
         counter[rows - 1] = [*self.count_of_row.values()]
         for rounds in self.plain_rounds():
-            counter[rounds.first - 1 : rounds.stop_row - 1 : rounds.length] = np.arange(rounds.count) * rounds.step
-            counter[rounds.first - 1 : rounds.stop_row - 1 : rounds.length] += rounds.begin
+            first_rows = slice(rounds.first - 1, rounds.stop_row - 1, rounds.length)  # of each round; rows count from 1
+            counter[first_rows] = rounds.begin + np.arange(rounds.count) * rounds.step
         return counter
 
     def rows_of(self, source: Source, lines: Ints) -> tuple[Ints, Ints]:
-        """Return the rows of the trace that are among n lines of a file, in order, and which of these lines each is.
+        """Return the rows of the trace on which some lines of a file run.
 
-        :returns: rows, from 1, and indices in `lines`; a line that runs twice is in both twice.
+        :param lines: (n,) lines of the file, from 1.
+        :returns: rows (m,), from 1, ascending, and the index in `lines` (m,) of the line that each runs. A line that
+            runs twice has two rows.
         """
         trace = self.trace
         if trace.is_file:
             return lines, np.arange(len(lines))
         index_of_line = np.full(len(source.starts) + 1, -1, dtype=np.int64)
-        index_of_line[lines] = np.arange(len(lines))
+        index_of_line[lines] = np.arange(len(lines))  # −1: not among the lines
         rows = np.flatnonzero((trace.file == trace.sources.index(source)) & ~trace.is_count)
         rows = rows[index_of_line[trace.line[rows]] >= 0]
         return rows + 1, index_of_line[trace.line[rows]]
 
     def plain_rounds(self) -> list[PlainRounds]:
-        """Return the rounds of all plain bodies, in order."""
+        """Return the rounds of all loops with a plain body, in execution order."""
         return list(_plain_rounds(self.body))
 
     @property
     def is_straight(self) -> bool:
-        """Whether the trace is the `.src` itself."""
+        """Whether the trace is the `.src` itself: nothing is unrolled or inlined."""
         return self.trace.is_file
 
 
 def _plain_rounds(body: Body) -> Iterator[PlainRounds]:
-    """Yield the plain rounds in a body, also those in called routines and in loops within loops."""
+    """Yield the plain rounds in a body, also in inlined routines and in nested loops, in execution order."""
     for part in body.parts:
         if isinstance(part, InlinedRoutine):
             yield from _plain_rounds(part.body)

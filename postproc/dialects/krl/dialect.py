@@ -33,18 +33,19 @@ from postproc.frames import RAD_PER_DEG, Array
 from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, WrittenProgram
 
 _SELECTION_FILE = "cell"
-"""KUKA's CELL.SRC chooses programs by the number that comes from outside: they are main programs."""
+"""KUKA's CELL.SRC starts a program by the number that a PLC sends: the programs that it calls are main programs."""
 _COMMENT = ";"
 _NUMBERED_FRAME = re.compile(r"\b(BASE|TOOL)_(?:DATA[ \t]*\[[ \t]*|NO[ \t]+)([0-9]{1,3})\b", re.IGNORECASE)
 """``BASE_DATA[3]``, and ``TOOL_NO 2`` of a FDAT."""
 
 
 def _part_names(path: Path, names: Sequence[str]) -> list[str]:
-    """Return the names of the further files of a program in several files; none for a program in one file.
+    """Return the names, without extension, of the further files of a program in several files.
 
-    These are the files that it calls, then those with its routines, without extension.
+    First the files that the main program calls, then the files with its routines. The list is empty for a program in
+    one file, and if a file cannot be read.
 
-    :param names: of the files next to it.
+    :param names: names of the files in the folder of `path`.
     """
     if not path.stem.lower().endswith(MAIN.lower()):
         return []
@@ -65,7 +66,10 @@ def _part_names(path: Path, names: Sequence[str]) -> list[str]:
 
 
 def _main_program_of(part: Document) -> str | None:
-    """Return the main program that a file is a part of: a comment names it, or a file next to it calls the part."""
+    """Return the name of the main program that a file is a part of; None if it is no part, or a file cannot be read.
+
+    A comment in the part names the main program, or a main program next to it calls the part.
+    """
     if (stated_main := stated_main_program(part)) is not None:
         return stated_main
     stem = PurePath(part.name).stem
@@ -81,7 +85,7 @@ def _main_program_of(part: Document) -> str | None:
 
 
 def _long_file_warning(document: Document, limit: int) -> Issue:
-    """Return the warning that a file of subprograms has more than `limit` lines."""
+    """Return the warning that a file of subprograms, which cannot be divided, has more than `limit` lines."""
     lines = document.text.count("\n")
     message = (
         f"{document.name} has {lines} lines, more than {limit}: files of subprograms are not divided. Divide it into "
@@ -96,10 +100,10 @@ class _Writer:
     extension = ".src"
     approximation = "approximation (C_DIS)"
     least_arc = (2e-5, 0.3 * RAD_PER_DEG)
-    """Assumed: no limit is published; where all three points nearly coincide their digits decide on the circle."""
+    """Assumed: no limit is published. On smaller arcs the rounding of the three points determines the circle."""
 
     def fault_of(self, name: str) -> str | None:
-        """Return why the controller would refuse a name for a program, or None if it would not."""
+        """Return the reason why the controller refuses a program name; None if it accepts the name."""
         return fault_of(name)
 
     def valid_name(self, name: str) -> str:
@@ -109,10 +113,10 @@ class _Writer:
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
     ) -> WrittenProgram:
-        """Return a program as text.
+        """Return a program as text, see `Writer.write`.
 
-        A KRL program is written in its own text, see `write.rewrite`; others as new ones, see
-        `write.divide_into_modules`. Both may be divided into files, see `write.split_files`.
+        A KRL program keeps its own text, see `write.rewrite`. Another program is written as a new one, see
+        `write.divide_into_modules`. Both are divided into several files if they are long, see `write.split_files`.
         """
         if isinstance(program.layout, Layout):
             return self._rewrite(program, program.layout, targets, cell, comments)
@@ -124,7 +128,7 @@ class _Writer:
     def _rewrite(
         self, program: Program, layout: Layout, targets: Targets, cell: Cell, comments: TargetForces | None
     ) -> WrittenProgram:
-        """Return a KRL program with corrected targets; its own files may be divided, those of its calls are not."""
+        """Return a KRL program with corrected targets; its own files may be divided, files of subprograms are not."""
         limit = cell.output.lines_per_file
         called_names = {document.name for document in layout.course.files}
         rewritten = write.rewrite(program, targets, comments)
@@ -152,14 +156,15 @@ class _Writer:
         return write.rename(documents, name)
 
     def mark(self, documents: Sequence[Document], origin: provenance.Origin) -> tuple[tuple[Document, ...], int]:
-        """Return the files with the line that says where they come from, below the first DEF.
+        """Return the files with a line below the first DEF that states their origin.
 
-        :returns: the files; the 1-based line from which on lines of the main one have moved down by one, 0 if none has.
+        :returns: the files, and the 1-based line of the main file from which on its lines have moved down by one; 0 if
+            no line has moved.
         """
         return provenance.mark(documents, origin, _COMMENT, DEF_LINE)
 
     def origin(self, documents: Sequence[Document]) -> provenance.Provenance:
-        """Return what the files of a program say of where they come from."""
+        """Return the origin that the files of a program state."""
         return provenance.of(documents, _COMMENT)
 
 
@@ -172,16 +177,19 @@ class Krl:
     writer = _Writer()
 
     def companions(self, path: Path) -> list[Path]:
-        """Return the other files of a program that exist: its `.dat`, and the parts of a program in several files.
+        """Return the other existing files of a program: its `.dat`, and the parts of a program in several files.
 
-        Letters of names may be of any case.
+        Upper and lower case in names do not count. If several names differ only in case, the file whose name is
+        spelled as in the program is returned.
         """
         try:
             names = os.listdir(path.parent)  # noqa: PTH208 - a folder may hold thousands of programs
         except OSError:
             return []
         stems = [path.stem, *_part_names(path, names)]
-        file_names = [f"{stem}{end}".lower() for stem in stems for end in (".src", ".dat")][1:]
+        file_names = [f"{stem}{end}".lower() for stem in stems for end in (".src", ".dat")][
+            1:
+        ]  # without the .src itself
         path_of: dict[str, Path] = {}
         for name in sorted(names):
             key = name.lower()
@@ -202,11 +210,11 @@ class Krl:
         return tuple(f"{kind}_data.{number}" for kind, number in sorted(frames) if number)
 
     def callers(self, paths: Sequence[Path]) -> dict[Path, list[Path]]:
-        """Return the files of a folder that are only called by others of them, and these callers."""
+        """Return the files of a folder that are only run by calls of the others, see `callers`: file → its callers."""
         return callers(paths)
 
     def moving(self, paths: Sequence[Path], cell: Cell) -> dict[Path, set[Path]]:
-        """Return the files with motions that each of some programs of one folder may call."""
+        """Return the files with motions that programs of one folder may call: program → called files."""
         return called_files_with_motion(paths, [Path(cell.folder) / folder for folder in cell.krl.search])
 
     def copy_subprograms(
@@ -226,12 +234,13 @@ class Krl:
     def read(
         self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str
     ) -> Program:
-        """Return a program, see `read.reader`; one in several files as one, see `language.parts`.
+        """Return a program, see `read.reader`. A program in several files is read as one, see `language.parts`.
 
         :param documents: the `.src` first, then its companions.
         :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
-        :raises ProgramError: see `read.reader`; a file is missing; the file is a part of a program and cannot be read
-            without the others.
+        :param name: name of the program.
+        :raises ProgramError: see `read.reader`; a file of the program is missing; the main file is only a part of a
+            program and cannot be read without the other parts.
         """
         if (whole_program := joined_program(documents)) is not None:
             return _read_joined(whole_program, documents, cell, forward_kinematics, name)
@@ -252,12 +261,15 @@ def _read_joined(
     forward_kinematics: Callable[[Array], Array],
     main_name: str,
 ) -> Program:
-    """Return a program in several files, read as one text; its name is that of the main program without `MAIN`.
+    """Return a program in several files, read as one text; it is named like the main program without `MAIN`.
 
-    :param documents: its files and those of its subprograms, the main one first.
+    Errors, unresolved motions and the layout name the original files and lines, not those of the joined text.
+
+    :param whole_program: the program as one text.
+    :param documents: files of the program and of its subprograms, the main file first.
     :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
-    :param main_name: name of the main program.
-    :raises ProgramError: see `read.reader`; it names the file that has the line.
+    :param main_name: name of the main program, with `MAIN`.
+    :raises ProgramError: see `read.reader`.
     """
     stems = {PurePath(file).stem.lower() for file, _ in whole_program.files}
     subprograms = [document for document in documents if PurePath(document.name).stem.lower() not in stems]
@@ -287,7 +299,7 @@ KRL = Krl()
 class _FileCalls(Struct, frozen=True):
     """Calls from and to a file; names in upper case.
 
-    :param called_names: names that it calls and does not declare itself.
+    :param called_names: names that the file calls and does not declare itself.
     :param callable_names: names by which other files call its routines.
     """
 
@@ -296,10 +308,11 @@ class _FileCalls(Struct, frozen=True):
 
 
 def callers(paths: Sequence[Path]) -> dict[Path, list[Path]]:
-    """Return the `.src` files of one folder that are only called by others of them, and these callers.
+    """Return the `.src` files of one folder that are subprograms: file → files that call it.
 
-    Files that only call each other are left out. So is a file whose own main routine has statements and of which others
-    call a GLOBAL routine: it is a program of its own.
+    A file is a subprogram if a main program, directly or indirectly, calls it; main programs are files that no file
+    calls. Files that only call each other are therefore left out. A call of a GLOBAL routine of a file counts only if
+    the main routine of that file is empty: otherwise the file is a program of its own.
     """
     files = {path: _file_calls(path) for path in paths}
     calling: dict[str, list[Path]] = {}  # name, upper case → files that call it
@@ -323,7 +336,7 @@ def callers(paths: Sequence[Path]) -> dict[Path, list[Path]]:
 
 
 def _file_calls(path: Path) -> _FileCalls:
-    """Return the names that a file calls, and those by which others can call it; none if it cannot be read."""
+    """Return the names that a file calls, and the names by which others call it; both empty if it cannot be read."""
     try:
         text = path.read_bytes().decode("latin-1")
     except OSError:

@@ -21,11 +21,12 @@ ORIENTATIONS = FREE, CONSTANT, JOINT, IGNORE = "#VAR", "#CONSTANT", "#JOINT", "#
 
 
 class Elements(Struct, frozen=True, eq=False):
-    """Points ``P[I]`` of an array, N of them, to which a loop moves.
+    """N points ``P[I]`` of an array, to which a loop moves.
 
-    :param row: (N,) the motions.
-    :param literal: (N, 2) spans of the points in the data list `source`.
-    :param name: of the array, upper case.
+    :param row: (N,) motion to each point.
+    :param literal: (N, 2) span of each point in the data list `source`.
+    :param source: the `.dat` that declares the array.
+    :param name: name of the array, upper case.
     """
 
     row: Ints
@@ -43,18 +44,18 @@ class Layout(Struct, frozen=True, eq=False):
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] that the text commands, missing ones filled in with what the
         controller keeps; for axis and relative targets the Cartesian numbers they amount to.
     :param is_missing: (M, 6) True where the text does not give the component.
-    :param target_start: (M,) offset of the target; of `elements` that of the point in the data list.
+    :param target_start: (M,) offset of the target; for `elements`, offset of the point in the data list.
     :param relative_spans: (M, 8, 2) spans of the texts of X, Y, Z, A, B, C, S, T, counted from `target_start`; 0 where
-        missing, and throughout for motions in `statements` (their numbers may be elsewhere). See `spans`.
+        missing, and all 0 for motions in `statements` (their numbers may be in another line). See `spans`.
     :param keyword: (M,) offset of the instruction.
     :param target: (M, 2) span of the target in the statement: ``{…}``, a name or a chain.
-    :param tail: (M, 2) span of what follows the target and holds for inserted targets too: approximation, WITH.
+    :param tail: (M, 2) span of the text behind the target that inserted targets repeat: approximation, WITH.
     :param via_spans: (M, 3, 2) spans of X, Y, Z of the auxiliary points of circles; −1 as for `spans`.
     :param via_target: (M, 2) span of the auxiliary point; −1 as for `spans`.
     :param starts_from_joints: (M,) True where the controller's previous position is an axis target or the start.
-    :param orientation: (M,) which of `ORIENTATIONS` `$ORI_TYPE` is; of PTP, which knows none, the first.
-    :param ignores_orientation: (M,) True where `$ORI_TYPE` makes the controller ignore A, B, C of the text, and they
-        differ from those that it commands.
+    :param orientation: (M,) index of `$ORI_TYPE` in `ORIENTATIONS`; 0 for PTP, which does not use `$ORI_TYPE`.
+    :param ignores_orientation: (M,) True where `$ORI_TYPE` makes the controller ignore A, B, C of the text, and the
+        orientation that it commands differs from them.
     :param turns_with_path: (M,) True for circles with which the tool turns (``$CIRC_TYPE=#PATH``).
     :param is_wrist_led: (M,) True for lines on which the wrist axes turn the tool (``$ORI_TYPE=#JOINT``).
     :param drops_via_orientation: (M,) True for SCIRC whose auxiliary point has A, B, C that must not count once the
@@ -67,12 +68,14 @@ class Layout(Struct, frozen=True, eq=False):
     :param types: declared type by variable, upper case.
     :param global_names: variables declared GLOBAL.
     :param followed_names: rows of the trace and offsets of names whose use the reader followed.
-    :param copies: pairs of names, upper case: a variable that was copied as a point, and the one that it was copied to.
+    :param copies: pairs of names, upper case: a variable that was copied as a point, and the variable that got the
+        copy.
     :param triggers: TRIGGER statements, in order.
-    :param carriage: the linear axis E1 that carries the robot.
-    :param resume_place: place, as text, of a RESUME in another file that goes back to the program; empty without.
-    :param documents: the one text, and its `.dat`, of a program in several files; empty: the files are the text.
-    :param files: then, name of each `.src` and the number that its first line has in the one text.
+    :param carriage: the linear axis E1 that carries the robot; None without it.
+    :param resume_place: place, as text, of a RESUME in another file that goes back to the program; empty without it.
+    :param documents: joined text, and `.dat`, of a program in several files; empty for a program in one file.
+    :param files: name of each `.src` of a program in several files, and the number of its first line in the joined
+        text; empty for a program in one file.
     """
 
     course: Course
@@ -108,35 +111,40 @@ class Layout(Struct, frozen=True, eq=False):
     files: tuple[tuple[str, int], ...] = ()
 
     def spans(self, rows: Ints | slice, columns: slice = slice(None)) -> Offsets:
-        """Return the spans of the texts of X … T of n motions (n, 8, 2), or of some of these columns; −1 where missing.
+        """Return the spans of the texts of X, Y, Z, A, B, C, S, T of n motions (n, 8, 2); −1 where missing.
 
-        They are offsets in the file of the motion; for array elements (`elements`) in the data list that declares them.
+        Spans are offsets in the file of the motion; for array elements (`elements`), in the data list that declares
+        them.
 
         :param rows: (n,) the motions.
+        :param columns: the components to return; all eight by default.
         """
         offsets = self.relative_spans[rows, columns].astype(np.int32)
         return np.where(offsets > 0, offsets + self.target_start[rows, None, None], -1)
 
     def places(self, rows: Ints) -> Places | None:
-        """Return the files and lines of motions, given by their `rows` (n,); None if all are in the main file."""
+        """Return the files and lines of motions; None if the whole program is in one file and nothing is unrolled.
+
+        :param rows: (n,) the motions.
+        """
         trace = self.course.trace
         if trace.is_file and not self.files:
             return None
         names = tuple(source.document.name for source in trace.sources)
         file, line = (column[self.line[rows] - 1].astype(np.int64) for column in (trace.file, trace.line))
-        if self.files:  # lines of the joined text count on from file to file
+        if self.files:  # lines of the joined text are numbered through all files
             first_lines = np.array([number for _, number in self.files])
             in_main = np.array([name == self.documents[0].name for name in names])[file]
-            part = np.searchsorted(first_lines, line, side="right") - 1
-            file = np.where(in_main, len(names) + part, file)
+            part = np.searchsorted(first_lines, line, side="right") - 1  # the last file that begins at or before it
+            file = np.where(in_main, len(names) + part, file)  # names of the parts follow the other names
             line = np.where(in_main, line - first_lines[part] + 1, line)
             names = (*names, *(name for name, _ in self.files))
         return Places(names, file, line)
 
     def source(self, row: int) -> Source:
-        """Return the file that contains a motion."""
+        """Return the file that contains motion `row`."""
         return self.course.trace.source(self.line.item(row))
 
     def orientation_types(self, rows: Ints) -> NDArray[np.str_]:
-        """Return `$ORI_TYPE` (n,) of motions, given by their `rows` (n,)."""
+        """Return `$ORI_TYPE` (n,) of motions `rows` (n,)."""
         return np.asarray(np.array(ORIENTATIONS)[self.orientation[rows]])

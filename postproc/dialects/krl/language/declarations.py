@@ -31,8 +31,8 @@ class DeclaredName(Struct, frozen=True):
     :ivar name_start: offset of the name.
     :ivar bounds: text of the bracket of an array, such as ``[3]``; None without one.
     :ivar kind: type, upper case; empty for an initialisation alone.
-    :ivar is_global: it is declared GLOBAL.
-    :ivar value_start: offset of its initial value; −1 where there is none.
+    :ivar is_global: True if it is declared GLOBAL.
+    :ivar value_start: offset of its initial value; −1 without one.
     """
 
     name: str
@@ -44,7 +44,10 @@ class DeclaredName(Struct, frozen=True):
 
 
 def declared_in(source: Source, start: int, stop: int) -> Iterator[DeclaredName]:
-    """Yield the names that one line declares; there may be several, as in ``DECL E6POS A={…},B={…}``."""
+    """Yield the names that one line declares, in order; there may be several, as in ``DECL E6POS A={…},B={…}``.
+
+    :param start: offset of the code of the line; `stop` the offset behind it.
+    """
     match = DECLARATION.match(source.text, start, stop)
     if not match:
         return
@@ -52,7 +55,7 @@ def declared_in(source: Source, start: int, stop: int) -> Iterator[DeclaredName]
     yield first
     end = match.end()
     while True:
-        if source.text[end - 1] == "=":
+        if source.text[end - 1] == "=":  # a match ends with the sign if an initial value follows
             end = _value_stop(source, end, stop)
         next_name = NEXT_NAME.match(source.text, end, stop)
         if not next_name:
@@ -83,7 +86,7 @@ def _first_name(source: Source, match: re.Match[str]) -> DeclaredName:
 
 
 def _value_stop(source: Source, start: int, stop: int) -> int:
-    """Return the offset behind an initial value; `stop`, the end of the line, where the value cannot be read."""
+    """Return the offset behind the initial value at `start`; `stop`, the end of the line, if it cannot be read."""
     try:
         return value_at(source, start, stop)[1]
     except ProgramError:
@@ -93,8 +96,8 @@ def _value_stop(source: Source, start: int, stop: int) -> int:
 class Structure(NamedTuple):
     """A type that STRUC declares; names in upper case.
 
-    :ivar name: of the type.
-    :ivar members: type of each member, by its name.
+    :ivar name: name of the type.
+    :ivar members: name of a member → its type.
     """
 
     name: str
@@ -109,7 +112,7 @@ def structure(source: Source, start: int, stop: int) -> Structure | None:
     pieces = [NAME.findall(source.text, *span) for span in list_spans(source, start, stop)]
     while pieces and pieces[0][:1] and pieces[0][0].upper() in ("GLOBAL", "DECL"):
         del pieces[0][0]
-    if not pieces or len(pieces[0]) < 3 or pieces[0][0].upper() != "STRUC":  # STRUC, its name, a type or a member
+    if not pieces or len(pieces[0]) < 3 or pieces[0][0].upper() != "STRUC":  # STRUC, name, and a type or a member
         return None
     name, pieces[0] = pieces[0][1].upper(), pieces[0][2:]
     kind, members = "", dict[str, str]()  # a type holds for all members up to the next type
@@ -120,7 +123,7 @@ def structure(source: Source, start: int, stop: int) -> Structure | None:
 
 
 def declared_names(source: Source) -> tuple[frozenset[str], frozenset[str]]:
-    """Return the names, upper case, that a `.dat` declares for its own program, and those that it declares GLOBAL."""
+    """Return the names, upper case, that a `.dat` declares only for its own program, and its GLOBAL names."""
     local_names: set[str] = set()
     global_names: set[str] = set()
     for begin, end in zip(source.starts.tolist(), source.stops.tolist(), strict=True):
@@ -138,9 +141,9 @@ class DataLine(Struct, frozen=True, eq=False):
     """A line of a `.dat` between DEFDAT and ENDDAT.
 
     :param line: 1-based.
-    :param text: with its end.
-    :param names: what it declares or gives a value to, upper case.
-    :param is_global: these names are GLOBAL.
+    :param text: text of the line, with its line end.
+    :param names: names that the line declares or initialises, upper case.
+    :param is_global: True if these names are GLOBAL.
     """
 
     line: int
@@ -152,7 +155,7 @@ class DataLine(Struct, frozen=True, eq=False):
 def data_lines(data: Source) -> list[DataLine]:
     """Return the lines of a `.dat` without its header, DEFDAT and ENDDAT.
 
-    Data of the controller count as GLOBAL, and so do all lines about a name that one line declares GLOBAL.
+    Lines with data of the controller are GLOBAL. If one line declares a name GLOBAL, all lines with it are GLOBAL.
     """
     lines = []
     for line in range(1, len(data.starts) + 1):
@@ -168,10 +171,10 @@ def data_lines(data: Source) -> list[DataLine]:
 
 
 def _data_line(data: Source, line: int, word: str) -> DataLine:
-    """Return a line of a `.dat` with the names that it declares or gives a value to.
+    """Return a line of a `.dat` with the names that it declares or initialises, and with a line end.
 
     :param line: 1-based.
-    :param word: its first word, upper case.
+    :param word: first word of the line, upper case.
     """
     start, stop = data.code_span(line)
     declarations = list(declared_in(data, start, stop)) if word not in DECLARATIONS else []
@@ -190,8 +193,9 @@ def _has_global(text: str, start: int, stop: int) -> bool:
 
 
 def _other_declared_names(code: str, word: str) -> frozenset[str]:
-    """Return the name, upper case, that a STRUC, ENUM, SIGNAL or CHANNEL declares; none for other lines.
+    """Return the name, upper case, that a STRUC, ENUM, SIGNAL or CHANNEL declares; an empty set for other lines.
 
+    :param code: the code of the line.
     :param word: the first word of the line, upper case.
     """
     second_word = NAME.findall(code)[1:2] if word in DECLARATIONS else ()

@@ -48,14 +48,15 @@ from postproc.errors import ProgramError
 
 _LEAVES = (Number, Word)
 _MOST_TERMS = 200
-"""Beyond any line of a program; a tree of more is too deep for Python's limit of recursion."""
-_MAX_LENGTH = 64
+"""Largest number of terms of an expression: no program has more, and a deeper tree exceeds the limit of recursion."""
+_MAX_INT_LENGTH = 64
 """Characters of the longest INT in binary or hexadecimal notation."""
-_ENDS = ",)]}cC"
+_VALUE_ENDS = ",)]}cC"
+"""Characters behind a value that no operator begins with; C begins an approximation such as C_DIS."""
 _INDEX = re.compile(r"\[(?:(?P<name>[A-Za-z_$][\w$]*)|(?P<number>[0-9]{1,9}))\]", re.ASCII)
-"""An index that is one name or one whole number, nearly all of them."""
-_WORDS = frozenset({"TRUE", "FALSE", "NOT", "B_NOT"})
-"""Words that are no names of variables."""
+"""An index that is one name or one whole number; nearly all indices are."""
+_VALUE_WORDS = frozenset({"TRUE", "FALSE", "NOT", "B_NOT"})
+"""Words in expressions that are no names of variables."""
 _POSE = re.compile(
     r"\{"
     + ",".join(rf"[ \t]*{name}(?=[ \t+-])[ \t]*(?P<{name}>{NUMBER_PATTERN})[ \t]*" for name in "XYZABC")
@@ -63,9 +64,9 @@ _POSE = re.compile(
     re.ASCII | re.IGNORECASE,
 )
 """The beginning of an aggregate that gives X, Y, Z, A, B, C as numbers, in this order."""
-_PAIRS = {"(": ")", "[": "]", "{": "}"}
-_DEEPEST = 100
-"""Beyond any line of a program; a deeper tree is beyond Python's limit of recursion."""
+_CLOSING_BRACKETS = {"(": ")", "[": "]", "{": "}"}
+_MAX_DEPTH = 100
+"""Largest number of nested brackets: no program has more, and a deeper tree exceeds the limit of recursion."""
 
 _Read = tuple[Value, int]
 """A value, and the offset behind its text."""
@@ -74,7 +75,7 @@ _Read = tuple[Value, int]
 def value_in(source: Source, start: int, stop: int) -> Value:
     """Return the value of a piece of code.
 
-    That is `UnreadableText` if it cannot be read, `OpaqueText` if it is empty or if more text follows a value.
+    `UnreadableText`: the code cannot be read. `OpaqueText`: it is no known expression, or more text follows.
 
     :param start: offset of the piece in the file; `stop` the offset after it.
     """
@@ -90,17 +91,19 @@ def value_in(source: Source, start: int, stop: int) -> Value:
 def value_at(source: Source, start: int, stop: int) -> _Read:
     """Return the value that begins at `start`, and the offset behind it; `OpaqueText` if it is no known expression.
 
+    The tries are in the order of their cost: a single operand, a sum, a condition.
+
     :raises ProgramError: braces or brackets are not balanced, an aggregate is not well formed.
     """
     text = source.text
     begin = after_blanks(text, start, stop)
     is_negated = text[begin : begin + 1] in ("N", "n") and word_at(text, begin, stop) == "NOT"
-    first = None
+    first = None  # the first term and the offset behind it, once it is read
     if begin < stop and text[begin] not in "+-" and not is_negated:
         first = operand(source, begin, stop)
         next_offset = after_blanks(text, first[1], stop)
-        if next_offset == stop or text[next_offset] in _ENDS:
-            return first  # nothing is joined to it: so common that looking first is faster
+        if next_offset == stop or text[next_offset] in _VALUE_ENDS:
+            return first  # a single operand, the most common case: the search for operators is skipped
     if not is_negated:
         first = arithmetic(source, begin, stop, first)
         next_offset = after_blanks(text, first[1], stop)
@@ -120,7 +123,7 @@ def value_at(source: Source, start: int, stop: int) -> _Read:
 def condition(source: Source, start: int, stop: int, first: _Read | None = None) -> _Read:
     """Return terms joined by comparisons and logic, such as ``A>1 AND NOT B``, and the offset behind them.
 
-    :param first: the first term, if it has been read; no NOT precedes it.
+    :param first: the first term and the offset behind it, if it has been read already; no NOT precedes it.
     :raises ProgramError: as for `value_at`.
     """
     terms: list[Value] = []
@@ -143,7 +146,7 @@ def condition(source: Source, start: int, stop: int, first: _Read | None = None)
 def arithmetic(source: Source, start: int, stop: int, first: _Read | None = None) -> _Read:
     """Return a sum, or a single value, and the offset behind it; it ends before a comparison or a logical operator.
 
-    :param first: its first operand, if it has been read.
+    :param first: the first operand and the offset behind it, if it has been read already.
     :raises ProgramError: as for `value_at`.
     """
     return _left_to_right(source, start, stop, first, "+-", _product)
@@ -152,6 +155,7 @@ def arithmetic(source: Source, start: int, stop: int, first: _Read | None = None
 def _product(source: Source, start: int, stop: int, first: _Read | None) -> _Read:
     """Return factors joined by ``*`` and ``/``, from left to right, and the offset behind them.
 
+    :param first: the first operand and the offset behind it, if it has been read already.
     :raises ProgramError: as for `value_at`.
     """
     return _left_to_right(source, start, stop, first, "*/", _factor)
@@ -163,23 +167,23 @@ def _left_to_right(
     stop: int,
     first: _Read | None,
     operators: str,
-    part: Callable[[Source, int, int, _Read | None], _Read],
+    read_operand: Callable[[Source, int, int, _Read | None], _Read],
 ) -> _Read:
     """Return operands joined by operators of one rank, evaluated from left to right, and the offset behind them.
 
-    :param first: the first operand, if it has been read.
-    :param operators: their signs, such as ``+-``.
-    :param part: reads one operand with the operators of higher rank in it.
-    :raises ProgramError: there are more than `_MOST_TERMS` operands.
+    :param first: the first value and the offset behind it, if it has been read already.
+    :param operators: the characters of these operators, such as ``+-``.
+    :param read_operand: reads one operand, including operators of higher rank.
+    :raises ProgramError: there are more than `_MOST_TERMS` operands, or an operand cannot be read.
     """
     text = source.text
-    value, end = part(source, start, stop, first)
+    value, end = read_operand(source, start, stop, first)
     next_offset, terms = after_blanks(text, end, stop), 1
     while next_offset < stop and text[next_offset] in operators:
         terms += 1
         if terms > _MOST_TERMS:
             raise source.error(f"an expression has more than {_MOST_TERMS} terms", start, "Write it as several.")
-        right, end = part(source, next_offset + 1, stop, None)
+        right, end = read_operand(source, next_offset + 1, stop, None)
         value = Operation(text[next_offset], value, right, value.start, end)
         next_offset = after_blanks(text, end, stop)
     return value, end
@@ -188,6 +192,9 @@ def _left_to_right(
 def _factor(source: Source, start: int, stop: int, first: _Read | None) -> _Read:
     """Return a value with its sign, or frames joined by ``:``, and the offset behind it.
 
+    The sign of a plain number is a part of the number.
+
+    :param first: the first operand and the offset behind it, if it has been read already.
     :raises ProgramError: as for `value_at`, and for two signs in a row.
     """
     text = source.text
@@ -210,7 +217,7 @@ def _factor(source: Source, start: int, stop: int, first: _Read | None) -> _Read
 
 
 def operand(source: Source, start: int, stop: int) -> _Read:
-    """Return the value that begins at `start`, without what ``:`` or an operator joins to it, and the offset behind it.
+    """Return the single operand that begins at `start`, and the offset behind it.
 
     It is a name, a number, a string, an aggregate or an expression in brackets; other text is `OpaqueText`.
 
@@ -234,9 +241,10 @@ def operand(source: Source, start: int, stop: int) -> _Read:
     if first == "(":
         return _in_brackets(source, start, stop)
     if match := NUMBER.match(text, start, stop):
-        return Number(_finite(source, match), start, match.end(), match[0].lstrip("+-").isdigit()), match.end()
+        is_whole = match[0].lstrip("+-").isdigit()
+        return Number(_finite(source, match), start, match.end(), is_whole), match.end()
     if match := INTEGER_LITERAL.match(text, start, stop):
-        if match.end() - start > _MAX_LENGTH:
+        if match.end() - start > _MAX_INT_LENGTH:
             raise source.error(f"{match[0][:20]}… is not an INT", start, advice="Write the number in decimal notation.")
         number = float(int(match["binary"], 2) if match["binary"] else int(match["hexadecimal"], 16))
         return Number(number, start, match.end(), True), match.end()
@@ -251,7 +259,9 @@ def operand(source: Source, start: int, stop: int) -> _Read:
 def _in_brackets(source: Source, start: int, stop: int) -> _Read:
     """Return the value in the bracket at `start`, with the span of the bracket, and the offset behind the bracket.
 
-    :raises ProgramError: it cannot be read.
+    A value that has no span to replace becomes a `Condition` of one term.
+
+    :raises ProgramError: the value cannot be read.
     """
     close = closing_bracket(source, start, stop)
     value = value_in(source, start + 1, close)
@@ -282,7 +292,7 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
     indices: tuple[Value, ...] | None = None
     inner: tuple[Value, ...] = ()
     members: list[str] = []
-    while True:  # [indices], .member and [indices] of members
+    while True:  # [indices] of the variable, then any number of .member, each with its own [indices]
         next_offset = after_blanks(text, end, stop)
         if indices is None and not members and (index := _index(text, next_offset, stop)) is not None:
             indices, end = index
@@ -305,7 +315,10 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
 
 
 def _index(text: str, start: int, stop: int) -> tuple[tuple[Value, ...], int] | None:
-    """Return the index in the bracket at `start`, and the offset behind it; None if it does not match `_INDEX`."""
+    """Return the index in the bracket at `start`, and the offset behind the bracket; None if it is not that simple.
+
+    A simple index is one name or one whole number, see `_INDEX`.
+    """
     match = _INDEX.match(text, start, stop)
     if match is None:
         return None
@@ -313,34 +326,36 @@ def _index(text: str, start: int, stop: int) -> tuple[tuple[Value, ...], int] | 
     if match["number"]:
         return (Number(float(match["number"]), begin, end, True),), match.end()
     name = match["name"].upper()
-    return None if name in _WORDS else ((Reference(name, None, None, begin, end),), match.end())
+    return None if name in _VALUE_WORDS else ((Reference(name, None, None, begin, end),), match.end())
 
 
 def list_in(source: Source, start: int, stop: int) -> tuple[Value, ...]:
-    """Return the values between the commas of a list; an empty list has none.
+    """Return the values between the commas of a list; an empty tuple for an empty list.
+
+    A value that is left out, as in ``P[1,]``, is an `OpaqueText`.
 
     :raises ProgramError: brackets are not balanced.
     """
     text = source.text
     if text[start:stop].isalnum():
-        return (value_in(source, start, stop),)  # one name or number: so common that looking first is faster
+        return (value_in(source, start, stop),)  # one name or number, the most common case
     return tuple(
         value_in(source, begin, end) if text[begin:end].strip() else OpaqueText(begin, end)
         for begin, end in list_spans(source, start, stop)
     )
 
 
-def opaque_text(source: Source, start: int, stop: int, next_start: int = -1) -> OpaqueText:
+def opaque_text(source: Source, start: int, stop: int, excess_start: int = -1) -> OpaqueText:
     """Return a piece of code that is not understood, with the calls in it.
 
-    :param next_start: where the text that follows a value begins, see `OpaqueText`; −1 if there is no value.
+    :param excess_start: offset of the text that follows a readable value; −1 if the code does not begin with a value.
     :raises ProgramError: brackets are not balanced.
     """
-    return OpaqueText(start, stop, _calls_in(source, start, stop), next_start)
+    return OpaqueText(start, stop, _calls_in(source, start, stop), excess_start)
 
 
 def unreadable_text(source: Source, start: int, stop: int, error: ProgramError) -> UnreadableText:
-    """Return a piece of code that cannot be read, with the error and the calls in it."""
+    """Return a piece of code that cannot be read, with the error, and the calls in it if they can be read."""
     try:
         return UnreadableText(start, stop, error, _calls_in(source, start, stop))
     except ProgramError:
@@ -348,7 +363,7 @@ def unreadable_text(source: Source, start: int, stop: int, error: ProgramError) 
 
 
 def _calls_in(source: Source, start: int, stop: int) -> tuple[Call, ...]:
-    """Return the calls of routines in a piece of code, from left to right, without calls in their arguments.
+    """Return the calls of routines in a piece of code, from left to right. Arguments of these calls are not searched.
 
     :raises ProgramError: brackets are not balanced.
     """
@@ -360,24 +375,21 @@ def _calls_in(source: Source, start: int, stop: int) -> tuple[Call, ...]:
         value, end = operand(source, span.start, stop) if is_call else (None, start)
         if isinstance(value, Call):
             call_list.append(value)
-            start = end
+            start = end  # words in its arguments are before `start`
     return tuple(call_list)
 
 
 def _is_routine(name: str) -> bool:
-    """Return whether a name before a bracket may be that of a routine, and not of a function of the controller."""
+    """Return whether a name, upper case, before a bracket may be a routine of a program, not of the controller."""
     return "$" not in name and name not in RESERVED and name not in PURE
 
 
 def calls(values: Iterable[Value]) -> list[Call]:
-    """Return the calls of routines and functions in values, from left to right, also those inside others.
-
-    :raises ProgramError: brackets are not balanced.
-    """
+    """Return the calls of routines and functions in values, from left to right, each before those in its arguments."""
     call_list: list[Call] = []
     for value in values:
         if isinstance(value, _LEAVES) or (isinstance(value, Reference) and not value.indices and not value.inner):
-            continue  # nearly all of them
+            continue  # nearly all values: they contain no others
         if isinstance(value, Call) and _is_routine(value.name):
             call_list.append(value)
         if inner := parts(value):
@@ -387,6 +399,8 @@ def calls(values: Iterable[Value]) -> list[Call]:
 
 def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
     """Return the aggregate whose ``{`` is at `start`.
+
+    Its components are read in three ways, the fastest first: a pose of six numbers, a number, any value.
 
     :raises ProgramError: it is not closed, a comma or a component's name is missing, a component is given twice, a
         number is not finite.
@@ -401,7 +415,7 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
             literal = match["number"]
             name, has_next, position = match["name"].upper(), match["comma"] is not None, match.end()
             number = float(literal)
-            if number - number != 0.0:  # it is not finite
+            if number - number != 0.0:  # infinite; raises with the place
                 number = _finite(source, match, "number")
             value: Value = Number(number, *match.span("number"), literal.lstrip("+-").isdigit())
         else:
@@ -417,8 +431,8 @@ class _Components(NamedTuple):
     """The first components of an aggregate.
 
     :ivar items: component, upper case → value.
-    :ivar has_next: whether another component follows: behind a comma, or as the first one.
-    :ivar stop: offset behind them and that comma.
+    :ivar has_next: True if another component follows.
+    :ivar stop: offset behind these components and the comma that follows.
     """
 
     items: dict[str, Value]
@@ -427,9 +441,11 @@ class _Components(NamedTuple):
 
 
 def _pose(text: str, start: int, stop: int) -> _Components:
-    """Return X, Y, Z, A, B, C of an aggregate that begins with them, all as finite numbers; for others no components.
+    """Return X, Y, Z, A, B, C of an aggregate that begins with these six as finite numbers in this order.
 
-    :param start: offset of the brace.
+    No components for any other aggregate.
+
+    :param start: offset of the opening brace.
     """
     match = _POSE.match(text, start, stop)
     if match is None:
@@ -438,7 +454,7 @@ def _pose(text: str, start: int, stop: int) -> _Components:
     for name in "XYZABC":
         literal = match[name]
         number = float(literal)
-        if number - number != 0.0:  # it is not finite; faster than a call of math.isfinite
+        if number - number != 0.0:  # infinite; faster than a call of math.isfinite
             return _Components({}, True, start + 1)
         items[name] = Number(number, *match.span(name), literal.lstrip("+-").isdigit())
     has_comma = match["sign"] == ","
@@ -449,8 +465,8 @@ class _Component(NamedTuple):
     """A component of an aggregate.
 
     :ivar name: upper case.
-    :ivar has_comma: whether a comma follows it.
-    :ivar stop: offset behind it and that comma.
+    :ivar has_comma: True if a comma follows it.
+    :ivar stop: offset behind the component and this comma.
     """
 
     name: str
@@ -462,8 +478,8 @@ class _Component(NamedTuple):
 def _component(source: Source, opening: int, position: int, stop: int) -> _Component:
     """Return a component of an aggregate that is not a plain number.
 
-    :param opening: offset of the brace; `position` that of the component.
-    :raises ProgramError: it has no name, no value or no comma after it, or is not finite.
+    :param opening: offset of the opening brace; `position` the offset of the component.
+    :raises ProgramError: the component has no name, no value or no comma after it, or is not finite.
     """
     text = source.text
     match = ITEM_NAME.match(text, position, stop)
@@ -487,8 +503,9 @@ def _component(source: Source, opening: int, position: int, stop: int) -> _Compo
 def _raise_aggregate_error(source: Source, opening: int, position: int, stop: int, problem: str) -> NoReturn:
     """Raise the error in an aggregate.
 
-    :param opening: offset of its ``{``; `position` that of the problem.
-    :raises ProgramError: the brace is not closed; if it is, for `problem`.
+    :param opening: offset of its ``{``; `position` the offset of the problem.
+    :param problem: message if the brace is closed.
+    :raises ProgramError: always. A brace that is not closed is named as the problem in place of `problem`.
     """
     if after_blanks(source.text, position, stop) >= stop or "}" not in source.text[position:stop]:
         raise source.error("the brace { is not closed", opening, "Check that the file is complete.")
@@ -514,7 +531,7 @@ def _finite(source: Source, match: re.Match[str], group: str | int = 0) -> float
 def closing_bracket(source: Source, start: int, stop: int) -> int:
     """Return the offset of the bracket that closes the one at `start`; brackets in strings do not count.
 
-    :raises ProgramError: there is none before `stop`, or brackets are nested too deeply.
+    :raises ProgramError: no bracket closes it before `stop`, or brackets are nested too deeply.
     """
     text = source.text
     closing_signs: list[str] = []
@@ -525,11 +542,11 @@ def closing_bracket(source: Source, start: int, stop: int) -> int:
             offset = text.find('"', offset + 1, stop)
             if offset < 0:
                 break
-        elif char in _PAIRS:
-            closing_signs.append(_PAIRS[char])
-            if len(closing_signs) > _DEEPEST:
+        elif char in _CLOSING_BRACKETS:
+            closing_signs.append(_CLOSING_BRACKETS[char])
+            if len(closing_signs) > _MAX_DEPTH:
                 raise source.error(
-                    f"more than {_DEEPEST} brackets are nested", start, "Write it as several statements."
+                    f"more than {_MAX_DEPTH} brackets are nested", start, "Write it as several statements."
                 )
         elif char in ")]}":
             if closing_signs.pop() != char:
@@ -541,7 +558,7 @@ def closing_bracket(source: Source, start: int, stop: int) -> int:
 
 
 def list_spans(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
-    """Return the spans between the commas of a list, (first offset, offset behind); an empty list has none.
+    """Return the spans between the commas of a list: (first offset, offset behind); no spans for an empty list.
 
     Commas in brackets and strings do not count.
 
@@ -552,7 +569,7 @@ def list_spans(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
     begin = offset = start
     while offset < stop:
         char = text[offset]
-        if char in _PAIRS:
+        if char in _CLOSING_BRACKETS:
             offset = closing_bracket(source, offset, stop)
         elif char == '"':
             offset = text.find('"', offset + 1, stop)
@@ -568,13 +585,15 @@ def list_spans(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
 
 
 def value_end(source: Source, start: int, stop: int) -> int:
-    """Return the offset behind a value that is not parsed: of a comma or closing bracket outside of its own brackets.
+    """Return the offset behind a value that is not parsed: of the first comma or closing bracket outside brackets.
+
+    `stop` if there is none, or if a string is not closed.
 
     :raises ProgramError: one of its brackets is not closed.
     """
     text, offset = source.text, start
     while offset < stop and text[offset] not in ",)]}":
-        if text[offset] in _PAIRS:
+        if text[offset] in _CLOSING_BRACKETS:
             offset = closing_bracket(source, offset, stop)
         elif text[offset] == '"':
             offset = text.find('"', offset + 1, stop)

@@ -25,9 +25,9 @@ class Point(Struct, frozen=True, eq=False):
     """One point of a motion statement.
 
     :param position: its numbers, as far as they are given.
-    :param start: offset in the file of the statement where its text begins.
+    :param start: offset of its text in the file of the statement.
     :param stop: offset behind its text.
-    :param name: variable (upper case) when it is named by itself, else empty: a literal or a chain.
+    :param name: variable (upper case) that the statement names as the point; empty for a literal or a chain.
     """
 
     position: Position
@@ -72,12 +72,15 @@ class MotionStatement(Struct, frozen=True, eq=False):
 
     @property
     def is_via_incomplete(self) -> bool:
-        """Whether the auxiliary point omits X, Y or Z; they are those of the start of the circle."""
-        return self.via is not None and any(value != value for value in self.via.position.values[:3])
+        """Whether the auxiliary point omits X, Y or Z: the controller keeps the value at the start of the circle."""
+        return self.via is not None and any(value != value for value in self.via.position.values[:3])  # NaN
 
     @property
     def is_plain(self) -> bool:
-        """Whether its points are Cartesian, with their numbers in the line: such lines are read all at once."""
+        """Whether the motion is absolute and has Cartesian points whose numbers are in the line, and no CA.
+
+        Such lines are read in bulk.
+        """
         is_inline = self.end.is_inline and (self.via is None or self.via.is_inline)
         return (
             is_inline
@@ -96,12 +99,12 @@ class Trigger(Struct, frozen=True):
 
     :param line: 1-based row of the execution trace.
     :param row: motion that it refers to.
-    :param is_attached: only comments and other TRIGGERs are between it and its motion.
-    :param from_start: whether its distance counts from the start of the motion, not from the end.
+    :param is_attached: True if only comments and other TRIGGERs are between it and its motion.
+    :param from_start: True if its distance counts from the start of the motion, False if from the end.
     :param offset: distance along the path [m]; NaN when it is not a number.
     :param path_span: span of the number of PATH in its file; None for DISTANCE.
     :param delay: DELAY [s]; NaN when it is not a number.
-    :param length: of its motion along the path [m].
+    :param length: length of its motion along the path [m].
     """
 
     line: int
@@ -119,7 +122,7 @@ def triggers(trace: Trace, rows: Sequence[tuple[int, int, bool]], length: Array)
 
     CONST_VEL and STOP WHEN PATH count as triggers at the start or the end of their motion.
 
-    :param rows: `line`, `row` and `is_attached` of each of n triggers, see `Trigger`.
+    :param rows: `line`, `row` and `is_attached` of n triggers, see `Trigger`.
     :param length: (n,) lengths of their motions along the path [m].
     """
     for (line, row, is_attached), path_length in zip(rows, length.tolist(), strict=True):
@@ -147,7 +150,10 @@ class _Switching(NamedTuple):
 
 
 def _switching_of(node: tree.Statement) -> _Switching:
-    """Return where and when a trigger switches; NaN for what is not a number."""
+    """Return where and when a trigger switches; distance and delay are NaN if they are not numbers.
+
+    Both are NaN too for a statement that is not understood, and the distance for DISTANCE other than 0 and 1.
+    """
     if isinstance(node, tree.SplineTiming):
         return _Switching(node.from_start, offset=0.0, path_span=None, delay=0.0)
     if not isinstance(node, tree.Trigger) or node.value is None or node.delay is None:

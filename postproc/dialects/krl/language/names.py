@@ -1,4 +1,4 @@
-"""Names of KRL: what the controller accepts, and what it keeps for itself."""
+"""Names of KRL: which names the controller accepts, and which words are reserved."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MOTIONS = words("LIN PTP CIRC SLIN SPTP SCIRC SPL")
 MOTION_WORDS = MOTIONS | {f"{word}_REL" for word in MOTIONS}
 
 CIRCLES = ("CIRC", "SCIRC")
-"""Those with an auxiliary point."""
+"""Motion instructions with an auxiliary point."""
 
 FRAMES = ("#BASE", "#TOOL")
 """Axes in which the target of a relative motion is given."""
@@ -39,7 +39,7 @@ SPLINES = {"SPLINE": ("SPL", "SLIN", "SCIRC"), "PTP_SPLINE": ("SPTP",)}
 """Spline blocks, and the instructions that may be in them; ENDSPLINE closes both."""
 
 OPENING = {"FOR": "ENDFOR", "WHILE": "ENDWHILE", "LOOP": "ENDLOOP", "IF": "ENDIF", "SWITCH": "ENDSWITCH"}
-"""Control structures and the word that closes them; REPEAT … UNTIL besides."""
+"""Control structures and the word that closes each; REPEAT … UNTIL is not among them."""
 
 TYPES = words("INT REAL BOOL CHAR FRAME POS E6POS E3POS AXIS E6AXIS E3AXIS")
 """Predefined types, which need no DECL."""
@@ -69,8 +69,8 @@ STANDARD = words(
 """Programs and functions of the controller that neither move the robot nor change more than their arguments."""
 
 SYNCHRONISING = words("SYNCCMD $SYNC_ID $SYNC_LIST")
-"""What synchronises a robot with others (KUKA.RoboTeam): the program `SYNCCMD`, and the variables of motions that are
-driven with those of the others.
+"""Names that synchronise a robot with others (KUKA.RoboTeam): the program `SYNCCMD`, and the variables of
+synchronised motions.
 """
 BY_SENSOR = words("RSI_ON RSI_MOVECORR ST_ON ST_ON1")
 """Routines of KUKA.RobotSensorInterface by which a sensor moves the robot; none has a .src to read."""
@@ -91,7 +91,7 @@ RESERVED = (
 
 
 def fault_of(name: str) -> str | None:
-    """Return why the controller would refuse a name for a program or a point, or None if it would not.
+    """Return the reason why the controller refuses a name of a program or a point; None if it accepts the name.
 
     >>> fault_of("PART_1"), fault_of("1001")
     (None, 'it does not begin with a letter or underscore')
@@ -124,30 +124,30 @@ def valid_name(name: str) -> str:
 
 
 def unused_name(name: str, used_names: Iterable[str]) -> str:
-    """Return a valid name not among `used_names` (upper case): the given one with ``_2``, ``_3`` … behind it."""
+    """Return a name that is not among `used_names` (upper case): `name`, shortened if needed, with ``_2``, ``_3`` …"""
     return Names(set(used_names)).unused_name(name)
 
 
 class Names:
-    """New names, none of which is taken.
+    """New names that are not in use.
 
-    :param used_names: names that they must not have, upper case; new ones are added.
+    :param used_names: names in use, upper case; `unused_name` adds each new name.
     """
 
     def __init__(self, used_names: set[str]) -> None:
-        """Collect names that are in use; `_next` has the number to try next for each name."""
+        """Begin with the names that are in use."""
         self.used_names = used_names
-        self._next: dict[str, int] = {}
+        self._next_number: dict[str, int] = {}  # name, upper case → number to try next
 
     def unused_name(self, name: str) -> str:
-        """Return a valid name that is not taken, and take it: the given one with ``_2``, ``_3`` … behind it."""
-        number = self._next.get(name.upper(), 2)
+        """Return a new name, and add it to `used_names`: `name`, shortened if necessary, with ``_2``, ``_3`` …"""
+        number = self._next_number.get(name.upper(), 2)
         while True:
             tail = f"_{number}"
             candidate = name[: MAX_LENGTH - len(tail)] + tail
             number += 1
             if candidate.upper() not in self.used_names:
                 break
-        self._next[name.upper()] = number
+        self._next_number[name.upper()] = number
         self.used_names.add(candidate.upper())
         return candidate

@@ -82,7 +82,7 @@ def statement(source: Source, line: int) -> Statement:
 
 
 def statement_at(source: Source, line: int, start: int, stop: int) -> Statement:
-    """Return what `statement` does, if the span of the code of the line is known."""
+    """Return the statement on a 1-based line whose code has the span `start`, `stop`; the result is stored."""
     node = source.statements.get(line)
     if node is None:
         node = source.statements[line] = statement_in(source, start, stop)
@@ -92,7 +92,7 @@ def statement_at(source: Source, line: int, start: int, stop: int) -> Statement:
 class _Code(NamedTuple):
     """The code of one statement.
 
-    :ivar word: its first word, upper case; if that is GLOBAL, the second.
+    :ivar word: its first word, upper case; if this is GLOBAL, its second word.
     :ivar start: offset at which the statement begins, GLOBAL included.
     :ivar word_start: offset of `word`.
     :ivar stop: offset behind the statement.
@@ -140,7 +140,7 @@ def _unparsed_code(source: Source, start: int, stop: int) -> Value | None:
 
 
 def _ordinary_statement(code: _Code) -> Statement:
-    """Return a statement that no key word begins: an assignment, a call, a label, or a declaration without DECL.
+    """Return a statement that does not begin with a key word: assignment, call, label or declaration without DECL.
 
     Anything else is a plain `Statement`.
 
@@ -166,11 +166,16 @@ def _ordinary_statement(code: _Code) -> Statement:
     return Statement(word, start, stop, code=_unparsed_code(source, word_start, stop))
 
 
-# --- what declares ---------------------------------------------------------------------------------------------------
+# --- declarations ----------------------------------------------------------------------------------------------------
 
 
 def _definition(code: _Code) -> Statement:
-    """Return DEF or DEFFCT with name, type of the result and parameters; a plain `Statement` without a name."""
+    """Return DEF or DEFFCT with name, type of the result and parameters.
+
+    Without a name, or without a type behind DEFFCT, the result is that of `_ordinary_statement`.
+
+    :raises ProgramError: brackets are not balanced.
+    """
     source, word, start, _, stop = code
     text, name_start, result_type = source.text, after_blanks(source.text, code.word_stop, stop), ""
     if word == "DEFFCT":
@@ -198,9 +203,11 @@ def _definition(code: _Code) -> Statement:
 
 
 def _parameters(text: str, start: int, stop: int) -> tuple[Parameter, ...]:
-    """Return the parameters in the brackets of a DEF; a bracket that is not closed ends with the statement.
+    """Return the parameters in the brackets of a DEF; no parameters without brackets.
 
-    :param start: offset behind the name of the routine; `stop` that behind the statement.
+    A bracket that is not closed ends with the statement.
+
+    :param start: offset behind the name of the routine; `stop` the offset behind the statement.
     """
     bracket = after_sign(text, start, stop, "(")
     if bracket < 0:
@@ -219,7 +226,8 @@ def _parameter(text: str) -> Parameter | None:
     bracket = after_sign(text, begin + len(name), stop, "[")
     end = text.find("]", bracket) + 1 if bracket >= 0 else begin + len(name)
     colon = after_sign(text, end, stop, ":")
-    return Parameter(name, colon >= 0 and after_word(text, colon, stop, "IN") >= 0, bracket >= 0)
+    is_input = colon >= 0 and after_word(text, colon, stop, "IN") >= 0
+    return Parameter(name, is_input, bracket >= 0)
 
 
 def _is_declaration(text: str, start: int, stop: int) -> bool:
@@ -254,23 +262,23 @@ def _declaration(code: _Code) -> Statement:
 
 
 def _cyclic_input(code: _Code) -> Statement:
-    """Return ANIN ON, DIGIN ON or SIGNAL with its name; without a name, what `_idle_declaration` returns."""
+    """Return ANIN ON, DIGIN ON or SIGNAL with its name; without ON or a name, the result of `_idle_declaration`."""
     text, position = code.source.text, code.word_stop
     if code.word != "SIGNAL":
         position = after_word(text, position, code.stop, "ON")
     name_start = after_blanks(text, position, code.stop)
-    name = word_at(text, name_start, code.stop) if 0 <= position < name_start else ""
+    name = word_at(text, name_start, code.stop) if 0 <= position < name_start else ""  # a blank must precede the name
     return CyclicInput(code.word, code.start, code.stop, name) if name else _idle_declaration(code)
 
 
 def _idle_declaration(code: _Code) -> Statement:
-    """Return a declaration that does nothing, such as EXT; a plain statement if the word is none of those."""
-    kind = IdleDeclaration if code.word in DECLARATIONS else Statement
-    return kind(code.word, code.start, code.stop)
+    """Return a declaration that does nothing, such as EXT; a plain statement if its word is not in `DECLARATIONS`."""
+    node_type = IdleDeclaration if code.word in DECLARATIONS else Statement
+    return node_type(code.word, code.start, code.stop)
 
 
 def _import(code: _Code) -> Statement:
-    """Return ``IMPORT type name IS /R1/file..original``; an `IdleDeclaration` if it reads otherwise."""
+    """Return ``IMPORT type name IS /R1/file..original``; an `IdleDeclaration` for an IMPORT of any other form."""
     text, stop = code.source.text, code.stop
     kind = NAME.match(text, after_blanks(text, code.word_stop, stop), stop)
     name = NAME.match(text, after_blanks(text, kind.end(), stop), stop) if kind else None
@@ -282,13 +290,16 @@ def _import(code: _Code) -> Statement:
     return Import(code.word, code.start, stop, name=name[0].upper(), original=original[0].upper(), file=file)
 
 
-# --- what moves and what follows it ----------------------------------------------------------------------------------
+# --- motions and events ----------------------------------------------------------------------------------------------
 
 
 def _motion(code: _Code) -> Statement:
-    """Return a motion: its points, CA, the axes of a relative target, WITH and approximation."""
+    """Return a motion: its points, CA, the axes of a relative target, WITH and approximation.
+
+    If a point cannot be read, it is an `UnreadableText`, and the text behind it is not read.
+    """
     source, word, start, _, stop = code
-    text, position = source.text, code.word_stop  # −1 once a point cannot be read
+    text, position = source.text, code.word_stop  # `position` is −1 once a point cannot be read
     via = end = angle = None
     is_circle = word.removesuffix("_REL") in CIRCLES
     if is_circle:
@@ -315,7 +326,7 @@ class _RelativeAxes(NamedTuple):
     """The axes of a relative motion, and the bounds of its tail.
 
     :ivar frame: ``#BASE`` or ``#TOOL``; empty if it is not given.
-    :ivar span: of these words if they follow the approximation, else None.
+    :ivar span: span of ``#BASE`` or ``#TOOL`` if it follows the approximation, else None.
     :ivar tail_start: offset at which WITH and approximation begin; `tail_stop` is behind them.
     """
 
@@ -326,9 +337,9 @@ class _RelativeAxes(NamedTuple):
 
 
 def _relative_axes(text: str, start: int, stop: int) -> _RelativeAxes:
-    """Return the axes of a ``_REL`` motion, which are before or behind its approximation.
+    """Return the axes of a ``_REL`` motion, which are before or behind its approximation; no axes for unknown ones.
 
-    :param start: offset behind the points of the motion; `stop` that behind the statement.
+    :param start: offset behind the points of the motion; `stop` the offset behind the statement.
     """
     frame_start = after_blanks(text, start, stop)
     if frame_start < stop and text[frame_start] == "#":
@@ -353,12 +364,12 @@ def _point(source: Source, start: int, stop: int) -> tuple[Value, int]:
 
 
 def is_approximated(text: str) -> bool:
-    """Return whether a motion, or the end of one, has a word of approximation: C_DIS, C_VEL …"""
+    """Return whether the text of a motion, or the end of such a text, contains an approximation such as C_DIS."""
     return any(word in APPROXIMATIONS for word, _ in words_in(text, 0, len(text)))
 
 
 def _is_approximation(text: str, start: int, stop: int) -> bool:
-    """Return whether the last word of a piece of code is that of an approximation."""
+    """Return whether a piece of code ends with a word such as C_DIS."""
     words = list(words_in(text, start, stop))
     if not words:
         return False
@@ -367,13 +378,16 @@ def _is_approximation(text: str, start: int, stop: int) -> bool:
 
 
 def tail_in(source: Source, start: int, stop: int) -> Tail:
-    """Return what follows the points of a motion, or the word SPLINE: WITH and approximation."""
+    """Return WITH and approximation, which follow the points of a motion or the word SPLINE.
+
+    If WITH cannot be read, `Tail.error` says why; other text before the approximation is `Tail.unknown_text`.
+    """
     text = source.text
     plain_words = text[start:stop].upper().split()
-    if APPROXIMATIONS.issuperset(plain_words):  # nearly all of them
+    if APPROXIMATIONS.issuperset(plain_words):  # nearly all tails, also the empty one
         return Tail(start, stop, start, approximation=tuple(plain_words))
     words: list[str] = []
-    end = stop  # of what precedes the approximation
+    end = stop  # of the text before the approximation
     all_words = list(words_in(text, start, stop))
     for word, span in reversed(all_words):
         if word not in APPROXIMATIONS or text[span.stop : end].strip():
@@ -381,7 +395,8 @@ def tail_in(source: Source, start: int, stop: int) -> Tail:
         words.insert(0, word)
         end = span.start
     head = _stripped_span(text, start, end)
-    with_end = after_word(text, start, head.stop, "WITH") if len(all_words) > len(words) else -1
+    has_other_words = len(all_words) > len(words)
+    with_end = after_word(text, start, head.stop, "WITH") if has_other_words else -1
     if with_end < 0:
         unknown_text = head if head.start < head.stop else None
         return Tail(start, stop, head.stop, approximation=tuple(words), unknown_text=unknown_text)
@@ -416,7 +431,7 @@ def _end_spline(code: _Code) -> Statement:
 
 
 def _spline_timing(code: _Code) -> Statement:
-    """Return CONST_VEL, TIME_BLOCK or STOP WHEN PATH, and whether it has all that its form requires."""
+    """Return CONST_VEL, TIME_BLOCK or STOP WHEN PATH, complete or not."""
     text, stop = code.source.text, code.stop
     from_start = key_word(text, code.word_start, stop, "ONSTART") is not None
     unparsed_code = _unparsed_code(code.source, code.word_stop, stop)
@@ -424,7 +439,7 @@ def _spline_timing(code: _Code) -> Statement:
 
 
 def _is_complete_timing(code: _Code) -> bool:
-    """Return whether a statement on the speed of spline motions has all that its form requires.
+    """Return whether CONST_VEL, TIME_BLOCK or STOP WHEN PATH has all that its form requires.
 
     The forms are ``CONST_VEL START|END = …``, ``TIME_BLOCK START``, ``TIME_BLOCK PART [= …]``, ``TIME_BLOCK END = …``,
     and ``STOP WHEN PATH = … IF condition``.
@@ -449,7 +464,7 @@ def _is_complete_timing(code: _Code) -> bool:
 
 
 def _event(code: _Code) -> Statement:
-    """Return INTERRUPT or TRIGGER with the statement behind DO."""
+    """Return INTERRUPT or TRIGGER with the statement behind DO, if there is one."""
     source, word, start, word_start, stop = code
     do = key_word(source.text, word_start, stop, "DO")
     head = Span(word_start, stop if do is None else do.start)
@@ -468,9 +483,11 @@ def _event(code: _Code) -> Statement:
 
 
 def _trigger(code: _Code, head: Span, action: Statement | None) -> Trigger:
-    """Return ``TRIGGER WHEN DISTANCE|PATH = value [ONSTART] DELAY = time DO …``; without values if it reads otherwise.
+    """Return ``TRIGGER WHEN DISTANCE|PATH = value [ONSTART] DELAY = time DO …``.
 
-    :param head: span of what precedes DO.
+    A TRIGGER of any other form has no value and no delay.
+
+    :param head: span of the code before DO.
     :param action: the statement behind DO; None without one.
     """
     source, word, start, _, stop = code
@@ -514,7 +531,7 @@ def _stripped_span(text: str, start: int, stop: int) -> Span:
 
 
 def _if(code: _Code) -> Statement:
-    """Return IF with its condition, and the text behind THEN."""
+    """Return IF with its condition and the text behind THEN; without a condition or THEN if they are missing."""
     text, begin, stop = code.source.text, code.word_stop, code.stop
     then_word = key_word(text, begin, stop, "THEN")
     head = _stripped_span(text, begin, stop if then_word is None else then_word.start)
@@ -553,7 +570,10 @@ _FOR_ADVICE = "Write FOR counter=first TO last STEP step; STEP may be left out."
 
 
 def _for(code: _Code) -> Statement:
-    """Return ``FOR counter = first TO last STEP step``; `For.error` says why it cannot be read."""
+    """Return ``FOR counter = first TO last STEP step``.
+
+    If it cannot be read, counter and bounds are None, and `For.error` gives the reason, if there is one.
+    """
     source, text, stop = code.source, code.source.text, code.stop
     begin = after_blanks(text, code.word_stop, stop)
     name = word_at(text, begin, stop) if begin > code.word_stop else ""
@@ -580,7 +600,7 @@ def _for(code: _Code) -> Statement:
 
 
 def _bounds(source: Source, start: int, stop: int) -> Bounds | None:
-    """Return the bounds of a FOR from ``first TO last STEP step``, STEP being optional; None for other code.
+    """Return the bounds of a FOR from ``first TO last STEP step``, where STEP is optional; None for other code.
 
     :raises ProgramError: one of the values cannot be read.
     """

@@ -1,11 +1,11 @@
 """One program in several files: `part1.src`, `part2.src` … called one after the other by `partMain.src`.
 
-Such files are read, corrected and written as one text. The lines that only divide it (headers, DEF, END, calls) are
-comments there, with a mark before them, so that every line keeps its place, counted on from file to file, and the text
-can be taken apart again to the byte.
+Such files are read, corrected and written as one text. Lines that only divide the program (headers, DEF, END, calls)
+become comments in the joined text: a mark precedes them. So the joined text has all lines of the files, and can be
+separated again to the byte.
 
-Its own routines, which all parts see, are in further files of the series that no program calls: `part4.src` … . A
-comment in each names the program; its first routine, which has the name of the file, is empty.
+Routines that all parts call are in further files of the series, `part4.src` …, that no program calls. A comment in each
+names the program; its first routine, which has the name of the file, is empty.
 """
 
 from __future__ import annotations
@@ -27,47 +27,52 @@ from postproc.errors import ProgramError
 from postproc.program import Document, UnresolvedMotion
 
 MAIN = "Main"
-"""What the name of the program that calls the others ends with."""
+"""End of the name of the main program, which calls the others."""
 _DIVIDES, _BEGINS, _UNENDED = ";\x01", ";\x02", ";\x03"
-"""Before lines that only divide; before the first line of each file but the main one; before a last one without end."""
-_END = "END ;\x04\r\n"
-"""Added to the joined text if no routines follow its parts: it has no END of its own then."""
+"""Marks in the joined text: before lines that only divide it, before the first line of each file but the main file, and
+before a last line without line end.
+"""
+_ADDED_END = "END ;\x04\r\n"
+"""END of the joined text, if no files with routines follow the parts: the END of each part is a comment."""
 _DIGITS = "0123456789"
 _UNENDED_LINE = re.compile(f"{_UNENDED}([^\r\n]*)\n")
 _PART_OF = re.compile(r"^;POSTPROC[ \t]+\d+[ \t]+part=\d+[ \t]+of=([\w$]+)[ \t]*\r?$", re.MULTILINE | re.ASCII)
 
 
 class JoinedProgram(Struct, frozen=True, eq=False):
-    """A program in several files as one.
+    """A program in several files as one text.
 
-    :param documents: its `.src` as one text, and one `.dat` if any of the files has one.
-    :param files: name of each `.src` and the number that its first line has in the one text.
+    :param documents: the joined `.src`, and one joined `.dat` if any of the files has a `.dat`.
+    :param files: name of each `.src`, and the number of its first line in the joined text.
     """
 
     documents: tuple[Document, ...]
     files: tuple[tuple[str, int], ...]
 
     def place(self, file: str, line: int) -> tuple[str, int]:
-        """Return the name of the file, and the line in it, that a line of the joined text or of another file is."""
+        """Return the file and the line from which a line comes: a line of the joined text, or of another file.
+
+        Lines of other files are returned unchanged.
+        """
         if file != self.documents[0].name:
             return file, line
         name, first = next((name, first) for name, first in reversed(self.files) if first <= line)
         return name, line + 1 - first
 
     def motion_in_file(self, motion: UnresolvedMotion) -> UnresolvedMotion:
-        """Return an uncorrected motion with its file and its line there, instead of those of the joined text."""
+        """Return an uncorrected motion with the file and the line from which its line of the joined text comes."""
         file, line = self.place(motion.file, motion.line)
         return replace(motion, file=file, line=line)
 
     def error_in_file(self, error: ProgramError) -> ProgramError:
-        """Return an error in a line of the joined text as one in the file that the line comes from.
+        """Return an error with the file and the line from which its line of the joined text comes.
 
-        Errors that were raised together with it are changed alike; those in other files stay as they are.
+        `further_errors` are changed in the same way. Errors in other files keep their file and line.
         """
         file, line = error.file, error.line
         if line is not None and file is not None:
             file, line = self.place(file, line)
-        marks = "".join((_DIVIDES, _BEGINS, _UNENDED))  # of lines of the joined text
+        marks = "".join((_DIVIDES, _BEGINS, _UNENDED))  # characters before lines of the joined text
         text = None if error.text is None else error.text.lstrip(marks)
         later_errors = [
             self.error_in_file(later_error)
@@ -80,10 +85,10 @@ class JoinedProgram(Struct, frozen=True, eq=False):
 
 
 def called_parts(main: Document) -> list[tuple[str, int]]:
-    """Return the programs that a main program calls one after the other at its end.
+    """Return the parts of a program: the programs that its main program calls one after the other at its end.
 
-    :returns: name of each, as the call spells it, and line of the call; none if the file is not the main program of
-        several files.
+    :returns: name of each part, as the call spells it, and line of the call, in order. Empty if the file is not the
+        main program of several files: its calls must name ``part1``, ``part2`` … without a gap.
     """
     stem = PurePath(main.name).stem
     if not stem.lower().endswith(MAIN.lower()) or len(stem) == len(MAIN):
@@ -107,10 +112,12 @@ def called_parts(main: Document) -> list[tuple[str, int]]:
 
 
 def files_of_routines(main: Document, find: Callable[[str], Document | None]) -> list[Document]:
-    """Return the files with the routines of a program in several files: they follow those that it calls.
+    """Return the files with the routines of a program in several files; their numbers follow those of the parts.
 
-    :param main: its main program.
-    :param find: returns a file by its name, None if there is none.
+    Empty if the program is in one file.
+
+    :param main: the main program.
+    :param find: returns a file by its name; None if there is no such file.
     """
     files: list[Document] = []
     stem, calls = PurePath(main.name).stem, called_parts(main)
@@ -130,10 +137,10 @@ def stated_main_program(document: Document) -> str | None:
 
 
 def joined_program(documents: Sequence[Document]) -> JoinedProgram | None:
-    """Return the files of a program as one; None if it is a program of one file.
+    """Return the files of a program as one; None if it is in one file, or if none of its parts is in `documents`.
 
-    :param documents: the main program first, the others in any order.
-    :raises ProgramError: a file is missing, or cannot be one of several.
+    :param documents: the main program first, the other files in any order.
+    :raises ProgramError: some of the parts are missing, or a file cannot be a part of a program.
     """
     main, *other_files = documents
     calls = called_parts(main)
@@ -151,7 +158,7 @@ def joined_program(documents: Sequence[Document]) -> JoinedProgram | None:
         *(_part_text(part) for part in parts[:-1]),
         _part_text(parts[-1], ends=bool(routine_files)),
         *(_part_text(file, has_routines=True) for file in routine_files),
-        "" if routine_files else _END,
+        "" if routine_files else _ADDED_END,
     ]
     sources = (main, *parts, *routine_files)
     stems = [PurePath(document.name).stem.lower() for document in sources]
@@ -161,7 +168,7 @@ def joined_program(documents: Sequence[Document]) -> JoinedProgram | None:
 
 
 def _files_with_first_lines(documents: Sequence[Document]) -> Iterator[tuple[str, int]]:
-    """Yield the name of each of some files, and the number that its first line has if they are one text."""
+    """Yield the name of each file, and the number of its first line in the joined text."""
     first = 1
     for document in documents:
         yield document.name, first
@@ -169,22 +176,22 @@ def _files_with_first_lines(documents: Sequence[Document]) -> Iterator[tuple[str
 
 
 def separated_texts(text: str) -> list[str]:
-    """Return the texts of the files that one text was joined from, the main one first.
+    """Return the texts of the files from which a text was joined, the main file first.
 
-    Marks that `joined_program` put before lines, and the END that it added, are removed.
+    Marks and END that `joined_program` added are removed.
     """
-    pieces = text.removesuffix(_END).split(_BEGINS)
+    pieces = text.removesuffix(_ADDED_END).split(_BEGINS)
     return [_UNENDED_LINE.sub(r"\1", piece).replace(_DIVIDES, "") for piece in pieces]
 
 
 def _main_text(main: Document, calls: Sequence[int]) -> str:
-    """Return the text of the main program, with its calls and its END as comments.
+    """Return the text of the main program, with its calls of the parts and its END as comments.
 
-    :param calls: lines of the calls.
-    :raises ProgramError: a force comment is between the calls.
+    :param calls: lines of these calls, ascending.
+    :raises ProgramError: a force comment is between the calls; the file has other routines, or DEF has parameters.
     """
     source = Source.of(main, 0)
-    _def_line(source)  # refuses other routines
+    _def_line(source)  # raises if there are other routines or parameters
     for line in range(calls[0], len(source.starts) + 1):
         if FORCE.match(source.text[source.starts[line - 1] : source.stops[line - 1]].strip()):
             advice = "Write it into the program that is called."
@@ -194,11 +201,11 @@ def _main_text(main: Document, calls: Sequence[int]) -> str:
 
 
 def _part_text(part: Document, *, ends: bool = False, has_routines: bool = False) -> str:
-    """Return the text of a part, with its header, DEF and END as comments.
+    """Return the text of a part, with a mark of its beginning, and with header, DEF and END as comments.
 
-    :param ends: True if its END is that of the whole program, and stays.
-    :param has_routines: True if other routines follow its END.
-    :raises ProgramError: it has no END, or its DEF cannot be one of several.
+    :param ends: True for the last part before files with routines: its END stays, and ends the whole program.
+    :param has_routines: True for a file with routines: they follow the first END, which is that of its empty DEF.
+    :raises ProgramError: the file has no END, its DEF has parameters, or a part has several DEF.
     """
     source = Source.of(part, 0)
     begin = _def_line(source, has_routines=has_routines)
@@ -212,9 +219,10 @@ def _part_text(part: Document, *, ends: bool = False, has_routines: bool = False
 
 
 def _def_line(source: Source, *, has_routines: bool = False) -> int:
-    """Return the line of the DEF of a file; if it may have routines, that of the first.
+    """Return the line of the DEF of a file.
 
-    :raises ProgramError: there is another number of DEF, or it has parameters.
+    :param has_routines: True if the file may have several DEF: the line of the first is returned.
+    :raises ProgramError: the file has no DEF, has several without `has_routines`, or DEF has parameters.
     """
     def_lines = [source.line_at(routine.start) for routine in scan.routines(source.text)][: 1 if has_routines else None]
     if len(def_lines) != 1 or not _has_no_parameters(source, def_lines[0]):
@@ -232,15 +240,17 @@ def _has_no_parameters(source: Source, line: int) -> bool:
 
 
 def _is_end(source: Source, line: int) -> bool:
-    """Return whether a line is END alone."""
+    """Return whether the code of a line is END."""
     return source.text[slice(*source.code_span(line))].upper() == "END"
 
 
 def _marked_text(source: Source, lines: Sequence[int]) -> str:
-    """Return the text of a file with marks that make some of its lines comments, and with an end of its last line.
+    """Return the text of a file with marks that make some of its lines comments.
 
-    :param lines: 1-based, ascending.
-    :raises ProgramError: it contains control characters.
+    A last line without line end gets a mark and a line end.
+
+    :param lines: lines that become comments, 1-based, ascending.
+    :raises ProgramError: the text contains control characters that are used as marks.
     """
     if any(mark in source.text for mark in (_DIVIDES, _BEGINS, _UNENDED)):
         raise ProgramError(
@@ -262,11 +272,12 @@ def _marked_text(source: Source, lines: Sequence[int]) -> str:
 
 
 def _joined_data(main: Document, data: Sequence[Document]) -> Document:
-    """Return the data lists of all files as one, with each declaration once.
+    """Return the data lists of all files as one `.dat`; a declaration that several files have is in it once.
 
-    :raises ProgramError: two files give one name different values.
+    :param data: the `.dat` of the files, in their order.
+    :raises ProgramError: two files declare or initialise one name differently.
     """
-    lines: dict[str, str] = {}
+    lines: dict[str, str] = {}  # key of each line → its text; equal declarations have one key
     texts_of_name: dict[str, list[str]] = {}
     for document in data:
         lines_of_name: dict[str, list[DataLine]] = {}

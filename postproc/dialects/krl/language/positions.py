@@ -1,4 +1,4 @@
-"""Positions: what E6POS, POS, FRAME, E6AXIS and AXIS values say, whoever wrote them."""
+"""Positions: the numbers of E6POS, POS, FRAME, E6AXIS and AXIS values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CARTESIAN = ("X", "Y", "Z", "A", "B", "C")
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 COLUMNS = (*CARTESIAN, "S", "T")
-"""Components whose places in the text are kept."""
+"""Components whose spans in the text are kept."""
 _AXES = frozenset(AXES)
 _EXTERNAL = frozenset(EXTERNAL)
 _CARTESIAN_COMPONENTS = frozenset({*CARTESIAN, "S", "T", *EXTERNAL})
@@ -25,7 +25,7 @@ _AXIS_TAGS = ("", "E6AXIS", "E3AXIS", "AXIS")
 MAX_STATUS, MAX_TURN = 31, 63
 """S has five bits and T six, one for each joint (KSS, Status and Turn)."""
 LARGEST_COORDINATE = 1e6
-"""Largest coordinate [mm, deg] that is read: beyond it, numbers are slips."""
+"""Largest coordinate [mm, deg] that is read: larger numbers are typing errors."""
 LARGEST_B = 90.0
 """Controllers show B from −90° to 90°; beyond, a second set of angles describes the same orientation."""
 HALF_TURN = 180.0
@@ -36,12 +36,13 @@ _NAN = float("nan")
 class Position(Struct, frozen=True, eq=False):
     """A target or frame whose numbers are known.
 
-    :param values: X, Y, Z [mm], A, B, C [deg] for a Cartesian one, A1…A6 [deg] for an axis one; NaN where missing.
+    :param values: X, Y, Z [mm], A, B, C [deg] of a Cartesian position; A1…A6 [deg] of an axis position. NaN where a
+        component is missing.
     :param is_axis: True for A1…A6.
-    :param status: S; −1 where none is given.
-    :param turn: T; −1 where none is given.
-    :param external: E1…E6, NaN where missing; empty if all are.
-    :param aggregate: the text that holds these very numbers; None if they are the result of an operation.
+    :param status: S; −1 if it is not given.
+    :param turn: T; −1 if it is not given.
+    :param external: E1…E6, NaN where missing; empty if all are missing.
+    :param aggregate: the aggregate that contains these numbers as text; None if they are the result of an operation.
     """
 
     values: tuple[float, ...]
@@ -58,7 +59,7 @@ class Position(Struct, frozen=True, eq=False):
 
     @property
     def largest_coordinate(self) -> float:
-        """Its largest coordinate [mm, deg]; missing ones do not count."""
+        """Largest absolute value of a coordinate [mm, deg]; 0 if all are missing."""
         return max([abs(value) for value in self.values if value == value], default=0.0)
 
     def pose(self) -> Array:
@@ -67,9 +68,9 @@ class Position(Struct, frozen=True, eq=False):
 
 
 class NotANumberError(ProgramError):
-    """A component of a position is no number before the program runs.
+    """A component of a position is not known as a number before the program runs.
 
-    :ivar component: its name.
+    :ivar component: name of the component.
     """
 
     component = ""
@@ -83,20 +84,20 @@ def position_from_pose(pose: Array) -> Position:
 def position_from_aggregate(aggregate: Aggregate) -> Position:
     """Return the position that an aggregate gives.
 
-    :raises ProgramError: a component is unknown or not a number, axes and Cartesian components are mixed, S or T is
-        out of range.
+    :raises NotANumberError: a component is not a number.
+    :raises ProgramError: a component is unknown, axes and Cartesian components are mixed, S or T is out of range.
     """
     items = aggregate.items
-    axis = aggregate.tag in _AXIS_TAGS[1:] or not _AXES.isdisjoint(items)
-    components, tags = (_AXIS_COMPONENTS, _AXIS_TAGS) if axis else (_CARTESIAN_COMPONENTS, _CARTESIAN_TAGS)
+    is_axis = aggregate.tag in _AXIS_TAGS[1:] or not _AXES.isdisjoint(items)
+    components, tags = (_AXIS_COMPONENTS, _AXIS_TAGS) if is_axis else (_CARTESIAN_COMPONENTS, _CARTESIAN_TAGS)
     if aggregate.tag not in tags:
-        kind = "an axis position" if axis else "a Cartesian position"
+        kind = "an axis position" if is_axis else "a Cartesian position"
         raise aggregate.source.error(
             f"{aggregate.tag} is not the type of {kind}", aggregate.start, advice=f"Valid types: {', '.join(tags[1:])}."
         )
     values = [value.value for value in items.values() if isinstance(value, Number)]
     if len(values) == len(CARTESIAN) and tuple(items) == CARTESIAN and aggregate.tag in _CARTESIAN_TAGS:
-        return Position(tuple(values), aggregate=None if aggregate.is_computed else aggregate)  # nearly all of them
+        return Position(tuple(values), aggregate=None if aggregate.is_computed else aggregate)  # nearly all aggregates
     numbers = {}
     for name, value in items.items():
         if name not in components or not isinstance(value, Number):
@@ -105,8 +106,8 @@ def position_from_aggregate(aggregate: Aggregate) -> Position:
     get = numbers.get
     has_external = not _EXTERNAL.isdisjoint(numbers)
     return Position(
-        values=tuple([get(name, _NAN) for name in (AXES if axis else CARTESIAN)]),
-        is_axis=axis,
+        values=tuple([get(name, _NAN) for name in (AXES if is_axis else CARTESIAN)]),
+        is_axis=is_axis,
         status=_status_or_turn(aggregate, "S", get("S"), MAX_STATUS),
         turn=_status_or_turn(aggregate, "T", get("T"), MAX_TURN),
         external=tuple([get(name, _NAN) for name in EXTERNAL]) if has_external else (),
@@ -115,7 +116,10 @@ def position_from_aggregate(aggregate: Aggregate) -> Position:
 
 
 def _component_error(aggregate: Aggregate, name: str, components: frozenset[str]) -> ProgramError:
-    """Return the error for a component that a position cannot have, or that is not a number."""
+    """Return the error for a component that a position cannot have, or else the `NotANumberError` for the component.
+
+    :param components: components that the position may have.
+    """
     if name not in components:
         valid = ", ".join(
             component for component in (*AXES, *CARTESIAN, "S", "T", *EXTERNAL) if component in components
@@ -140,9 +144,10 @@ def _component_error(aggregate: Aggregate, name: str, components: frozenset[str]
 def _status_or_turn(aggregate: Aggregate, name: str, value: float | None, highest: int) -> int:
     """Return S or T of a position; −1 if it is not given.
 
-    :param name: ``S`` or ``T``; `value` is its number, None if it is not given.
-    :param highest: largest number that its bits can hold.
-    :raises ProgramError: it is not an integer from 0 to `highest`.
+    :param name: ``S`` or ``T``.
+    :param value: its number; None if it is not given.
+    :param highest: largest valid number.
+    :raises ProgramError: `value` is not an integer from 0 to `highest`.
     """
     if value is None:
         return -1

@@ -1,4 +1,4 @@
-"""The routines of a `.src`: where DEF and DEFFCT begin and end, their parameters and the names that are their own."""
+"""The routines of a `.src`: lines of DEF and END, parameters, and names that the routines declare."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ class Routine(Struct, frozen=True, eq=False):
 
     Lines are 1-based and in order.
 
-    :param source: its file.
+    :param source: the file that contains it.
     :param name: upper case.
-    :param parameters: in order.
+    :param parameters: in the order of the text.
     :param is_global: True for GLOBAL.
     :param first: line of DEF.
     :param last: line of END.
-    :param motion_lines: (P,) lines of plain motions.
-    :param setting_lines: lines of plain settings.
-    :param other_lines: other lines with code.
-    :param local_names: names that it declares, parameters included.
-    :param types: declared type of these by name, upper case; a parameter may have none.
-    :param result_type: type of what a function returns, upper case; empty for DEF.
+    :param motion_lines: (P,) lines of plain motions, which are read in bulk.
+    :param setting_lines: lines of plain settings, which only assign system variables.
+    :param other_lines: the other lines with code.
+    :param local_names: names that it declares, and its parameters; upper case.
+    :param types: local name → declared type, both upper case; a parameter may have no entry.
+    :param result_type: type of the value that a function returns, upper case; empty for DEF.
     """
 
     source: Source
@@ -53,12 +53,12 @@ class Routine(Struct, frozen=True, eq=False):
 
     @property
     def statement_lines(self) -> Sequence[int]:
-        """Its lines with code that are not plain motions, in order."""
+        """Lines with code that are not plain motions, ascending."""
         return sorted([*self.other_lines, *self.setting_lines]) if self.setting_lines else self.other_lines
 
     @property
     def first_motion_line(self) -> int:
-        """Its first line with a plain motion; 0 if there is none."""
+        """First line with a plain motion; 0 if there is none."""
         return int(self.motion_lines[0]) if len(self.motion_lines) else 0
 
 
@@ -66,7 +66,7 @@ class Module(Struct, frozen=True, eq=False):
     """A `.src` and its `.dat`.
 
     :param source: the `.src`.
-    :param routines: its routines by name, upper case, in order.
+    :param routines: name, upper case → routine, in the order of the file.
     :param data: the `.dat`; None if there is none.
     """
 
@@ -80,7 +80,7 @@ class Module(Struct, frozen=True, eq=False):
         return PurePath(self.source.document.name).stem.upper()
 
     def main(self, name: str) -> Routine | None:
-        """Return the routine with a name; if there is none, the first one of the file."""
+        """Return the routine with a name, in any case; otherwise the first routine of the file; None if it has none."""
         return self.routines.get(name.upper(), next(iter(self.routines.values()), None))
 
 
@@ -95,7 +95,8 @@ class _OpenRoutine(Struct, eq=False):
     """A routine whose END has not been reached.
 
     :ivar name: upper case.
-    :ivar line: of its DEF; `lines` are those behind it with code, plain motions and settings left out.
+    :ivar line: line of its DEF.
+    :ivar lines: lines with code behind DEF, without plain motions and plain settings.
     """
 
     name: str
@@ -107,20 +108,20 @@ class _OpenRoutine(Struct, eq=False):
 def routines(
     source: Source, lines: Sequence[int], motion_lines: Ints, settings: Sequence[int] = ()
 ) -> tuple[dict[str, Routine], list[ProgramError]]:
-    """Return the routines of a file by name, upper case, and the errors in their bounds.
+    """Return the routines of a file (name, upper case → routine), and the errors in their bounds.
 
-    Such an error is a DEF without END, or a motion outside of DEF … END. Of two routines of one name the first counts.
+    Errors are a DEF without END, and a motion outside of DEF … END. If two routines have one name, the first counts.
 
     :param lines: 1-based lines that are neither plain motions nor plain settings.
-    :param motion_lines: (P,) lines of plain motions, in order.
-    :param settings: lines that only assign system variables, in order.
+    :param motion_lines: (P,) lines of plain motions, ascending.
+    :param settings: lines of plain settings, ascending.
     """
     routine_of: dict[str, Routine] = {}
     faults: list[ProgramError] = []
     open_routine: _OpenRoutine | None = None
 
     def end_routine(routine: _OpenRoutine, end_line: int) -> None:
-        """Add a routine whose END is on a line."""
+        """Add a routine whose END is on a line to `routine_of`."""
         closed_routine = _closed_routine(source, routine, end_line, motion_lines, settings)
         routine_of.setdefault(routine.name, closed_routine)
 
@@ -154,8 +155,8 @@ def _closed_routine(
 ) -> Routine:
     """Return a routine whose END is on a 1-based line.
 
-    :param motion_lines: (P,) lines of all plain motions of the file, in order.
-    :param settings: lines of all plain settings of the file, in order.
+    :param motion_lines: (P,) lines of all plain motions of the file, ascending.
+    :param settings: lines of all plain settings of the file, ascending.
     """
     types: dict[str, str] = {}
     for inner_line in open_routine.lines:

@@ -1,4 +1,4 @@
-"""What whole files define, declare and call, found in their texts without reading statements.
+"""Names that whole files define, declare and call, found by regular expressions without parsing statements.
 
 A folder may hold thousands of programs, of which one needs a few: these functions find out which.
 """
@@ -13,9 +13,9 @@ from msgspec import Struct
 from postproc.dialects.krl.language.tokens import names_in
 
 _FIRST = r"(?:\A|(?<=[\r\n]))[ \t]*"
-"""The beginning of a line, whatever ends the one before."""
+"""The beginning of a line, behind any line end."""
 _BEGINS = r"^[ \t]*"
-"""The same behind a line feed: found in a sixth of the time."""
+"""The beginning of a line behind a line feed: found in a sixth of the time that `_FIRST` takes."""
 _HEAD = r"(?P<public>GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w+(?:[ \t]*\[[ ,\t]*\])?)?[ \t]+(?P<name>[A-Za-z_$][\w$]*)"
 _FLAGS = re.IGNORECASE | re.ASCII | re.MULTILINE
 _ROUTINE = re.compile(_BEGINS + _HEAD, _FLAGS)
@@ -40,11 +40,12 @@ _WORD = re.compile(r"\"[^\"\r\n]*\"|;[^\r\n]*|[A-Za-z_$][\w$]*", re.ASCII)
 
 
 class RoutineHead(Struct, frozen=True):
-    """A routine.
+    """The line of a DEF or DEFFCT.
 
     :param name: upper case.
-    :param start: offset of the beginning of its line.
-    :param is_empty: its body has no code; False where that was not looked at.
+    :param is_global: True for GLOBAL.
+    :param start: offset of the beginning of the line.
+    :param is_empty: True if the body of the routine has no code; False too if the body was not read.
     """
 
     name: str
@@ -54,20 +55,20 @@ class RoutineHead(Struct, frozen=True):
 
 
 def routines(text: str) -> Iterator[RoutineHead]:
-    """Yield the routines that begin in a text."""
+    """Yield all routines of a text, also those without END; their bodies are not read."""
     for match in _ROUTINE.finditer(text):
         yield RoutineHead(match["name"].upper(), bool(match["public"]), match.start())
 
 
 def whole_routines(text: str) -> Iterator[RoutineHead]:
-    """Yield the routines that begin and end in a text, and whether each is empty."""
+    """Yield the routines of a text that have an END, with `is_empty`."""
     for match in _WHOLE_ROUTINE.finditer(text):
-        empty = _CODE.search(match["body"]) is None
-        yield RoutineHead(match["name"].upper(), bool(match["public"]), match.start(), empty)
+        is_empty = _CODE.search(match["body"]) is None
+        yield RoutineHead(match["name"].upper(), bool(match["public"]), match.start(), is_empty)
 
 
 def global_routines(text: str) -> frozenset[str]:
-    """Return the names, upper case, of GLOBAL routines."""
+    """Return the names, upper case, of the GLOBAL routines of a text."""
     return frozenset(routine.name for routine in routines(text) if routine.is_global)
 
 
@@ -77,13 +78,13 @@ def global_variables(text: str) -> frozenset[str]:
 
 
 def assigned_variables(text: str) -> frozenset[str]:
-    """Return the names, upper case, of variables that statements of a `.src` set and it does not declare itself."""
+    """Return the names, upper case, of variables that a `.src` assigns but does not declare."""
     local_names = set().union(*map(names_in, _DECLARATION.findall(text)))
     return frozenset(name.upper() for name in _ASSIGNMENT.findall(text)) - local_names
 
 
 def global_lines(text: str) -> list[str]:
-    """Return the lines, without comments, that begin with GLOBAL."""
+    """Return the lines that begin with GLOBAL or DECL GLOBAL, without comments."""
     return _GLOBAL.findall(text)
 
 
@@ -93,7 +94,7 @@ def without_comments(text: str) -> str:
 
 
 def called_names(code: str) -> set[str]:
-    """Return the names, upper case, that a bracket follows in code without comments.
+    """Return the names, upper case, in front of a bracket in code without comments: names that may be called.
 
     Words of KRL and functions of the controller are among them; routines that the code defines are not.
     """
@@ -101,7 +102,7 @@ def called_names(code: str) -> set[str]:
 
 
 def has_motion(code: str) -> bool:
-    """Return whether code without comments may move the robot."""
+    """Return whether code without comments contains a word that begins like a motion: PTP, LIN, CIRC, SPL …"""
     return _MOTION.search(code) is not None
 
 
@@ -111,25 +112,25 @@ def imported_files(data: str) -> set[str]:
 
 
 def words(text: str) -> Iterator[tuple[str, int]]:
-    """Yield names and strings (with their quotes) outside of comments: each as spelled, and its offset."""
+    """Yield the names and strings outside of comments: text as spelled, strings with quotes, and its offset."""
     for match in _WORD.finditer(text):
         if match[0][0] != ";":
             yield match[0], match.start()
 
 
 def names(text: str) -> set[str]:
-    """Return the names in a text, upper case, those in strings included, those in comments not."""
+    """Return the names in a text, upper case; names in strings count, names in comments do not."""
     return set().union(*(names_in(word) for word, _ in words(text)))
 
 
 def name_places(text: str, names_to_find: Collection[str]) -> Iterator[tuple[str, int]]:
-    """Yield each place at which a text has one of some names, in comments too: the name as spelled, and its offset."""
+    """Yield each occurrence of `names_to_find` in a text, in comments too: the name as spelled, and its offset."""
     pattern = rf"(?<![\w$])(?:{'|'.join(map(re.escape, names_to_find))})(?![\w$])"
     for match in re.finditer(pattern, text, _FLAGS) if names_to_find else ():
         yield match[0], match.start()
 
 
 def text_with_name(text: str, name: str) -> str:
-    """Return the text of a file with another name behind its first DEF or DEFDAT."""
+    """Return the text of a file with another name behind its first DEF or DEFDAT; unchanged if it has none."""
     match = _HEAD_NAME.search(text)
     return text if match is None else text[: match.start("name")] + name + text[match.end("name") :]

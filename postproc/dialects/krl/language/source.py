@@ -1,4 +1,4 @@
-"""One file of a KRL program with its lines: offsets to line numbers, code without comments, errors that name both."""
+"""One file of a KRL program with its lines: line numbers of offsets, code without comments, errors with their line."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ _BLANKS = " \t\r"
 
 
 class Source(Struct, frozen=True, eq=False):
-    """A document and where its lines are.
+    """A document and the offsets of its lines.
 
     :param document: the file.
     :param text: its content.
     :param index: 0 for the `.src`, 1 for the `.dat`, 2 for a `$config.dat` (which is never written).
     :param starts: (L,) offset of the first character of each line.
-    :param stops: (L,) offset behind its last character, the line end not included.
-    :param statements: parsed statements by 1-based line: see `parser.statement`.
-    :param declared: values in declarations by offset, parsed when one is first needed.
+    :param stops: (L,) offset behind the last character of each line, without the line end.
+    :param statements: 1-based line → parsed statement, filled by `parser.statement`.
+    :param declared: offset of an initial value → parsed value, filled when it is first needed.
     """
 
     document: Document
@@ -65,11 +65,11 @@ class Source(Struct, frozen=True, eq=False):
         return Place(self, line)
 
     def line_at(self, offset: int) -> int:
-        """Return the 1-based line that holds an offset."""
-        return int(np.searchsorted(self.starts, offset, side="right"))
+        """Return the 1-based line that contains an offset."""
+        return int(np.searchsorted(self.starts, offset, side="right"))  # number of lines that begin at or before it
 
     def line_at_each(self, offsets: Ints) -> Ints:
-        """Return the 1-based lines (n,) that hold each of `offsets` (n,)."""
+        """Return the 1-based line (n,) that contains each of `offsets` (n,), see `line_at`."""
         return np.searchsorted(self.starts, offsets, side="right")
 
     def code_span(self, line: int) -> tuple[int, int]:
@@ -84,15 +84,15 @@ class Source(Struct, frozen=True, eq=False):
             and text[stop - 1] not in _BLANKS
             and text.find(";", start, stop) < 0
         ):
-            return start, stop  # true of most lines, and this is called several times for each
+            return start, stop  # most lines; this method is called several times for each
         return code_span(text, start, stop)
 
     def error(self, problem: str, offset: int, advice: str | None = None) -> ProgramError:
-        """Return an error that names the file, the line of an offset, and its text."""
+        """Return an error that names the file, the line that contains an offset, and the text of the line."""
         return self.line_error(problem, self.line_at(offset), advice)
 
     def line_error(self, problem: str, line: int, advice: str | None = None) -> ProgramError:
-        """Return an error that names the file, a 1-based line, and its text."""
+        """Return an error that names the file, a 1-based line, and the text of the line."""
         text = self.text[self.starts[line - 1] : self.stops[line - 1]]
         return ProgramError(problem, file=self.document.name, line=line, text=text, advice=advice)
 
@@ -104,18 +104,18 @@ class Place(NamedTuple):
     line: int
 
     def __str__(self) -> str:
-        """Return the place for messages: ``line 12``, with the file if it is not the main one."""
+        """Return the place for messages: ``line 12``, with the file if it is not the `.src` of the program."""
         return f"line {self.line}" if self.source.index == 0 else f"{self.source.document.name}, line {self.line}"
 
     def error(self, problem: str, advice: str | None = None) -> ProgramError:
-        """Return an error that names the file, the line, and its text."""
+        """Return an error that names the file, the line, and the text of the line."""
         return self.source.line_error(problem, self.line, advice)
 
 
 def code_span(text: str, start: int, stop: int) -> tuple[int, int]:
     """Return the span of the code within a line, without its comment and the blanks around it.
 
-    :param start: offset of the line; `stop` that of its end.
+    :param start: offset of the line; `stop` the offset of its end.
     :returns: offset of the first character of the code, and offset behind its last; equal without code.
     """
     stop = comment_start(text, start, stop)
@@ -127,7 +127,7 @@ def code_span(text: str, start: int, stop: int) -> tuple[int, int]:
 
 
 def comment_start(text: str, start: int, stop: int) -> int:
-    """Return where the comment of a line begins: at the first `;` outside of strings; `stop` if there is none."""
+    """Return the offset of the first ``;`` of a line outside of strings: its comment; `stop` if there is none."""
     semicolon = text.find(";", start, stop)
     if semicolon < 0:
         return stop

@@ -1,4 +1,4 @@
-"""Control structures: which lines a FOR, an IF, a SWITCH … holds."""
+"""Control structures: the lines of FOR, IF, SWITCH …"""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from postproc.dialects.krl.language.values import Reference, walk
 from postproc.errors import MAX_ERRORS, ProgramError, combined_error
 from postproc.program import Bools, Ints
 
-_DEEPEST = 100
-"""Beyond any program; deeper structures are beyond Python's limit of recursion."""
+_MAX_DEPTH = 100
+"""Largest number of nested structures: no program has more, and more would exceed Python's limit of recursion."""
 LOOPS = frozenset({"FOR", "WHILE", "LOOP", "REPEAT"})
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
 _DIVIDERS = {"ELSE": "IF", "CASE": "SWITCH", "DEFAULT": "SWITCH"}
@@ -29,9 +29,9 @@ _CONTROL = OPENING.keys() | {"REPEAT", "EXIT"} | _CLOSING.keys() | _DIVIDERS.key
 class Part(Struct, frozen=True, eq=False):
     """The statements that follow IF, ELSE, CASE, DEFAULT or the head of a loop.
 
-    :param head: line of that word.
-    :param end: line of the word that ends them: the next ELSE, CASE or DEFAULT, or the closing word.
-    :param nodes: its statements.
+    :param head: line of this word.
+    :param end: line of the word that ends the part: the next ELSE, CASE or DEFAULT, or the closing word.
+    :param nodes: statements of the part.
     """
 
     head: int
@@ -45,7 +45,8 @@ class Block(Struct, frozen=True, eq=False):
     :param word: FOR, WHILE, LOOP, REPEAT, IF or SWITCH.
     :param first: its first line.
     :param last: line of the word that closes it.
-    :param parts: one for a loop; one or two for IF; for SWITCH the lines before the first CASE, then each CASE.
+    :param parts: loop: one part. IF: one part, two with ELSE. SWITCH: the lines before the first CASE, then one part
+        for each CASE and DEFAULT.
     """
 
     word: str
@@ -54,7 +55,7 @@ class Block(Struct, frozen=True, eq=False):
     parts: tuple[Part, ...]
 
     def shifted(self, shift: int) -> Block:
-        """Return the control structure on other lines: `shift` is added to the number of each."""
+        """Return the control structure with `shift` added to all line numbers."""
         parts = (
             Part(part.head + shift, part.end + shift, tuple(_shifted(node, shift) for node in part.nodes))
             for part in self.parts
@@ -62,7 +63,7 @@ class Block(Struct, frozen=True, eq=False):
         return Block(self.word, self.first + shift, self.last + shift, tuple(parts))
 
     def lines(self) -> Iterator[int]:
-        """Yield the lines of its statements and its own, in order."""
+        """Yield all lines of the structure: heads, statements, nested structures and the closing word, in order."""
         for part in self.parts:
             yield part.head
             for node in part.nodes:
@@ -85,9 +86,11 @@ def _shifted(node: Node, shift: int) -> Node:
 class _OpenStructure(Struct, eq=False):
     """A control structure that is not closed yet.
 
+    :ivar word: FOR, WHILE, LOOP, REPEAT, IF or SWITCH.
     :ivar first: its first line.
     :ivar parts: its finished parts.
-    :ivar head: line of the word that began the part that is open; `nodes` its statements so far.
+    :ivar head: line of the word that began the open part.
+    :ivar nodes: statements of the open part so far.
     """
 
     word: str
@@ -97,7 +100,7 @@ class _OpenStructure(Struct, eq=False):
     nodes: list[Node]
 
     def divide(self, line: int) -> None:
-        """End the part that is open at a line with ELSE, CASE, DEFAULT or the closing word, and begin the next one."""
+        """End the open part at a line with ELSE, CASE, DEFAULT or the closing word, and begin the next part."""
         self.parts.append(Part(self.head, line, tuple(self.nodes)))
         self.head, self.nodes = line, []
 
@@ -105,8 +108,8 @@ class _OpenStructure(Struct, eq=False):
 def nodes_of(source: Source | Trace, lines: Sequence[int]) -> tuple[Node, ...]:
     """Return the statements and control structures on some lines of a file, or rows of a trace, in order.
 
-    In a structure that is not closed, each line is a statement. So is a line that closes or divides a structure that is
-    not open.
+    Each line of a structure that is not closed becomes a plain statement. A closing or dividing word without its
+    structure becomes one too.
 
     :raises ProgramError: structures are nested too deeply.
     """
@@ -119,8 +122,8 @@ def nodes_of(source: Source | Trace, lines: Sequence[int]) -> tuple[Node, ...]:
         innermost = open_structures[-1] if open_structures else None
         if word in OPENING or word == "REPEAT":
             open_structures.append(_OpenStructure(word, line, [], line, []))
-            if len(open_structures) > _DEEPEST:
-                problem = f"more than {_DEEPEST} control structures are nested"
+            if len(open_structures) > _MAX_DEPTH:
+                problem = f"more than {_MAX_DEPTH} control structures are nested"
                 raise source.place(line).error(problem, "Put the inner ones into a subprogram.")
         elif innermost is not None and _CLOSING.get(word) == innermost.word:
             innermost.divide(line)
@@ -133,27 +136,29 @@ def nodes_of(source: Source | Trace, lines: Sequence[int]) -> tuple[Node, ...]:
         else:
             (innermost.nodes if innermost is not None else nodes).append(line)
     if open_structures:
-        first = open_structures[0].first
+        first = open_structures[0].first  # the outermost structure contains all others that are open
         nodes += [line for line in lines if line >= first]
     return tuple(nodes)
 
 
 def _control_word(source: Source | Trace, line: int) -> str:
-    """Return the first word, upper case, of a line or row; empty for many that belong to no control structure."""
+    """Return the first word of a line or row, upper case; for speed, empty for most lines without a control word."""
     if isinstance(source, Trace):
         if source.is_count.item(line - 1):
             return ""
         source, line = source.place(line)
     node = source.statements.get(line)
     if isinstance(node, Statement) and node.word not in _CONTROL:
-        return ""  # it has been parsed, as nearly all have
+        return ""  # it has been parsed, as nearly all lines have
     return word_at(source.text, *source.code_span(line))
 
 
 def is_outside(source: Source | Trace, lines: Sequence[int], line_numbers: Ints) -> Bools:
-    """Return which lines of a file, or rows of a trace, are outside of all control structures (n,).
+    """Return whether lines of a file, or rows of a trace, are outside of all control structures (n,).
 
-    :param lines: lines that open and close these structures, others among them.
+    The first line of a structure counts as outside, its last line as inside.
+
+    :param lines: all lines that open or close structures, ascending; other lines may be among them.
     :param line_numbers: (n,) the lines in question.
     """
     begin_lines: list[int] = []
@@ -167,11 +172,15 @@ def is_outside(source: Source | Trace, lines: Sequence[int], line_numbers: Ints)
         elif depth and word in _CLOSING:
             depth -= 1
             end_lines += [] if depth else [line]
+    # outside: as many outermost structures end before a line as begin before it
     return np.asarray(np.searchsorted(begin_lines, line_numbers) == np.searchsorted(end_lines, line_numbers))
 
 
 def simple_head(source: Source, block: Block) -> For | None:
-    """Return the head of a FOR that counts in a whole variable; None for another loop, or if it cannot be read."""
+    """Return the head of a FOR whose counter is a simple variable.
+
+    None for a counter that is an array element or a component, for another loop, and if FOR cannot be read.
+    """
     head = statement(source, block.first)
     if not isinstance(head, For) or head.bounds is None or head.counter is None:
         return None
@@ -179,15 +188,16 @@ def simple_head(source: Source, block: Block) -> For | None:
 
 
 def bounds_name(head: For, names: Set[str]) -> bool:
-    """Return whether the bounds or the step of a FOR name one of some variables, upper case."""
+    """Return whether the bounds or the step of a FOR use one of the variables `names` (upper case)."""
     values = walk(bound for bound in head.bounds or () if bound is not None)
     return any(isinstance(value, Reference) and value.name in names for value in values)
 
 
 def checked_nodes(source: Source, nodes: tuple[Node, ...]) -> tuple[Node, ...]:
-    """Return statements and control structures unchanged, once their lines have been checked.
+    """Return statements and control structures unchanged if the lines of the structures have no errors.
 
-    :raises ProgramError: a line of a control structure has a text behind it that would not be read, or lacks something.
+    :raises ProgramError: a line of a structure is incomplete, or is followed by text that would not be read; EXIT is
+        outside of a loop. All these errors are raised together, up to `MAX_ERRORS`.
     """
     if errors := list(islice(_structure_errors(source, nodes, in_loop=False), MAX_ERRORS + 1)):
         raise combined_error(errors)
@@ -195,9 +205,10 @@ def checked_nodes(source: Source, nodes: tuple[Node, ...]) -> tuple[Node, ...]:
 
 
 def check_closed(source: Source, nodes: tuple[Node, ...]) -> None:
-    """Refuse a control structure of a routine that is not closed.
+    """Check that all control structures of a routine are closed.
 
-    :raises ProgramError: for the first one.
+    :param nodes: nodes of the routine; an opening word among them begins a structure that is not closed.
+    :raises ProgramError: a structure is not closed; the error is about the first.
     """
     for node in nodes:
         if isinstance(node, Block):
@@ -208,9 +219,9 @@ def check_closed(source: Source, nodes: tuple[Node, ...]) -> None:
 
 
 def _structure_errors(source: Source, nodes: Sequence[Node], *, in_loop: bool) -> Iterator[ProgramError]:
-    """Yield the errors in control structures.
+    """Yield the errors in control structures, see `checked_nodes`.
 
-    :param in_loop: whether they are in a loop, which EXIT may leave.
+    :param in_loop: True if the nodes are inside a loop, so that EXIT is valid.
     """
     for node in nodes:
         if isinstance(node, Block):
@@ -227,7 +238,7 @@ def _structure_errors(source: Source, nodes: Sequence[Node], *, in_loop: bool) -
 
 
 def _line_fault(source: Source, line: int) -> tuple[str, str] | None:
-    """Return the problem with a line of a control structure, and the advice; None if it has none."""
+    """Return the problem with a line of a control structure, and the advice; None if the line is correct."""
     node, own_line_advice = statement(source, line), "Write it on a line of its own."
     if isinstance(node, BareWord):
         return (f"{node.extra_text!r} follows {node.word}", own_line_advice) if node.extra_text else None

@@ -26,7 +26,7 @@ COMPONENT = re.compile(
     r"(?:(?P<comma>,)|(?=\}))",
     re.ASCII,
 )
-"""A component of an aggregate that is a number, with the comma behind it."""
+"""A component of an aggregate whose value is a number, with the comma that follows."""
 ITEM_NAME = re.compile(r"[ \t]*(?P<name>[A-Za-z_]\w*)[ \t]*(?:\[[ \t]*\])?[ \t]*", re.ASCII)
 TAG = re.compile(r"[ \t]*(?P<tag>[A-Za-z_]\w*)[ \t]*:", re.ASCII)
 INTEGER_LITERAL = re.compile(r"'(?:[Bb](?P<binary>[01]+)|[Hh](?P<hexadecimal>[0-9A-Fa-f]+))'")
@@ -44,14 +44,14 @@ ELEMENT = re.compile(
     r"[ \t]*+(?=\{[^{}\"';]*+\}[ \t]*+(?:;|$))",
     re.ASCII,
 )
-"""An element of a data list that gets one aggregate without others in it."""
+"""An array element of a data list that is initialised by an aggregate without nested ones."""
 NEXT_NAME = re.compile(
     r"[ \t]*,[ \t]*(?P<name>[A-Za-z_$][\w$]*)[ \t]*(?P<bounds>\[[^\]]*\])?[ \t]*(?P<equals>=?)", re.ASCII
 )
 NEXT_INITIAL_VALUE = re.compile(r"[}\d'\"][ \t]*,[ \t]*[A-Za-z_$][\w$]*[ \t]*(?:\[[^\]]*\])?[ \t]*=", re.ASCII)
-"""Behind an initial value: another name with one."""
+"""The end of an initial value, and behind it another name with an initial value."""
 _COLON = re.compile(r"[ \t]*:")
-_OPEN = re.compile(r"[ \t]*\(")
+_OPENING_BRACKET = re.compile(r"[ \t]*\(")
 FORCE = re.compile(f";(?:{FORCE_COMMENT.pattern})", re.IGNORECASE)
 """The beginning of a comment about forces."""
 _FOLD = re.compile(r"[ \t]*;[ \t]*(?P<end>END)?FOLD\b", re.IGNORECASE)
@@ -75,29 +75,32 @@ def word_at(text: str, start: int, stop: int) -> str:
 
 
 def after_blanks(text: str, start: int, stop: int) -> int:
-    """Return the offset of the first character from `start` on that is no blank; `stop` if there is none."""
+    """Return the offset of the first character at or behind `start` that is no blank; `stop` if there is none."""
     while start < stop and text[start] in BLANKS:
         start += 1
     return start
 
 
 def after_word(text: str, start: int, stop: int, *words: str) -> int:
-    """Return the offset behind a word, blanks before it skipped; −1 if none of `words` (upper case) is there."""
+    """Return the offset behind the word at `start`, blanks skipped; −1 if it is not in `words` (upper case)."""
     start = after_blanks(text, start, stop)
     word = word_at(text, start, stop)
     return start + len(word) if word in words else -1
 
 
 def after_sign(text: str, start: int, stop: int, sign: str) -> int:
-    """Return the offset behind a character, blanks before it skipped; −1 if it is not there."""
+    """Return the offset behind `sign` if it is at `start`, blanks before it skipped; −1 if another character is."""
     start = after_blanks(text, start, stop)
     return start + 1 if start < stop and text[start] == sign else -1
 
 
 def words_in(text: str, start: int, stop: int) -> Iterator[tuple[str, Span]]:
-    """Yield the words of a piece of code, upper case, and their spans; not those in strings, constants, components."""
+    """Yield the words of a piece of code, upper case, and their spans.
+
+    Words in strings, constants of ENUMs (``#X``) and components (``.X``) are not among them.
+    """
     for match in _WORD.finditer(text, start, stop):
-        if match[0][0] != '"':
+        if match[0][0] != '"':  # strings match too, so that their words are skipped
             yield match[0].upper(), Span(*match.span())
 
 
@@ -107,9 +110,9 @@ def key_word(text: str, start: int, stop: int, word: str) -> Span | None:
 
 
 def operator_at(text: str, start: int, stop: int) -> tuple[str, int]:
-    """Return the comparison or logical operator at an offset, and the offset behind it; blanks before it are skipped.
+    """Return the comparison or logical operator at an offset, upper case, and the offset behind it.
 
-    :returns: the operator in upper case, empty if there is none; the offset behind it, or behind the blanks.
+    Blanks before it are skipped. Without an operator: an empty text, and the offset behind the blanks.
     """
     start = after_blanks(text, start, stop)
     match = _OPERATOR.match(text, start, stop)
@@ -117,7 +120,7 @@ def operator_at(text: str, start: int, stop: int) -> tuple[str, int]:
 
 
 def after_nots(text: str, start: int, stop: int) -> tuple[bool, int]:
-    """Return whether an odd number of NOTs begins at an offset, and the offset behind them and the blanks between."""
+    """Return whether the words NOT at an offset are odd in number, and the offset behind them and their blanks."""
     is_negated, start = False, after_blanks(text, start, stop)
     while match := _NOT_WORD.match(text, start, stop):
         is_negated = not is_negated
@@ -126,7 +129,7 @@ def after_nots(text: str, start: int, stop: int) -> tuple[bool, int]:
 
 
 def number(text: str) -> float:
-    """Return the number that a text is; NaN if it is something else."""
+    """Return the value of a text that is a number; NaN for any other text."""
     return float(text) if NUMBER.fullmatch(text) else float("nan")
 
 
@@ -144,9 +147,10 @@ def indent(text: str) -> str:
 class Occurrence(Struct, frozen=True):
     """A name in a text.
 
-    :ivar start: offset of its first character; `stop` the one behind its last.
+    :ivar start: offset of its first character.
+    :ivar stop: offset behind its last character.
     :ivar name: upper case.
-    :ivar is_called: whether a bracket follows: it is a routine, or a function.
+    :ivar is_called: True if a bracket follows: it is a routine or a function.
     """
 
     start: int
@@ -156,18 +160,18 @@ class Occurrence(Struct, frozen=True):
 
 
 def names_in(text: str, start: int = 0, stop: int = sys.maxsize) -> set[str]:
-    """Return the names in ``text[start:stop]``, upper case: words of KRL, components and those in comments too."""
+    """Return all names in ``text[start:stop]``, upper case, also words of KRL, components and names in comments."""
     return {name.upper() for name in NAME.findall(text, start, stop)}
 
 
 def occurrences(text: str, start: int, stop: int) -> Iterator[Occurrence]:
-    """Yield the names in ``text[start:stop]``, words of KRL among them; no components and no constants of ENUMs.
+    """Yield the names in ``text[start:stop]``, also words of KRL, but no components and no constants of ENUMs.
 
     >>> [item.name for item in occurrences("LIN {X I, Y P.X}:Q", 0, 18)]
     ['LIN', 'I', 'P', 'Q']
     """
     open_brackets: list[str] = []
-    is_component = False  # the next name is one of an aggregate, or its type
+    is_component = False  # the next name is a component of an aggregate, or the type of the aggregate
     for match in _OCCURRENCE.finditer(text, start, stop):
         first = match[0][0]
         if first in "([{":
@@ -180,7 +184,7 @@ def occurrences(text: str, start: int, stop: int) -> Iterator[Occurrence]:
             is_component = bool(open_brackets) and open_brackets[-1] == "{"
         elif first.isalpha() or first in "_$":
             if is_component:
-                is_component = _COLON.match(text, match.end(), stop) is not None
+                is_component = _COLON.match(text, match.end(), stop) is not None  # behind the type is a component
                 continue
-            is_called = _OPEN.match(text, match.end(), stop) is not None
+            is_called = _OPENING_BRACKET.match(text, match.end(), stop) is not None
             yield Occurrence(match.start(), match.end(), match[0].upper(), is_called)

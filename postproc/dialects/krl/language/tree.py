@@ -1,7 +1,7 @@
-"""Statements of KRL as `parser` reads them; each says where it is in the text.
+"""Statements of KRL as `parser` reads them, with their spans in the text.
 
-Offsets count characters from the beginning of the text. `word` is the first word, upper case (behind GLOBAL), `start`
-where the statement begins, GLOBAL included, and `stop` is behind its last character.
+Offsets count characters from the beginning of the text. `word` is the first word of a statement, upper case, without
+GLOBAL. `start` is the offset of the statement, GLOBAL included; `stop` is the offset behind its last character.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ from postproc.errors import ProgramError
 
 
 def _values_of(part: object) -> tuple[Value, ...]:
-    """Return the values in a part of a statement: a value, another statement, several of these, or None."""
+    """Return the values in a part of a statement, in the order of the text.
+
+    :param part: a value, a statement, a tail, a tuple of such parts, or None.
+    """
     if isinstance(part, (Statement, Tail)):
         return part.values
     if isinstance(part, tuple):
@@ -26,7 +29,7 @@ def _values_of(part: object) -> tuple[Value, ...]:
 
 
 class _Node(Struct, frozen=True, eq=False, kw_only=True):
-    """What all statements have, given by keyword; see `Statement`."""
+    """Fields of all statements that are given by keyword; see `Statement`."""
 
     code: Value | None = None
 
@@ -38,7 +41,7 @@ class Statement(_Node, frozen=True, eq=False):
     """
 
     PARTS: ClassVar[tuple[str, ...]] = ("code",)
-    """Fields with values, in the order of the text."""
+    """Names of the fields that contain values, in the order of the text."""
 
     word: str
     start: int
@@ -46,7 +49,7 @@ class Statement(_Node, frozen=True, eq=False):
 
     @property
     def values(self) -> tuple[Value, ...]:
-        """The values in it, in the order of the text."""
+        """All values of the statement, in the order of the text."""
         values: list[Value] = []
         for name in self.PARTS:
             part = getattr(self, name)
@@ -64,7 +67,8 @@ class FaultyStatement(Statement, frozen=True, eq=False):
 class Parameter(Struct, frozen=True):
     """A parameter of a routine; without ``:IN`` the routine may write its argument.
 
-    :param is_array: it is a whole array: ``Q[]``.
+    :param by_value: True for ``:IN``.
+    :param is_array: True for a whole array: ``Q[]``.
     """
 
     name: str
@@ -78,8 +82,8 @@ class Definition(Statement, frozen=True, eq=False):
     :param is_global: GLOBAL is its first word.
     :param name: as it is spelled.
     :param name_start: offset of the name.
-    :param result_type: type of what a DEFFCT gives, upper case; empty for DEF.
-    :param parameters: in order.
+    :param result_type: type of the value that a DEFFCT returns, upper case; empty for DEF.
+    :param parameters: in the order of the text.
     """
 
     is_global: bool
@@ -104,19 +108,21 @@ class Declaration(Statement, frozen=True, eq=False):
 
 
 class IdleDeclaration(Statement, frozen=True, eq=False):
-    """ENUM, EXT, CHANNEL … : it declares, and does nothing."""
+    """ENUM, EXT, CHANNEL … : a declaration that does nothing when it runs."""
 
 
 class CyclicInput(Statement, frozen=True, eq=False):
-    """ANIN ON, DIGIN ON, SIGNAL: the name is written again and again, or is that of an input."""
+    """ANIN ON, DIGIN ON, SIGNAL: the controller writes the variable in each cycle, or it is the name of an input."""
 
     name: str
 
 
 class Import(Statement, frozen=True, eq=False):
-    """IMPORT: a variable of a `.dat` under another name; both are written where one of them is. Upper case.
+    """IMPORT: a variable of a `.dat` under another name; a statement that writes one of the names writes both.
 
-    :param file: name of that `.dat` without its ending.
+    :param name: the new name, upper case.
+    :param original: name in the `.dat`, upper case.
+    :param file: name of this `.dat`, upper case, without extension.
     """
 
     name: str
@@ -125,13 +131,13 @@ class Import(Statement, frozen=True, eq=False):
 
 
 class Tail(Struct, frozen=True, eq=False):
-    """What follows the points of a motion: WITH and approximation. It holds for inserted targets too.
+    """WITH and approximation, which follow the points of a motion. Inserted targets repeat this text.
 
     :param with_stop: offset behind WITH, before the approximation; `start` without WITH.
     :param assignments: assignments of WITH; a plain `Statement` for anything else.
     :param approximation: C_DIS, C_VEL …, upper case, in order.
     :param unknown_text: span of a text that is not understood; None if there is none.
-    :param error: why WITH cannot be read.
+    :param error: reason why WITH cannot be read; None if it can.
     """
 
     start: int
@@ -144,7 +150,7 @@ class Tail(Struct, frozen=True, eq=False):
 
     @property
     def values(self) -> tuple[Value, ...]:
-        """The values in it, in the order of the text."""
+        """Values of WITH, in the order of the text."""
         return _values_of(self.assignments) if self.assignments else ()
 
 
@@ -155,7 +161,7 @@ class Motion(Statement, frozen=True, eq=False):
     :param end: target; None where a circle lacks it.
     :param angle: CA, None without it.
     :param frame: ``#BASE`` or ``#TOOL`` of a relative motion; empty if it is not given.
-    :param frame_span: its span if it follows the approximation; None: it follows the target, or is not given.
+    :param frame_span: span of `frame` if it follows the approximation; None if it follows the target or is not given.
     """
 
     PARTS = ("via", "end", "angle", "tail")
@@ -177,7 +183,10 @@ class Spline(Statement, frozen=True, eq=False):
 
 
 class EndSpline(Statement, frozen=True, eq=False):
-    """ENDSPLINE; `extra_text` is what follows it: C_SPL, or nothing."""
+    """ENDSPLINE.
+
+    :param extra_text: text behind it: C_SPL, or empty.
+    """
 
     extra_text: str
 
@@ -185,8 +194,8 @@ class EndSpline(Statement, frozen=True, eq=False):
 class If(Statement, frozen=True, eq=False):
     """IF.
 
-    :param condition: without THEN all that follows IF; None if there is none.
-    :param extra_text: what follows THEN, where nothing should; empty if nothing does.
+    :param condition: code between IF and THEN, or behind IF if THEN is missing; None if there is no code.
+    :param extra_text: text behind THEN; empty in a correct program.
     """
 
     PARTS = ("condition",)
@@ -225,7 +234,7 @@ class Bounds(NamedTuple):
 
     :ivar first: first value of the counter.
     :ivar last: last value.
-    :ivar step: None if it is left out, and 1.
+    :ivar step: increment; None if STEP is left out, which means 1.
     """
 
     first: Value
@@ -236,10 +245,10 @@ class Bounds(NamedTuple):
 class For(Statement, frozen=True, eq=False):
     """FOR.
 
-    :param name: of the counter, upper case; empty if there is none.
-    :param counter: None if the statement is not understood.
-    :param bounds: None if it is not understood.
-    :param error: why it cannot be read; None if it can.
+    :param name: name of the counter, upper case; empty if there is none.
+    :param counter: variable that is the counter; None if the statement is not understood.
+    :param bounds: None if the statement is not understood.
+    :param error: reason why it cannot be read; None if it can be read, or no reason is known.
     """
 
     PARTS = ("counter", "bounds", "code")
@@ -253,7 +262,7 @@ class For(Statement, frozen=True, eq=False):
 class BareWord(Statement, frozen=True, eq=False):
     """ELSE, DEFAULT, LOOP, REPEAT, ENDIF … : a word that is alone on its line.
 
-    :param extra_text: what follows it, where nothing should.
+    :param extra_text: text behind the word; empty in a correct program.
     """
 
     extra_text: str
@@ -266,13 +275,13 @@ class Goto(Statement, frozen=True, eq=False):
 
 
 class Label(Statement, frozen=True, eq=False):
-    """Where a GOTO leads; upper case."""
+    """A label, to which a GOTO jumps; upper case."""
 
     name: str
 
 
 class Return(Statement, frozen=True, eq=False):
-    """RETURN and the value that it gives; None without one."""
+    """RETURN and the value that it returns; None without a value."""
 
     PARTS = ("value",)
 
@@ -280,11 +289,11 @@ class Return(Statement, frozen=True, eq=False):
 
 
 class Event(Statement, frozen=True, eq=False):
-    """INTERRUPT or TRIGGER: what it does, and when.
+    """INTERRUPT or TRIGGER.
 
-    :param is_global: GLOBAL.
-    :param is_declaration: INTERRUPT DECL.
-    :param code: what precedes DO, likewise.
+    :param is_global: True for GLOBAL.
+    :param is_declaration: True for INTERRUPT DECL.
+    :param code: code before DO, with the calls in it; None if there are none.
     :param action: the statement behind DO; None without one.
     """
 
@@ -299,9 +308,9 @@ class Trigger(Event, frozen=True, eq=False):
     """TRIGGER.
 
     :param is_distance: True for DISTANCE, False for PATH.
-    :param value: of DISTANCE or PATH; None if the statement is not understood.
-    :param from_start: ONSTART.
-    :param delay: of DELAY.
+    :param value: value of DISTANCE or PATH; None if the statement is not understood.
+    :param from_start: True for ONSTART.
+    :param delay: value of DELAY; None if the statement is not understood.
     """
 
     is_distance: bool
@@ -311,10 +320,10 @@ class Trigger(Event, frozen=True, eq=False):
 
 
 class SplineTiming(Statement, frozen=True, eq=False):
-    """CONST_VEL, TIME_BLOCK, STOP WHEN PATH: how spline motions are driven.
+    """CONST_VEL, TIME_BLOCK or STOP WHEN PATH: speed and stops of spline motions.
 
-    :param is_complete: it has all that its form requires.
-    :param from_start: ONSTART.
+    :param is_complete: True if the statement has all that its form requires.
+    :param from_start: True for ONSTART.
     """
 
     is_complete: bool
@@ -322,7 +331,7 @@ class SplineTiming(Statement, frozen=True, eq=False):
 
 
 class Assignment(Statement, frozen=True, eq=False):
-    """A variable and what it is given."""
+    """An assignment of a value to a variable."""
 
     PARTS = ("target", "value")
 
@@ -331,7 +340,7 @@ class Assignment(Statement, frozen=True, eq=False):
 
 
 class CallStatement(Statement, frozen=True, eq=False):
-    """A call that is a statement; BAS too."""
+    """A call as a statement, also a call of BAS."""
 
     PARTS = ("call",)
 

@@ -1,4 +1,4 @@
-"""Values as KRL writes them: numbers, aggregates, variables, chains of frames, conditions; with their places in text.
+"""Values as KRL writes them: numbers, aggregates, variables, chains of frames, conditions; with their spans.
 
 Offsets count characters from the beginning of the document.
 """
@@ -16,7 +16,7 @@ from postproc.errors import ProgramError
 class Number(Struct, frozen=True):
     """A number.
 
-    `is_integer` is True where it may be an INT: KRL divides two of these without a remainder.
+    :param is_integer: True if it may be an INT: KRL divides two INTs without a remainder.
     """
 
     value: float
@@ -36,10 +36,10 @@ class Word(Struct, frozen=True):
 class Reference(Struct, frozen=True):
     """A variable: ``XP1``, ``P[3]``, ``FP1.BASE_NO``; upper case.
 
-    :param indices: of an element; empty for ``P[ ]``, which is the whole array; None without brackets.
-    :param field: all that follows the first point (``BLOCK[2].Z``).
+    :param indices: indices of an array element; empty for ``P[ ]``, the whole array; None without brackets.
+    :param field: text behind the first point, such as ``BLOCK[2].Z``; None without a point.
     :param inner: values in the brackets of `field`.
-    :param is_bracketed: it is in brackets: a routine that gets it cannot write it.
+    :param is_bracketed: True for ``(A)``: a routine with this argument cannot write the variable.
     """
 
     name: str
@@ -85,8 +85,8 @@ class Operation(Struct, frozen=True):
 class Condition(Struct, frozen=True):
     """Terms joined by comparisons and logic, in the order of the text; one term alone if it is in brackets.
 
-    :param negated: whether NOT is before each.
-    :param operators: between them, upper case.
+    :param negated: for each term, whether NOT precedes it.
+    :param operators: operators between the terms, upper case.
     """
 
     terms: tuple[Value, ...]
@@ -99,8 +99,8 @@ class Condition(Struct, frozen=True):
 class OpaqueText(Struct, frozen=True):
     """Text that is not understood as a value, perhaps empty.
 
-    :param values: calls in it.
-    :param excess_start: where the text begins that follows a value and does not belong to it; −1 if there is none.
+    :param values: calls in the text.
+    :param excess_start: offset of the text that follows a readable value; −1 if there is no readable value.
     """
 
     start: int
@@ -112,8 +112,8 @@ class OpaqueText(Struct, frozen=True):
 class UnreadableText(Struct, frozen=True, eq=False):
     """Text that cannot be a value.
 
-    :param error: why.
-    :param values: calls in it; None where its brackets are not balanced.
+    :param error: reason.
+    :param values: calls in the text; None if its brackets are not balanced.
     """
 
     start: int
@@ -130,8 +130,8 @@ class Aggregate(Struct, frozen=True, eq=False):
     :param stop: offset behind ``}``.
     :param tag: ``E6POS`` of ``{E6POS: …}``, upper case; empty if there is none.
     :param items: component (upper case) → value.
-    :param is_computed: True when an assignment to a component changed it, so that no text holds its numbers.
-    :param row: of the execution trace whose statement contains it; 0 in data lists, and in the statement of a motion.
+    :param is_computed: True if an assignment to a component changed it, so that its numbers are not in the text.
+    :param row: row of the execution trace whose statement contains it; 0 in data lists, and in motion statements.
     """
 
     source: Source
@@ -148,9 +148,9 @@ Value = Number | Word | Reference | Call | Chain | Operation | Condition | Opaqu
 
 
 def parts(value: Value) -> Iterable[Value]:
-    """Return the values that a value is made of, in the order of the text.
+    """Return the values that a value directly contains, in the order of the text.
 
-    :raises ProgramError: brackets are not balanced.
+    :raises ProgramError: the value is an `UnreadableText` whose brackets are not balanced.
     """
     if isinstance(value, Reference):
         return (*value.indices, *value.inner) if value.indices else value.inner
@@ -170,7 +170,7 @@ def parts(value: Value) -> Iterable[Value]:
 
 
 def walk(values: Iterable[Value]) -> Iterator[Value]:
-    """Yield values and all that they are made of, in the order of the text.
+    """Yield values, each followed by all values inside it, in the order of the text.
 
     :raises ProgramError: as for `parts`.
     """
@@ -180,5 +180,5 @@ def walk(values: Iterable[Value]) -> Iterator[Value]:
 
 
 def writable_variable(argument: Value) -> Reference | None:
-    """Return the variable that a routine may write through an argument; None if there is none, as for ``(A)``."""
+    """Return the variable that a routine may write through an argument; None for ``(A)`` and other values."""
     return argument if isinstance(argument, Reference) and not argument.is_bracketed else None

@@ -1,4 +1,4 @@
-"""Where a program may be cut into files.
+"""Lines at which a program may be divided into files.
 
 A cut never falls into a fold, a control structure or a spline, between a TRIGGER and its motion, or behind CONTINUE.
 """
@@ -42,14 +42,13 @@ def division_error(source: Source, problem: str, line: int, advice: str = ADVICE
 
 
 class CutPoints(Struct, frozen=True, eq=False):
-    """Where the main routine of a program may be cut.
+    """Lines at which the main routine of a program may be cut.
 
     :param begin: line of its DEF.
     :param end: line of its END.
-    :param cuts: lines (n,) before which it may be cut, ascending.
-    :param first_motion: line of its first motion; if it has none of its own, that of its first call behind all
-        INTERRUPTs.
-    :param declarations: lines that declare.
+    :param cuts: (n,) lines before which it may be cut, ascending.
+    :param first_motion: line of its first motion; without motions, line of its first call behind all INTERRUPTs.
+    :param declarations: lines with declarations.
     """
 
     begin: int
@@ -60,12 +59,13 @@ class CutPoints(Struct, frozen=True, eq=False):
 
 
 def find_cut_points(source: Source, main: Routine) -> CutPoints:
-    """Return where the main routine of a program may be cut.
+    """Return the lines at which the main routine of a program may be cut.
 
-    :raises ProgramError: a statement means something else in a file of its own, or there is no motion.
+    :raises ProgramError: a statement would have another meaning in a separate file; there is no motion and no call.
     """
     text = source.text
-    first_motion = first_call = depth = 0  # lines; number of folds and structures that are open
+    first_motion = first_call = 0  # lines; 0: none yet
+    depth = 0  # number of open folds and structures
     cuts: list[int] = []
     declarations: list[int] = []
     is_waiting = False  # a TRIGGER waits for its motion, or CONTINUE for its statement
@@ -98,17 +98,17 @@ def find_cut_points(source: Source, main: Routine) -> CutPoints:
 
 
 def _declares(stmt: Statement) -> bool:
-    """Return whether a statement declares names that each file needs which uses them."""
+    """Return whether a statement declares names, so that each file that uses them needs it."""
     is_signal = isinstance(stmt, CyclicInput) and stmt.word == "SIGNAL"
     return is_signal or isinstance(stmt, Declaration | IdleDeclaration | Import)
 
 
 def _check_divisible(source: Source, line: int, stmt: Statement, first_motion: int) -> None:
-    """Refuse a statement that means something else in a file of its own.
+    """Check that a statement has the same meaning in a separate file.
 
-    :param line: of the statement `stmt`.
-    :param first_motion: line of the first motion; 0 if none precedes the statement.
-    :raises ProgramError: it is one.
+    :param line: line of the statement `stmt`.
+    :param first_motion: line of the first motion; 0 if no motion precedes the statement.
+    :raises ProgramError: it is RETURN, GOTO or a label, or declares an interrupt behind the first motion.
     """
     if isinstance(stmt, Return | Goto | Label):
         raise division_error(source, f"{stmt.word} leads to another place of it", line)
@@ -120,11 +120,14 @@ def _check_divisible(source: Source, line: int, stmt: Statement, first_motion: i
 def part_bounds(
     source: Source, base: str, cut_points: CutPoints, limit: int, extra_lines: int
 ) -> tuple[list[int], list[Issue]]:
-    """Return the first line of each part and the line of END, and warnings about parts that are too long.
+    """Return the first line of each part, then the line of END; and warnings about parts that are too long.
 
-    :param base: what the names of the files begin with.
-    :param limit: lines of a file at most, of which `extra_lines` are not those of the program.
-    :raises ProgramError: it cannot be cut.
+    Lines before the first part stay in the main program.
+
+    :param base: beginning of the names of the files.
+    :param limit: largest number of lines of a file.
+    :param extra_lines: number of these lines that are added, and not lines of the program.
+    :raises ProgramError: `limit` is too small, the first motion cannot be in a part, or a declaration follows it.
     """
     issues: list[Issue] = []
     free_lines = limit - extra_lines
@@ -150,9 +153,10 @@ def part_bounds(
 
 
 def _next_cut(cut_points: CutPoints, begin: int, free_lines: int) -> int:
-    """Return the line at which a part ends that begins at a line: the last possible one within `free_lines` lines.
+    """Return the line before which the part that begins at line `begin` ends.
 
-    If there is none, it is the first one beyond; the line of END at most.
+    This is the last cut point that leaves the part at most `free_lines` lines. If there is none, it is the next cut
+    point; if there is none either, the line of END.
     """
     if cut_points.end - begin <= free_lines:
         return cut_points.end

@@ -1,6 +1,6 @@
-"""Edits of an execution trace, by its rows: which rows read alike, and how many lines each is written as.
+"""Edits of an execution trace by its rows: the new text of each row, and how many lines it has.
 
-Only rows that are edited are written, each from the line of its file.
+Only edited rows have a text; all other rows are the lines of their files.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from postproc.program import Ints
 class EditedRows(Struct, frozen=True, eq=False):
     """The rows of a trace as they are written.
 
-    :ivar rows: (E,) rows that are written otherwise than their lines in the files, in order.
-    :ivar texts: what they are written as.
-    :ivar keys: (L,) number of the text of each row, 0 where it is that of its line: rows of one line are written alike
-        if and only if their numbers are equal.
-    :ivar begins: (L + 1,) number of lines that are written for the rows before each, and for all.
+    :ivar rows: (E,) rows whose new text differs from their lines in the files, ascending, from 1.
+    :ivar texts: new text of each, with line end.
+    :ivar keys: (L,) number of the new text of each row; 0 for unchanged rows. Rows of one line are equal if and only if
+        their numbers are equal.
+    :ivar begins: (L + 1,) number of lines that are written for the rows before each row, and finally for all rows.
     """
 
     rows: Ints
@@ -35,7 +35,7 @@ class EditedRows(Struct, frozen=True, eq=False):
 
 
 def edited_rows(trace: Trace, edits: Replacements) -> EditedRows:
-    """Return the rows of a trace after edits; each edit is within one row."""
+    """Return the rows of a trace after edits; each edit must be within one row."""
     rows = edits.rows()
     old_texts = [line_text(*trace.place(row)) for row in rows.tolist()]
     new_texts = _edited_texts(trace, rows, old_texts, edits)
@@ -47,23 +47,24 @@ def edited_rows(trace: Trace, edits: Replacements) -> EditedRows:
     rows, texts = rows[changed_indices], [new_texts[index] for index in changed_indices]
     numbers: dict[str, int] = {}
     keys = np.zeros(len(trace), dtype=np.int64)
-    keys[rows - 1] = [numbers.setdefault(text, len(numbers) + 1) for text in texts]
+    keys[rows - 1] = [numbers.setdefault(text, len(numbers) + 1) for text in texts]  # rows count from 1
     count = np.ones(len(trace), dtype=np.int64)
     count[rows - 1] = [line_count(text) for text in texts]
     return EditedRows(rows, tuple(texts), keys.tolist(), np.append(0, np.cumsum(count)))
 
 
 def _edited_texts(trace: Trace, rows: Ints, old_texts: Sequence[str], edits: Replacements) -> list[str]:
-    """Return rows of a trace as text after edits, with their line ends.
+    """Return the new texts of rows of a trace, with their line ends.
 
-    All rows are edited as one text, in which they follow each other.
+    The old texts are joined, edited as one text, and separated again.
 
-    :param rows: (E,) rows that have edits, in order; `old_texts` are their lines.
+    :param rows: (E,) rows that have edits, ascending.
+    :param old_texts: texts of their lines in the files.
     """
     if not len(rows):
         return []
     begins = np.append(0, np.cumsum([len(text) for text in old_texts], dtype=np.int64))
-    shift = begins[:-1] - trace.starts(rows)  # from offsets in the file of a row to those in the one text
+    shift = begins[:-1] - trace.starts(rows)  # from offsets in the file of each row to offsets in the joined text
     joined_edits = edits.shifted(lambda edit_rows: shift[np.searchsorted(rows, edit_rows)])
     text, bounds = joined_edits.apply("".join(old_texts)), joined_edits.new_offsets(begins).tolist()
     return [text[start:stop] for start, stop in pairwise(bounds)]
@@ -75,7 +76,7 @@ def line_text(source: Source, line: int) -> str:
 
 
 def line_count(text: str) -> int:
-    """Return how many lines a text has."""
+    """Return the number of lines of a text."""
     if text.endswith("\n") and text.count("\r") in (0, text.count("\r\n")):
-        return text.count("\n")  # counted much faster
+        return text.count("\n")  # only LF or only CR LF: much faster
     return len(line_spans(text)[0]) if text else 0

@@ -1,4 +1,4 @@
-"""Edits of files: pieces replaced, lines inserted; what does not change stays to the byte."""
+"""Edits of files: pieces replaced, lines inserted; all other text is unchanged to the byte."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _PIECES = 1 << 16
 
 
 class _Pieces(NamedTuple):
-    """N pieces of a text that are replaced, numbers before texts.
+    """N pieces of a text that are replaced: first the pieces of `add_numbers`, then those of `add`.
 
-    :ivar starts: (N,) offsets; `stops` (N,) those behind.
-    :ivar lengths: (N,) characters of the new texts.
+    :ivar starts: (N,) offsets of the pieces; `stops` (N,) the offsets behind them.
+    :ivar lengths: (N,) numbers of characters of the new texts.
     """
 
     starts: Ints
@@ -36,15 +36,15 @@ class _Pieces(NamedTuple):
 class Replacements(Struct, eq=False):
     """Pieces of a text to be replaced, in any order; they must not overlap.
 
-    Insertions at one place stay in the order in which they were added. In an execution trace a piece is within the
-    line of one row, and offsets are those of its file; elsewhere the row is 0.
+    Insertions at one offset keep the order in which they were added. In an execution trace, a piece is within the line
+    of one row, and its offsets count in the file of this row; in a plain text, the row is 0.
 
-    Columns of numbers are one array for each call of `add_numbers`.
+    The first five fields have one array for each number of decimals in each call of `add_numbers`.
 
-    :ivar _starts: offsets of the numbers that are replaced; `_stops` those behind.
-    :ivar _lengths: characters of the new numbers; `_numbers` these characters, one after the other.
-    :ivar _rows: rows of the trace of the numbers.
-    :ivar _single: start, stop and new text of each piece from `add`; `_single_rows` their rows.
+    :ivar _starts: offsets of the replaced numbers; `_stops` the offsets behind them.
+    :ivar _lengths: numbers of characters of the new numbers; `_numbers` these characters, one after the other.
+    :ivar _rows: rows of the trace that contain the numbers.
+    :ivar _single: start, stop and new text of each piece of `add`; `_single_rows` the rows that contain them.
     """
 
     _starts: list[Ints] = []
@@ -56,22 +56,25 @@ class Replacements(Struct, eq=False):
     _single_rows: list[int] = []
 
     def add(self, start: int, stop: int, text: str, row: int = 0) -> None:
-        """Replace ``text[start:stop]`` by another text; ``start == stop`` inserts."""
+        """Add the replacement of ``text[start:stop]`` by another text; ``start == stop`` inserts.
+
+        :param row: row of the execution trace that contains the piece; 0 in a plain text.
+        """
         self._single.append((start, stop, text))
         self._single_rows.append(row)
 
     def add_numbers(self, starts: Ints, stops: Ints, values: Array, decimals: Ints, rows: Ints) -> None:
-        """Replace n pieces by numbers in fixed-point notation.
+        """Add the replacements of n pieces by numbers in fixed-point notation.
 
-        :param starts: (n,) offsets; `stops` (n,) those behind.
-        :param values: (n,) numbers.
-        :param decimals: (n,) decimals of each.
-        :param rows: (n,) of the execution trace, or 0.
+        :param starts: (n,) offsets of the pieces; `stops` (n,) the offsets behind them.
+        :param values: (n,) the numbers.
+        :param decimals: (n,) number of decimals of each.
+        :param rows: (n,) rows of the execution trace that contain the pieces; 0 in a plain text.
         """
         for decimal_count in distinct(decimals).tolist():
             pieces = np.flatnonzero(decimals == decimal_count)
             digits = fixed_point_text(values[pieces], decimal_count)
-            has_digit = digits != 0
+            has_digit = digits != 0  # shorter numbers are padded with zero bytes
             self._starts.append(compact(starts[pieces], np.int32))
             self._stops.append(compact(stops[pieces], np.int32))
             self._rows.append(compact(rows[pieces], np.int32))
@@ -79,13 +82,13 @@ class Replacements(Struct, eq=False):
             self._numbers.append(digits[has_digit])
 
     def rows(self) -> Ints:
-        """Return the rows that have pieces, in order."""
+        """Return the rows (n,) that have pieces, ascending."""
         return distinct(np.concatenate([*self._rows, np.array(self._single_rows, dtype=np.int64)]))
 
     def shifted(self, shifts: Callable[[Ints], Ints]) -> Replacements:
-        """Return the same replacements in a text that has the lines of the rows one after the other.
+        """Return these replacements for a text in which the lines of the rows follow each other.
 
-        :param shifts: rows (n,) → what to add to offsets in the files to get those in that text (n,).
+        :param shifts: rows (n,) → distances (n,) from offsets in the files of the rows to offsets in this text.
         """
         row_shifts = [shifts(rows) for rows in self._rows]
         starts = [start + shift for start, shift in zip(self._starts, row_shifts, strict=True)]
@@ -102,15 +105,18 @@ class Replacements(Struct, eq=False):
         return bool(self._single or self._starts)
 
     def new_offsets(self, offsets: Ints) -> Ints:
-        """Return the offsets (n,) after all replacements; text inserted at an offset follows it."""
+        """Return the offsets (n,) after all replacements; text inserted at an offset is behind it.
+
+        :param offsets: (n,) offsets in the old text that are not inside a piece.
+        """
         starts, stops, lengths = self._pieces()
         order = np.argsort(starts, kind="stable")
         growth = (lengths - (stops - starts))[order]
-        preceding_growth = np.append(0, np.cumsum(growth, dtype=np.int64))  # of all pieces before each, then of all
+        preceding_growth = np.append(0, np.cumsum(growth, dtype=np.int64))  # of the pieces before each, then of all
         return np.asarray(offsets + preceding_growth[np.searchsorted(starts[order], offsets, side="left")])
 
     def _pieces(self) -> _Pieces:
-        """Return all pieces that are replaced, in the order in which their new texts are kept."""
+        """Return all pieces: those of `add_numbers`, then those of `add`, in the order in which they were added."""
         single = np.array([(start, stop, len(text)) for start, stop, text in self._single], dtype=np.int32)
         starts, stops, lengths = single.reshape(-1, 3).T
         return _Pieces(
@@ -131,7 +137,7 @@ class Replacements(Struct, eq=False):
         starts, stops, lengths = self._pieces()
         new_codes = np.concatenate([*self._numbers, _codes(inserted_text, is_ascii)])
         first_codes = np.cumsum(lengths, dtype=np.int64) - lengths
-        order = np.lexsort((stops, starts))
+        order = np.lexsort((stops, starts))  # an insertion precedes a piece that begins at its offset
         texts, copied_to = [], 0
         for first in range(0, len(order), count):
             pieces = order[first : first + count]
@@ -159,27 +165,30 @@ def _codes(text: str, is_ascii: bool) -> Codes:
 def _replace_pieces(text: Codes, starts: Ints, stops: Ints, pieces: Codes, begin: Ints, length: Ints) -> Codes:
     """Return a text up to its last replaced piece, with new pieces in place of ``text[starts:stops]``.
 
-    :param starts: (n,) offsets in the text, ascending; `stops` (n,) those behind.
-    :param pieces: the characters of new pieces; piece i is ``pieces[begin[i] : begin[i] + length[i]]``.
-    :param begin: (n,) see `pieces`; `length` (n,) likewise.
+    :param starts: (n,) offsets of the replaced pieces in the text, ascending; `stops` (n,) the offsets behind them.
+    :param pieces: characters of the new pieces; piece i is ``pieces[begin[i] : begin[i] + length[i]]``.
+    :param begin: (n,) offsets in `pieces`; `length` (n,) numbers of characters.
     """
-    # the result alternates between kept characters of the text (even) and new ones (odd): offset of the first, count
+    # the result alternates between runs of old characters (even) and of new ones (odd): first offset and length of each
     first = np.empty(2 * len(starts), dtype=np.int64)
     count = np.empty_like(first)
     first[0::2] = np.append(0, stops[:-1])
     count[0::2] = starts - first[0::2]
     first[1::2], count[1::2] = begin, length
     is_new = np.repeat(np.arange(len(first)) % 2 == 1, count)
-    offset = ragged_range(count, first)  # of each character of the result, in the text or among the new ones
+    offset = ragged_range(count, first)  # of each character of the result: in `text`, or in `pieces` if it is new
     codes = np.empty(len(offset), dtype=text.dtype)
     codes[~is_new], codes[is_new] = text[offset[~is_new]], pieces[offset[is_new]]
     return codes
 
 
 class InsertedLines(Struct, eq=False):
-    """Collects lines that are inserted and removed. Lines are given by their rows of the trace.
+    """Collects lines that are inserted and removed. Lines are given as 1-based rows of the trace.
 
-    :ivar _insertion_lines: line before which each new line is; `_inserted_targets` the target on it, −1 if none.
+    :ivar replacements: gets the insertions and removals.
+    :ivar _insertion_lines: for each inserted line, the line before which it is inserted.
+    :ivar _inserted_targets: the target on each inserted line; −1 for none.
+    :ivar _removed_lines: lines that are removed.
     """
 
     trace: Trace
@@ -189,9 +198,9 @@ class InsertedLines(Struct, eq=False):
     _removed_lines: list[int] = []
 
     def add(self, next_line: int, text: str, target: int = -1) -> None:
-        """Insert a text with its line end before a line, behind texts that were inserted there already.
+        """Insert a text with its line end before a line, behind texts that are already inserted before it.
 
-        :param target: number of the target on the new line; −1 if there is none.
+        :param target: index of the target on the new line; −1 if there is none.
         """
         source, line = self.trace.place(next_line)
         offset = source.starts.item(line - 1)
@@ -200,9 +209,9 @@ class InsertedLines(Struct, eq=False):
         self._inserted_targets.append(target)
 
     def insert_behind(self, line: int, text: str) -> None:
-        """Insert a text without line end as a line behind another.
+        """Insert a text without line end as a line behind line `line`.
 
-        It precedes texts that `add` inserts before the next line.
+        It precedes texts that `add` inserts before the next line. The line end of `line` is repeated.
         """
         source, number = self.trace.place(line)
         stop = source.stops.item(number - 1)
@@ -220,16 +229,16 @@ class InsertedLines(Struct, eq=False):
     def output_lines(self, line: Ints) -> Ints:
         """Return the lines (K,) of K targets in the written text.
 
-        A line moves down by the number of lines inserted up to it, and up by the number of those removed before it.
+        A line moves down by the number of lines inserted before it, and up by the number of lines removed before it.
 
-        :param line: (K,) lines on which the targets were; inserted targets get the lines of their own.
+        :param line: (K,) lines on which the targets were; for inserted targets any number, which is replaced.
         """
         order = np.argsort(self._insertion_lines, kind="stable")
         insertion_lines = np.array(self._insertion_lines, dtype=np.int64)[order]
         inserted_targets = np.array(self._inserted_targets, dtype=np.int64)[order]
         removed_lines = np.sort(np.array(self._removed_lines, dtype=np.int64))
         output_line = line + np.searchsorted(insertion_lines, line, side="right") - np.searchsorted(removed_lines, line)
-        # insertion n, from 0, has n inserted lines before it
+        # insertions are sorted: insertion n, from 0, has n inserted lines before it
         insertions = np.flatnonzero(inserted_targets >= 0)
         next_lines = insertion_lines[insertions]
         output_line[inserted_targets[insertions]] = next_lines + insertions - np.searchsorted(removed_lines, next_lines)

@@ -26,7 +26,7 @@ from msgspec.structs import replace
 from postproc.cell import Cell
 from postproc.dialects.krl.language.names import MAX_LENGTH
 from postproc.dialects.krl.write.emit import ANGLE_DECIMALS, Emitter, axis_motion, calls_program, emit
-from postproc.dialects.new_program import LINE_END, no_lines, number
+from postproc.dialects.new_program import LINE_END, no_lines_comment, number_text
 from postproc.errors import Issue, ProgramError
 from postproc.frames import DEG_PER_RAD, Array, norm
 from postproc.program import (
@@ -272,8 +272,8 @@ class _Divider:
             if self._is_switched_at(switch.event, k):
                 continue  # the program itself switches it here
             cell_lines += switch.on_lines
-            lines += [words.wait, *switch.on_lines] if switch.on_lines else [f"; {no_lines(switch.event)}"]
-            lines += [words.dwell.format(number(dwell.value)) for dwell in self._dwells(switch.event)]
+            lines += [words.wait, *switch.on_lines] if switch.on_lines else [f"; {no_lines_comment(switch.event)}"]
+            lines += [words.dwell.format(number_text(dwell.value)) for dwell in self._dwells(switch.event)]
         if calls_program(cell_lines):  # which may have set others
             lines += state
         return lines
@@ -282,7 +282,10 @@ class _Divider:
         """Return the lines that set the system variables to their values before target `k`."""
         line_of_name: dict[str, str] = {}
         previous_lines = (
-            line for row in sorted(self.new_program.before) if row < k for line in self.new_program.before[row]
+            line
+            for row in sorted(self.new_program.lines_before)
+            if row < k
+            for line in self.new_program.lines_before[row]
         )
         for line in (*self.emitter.start_lines(), *previous_lines):
             if match := _STATE.match(line):

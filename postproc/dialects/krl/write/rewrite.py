@@ -45,7 +45,7 @@ from postproc.dialects.krl.write.target_statements import (
     replaced_numbers,
 )
 from postproc.dialects.krl.write.trigger_places import PlacedTriggers, place_triggers
-from postproc.dialects.new_program import number
+from postproc.dialects.new_program import number_text
 from postproc.errors import Issue, ProgramError, group_issues
 from postproc.frames import Array
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, WrittenProgram
@@ -476,7 +476,7 @@ class _Rewriter:
 
 def _feed_texts(targets: Ints, feeds: Array) -> dict[int, str]:
     """Return the statements that set feeds (n,) [m/s], by targets (n,)."""
-    return {k: f"$VEL.CP={number(feed)}" for k, feed in zip(targets.tolist(), feeds.tolist(), strict=True)}
+    return {k: f"$VEL.CP={number_text(feed)}" for k, feed in zip(targets.tolist(), feeds.tolist(), strict=True)}
 
 
 def _lowered_motions(program: Program) -> Ints:
