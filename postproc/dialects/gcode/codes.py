@@ -8,6 +8,7 @@ from __future__ import annotations
 MOTION = (0.0, 1.0, 2.0, 3.0)
 CYCLES = (73.0, 81.0, 82.0, 83.0, 84.0, 85.0, 86.0, 89.0)
 MOVING = (*MOTION, *CYCLES)
+"""Codes that move the tool: G0 to G3 and cycles."""
 CANCEL_CYCLE = 80.0
 DWELL = 4.0
 DWELL_WORDS = "PXUFS"
@@ -150,7 +151,10 @@ WORD_ADVICE = {
 
 
 def refusal(letter: str, code: float) -> tuple[str, str]:
-    """Return problem and advice for a G or M code that is not accepted."""
+    """Return problem and advice for a G or M code that is not accepted.
+
+    :param letter: G or M; `code`: its number, such as 43.4.
+    """
     advice = (_ADVICE_G if letter == "G" else _ADVICE_M).get(code)
     if advice is None:
         unknown_advice = "An unknown code may move the machine. Remove it if it has no effect here"

@@ -24,7 +24,7 @@ _CLEARANCE_MM = 0.254
 _MOST_PECKS = 10_000
 """A hole with more is a mistake in a number: at 0.1 mm a peck it would be 1 m deep."""
 _MODES = ("G90", "G91")
-_NEEDS: Mapping[float, str] = {73.0: "Q", 82.0: "P", 83.0: "Q", 86.0: "P", 89.0: "P"}
+_NEEDED_WORDS: Mapping[float, str] = {73.0: "Q", 82.0: "P", 83.0: "Q", 86.0: "P", 89.0: "P"}
 DWELLING = (82.0, 84.0, 86.0, 89.0)
 """Cycles that wait at the bottom, for the time P."""
 
@@ -32,18 +32,24 @@ Point = tuple[float, float, float]
 
 
 class Step(Struct, frozen=True):
-    """A move of a cycle: code 0 (rapid) or 1, end in the plane and across it [mm].
+    """A move of a cycle.
 
-    :param bottom: it begins or ends in the hole, where the tool reverses: no corner may be rounded at its end.
+    :param code: 0 for a rapid, 1 for a move at feed.
+    :param end: its end in the plane and across it [mm].
+    :param is_in_hole: whether it begins or ends in the hole, where the tool reverses: its end must not be rounded.
     """
 
     code: float
     end: Point
-    bottom: bool = False
+    is_in_hole: bool = False
 
 
 class CycleEvent(Struct, frozen=True):
-    """An event of a cycle after its first `step_count` moves: a dwell [s], or a change of the spindle."""
+    """An event of a cycle: a dwell, or a change of the spindle.
+
+    :param step_count: number of moves of the cycle that precede it.
+    :param value: time of a dwell [s].
+    """
 
     step_count: int
     kind: EventKind
@@ -63,23 +69,23 @@ class Cycle:
     :ivar code: number of the G code; 0: no cycle is active.
     :ivar level: height before the first cycle of the series [mm]; None: no cycle is active.
     :ivar words: letter → number: Z and R in mm as programmed, P in s, Q in mm.
-    :ivar relative: letter → whether it was given in G91.
-    :ivar lifts: whether the tool first goes up to R.
+    :ivar is_relative: letter → whether it was given in G91.
+    :ivar lifts_to_r: whether the tool first goes up to R.
     """
 
     def __init__(self) -> None:
         self.code = 0.0
         self.words: dict[str, float] = {}
-        self.relative: dict[str, bool] = {}
+        self.is_relative: dict[str, bool] = {}
         self.level: float | None = None
-        self.lifts = False
+        self.lifts_to_r = False
 
     def end(self) -> None:
         """End a series of cycles."""
         self.code, self.level = 0.0, None
         self.words.clear()
 
-    def hole(
+    def hole_moves(
         self,
         code: float,
         line_words: Mapping[str, float],
@@ -94,10 +100,11 @@ class Cycle:
         :param code: number of the G code of the cycle.
         :param line_words: words of the line: U and V in the plane, Z across it, R, Q [mm], P, L. L0 states the hole for
             the lines that follow and drills none (Fanuc and Haas; LinuxCNC refuses it).
-        :param position: of the tool, in the plane and across it [mm].
-        :param spindle: state of the spindle.
-        :param relative: G91 is active.
-        :param retracts_to_r: G99 is active.
+        :param position: position of the tool before, in the plane and across it [mm].
+        :param spindle: state of the spindle before the cycle.
+        :param relative: whether G91 is active.
+        :param retracts_to_r: whether G99 is active: the tool retracts to the R plane, not to the initial level.
+        :returns: no moves for L0.
         :raises BlockError: a word is missing, or impossible.
         """
         self._keep_words(code, line_words, relative)
@@ -105,13 +112,13 @@ class Cycle:
         self.level = height if self.level is None else self.level
         repeats = _repeats(line_words)
         if repeats == 0:
-            _check_place(line_words, (0.0, 0.0) if relative else (u, v))
+            _check_undrilled_position(line_words, (0.0, 0.0) if relative else (u, v))
             return CycleMoves([], [])
         r, z = self._heights(self.level if relative else None)
         steps: list[Step] = []
         events: list[CycleEvent] = []
-        self.lifts = self.level < r
-        if self.lifts:
+        self.lifts_to_r = self.level < r
+        if self.lifts_to_r:
             steps.append(Step(0.0, (u, v, r)))
             height = r
         clear_height = r if retracts_to_r else max(self.level, r)
@@ -129,21 +136,26 @@ class Cycle:
         return CycleMoves(steps, events)
 
     def _keep_words(self, code: float, line_words: Mapping[str, float], relative: bool) -> None:
-        """Keep the modal words of a line; those of another cycle are forgotten.
+        """Add the words Z, R, P and Q of a line to the modal words; a change of the cycle clears them first.
 
+        :param code: number of the G code of the cycle; `line_words`: words of the line by letter.
         :param relative: whether G91 is active.
-        :raises BlockError: a word is missing, or R or Z was given in the other one of the modes G90 and G91.
+        :raises BlockError: a word that the cycle needs is missing, or R or Z was given in G90 and G91 is active, or the
+            reverse.
         """
         if code != self.code:
             self.words.clear()
             self.code = code
         self.words.update({letter: line_words[letter] for letter in "ZRPQ" if letter in line_words})
-        self.relative.update(dict.fromkeys(line_words, relative))
-        missing_letters = [letter for letter in ("Z", "R", *_NEEDS.get(self.code, "")) if letter not in self.words]
+        self.is_relative.update(dict.fromkeys(line_words, relative))
+        missing_letters = [
+            letter for letter in ("Z", "R", *_NEEDED_WORDS.get(self.code, "")) if letter not in self.words
+        ]
         if missing_letters:
             raise BlockError(f"G{self.code:g} without {' and '.join(missing_letters)}", None)
-        conflicts = [letter for letter in "RZ" if self.relative[letter] != relative]
+        conflicts = [letter for letter in "RZ" if self.is_relative[letter] != relative]
         if conflicts:
+            # a mode as an index of `_MODES`: False is G90, True is G91
             problem = (
                 f"{' and '.join(conflicts)} of the cycle: given in {_MODES[not relative]}, used in {_MODES[relative]}"
             )
@@ -165,9 +177,11 @@ class Cycle:
         return r, z
 
     def _add_descent(self, bottom: Point, r: float, steps: list[Step]) -> None:
-        """Append to `steps` the moves from the R plane to the bottom, in pecks where the cycle has them.
+        """Append to `steps` the moves from the R plane to the bottom.
 
-        :param bottom: end of the descent; `r`: height of the R plane [mm].
+        G73 and G83 drill in pecks of depth Q: G83 goes up to the R plane after each, G73 only by `_CLEARANCE_MM`.
+
+        :param bottom: end of the descent, in the plane and across it [mm]; `r`: height of the R plane [mm].
         :raises BlockError: the depth of a peck is not above zero, or needs too many pecks.
         """
         u, v, z = bottom
@@ -178,19 +192,23 @@ class Cycle:
             depth = r - peck
             while depth > z:
                 retract_height = depth + _CLEARANCE_MM
-                steps.append(Step(1.0, (u, v, depth), bottom=True))
+                steps.append(Step(1.0, (u, v, depth), is_in_hole=True))
                 if self.code == 83.0:
-                    steps.append(Step(0.0, (u, v, r), bottom=True))
-                steps.append(Step(0.0, (u, v, retract_height), bottom=True))
+                    steps.append(Step(0.0, (u, v, r), is_in_hole=True))
+                steps.append(Step(0.0, (u, v, retract_height), is_in_hole=True))
                 depth -= peck
-        steps.append(Step(1.0, bottom, bottom=True))
+        steps.append(Step(1.0, bottom, is_in_hole=True))
 
     def _add_retract(
         self, clear_point: Point, r: float, steps: list[Step], cycle_events: list[CycleEvent], spindle: EventKind
     ) -> None:
-        """Append to `steps` the retract from the bottom, and to `cycle_events` the dwell and spindle changes before it.
+        """Append to `steps` the retract from the bottom, and to `cycle_events` the dwell and the spindle changes.
 
-        :param clear_point: end of the retract; `r`: height of the R plane [mm].
+        G84: the spindle reverses at the bottom, the tool retracts at feed, and the spindle turns clockwise again.
+        G86: the spindle stops at the bottom, the tool retracts in rapid, and the spindle turns as before.
+        G85: the tool retracts at feed to the R plane, then in rapid. G89: it retracts at feed. Others: in rapid.
+
+        :param clear_point: end of the retract, in the plane and across it [mm]; `r`: height of the R plane [mm].
         :param spindle: state of the spindle before the cycle.
         :raises BlockError: the spindle does not turn as the cycle needs it.
         """
@@ -200,7 +218,7 @@ class Cycle:
             if spindle != "spindle_on":
                 raise BlockError("G84 with a spindle that does not turn clockwise", "Start it with M3 before.")
             cycle_events += [CycleEvent(step_count, "spindle_off"), CycleEvent(step_count, "spindle_ccw"), *wait]
-            steps.append(Step(1.0, clear_point, bottom=True))
+            steps.append(Step(1.0, clear_point, is_in_hole=True))
             cycle_events += [CycleEvent(step_count + 1, "spindle_off"), CycleEvent(step_count + 1, "spindle_on")]
         elif self.code == 86.0:
             if spindle == "spindle_off":
@@ -226,11 +244,11 @@ def _repeats(line_words: Mapping[str, float]) -> int:
     return round(repeats)
 
 
-def _check_place(line_words: Mapping[str, float], place: tuple[float, float]) -> None:
-    """Check that a line without a hole (L0) does not name another place in the plane than that of the tool.
+def _check_undrilled_position(line_words: Mapping[str, float], place: tuple[float, float]) -> None:
+    """Check that a line without a hole (L0) has no word U or V that would move the tool.
 
-    :param place: words U and V of the place of the tool [mm].
-    :raises BlockError: it does.
+    :param place: the words U and V that leave the tool where it is [mm].
+    :raises BlockError: the line has another word.
     """
     if any(line_words.get(letter, word) != word for letter, word in zip("UV", place, strict=True)):
         advice = "Controls differ in whether the tool goes there: program the place in a block before, by G0."

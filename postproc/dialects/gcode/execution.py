@@ -36,17 +36,17 @@ class ExecutedProgram(Struct, frozen=True, eq=False):
     :param documents: their files, the program first.
     :param document: (L,) index of the file of each line.
     :param line: (L,) its 1-based line number in that file.
-    :param main: (L,) its line number in the program; for a line of another file, the line number of the call.
-    :param faults: why it cannot be executed further, in rows of `source`.
-    :param after_end: line numbers of lines with coordinates after the end of the program, which are never executed;
-        `source` may have more.
+    :param main_line: (L,) its line number in the program; for a line of another file, the line number of the call.
+    :param faults: why it cannot be executed further; their rows are those of `source`.
+    :param after_end: line numbers in the program of lines with coordinates after its end, which are not executed. Empty
+        for a program without calls, loops and parameters: `source` has its lines after the end too.
     """
 
     source: Source
     documents: tuple[Document, ...]
     document: Ints
     line: Ints
-    main: Ints
+    main_line: Ints
     faults: tuple[Fault, ...] = ()
     after_end: tuple[int, ...] = ()
 
@@ -56,37 +56,39 @@ class Piece(NamedTuple):
 
     :param unit: index of the file.
     :param first: row of the first line; `last`: row after the last line.
-    :param main: row of the program from which the file was called; −1 for lines of the program itself.
+    :param main_row: row of the program from which the file was called; −1 for lines of the program itself.
     :param text: the executed words of a single line, if they differ from those of the file.
     """
 
     unit: int
     first: int
     last: int
-    main: int
+    main_row: int
     text: str | None = None
 
 
-def assemble(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequence[Fault], end: int) -> ExecutedProgram:
+def join_pieces(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequence[Fault], end: int) -> ExecutedProgram:
     """Return pieces, given in execution order, as one program.
 
-    :param units: the files of the pieces.
-    :param end: row of the first file at which the program ends.
+    :param units: the files of the pieces, the program first.
+    :param faults: faults of the program; their rows are those of the joined lines.
+    :param end: row of the program at which it ends.
     """
-    code = b"\n" + b"".join(_bytes(units, pieces))
+    code = b"\n" + b"".join(_piece_texts(units, pieces))
+    # columns of the pieces: the first four fields of `Piece`
     unit, first, last, main = np.array([piece[:4] for piece in pieces], dtype=np.int64).reshape(-1, 4).T
     count = last - first
     row = ragged_range(count, first)
     document, main = np.repeat(unit, count), np.repeat(main, count)
-    comments, rows = _comments(units, document, row)
+    comments, rows = _executed_comments(units, document, row)
     source, line = Source(code, line_feeds(code), comments, rows + 1), row + 1
     documents = tuple(unit.document for unit in units)
-    after_end = np.setdiff1d(units[0].source.coordinates(end), row[document == 0]) + 1
+    after_end = np.setdiff1d(units[0].source.rows_with_coordinates(end), row[document == 0]) + 1
     main = np.where(main < 0, line, main + 1)
     return ExecutedProgram(source, documents, document, line, main, tuple(faults), tuple(after_end.tolist()))
 
 
-def _bytes(units: Sequence[Unit], pieces: Sequence[Piece]) -> Iterator[bytes]:
+def _piece_texts(units: Sequence[Unit], pieces: Sequence[Piece]) -> Iterator[bytes]:
     """Yield the text of the pieces in execution order."""
     sources = [(unit.source.code, unit.source.ends.tolist()) for unit in units]
     for piece in pieces:
@@ -97,7 +99,7 @@ def _bytes(units: Sequence[Unit], pieces: Sequence[Piece]) -> Iterator[bytes]:
             yield code[ends[piece.first] + 1 : ends[piece.last] + 1]
 
 
-def _comments(units: Sequence[Unit], document: Ints, row: Ints) -> tuple[tuple[str, ...], Ints]:
+def _executed_comments(units: Sequence[Unit], document: Ints, row: Ints) -> tuple[tuple[str, ...], Ints]:
     """Return the comments of the executed lines, and the executed row of each.
 
     :param document: (L,) index of the file of each executed line; `row`: (L,) its row in that file.
@@ -113,7 +115,7 @@ def _comments(units: Sequence[Unit], document: Ints, row: Ints) -> tuple[tuple[s
         executed_rows.append(np.repeat(rows, count))
         text_indices.append(len(texts) + ragged_range(count, first))
         texts += unit.source.comments
-    order = np.argsort(np.concatenate(executed_rows), kind="stable")
+    order = np.argsort(np.concatenate(executed_rows), kind="stable")  # comments of one row keep their order
     ordered_indices = np.concatenate(text_indices)[order].tolist()
     return tuple(texts[n] for n in ordered_indices), np.concatenate(executed_rows)[order]
 
@@ -131,40 +133,42 @@ class Library:
         self.units = [program]
         self._files: dict[str, Path] | None = None
 
-    def find(self, label: str, caller: int, *, is_linuxcnc_style: bool) -> tuple[int, int] | None:
-        """Return the index in `units` of the file of a subprogram, and its first row; None if it is not found.
+    def find_subprogram(self, label: str, caller: int, *, is_linuxcnc_style: bool) -> tuple[int, int] | None:
+        """Return the index in `units` of the file of a subprogram, and the row after its label; None if there is none.
+
+        It is searched for in the calling file, in the program, and then in the other files of the folder.
 
         :param label: name or number of the subprogram.
         :param caller: index of the calling file in `units`.
         :param is_linuxcnc_style: whether it is called by ``O<name> CALL``, not by M98.
-        :raises BlockError: its file cannot be read.
+        :raises BlockError: its file cannot be read, or has no such SUB.
         """
         for loaded_index in dict.fromkeys((caller, 0)):  # the calling file, then the main one
             loaded_unit = self.units[loaded_index]
-            label_row = (loaded_unit.subs if is_linuxcnc_style else loaded_unit.numbers).get(label)
+            label_row = (loaded_unit.subs if is_linuxcnc_style else loaded_unit.numbered_subs).get(label)
             if label_row is not None:
                 return loaded_index, label_row + 1
-        unit_index = self._load(label)
+        unit_index = self._load_file(label)
         if unit_index is None:
             return None
         unit = self.units[unit_index]
         # a file called by M98 need not state its number: it then begins at row 0
-        label_row = (unit.subs if is_linuxcnc_style else unit.numbers).get(label, -1)
+        label_row = (unit.subs if is_linuxcnc_style else unit.numbered_subs).get(label, -1)
         if is_linuxcnc_style and label_row < 0:
             raise BlockError(f"{unit.document.name} has no O<{label}> SUB", None)
         return unit_index, label_row + 1
 
-    def _load(self, label: str) -> int | None:
+    def _load_file(self, label: str) -> int | None:
         """Return the index in `units` of the file of the folder that contains a subprogram; None: there is none.
 
-        The file is read on the first call.
+        A file is read and added to `units` when it is first called.
 
         :raises BlockError: it cannot be read.
         """
         for n, unit in enumerate(self.units):
-            if n and _stem(unit.document.name) == label:
+            if n and _label_of_file(unit.document.name) == label:
                 return n
-        path = self._file(label)
+        path = self._subprogram_file(label)
         if path is None:
             return None
         try:
@@ -173,15 +177,18 @@ class Library:
             raise BlockError(f"subprogram O{label}: {path.name} cannot be read ({cause.strerror})", None) from cause
         except ProgramError as cause:
             raise BlockError(f"subprogram O{label}: {cause.problem}", None) from cause
-        unit = Unit.of(document, split(document))
+        unit = Unit.from_source(document, split(document))
         if unit.faults:
             problem, line = unit.faults[0].problem, unit.faults[0].row + 1
             raise BlockError(f"subprogram O{label}: {path.name}:{line}: {problem}", None)
         self.units.append(unit)
         return len(self.units) - 1
 
-    def _file(self, label: str) -> Path | None:
-        """Return the file of the program's folder that contains a subprogram, or None."""
+    def _subprogram_file(self, label: str) -> Path | None:
+        """Return the file of the program's folder that is named after a subprogram, or None.
+
+        Extensions are tried in order, first that of the program. On the first call the folder is listed into `_files`.
+        """
         main = self.units[0].document
         if self._files is None:
             self._files = {}
@@ -191,13 +198,13 @@ class Library:
                     self._files[path.name.lower()] = path
         for extension in dict.fromkeys((Path(main.name).suffix.lower(), *_EXTENSIONS)):
             for name, path in self._files.items():
-                if Path(name).suffix == extension and _stem(name) == label and path.is_file():
+                if Path(name).suffix == extension and _label_of_file(name) == label and path.is_file():
                     return path
         return None
 
 
-def _stem(file: str) -> str:
-    """Return the label of a subprogram file: ``O0100.nc`` → ``100``."""
+def _label_of_file(file: str) -> str:
+    """Return the label of the subprogram in a file by its name: ``O0100.nc`` → ``100``."""
     stem = Path(file).stem.lower()
     number = re.fullmatch(r"o?(\d+)", stem)
     return stem if number is None else str(int(number[1]))
@@ -207,46 +214,47 @@ _MOST_ORDERS = 2_000_000
 """Limit of executed lines with parameters or O-words: more are reported as an endless loop."""
 _MOST_ROWS = 10_000_000
 """Limit of all executed lines: ten times those of a program of 10⁶ motions."""
-_DEEPEST = 10
+_MOST_CALL_LEVELS = 10
 """Limit of nested subprogram calls, as in LinuxCNC."""
 _CALL = re.compile(r"([PL])([+-]?(?:\d+\.?\d*|\.\d+))|M0*9[89]")
-_ENDLESS = "Is it an endless loop? Check its end condition."
+_LOOP_ADVICE = "Is it an endless loop? Check its end condition."
 
 
 def execute(document: Document) -> ExecutedProgram:
-    """Return a program in execution order.
+    """Return a program in execution order; one without calls, loops and parameters as it is.
 
     :raises SubprogramError: the file only defines subprograms.
     """
     source = split(document)
     if is_controlled(source):
-        unit = Unit.of(document, source)
-        name = None if unit.faults else unit.only_defines()
+        unit = Unit.from_source(document, source)
+        name = None if unit.faults else unit.defined_subprogram()
         if name is not None:
             raise SubprogramError(
                 f"this is a subprogram, {name}",
                 file=document.name,
                 advice="Convert the program that calls it.",
             )
-        return _Run(unit).result()
+        return _Run(unit).executed_program()
     line = compact(np.arange(1, len(source) + 1), np.int32)
     return ExecutedProgram(source, (document,), constant(0, len(source)), line, line)
 
 
-class _Frame(Struct, frozen=True):
-    """A subprogram in execution.
+class _ActiveCall(Struct, frozen=True):
+    """A call of a subprogram that has not returned yet.
 
-    :param label: its name or number.
+    :param label: name or number of the subprogram.
     :param is_linuxcnc_style: whether it was called by ``O<name> CALL``, not by M98.
-    :param unit: index of the calling file; `row`: row after the call, `main`: see `_Run`.
-    :param repeats: repeats that M98 still has to make, from row `begin` of the subprogram.
+    :param unit: index of the calling file; `row`: row after the call; `main_row`: that of the caller, see `_Run`.
+    :param repeats: number of further repeats that M98 asks for.
+    :param begin: first row of the subprogram, from which it is repeated.
     """
 
     label: str
     is_linuxcnc_style: bool
     unit: int
     row: int
-    main: int
+    main_row: int
     repeats: int
     begin: int
 
@@ -259,9 +267,11 @@ class _Run:
     """Execution of a program: the present line, the calls that lead to it, and the pieces executed so far.
 
     :ivar unit: index of the present file in `units`; `row`: next row in it.
-    :ivar main: row of the program from which the present subprogram was called; −1 in the program itself.
-    :ivar counts: rounds that REPEAT loops still have to make, by number of calls, file and row of the loop.
-    :ivar rows: number of executed lines; `orders`: of those with parameters or O-words.
+    :ivar calls: the calls that have not returned yet, the innermost last.
+    :ivar main_row: row of the program from which the present subprogram was called; −1 in the program itself.
+    :ivar remaining_rounds: rounds that REPEAT loops still have to make, by number of open calls, file and row of the
+        loop.
+    :ivar row_count: number of executed lines; `order_count`: number of executed lines with parameters or O-words.
     :ivar faults: faults by file and row.
     :ivar end: row of the program at which it ends.
     """
@@ -270,16 +280,19 @@ class _Run:
         self.end = len(unit.source)
         self.library = Library(unit)
         self.units = self.library.units
-        self.unit, self.row, self.main = 0, 0, -1
+        self.unit, self.row, self.main_row = 0, 0, -1
         self.parameters = Parameters()
-        self.frames: list[_Frame] = []
-        self.counts: dict[tuple[int, int, int], int] = {}
+        self.calls: list[_ActiveCall] = []
+        self.remaining_rounds: dict[tuple[int, int, int], int] = {}
         self.pieces: list[Piece] = []
-        self.rows = self.orders = 0
+        self.row_count = self.order_count = 0
         self.faults: dict[tuple[int, int], Fault] = {}
 
-    def result(self) -> ExecutedProgram:
-        """Execute the program from its first line, unless its O-words have faults."""
+    def executed_program(self) -> ExecutedProgram:
+        """Execute the program from its first line; return its lines in execution order.
+
+        A program whose O-words have faults is not executed: the result has the faults alone.
+        """
         for fault in self.units[0].faults:
             self._add_fault(fault.row, fault.problem, fault.advice)
         try:
@@ -287,28 +300,30 @@ class _Run:
                 self._step()
         except _EndError:
             pass
-        return assemble(self.units, self.pieces, list(self.faults.values()), self.end)
+        return join_pieces(self.units, self.pieces, list(self.faults.values()), self.end)
 
     def _step(self) -> None:
-        """Execute the lines up to the next one with a parameter or an O word, and that one.
+        """Copy the plain lines up to the next line with a parameter or an O-word, and execute that line.
 
-        :raises _EndError: the program ends, or cannot be followed any further.
+        A fault of that line is recorded.
+
+        :raises _EndError: the program ends, or a fault leaves open which line is next.
         """
         unit, first = self.units[self.unit], self.row
-        row = unit.following[first]
+        row = unit.next_notable_row[first]
         if row > first:
             self._add_rows(first, row)
         if row == len(unit.source):
-            if self.frames:
-                end = "ENDSUB" if self.frames[-1].is_linuxcnc_style else "M99"
-                self._stop(row - 1, f"subprogram O{self.frames[-1].label} does not end with {end}")
+            if self.calls:
+                end = "ENDSUB" if self.calls[-1].is_linuxcnc_style else "M99"
+                self._stop(row - 1, f"subprogram O{self.calls[-1].label} does not end with {end}")
             raise _EndError
-        self.orders += 1
-        if self.orders > _MOST_ORDERS or self.rows > _MOST_ROWS:
-            self._stop(row, f"more than {_MOST_ORDERS:,} lines with parameters and O-words are executed", _ENDLESS)
+        self.order_count += 1
+        if self.order_count > _MOST_ORDERS or self.row_count > _MOST_ROWS:
+            self._stop(row, f"more than {_MOST_ORDERS:,} lines with parameters and O-words are executed", _LOOP_ADVICE)
         self.row = row + 1
         try:
-            line = unit.at(row)
+            line = unit.parsed_line(row)
             if isinstance(line, Order):
                 self._execute_order(row, line)
             elif isinstance(line, Block):
@@ -321,15 +336,22 @@ class _Run:
                 raise _EndError from cause  # the next line is not known
 
     def _add_rows(self, first: int, last: int, text: str | None = None) -> None:
-        """Add rows first … last − 1 of the present file to the program; `text` replaces theirs."""
-        main = self.main if self.unit else -1
+        """Add rows first … last − 1 of the present file to the executed lines.
+
+        :param text: words of a single row in place of those in the file; None: the words of the file.
+        """
+        main = self.main_row if self.unit else -1  # a subprogram in the program itself: its own lines are shown
         self.pieces.append(Piece(self.unit, first, last, main, text))
-        self.rows += last - first
+        self.row_count += last - first
 
     def _add_fault(self, row: int, problem: str, advice: str | None = None) -> None:
-        """Record a fault. The text of the line is recorded too, so that later steps know which words are unknown."""
+        """Record a fault of a row of the present file, and add an empty line in its place.
+
+        Of each row the first fault counts. The text of the line is recorded too, so that later steps know which words
+        are unknown.
+        """
         if (self.unit, row) not in self.faults:
-            self.faults[self.unit, row] = Fault(self.rows, problem, advice, self.units[self.unit].source.line(row))
+            self.faults[self.unit, row] = Fault(self.row_count, problem, advice, self.units[self.unit].source.line(row))
         self._add_rows(row, row + 1, "")
 
     def _stop(self, row: int, problem: str, advice: str | None = None) -> None:
@@ -341,28 +363,33 @@ class _Run:
         raise _EndError
 
     def _execute_percent(self, row: int) -> None:
-        """Execute %: the first one of a file opens the program, the next one ends it.
+        """Execute %: the first one of a file opens it, the next one ends it.
 
-        :raises _EndError: it ends the program.
+        In a subprogram the end counts as the end of its file, where M99 or ENDSUB is missing.
+
+        :raises _EndError: it ends the program, or coordinates follow it.
         """
         source = self.units[self.unit].source
         opens = not source.code[: source.ends[row] + 1].strip(b"\n" + MARK.encode())
-        if not opens and self.frames:
+        if not opens and self.calls:
             self.row = len(source)
-        elif not opens and source.goes_on(row):
+        elif not opens and source.is_cut_short(row):
             self._stop(row, *CUT_SHORT)
-        elif not self.frames:
+        elif not self.calls:
             self._add_rows(row, row + 1)
             if not opens:
                 raise _EndError
 
     def _execute_block(self, row: int, line: Block) -> None:
-        """Execute a line of words: parameters are replaced, M98 and M99 followed, M2 and M30 end the program.
+        """Execute a line of words.
+
+        Expressions are replaced by their numbers. M98 calls a subprogram, M99 returns from it. M2 and M30 end the
+        program.
 
         :raises BlockError: a value is not known, or a call is impossible.
         :raises _EndError: the program ends.
         """
-        text = line.text(self.parameters)
+        text = line.executed_text(self.parameters)
         end_codes = end_words(text) if "M" in text else {}
         if not end_codes:
             if text:
@@ -379,11 +406,11 @@ class _Run:
                 self._repeat_or_return(words)
             return
         self._add_rows(row, row + 1, text)
-        self.end = row if self.unit == 0 else self.main
+        self.end = row if self.unit == 0 else self.main_row
         raise _EndError
 
     def _call_by_number(self, row: int, words: dict[str, float]) -> None:
-        """Execute M98: call subprogram P, L times.
+        """Execute M98: call subprogram P, L times; L0 does not call it.
 
         :param row: line of the call; `words`: its P and L by letter.
         :raises BlockError: P is missing, there is no such subprogram, or calls are nested too deeply.
@@ -391,7 +418,7 @@ class _Run:
         if "P" not in words:
             raise BlockError("M98 without P", "Write, for example, M98 P100 L3: subprogram O100, three times.")
         label, times = str(nearest_integer(words["P"])), nearest_integer(words.get("L", 1.0))
-        location = self.library.find(label, self.unit, is_linuxcnc_style=False)
+        location = self.library.find_subprogram(label, self.unit, is_linuxcnc_style=False)  # file and row
         if location is None:
             # M98 P30100 calls O100 three times on some Fanuc controls
             advice = "Write M98 P100 L3 for three times." if words["P"] >= 1e4 and "L" not in words else None
@@ -406,17 +433,17 @@ class _Run:
         :param words: P and L of the line by letter.
         :raises BlockError: M99 has P, or is not in a subprogram that M98 called.
         """
-        if not self.frames:
+        if not self.calls:
             advice = "End a program with M30. If this is a subprogram, convert the program that calls it."
             raise BlockError("M99 in a main program: it would repeat forever", advice)
         if "P" in words:
             raise BlockError("M99 with P", "A return to another line than the call is not supported: write M99 alone.")
-        frame = self.frames[-1]
-        if frame.is_linuxcnc_style:
-            raise BlockError(f"M99 in O{frame.label} SUB", f"End it with O{frame.label} ENDSUB.")
-        if frame.repeats:
-            self.frames[-1] = replace(frame, repeats=frame.repeats - 1)
-            self.row = frame.begin
+        call = self.calls[-1]
+        if call.is_linuxcnc_style:
+            raise BlockError(f"M99 in O{call.label} SUB", f"End it with O{call.label} ENDSUB.")
+        if call.repeats:
+            self.calls[-1] = replace(call, repeats=call.repeats - 1)
+            self.row = call.begin
             self.parameters.leave()
             self.parameters.enter(None)
             return
@@ -433,42 +460,42 @@ class _Run:
         :param repeats: how often M98 repeats it after the first time.
         :raises BlockError: calls are nested too deeply.
         """
-        if len(self.frames) >= _DEEPEST - 1:
+        if len(self.calls) >= _MOST_CALL_LEVELS - 1:
             advice = "Does a subprogram call itself?"
-            raise BlockError(f"subprogram calls are nested more than {_DEEPEST - 1} levels deep", advice)
+            raise BlockError(f"subprogram calls are nested more than {_MOST_CALL_LEVELS - 1} levels deep", advice)
         unit, begin = location
-        self.frames.append(
-            _Frame(
+        self.calls.append(
+            _ActiveCall(
                 label,
                 is_linuxcnc_style,
                 unit=self.unit,
                 row=self.row,
-                main=self.main,
+                main_row=self.main_row,
                 repeats=repeats,
                 begin=begin,
             )
         )
         if self.unit == 0:
-            self.main = row
+            self.main_row = row
         self.unit, self.row = unit, begin
 
     def _leave(self) -> None:
-        """Return to the caller of a subprogram, with its local parameters."""
-        frame = self.frames.pop()
-        self.unit, self.row, self.main = frame.unit, frame.row, frame.main
+        """Return to the caller of a subprogram, and restore its local parameters."""
+        call = self.calls.pop()
+        self.unit, self.row, self.main_row = call.unit, call.row, call.main_row
         self.parameters.leave()
 
     def _execute_order(self, row: int, order: Order) -> None:
-        """Execute an O word of LinuxCNC: continue at the line to which a call, a branch or a loop leads.
+        """Execute an O-word of LinuxCNC: set `row` to the line to which a call, a branch or a loop leads.
 
-        :param row: its line in the current file.
+        :param row: row of the O-word in the present file.
         :raises BlockError: it calls a subprogram that does not exist, or returns outside of one.
         :raises _EndError: its condition may depend on an earlier fault.
         """
         unit, keyword = self.units[self.unit], order.keyword
         if self.faults and keyword in ("IF", "ELSEIF", "WHILE", "REPEAT"):
             raise _EndError  # the condition may depend on an earlier fault
-        link = unit.links.get(row, (row,))  # lines of the O words of this structure, from its first to its last
+        link = unit.links.get(row, (row,))  # rows of the O-words of this structure, first to last
         if keyword == "SUB":
             self.row = link[-1] + 1
         elif keyword in ("ENDSUB", "RETURN"):
@@ -477,40 +504,49 @@ class _Run:
             self._call(row, order)
         elif keyword == "IF":
             self._branch(order, link)
-        elif keyword in ("ELSEIF", "ELSE", "BREAK"):
+        elif keyword in ("ELSEIF", "ELSE", "BREAK"):  # the branch before has been executed: leave the structure
             self.row = link[-1] + 1
-        elif keyword == "WHILE" and row == link[0]:
+        elif keyword == "WHILE" and row == link[0]:  # begin of WHILE … ENDWHILE
             if order.values[0](self.parameters) == 0.0:
                 self.row = link[-1] + 1
-        elif keyword == "WHILE":
+        elif keyword == "WHILE":  # end of DO … WHILE
             if order.values[0](self.parameters) != 0.0:
                 self.row = link[0] + 1
         elif keyword == "ENDWHILE":
             self.row = link[0]
         elif keyword == "CONTINUE":
-            test = unit.at(link[-1])
-            self.row = link[-1] if isinstance(test, Order) and test.keyword == "WHILE" else link[0]
+            last_line = unit.parsed_line(link[-1])
+            is_do_loop = isinstance(last_line, Order) and last_line.keyword == "WHILE"
+            self.row = link[-1] if is_do_loop else link[0]  # the row of the condition
         elif keyword in ("REPEAT", "ENDREPEAT"):
             self._repeat(order, link)
 
     def _branch(self, order: Order, link: tuple[int, ...]) -> None:
-        """Continue after the first IF, ELSEIF or ELSE of `link` (rows) whose condition holds, else after ENDIF."""
+        """Continue after the first IF, ELSEIF or ELSE whose condition holds; after ENDIF if none does.
+
+        :param link: rows of the O-words of the branch, from IF to ENDIF.
+        """
         unit = self.units[self.unit]
         for row in link[:-1]:
-            branch = unit.at(row)
+            branch = unit.parsed_line(row)
             self.row = row + 1
             if not isinstance(branch, Order) or not branch.values or branch.values[0](self.parameters) != 0.0:
                 return
         self.row = link[-1] + 1
 
     def _repeat(self, order: Order, link: tuple[int, ...]) -> None:
-        """Count a REPEAT loop, and continue at its begin or after its end."""
-        key = (len(self.frames), self.unit, link[0])
+        """Execute REPEAT or ENDREPEAT: count the rounds, and continue in the loop or after its end.
+
+        REPEAT rounds its number half up.
+
+        :param link: rows of REPEAT and ENDREPEAT.
+        """
+        key = (len(self.calls), self.unit, link[0])
         if order.keyword == "REPEAT":
-            self.counts[key] = int(np.floor(order.values[0](self.parameters) + 0.5))
+            self.remaining_rounds[key] = int(np.floor(order.values[0](self.parameters) + 0.5))
         else:
-            self.counts[key] -= 1
-        self.row = (link[0] if self.counts[key] > 0 else link[-1]) + 1
+            self.remaining_rounds[key] -= 1
+        self.row = (link[0] if self.remaining_rounds[key] > 0 else link[-1]) + 1
 
     def _call(self, row: int, order: Order) -> None:
         """Execute O CALL with its arguments.
@@ -520,19 +556,21 @@ class _Run:
         """
         label = order.label if isinstance(order.label, str) else str(nearest_integer(order.label(self.parameters)))
         arguments = [value(self.parameters) for value in order.values]
-        location = self.library.find(label, self.unit, is_linuxcnc_style=True)
+        location = self.library.find_subprogram(label, self.unit, is_linuxcnc_style=True)
         if location is None:
             raise BlockError(f"subprogram O<{label}> is neither in this file nor in its folder", None)
         self._enter(location, row, label, is_linuxcnc_style=True)
         self.parameters.enter(arguments)
 
     def _return(self, order: Order) -> None:
-        """Execute ENDSUB or RETURN, and store the value that it returns.
+        """Execute ENDSUB or RETURN, and store the value that it returns in #<_value>, or 0.
 
-        :raises BlockError: it is not in the subprogram of its label.
+        #<_value_returned> is 1 if it returns a value, else 0. The label of RETURN has no meaning.
+
+        :raises BlockError: no subprogram in LinuxCNC style is active, or ENDSUB has the label of another one.
         """
-        frame = self.frames[-1] if self.frames else None
-        if frame is None or not frame.is_linuxcnc_style or (order.keyword == "ENDSUB" and frame.label != order.label):
+        call = self.calls[-1] if self.calls else None
+        if call is None or not call.is_linuxcnc_style or (order.keyword == "ENDSUB" and call.label != order.label):
             raise BlockError(f"O{order.label} {order.keyword} outside of O{order.label} SUB", None)
         value = order.values[0](self.parameters) if order.values else 0.0
         self._leave()

@@ -21,16 +21,16 @@ from postproc.dialects.gcode.words import BlockError
 
 ARGUMENTS = 30
 """Number of numbered parameters that are local to a subprogram."""
-_LOCAL = range(1, ARGUMENTS + 1)
-_LARGEST = 5601
+_LOCAL_NUMBERS = range(1, ARGUMENTS + 1)
+_LARGEST_NUMBER = 5601
 """Parameters of RS274/NGC in LinuxCNC are #1 to #5601 (RS274NGC_MAX_PARAMETERS is 5602)."""
-_OF_THE_MACHINE = 5000
+_LARGEST_PROGRAM_NUMBER = 5000
 """Parameters above this number belong to the control: probed points, offsets, positions."""
-_SET_FIRST = "Set it in the program before its first use."
-_MACHINE = "Only the machine knows it: write the number instead."
+_SET_ADVICE = "Set it in the program before its first use."
+_MACHINE_ADVICE = "Only the machine knows it: write the number instead."
 
 
-def key_of(name: str) -> str:
+def parameter_key(name: str) -> str:
     """Return the name of a parameter as its key: case and blanks do not count."""
     return "".join(name.split()).lower()
 
@@ -40,25 +40,28 @@ Key = int | str
 
 
 class Parameters:
-    """Values of the parameters while a program runs."""
+    """Values of the parameters while a program runs.
+
+    `_global_values` also has the numbers 1 to 30, which `enter` saves and replaces.
+    """
 
     def __init__(self) -> None:
-        self._common: dict[Key, float] = {}
-        self._local: dict[Key, float] = {}
+        self._global_values: dict[Key, float] = {}
+        self._local_values: dict[Key, float] = {}
         self._callers: list[tuple[dict[Key, float] | None, dict[Key, float]]] = []
 
     def get(self, key: Key) -> float:
         """Return the value of a parameter.
 
-        :raises BlockError: it has none.
+        :raises BlockError: the parameter has no value, or its number is out of range.
         """
         value = self._scope(key).get(key)
         if value is not None:
             return value
         if isinstance(key, int):
-            is_machine_value = _check_number(key) > _OF_THE_MACHINE
-            raise BlockError(f"parameter #{key} has no value", _MACHINE if is_machine_value else _SET_FIRST)
-        raise BlockError(f"parameter #<{key}> has no value", _MACHINE if key.startswith("_") else _SET_FIRST)
+            is_machine_value = _check_number(key) > _LARGEST_PROGRAM_NUMBER
+            raise BlockError(f"parameter #{key} has no value", _MACHINE_ADVICE if is_machine_value else _SET_ADVICE)
+        raise BlockError(f"parameter #<{key}> has no value", _MACHINE_ADVICE if key.startswith("_") else _SET_ADVICE)
 
     def exists(self, key: Key) -> bool:
         """Return whether a parameter has a value."""
@@ -67,45 +70,46 @@ class Parameters:
     def put(self, key: Key, value: float) -> None:
         """Give a parameter a value.
 
-        :raises BlockError: the parameter belongs to the control.
+        :raises BlockError: the parameter belongs to the control, or its number is out of range.
         """
-        if isinstance(key, int) and _check_number(key) > _OF_THE_MACHINE:
+        if isinstance(key, int) and _check_number(key) > _LARGEST_PROGRAM_NUMBER:
             raise BlockError(f"parameter #{key} belongs to the control", "Use G10, G52 or G54 … instead.")
         self._scope(key)[key] = value
 
     def enter(self, arguments: Sequence[float] | None) -> None:
         """Begin a subprogram, whose local names have no value yet.
 
-        :param arguments: values of #1, #2 …; other local numbers are zero. None: it shares those of its caller (M98).
+        :param arguments: values of #1, #2 …; the other numbers up to 30 become zero. None (M98): the subprogram uses
+            and sets the numbers of its caller.
         """
         caller_values: dict[Key, float] | None = None
         if arguments is not None:
-            caller_values = {n: self._common[n] for n in _LOCAL if n in self._common}
-            self._common.update(dict.fromkeys(_LOCAL, 0.0))
-            self._common.update(enumerate(arguments, 1))
-        self._callers.append((caller_values, self._local))
-        self._local = {}
+            caller_values = {n: self._global_values[n] for n in _LOCAL_NUMBERS if n in self._global_values}
+            self._global_values.update(dict.fromkeys(_LOCAL_NUMBERS, 0.0))
+            self._global_values.update(enumerate(arguments, 1))
+        self._callers.append((caller_values, self._local_values))
+        self._local_values = {}
 
     def leave(self) -> None:
-        """End a subprogram: restore the local parameters of its caller."""
-        caller_values, self._local = self._callers.pop()
+        """End a subprogram: restore the local parameters of its caller; after M98 only its local names."""
+        caller_values, self._local_values = self._callers.pop()
         if caller_values is not None:
-            for n in _LOCAL:
-                self._common.pop(n, None)
-            self._common.update(caller_values)
+            for n in _LOCAL_NUMBERS:
+                self._global_values.pop(n, None)
+            self._global_values.update(caller_values)
 
     def _scope(self, key: Key) -> dict[Key, float]:
-        """Return the scope of a parameter: the values of local names, or of all other parameters."""
-        return self._local if isinstance(key, str) and not key.startswith("_") else self._common
+        """Return the values among which a parameter is: `_local_values` for a local name, else `_global_values`."""
+        return self._local_values if isinstance(key, str) and not key.startswith("_") else self._global_values
 
 
 def _check_number(number: int) -> int:
-    """Return the number of a parameter.
+    """Return the number of a parameter as it is.
 
-    :raises BlockError: it is out of range.
+    :raises BlockError: the number is out of range.
     """
-    if not 0 < number <= _LARGEST:
-        raise BlockError(f"there is no parameter #{number}", f"Numbers are 1 to {_LARGEST}.")
+    if not 0 < number <= _LARGEST_NUMBER:
+        raise BlockError(f"there is no parameter #{number}", f"Numbers are 1 to {_LARGEST_NUMBER}.")
     return number
 
 
@@ -126,7 +130,7 @@ def _modulo(left: float, right: float) -> float:
     return remainder + abs(right) if remainder < 0.0 else remainder
 
 
-_BINARY: Mapping[str, tuple[int, Callable[[float, float], float]]] = {
+_BINARY_OPERATORS: Mapping[str, tuple[int, Callable[[float, float], float]]] = {
     "**": (5, math.pow),
     "*": (4, operator.mul),
     "/": (4, operator.truediv),
@@ -143,7 +147,7 @@ _BINARY: Mapping[str, tuple[int, Callable[[float, float], float]]] = {
     "OR": (1, lambda a, b: float(a != 0.0 or b != 0.0)),
     "XOR": (1, lambda a, b: float((a != 0.0) != (b != 0.0))),
 }
-_UNARY: Mapping[str, Callable[[float], float]] = {
+_UNARY_FUNCTIONS: Mapping[str, Callable[[float], float]] = {
     "ABS": abs,
     "ACOS": lambda x: math.degrees(math.acos(x)),
     "ASIN": lambda x: math.degrees(math.asin(x)),
@@ -160,39 +164,39 @@ _UNARY: Mapping[str, Callable[[float], float]] = {
 
 
 def nearest_integer(value: float) -> int:
-    """Return a value that is whole within 0.0001, as rs274 requires.
+    """Return the integer nearest to a value, from which it may differ by 0.0001, as in rs274.
 
-    :raises BlockError: it is not.
+    :raises BlockError: the value differs by more, or is not finite.
     """
     if not math.isfinite(value) or abs(value - round(value)) > _EQUALITY_TOLERANCE:
         raise BlockError(f"{value:g} is not a whole number", None)
     return round(value)
 
 
-_DEEPEST = 50
-"""Values one in another: a program has a few, a damaged file may have thousands."""
+_MOST_NESTED = 50
+"""Limit of brackets and signs nested in each other: a program has a few, a damaged file may have thousands."""
 
 
 class Reader:
-    """Parser for values in a packed line, from position `at`."""
+    """Parser for values in a packed line, from `position`."""
 
-    def __init__(self, code: str, at: int = 0) -> None:
-        self.code, self.at, self._inside = code, at, 0
+    def __init__(self, code: str, position: int = 0) -> None:
+        self.code, self.position, self._depth = code, position, 0
 
-    def value(self) -> Value:
+    def read_value(self) -> Value:
         """Read a value: a number, a parameter, a function or an expression, with signs before it.
 
         :raises BlockError: there is none, or brackets and signs are nested too deeply.
         """
-        if self._inside == _DEEPEST:
-            raise BlockError(f"more than {_DEEPEST} brackets or signs one in another", None)
-        self._inside += 1
-        result = self._value()
-        self._inside -= 1
+        if self._depth == _MOST_NESTED:
+            raise BlockError(f"more than {_MOST_NESTED} brackets or signs one in another", None)
+        self._depth += 1
+        result = self._read_unnested_value()
+        self._depth -= 1
         return result
 
-    def _value(self) -> Value:
-        """Return the next value: a number, [expression], parameter or function, with its sign.
+    def _read_unnested_value(self) -> Value:
+        """Read a value like `read_value`, which counts how deeply values are nested.
 
         :raises BlockError: there is none, or it is beyond the range of floats.
         """
@@ -202,119 +206,125 @@ class Reader:
             if not math.isfinite(constant):
                 raise BlockError(f"a number of {len(number[0])} digits", "Check the number.")
             return lambda _: constant
-        following = self.code[self.at : self.at + 1]
-        if following == "[":
-            return self.expression()
-        if following == "#":
-            return _parameter_value(self.parameter())
-        if following in ("+", "-"):
-            self.at += 1
-            inner = self.value()
-            return inner if following == "+" else lambda parameters: -inner(parameters)
-        return self._function()
+        next_character = self.code[self.position : self.position + 1]
+        if next_character == "[":
+            return self.read_expression()
+        if next_character == "#":
+            return _parameter_value(self.read_parameter())
+        if next_character in ("+", "-"):
+            self.position += 1
+            inner = self.read_value()
+            return inner if next_character == "+" else lambda parameters: -inner(parameters)
+        return self._read_function()
 
-    def expression(self) -> Value:
-        """Read ``[ … ]``; return a function for its value.
+    def read_expression(self) -> Value:
+        """Read an expression ``[ … ]``; return a function for its value.
 
-        :raises BlockError: it is not valid.
+        :raises BlockError: a bracket or a value is missing or invalid.
         """
         self._expect("[")
-        value = self._operation(1)
+        value = self._read_operations(1)
         self._expect("]")
         return value
 
-    def parameter(self) -> Callable[[Parameters], Key]:
+    def read_parameter(self) -> Callable[[Parameters], Key]:
         """Read ``#…``; return a function for the key of the parameter.
 
-        :raises BlockError: no name or number follows. That function raises it where the number is not whole.
+        The returned function raises `BlockError` if a computed number is not whole.
+
+        :raises BlockError: no name or number follows.
         """
         self._expect("#")
         name = self._match(_NAME)
         if name is not None:
-            key = key_of(name[1])
+            key = parameter_key(name[1])
             return lambda _: key
-        index = self.value()
+        index = self.read_value()
         return lambda parameters: nearest_integer(index(parameters))
 
-    def _operation(self, weakest: int) -> Value:
-        """Return the operations from here on that bind at least as tightly as `weakest` (precedence climbing).
+    def _read_operations(self, weakest: int) -> Value:
+        """Read values and the operators between them, up to the first operator that binds less tightly than `weakest`.
 
+        This is precedence climbing: the right side of an operator is read with a precedence that is higher by one.
+
+        :param weakest: least precedence, see `_BINARY_OPERATORS`.
+        :returns: a function for the result.
         :raises BlockError: a value is missing or invalid.
         """
-        left = self.value()
+        left = self.read_value()
         while True:
-            match = _OPERATOR.match(self.code, self.at)
-            if match is None or _BINARY[match[0]][0] < weakest:
+            match = _OPERATOR.match(self.code, self.position)
+            if match is None or _BINARY_OPERATORS[match[0]][0] < weakest:
                 return left
-            self.at = match.end()
-            precedence, function = _BINARY[match[0]]
-            left = _binary_value(match[0], function, left, self._operation(precedence + 1))
+            self.position = match.end()
+            precedence, function = _BINARY_OPERATORS[match[0]]
+            left = _binary_value(match[0], function, left, self._read_operations(precedence + 1))
 
-    def _function(self) -> Value:
-        """Return the value of the next function, such as SIN[…] or ATAN[…]/[…].
+    def _read_function(self) -> Value:
+        """Read a function, such as SIN[…] or ATAN[…]/[…]; return a function for its value.
 
-        :raises BlockError: there is none.
+        :raises BlockError: no function follows, or its argument is invalid.
         """
         name = self._match(_FUNCTION)
         if name is None:
-            remaining_text = self.code[self.at : self.at + 12]
+            remaining_text = self.code[self.position : self.position + 12]
             raise BlockError(
                 f"a value was expected before {remaining_text!r}" if remaining_text else "a value is missing", None
             )
         if name[1] == "EXISTS":
             self._expect("[")
-            key = self.parameter()
+            key = self.read_parameter()
             self._expect("]")
             return lambda parameters: float(parameters.exists(key(parameters)))
-        inner = self.expression()
+        inner = self.read_expression()
         if name[1] == "ATAN":
             self._expect("/")
-            divisor = self.expression()
+            divisor = self.read_expression()
             return lambda parameters: math.degrees(math.atan2(inner(parameters), divisor(parameters)))
         return _unary_value(name[1], inner)
 
     def _match(self, pattern: re.Pattern[str]) -> re.Match[str] | None:
-        """Return the match of a pattern here, and skip it; None: it does not match."""
-        match = pattern.match(self.code, self.at)
+        """Return the match of a pattern at `position`, and skip it; None: the pattern does not match."""
+        match = pattern.match(self.code, self.position)
         if match is not None:
-            self.at = match.end()
+            self.position = match.end()
         return match
 
     def _expect(self, character: str) -> None:
         """Skip a character.
 
-        :raises BlockError: another one is here.
+        :raises BlockError: another character is at `position`.
         """
-        if not self.code.startswith(character, self.at):
-            remaining_text = self.code[self.at : self.at + 12]
+        if not self.code.startswith(character, self.position):
+            remaining_text = self.code[self.position : self.position + 12]
             raise BlockError(
                 f"{character!r} was expected before {remaining_text!r}"
                 if remaining_text
                 else f"{character!r} is missing",
                 None,
             )
-        self.at += 1
+        self.position += 1
 
 
 def _parameter_value(key: Callable[[Parameters], Key]) -> Value:
-    """Return a value that reads a parameter, whose key may be computed.
+    """Return a function for the value of a parameter, whose key may be computed.
 
-    :raises BlockError: when it is evaluated: the parameter has no value.
+    The returned function raises `BlockError` if the parameter has no value.
     """
     return lambda parameters: parameters.get(key(parameters))
 
 
 def _unary_value(name: str, inner: Value) -> Value:
-    """Return a value that applies the function `name` to another one.
+    """Return a function that applies the function `name` of G-code to a value.
 
-    :raises BlockError: when it is evaluated: the function has no value there.
+    The returned function raises `BlockError` if the result is not defined, such as for SQRT[-1].
     """
-    function = _UNARY[name]
+    function = _UNARY_FUNCTIONS[name]
 
     def apply(parameters: Parameters) -> float:
-        """Return the value of the function.
+        """Return the result for the present parameters.
 
-        :raises BlockError: it has none.
+        :raises BlockError: it is not defined.
         """
         value = inner(parameters)
         try:
@@ -326,16 +336,17 @@ def _unary_value(name: str, inner: Value) -> Value:
 
 
 def _binary_value(name: str, function: Callable[[float, float], float], left: Value, right: Value) -> Value:
-    """Return a value that combines two others by an operator.
+    """Return a function that combines two values by an operator.
 
-    :param name: of the operator, for messages; `function`: what it computes.
-    :raises BlockError: when it is evaluated: the operation has no value there.
+    The returned function raises `BlockError` if the result is not defined or beyond the range of floats.
+
+    :param name: the operator, for messages; `function`: what it computes.
     """
 
     def apply(parameters: Parameters) -> float:
-        """Return the value of the operation.
+        """Return the result for the present parameters.
 
-        :raises BlockError: it has none.
+        :raises BlockError: it is not defined or not finite.
         """
         a, b = left(parameters), right(parameters)
         try:

@@ -14,7 +14,12 @@ _SEARCH_LENGTH = 300
 
 
 class ForeignFormat(NamedTuple):
-    """A kind of program that is not supported: its name, the pattern of its lines, the advice."""
+    """A kind of program that is not supported.
+
+    :param name: of the control or format, for messages.
+    :param line: pattern of a line that only such programs have.
+    :param advice: what to do.
+    """
 
     name: str
     line: re.Pattern[str]
@@ -106,16 +111,16 @@ FOREIGN = (
         "write G20 or G21.",
     ),
 )
-"""Kinds of programs that are recognised and refused."""
+"""Kinds of programs that are recognised and refused; the first that matches a line counts."""
 
 
 def recognise(lines: Sequence[str]) -> tuple[int, ForeignFormat] | None:
-    """Return the index of the first unreadable line that reveals the kind of the program, and that kind; None: none.
+    """Return the index of the first line that shows a foreign format, and the format; None if no line shows one.
 
-    :param lines: with their comments, in order.
+    :param lines: lines that cannot be read, with their comments, in order.
     """
     for index, line in enumerate(lines):
-        for kind in FOREIGN:
-            if kind.line.match(_SKIPPED_PARTS.sub("", line[:_SEARCH_LENGTH])):
-                return index, kind
+        for foreign_format in FOREIGN:
+            if foreign_format.line.match(_SKIPPED_PARTS.sub("", line[:_SEARCH_LENGTH])):
+                return index, foreign_format
     return None

@@ -53,7 +53,7 @@ _SPINDLE: dict[float, EventKind] = {3.0: "spindle_on", 4.0: "spindle_ccw", 5.0: 
 class RowEvent(Struct, frozen=True):
     """An event of a line.
 
-    :param row: of the line.
+    :param row: row of the line.
     :param is_after_motion: True if it follows the motion of the line, False if it precedes it.
     :param kind: see `EventKind`; `value`: see `Event`.
     """
@@ -72,13 +72,14 @@ class Switching:
     :ivar ended: whether the program has ended.
     """
 
-    def __init__(self, cell: Cell, issues: list[Issue], is_known: Callable[[int, str], bool]) -> None:
-        """Begin with everything switched off.
+    def __init__(self, cell: Cell, issues: list[Issue], reads_code: Callable[[int, str], bool]) -> None:
+        """Begin with spindle and coolant off and no tool.
 
         :param issues: list to which remarks are added.
-        :param is_known: whether a code of a line, such as ``M128``, is read elsewhere.
+        :param reads_code: function of a row and an M code such as ``M128``: reads the code if it switches
+            tool-centre-point control, and returns whether it does.
         """
-        self.cell, self.issues, self.is_known = cell, issues, is_known
+        self.cell, self.issues, self.reads_code = cell, issues, reads_code
         self.events: list[RowEvent] = []
         self.tools: list[tuple[int, float]] = []
         self.ended = False
@@ -91,10 +92,10 @@ class Switching:
         self._mounted: set[float] = set()
 
     def read(self, row: int, m: Sequence[float], values: dict[str, float]) -> None:
-        """Read the M codes, T and S of a block.
+        """Read the M codes, T and S of a block; add its events and tool changes.
 
-        :param m: its M codes.
-        :param values: its words by letter; used words are removed.
+        :param row: row of the block; `m`: its M codes.
+        :param values: its other words by letter; words that are used are removed.
         :raises BlockError: a code is unknown or impossible.
         """
         self._tool = values.pop("T", self._tool)
@@ -111,13 +112,14 @@ class Switching:
             elif code in codes.END:
                 self._end_program(row)
         for code in m:
-            if not self.is_known(row, f"M{code:g}"):
+            if not self.reads_code(row, f"M{code:g}"):
                 self._read_machine_code(row, code, values)
 
     def _read_machine_code(self, row: int, code: float, values: dict[str, float]) -> None:
-        """Record an M code for which the cell has lines; codes without effect are accepted.
+        """Record an M code for which the cell has KRL lines; accept a code without effect.
 
-        :param values: words of the block by letter; P and Q of the code are removed.
+        :param code: number of the M code.
+        :param values: words of the block by letter; P and Q are removed if they belong to the code.
         :raises BlockError: the code is unknown or impossible.
         """
         cell_lines = None if code in FIXED_M_CODES else self.cell.m_codes.get(f"M{code:g}")
@@ -132,9 +134,11 @@ class Switching:
             self.events.append(RowEvent(row, False, "m_code", code))
 
     def check_tool_length(self, row: int, length: float | None) -> None:
-        """Check G43 against the tool in the spindle; before the first M6, H selects the tool.
+        """Check G43 against the tool in the spindle; add a remark if H names another tool.
 
-        :param length: number of the stored tool length (H), or None.
+        In a cell with [tools], H selects the tool before the first M6.
+
+        :param length: number of the stored tool length (H); None or 0: the block has none.
         """
         tools = self.cell.tools
         mounted_tool = self._tool if self._spindle_tool is None else self._spindle_tool
@@ -160,9 +164,9 @@ class Switching:
         self._add_event(row, "dwell", seconds)
 
     def _add_tool_change(self, row: int) -> None:
-        """Record a tool change, which stops the spindle.
+        """Record a tool change (M6) to the tool that T has selected, which stops the spindle.
 
-        :raises BlockError: the cell has no such tool.
+        :raises BlockError: the cell has [tools], and T is missing or names a tool that is not among them.
         """
         if self._spindle != "spindle_off":
             self._spindle = "spindle_off"
@@ -187,8 +191,10 @@ class Switching:
     def _ignore_spindle_power(self, row: int, m: Sequence[float], values: dict[str, float]) -> None:
         """Ignore P of M3 and M4 with a warning: on Snapmaker machines it is a share of an unknown full speed.
 
+        A block with further words than P and S is left alone, because P may belong to a code.
+
         :param m: M codes of the block; `values`: its other words by letter, from which P is removed.
-        :raises BlockError: the cell needs the speed in rpm.
+        :raises BlockError: the lines of the cell need the speed in rpm.
         """
         if "P" not in values or not set(m) & set(codes.SPINDLE[:2]) or set(values) - {"P", "S"}:
             return
@@ -202,9 +208,9 @@ class Switching:
         self._add_remark("warning", "spindle-speed", message, row)
 
     def _read_spindle(self, row: int, m: Sequence[float], speed: float | None) -> None:
-        """Record the spindle speed [1/min], and M3, M4 or M5.
+        """Record the spindle speed, and M3, M4 or M5; a new speed of a turning spindle is an event too.
 
-        :param m: M codes of the block; `speed`: its S, or None.
+        :param m: M codes of the block; `speed`: its S [1/min], or None.
         :raises BlockError: the speed is negative.
         """
         if speed is not None:
@@ -231,7 +237,7 @@ class Switching:
             self.events.append(RowEvent(row, True, "coolant_off"))
 
     def _add_event(self, row: int, kind: EventKind, value: float = 0.0) -> None:
-        """Record an event before the motion of a line."""
+        """Record an event that precedes the motion of its line; `value`: see `Event`."""
         self.events.append(RowEvent(row, False, kind, value))
 
     def _add_remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
@@ -242,9 +248,9 @@ class Switching:
 TCP_ON = ("G43.4", "M128")
 """Codes that switch tool-centre-point control on (Fanuc, Heidenhain), where the cell names none."""
 DIRECTIONS_ON = ("G43.5",)
-"""Codes that do so and make I, J, K of G0 and G1 the direction of the tool."""
+"""Codes that switch it on and make I, J, K of G0 and G1 the direction of the tool."""
 TCP_OFF = ("G49", "G43", "M129")
-"""Codes that end it. G43 and G49 are in one modal group with G43.4."""
+"""Codes that switch it off, where the cell names none. G43 and G49 are in one modal group with G43.4."""
 
 
 def tip_codes(rotary: Rotary) -> tuple[str, ...]:
@@ -259,7 +265,10 @@ class TipControl:
     """
 
     def __init__(self, rotary: Rotary | None) -> None:
-        """Take the codes that the cell states, or the usual ones; without rotary axes (None) no code is one."""
+        """Take the codes of the cell, or `tip_codes` and `TCP_OFF` if it names none.
+
+        :param rotary: rotary axes of the cell; None: it has none, and no code switches tool-centre-point control.
+        """
         self.changes: list[tuple[int, float]] = []
         self._on: tuple[str, ...] = ()
         self._off: tuple[str, ...] = ()
@@ -269,7 +278,7 @@ class TipControl:
             self._on, self._off = tip_codes(rotary), TCP_OFF
 
     def read(self, row: int, code: str) -> bool:
-        """Record a code that switches tool-centre-point control; return whether it is one, such as ``M128``."""
+        """Record a code, such as ``M128``, if it switches tool-centre-point control; return whether it does."""
         is_on = code in self._on
         if is_on or code in self._off:
             self.changes.append((row, float(is_on)))
@@ -278,18 +287,20 @@ class TipControl:
 
 
 class Origin(Struct, frozen=True):
-    """A change of the program frame by G10, G52 or G92…; lengths in mm.
+    """A change of the program frame by G10, G52 or G92 to G92.3; lengths in mm.
 
+    :ivar code: number of the G code.
     :ivar axes: axis 0…2 → its word.
-    :ivar system: of G10: 1 for G54 to 9 for G59.3, 0 for the active one; `turn` its R [deg] or None.
-    :ivar is_here: True for G10 L20, which gives the coordinates of the current position.
+    :ivar system: work offset that G10 sets: 1 for G54 to 9 for G59.3, 0 for the active work offset.
+    :ivar rotation_deg: R of G10: rotation of the work offset about Z [deg]; None without R.
+    :ivar is_here: whether the words are the coordinates of the present position (G10 L20).
     """
 
     row: int
     code: float
     axes: Mapping[int, float]
     system: int = 0
-    turn: float | None = None
+    rotation_deg: float | None = None
     is_here: bool = False
 
 
@@ -302,9 +313,12 @@ class Return(Struct, frozen=True):
 
 
 class FrameCodes:
-    """Codes that change the program frame (G10, G52, G92 …) or go to machine positions (G28, G30, G53).
+    """Reader of codes that change the program frame (G10, G52, G92 …) or go to machine positions (G28, G30, G53).
 
-    :ivar offsets: names of the known work offsets.
+    :ivar rotary: letters of the rotary axes.
+    :ivar offsets: names of the work offsets that the cell or the program has set.
+    :ivar origins: changes of the program frame, in order.
+    :ivar returns: row → move to a machine position.
     """
 
     def __init__(self, cell: Cell) -> None:
@@ -318,9 +332,9 @@ class FrameCodes:
     def read(self, row: int, g: Sequence[float], motion: float, values: dict[str, float], mm_per_unit: float) -> None:
         """Record the code of a block that changes the program frame or goes to a machine position, if it has one.
 
-        :param g: G codes of the block; `motion` is the one of G0 to G3, or NaN.
-        :param values: its words by letter; used words are removed.
-        :param mm_per_unit: length of a unit [mm].
+        :param g: G codes of the block; `motion`: its motion code, or NaN.
+        :param values: its words by letter; X, Y, Z and words of G10 are removed, rotary axes are set to 0.
+        :param mm_per_unit: length of the active unit [mm].
         :raises BlockError: the code cannot be executed on the robot.
         """
         frame_codes = [code for code in g if code in codes.ORIGINS or code in codes.RETURNS]
@@ -333,7 +347,7 @@ class FrameCodes:
                 f"{rotary_letters[0]} in a block with G{frame_codes[0]:g}", "Write X, Y and Z alone there."
             )
         for letter in rotary_letters:
-            values[letter] = 0.0  # position of the axes at home
+            values[letter] = 0.0  # at home the axes are at zero
         axes = {"XYZ".index(letter): value * mm_per_unit for letter, value in position_words.items()}
         conflicts = [f"G{code:g}" for code in g if code in frame_codes or code in (2.0, 3.0, *codes.CYCLES)]
         if len(conflicts) > 1:
@@ -351,8 +365,8 @@ class FrameCodes:
     def _add_shift(self, row: int, code: float, axes: Mapping[int, float]) -> None:
         """Record G52, G92 or G92.1 to G92.3.
 
-        :param axes: axis 0…2 → its word [mm].
-        :raises BlockError: words or an earlier G92 are missing.
+        :param code: number of the G code; `axes`: axis 0…2 → its word [mm].
+        :raises BlockError: G52 or G92 has no axis, or G92.3 has no earlier G52 or G92.
         """
         if code in (codes.LOCAL, codes.SHIFT) and not axes:
             raise BlockError(f"G{code:g} without X, Y or Z", None)
@@ -366,8 +380,9 @@ class FrameCodes:
     def _add_return(self, row: int, code: float, motion: float, axes: Mapping[int, float]) -> None:
         """Record G28, G30 or G53.
 
-        :param motion: code of G0 to G3 in the block, or NaN; `axes`: axis 0…2 → its word [mm].
-        :raises BlockError: the cell does not state where the robot retracts to, or G53 is not with G0.
+        :param code: number of the G code; `motion`: motion code of the block, or NaN.
+        :param axes: axis 0…2 → its word [mm].
+        :raises BlockError: the cell states neither home nor a clearance height, or G53 is in a block with G1 to G3.
         """
         machine, name = self.machine, f"G{code:g}"
         if machine.home is None and machine.clearance_Z is None:
@@ -379,10 +394,10 @@ class FrameCodes:
         self.returns[row] = Return(row, code, axes)
 
     def _add_work_offset(self, row: int, axes: Mapping[int, float], values: dict[str, float]) -> None:
-        """Record G10 L2 or L20: a work offset that the program sets by its frame, or by the present coordinates.
+        """Record a work offset that the program sets: G10 L2 by its frame, G10 L20 by the present coordinates.
 
         :param axes: axis 0…2 → its word [mm]; `values`: other words by letter, from which L, P and R are removed.
-        :raises BlockError: it sets something else.
+        :raises BlockError: G10 sets something else, or P names no work offset.
         """
         target, system, turn = values.pop("L", 0.0), values.pop("P", -1.0), values.pop("R", None)
         if target not in (2.0, 20.0) or (target == 20.0 and turn is not None):
@@ -392,40 +407,43 @@ class FrameCodes:
         number = int(system)
         if number:
             self.offsets.add(f"G{codes.WORK_OFFSETS[number - 1]:g}")
-        self.origins.append(Origin(row, codes.STORE, axes, system=number, turn=turn, is_here=target == 20.0))
+        self.origins.append(Origin(row, codes.STORE, axes, system=number, rotation_deg=turn, is_here=target == 20.0))
 
 
 _UNIT_SYNONYMS = {70.0: 20.0, 71.0: 21.0}
 MM_PER_UNIT = {20.0: MM_PER_INCH, 21.0: 1.0}
-_LEAST_IN_MS = 10.0
+_LEAST_MILLISECONDS = 10.0
 """Least time of a dwell that may be in milliseconds: nobody waits for less than a hundredth of a second."""
-_WITH_POINT = re.compile(r"[PXU][+]?[0-9]*\.")
+_TIME_WITH_POINT = re.compile(r"[PXU][+]?[0-9]*\.")
 _P_WITH_POINT = re.compile(r"P[+]?[0-9]*\.")
 _GRBL_HOMING = re.compile(r"\$H([XYZ]?)")
 _GRBL_WITHOUT_MOTION = frozenset(("$", "$$", "$G", "$I", "$N", "$X", "$?"))
 """Commands to Grbl; ``$?`` is what `words.split` makes of a line with ? alone."""
-_OPENING = re.compile(rf"[\n{MARK}]*\n{MARK}*%".encode())
-_DELETE = re.compile(rf"{MARK}*/[1-9]?")
+_OPENING_PERCENT = re.compile(rf"[\n{MARK}]*\n{MARK}*%".encode())
+_DELETE_MARK = re.compile(rf"{MARK}*/[1-9]?")
 
 
-def dwell_time(word: str, number: float, unit: DwellUnit | None, *, with_point: bool = False) -> float:
+def dwell_time(word: str, number: float, unit: DwellUnit | None, *, has_point: bool = False) -> float:
     """Return the time of a dwell [s].
 
-    LinuxCNC and Grbl count P in seconds; Fanuc, Haas and Mach3 in milliseconds, Fanuc and Haas in seconds where the
-    number has a decimal point.
+    LinuxCNC and Grbl count in seconds. Fanuc, Haas and Mach3 count in milliseconds, but Fanuc and Haas read a number
+    with a decimal point in seconds.
 
-    :param word: code and letter, for messages.
-    :param unit: what the control counts; None: the cell does not say.
-    :param with_point: whether the number is known to have a decimal point.
-    :raises BlockError: the unit decides on the time and is not stated, or a number is in the other unit.
+    Without a stated unit, a number below `_LEAST_MILLISECONDS` is in seconds.
+
+    :param word: code and letter, for messages; `number`: the number as written.
+    :param unit: unit in which the control counts; None: the cell does not say.
+    :param has_point: whether the number is known to have a decimal point.
+    :raises BlockError: the unit is not stated and the number may be in either; or it is milliseconds, and the number
+        looks like seconds.
     """
-    if unit == "s" or number == 0.0 or (unit is None and number < _LEAST_IN_MS):
+    if unit == "s" or number == 0.0 or (unit is None and number < _LEAST_MILLISECONDS):
         return number
     if unit is None:
         advice = "LinuxCNC reads seconds; Fanuc, Haas and Mach3 read milliseconds. "
         advice += 'Write dwell_unit = "s" or dwell_unit = "ms" in [gcode] of the cell.'
         raise BlockError(f"{word}{number:g} is {number:g} s or {number:g} ms: the cell does not say", advice)
-    if with_point or number % 1.0 or number < _LEAST_IN_MS:
+    if has_point or number % 1.0 or number < _LEAST_MILLISECONDS:
         advice = "Fanuc and Haas read seconds where there is a decimal point. "
         advice += 'Write whole milliseconds without one, or dwell_unit = "s" in [gcode] of the cell.'
         raise BlockError(f"{word}{number:g} looks like seconds, but the cell says milliseconds", advice)
@@ -433,7 +451,7 @@ def dwell_time(word: str, number: float, unit: DwellUnit | None, *, with_point: 
 
 
 class _Block(Struct):
-    """A block that is read.
+    """Codes and words of a block that have not been used yet.
 
     :ivar row: row of its line.
     :ivar g: its G codes; `m`: its M codes; in order.
@@ -449,36 +467,36 @@ class _Block(Struct):
 class Modes(Struct, frozen=True, eq=False):
     """Modal state, events and remarks of the blocks that are not plain.
 
-    :param rows: number of lines of the program, up to M2, M30 or the closing ``%``, or up to the first few faults.
+    :param row_count: number of lines of the program, up to M2, M30 or the closing ``%``, or up to the first few faults.
     :param changes: modal group of `codes.GROUPS` → its changes (row, code), in order.
     :param blends: changes (row, approximation distance [m]), in order.
     :param roundings: changes (row, allowed rounding of corners [m]), in order; NaN for the value of the cell.
     :param origins: changes of the program frame other than by G54…, in order.
     :param returns: row → move to a machine position.
     :param tools: changes (row, tool number), in order.
-    :param tip: changes (row, 1 if tool-centre-point control is on, else 0), in order.
-    :param dwells: rows with G4; `dwell_unit`: unit of P of cycles, see `dwell_time`;
-        `with_point`: rows whose P has a decimal point.
+    :param tip_control_changes: changes (row, 1 if tool-centre-point control is on, else 0), in order.
+    :param dwell_rows: rows with G4.
+    :param dwell_unit: unit of P of cycles, see `dwell_time`; `rows_with_point`: rows whose P has a decimal point.
     :param row_events: events of the lines, in order.
     :param issues: remarks for the user.
     :param faults: faults of blocks, in order.
     :param is_complete: False if the required end is missing.
     """
 
-    rows: int
+    row_count: int
     changes: Mapping[str, Sequence[tuple[int, float]]]
     blends: Sequence[tuple[int, float]]
     roundings: Sequence[tuple[int, float]]
     origins: Sequence[Origin]
     returns: Mapping[int, Return]
     tools: Sequence[tuple[int, float]]
-    tip: Sequence[tuple[int, float]]
-    dwells: Sequence[int]
+    tip_control_changes: Sequence[tuple[int, float]]
+    dwell_rows: Sequence[int]
     row_events: Sequence[RowEvent]
     issues: Sequence[Issue]
     faults: Sequence[Fault]
     dwell_unit: DwellUnit | None = None
-    with_point: frozenset[int] = frozenset()
+    rows_with_point: frozenset[int] = frozenset()
     is_complete: bool = True
 
 
@@ -491,59 +509,62 @@ def read_modes(
     :param words: as `words.read_plain` returns them; rows of `other_rows` are filled in.
     :param cell: work offsets, tools, M-codes, approximation distance, meaning of G28 and G53.
     :param faults_of_run: faults found when the program was executed.
+    :returns: modes up to the end of the program, or up to the first `MAX_ERRORS` + 1 faults.
     """
-    opening = _OPENING.match(source.code)
+    opening = _OPENING_PERCENT.match(source.code)
     tape_row = -1 if opening is None else opening[0].count(b"\n") - 1
     reader = _Reader(words, cell, tape_row)
     faults: list[Fault] = []
-    rows = len(source)
+    row_count = len(source)
     for row in other_rows.tolist():
         code = source.line(row)
         try:
             reader.read(row, code)
         except BlockError as cause:
             faults.append(cause.fault(row, code))
-        if reader.has_ended or len(faults) > MAX_ERRORS:
-            rows = row + 1
-            if not faults_of_run and source.goes_on(row):
+        if reader.has_ended or len(faults) > MAX_ERRORS:  # no more faults are shown
+            row_count = row + 1
+            if not faults_of_run and source.is_cut_short(row):
                 faults.append(Fault(row, *CUT_SHORT))
             break
-    faults = sorted([*faults, *(fault for fault in faults_of_run if fault.row < rows)], key=lambda fault: fault.row)
+    faults = sorted(
+        [*faults, *(fault for fault in faults_of_run if fault.row < row_count)], key=lambda fault: fault.row
+    )
     is_complete = reader.has_ended or tape_row < 0 or len(faults) > MAX_ERRORS or bool(faults_of_run)
     if not reader.has_ended and is_complete:
         message = "The program ends without M2, M30 or %. Check that the file is complete."
-        reader.issues.append(Issue("warning", "program-end", message, rows))
+        reader.issues.append(Issue("warning", "program-end", message, row_count))
     return Modes(
-        rows=rows,
+        row_count=row_count,
         changes=reader.changes,
         blends=reader.blends,
         roundings=reader.roundings,
         origins=reader.frame_codes.origins,
         returns=reader.frame_codes.returns,
         tools=reader.switching.tools,
-        tip=reader.tip.changes,
-        dwells=reader.dwells,
+        tip_control_changes=reader.tip_control.changes,
+        dwell_rows=reader.dwell_rows,
         row_events=reader.switching.events,
         issues=reader.issues,
         faults=faults,
         dwell_unit=cell.gcode.dwell_unit,
-        with_point=frozenset(reader.with_point),
+        rows_with_point=frozenset(reader.rows_with_point),
         is_complete=is_complete,
     )
 
 
 class _Reader:
-    """Reader of single blocks, with the modal state and the results so far.
+    """Reader of the blocks that are not plain, with the modal state and the results so far.
 
     :ivar words: words of all lines; `put` enters those of the blocks that are read.
     :ivar tape_row: row of the ``%`` that opens the program; −1: there is none.
     :ivar is_tape_closed: whether the closing ``%`` has been read.
     :ivar code: text of the present block.
-    :ivar with_point: rows whose P has a decimal point.
+    :ivar rows_with_point: rows whose P has a decimal point.
     :ivar approximation: approximation distance of the cell [m].
-    :ivar changes, blends, roundings, dwells, issues: see `Modes`.
+    :ivar changes, blends, roundings, dwell_rows, issues: see `Modes`.
     :ivar smoothing_rows: rows whose code is a mode of smoothing, which is ignored.
-    :ivar letters: words that are entered as coordinates and numbers.
+    :ivar letters: letters whose words are put into `words`.
     :ivar takes_directions: whether I, J, K of G0 and G1 are the direction of the tool.
     :ivar mm_per_unit: length of the active unit [mm].
     """
@@ -551,16 +572,16 @@ class _Reader:
     def __init__(self, words: Words, cell: Cell, tape_row: int) -> None:
         self.words, self.cell, self.tape_row = words, cell, tape_row
         self.code = ""
-        self.with_point: set[int] = set()
+        self.rows_with_point: set[int] = set()
         self.approximation = cell.gcode.approximation_mm * M_PER_MM
         self.changes: dict[str, list[tuple[int, float]]] = {group: [] for group in codes.GROUPS}
         self.blends: list[tuple[int, float]] = []
         self.roundings: list[tuple[int, float]] = []
-        self.dwells: list[int] = []
+        self.dwell_rows: list[int] = []
         self.smoothing_rows: set[int] = set()
         self.issues: list[Issue] = []
-        self.tip = TipControl(cell.rotary)
-        self.frame_codes, self.switching = FrameCodes(cell), Switching(cell, self.issues, self.tip.read)
+        self.tip_control = TipControl(cell.rotary)
+        self.frame_codes, self.switching = FrameCodes(cell), Switching(cell, self.issues, self.tip_control.read)
         self.letters = [letter for letter in COLUMNS if letter not in "ABC" or letter in self.frame_codes.rotary]
         self.takes_directions = cell.rotary is not None and cell.rotary.kind == "vector"
         self.mm_per_unit = 1.0
@@ -572,23 +593,24 @@ class _Reader:
         return self.is_tape_closed or self.switching.ended
 
     def read(self, row: int, code: str) -> None:
-        """Read the codes and words of a block.
+        """Read the codes and words of a block; its valid parts count even if it has a fault.
 
-        :raises BlockError: the first fault; the valid words still count.
+        :param code: packed text of the block.
+        :raises BlockError: the first fault of the block.
         """
         if code.lstrip(MARK).startswith("%"):
             self.is_tape_closed = row != self.tape_row
             return
-        delete_mark = _DELETE.match(code)
+        delete_mark = _DELETE_MARK.match(code)
         if delete_mark:
             code = code[delete_mark.end() :]
             self._add_remark("info", "block-delete", "Blocks with / are executed (block delete is off).", row)
         if code.endswith("%"):  # the end of the tape in the last block
-            code, self.is_tape_closed = code[:-1], True
+            code, self.is_tape_closed = code.removesuffix("%"), True
         code = self._replace_sender_command(row, code)
         self.code = code
         if _P_WITH_POINT.search(code):
-            self.with_point.add(row)
+            self.rows_with_point.add(row)
         words = words_of(code)
         block = _Block(
             row,
@@ -597,7 +619,7 @@ class _Reader:
             {letter: value for letter, value in words if letter not in "GM"},
         )
         first_error: BlockError | None = None
-        for step in (
+        for read_step in (  # in this order: each step removes the words that it uses
             self._ignore_smoothing,
             self._read_modes,
             self._ignore_radius,
@@ -608,14 +630,18 @@ class _Reader:
             self._read_coordinates,
         ):
             try:
-                step(block)
+                read_step(block)
             except BlockError as cause:  # keep the valid parts of the block: later blocks depend on them
                 first_error = first_error or cause
         if first_error is not None:
             raise first_error
 
     def _replace_sender_command(self, row: int, code: str) -> str:
-        """Return a block with a command to Grbl replaced: homing by G28, what moves nothing by an empty block."""
+        """Return a packed block with commands to Grbl replaced.
+
+        ``$H`` becomes G28. A command that moves nothing becomes an empty block, and a remark. Other blocks are returned
+        as they are.
+        """
         command = code.strip(MARK)
         if not command.startswith("$"):
             return code
@@ -630,9 +656,11 @@ class _Reader:
         return code
 
     def _read_coordinates(self, block: _Block) -> None:
-        """Record coordinates and other numbers of a block: the words that no other step has used.
+        """Put the coordinates and other numbers of a block into `words`: all words that no other step has used.
 
-        :raises BlockError: a letter has no meaning here, or the feed is negative.
+        Words of axes that the robot does not have are ignored at zero.
+
+        :raises BlockError: no code uses a letter, or the feed is negative.
         """
         values = block.values
         self._read_tool_length(block)
@@ -654,7 +682,7 @@ class _Reader:
             raise BlockError("negative feed", None)
 
     def _read_tool_length(self, block: _Block) -> None:
-        """Read H of a code that applies a tool length; H0 without such a code is ignored."""
+        """Read and remove H of a code that applies a tool length (G43, G43.4, G43.5); remove H0 without such a code."""
         applies_length = (
             codes.TOOL_LENGTH in block.g
             or (43.4 in block.g and self.frame_codes.rotary)
@@ -671,7 +699,10 @@ class _Reader:
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
     def _offset_refusal(self, code: float) -> tuple[str, str] | None:
-        """Return why a work offset cannot be used, with advice; None if it can."""
+        """Return problem and advice if a work offset cannot be used; None if it can.
+
+        :param code: number of its G code, such as 54.0.
+        """
         if f"G{code:g}" not in self.frame_codes.offsets:
             name = f"G{code:g}" if code.is_integer() else f'"G{code:g}"'  # TOML: a name with a dot is in quotes
             advice = f"Give its frame in $BASE in the cell: [work_offsets.{name}]."
@@ -702,7 +733,7 @@ class _Reader:
         self._add_remark("warning", "tapping", message, row)
 
     def _read_modes(self, block: _Block) -> None:
-        """Record the modal codes of a block.
+        """Record the modal codes of a block, and check that its other G codes are accepted.
 
         :raises BlockError: a code is not supported, or a work offset is not in the cell.
         """
@@ -728,26 +759,29 @@ class _Reader:
             raise BlockError(*first_refusal)
 
     def _change_units(self, row: int, code: float, *, has_feed: bool) -> None:
-        """Apply G20 or G21; warn if the block also has F, which controls read in different units then."""
+        """Apply G20 or G21; warn if F is in a block that changes the units, since controls differ in the units of F.
+
+        :param code: 20 or 21; `has_feed`: whether the block has F.
+        """
         if has_feed and MM_PER_UNIT[code] != self.mm_per_unit:
             message = "F in the block of G20 or G21 is in the new units. LinuxCNC reads it in those before."
             self._add_remark("warning", "feed-units", message, row)
         self.mm_per_unit = MM_PER_UNIT[code]
 
     def _is_read_elsewhere(self, row: int, code: float) -> bool:
-        """Return whether a G code is no modal code of `codes.GROUPS`: it is read by another step, or has no effect.
+        """Return whether another step of `read` uses a G code, or the code has no effect in this block.
 
-        A code that switches tool-centre-point control is recorded here.
+        A code that switches tool-centre-point control is recorded.
         """
         return (
-            self.tip.read(row, f"G{code:g}")
+            self.tip_control.read(row, f"G{code:g}")
             or self._repeats_units(code)
             or code in codes.RADIUS
             or (row in self.smoothing_rows and code in codes.SMOOTHING_MODES)
         )
 
     def _read_frames(self, block: _Block) -> None:
-        """Read the codes of work offsets, shifts and machine positions.
+        """Read the codes of shifts, work offsets (G10) and machine positions; G53 without an axis is ignored.
 
         :raises BlockError: a code cannot be executed on the robot.
         """
@@ -766,9 +800,10 @@ class _Reader:
         self.switching.read(block.row, block.m, block.values)
 
     def _ignore_smoothing(self, block: _Block) -> None:
-        """Ignore look-ahead modes with their words: the cell says how exactly corners are cut.
+        """Ignore look-ahead modes, and remove their words: the cell says how exactly corners are cut.
 
-        G5, G5.1 and G8 without words are not such modes, G103 and G187 are.
+        A code with other words than those of `codes.SMOOTHING_MODES` is no look-ahead mode. Without words, G103 and
+        G187 are look-ahead modes, the other codes are not.
         """
         for code in block.g:
             code_words = codes.SMOOTHING_MODES.get(code)
@@ -789,7 +824,7 @@ class _Reader:
         return float(self.words.column("G")[row])
 
     def _read_dwell(self, block: _Block) -> None:
-        """Record G4 with its time in seconds.
+        """Record G4 with its time in seconds, and remove the word of the time.
 
         :raises BlockError: the time is missing or ambiguous, or the block has an arc.
         """
@@ -799,32 +834,34 @@ class _Reader:
         if self._motion_code(row) in (2.0, 3.0):
             raise BlockError("G4 in one block with an arc", "Write one block for each.")
         letter = next((letter for letter in codes.DWELL_WORDS if letter in values), None)
-        if letter is None or not values[letter] >= 0.0:
+        if letter is None or not values[letter] >= 0.0:  # also NaN
             raise BlockError("G4 without a time", "Write G4 P with the time in seconds.")
         if letter != "P" and not np.isnan(self._motion_code(row)):
             raise BlockError(f"G4 {letter} in one block with a motion code", "Write one block for each.")
         seconds = values.pop(letter)
-        with_point = _WITH_POINT.search(self.code) is not None
+        has_point = _TIME_WITH_POINT.search(self.code) is not None
         # X and U with a decimal point are seconds, and so are F and S
-        if letter == "P" or (letter in "XU" and not with_point):
-            seconds = dwell_time(f"G4 {letter}", seconds, self.cell.gcode.dwell_unit, with_point=with_point)
-        self.dwells.append(row)
+        if letter == "P" or (letter in "XU" and not has_point):
+            seconds = dwell_time(f"G4 {letter}", seconds, self.cell.gcode.dwell_unit, has_point=has_point)
+        self.dwell_rows.append(row)
         self.switching.add_dwell(row, seconds)
         if letter == "S":
             message = f"G4 S{seconds:g} is read as seconds (Marlin). Sinumerik controls count turns of the spindle."
             self._add_remark("info", "dwell", message, row)
 
     def _ignore_radius(self, block: _Block) -> None:
-        """Ignore G41 and G42 with D0, which is no radius, and with offsets that hold wear only.
+        """Ignore radius compensation without effect on the path, and remove its words D and H.
 
-        D of G41.1 and G42.1 is a diameter, which no offset of the control replaces.
+        It is without effect with D0. G41, G42, G41.2 and G42.2 are without effect, too, if the cell says that the
+        offsets of the control hold wear only. D of G41.1 and G42.1 is a diameter, not the number of an offset.
 
-        :raises BlockError: the code has a radius.
+        :raises BlockError: the compensation has an effect.
         """
         g, values = block.g, block.values
-        holds_wear = self.cell.gcode.radius_offsets == "wear"
+        offsets_hold_wear = self.cell.gcode.radius_offsets == "wear"
         for code in g:
-            if code in codes.RADIUS and values.get("D") != 0.0 and not (holds_wear and code in codes.RADIUS_BY_OFFSET):
+            is_wear = offsets_hold_wear and code in codes.RADIUS_BY_OFFSET
+            if code in codes.RADIUS and values.get("D") != 0.0 and not is_wear:
                 raise BlockError(*codes.refusal("G", code))
             if code in codes.RADIUS:
                 has_d0 = values.pop("D", None) == 0.0
@@ -835,7 +872,7 @@ class _Reader:
                 self._add_remark("info", "radius-compensation", message, block.row)
 
     def _read_blending(self, block: _Block) -> None:
-        """Record G64, G61 and G9: how far corners may be cut [m], and from which row on.
+        """Record the approximation distance [m] that G64, G61 or G9 sets, and the rounding [m] that G64 P allows.
 
         With G64 P the approximation distance is at most 2·P: the corner is then rounded by no more than P.
         """

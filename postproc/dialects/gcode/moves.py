@@ -35,11 +35,11 @@ from postproc.dialects.gcode.words import BlockError, Fault, Remark
 from postproc.frames import M_PER_MM, Array, any_column, inverse, pose_from_xyzabc
 from postproc.program import COMPONENTS, Bools, EventKind, Ints, constant
 
-_LEAST_MM = 1e-6
-"""Lengths [mm] that are shorter are rounding: far below the last digit of any program."""
+_LENGTH_TOLERANCE_MM = 1e-6
+"""Shorter lengths [mm] are rounding: far below the last digit of any program."""
 INDEX_STEP = 5.0
 """Largest turn [deg] of indexed axes in one step: a chord is then 0.1 % of the radius inside the arc."""
-LEVEL = 0.2
+LEAST_TOOL_Z = 0.2
 """Least Z component in `$BASE` of the tool direction for a retract along the tool."""
 
 
@@ -48,20 +48,21 @@ class CellFrames(Struct, frozen=True, eq=False):
 
     :param start: (4, 4) pose of the tool frame in `$BASE` when the program starts [m].
     :param orientation: (3, 3) of the tool frame in the program frame.
-    :param offsets: code of a work offset (54.0 …) → (4, 4) pose of the program frame in `$BASE` [m].
+    :param work_offsets: code of a work offset (54.0 …) → (4, 4) pose of the program frame in `$BASE` [m].
     :param tools: tool number → row of `$TOOL`.
-    :param home: (nt, 4, 4) tool frames in `$BASE` at [machine] home, by row of `$TOOL` [m]; None without.
-    :param home_place: (3,) place of the machine before the first move and after G28, G30 and G53, in `$BASE` [mm]; None
-        without.
-    :param clearance: Z of `$BASE` to which G53 retracts [mm]; None without.
+    :param home_poses: (nt, 4, 4) tool frames in `$BASE` at [machine] home, by row of `$TOOL` [m]; None: the cell
+        does not give them.
+    :param home_place: (3,) position of the machine before the first move and after G28, G30 and G53, in `$BASE` [mm];
+        None: the cell gives joint angles of home, or no home.
+    :param clearance: Z of `$BASE` to which G28, G30 and G53 retract [mm]; None: the cell does not give it.
     :param rotary: rotary axes of the machine.
     """
 
     start: Array
     orientation: Array
-    offsets: Mapping[float, Array]
+    work_offsets: Mapping[float, Array]
     tools: Mapping[float, int]
-    home: Array | None
+    home_poses: Array | None
     home_place: Array | None
     clearance: float | None
     rotary: RotaryAxes
@@ -72,15 +73,16 @@ class Moves(Struct, frozen=True, eq=False):
 
     :param row: (N,) row of the line, never decreasing.
     :param code: (N,) 0 to 3.
-    :param end: (N, 3) where each ends; it begins where the one before ends, except `first`.
-    :param first: (S,) moves that begin elsewhere, ascending, and `start` (S, 3) where.
+    :param end: (N, 3) end of each move; a move begins at the end of the move before, except for `first_moves`.
+    :param first_moves: (S,) first move of each run of lines, ascending; its start may differ from the end before.
+    :param first_starts: (S, 3) starts of the moves `first_moves`.
     :param frame: (N,) row of `frames`; `tool`: (N,) row of `$TOOL`.
-    :param turn: (N, 2, k) angles of the rotary axes at begin and end [deg].
-    :param bottom: (N,) True where a cycle reverses.
-    :param home: (N,) True for moves to [machine] home.
+    :param rotary_angles: (N, 2, k) angles of the rotary axes at begin and end [deg].
+    :param is_in_hole: (N,) moves of cycles that end in the hole or leave it, see `Step`.
+    :param is_home_move: (N,) True for moves to [machine] home.
     :param frames: (nf, 4, 4) program frames in `$BASE` [m]; `machine_frames`: with indexed axes at zero.
-    :param events: events of cycles: number of moves before, row, event.
-    :param unknown: first and last row of each range of lines in which the position of some axis is unknown.
+    :param events: events of cycles: number of moves before the event, row of its line, event.
+    :param unknown_ranges: first and last row of each range of lines in which the position of some axis is unknown.
     :param last_start_row: last row of the lines whose moves at feed come from `[start]`; −1 if there are none.
     :param offset: (L,) active work offset of each line.
     :param faults: faults of the lines; `remarks`: remarks on them for the user.
@@ -89,102 +91,113 @@ class Moves(Struct, frozen=True, eq=False):
     row: Ints
     code: NDArray[np.int8]
     end: Array
-    first: Ints
-    start: Array
+    first_moves: Ints
+    first_starts: Array
     frame: Ints
     tool: Ints
-    turn: Array
-    bottom: Bools
-    home: Bools
+    rotary_angles: Array
+    is_in_hole: Bools
+    is_home_move: Bools
     frames: Array
     machine_frames: Array
     events: Sequence[tuple[int, int, CycleEvent]]
-    unknown: Sequence[tuple[int, int]]
+    unknown_ranges: Sequence[tuple[int, int]]
     last_start_row: int
     offset: Array
     faults: Sequence[Fault]
     remarks: Sequence[Remark]
 
     def begin(self, move: Ints) -> Array:
-        """Return the starts (n, 3) of moves (n,): the end of the move before, except for the moves `first`."""
+        """Return the starts (n, 3) of moves (n,): the end of the move before, or the start of one of `first_moves`."""
         starts = self.end[move - 1]
-        index = np.searchsorted(self.first, move)
-        has_own_start = np.append(self.first, -1)[index] == move  # -1 is behind the last of `first`
-        starts[has_own_start] = self.start[index[has_own_start]]
+        index = np.searchsorted(self.first_moves, move)
+        has_own_start = (
+            np.append(self.first_moves, -1)[index] == move
+        )  # -1 is no move: it follows the last of `first_moves`
+        starts[has_own_start] = self.first_starts[index[has_own_start]]
         return starts
 
     def repeat(self, count: Ints) -> Moves:
         """Return the moves, each repeated `count` (N,) times.
 
-        All repeats have the end of their move; the first of them begins where the move began.
+        All repeats have the end of their move. The first repeat begins at the start of the move, so the others have no
+        length.
         """
         index = np.repeat(np.arange(len(count)), count)
-        offsets = np.append(0, np.cumsum(count))
-        names = ("row", "code", "end", "frame", "tool", "turn", "bottom", "home")
+        offsets = np.append(0, np.cumsum(count))  # number of repeats before each move; the last entry is the total
+        names = ("row", "code", "end", "frame", "tool", "rotary_angles", "is_in_hole", "is_home_move")
         columns = {name: take_rows(getattr(self, name), index) for name in names}
         events = [(int(offsets[move]), row, event) for move, row, event in self.events]
-        return replace(self, **columns, first=offsets[self.first], events=events)
+        return replace(self, **columns, first_moves=offsets[self.first_moves], events=events)
 
 
-def moves_of(rows: LineStates, modes: Modes, cell_frames: CellFrames) -> Moves:
-    """Return the moves of a program; the positions of those on lines of `Moves.unknown` are meaningless."""
-    return _Walk(rows, modes, cell_frames).moves()
+def moves_of(lines: LineStates, modes: Modes, cell_frames: CellFrames) -> Moves:
+    """Return the moves of a program; positions of moves on lines of `Moves.unknown_ranges` are meaningless.
 
-
-def below_top(rows: LineStates, first: int, complete_row: int) -> Bools:
-    """Return which lines (L,) from row `first` to `complete_row` are not at the highest Z that the program states.
-
-    At `complete_row` X, Y and Z have all been programmed; other lines are False. Programs for hobby controls go up by
-    G1 first, and then to the start position: these moves are at the top. A highest Z that is the only one, or not above
-    zero, may be that of a cut: no line is at the top then.
+    :param modes: modal state and events of the blocks that are not plain.
     """
-    is_below = np.zeros(len(rows.motion), dtype=np.bool_)
+    return _Walk(lines, modes, cell_frames).moves()
+
+
+def below_top(lines: LineStates, first: int, complete_row: int) -> Bools:
+    """Return which lines (L,) are below the highest Z of the program while its position is not known yet.
+
+    Programs for hobby controls go up by G1 first, and then to the start position: these moves are at the highest Z. A
+    highest Z that is the only Z, or not above zero, may be that of a cut: then all these lines count as below it. So
+    they do in a program with G91, and if no line before the last has a Z.
+
+    :param first: first row of these lines; other lines are False.
+    :param complete_row: row of the last line, on which X, Y and Z have all been programmed.
+    """
+    is_below = np.zeros(len(lines.motion), dtype=np.bool_)
     window = slice(first, complete_row + 1)
-    z = rows.xyz[window, 2]
+    z = lines.xyz[window, 2]
     has_z = ~np.isnan(z)
     latest_z_row = np.maximum.accumulate(np.where(has_z, np.arange(len(z)), -1))  # -1: no Z so far
-    lowest_z, highest_z = np.nanmin(rows.xyz[:, 2], initial=np.inf), np.nanmax(rows.xyz[:, 2], initial=-np.inf)
-    is_safe_height = (lowest_z < highest_z) & (highest_z > 0.0)
+    lowest_z, highest_z = np.nanmin(lines.xyz[:, 2], initial=np.inf), np.nanmax(lines.xyz[:, 2], initial=-np.inf)
+    is_safe_height = (lowest_z < highest_z) & (highest_z > 0.0)  # else it may be the height of a cut
     is_top = (latest_z_row >= 0) & (z[latest_z_row] >= highest_z) & is_safe_height
     has_earlier_z = has_z[: complete_row - first].any()  # else nothing has gone up before the last row
-    is_below[window] = ~is_top | rows.incremental.any() | ~has_earlier_z  # words of G91 are no heights
+    is_below[window] = ~is_top | lines.is_incremental.any() | ~has_earlier_z  # words of G91 are no heights
     return is_below
 
 
 def _repetition(values: Sequence[int], count: Ints) -> Ints:
-    """Return whole numbers, each `count` (n,) times, n ≥ 1."""
+    """Return n integers, n ≥ 1, the k-th repeated `count[k]` times; in constant memory if all are equal."""
     return constant(values[0], int(count.sum())) if len(set(values)) == 1 else np.repeat(values, count)
 
 
 class _Walk:
-    """State of the machine from line to line.
+    """Walk over the lines of a program: state of the machine, and the moves so far.
 
-    :ivar position: (3,) of the tool tip in the program frame [mm].
-    :ivar known: (3,) whether X, Y, Z have been programmed.
-    :ivar displaced: (3,) axes along which the machine is at another place than the robot since G28, G30 or G53.
-    :ivar lifted: whether the robot has retracted by a code that does not move Z of the machine.
+    :ivar position: (3,) position of the tool tip in the program frame [mm].
+    :ivar is_known: (3,) whether the position along X, Y, Z is known: programmed, or that of home.
+    :ivar is_displaced: (3,) axes along which the machine is at another place than the robot since G28, G30 or G53.
+    :ivar is_lifted: whether the robot has retracted by a code that does not move Z of the machine.
     :ivar offset_frames: code of a work offset → (4, 4) frame in `$BASE` [m]; G10 changes it.
-    :ivar shift: (3,) shift of coordinates by G52 and G92 [mm]; `kept_shift`: the one that G92.3 restores.
-    :ivar angles: (k,) of the rotary axes [deg].
-    :ivar number: number of moves so far.
-    :ivar first: number of the first move of each run; `starts`: position, row of `frames` and row of `$TOOL` there.
-    :ivar losses: rows from which the position of some axes (3,) is unknown.
-    :ivar parked: rows of G28, G30 and G53, and the axes (3,) along which the machine has moved away.
+    :ivar shift: (3,) shift of coordinates by G52 and G92 [mm]; `kept_shift`: the shift that G92.3 restores.
+    :ivar angles: (k,) angles of the rotary axes [deg].
+    :ivar move_count: number of moves so far.
+    :ivar column_parts: column of `Moves` → its parts, one for each run of lines that were added together.
+    :ivar first_moves: index of the first move of each run.
+    :ivar starts: start of each run: position, row of `frames`, row of `$TOOL`.
+    :ivar losses: (row, axes (3,)): from the row on the position along these axes is unknown.
+    :ivar parkings: (row, axes (3,)) of G28, G30 and G53: along these axes the machine has moved and the robot has not.
     """
 
-    def __init__(self, rows: LineStates, modes: Modes, cell_frames: CellFrames) -> None:
-        self.rows, self.modes, self.cell_frames = rows, modes, cell_frames
-        self.count = len(rows.motion)
-        self.offset = active_values(modes.changes["offset"], codes.WORK_OFFSETS[0], self.count)
-        self.offset_frames = dict(cell_frames.offsets)
+    def __init__(self, lines: LineStates, modes: Modes, cell_frames: CellFrames) -> None:
+        self.lines, self.modes, self.cell_frames = lines, modes, cell_frames
+        self.line_count = len(lines.motion)
+        self.offset = active_values(modes.changes["offset"], codes.WORK_OFFSETS[0], self.line_count)
+        self.offset_frames = dict(cell_frames.work_offsets)
         self.shift, self.kept_shift = np.zeros(3), np.zeros(3)
         self.frames, self.machine_frames = [np.eye(4)], [np.eye(4)]
         self.position = cell_frames.start[:3, 3] / M_PER_MM
-        self.known = np.zeros(3, dtype=bool)
+        self.is_known = np.zeros(3, dtype=bool)
         if cell_frames.home_place is not None:
-            self.position, self.known = cell_frames.home_place, np.ones(3, dtype=bool)
-        self.displaced = np.zeros(3, dtype=bool)
-        self.lifted = False
+            self.position, self.is_known = cell_frames.home_place, np.ones(3, dtype=bool)
+        self.is_displaced = np.zeros(3, dtype=bool)
+        self.is_lifted = False
         self.angles = cell_frames.rotary.upright
         self.tool = 0
         self.cycle = Cycle()
@@ -193,26 +206,28 @@ class _Walk:
         ]
         self.spindle_rows = [event.row for event in spindle_events]
         self.spindle_kinds: list[EventKind] = ["spindle_off", *(event.kind for event in spindle_events)]
-        self.parts: dict[str, list[NDArray[Any]]] = {name: [] for name in ("row", "code", "end", "turn")}
-        self.first: list[int] = []
+        self.column_parts: dict[str, list[NDArray[Any]]] = {
+            name: [] for name in ("row", "code", "end", "rotary_angles")
+        }
+        self.first_moves: list[int] = []
         self.starts: list[tuple[Array, int, int]] = []
-        self.bottoms: list[int] = []
-        self.homes: list[int] = []
-        self.number = 0
+        self.bottom_moves: list[int] = []
+        self.home_moves: list[int] = []
+        self.move_count = 0
         self.events: list[tuple[int, int, CycleEvent]] = []
-        self.losses: list[tuple[int, Bools]] = [(0, ~self.known)]
-        self.parked: list[tuple[int, Bools]] = []
+        self.losses: list[tuple[int, Bools]] = [(0, ~self.is_known)]
+        self.parkings: list[tuple[int, Bools]] = []
         self.faults: list[Fault] = []
         self.remarks: list[Remark] = []
 
     def moves(self) -> Moves:
-        """Process the program in runs of lines between changes of mode."""
+        """Return the moves of the program, which is processed in runs of lines between changes of mode."""
         origins: dict[int, list[Origin]] = {}
         for origin in self.modes.origins:
             origins.setdefault(origin.row, []).append(origin)
         tools = dict(self.modes.tools)
         indexing = set(self._indexing_rows().tolist())
-        current = -1.0
+        current = -1.0  # no code of a work offset: the first line sets the frame
         for begin, end in pairwise(self._bounds(origins, tools, indexing)):
             if self.offset[begin] != current:
                 current = float(self.offset[begin])
@@ -225,7 +240,7 @@ class _Walk:
                 self._change_tool(begin, tools[begin])
             if begin in self.modes.returns:
                 self._add_return(begin, self.modes.returns[begin])
-            elif self.rows.drilling[begin]:
+            elif self.lines.is_drilling[begin]:
                 self._add_drilling(begin, end)
             elif begin in indexing:
                 self._add_indexed_move(begin)
@@ -238,90 +253,103 @@ class _Walk:
         """Return the rows (n,) with words of indexed axes."""
         if not self.cell_frames.rotary.turns_part:
             return np.zeros(0, dtype=np.int64)
-        return np.flatnonzero(any_column(~np.isnan(self.rows.rotary)))
+        return np.flatnonzero(any_column(~np.isnan(self.lines.rotary)))
 
     def _bounds(
         self, origins: Mapping[int, object], tools: Mapping[int, object], indexing: Collection[int]
     ) -> list[int]:
-        """Return the rows between which lines can be added at once: frames, modes and tools do not change there."""
-        rows = self.rows
-        is_bound = (self.offset[1:] != self.offset[:-1]) | (rows.incremental[1:] != rows.incremental[:-1])
-        is_bound |= rows.drilling[1:] != rows.drilling[:-1]
-        single = [row for row in (*origins, *tools, *self.modes.returns, *indexing) if row < self.count]
-        next_rows = [row + 1 for row in (*self.modes.returns, *indexing) if row + 1 < self.count]
-        return sorted({0, self.count, *(np.flatnonzero(is_bound) + 1).tolist(), *single, *next_rows})
+        """Return the rows, ascending, at which a run begins, and the number of lines.
+
+        Within a run, work offset, G90 or G91, and cycle or no cycle do not change. Lines of `origins`, `tools`, returns
+        and `indexing` begin a run. The line after a return or a turn of indexed axes begins one too.
+        """
+        lines = self.lines
+        is_bound = (self.offset[1:] != self.offset[:-1]) | (lines.is_incremental[1:] != lines.is_incremental[:-1])
+        is_bound |= lines.is_drilling[1:] != lines.is_drilling[:-1]
+        single = [row for row in (*origins, *tools, *self.modes.returns, *indexing) if row < self.line_count]
+        next_rows = [row + 1 for row in (*self.modes.returns, *indexing) if row + 1 < self.line_count]
+        return sorted({0, self.line_count, *(np.flatnonzero(is_bound) + 1).tolist(), *single, *next_rows})
 
     def _add_straight_moves(self, begin: int, end: int) -> None:
-        """Process lines of G0 to G3: coordinates are modal (G90), or they add up (G91)."""
-        rows = self.rows
-        if (rows.has_motion_code[begin:end]).any() or (rows.motion[begin:end] == codes.CANCEL_CYCLE).any():
+        """Add the moves of lines `begin` to `end` (exclusive) of G0 to G3, all in G90 or all in G91.
+
+        If rotary axes turn without tool-centre-point control, the position is lost until it is programmed again.
+        """
+        lines = self.lines
+        if (lines.has_motion_code[begin:end]).any() or (lines.motion[begin:end] == codes.CANCEL_CYCLE).any():
             self.cycle.end()
         last_swing = max(
-            self._add_lines(begin + part.start, min(begin + part.stop, end)) for part in chunks(end - begin)
+            self._add_lines(begin + chunk.start, min(begin + chunk.stop, end)) for chunk in chunks(end - begin)
         )
         is_upright = bool((self.angles == self.cell_frames.rotary.upright).all())
-        if last_swing >= 0 and is_upright:  # without tool-centre-point control the tip may be anywhere
+        if (
+            last_swing >= 0 and is_upright
+        ):  # the tip may be anywhere; with tilted axes `check_turning` refuses the next move
             row = last_swing + 1
             self.losses.append((row, np.ones(3, dtype=bool)))
-            self.known = np.asarray(~np.isnan(rows.xyz[row:end]).all(axis=0))
+            self.is_known = np.asarray(~np.isnan(lines.xyz[row:end]).all(axis=0))
 
     def _add_lines(self, begin: int, end: int) -> int:
         """Add the moves of lines `begin` to `end` (exclusive), all in G90 or all in G91.
 
         :returns: the last row on which rotary axes turn without tool-centre-point control; −1: none.
         """
-        rows = self.rows
+        lines = self.lines
         positions = np.empty((end - begin, 3))
         for axis in range(3):
-            words = rows.xyz[begin:end, axis]
-            if rows.incremental[begin]:
+            words = lines.xyz[begin:end, axis]
+            if lines.is_incremental[begin]:
                 steps = np.append(self.position[axis], np.where(np.isnan(words), 0.0, words))
                 positions[:, axis] = np.cumsum(steps)[1:]
             else:
                 positions[:, axis] = carry_forward(words, self.position[axis])
-                self.known[axis] |= not np.isnan(words).all()
+                self.is_known[axis] |= not np.isnan(words).all()
         self._check_height(begin, end)
-        turn = self._rotary_angles(begin, end)
-        moving = np.flatnonzero(rows.moving[begin:end])
-        self._add_moves(begin + moving, rows.motion[begin + moving], positions[moving], turn[moving])
+        angles = self._rotary_angles(begin, end)
+        moving = np.flatnonzero(lines.is_moving[begin:end])
+        self._add_moves(begin + moving, lines.motion[begin + moving], positions[moving], angles[moving])
         self.position = positions[-1].copy()
-        swing_rows = np.flatnonzero(~rows.tip[begin:end] & (turn[:, 0] != turn[:, 1]).any(axis=1))
+        swings = ~lines.is_tip_controlled[begin:end] & (angles[:, 0] != angles[:, 1]).any(axis=1)
+        swing_rows = np.flatnonzero(swings)
         return begin + int(swing_rows[-1]) if len(swing_rows) else -1
 
     def _add_indexed_move(self, row: int) -> None:
-        """Process a line with words of indexed axes, which must be a rapid.
+        """Add the moves of a line with words of indexed axes; a fault if it turns them and is not a rapid.
 
-        The move is split into steps of `INDEX_STEP`: seen from the part, the tool moves on an arc about the axes.
+        The move is split into steps of `INDEX_STEP`: seen from the part, the tool moves on an arc about the axes. If no
+        axis turns, the line is added as others are. While the position is not known, the part turns without moves.
         """
-        start_angles, words = self.angles, self.rows.rotary[row]
+        start_angles, words = self.angles, self.lines.rotary[row]
         turn = (
-            np.nan_to_num(words) if self.rows.incremental[row] else np.where(np.isnan(words), 0.0, words - start_angles)
+            np.nan_to_num(words)
+            if self.lines.is_incremental[row]
+            else np.where(np.isnan(words), 0.0, words - start_angles)
         )
         if not turn.any():
             self._add_straight_moves(row, row + 1)
             return
-        if self.rows.motion[row] != 0.0:
+        if self.lines.motion[row] != 0.0:
             advice = "Turn indexed axes by G0, or set the CAM system to output tool-centre-point control."
             self.faults.append(Fault(row, "an indexed axis turns in a line that is not a rapid", advice))
             return
-        if not self.known.all():  # the move from [start] is made when X, Y and Z are known
+        if not self.is_known.all():  # the move from [start] is made when X, Y and Z are known
             self._turn_part(row, start_angles + turn)
-            if self.rows.is_placed[row]:
+            if self.lines.is_placed[row]:
                 self._add_straight_moves(row, row + 1)
             return
         self.cycle.end()
         self._check_height(row, row + 1)
-        step = self.rows.xyz[row]
-        if not self.rows.incremental[row]:
-            step = step - self.position
-        step = np.nan_to_num(step)
-        start, steps = self.position, int(np.ceil(np.abs(turn).max() / INDEX_STEP))
-        for number in range(1, steps + 1):
-            share = number / steps
+        displacement = self.lines.xyz[row]
+        if not self.lines.is_incremental[row]:
+            displacement = displacement - self.position
+        displacement = np.nan_to_num(displacement)  # an axis without a word stays
+        start, step_count = self.position, int(np.ceil(np.abs(turn).max() / INDEX_STEP))
+        for number in range(1, step_count + 1):
+            share = number / step_count
             angles = np.stack([self.angles, start_angles + share * turn])[None]
             self._turn_part(row, angles[0, 1])
-            self._add_moves(np.array([row]), np.zeros(1), (start + share * step)[None], angles)
-            self.position = start + share * step
+            self._add_moves(np.array([row]), np.zeros(1), (start + share * displacement)[None], angles)
+            self.position = start + share * displacement
 
     def _turn_part(self, row: int, angles: Array) -> None:
         """Turn indexed axes to angles (k,) [deg]: the program frame turns, the robot stays."""
@@ -329,11 +357,14 @@ class _Walk:
         self._change_frame(float(self.offset[row]))
 
     def _rotary_angles(self, begin: int, end: int) -> Array:
-        """Return the angles of the rotary axes (n, 2, k) [deg] before and after each line; keep the last ones."""
-        words = self.rows.rotary[begin:end]
+        """Return the angles of the rotary axes (n, 2, k) [deg] before and after each line; set `angles` to the last.
+
+        :param begin: first row of the lines, all in G90 or all in G91; `end`: row after the last.
+        """
+        words = self.lines.rotary[begin:end]
         end_angles = np.empty((end - begin, len(self.angles)))
         for axis, angle in enumerate(self.angles.tolist()):
-            if self.rows.incremental[begin] and len(self.angles) != COMPONENTS:  # directions are never incremental
+            if self.lines.is_incremental[begin] and len(self.angles) != COMPONENTS:  # directions are never incremental
                 end_angles[:, axis] = np.cumsum(np.append(angle, np.nan_to_num(words[:, axis])))[1:]
             else:
                 end_angles[:, axis] = carry_forward(words[:, axis], angle)
@@ -344,7 +375,8 @@ class _Walk:
     def _add_drilling(self, begin: int, end: int) -> None:
         """Add the moves of lines `begin` to `end` (exclusive), all with cycles.
 
-        From the second hole on the steps no longer change, so lines with positions only are processed together.
+        The first hole of a series may differ from the others, because the tool comes from another height. After a line
+        that has repeated the hole before, lines with positions only are therefore added together.
         """
         self._check_drilling(begin, end)
         self._check_height(begin, end)
@@ -366,38 +398,38 @@ class _Walk:
 
         :param spindle: state of the spindle on each line.
         """
-        rows = self.rows
-        is_position_only = np.append(False, np.array(spindle[1:]) == spindle[:-1])
-        for state in (rows.motion, rows.plane, rows.to_r):
+        lines = self.lines
+        is_position_only = np.append(False, np.array(spindle[1:]) == spindle[:-1])  # the first line states the cycle
+        for state in (lines.motion, lines.plane, lines.retracts_to_r):
             is_position_only[1:] &= state[begin + 1 : end] == state[begin : end - 1]
-        normal_axis = PLANE_AXES[float(rows.plane[begin])][2]
-        for words in (rows.xyz[:, normal_axis], rows.radius, rows.turns, rows.pecks, rows.repeats):
+        normal_axis = PLANE_AXES[float(lines.plane[begin])][2]
+        for words in (lines.xyz[:, normal_axis], lines.radius, lines.turns, lines.pecks, lines.repeats):
             is_position_only &= np.isnan(words[begin:end])
         return is_position_only
 
     def _add_hole(self, row: int, spindle: EventKind) -> CycleMoves:
-        """Add the moves of one line with a cycle, and return them; a line with a fault has none."""
-        rows = self.rows
-        axes = list(PLANE_AXES[float(rows.plane[row])])
-        is_incremental = bool(rows.incremental[row])
+        """Add the moves of one line with a cycle, and return them; add the fault of a faulty line, and return none."""
+        lines = self.lines
+        axes = list(PLANE_AXES[float(lines.plane[row])])
+        is_incremental = bool(lines.is_incremental[row])
         u, v, height = self.position[axes].tolist()
         try:
-            cycle_moves = self.cycle.hole(
-                float(rows.motion[row]),
+            cycle_moves = self.cycle.hole_moves(
+                float(lines.motion[row]),
                 self._cycle_words(row, axes),
                 (u, v, height),
                 spindle,
                 relative=is_incremental,
-                retracts_to_r=bool(rows.to_r[row]),
+                retracts_to_r=bool(lines.retracts_to_r[row]),
             )
         except BlockError as cause:
             self.faults.append(cause.fault(row))
             return CycleMoves([], [])
-        if self.cycle.lifts and not self.known[axes[:2]].all():
+        if self.cycle.lifts_to_r and not self.is_known[axes[:2]].all():
             advice = "Program X and Y by G0 before, or Z above R: the tool goes up to R where it is."
             self.faults.append(Fault(row, "a cycle that begins below R before the position is known", advice))
         if not is_incremental:
-            self.known[axes[:2]] |= ~np.isnan(rows.xyz[row][axes[:2]])
+            self.is_known[axes[:2]] |= ~np.isnan(lines.xyz[row][axes[:2]])
         steps = cycle_moves.steps
         places = np.empty((len(steps), 3))
         places[:, axes] = np.reshape([step.end for step in steps], (-1, 3))
@@ -405,40 +437,41 @@ class _Walk:
         return cycle_moves
 
     def _cycle_words(self, row: int, axes: list[int]) -> dict[str, float]:
-        """Return the words of a line with a cycle as `Cycle.hole` takes them; add a fault if its time is unclear.
+        """Return the words of a line with a cycle as `Cycle.hole_moves` takes them; add a fault if its time is unclear.
 
-        :param axes: indices of the axes in the plane and across it.
+        :param axes: indices of the axes in the plane and across it, whose words become U, V and Z.
         """
-        rows = self.rows
-        columns = dict(zip("UVZ", rows.xyz[row][axes].tolist(), strict=True))
-        columns |= {"R": rows.radius[row], "P": rows.turns[row], "Q": rows.pecks[row], "L": rows.repeats[row]}
+        lines = self.lines
+        columns = dict(zip("UVZ", lines.xyz[row][axes].tolist(), strict=True))
+        columns |= {"R": lines.radius[row], "P": lines.turns[row], "Q": lines.pecks[row], "L": lines.repeats[row]}
         words = {letter: float(value) for letter, value in columns.items() if not np.isnan(value)}
-        if "P" in words and rows.motion[row] in DWELLING:
-            name, with_point = f"G{rows.motion[row]} P", row in self.modes.with_point
+        if "P" in words and lines.motion[row] in DWELLING:
+            name, has_point = f"G{lines.motion[row]} P", row in self.modes.rows_with_point
             try:
-                words["P"] = dwell_time(name, words["P"], self.modes.dwell_unit, with_point=with_point)
+                words["P"] = dwell_time(name, words["P"], self.modes.dwell_unit, has_point=has_point)
             except BlockError as cause:  # the time does not matter to the holes that follow
                 self.faults.append(cause.fault(row))
                 words["P"] = 0.0
         return words
 
     def _add_next_holes(self, row: int, stop: int, cycle_moves: CycleMoves) -> None:
-        """Add the moves of lines `row` to `stop` (exclusive) that give only positions.
+        """Add the moves of lines `row` to `stop` (exclusive), which state only the positions of holes.
 
-        :param cycle_moves: those of the hole before.
+        :param cycle_moves: moves and events of the hole before, which each line repeats at its position.
         """
         steps = cycle_moves.steps
-        axes = PLANE_AXES[float(self.rows.plane[row - 1])]
+        axes = PLANE_AXES[float(self.lines.plane[row - 1])]
         places = np.empty((stop - row, len(steps), 3))
         places[:, :, axes[2]] = [step.end[2] for step in steps]
         for axis in axes[:2]:
-            words = self.rows.xyz[row:stop, axis]
-            if self.rows.incremental[row - 1]:
+            words = self.lines.xyz[row:stop, axis]
+            if self.lines.is_incremental[row - 1]:
                 coordinates = self.position[axis] + np.cumsum(np.nan_to_num(words))
             else:
                 coordinates = carry_forward(words, self.position[axis])
             places[:, :, axis] = coordinates[:, None]
-            if self.cycle.lifts:
+            if self.cycle.lifts_to_r:
+                # the tool goes up to R above the hole before
                 places[:, 0, axis] = np.append(self.position[axis], coordinates[:-1])
         self._add_holes(np.repeat(np.arange(row, stop), len(steps)), places.reshape(-1, 3), cycle_moves)
 
@@ -451,14 +484,15 @@ class _Walk:
         if not len(row):
             return
         steps, cycle_events = cycle_moves
-        first = np.arange(self.number, self.number + len(row), len(steps))  # number of the first move of each hole
+        # index of the first move of each hole
+        first = np.arange(self.move_count, self.move_count + len(row), len(steps))
         if cycle_events:
             holes = zip(first.tolist(), row[:: len(steps)].tolist(), strict=True)
             self.events += [
                 (begin + event.step_count, hole_row, event) for begin, hole_row in holes for event in cycle_events
             ]
-        bottom = [n for n, step in enumerate(steps) if step.bottom]
-        self.bottoms += (first[:, None] + np.array(bottom, dtype=np.int64)).ravel().tolist()
+        steps_in_hole = [n for n, step in enumerate(steps) if step.is_in_hole]
+        self.bottom_moves += (first[:, None] + np.array(steps_in_hole, dtype=np.int64)).ravel().tolist()
         self._add_moves(row, np.tile([step.code for step in steps], len(first)), places)
         self.position = places[-1].copy()
 
@@ -467,13 +501,14 @@ class _Walk:
 
         :param begin: first row of the lines; `end`: row after the last.
         """
-        turns = self._rotary_angles(begin, end)
-        row = begin + int(np.argmax((turns[:, 0] != turns[:, 1]).any(axis=1)))
-        if (turns[:, 0] != turns[:, 1]).any():
+        angles = self._rotary_angles(begin, end)
+        is_turn = (angles[:, 0] != angles[:, 1]).any(axis=1)
+        if is_turn.any():
+            row = begin + int(np.argmax(is_turn))
             advice = "Program the rotary axes in a block before the cycle."
             self.faults.append(Fault(row, "rotary axes turn in a cycle", advice))
-        alignment = abs(self._tool_direction()[PLANE_AXES[float(self.rows.plane[begin])][2]])
-        if self.angles.any() and alignment < 1.0 - 1e-9:
+        alignment = abs(self._tool_direction()[PLANE_AXES[float(self.lines.plane[begin])][2]])
+        if self.angles.any() and alignment < 1.0 - 1e-9:  # 1e-9: rounding
             advice = "Set the CAM system to output holes in tilted planes as G0 and G1."
             self.faults.append(Fault(begin, "a cycle with a tilted tool", advice))
 
@@ -482,60 +517,74 @@ class _Walk:
         return np.asarray(self.cell_frames.rotary.tool_direction(self.angles[None])[0])
 
     def _spindle_states(self, begin: int, end: int) -> list[EventKind]:
-        """Return the state of the spindle on lines `begin` to `end` (exclusive): the kind of its last event."""
+        """Return the state of the spindle on lines `begin` to `end` (exclusive): the last event up to each line."""
+        # number of events up to each line, events of the line included; `spindle_kinds[0]` is the state before all
         event_counts = np.searchsorted(self.spindle_rows, np.arange(begin, end), side="right").tolist()
         return [self.spindle_kinds[count] for count in event_counts]
 
     def _add_return(self, row: int, to: Return) -> None:
-        """Add the moves to a machine position: through the intermediate point, up to the clearance height, and home."""
+        """Add the moves of G28, G30 or G53: through the intermediate point, up to the clearance height, and home.
+
+        The cell gives a position of home: the named axes go there. It gives joint angles: the robot retracts to the
+        clearance height and goes to these joints, but stays above its position on G53 with Z alone. It gives no home:
+        the robot stays above its position. Without letters all axes are named.
+        """
         cell_frames = self.cell_frames
         self.cycle.end()
         axis_mask = np.zeros(3, dtype=bool)
-        axis_mask[list(to.axes) or [0, 1, 2]] = True
-        if to.code != codes.MACHINE and self.known.all():
+        axis_mask[list(to.axes) or [0, 1, 2]] = True  # the named axes
+        if to.code != codes.MACHINE and self.is_known.all():
             self._add_intermediate_move(row, to)
         if cell_frames.home_place is not None:
             self._add_home_move(row, to, axis_mask, cell_frames.home_place)
             return
         is_retract = not axis_mask[:2].any()
-        if cell_frames.clearance is not None and self.known.all():
-            previous_number = self.number
+        if cell_frames.clearance is not None and self.is_known.all():
+            previous_number = self.move_count
             self._add_retract(row, cell_frames.clearance)
-            self.lifted = not axis_mask[2] and (self.lifted or self.number > previous_number)
-            self.displaced[2] |= self.lifted
-        if cell_frames.home is None or (to.code == codes.MACHINE and is_retract and cell_frames.clearance is not None):
-            if not self.known.all():
+            self.is_lifted = not axis_mask[2] and (self.is_lifted or self.move_count > previous_number)
+            self.is_displaced[2] |= self.is_lifted
+        if cell_frames.home_poses is None or (
+            to.code == codes.MACHINE and is_retract and cell_frames.clearance is not None
+        ):
+            if not self.is_known.all():
                 message = "A retract before X, Y and Z are known is left out: the robot is at [start]."
                 self.remarks.append(Remark(row, "info", "start-position", message))
-            self.displaced |= axis_mask
-            if cell_frames.home is None and not is_retract:
+            self.is_displaced |= axis_mask
+            if cell_frames.home_poses is None and not is_retract:
                 message = "The tool retracts to clearance_Z and stays above its place: [machine] home is not given."
                 self.remarks.append(Remark(row, "info", "parked", message))
-                self.parked.append((row, axis_mask & [True, True, False]))
+                self.parkings.append((row, axis_mask & [True, True, False]))
             return
         if cell_frames.clearance is None:
             message = "From home the robot goes to the next position by a joint motion, without an approach from above."
             self.remarks.append(Remark(row, "warning", "approach", f"{message} Give [machine] clearance_Z."))
-        self.homes.append(self.number)
-        self._turn_part(row, np.where(np.isnan(self.rows.rotary[row]), self.angles, 0.0))
+        self.home_moves.append(self.move_count)
+        self._turn_part(row, np.where(np.isnan(self.lines.rotary[row]), self.angles, 0.0))
         self._add_rapid(row, self.position)
-        self.known &= ~axis_mask
+        self.is_known &= ~axis_mask
         self.losses.append((row + 1, axis_mask))
 
     def _add_intermediate_move(self, row: int, to: Return) -> None:
-        """Add the move to the intermediate point that the words of G28 or G30 give, unless the tool is there."""
+        """Add the move to the intermediate point that the words of G28 or G30 give, unless the tool is there already.
+
+        Letters without a number (NaN) leave the coordinate as it is.
+        """
         point = self.position.copy()
         for axis, word in to.axes.items():
             if not np.isnan(word):
-                point[axis] = word + (point[axis] if self.rows.incremental[row] else 0.0)
-        if np.abs(point - self.position).max() > _LEAST_MM:
+                point[axis] = word + (point[axis] if self.lines.is_incremental[row] else 0.0)
+        if np.abs(point - self.position).max() > _LENGTH_TOLERANCE_MM:
             self._add_rapid(row, point)
 
     def _add_home_move(self, row: int, to: Return, axis_mask: Bools, home: Array) -> None:
-        """Move the named axes to home, as the machine does. Words of G53 other than 0 are places that are not known.
+        """Add a rapid that moves the named axes to home, as the machine does.
+
+        Words of G53 other than 0 are machine positions that the cell does not give: the robot goes home, and the axes
+        count as displaced.
 
         :param axis_mask: (3,) the named axes.
-        :param home: (3,) place of the machine at home in `$BASE` [mm].
+        :param home: (3,) position of the machine at home in `$BASE` [mm].
         """
         if self.angles.any() and not self.cell_frames.rotary.turns_part:
             advice = "Turn the rotary axes to zero before, or give A1 to A6 as [machine] home."
@@ -548,58 +597,65 @@ class _Walk:
         stray = np.zeros(3, dtype=bool)
         if to.code == codes.MACHINE:
             stray[[axis for axis, word in to.axes.items() if word != 0.0]] = True
-        self.displaced = (self.displaced & ~axis_mask) | stray
-        self.lifted = bool(self.displaced[2])
+        self.is_displaced = (self.is_displaced & ~axis_mask) | stray
+        self.is_lifted = bool(self.is_displaced[2])
         if stray[:2].any():
-            self.parked.append((row, stray & [True, True, False]))
+            self.parkings.append((row, stray & [True, True, False]))
 
     def _add_retract(self, row: int, clearance: float) -> None:
-        """Retract to a height in `$BASE` [mm], along the tool if it is tilted."""
+        """Add a rapid to the height `clearance` in `$BASE` [mm], along the tool if it is tilted.
+
+        No move is added if the tool is at this height or above; a fault if the tool is nearly horizontal.
+        """
         frame, direction = self.machine_frames[-1], self._tool_direction()
         z = float(frame[2, :3] @ self.position + frame[2, 3] / M_PER_MM)
-        if z >= clearance - _LEAST_MM:
+        if z >= clearance - _LENGTH_TOLERANCE_MM:
             return
         if (direction[:2] == 0.0).all():
             direction = frame[2, :3]
         rise = float(frame[2, :3] @ direction)
-        if rise < LEVEL:
+        if rise < LEAST_TOOL_Z:
             advice = "Retract along the tool with G0 before: a vertical move would drag it through the part."
             self.faults.append(Fault(row, "retract with a nearly horizontal tool", advice))
             return
         self._add_rapid(row, self.position + direction * ((clearance - z) / rise))
 
     def _check_height(self, begin: int, end: int) -> None:
-        """Add a fault if lines of G0 to G3 or cycles depend on the height of a retract, without a Z in G90 before.
+        """Add a fault for the first line that depends on the height after a retract, which machine and robot differ in.
+
+        In G90, a move at feed without a Z before it depends on it; in G91, a Z or a cycle. Words in G90 make machine
+        and robot agree again: `is_displaced` and `is_lifted` are updated.
 
         :param begin: first row of the lines, all in G90 or all in G91; `end`: row after the last.
         """
-        rows = self.rows
-        has_word = ~np.isnan(rows.xyz[begin:end])
-        if rows.incremental[begin]:
-            is_wrong = self.displaced[2] & (
-                (has_word[:, 2] & (rows.xyz[begin:end, 2] != 0.0)) | rows.drilling[begin:end]
+        lines = self.lines
+        has_word = ~np.isnan(lines.xyz[begin:end])
+        if lines.is_incremental[begin]:
+            is_wrong = self.is_displaced[2] & (
+                (has_word[:, 2] & (lines.xyz[begin:end, 2] != 0.0)) | lines.is_drilling[begin:end]
             )
         else:
-            is_wrong = self.lifted & rows.moving[begin:end] & (rows.motion[begin:end] > 0.0)
-            is_wrong &= ~np.logical_or.accumulate(has_word[:, 2])
-            self.displaced &= ~has_word.any(axis=0)
-            self.lifted &= bool(self.displaced[2])
+            is_wrong = self.is_lifted & lines.is_moving[begin:end] & (lines.motion[begin:end] > 0.0)
+            is_wrong &= ~np.logical_or.accumulate(has_word[:, 2])  # no Z so far
+            self.is_displaced &= ~has_word.any(axis=0)
+            self.is_lifted &= bool(self.is_displaced[2])
         if is_wrong.any():
             problem = "Z must be programmed again after G28, G30 or G53, before this move"
             advice = "Program Z in G90: the robot is at clearance_Z of the cell, the machine at another height."
             self.faults.append(Fault(begin + int(np.argmax(is_wrong)), problem, advice))
-            self.displaced[2] = self.lifted = False
+            self.is_displaced[2] = self.is_lifted = False  # one fault is enough
 
     def _check_return(self) -> None:
-        """Add faults where X and Y are not programmed, at the height of the retract, after G28 and G53 moved them.
+        """Add faults of moves before X and Y are programmed again after G28, G30 or G53 moved them on the machine.
 
-        The machine is elsewhere then, and the robot is not.
+        The robot has stayed above its position (`parkings`), so machine and robot differ. Only rapids in G90 without Z
+        may precede, which program X and Y at the height of the retract.
         """
-        has_word = ~np.isnan(self.rows.xyz)
-        is_rapid_in_plane = (self.rows.motion == 0.0) & ~self.rows.incremental & ~has_word[:, 2]
-        for row, axes in self.parked:
+        has_word = ~np.isnan(self.lines.xyz)
+        is_rapid_in_plane = (self.lines.motion == 0.0) & ~self.lines.is_incremental & ~has_word[:, 2]
+        for row, axes in self.parkings:
             open_axes = axes.copy()
-            for next_row in (row + 1 + np.flatnonzero(self.rows.is_placed[row + 1 :])).tolist():
+            for next_row in (row + 1 + np.flatnonzero(self.lines.is_placed[row + 1 :])).tolist():
                 if not is_rapid_in_plane[next_row]:
                     names = " and ".join("XYZ"[axis] for axis in np.flatnonzero(open_axes).tolist())
                     problem = f"{names} must be programmed again after G28, G30 or G53, before this move"
@@ -611,35 +667,39 @@ class _Walk:
                     break
 
     def _change_tool(self, row: int, number: float) -> None:
-        """Change the tool; its tip moves to the position of the last tip, where the next move starts."""
+        """Change the tool, and add a rapid that brings its tip to the position of the tip before.
+
+        :param number: tool number; no move is added if it has the same `$TOOL`, or if the position is not known.
+        """
         tool_row = self.cell_frames.tools[number]
         if tool_row != self.tool:
             self.tool = tool_row
-            if self.known.all():
+            if self.is_known.all():
                 self._add_rapid(row, self.position)
 
     def _add_rapid(self, row: int, place: Array) -> None:
-        """Add a rapid move of a line to a place (3,) in the program frame [mm]."""
+        """Add a rapid move of a line to a position (3,) in the program frame [mm]."""
         self._add_moves(np.array([row]), np.zeros(1), place[None])
         self.position = place
 
     def _add_moves(self, row: Ints, code: Array | NDArray[np.int8], end: Array, turn: Array | None = None) -> None:
-        """Add moves (n,) one after the other, the first from the current position.
+        """Add a run of moves (n,), which begins at the current position; the position itself is not changed.
 
-        :param row: (n,) lines; `code`: (n,) 0 to 3; `end`: (n, 3) ends in the program frame [mm].
-        :param turn: (n, 2, k) angles of the rotary axes before and after each move [deg]; None: those now.
+        :param row: (n,) row of the line of each move; `code`: (n,) 0 to 3.
+        :param end: (n, 3) ends in the program frame [mm].
+        :param turn: (n, 2, k) angles of the rotary axes before and after each move [deg]; None: `angles` for all.
         """
         if turn is None:
             turn = np.broadcast_to(self.angles, (len(row), 2, len(self.angles)))
         columns: tuple[NDArray[Any], ...] = compact(row, np.int32), code.astype(np.int8), end, turn
-        for parts, column in zip(self.parts.values(), columns, strict=True):
+        for parts, column in zip(self.column_parts.values(), columns, strict=True):
             parts.append(column)
-        self.first.append(self.number)
+        self.first_moves.append(self.move_count)
         self.starts.append((self.position, len(self.frames) - 1, self.tool))
-        self.number += len(row)
+        self.move_count += len(row)
 
     def _change_frame(self, offset: float) -> None:
-        """Express the position in the program frame of a work offset, with shifts and rotary axes.
+        """Change to the program frame of a work offset, with shifts and rotary axes, and express the position in it.
 
         :param offset: code of the work offset (54.0 …).
         """
@@ -655,6 +715,9 @@ class _Walk:
 
     def _set_origin(self, origin: Origin, current: float) -> None:
         """Apply G10, G52, G92 or G92.1 to G92.3, and express the position in the new frame.
+
+        G52: the words are the shift. G92: the position gets the words as coordinates. G92.1: no shift. G92.2: no shift,
+        but G92.3 restores it.
 
         :param current: code of the active work offset.
         """
@@ -676,38 +739,41 @@ class _Walk:
         self._change_frame(current)
 
     def _check_position(self, origin: Origin, name: str, axes: Sequence[int]) -> None:
-        """Add a fault if the present position is not known, because a code assigns coordinates to it.
+        """Add a fault if a code assigns coordinates to a position that is not known, or not that of the machine.
 
-        :param name: of the code, for messages; `axes`: indices of the axes that get coordinates.
+        :param name: the code, for messages; `axes`: indices of the axes that get coordinates.
         """
         advice = (
             "Remove it if X, Y, Z of the program are those of $BASE, or give the origin in the cell, "
             "[work_offsets.G55]. Else program X, Y and Z by G0 in G90 before."
         )
-        if not self.known[axes].all():
+        if not self.is_known[axes].all():
             self.faults.append(Fault(origin.row, f"{name} before the position is known", advice))
-        elif self.displaced[axes].any():
-            names = " and ".join("XYZ"[axis] for axis in axes if self.displaced[axis])
+        elif self.is_displaced[axes].any():
+            names = " and ".join("XYZ"[axis] for axis in axes if self.is_displaced[axis])
             problem = f"{name} {names} after G28, G30 or G53: the machine is at another place than the robot"
             self.faults.append(Fault(origin.row, problem, advice))
 
     def _set_work_offset(self, origin: Origin, current: float) -> None:
-        """Set a work offset (G10): by its frame in `$BASE` (L2), or by coordinates of the current position (L20).
+        """Set a work offset (G10).
+
+        L2: words are the origin in `$BASE`, R its rotation about Z; axes without a word stay. L20: the origin moves,
+        and the current position gets the words as coordinates. R with indexed axes is a fault.
 
         :param current: code of the active work offset, which P0 means.
         """
         system = codes.WORK_OFFSETS[origin.system - 1] if origin.system else current
         place = self.offset_frames[system].copy()
-        if origin.turn is not None and self.cell_frames.rotary.turns_part:
+        if origin.rotation_deg is not None and self.cell_frames.rotary.turns_part:
             self.faults.append(
                 Fault(origin.row, "G10 R with indexed axes", "X, Y, Z are machine axes there: remove R.")
             )
-        elif origin.turn is not None:
-            place[:3, :3] = pose_from_xyzabc([0.0, 0.0, 0.0, origin.turn, 0.0, 0.0])[:3, :3]
+        elif origin.rotation_deg is not None:
+            place[:3, :3] = pose_from_xyzabc([0.0, 0.0, 0.0, origin.rotation_deg, 0.0, 0.0])[:3, :3]
         if origin.is_here:
             self._check_position(origin, "G10 L20", list(origin.axes))
             frame = self.frames[-1]
-            base_point = frame[:3, :3] @ self.position * M_PER_MM + frame[:3, 3]
+            base_point = frame[:3, :3] @ self.position * M_PER_MM + frame[:3, 3]  # current position in `$BASE`
             offset = place[:3, :3].T @ (base_point - place[:3, 3]) / M_PER_MM - self.shift
             for axis, word in origin.axes.items():
                 offset[axis] -= word
@@ -719,29 +785,29 @@ class _Walk:
         self.offset_frames[system] = place
 
     def _joined_moves(self) -> Moves:
-        """Return the moves of all lines."""
-        is_bottom, is_home = np.zeros(self.number, dtype=bool), np.zeros(self.number, dtype=bool)
-        is_bottom[self.bottoms] = True
-        is_home[self.homes] = True
-        if not self.first:  # arrays of no moves, so that the columns have a shape
+        """Return the moves of all lines, joined from the runs. It is called once: `column_parts` is emptied."""
+        is_in_hole, is_home_move = np.zeros(self.move_count, dtype=bool), np.zeros(self.move_count, dtype=bool)
+        is_in_hole[self.bottom_moves] = True
+        is_home_move[self.home_moves] = True
+        if not self.first_moves:  # arrays of no moves, so that the columns have a shape
             self._add_moves(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3)))
-        columns = {name: np.concatenate(self.parts.pop(name)) for name in list(self.parts)}
+        columns = {name: np.concatenate(self.column_parts.pop(name)) for name in list(self.column_parts)}
         position, frame, tool = zip(*self.starts, strict=True)
-        count = np.diff(self.first, append=self.number)
-        unknown, last_start_row = self._ranges_behind_start(self._unknown_ranges())
+        count = np.diff(self.first_moves, append=self.move_count)  # number of moves of each run
+        unknown_ranges, last_start_row = self._ranges_behind_start(self._unknown_ranges())
         indices = np.flatnonzero(count)  # runs of lines without a move have no start
         moves = Moves(
             **columns,
-            first=np.array(self.first)[indices],
-            start=np.stack(position)[indices],
+            first_moves=np.array(self.first_moves)[indices],
+            first_starts=np.stack(position)[indices],
             frame=_repetition(frame, count),
             tool=_repetition(tool, count),
-            bottom=is_bottom,
-            home=is_home,
+            is_in_hole=is_in_hole,
+            is_home_move=is_home_move,
             frames=np.stack(self.frames),
             machine_frames=np.stack(self.machine_frames),
             events=self.events,
-            unknown=unknown,
+            unknown_ranges=unknown_ranges,
             last_start_row=last_start_row,
             offset=self.offset,
             faults=self.faults,
@@ -751,19 +817,20 @@ class _Walk:
         return moves
 
     def _resolve_after_g80(self, moves: Moves) -> None:
-        """Turn moves without a motion code after G80 into rapids (in place) where that is safe; refuse others.
+        """Change moves without a motion code after G80 into rapids, in place; add a fault for the first unsafe one.
 
-        Safe are retracts along the tool, and moves no lower than the lowest rapid before.
+        A retract along the tool is safe, and a move that ends no lower than the lowest rapid before it. A move that
+        turns rotary axes is not safe, nor is a move from an unknown position.
         """
         g80_moves = np.flatnonzero(moves.code == codes.CANCEL_CYCLE)
         if not len(g80_moves):
             return
-        row, turn = moves.row, moves.turn
+        row, turn = moves.row, moves.rotary_angles
         is_safe = self._is_retract_along_tool(moves, g80_moves) | self._is_above_rapids(moves)[g80_moves]
         is_safe &= (turn[g80_moves, 0] == turn[g80_moves, 1]).all(axis=1)
-        for first, last in moves.unknown:
+        for first, last in moves.unknown_ranges:
             is_safe &= (row[g80_moves] < first) | (row[g80_moves] > last)
-        moves.code[g80_moves] = 0  # the others are refused here, once, and not as arcs too
+        moves.code[g80_moves] = 0  # unsafe moves too: later steps would take their code 80 for an arc
         message = "Coordinates without G0 after G80 are read as a rapid, as on Fanuc controls."
         self.remarks += [
             Remark(int(line_row), "info", "motion-after-g80", message) for line_row in row[g80_moves[is_safe]]
@@ -773,44 +840,45 @@ class _Walk:
             self.faults.append(Fault(line_row, "coordinates without G0, G1, G2 or G3", advice))
 
     def _is_retract_along_tool(self, moves: Moves, indices: Ints) -> Bools:
-        """Return which of some moves (n,) retract along the tool.
+        """Return which moves (n,) go away from the part along the tool axis.
 
-        :param indices: (n,) these moves among all.
+        :param indices: (n,) indices of these moves.
         """
-        tool_direction = self.cell_frames.rotary.tool_direction(moves.turn[indices, 1])
+        tool_direction = self.cell_frames.rotary.tool_direction(moves.rotary_angles[indices, 1])
         displacement = moves.end[indices] - moves.begin(indices)
         axial_step = np.einsum("ni,ni->n", displacement, tool_direction)
         lateral_step = np.abs(displacement - axial_step[:, None] * tool_direction).max(axis=1)
-        return np.asarray((axial_step > 0.0) & (lateral_step < _LEAST_MM))
+        return np.asarray((axial_step > 0.0) & (lateral_step < _LENGTH_TOLERANCE_MM))
 
     def _is_above_rapids(self, moves: Moves) -> Bools:
         """Return which moves (N,) end no lower than the lowest rapid before them.
 
-        None does where heights cannot be compared: with a tilted tool, or if frames differ in orientation.
+        All are False where heights cannot be compared: with a tilted tool, or if program frames differ in orientation.
         """
         rotations = [frame[:3, :3] for frame in self.frames]
-        if moves.turn.any() or not all(np.array_equal(rotations[0], rotation) for rotation in rotations[1:]):
+        if moves.rotary_angles.any() or not all(np.array_equal(rotations[0], rotation) for rotation in rotations[1:]):
             return np.zeros(len(moves.row), dtype=np.bool_)
         origin_height = np.array([frame[:3, 2] @ frame[:3, 3] for frame in self.frames])
         height = moves.end[:, 2] + origin_height[moves.frame] / M_PER_MM
-        is_known_rapid = (moves.code == 0.0) & ~moves.bottom
-        for first, last in moves.unknown:
-            is_known_rapid &= (moves.row < first) | (moves.row >= last)
+        is_known_rapid = (moves.code == 0.0) & ~moves.is_in_hole
+        for first, last in moves.unknown_ranges:
+            is_known_rapid &= (moves.row < first) | (moves.row >= last)  # on row `last` the position is known
         lowest_height = np.minimum.accumulate(np.where(is_known_rapid, height, np.inf))
-        return np.asarray(np.isfinite(lowest_height) & (height >= lowest_height - _LEAST_MM))
+        return np.asarray(np.isfinite(lowest_height) & (height >= lowest_height - _LENGTH_TOLERANCE_MM))
 
     def _ranges_behind_start(self, unknown: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
-        """Return the ranges of rows with an unknown position, and the last row whose moves begin at `[start]`, or −1.
+        """Return the ranges of rows with an unknown position, and the last row whose moves begin at `[start]`.
 
-        A program that begins with moves at feed at a safe height begins at `[start]`: its first range is then empty.
+        A program that begins with moves at feed at a safe height begins at `[start]`, with a remark: in its first range
+        no move is held back then. Other programs: the ranges as they are, and −1.
 
-        :param unknown: ranges of rows as `_unknown_ranges` returns them.
+        :param unknown: ranges (first, last) of rows as `_unknown_ranges` returns them.
         """
         first, last = unknown[0]
         if not self._begins_at_start(first, last):
             return unknown, -1
         row_range = slice(first, last + 1)
-        is_feed = self.rows.is_placed[row_range] & (self.rows.motion[row_range] == 1.0)
+        is_feed = self.lines.is_placed[row_range] & (self.lines.motion[row_range] == 1.0)
         message = (
             "G1 before X, Y and Z are known: the moves begin at [start] of the cell. Check that the path from there is "
             "free."
@@ -821,43 +889,45 @@ class _Walk:
     def _begins_at_start(self, first: int, last: int) -> bool:
         """Return whether a program begins with moves at feed at a safe height, which the robot makes from `[start]`.
 
-        They must be straight, in G90 and in one work offset, and some of them below the highest Z.
+        The first of these moves must be at feed, and all of them straight, in G90 and in one work offset. At least one
+        is below the highest Z, else the usual rules hold. A cut at or below Z 0 must follow X and Y.
 
         :param first: first row; `last`: row on which X, Y and Z are all known, or the number of lines.
         """
-        rows = self.rows
-        row_range = slice(first, min(last + 1, self.count))
-        is_placed = rows.is_placed[row_range]
-        is_feed = is_placed & (rows.motion[row_range] == 1.0)
-        has_word = ~np.isnan(rows.xyz[row_range])
+        lines = self.lines
+        row_range = slice(first, min(last + 1, self.line_count))
+        is_placed = lines.is_placed[row_range]
+        is_feed = is_placed & (lines.motion[row_range] == 1.0)
+        has_word = ~np.isnan(lines.xyz[row_range])
         is_xy_known = np.logical_or.accumulate(has_word[:, :2], axis=0).all(axis=1)
-        is_low = is_feed & (np.where(has_word[:, 2], rows.xyz[row_range, 2], np.inf) <= 0.0)
-        if not is_feed.any() or last >= self.count:
+        is_low = is_feed & (np.where(has_word[:, 2], lines.xyz[row_range, 2], np.inf) <= 0.0)
+        if not is_feed.any() or last >= self.line_count:
             return False
         offsets = self.offset[row_range][is_placed]
-        is_other_motion = rows.drilling[row_range] | (rows.moving[row_range] & (rows.motion[row_range] >= 2.0))
+        is_other_motion = lines.is_drilling[row_range] | (lines.is_moving[row_range] & (lines.motion[row_range] >= 2.0))
         return bool(
-            rows.motion[first + int(np.argmax(is_placed))] == 1.0  # the first of the moves
+            lines.motion[first + int(np.argmax(is_placed))] == 1.0  # the first of the moves
             and not (is_low & ~is_xy_known).any()  # else the place of a plunge is not known
-            and not np.isnan(rows.xyz).all(axis=0).any()
-            and not (is_placed & rows.incremental[row_range]).any()
+            and not np.isnan(lines.xyz).all(axis=0).any()
+            and not (is_placed & lines.is_incremental[row_range]).any()
             and not is_other_motion.any()
             and (offsets == offsets[0]).all()
-            and (below_top(rows, first, last)[row_range] & is_feed).any()
+            and (below_top(lines, first, last)[row_range] & is_feed).any()
         )
 
     def _unknown_ranges(self) -> list[tuple[int, int]]:
         """Return ranges (first, last) of rows with an unknown position, one for each of `losses`.
 
-        Each lasts until every lost axis is programmed again, or until the next loss. If no axis is lost, it is empty:
-        `last` is the row before `first`.
+        A range lasts until all its unknown axes are programmed: `last` is the row that makes the position known. Else
+        it lasts to the row of the next loss, and the axes stay unknown, or to the number of lines. If no axis is
+        unknown, the range is empty: `last` is the row before `first`.
         """
-        has_word = ~np.isnan(self.rows.xyz)
+        has_word = ~np.isnan(self.lines.xyz)
         for plane, axes in PLANE_AXES.items():  # the word across the plane is the bottom of the hole
-            has_word[:, axes[2]] &= ~(self.rows.drilling & (self.rows.plane == plane))
+            has_word[:, axes[2]] &= ~(self.lines.is_drilling & (self.lines.plane == plane))
         ranges: list[tuple[int, int]] = []
         unknown_axes = np.zeros(3, dtype=bool)
-        ends = [row for row, _ in self.losses[1:]] + [self.count]
+        ends = [row for row, _ in self.losses[1:]] + [self.line_count]
         for (first, lost_axes), end in zip(self.losses, ends, strict=True):
             unknown_axes = unknown_axes | lost_axes
             if not unknown_axes.any():  # home is known
@@ -865,7 +935,9 @@ class _Walk:
                 continue
             part = has_word[first:end]
             # row of the next word of each axis; `count`: none before the next loss
-            next_word_row = np.where(part.any(axis=0), first + part.argmax(axis=0) if len(part) else end, self.count)
+            next_word_row = np.where(
+                part.any(axis=0), first + part.argmax(axis=0) if len(part) else end, self.line_count
+            )
             last = int(next_word_row[unknown_axes].max(initial=first))
             ranges.append((first, min(last, end)))
             unknown_axes = unknown_axes & (next_word_row >= end)

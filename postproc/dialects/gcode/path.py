@@ -26,11 +26,11 @@ from msgspec.structs import replace
 from postproc.cell import Rotary
 from postproc.chunks import Runs
 from postproc.dialects.circles import ArcColumns
-from postproc.dialects.gcode.arcs import SAME_MM, ArcFault, Arcs, ArcWords, read_arcs
+from postproc.dialects.gcode.arcs import POINT_TOLERANCE_MM, ArcFault, Arcs, ArcWords, read_arcs
 from postproc.dialects.gcode.cycles import CycleEvent
 from postproc.dialects.gcode.line_states import LineStates, active_values, take_rows
 from postproc.dialects.gcode.modes import MM_PER_UNIT, Modes, tip_codes
-from postproc.dialects.gcode.moves import LEVEL, CellFrames, Moves, below_top, moves_of
+from postproc.dialects.gcode.moves import LEAST_TOOL_Z, CellFrames, Moves, below_top, moves_of
 from postproc.dialects.gcode.rotary import RotaryAxes, kind_faults
 from postproc.dialects.gcode.words import Fault, Remark
 from postproc.errors import MAX_ERRORS
@@ -53,12 +53,12 @@ from postproc.program import (
     turning,
 )
 
-_NEAR_MM = 1e-6
+_HEIGHT_TOLERANCE_MM = 1e-6
 """Heights [mm] that differ by less are equal: far below the last digit of any program."""
 
 
 class ApproachedMoves(NamedTuple):
-    """N moves of a program that begins, or goes on after G28, at a position that is not known.
+    """N moves of a program, with the approach from a position that is not known: at the start, and after G28.
 
     :param moves: all moves.
     :param is_held_back: (N,) moves that are left out while X, Y, Z are not all known.
@@ -71,95 +71,102 @@ class ApproachedMoves(NamedTuple):
 
 
 def arrivals(moves: Moves) -> tuple[Bools, Bools]:
-    """Return which moves (N,) are held back while X, Y, Z are not all known, and which (N,) arrive instead."""
+    """Return which moves (N,) are held back while X, Y, Z are not all known, and which (N,) rapids arrive there.
+
+    The move on the last row of a range arrives: it starts wherever the robot is.
+    """
     is_held_back, is_arrival = np.zeros(len(moves.row), dtype=bool), np.zeros(len(moves.row), dtype=bool)
-    for first, last in moves.unknown:
-        begin, end = np.searchsorted(moves.row, [first, last]).tolist()
-        is_held_back[begin:end] = ~moves.home[begin:end]
+    for first, last in moves.unknown_ranges:
+        begin, end = np.searchsorted(moves.row, [first, last]).tolist()  # rows never decrease
+        is_held_back[begin:end] = ~moves.is_home_move[begin:end]
         arrival = slice(end, end + 1)  # the move on the last row; empty if the program ends before
         is_arrival[arrival] = moves.code[arrival] == 0.0
     return is_held_back, is_arrival
 
 
 def add_approaches(moves: Moves, cell_frames: CellFrames) -> ApproachedMoves:
-    """Return the moves with a separate approach from the clearance height where the tool comes from home.
+    """Return the moves, those that come from home with a separate approach from the clearance height.
 
-    The first move from `[start]` has no separate approach: the user chose that position.
+    The first move from `[start]` has no separate approach: the user chose that position. Without a clearance height no
+    move has one.
     """
     is_held_back, is_arrival = arrivals(moves)
-    is_return = is_arrival & (moves.row >= min((first for first, _ in moves.unknown[1:]), default=np.inf))
+    # the first range is the begin of the program; the others follow G28, G30 or G53
+    is_return = is_arrival & (moves.row >= min((first for first, _ in moves.unknown_ranges[1:]), default=np.inf))
     if cell_frames.clearance is None or not is_return.any():
         return ApproachedMoves(moves, is_held_back, is_arrival)
     returns = np.flatnonzero(is_return)
-    tool_direction = cell_frames.rotary.tool_direction(moves.turn[returns, 1])
+    tool_direction = cell_frames.rotary.tool_direction(moves.rotary_angles[returns, 1])
     length = _approach_lengths(moves, returns, tool_direction, cell_frames.clearance)
     needs_approach = length > 0.0
     count = np.ones(len(moves.row), dtype=np.int64)
     count[returns[needs_approach]] = 2
-    # each of these moves becomes two: the first ends at the clearance height, along the tool axis above its end
+    # each of these moves becomes two: the first of them ends at the clearance height, the second where the move ended
     approach_moves = np.cumsum(count)[returns[needs_approach]] - 2
     new_moves = moves.repeat(count)
-    end, turn = new_moves.end.copy(), new_moves.turn.copy()
+    end, turn = new_moves.end.copy(), new_moves.rotary_angles.copy()
     end[approach_moves] += tool_direction[needs_approach] * length[needs_approach][:, None]
     turn[approach_moves + 1, 0] = turn[approach_moves, 1]
     is_arrival = np.repeat(is_arrival, count)
     is_arrival[approach_moves + 1] = False
-    return ApproachedMoves(replace(new_moves, end=end, turn=turn), np.repeat(is_held_back, count), is_arrival)
+    return ApproachedMoves(replace(new_moves, end=end, rotary_angles=turn), np.repeat(is_held_back, count), is_arrival)
 
 
 def _approach_lengths(moves: Moves, returns: Ints, tool_direction: Array, clearance: float) -> Array:
     """Return the length (n,) of the approach of moves, along the tool from the clearance height to their ends [mm].
 
-    It is 0 for a move that needs none, since it ends at that height, and where the tool is nearly horizontal.
+    It is 0 for a move that ends at that height or above, and where the tool is nearly horizontal.
 
-    :param returns: (n,) these moves among all; `tool_direction`: (n, 3) unit vectors from the tip to the spindle there.
+    :param returns: (n,) indices of these moves.
+    :param tool_direction: (n, 3) unit vectors from the tip to the spindle at their ends.
     :param clearance: Z in `$BASE` [mm].
     """
     frames = moves.machine_frames[moves.frame[returns]]
     tool_z = np.einsum("ni,ni->n", frames[:, 2, :3], tool_direction)
     z = np.einsum("ni,ni->n", frames[:, 2, :3], moves.end[returns]) + frames[:, 2, 3] / M_PER_MM
-    needs_approach = (z < clearance - _NEAR_MM) & (tool_z > LEVEL)
+    needs_approach = (z < clearance - _HEIGHT_TOLERANCE_MM) & (tool_z > LEAST_TOOL_Z)
     length = np.zeros(len(returns))
     length[needs_approach] = (clearance - z[needs_approach]) / tool_z[needs_approach]
     return length
 
 
 def chords(moves: Moves, circular: Ints, arcs: Arcs, tolerance: float) -> tuple[Moves, Ints]:
-    """Return the moves with chords for arcs along which rotary axes turn, and the number (N,) of moves of each move.
+    """Replace arcs along which rotary axes turn by chords.
 
-    The sagitta radius·angle²/8 of a chord is the tolerance.
+    The largest angle of a chord is √(8·tolerance / radius), because its sagitta is radius·angle²/8.
 
-    :param circular: (A,) which moves are `arcs`.
-    :param tolerance: deviation of chords from arcs [mm].
+    :param circular: (A,) indices of the moves that are `arcs`.
+    :param tolerance: largest deviation of chords from arcs [mm].
+    :returns: the moves with chords, and the number (N,) of chords for each move; 1 for other moves.
     """
     count = np.ones(len(moves.row), dtype=np.int64)
-    turns = (moves.turn[circular, 0] != moves.turn[circular, 1]).any(axis=1)
+    turns = (moves.rotary_angles[circular, 0] != moves.rotary_angles[circular, 1]).any(axis=1)
     if not turns.any():
         return moves, count
     begin = moves.begin(circular)
     radial = begin - arcs.centre
     angle = np.sqrt(8.0 * tolerance / np.maximum(norm(radial), tolerance))
-    # a sweep of a whole number of chords, but for rounding, gets no further one
+    # 1e-9: a sweep that is a whole number of chords but for rounding gets no further chord
     count[circular[turns]] = np.ceil(arcs.sweep[turns] / angle[turns] - 1e-9).astype(np.int64)
     new_moves = moves.repeat(count)
-    code, end, turn = new_moves.code.copy(), new_moves.end.copy(), new_moves.turn.copy()
+    code, end, turn = new_moves.code.copy(), new_moves.end.copy(), new_moves.rotary_angles.copy()
     first = np.cumsum(count) - count
     for n in np.flatnonzero(turns).tolist():
         move = circular[n]
         rows = slice(first[move], first[move] + count[move])
         share = np.linspace(0.0, 1.0, count[move] + 1)[:, None]
         path = _helix_points(begin[n], moves.end[move], radial[n], arcs.normal[n], arcs.sweep[n] * share)
-        path[-1] = moves.end[move]
-        angles = moves.turn[move, 0] + share * (moves.turn[move, 1] - moves.turn[move, 0])
+        path[-1] = moves.end[move]  # without rounding
+        angles = moves.rotary_angles[move, 0] + share * (moves.rotary_angles[move, 1] - moves.rotary_angles[move, 0])
         code[rows], end[rows] = 1, path[1:]
         turn[rows] = np.stack([angles[:-1], angles[1:]], axis=1)
-    return replace(new_moves, code=code, end=end, turn=turn), count
+    return replace(new_moves, code=code, end=end, rotary_angles=turn), count
 
 
 def _helix_points(begin: Array, end: Array, radial: Array, normal: Array, angle: Array) -> Array:
     """Return points (n, 3) of a helix whose radius and height change in proportion to the angle.
 
-    :param begin: (3,) its start; `end`: (3,) its end, which sets the climb and the last radius.
+    :param begin: (3,) start of the helix; `end`: (3,) its end, which sets the climb and the last radius.
     :param radial: (3,) from the axis to the start; `normal`: (3,) unit axis.
     :param angle: (n, 1) angles about the axis from the start [rad], ascending; the last is the whole angle.
     """
@@ -170,31 +177,34 @@ def _helix_points(begin: Array, end: Array, radial: Array, normal: Array, angle:
     return np.asarray(begin - radial + radius_vectors * (1.0 + share * growth) + share * climb)
 
 
-_LEAST_Z = -0.9999
-"""Tool directions with a smaller z are refused: there is no shortest rotation to them."""
-_STEPS = 32
+_LEAST_DIRECTION_Z = -0.9999
+"""Tool directions with a smaller Z are refused: there is no unique shortest rotation to −Z."""
+_ROTATION_STEPS = 32
 """Steps in which the rotation of the tool is summed."""
 
 
 def rotation_bound(moves: Moves, axes: Array) -> Array:
-    """Return an upper bound of the rotation of the tool in each move (N,) [rad].
+    """Return an upper bound of the rotation of the tool in each move (N,) [rad], see `turning`.
 
     :param axes: (k, 3) unit vectors of the rotary axes.
     """
     angles = np.zeros(len(moves.row))
-    turning_moves = np.flatnonzero((moves.turn[:, 0] != moves.turn[:, 1]).any(axis=1))
+    turning_moves = np.flatnonzero((moves.rotary_angles[:, 0] != moves.rotary_angles[:, 1]).any(axis=1))
     if len(turning_moves):
-        angle_pairs = moves.turn[turning_moves] * RAD_PER_DEG
+        angle_pairs = moves.rotary_angles[turning_moves] * RAD_PER_DEG
         angles[turning_moves] = turning(axes, angle_pairs[:, 0], angle_pairs[:, 1])
     return angles
 
 
-def swivel_of(motion_moves: _MotionMoves, rows: LineStates, cell_frames: CellFrames) -> Swivel:
-    """Return the rotation of the tool in the motions of a program."""
+def swivel_of(motion_moves: _MotionMoves, lines: LineStates, cell_frames: CellFrames) -> Swivel:
+    """Return the rotation of the tool in the motions of a program.
+
+    It is inactive for motions by joint interpolation, moves to home, and the first motion.
+    """
     moves, index = motion_moves.moves, motion_moves.index
-    active = ~motion_moves.is_free & ~moves.home[index]
+    active = ~motion_moves.is_free & ~moves.is_home_move[index]
     active[:1] = False  # the first motion comes from wherever the robot is
-    start_angles, end_angles = moves.turn[index, 0] * RAD_PER_DEG, moves.turn[index, 1] * RAD_PER_DEG
+    start_angles, end_angles = moves.rotary_angles[index, 0] * RAD_PER_DEG, moves.rotary_angles[index, 1] * RAD_PER_DEG
     return Swivel(
         begin=start_angles,
         end=end_angles,
@@ -203,14 +213,15 @@ def swivel_of(motion_moves: _MotionMoves, rows: LineStates, cell_frames: CellFra
         frames=moves.machine_frames[:, :3, :3],
         tool=cell_frames.orientation,
         active=active,
-        rate=_rotation_rates(motion_moves, rows, cell_frames.rotary.directions),
+        rate=_rotation_rates(motion_moves, lines, cell_frames.rotary.directions),
     )
 
 
-def _rotation_rates(motion_moves: _MotionMoves, rows: LineStates, axes: Array) -> Array:
+def _rotation_rates(motion_moves: _MotionMoves, lines: LineStates, axes: Array) -> Array:
     """Return the angular speed (M,) of motions that only rotate the tool [rad/s]; NaN for all others.
 
-    F of such a motion is in deg/min of √(ΔA² + ΔB² + ΔC²); in G93 it is 1/min.
+    The time of such a motion is √(ΔA² + ΔB² + ΔC²) / F with angles in degrees and F in deg/min; in G93 it is 1 / F.
+    With directions of the tool in place of angles the speed is NaN, except in G93.
 
     :param axes: (k, 3) unit vectors of the rotary axes.
     """
@@ -219,41 +230,46 @@ def _rotation_rates(motion_moves: _MotionMoves, rows: LineStates, axes: Array) -
     if not len(rotations):
         return rate
     index = motion_moves.index[rotations]
-    row, turn = motion_moves.moves.row[index], motion_moves.moves.turn[index]
+    row, turn = motion_moves.moves.row[index], motion_moves.moves.rotary_angles[index]
     degrees = norm(turn[:, 1] - turn[:, 0])
     if turn.shape[2] == COMPONENTS:
         degrees = np.full(len(rotations), np.nan)  # what F means while a direction turns alone is stated nowhere
-    minutes = np.where(rows.inverse_time[row], 1.0, degrees) / rows.rate[row]
+    minutes = np.where(lines.is_inverse_time[row], 1.0, degrees) / lines.written_feed[row]
     swept_angles = _swept_angles(axes, turn[:, 0] * RAD_PER_DEG, turn[:, 1] * RAD_PER_DEG)
     rate[rotations] = swept_angles / (minutes * S_PER_MIN)
     return rate
 
 
 def _swept_angles(axes: Array, begin: Array, end: Array) -> Array:
-    """Return the angle that the tool direction sweeps in each motion (n,) [rad], summed over `_STEPS` steps.
+    """Return the angle through which the tool turns in each motion (n,) [rad], summed over `_ROTATION_STEPS` steps.
 
-    :param axes: (k, 3) unit vectors of the rotary axes; `begin`, `end`: (n, k) their angles [rad].
+    :param axes: (k, 3) unit vectors of the rotary axes; `begin`, `end`: (n, k) their angles at start and end [rad].
     """
     angles = np.zeros(len(begin))
     start_direction = tilt_to(direction(axes, begin))
-    for step in range(1, _STEPS + 1):
-        end_direction = tilt_to(direction(axes, begin + (end - begin) * (step / _STEPS)))
+    for step in range(1, _ROTATION_STEPS + 1):
+        end_direction = tilt_to(direction(axes, begin + (end - begin) * (step / _ROTATION_STEPS)))
         angles += angle_between(start_direction, end_direction)
         start_direction = end_direction
     return angles
 
 
-def check_turning(rows: LineStates, moves: Moves, is_early: Bools, rotary_axes: RotaryAxes, tip_on: str) -> list[Fault]:
+def check_turning(
+    lines: LineStates, moves: Moves, is_early: Bools, rotary_axes: RotaryAxes, tip_on: str
+) -> list[Fault]:
     """Return faults of rotary axes, in order of lines.
 
     :param is_early: (N,) moves that are left out while X, Y, Z are not all known.
-    :param tip_on: codes that switch tool-centre-point control on.
+    :param tip_on: codes that switch tool-centre-point control on, for the advice.
     """
-    is_tilted = (moves.turn != rotary_axes.upright).any(axis=(1, 2))
+    is_tilted = (moves.rotary_angles != rotary_axes.upright).any(axis=(1, 2))
     axes = rotary_axes.directions
-    has_position = ~np.isnan(rows.xyz[moves.row]).all(axis=1) | (moves.code > 0.0)
+    has_position = ~np.isnan(lines.xyz[moves.row]).all(axis=1) | (moves.code > 0.0)
 
-    is_upside_down = [direction(axes, moves.turn[:, end] * RAD_PER_DEG)[:, 2] < _LEAST_Z for end in (0, 1)]
+    # at the start and at the end of each move
+    is_upside_down = [
+        direction(axes, moves.rotary_angles[:, end] * RAD_PER_DEG)[:, 2] < _LEAST_DIRECTION_Z for end in (0, 1)
+    ]
     faults: dict[int, Fault] = {}
     for is_invalid, problem, advice in (
         (
@@ -262,7 +278,7 @@ def check_turning(rows: LineStates, moves: Moves, is_early: Bools, rotary_axes: 
             "Check axes and signs in [rotary].",
         ),
         (
-            is_tilted & has_position & ~rows.tip[moves.row] & ~moves.home & ~is_early,
+            is_tilted & has_position & ~lines.is_tip_controlled[moves.row] & ~moves.is_home_move & ~is_early,
             "coordinates with tilted axes, but without tool-centre-point control",
             f"They depend on the machine: program {tip_on} before, or retract by G53 Z or G28 Z as [machine] says.",
         ),
@@ -272,24 +288,24 @@ def check_turning(rows: LineStates, moves: Moves, is_early: Bools, rotary_axes: 
     return [faults[row] for row in sorted(faults)]
 
 
-def faults_of(rows: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs: Sequence[ArcFault]) -> list[Fault]:
+def faults_of(lines: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs: Sequence[ArcFault]) -> list[Fault]:
     """Return the faults in order of lines, one for each line.
 
     Faults that may only follow from an unreadable block before are left out.
 
-    :param circular: (A,) rows of the arcs.
+    :param circular: (A,) rows of the lines of arcs; `arcs`: faults of these arcs.
     """
-    doubt = _Doubt(rows, modes.faults)
+    doubt = _Doubt(lines, modes.faults)
     faults = _LineFaults(modes.faults)
-    _check_words(rows, modes, doubt, faults)
-    _check_feeds(rows, doubt, faults)
-    _check_unknown_positions(rows, moves, doubt, faults)
+    _check_words(lines, modes, doubt, faults)
+    _check_feeds(lines, doubt, faults)
+    _check_unknown_positions(lines, moves, doubt, faults)
     for fault in moves.faults:
         if not (doubt.motion[fault.row] or doubt.position[fault.row]):
             faults.add(fault)
     for arc_fault in arcs:
         row = int(circular[arc_fault.n])
-        if not (doubt.motion[row] or (arc_fault.is_placed and doubt.position[row])):
+        if not (doubt.motion[row] or (arc_fault.depends_on_start and doubt.position[row])):
             faults.add(Fault(row, arc_fault.problem, arc_fault.advice))
     return faults.in_order()
 
@@ -305,7 +321,10 @@ class _LineFaults:
         self._faults.setdefault(fault.row, fault)
 
     def check(self, is_wrong: Bools, problem: str, advice: str | None = None, *, first: bool = False) -> None:
-        """Add a fault for lines (L,) that are wrong, a few more than are shown; `first`: for the first line only."""
+        """Add a fault for each line (L,) that is wrong, at most `MAX_ERRORS` + 1: no more are shown.
+
+        :param first: for the first of these lines only.
+        """
         for row in np.flatnonzero(is_wrong)[: 1 if first else MAX_ERRORS + 1].tolist():
             self.add(Fault(row, problem, advice))
 
@@ -314,118 +333,126 @@ class _LineFaults:
         return [self._faults[row] for row in sorted(self._faults)]
 
 
-def _is_arc(rows: LineStates) -> Bools:
+def _is_arc(lines: LineStates) -> Bools:
     """Return on which lines (L,) G2 or G3 is active."""
-    return np.asarray((rows.motion == 2.0) | (rows.motion == 3.0))
+    return np.asarray((lines.motion == 2.0) | (lines.motion == 3.0))
 
 
-def _check_words(rows: LineStates, modes: Modes, doubt: _Doubt, faults: _LineFaults) -> None:
-    """Add faults of lines with words that neither an arc nor a cycle uses, or with G4 and an arc."""
-    is_arc, has_centre = rows.moving & _is_arc(rows), any_column(~np.isnan(rows.ijk))
-    uses_words = is_arc | rows.drilling | doubt.motion
-    as_vector = 'If I, J, K are the direction of the tool (G43.5), write kind = "vector" in [rotary] of the cell.'
-    faults.check(has_centre & (rows.motion == 1.0) & ~uses_words, "I, J or K without an arc", as_vector)
-    has_arc_word = has_centre | ~(np.isnan(rows.radius) & np.isnan(rows.turns))
+def _check_words(lines: LineStates, modes: Modes, doubt: _Doubt, faults: _LineFaults) -> None:
+    """Add faults of lines with words that neither their arc nor their cycle uses, or with G4 and an arc."""
+    is_arc, has_centre = lines.is_moving & _is_arc(lines), any_column(~np.isnan(lines.ijk))
+    uses_words = is_arc | lines.is_drilling | doubt.motion
+    vector_advice = 'If I, J, K are the direction of the tool (G43.5), write kind = "vector" in [rotary] of the cell.'
+    faults.check(has_centre & (lines.motion == 1.0) & ~uses_words, "I, J or K without an arc", vector_advice)
+    has_arc_word = has_centre | ~(np.isnan(lines.radius) & np.isnan(lines.turns))
     faults.check(has_arc_word & ~uses_words, "I, J, K, R or P without an arc or a cycle that uses it")
-    has_cycle_word = ~np.isnan(rows.pecks) | ~(np.isnan(rows.repeats) | (rows.repeats == 0.0))  # L0 repeats nothing
+    has_repeats = ~np.isnan(lines.repeats) & (lines.repeats != 0.0)  # L0 repeats nothing
+    has_cycle_word = ~np.isnan(lines.pecks) | has_repeats
     faults.check(has_cycle_word & (~uses_words | is_arc), "Q or L without a cycle that uses it")
-    for row in np.flatnonzero(rows.drilling & has_centre)[: MAX_ERRORS + 1].tolist():
-        faults.add(Fault(row, "I, J or K in a cycle", _repeats_advice(rows, row)))
-    dwelling = np.zeros(len(rows.motion), dtype=bool)
-    dwelling[[row for row in modes.dwells if row < len(dwelling)]] = True
-    faults.check(dwelling & is_arc, "G4 in one block with an arc", "Write one block for each.")
+    for row in np.flatnonzero(lines.is_drilling & has_centre)[: MAX_ERRORS + 1].tolist():
+        faults.add(Fault(row, "I, J or K in a cycle", _repeats_advice(lines, row)))
+    has_dwell = np.zeros(len(lines.motion), dtype=bool)
+    has_dwell[[row for row in modes.dwell_rows if row < len(has_dwell)]] = True
+    faults.check(has_dwell & is_arc, "G4 in one block with an arc", "Write one block for each.")
 
 
-def _check_feeds(rows: LineStates, doubt: _Doubt, faults: _LineFaults) -> None:
-    """Add faults of lines that cut without a feed, and of cycles in G93."""
-    is_feed_motion = (rows.motion == 1.0) | _is_arc(rows)
-    cuts = ((rows.has_motion_code | rows.moving) & is_feed_motion) | rows.drilling
-    no_feed = cuts & ~(rows.feed > 0.0) & ~doubt.motion & ~doubt.feed
-    in_g93 = no_feed & rows.inverse_time & rows.moving
-    faults.check(no_feed & ~rows.inverse_time, "cutting move without a feed", "Give F.", first=True)
+def _check_feeds(lines: LineStates, doubt: _Doubt, faults: _LineFaults) -> None:
+    """Add faults of lines that cut without a feed, and of cycles in G93.
+
+    The feed of G94 is modal, so its fault is that of the first such line. F of G93 holds for its own line.
+    """
+    is_feed_motion = (lines.motion == 1.0) | _is_arc(lines)
+    # not `feed` ≤ 0: it may be NaN
+    cuts = ((lines.has_motion_code | lines.is_moving) & is_feed_motion) | lines.is_drilling
+    no_feed = cuts & ~(lines.feed > 0.0) & ~doubt.motion & ~doubt.feed
+    in_g93 = no_feed & lines.is_inverse_time & lines.is_moving
+    faults.check(no_feed & ~lines.is_inverse_time, "cutting move without a feed", "Give F.", first=True)
     faults.check(in_g93, "cutting move in G93 without a feed", "Give F in each block.")
     advice = "Write G94, and F in mm/min or inch/min."
-    faults.check(rows.drilling & rows.inverse_time, "a cycle in G93", advice, first=True)
+    faults.check(lines.is_drilling & lines.is_inverse_time, "a cycle in G93", advice, first=True)
 
 
-def _repeats_advice(rows: LineStates, row: int) -> str | None:
-    """Return advice for a K that may be the number of holes, as on Fanuc; None for other words."""
-    i, j, k = (rows.ijk[row] / MM_PER_UNIT[float(rows.units[row])]).tolist()  # back in the units of the program
-    count = 0.0 if isnan(k) else round(k, 9)
-    if not (isnan(i) and isnan(j) and isnan(rows.repeats[row])) or count < 1.0 or count != round(count):
+def _repeats_advice(lines: LineStates, row: int) -> str | None:
+    """Return advice for a line of a cycle whose K may be the number of holes, as on Fanuc.
+
+    None: the line has I, J or L, or its K is not a positive whole number.
+    """
+    i, j, k = (lines.ijk[row] / MM_PER_UNIT[float(lines.units[row])]).tolist()  # back in the units of the program
+    count = 0.0 if isnan(k) else round(k, 9)  # without the rounding of the conversion to mm
+    if not (isnan(i) and isnan(j) and isnan(lines.repeats[row])) or count < 1.0 or count != round(count):
         return None
     return f"If K is the number of holes, write L{count:g}."
 
 
-def _check_unknown_positions(rows: LineStates, moves: Moves, doubt: _Doubt, faults: _LineFaults) -> None:
+def _check_unknown_positions(lines: LineStates, moves: Moves, doubt: _Doubt, faults: _LineFaults) -> None:
     """Add faults of moves that need a position that is not known yet: before X, Y, Z are programmed, and after G28.
 
     :param doubt: lines whose motion or position is in doubt because of other faults, which are reported instead.
     """
-    line = np.arange(len(rows.motion))
-    has_axis_word = rows.is_placed
+    line = np.arange(len(lines.motion))
+    has_axis_word = lines.is_placed
     advice = (
         "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may be anywhere before. Or state in the cell "
         "where the machine is when the program starts: [machine] home = [X, Y, Z]."
     )
-    unset_axes = [axis for axis, words in zip("XYZ", rows.xyz.T, strict=True) if np.isnan(words).all()]
+    unset_axes = [axis for axis, words in zip("XYZ", lines.xyz.T, strict=True) if np.isnan(words).all()]
     if unset_axes:
         advice += f" {' and '.join(unset_axes)} {'is' if len(unset_axes) == 1 else 'are'} never programmed."
-    for first, complete_row in moves.unknown:
+    for first, complete_row in moves.unknown_ranges:
         if first >= len(line):
             continue
         is_within = (line >= first) & (line <= complete_row)
         is_early = has_axis_word & is_within & ~doubt.position
         problem = "incremental move before the position is known"
-        faults.check(is_early & rows.incremental, problem, advice, first=True)
+        faults.check(is_early & lines.is_incremental, problem, advice, first=True)
         begin = first + int(np.argmax(has_axis_word[first:])) if has_axis_word[first:].any() else first
-        is_low = (begin != complete_row) & below_top(rows, first, complete_row)
-        is_low_cut = ((rows.motion == 1.0) & is_low) | (rows.drilling & (line < complete_row))
+        is_low = (begin != complete_row) & below_top(lines, first, complete_row)
+        is_low_cut = ((lines.motion == 1.0) & is_low) | (lines.is_drilling & (line < complete_row))
         is_cut = is_early & is_low_cut & ~doubt.motion
         faults.check(is_cut, "cutting move before the position is known", advice, first=True)
-        is_unknown_arc = rows.moving & _is_arc(rows) & is_within & ~doubt.motion & ~doubt.position
+        is_unknown_arc = lines.is_moving & _is_arc(lines) & is_within & ~doubt.motion & ~doubt.position
         faults.check(is_unknown_arc, "arc before the position is known", advice, first=True)
         has_other_offset = is_early & (moves.offset != moves.offset[begin])
         faults.check(has_other_offset, "change of the work offset before the position is known", advice, first=True)
 
 
 class _Doubt:
-    """State that is unknown after unreadable blocks; each (L,), True from such a block on.
+    """Lines (L,) whose state is unknown because of an unreadable block before or on them.
 
-    :ivar motion: active motion code, until the next one.
-    :ivar position: position, until X, Y and Z are programmed again.
-    :ivar feed: feed, to the end.
+    :ivar motion: the active motion code is unknown, up to the line before the next motion code.
+    :ivar position: the position at the start is unknown, until X, Y and Z have been programmed again.
+    :ivar feed: the feed is unknown, up to the end of the program.
     """
 
-    def __init__(self, rows: LineStates, faults: Sequence[Fault]) -> None:
-        count = len(rows.motion)
+    def __init__(self, lines: LineStates, faults: Sequence[Fault]) -> None:
+        count = len(lines.motion)
         if not faults:
             self.motion = self.position = self.feed = np.zeros(count, dtype=bool)
             return
         line = np.arange(count)
 
-        def latest(at: Array | Bools) -> Ints:
-            """Return for each row (L,) the latest one so far that is marked; -1: none."""
-            return np.asarray(np.maximum.accumulate(np.where(at, line, -1)), dtype=np.int64)
+        def last_rows(is_marked: Array | Bools) -> Ints:
+            """Return for each row (L,) the last marked row up to it; −1: none."""
+            return np.asarray(np.maximum.accumulate(np.where(is_marked, line, -1)), dtype=np.int64)
 
-        def lost(letters: str) -> Ints:
-            """Return for each row (L,) the latest so far whose unreadable text has one of some letters; -1: none."""
-            at = np.zeros(count, dtype=bool)
-            at[[fault.row for fault in faults if set(letters) & set(fault.lost_text)]] = True
-            return latest(at)
+        def last_lost_rows(letters: str) -> Ints:
+            """Return for each row (L,) the last row up to it with one of the letters in unreadable text; −1: none."""
+            is_lost = np.zeros(count, dtype=bool)
+            is_lost[[fault.row for fault in faults if set(letters) & set(fault.lost_text)]] = True
+            return last_rows(is_lost)
 
-        latest_rows = [latest(~np.isnan(rows.xyz[:, axis]) & ~rows.incremental) for axis in range(3)]
-        latest_position = np.minimum.reduce(latest_rows)
-        latest_position = np.concatenate([[-1], latest_position[:-1]])  # the line itself needs its start
+        coordinate_rows = [last_rows(~np.isnan(lines.xyz[:, axis]) & ~lines.is_incremental) for axis in range(3)]
+        position_row = np.minimum.reduce(coordinate_rows)
+        position_row = np.concatenate([[-1], position_row[:-1]])  # a line starts at the position of the line before
         # a value is in doubt until the next row that states it
-        self.motion = (lost("G") >= 0) & (latest(rows.has_motion_code) <= lost("G"))
-        self.position = (lost("GXYZIJK") >= 0) & (latest_position <= lost("GXYZIJK"))
-        self.feed = lost("F") >= 0
+        self.motion = (last_lost_rows("G") >= 0) & (last_rows(lines.has_motion_code) <= last_lost_rows("G"))
+        self.position = (last_lost_rows("GXYZIJK") >= 0) & (position_row <= last_lost_rows("GXYZIJK"))
+        self.feed = last_lost_rows("F") >= 0
 
 
-CHORD = 0.1
+CHORD_TOLERANCE_SHARE = 0.1
 """Share of the tolerance that chords of arcs may use (assumed)."""
-_NO_ROTATION = 1e-9
+_LEAST_ROTATION = 1e-9
 """Rotations of the tool below this [rad] are ignored (assumed)."""
 
 
@@ -455,7 +482,7 @@ class MotionPath(Struct, frozen=True, eq=False):
     :param still_rows: (n,) rows of moves without a motion, ascending: moves of zero length, and those held back.
     :param unforced: (n,) motions at feed that come from `[start]` of the cell.
     :param held_back_rows: (n,) the rows of `still_rows` with rapid moves before the position is known.
-    :param events: events of cycles: index of the motion after it, row, event.
+    :param events: events of cycles: index of the motion after the event, row of its line, event.
     """
 
     motions: Motions
@@ -469,14 +496,14 @@ class MotionPath(Struct, frozen=True, eq=False):
 
 
 class _MotionMoves(Struct, frozen=True, eq=False):
-    """The M moves of a program that are motions, among all N.
+    """The M motions of a program among its N moves.
 
     :param moves: all moves; arcs along which rotary axes turn are chords.
-    :param index: (M,) which moves are motions, ascending.
+    :param index: (M,) indices of the moves that are motions, ascending.
     :param length: (M,) their lengths [mm].
     :param is_free: (M,) motions by joint interpolation.
     :param is_rotation: (M,) motions at feed that rotate the tool without moving its tip.
-    :param circular: (A,) moves that are arcs; `arcs`: their geometry.
+    :param circular: (A,) indices of the moves that are arcs; `arcs`: their geometry.
     :param is_held_back: (N,) moves left out while X, Y, Z are not all known; `is_null_move`: (N,) moves of no effect.
     """
 
@@ -492,23 +519,24 @@ class _MotionMoves(Struct, frozen=True, eq=False):
 
 
 def read_path(
-    rows: LineStates, modes: Modes, cell_frames: CellFrames, speeds: Speeds, rotary: Rotary | None
+    lines: LineStates, modes: Modes, cell_frames: CellFrames, speeds: Speeds, rotary: Rotary | None
 ) -> MotionPath | list[Fault]:
     """Return the motions of a program, or its faults in order of lines.
 
     :param rows: words and modal state of all lines.
     :param modes: modal state and events of the blocks that are not plain.
     :param rotary: rotary axes of the cell; None: it has none.
+    :returns: the motions; a list of faults if there are any.
     """
-    approached_moves = add_approaches(moves_of(rows, modes, cell_frames), cell_frames)
+    approached_moves = add_approaches(moves_of(lines, modes, cell_frames), cell_frames)
     moves = approached_moves.moves
     circular = np.flatnonzero(moves.code >= 2.0)
-    arcs = _arcs(rows, moves, circular)
-    faults = faults_of(rows, moves, modes, moves.row[circular], arcs.faults)
+    arcs = _arcs(lines, moves, circular)
+    faults = faults_of(lines, moves, modes, moves.row[circular], arcs.faults)
     if not faults and rotary is not None:
-        switched_on = np.array([row for row, on in modes.tip if on], dtype=np.int64)
-        faults = kind_faults(rotary, rows.rotary, switched_on) or check_turning(
-            rows,
+        switched_on = np.array([row for row, on in modes.tip_control_changes if on], dtype=np.int64)
+        faults = kind_faults(rotary, lines.rotary, switched_on) or check_turning(
+            lines,
             moves,
             approached_moves.is_held_back,
             cell_frames.rotary,
@@ -518,10 +546,10 @@ def read_path(
         return faults
     motion_moves = _motion_moves(approached_moves, circular, arcs, cell_frames.rotary, speeds.chord)
     moves, row = motion_moves.moves, motion_moves.moves.row[motion_moves.index]
-    swivel = None if rotary is None else swivel_of(motion_moves, rows, cell_frames)
+    swivel = None if rotary is None else swivel_of(motion_moves, lines, cell_frames)
     held_rows = moves.row[motion_moves.is_held_back]
     return MotionPath(
-        motions=_motions(motion_moves, rows, modes, swivel, cell_frames, speeds),
+        motions=_motions(motion_moves, lines, modes, swivel, cell_frames, speeds),
         swivel=swivel,
         row=row,
         unforced=np.flatnonzero((row <= moves.last_start_row) & (moves.code[motion_moves.index] == 1.0)),
@@ -535,9 +563,12 @@ def read_path(
 def _motion_moves(
     approached_moves: ApproachedMoves, circular: Ints, arcs: Arcs, rotary_axes: RotaryAxes, chord_tolerance: float
 ) -> _MotionMoves:
-    """Return the moves that are motions: not held back, and with an effect.
+    """Return which moves are motions: moves that are not held back and have an effect.
 
-    :param circular: (A,) moves that are arcs; `arcs`: their geometry.
+    A move of zero length has an effect if it rotates the tool, is an arc, goes to home, arrives from an unknown
+    position, or changes the tool.
+
+    :param circular: (A,) indices of the moves that are arcs; `arcs`: their geometry.
     :param chord_tolerance: deviation of chords from arcs along which rotary axes turn [mm].
     """
     moves, count = chords(approached_moves.moves, circular, arcs, chord_tolerance)
@@ -545,12 +576,12 @@ def _motion_moves(
     is_arrival = np.repeat(approached_moves.is_arrival, count)
     length = np.repeat(_lengths(approached_moves.moves, circular, arcs), count)
     is_tool_change = np.diff(moves.tool, prepend=moves.tool[:1]) != 0
-    rotates = rotation_bound(moves, rotary_axes.directions) > _NO_ROTATION
-    is_short = length <= SAME_MM
-    is_kept = rotates | (moves.code >= 2.0) | moves.home | is_tool_change | is_arrival | is_held_back
+    rotates = rotation_bound(moves, rotary_axes.directions) > _LEAST_ROTATION
+    is_short = length <= POINT_TOLERANCE_MM
+    is_kept = rotates | (moves.code >= 2.0) | moves.is_home_move | is_tool_change | is_arrival | is_held_back
     is_null_move = is_short & ~is_kept
     index = np.flatnonzero(~is_null_move & ~is_held_back)
-    is_free = is_arrival[index] | moves.home[index]
+    is_free = is_arrival[index] | moves.is_home_move[index]
     return _MotionMoves(
         moves=moves,
         index=index,
@@ -558,54 +589,57 @@ def _motion_moves(
         is_free=is_free,
         is_rotation=(rotates & is_short & (moves.code == 1.0))[index] & ~is_free,
         circular=np.flatnonzero(moves.code >= 2.0),
-        arcs=arcs.of(count[circular] == 1),
+        arcs=arcs.masked_arcs(count[circular] == 1),  # the others are chords
         is_held_back=is_held_back,
         is_null_move=is_null_move,
     )
 
 
-def _arcs(rows: LineStates, moves: Moves, circular: Ints) -> Arcs:
-    """Return the arcs of the moves `circular` (n,), with the faults of their words."""
+def _arcs(lines: LineStates, moves: Moves, circular: Ints) -> Arcs:
+    """Return the arcs of moves, with their faults.
+
+    :param circular: (A,) indices of the moves that are arcs.
+    """
     row = moves.row[circular]
     return read_arcs(
         ArcWords(
             start=moves.begin(circular),
             end=moves.end[circular],
-            is_programmed=~np.isnan(rows.xyz[row]),
-            offset=rows.ijk[row],
-            radius=rows.radius[row],
-            turns=rows.turns[row],
+            is_programmed=~np.isnan(lines.xyz[row]),
+            offset=lines.ijk[row],
+            radius=lines.radius[row],
+            turns=lines.turns[row],
             is_clockwise=moves.code[circular] == 2.0,
-            plane=rows.plane[row],
-            units=rows.units[row],
-            absolute=rows.absolute_centre[row],
+            plane=lines.plane[row],
+            units=lines.units[row],
+            has_absolute_centre=lines.has_absolute_centre[row],
         )
     )
 
 
 def _motions(
     motion_moves: _MotionMoves,
-    rows: LineStates,
+    lines: LineStates,
     modes: Modes,
     swivel: Swivel | None,
     cell_frames: CellFrames,
     speeds: Speeds,
 ) -> Motions:
-    """Return the M moves that are motions, in `$BASE`.
+    """Return the motions (M,) of a program in `$BASE`; their lines are rows + 1.
 
     :param swivel: rotation of the tool; None: there are no rotary axes.
     """
     moves, index = motion_moves.moves, motion_moves.index
-    row, code, home = moves.row[index], moves.code[index], moves.home[index]
+    row, code, home = moves.row[index], moves.code[index], moves.is_home_move[index]
     kind = np.where(motion_moves.is_free, PTP, np.where(code < 2.0, LIN, CIRC))
     frame = take_rows(moves.frame, index)
     joints = np.broadcast_to(np.nan, (len(index), 6))  # takes no memory
-    if home.any() and cell_frames.home is not None:
+    if home.any() and cell_frames.home_poses is not None:
         joints = joints.copy()
         joints[home] = speeds.home
     arcs = _arcs_in_base(motion_moves, kind, frame)
     feed = _speeds_of(
-        rows,
+        lines,
         row,
         is_rapid=code == 0.0,
         is_rotation=motion_moves.is_rotation,
@@ -613,7 +647,7 @@ def _motions(
         speeds=speeds,
     )
     feed[kind == PTP] = np.nan
-    blend, rounding = _corner_distances(modes, row, moves.bottom[index], speeds)
+    blend, rounding = _corner_distances(modes, row, moves.is_in_hole[index], speeds)
     unset = constant(-1, len(index))
     motions = Motions(
         kind=kind,
@@ -638,13 +672,14 @@ def _motions(
 def _targets(moves: Moves, motion_moves: Ints, frame: Ints, swivel: Swivel | None, cell_frames: CellFrames) -> Poses:
     """Return the poses (M,) [m] of the tool frame in `$BASE` at the ends of motions.
 
-    :param motion_moves: (M,) moves that are motions; `frame` (M,) the rows of their frames.
+    :param motion_moves: (M,) indices of the moves that are motions; `frame`: (M,) their rows of `moves.frames`.
+    :param swivel: rotation of the tool; None: there are no rotary axes.
     """
     position = _points_in_base(moves.frames, frame, moves.end[motion_moves])
     rotation = _rotations(moves.frames, frame, swivel, cell_frames.orientation)
-    home = moves.home[motion_moves]
-    if home.any() and cell_frames.home is not None:
-        poses = cell_frames.home[moves.tool[motion_moves[home]]]
+    home = moves.is_home_move[motion_moves]
+    if home.any() and cell_frames.home_poses is not None:
+        poses = cell_frames.home_poses[moves.tool[motion_moves[home]]]
         rotation = rotation.copy()
         rotation[home], position[home] = poses[:, :3, :3], poses[:, :3, 3]
     return Poses(position, rotation)
@@ -656,12 +691,12 @@ def _corner_distances(modes: Modes, row: Ints, is_bottom: Bools, speeds: Speeds)
     :param row: (M,) line of each motion.
     :param is_bottom: (M,) motions to the bottom of a hole, which are exact stops.
     """
-    approximation = take_rows(active_values(modes.blends, speeds.approximation, modes.rows), row)
+    approximation = take_rows(active_values(modes.blends, speeds.approximation, modes.row_count), row)
     if is_bottom.any():
         approximation = np.where(is_bottom, 0.0, approximation)
     if not modes.roundings:
         return approximation, constant(speeds.rounding, len(row))
-    limit = active_values(modes.roundings, np.nan, modes.rows)[row]
+    limit = active_values(modes.roundings, np.nan, modes.row_count)[row]  # NaN: the value of the cell holds
     return approximation, np.where(np.isnan(limit), speeds.rounding, limit)
 
 
@@ -680,16 +715,16 @@ def _rotations(frames: Array, frame: Ints, swivel: Swivel | None, orientation: A
 
 
 def _arcs_in_base(motion_moves: _MotionMoves, kind: Ints, frame: Ints) -> ArcColumns:
-    """Return the arcs of motions in `$BASE`.
+    """Return centre, axis and sweep (M,) of motions in `$BASE`; NaN for motions that are no arcs.
 
-    :param kind: (M,) of each motion; `frame`: (M,) its row of the program frames.
+    :param kind: (M,) kind of each motion; `frame`: (M,) its row of the program frames.
     """
     empty = np.broadcast_to(np.nan, (len(kind), 3))  # takes no memory
     arc_motions = np.flatnonzero(kind == CIRC)
     if not len(arc_motions):
         return ArcColumns(empty, empty, empty[:, 0])
     arcs, frames = motion_moves.arcs, motion_moves.moves.frames
-    arc_rows = np.searchsorted(motion_moves.circular, motion_moves.index[arc_motions])
+    arc_rows = np.searchsorted(motion_moves.circular, motion_moves.index[arc_motions])  # `circular` is ascending
     columns = ArcColumns(empty.copy(), empty.copy(), empty[:, 0].copy())
     columns.centre[arc_motions] = _points_in_base(frames, frame[arc_motions], arcs.centre[arc_rows])
     columns.normal[arc_motions] = np.einsum("nij,nj->ni", frames[frame[arc_motions], :3, :3], arcs.normal[arc_rows])
@@ -698,24 +733,26 @@ def _arcs_in_base(motion_moves: _MotionMoves, kind: Ints, frame: Ints) -> ArcCol
 
 
 def _speeds_of(
-    rows: LineStates, row: Ints, *, is_rapid: Bools, is_rotation: Bools, length: Array, speeds: Speeds
+    lines: LineStates, row: Ints, *, is_rapid: Bools, is_rotation: Bools, length: Array, speeds: Speeds
 ) -> Array:
-    """Return the speeds of motions (M,) [m/s].
+    """Return the speeds of motions (M,) [m/s]: the rapid speed of the cell, or the feed of the program.
 
-    :param row: (M,) line of each motion; `length`: (M,) [mm].
+    In G93, F is the reciprocal of the time of the motion in minutes.
+
+    :param row: (M,) row of the line of each motion; `length`: (M,) its length [mm].
     :param is_rapid: (M,) motions of G0; `is_rotation`: (M,) motions that only rotate the tool.
     """
-    per_minute = rows.feed[row]  # [mm/min]; in G93 [1/min]
-    is_inverse_time = rows.inverse_time[row] & ~is_rapid
+    per_minute = lines.feed[row]  # [mm/min]; in G93 [1/min]
+    is_inverse_time = lines.is_inverse_time[row] & ~is_rapid
     per_minute[is_inverse_time] *= length[is_inverse_time]
-    per_minute[is_inverse_time & is_rotation] = speeds.rapid * S_PER_MIN / M_PER_MM  # the speed of rotation counts
+    per_minute[is_inverse_time & is_rotation] = speeds.rapid * S_PER_MIN / M_PER_MM  # its `Swivel.rate` limits it
     return np.where(is_rapid, speeds.rapid, per_minute * (M_PER_MM / S_PER_MIN))
 
 
 def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:
-    """Return the lengths of moves (N,) [mm]; of arcs those of the helix with the radius of its start.
+    """Return the lengths of moves (N,) [mm]; an arc counts as a helix with the radius of its start.
 
-    :param circular: (A,) moves that are arcs; `arcs`: their geometry.
+    :param circular: (A,) indices of the moves that are arcs; `arcs`: their geometry.
     """
     lengths = norm(moves.end - moves.begin(np.arange(len(moves.row))))
     if len(circular):
@@ -728,10 +765,10 @@ def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:
 def _points_in_base(frames: Array, frame: Ints, points_mm: Array) -> Array:
     """Return points of program frames in `$BASE` (n, 3) [m].
 
-    :param frames: (nf, 4, 4) program frames [m]; `frame`: (n,) the row of each point.
-    :param points_mm: (n, 3) in these frames [mm].
+    :param frames: (nf, 4, 4) program frames in `$BASE` [m]; `frame`: (n,) row of the frame of each point.
+    :param points_mm: (n, 3) points in these frames [mm].
     """
     rotation, origin = frames[:, :3, :3] * M_PER_MM, frames[:, :3, 3]
-    if len(frames) == 1:  # without a matrix for each point
+    if len(frames) == 1:  # saves a matrix for each point
         return np.asarray(np.einsum("nj,ij->ni", points_mm, rotation[0]) + origin[0])
     return np.asarray(np.einsum("nij,nj->ni", rotation[frame], points_mm) + origin[frame])

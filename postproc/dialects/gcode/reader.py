@@ -47,7 +47,7 @@ from postproc.dialects.gcode.execution import ExecutedProgram, execute
 from postproc.dialects.gcode.line_states import line_states_of
 from postproc.dialects.gcode.modes import Modes, read_modes
 from postproc.dialects.gcode.moves import CellFrames
-from postproc.dialects.gcode.path import CHORD, MotionPath, Speeds, read_path
+from postproc.dialects.gcode.path import CHORD_TOLERANCE_SHARE, MotionPath, Speeds, read_path
 from postproc.dialects.gcode.rotary import RotaryAxes
 from postproc.dialects.gcode.survey import survey
 from postproc.dialects.gcode.words import Fault
@@ -59,11 +59,11 @@ from postproc.program import Document, Event, EventKind, ForceNote, Program, dis
 __all__ = ["decode", "read"]
 
 _INCH_DECIMALS, _INCH_SIZE, _INCH_FEED = 4, 40.0, 150.0
-"""Decimals of coordinates in inches; size of cuts and feed below which a program without G20 and G21 is questioned,
-assumed: a part of 40 mm cut at 150 mm/min needs no robot, one of 40 inches does.
+"""Decimals of coordinates in inches; size of cuts [mm] and feed [mm/min] below which a program without G20 and G21 is
+questioned (assumed): a part of 40 mm cut at 150 mm/min needs no robot, a part of 40 inches does.
 """
 _DECIMALS = re.compile(r"[XYZ][ \t]*[-+]?[0-9]*\.([0-9]+)", re.IGNORECASE)
-_SAMPLE = 100_000
+_SAMPLE_LENGTH = 100_000
 """Characters in which decimals are looked for."""
 SPINDLE_ON = ("spindle_on", "spindle_ccw")
 
@@ -92,19 +92,25 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
 def _read(
     document: Document, cell: Cell, forward_kinematics: Callable[[Array], Array], name: str, *, bulk: bool
 ) -> Program:
-    """Read a document; if all its arcs disagree with their ends, read their centres as absolute coordinates.
+    """Read a document. If its only faults are arcs whose radii disagree, read it once more with absolute centres.
+
+    If that fails too, the faults of the first reading are raised.
 
     :param bulk: read plain motion blocks together, else each block by pygcode (for tests).
     :raises InputError: the program has faults, see `read`.
     """
-    inner, issues = _blank_leader(document)
+    read_document, issues = _blank_leader(document)
     try:
-        program = _executed_program(inner, cell, forward_kinematics, name, bulk=bulk)
+        program = _executed_program(read_document, cell, forward_kinematics, name, bulk=bulk)
     except InputError as cause:
-        if not all(getattr(error, "problem", "").startswith(_DISAGREE) for error in (cause, *cause.further_errors)):
+        if not all(
+            getattr(error, "problem", "").startswith(_RADIUS_PROBLEM) for error in (cause, *cause.further_errors)
+        ):
             raise
         try:
-            program = _executed_program(inner, cell, forward_kinematics, name, bulk=bulk, absolute=True)
+            program = _executed_program(
+                read_document, cell, forward_kinematics, name, bulk=bulk, has_absolute_centres=True
+            )
         except InputError:
             raise cause from None
     if issues:
@@ -112,8 +118,8 @@ def _read(
     return program
 
 
-_DISAGREE = "radii of the arc disagree"
-_ABSOLUTE = (
+_RADIUS_PROBLEM = "radii of the arc disagree"
+_ABSOLUTE_CENTRES_MESSAGE = (
     "I, J and K are taken as coordinates of the centre, as after G90.1, which the program does not state: only so do "
     "the radii of its arcs agree."
 )
@@ -122,25 +128,26 @@ _COMMENT = re.compile(r"\([^()\r\n]*\)|;[^\r\n]*")
 
 
 def _blank_leader(document: Document) -> tuple[Document, list[Issue]]:
-    """Return a program with blanks for the text before its first %, which controls do not read, and a remark on it.
+    """Return a program with blanks in place of the text before its first %, which controls do not read, and a remark.
 
-    A program without such text is returned as it is, without a remark. Lines with words such as G1 or X5 are no such
-    text: where they are before a %, it ends the program.
+    A program without such text is returned as it is, without a remark. So is a program with words such as G1 or X5
+    before the first %, which then ends it. The % is only looked for in the first `_LEADER_LINES` lines.
     """
     starts, stops = line_spans(document.text)
-    lines = [document.text[start:stop].strip() for start, stop in zip(starts[:_LEADER], stops[:_LEADER], strict=True)]
-    first = next((row for row, line in enumerate(lines) if line == "%"), 0)
-    code = [_COMMENT.sub("", line) for line in lines[:first]]
+    spans = zip(starts[:_LEADER_LINES], stops[:_LEADER_LINES], strict=True)
+    lines = [document.text[start:stop].strip() for start, stop in spans]
+    percent_row = next((row for row, line in enumerate(lines) if line == "%"), 0)
+    code = [_COMMENT.sub("", line) for line in lines[:percent_row]]
     if not any(code) or any(_WORD.search(line) for line in code):
         return document, []
-    end = int(starts[first])
+    end = int(starts[percent_row])
     blank = re.sub(r"[^\r\n]", " ", document.text[:end])
     message = "The text before the first % is not read."
-    row = next(row for row, line in enumerate(code) if line)
+    row = next(row for row, line in enumerate(code) if line)  # the first line that is not empty
     return replace(document, text=blank + document.text[end:]), [Issue("info", "leader", message, row + 1)]
 
 
-_LEADER = 200
+_LEADER_LINES = 200
 """Lines in which a first % is looked for."""
 
 
@@ -151,12 +158,12 @@ def _executed_program(
     name: str,
     *,
     bulk: bool,
-    absolute: bool = False,
+    has_absolute_centres: bool = False,
 ) -> Program:
-    """Read a program, see `read`.
+    """Execute and read a program, see `read`.
 
     :param bulk: see `_read`.
-    :param absolute: centres of arcs are coordinates, though the program does not say so.
+    :param has_absolute_centres: read centres of arcs as coordinates, though the program does not say so; add a remark.
     :raises InputError: the program has faults.
     """
     run = execute(document)
@@ -165,14 +172,14 @@ def _executed_program(
     plain, other_rows = words.read_plain(source, rotary) if bulk else words.no_plain_words(source)
     modes = read_modes(source, other_rows, plain, cell, run.faults)
     rows = line_states_of(plain, modes, cell.rotary)
-    if absolute and not modes.changes["centre"]:
-        rows = replace(rows, absolute_centre=np.ones(len(rows.motion), dtype=np.bool_))
+    if has_absolute_centres and not modes.changes["centre"]:
+        rows = replace(rows, has_absolute_centre=np.ones(len(rows.motion), dtype=np.bool_))
     tools = _tools(cell, modes)
     path = read_path(rows, modes, _cell_frames(cell, forward_kinematics, tools), _speeds(cell), cell.rotary)
-    comments, force_faults = _comments(run, modes.rows)
+    comments, force_faults = _comments(run, modes.row_count)
     path = _checked_path(path, modes, run, force_faults)
     notes, events = _events(run, path, modes, comments)
-    line = run.main[path.row]
+    line = run.main_line[path.row]
     line.flags.writeable = False
     return Program(
         name=name,
@@ -185,10 +192,10 @@ def _executed_program(
         events=events,
         swivel=path.swivel,
         unforced=path.unforced,
-        still=distinct(run.main[path.still_rows]),
+        still=distinct(run.main_line[path.still_rows]),
         issues=(
             *_program_issues(run, path, modes, document.text, comments),
-            *([Issue("info", "absolute-centres", _ABSOLUTE)] if absolute else []),
+            *([Issue("info", "absolute-centres", _ABSOLUTE_CENTRES_MESSAGE)] if has_absolute_centres else []),
         ),
     )
 
@@ -196,26 +203,27 @@ def _executed_program(
 def _program_issues(
     run: ExecutedProgram, path: MotionPath, modes: Modes, text: str, comments: Sequence[tuple[int, str | ForceNote]]
 ) -> Iterator[Issue]:
-    """Yield what the user should know of how a program was read, by line numbers of the program.
+    """Yield remarks on how a program was read, with line numbers of the program.
 
-    :param text: of the program; `comments`: row and content of its comments.
+    :param text: text of the program; `comments`: row and content of its comments.
     """
-    for issue in (*_issues(path, modes, text), *modes.issues, *_brackets(run, comments)):
-        yield replace(issue, source_line=_line(run, issue.source_line))
-    yield from _code_behind_end(run, modes.rows)
+    for issue in (*_reading_issues(path, modes, text), *modes.issues, *_bracket_issues(run, comments)):
+        yield replace(issue, source_line=_program_line(run, issue.source_line))
+    yield from _late_code_issues(run, modes.row_count)
 
 
 def _checked_path(
     path: MotionPath | list[Fault], modes: Modes, run: ExecutedProgram, force_faults: Sequence[InputError]
 ) -> MotionPath:
-    """Return the path of a program without faults.
+    """Return the path of a program; raise its faults if it has any.
 
+    :param path: the path, or its faults; `force_faults`: errors of force comments.
     :raises InputError: path, end of the program or force comments have faults, or the program moves nothing.
     """
     faults = path if isinstance(path, list) else []
     if not modes.is_complete:
         advice = "Check that the file was transferred completely."
-        faults.append(Fault(modes.rows - 1, "the program begins with % but ends without %, M2 or M30", advice))
+        faults.append(Fault(modes.row_count - 1, "the program begins with % but ends without %, M2 or M30", advice))
     if faults or force_faults or isinstance(path, list):
         raise combined_error([*_errors(run, faults), *force_faults])
     if not len(path.motions):
@@ -235,21 +243,24 @@ def _tools(cell: Cell, modes: Modes) -> dict[float | None, Array]:
 def _cell_frames(
     cell: Cell, forward_kinematics: Callable[[Array], Array], tools: Mapping[float | None, Array]
 ) -> CellFrames:
-    """Return the frames of the cell that a program refers to."""
+    """Return the frames of the cell that a program refers to.
+
+    :param tools: `$TOOL` (4, 4) by tool number, see `_tools`.
+    """
     base, machine = cell.base.pose(), cell.machine
     offsets = {code: cell.work_offsets.get(f"G{code:g}") for code in WORK_OFFSETS}
-    home = None
+    home_poses = None
     if machine.home_joints is not None:
-        home = inverse(base) @ forward_kinematics(_home_joints(cell)) @ np.stack(list(tools.values()))
+        home_poses = inverse(base) @ forward_kinematics(_home_joints(cell)) @ np.stack(list(tools.values()))
     return CellFrames(
         start=inverse(base) @ forward_kinematics(cell.start_joints) @ tools[None],
         orientation=cell.tool_orientation(),
-        offsets={code: np.eye(4) if frame is None else frame.pose() for code, frame in offsets.items()},
+        work_offsets={code: np.eye(4) if frame is None else frame.pose() for code, frame in offsets.items()},
         tools={number: row for row, number in enumerate(tools) if number is not None},
-        home=home,
+        home_poses=home_poses,
         home_place=None if machine.home_place is None else np.array(machine.home_place),
         clearance=machine.clearance_Z,
-        rotary=RotaryAxes.of(cell.rotary),
+        rotary=RotaryAxes.from_cell(cell.rotary),
     )
 
 
@@ -265,56 +276,57 @@ def _speeds(cell: Cell) -> Speeds:
         approximation=cell.gcode.approximation_mm * M_PER_MM,
         rounding=cell.gcode.corner_tolerance_mm * M_PER_MM,
         home=_home_joints(cell),
-        chord=CHORD * cell.output.tolerance_mm,
+        chord=CHORD_TOLERANCE_SHARE * cell.output.tolerance_mm,
     )
 
 
-def _line(run: ExecutedProgram, line: int | None) -> int | None:
-    """Return the line number in the program of an executed line."""
-    return None if line is None else int(run.main[line - 1])
+def _program_line(run: ExecutedProgram, line: int | None) -> int | None:
+    """Return the line number in the program of an executed line (1-based); None stays None."""
+    return None if line is None else int(run.main_line[line - 1])
 
 
 def _errors(run: ExecutedProgram, faults: Sequence[Fault]) -> list[InputError]:
     """Return faults as errors, the first of each line; a single error if the program is for another control."""
-    from postproc.dialects.gcode.foreign import recognise  # its patterns are compiled where there are faults
+    from postproc.dialects.gcode.foreign import recognise  # late: its patterns are only compiled if there are faults
 
     spans = [line_spans(document.text) for document in run.documents]
-    fault_of_line: dict[tuple[int, int], Fault] = {}
+    fault_of_line: dict[tuple[int, int], Fault] = {}  # by index of the document and line number in it
     for fault in faults:
         fault_of_line.setdefault((int(run.document[fault.row]), int(run.line[fault.row])), fault)
     texts = [run.documents[n].text[spans[n][0][line - 1] : spans[n][1][line - 1]] for n, line in fault_of_line]
     names = [document.name for document in run.documents]
-    kind = recognise(texts)
-    if kind is not None:
-        index, control = kind
+    recognised = recognise(texts)
+    if recognised is not None:
+        index, foreign_format = recognised
         n, line = list(fault_of_line)[index]
-        article = "an" if control.name[0] in "AO" else "a"
-        problem = f"this is not plain G-code, but {article} {control.name} program"
-        return [ProgramError(problem, file=names[n], line=line, text=texts[index], advice=control.advice)]
+        article = "an" if foreign_format.name[0] in "AO" else "a"
+        problem = f"this is not plain G-code, but {article} {foreign_format.name} program"
+        return [ProgramError(problem, file=names[n], line=line, text=texts[index], advice=foreign_format.advice)]
     return [
         ProgramError(fault.problem, file=names[n], line=line, text=text, advice=fault.advice)
         for ((n, line), fault), text in zip(fault_of_line.items(), texts, strict=True)
     ]
 
 
-def _code_behind_end(run: ExecutedProgram, rows: int) -> Iterator[Issue]:
-    """Yield a warning of code after the end of the program, which is not executed (rs274 does not even read it).
+def _late_code_issues(run: ExecutedProgram, rows: int) -> Iterator[Issue]:
+    """Yield a warning if there is code after the end of the program, which is not executed.
 
-    :param rows: number of executed lines.
+    :param rows: number of lines up to the end of the program.
     """
     source, lines = run.source, list(run.after_end)
     if source.code[source.ends[rows] :].strip(b"\n%" + words.MARK.encode()):
         lines = [row + 1 for row in range(rows, len(source)) if source.line(row).strip(words.MARK + "%")]
     if len(lines):
-        end = int(run.main[rows - 1])
+        end = int(run.main_line[rows - 1])
         message = f"There is code after the end of the program (line {end}): it is not executed."
         yield Issue("warning", "after-end", message, lines[0], count=len(lines))
 
 
 def _comments(run: ExecutedProgram, rows: int) -> tuple[list[tuple[int, str | ForceNote]], list[InputError]]:
-    """Return the comments of the first `rows` lines with their rows, and the errors of force comments.
+    """Return the comments of the first `rows` executed lines, and the errors of force comments.
 
-    :returns: row and content of each comment, and one error for each line with unreadable force comments.
+    :returns: row and content of each comment, where a force comment is a `ForceNote`; one error for each line with
+        unreadable force comments.
     """
     comments: list[tuple[int, str | ForceNote]] = []
     faults: dict[tuple[int, int], InputError] = {}
@@ -331,8 +343,10 @@ def _comments(run: ExecutedProgram, rows: int) -> tuple[list[tuple[int, str | Fo
     return comments, list(faults.values())
 
 
-def _brackets(run: ExecutedProgram, comments: Sequence[tuple[int, str | ForceNote]]) -> Iterator[Issue]:
-    """Yield remarks on brackets inside comments, which some controls refuse; comments after ; may have them.
+def _bracket_issues(run: ExecutedProgram, comments: Sequence[tuple[int, str | ForceNote]]) -> Iterator[Issue]:
+    """Yield a remark on each comment with brackets inside, which some controls refuse.
+
+    Comments after a semicolon may have brackets.
 
     :param comments: row and content of each comment.
     """
@@ -353,6 +367,8 @@ def _events(
     """Return force comments, and other comments and events, in order of their lines.
 
     In one line comments come first, stops last.
+
+    :param comments: row and content of each comment.
     """
     entries = [_Entry(row, _COMMENT_ORDER, "comment", text=text) for row, text in comments if isinstance(text, str)]
     entries += [
@@ -364,13 +380,14 @@ def _events(
         for motion, row, event in path.events
     ]
     entries.sort(key=attrgetter("row", "order"))
+    # an entry precedes the first motion of its line or of a later line, a stop the first motion of a later line
     next_rows = [entry.row + (entry.order == _STOP_ORDER) for entry in entries]
     next_motions = np.searchsorted(path.row, next_rows).tolist()
     events = tuple(
         Event(
             before=motion if entry.motion is None else entry.motion,
             kind=entry.kind,
-            line=int(run.main[entry.row]),
+            line=int(run.main_line[entry.row]),
             value=entry.value,
             text=entry.text,
         )
@@ -379,22 +396,22 @@ def _events(
     force_notes = [(row, note) for row, note in comments if isinstance(note, ForceNote)]
     next_motions = np.searchsorted(path.row, [row for row, _ in force_notes]).tolist()
     notes = tuple(
-        replace(note, before=motion, line=int(run.main[row]))
+        replace(note, before=motion, line=int(run.main_line[row]))
         for motion, (row, note) in zip(next_motions, force_notes, strict=True)
     )
     return notes, events
 
 
 _COMMENT_ORDER, _EVENT_ORDER, _STOP_ORDER = range(3)
-"""Order of what one line has: comments, events before its motion, and those after it."""
+"""Order within a line: comments, events before its motion, events after its motion."""
 
 
 class _Entry(NamedTuple):
     """A comment or an event of a line.
 
-    :param row: of the line; `order` within it.
+    :param row: row of the line; `order`: place within the line, such as `_STOP_ORDER`.
     :param kind, value, text: see `Event`.
-    :param motion: motion that it precedes, if it is one of a cycle; None: that follows from its line.
+    :param motion: index of the motion that an event of a cycle precedes; None: it follows from the row.
     """
 
     row: int
@@ -406,9 +423,11 @@ class _Entry(NamedTuple):
 
 
 def _spindle_speed(modes: Modes, row: int, kind: str) -> float:
-    """Return the speed at which a cycle restarts the spindle, the last one that the program states [1/min]; else 0.
+    """Return the speed at which a cycle starts the spindle again [1/min]: that of the last start in the program.
 
-    :param row: line of the cycle; `kind`: of the event of the cycle.
+    It is 0 if the cycle stops the spindle, or if the program has not started it.
+
+    :param row: row of the line of the cycle; `kind`: kind of the event of the cycle.
     """
     if kind == "spindle_off":
         return 0.0
@@ -417,16 +436,19 @@ def _spindle_speed(modes: Modes, row: int, kind: str) -> float:
 
 
 def _unit_issue(path: MotionPath, text: str) -> Issue:
-    """Return the remark on a program without G20 and G21; a warning if its coordinates and feeds are those in inches.
+    """Return the remark on a program without G20 and G21, which is read in millimetres.
 
-    Posts write four decimals of inches, three of millimetres.
+    It is a warning if the numbers look like inches: four decimals at most, as posts write inches, a small size of cuts
+    and a low feed.
+
+    :param text: text of the program.
     """
     message = "Neither G20 nor G21 is programmed: millimetres are assumed."
     is_cut = ~path.motions.rapid
     position = path.motions.target[is_cut, :2, 3] * MM_PER_M
     size = np.ptp(position, axis=0) if len(position) else np.zeros(2)
     feed = MM_PER_MIN * float(path.motions.feed[is_cut].max(initial=0.0))
-    decimals = max((len(digits) for digits in _DECIMALS.findall(_COMMENT.sub("", text[:_SAMPLE]))), default=0)
+    decimals = max((len(digits) for digits in _DECIMALS.findall(_COMMENT.sub("", text[:_SAMPLE_LENGTH]))), default=0)
     if decimals != _INCH_DECIMALS or not 0.0 < size.max() < _INCH_SIZE or feed > _INCH_FEED:
         return Issue("info", "units", message)
     message += (
@@ -436,8 +458,11 @@ def _unit_issue(path: MotionPath, text: str) -> Issue:
     return Issue("warning", "units", message)
 
 
-def _issues(path: MotionPath, modes: Modes, text: str) -> Iterator[Issue]:
-    """Yield information and warnings on how the program was read; their lines are those of the executed program."""
+def _reading_issues(path: MotionPath, modes: Modes, text: str) -> Iterator[Issue]:
+    """Yield remarks on units, approaches, held-back moves and moves of zero length, with lines as executed.
+
+    :param text: text of the program.
+    """
     if not modes.changes["units"]:
         yield _unit_issue(path, text)
     for remark in path.remarks:

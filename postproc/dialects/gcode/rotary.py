@@ -21,8 +21,8 @@ KIND_ADVICE = (
     'Write in [rotary] of the cell kind = "tcp" if X, Y, Z are the tool tip in the part (tool-centre-point control), '
     'or kind = "indexed" and the place of each axis if the part turns and X, Y, Z are machine axes.'
 )
-_OPPOSITE = -0.985
-"""Cosine of 170°: beyond it, the way from one direction to the next is a matter of rounding."""
+_OPPOSITE_COSINE = -0.985
+"""Cosine of 170°: beyond it, rounding decides on the plane in which the tool turns."""
 _INDEXED_ADVICE = 'Write kind = "tcp" in [rotary] of the cell if X, Y, Z are the tool tip in the part.'
 
 
@@ -40,8 +40,11 @@ class RotaryAxes(Struct, frozen=True, eq=False):
     upright: Array
 
     @classmethod
-    def of(cls, rotary: Rotary | None) -> RotaryAxes:
-        """Return the axes that a cell states."""
+    def from_cell(cls, rotary: Rotary | None) -> RotaryAxes:
+        """Return the axes that a cell states; None: no axes.
+
+        Directions of the tool count as "angles" without axes, which are (0, 0, 1) where the tool is upright.
+        """
         if rotary is None:
             return cls(np.zeros((0, 3)), None, np.zeros(0))
         if rotary.kind == "vector":
@@ -52,8 +55,8 @@ class RotaryAxes(Struct, frozen=True, eq=False):
         if rotary.kind != "indexed":
             return cls(signs * np.eye(3)[["ABC".index(letter) for letter in rotary.axes]], None, upright)
         directions = np.array([place.direction for place in places])
-        unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-        return cls(signs * unit, np.array([place.point for place in places]) * M_PER_MM, upright)
+        unit_directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+        return cls(signs * unit_directions, np.array([place.point for place in places]) * M_PER_MM, upright)
 
     @property
     def turns_part(self) -> bool:
@@ -63,7 +66,7 @@ class RotaryAxes(Struct, frozen=True, eq=False):
     def tool_direction(self, degrees: Array) -> Array:
         """Return the unit vectors (n, 3) from the tip to the spindle in the program frame, for angles (n, k) [deg].
 
-        The program frame of indexed axes turns with them: the tool is along its Z.
+        With indexed axes the program frame turns with the part in such a way that the tool is along its Z.
         """
         if self.turns_part:
             return np.broadcast_to([0.0, 0.0, 1.0], (len(degrees), 3))
@@ -72,7 +75,7 @@ class RotaryAxes(Struct, frozen=True, eq=False):
     def part_from_machine(self, degrees: Array) -> Array:
         """Return the pose (4, 4) [m] that maps points of the machine to the part, in `$BASE`, for angles (k,) [deg].
 
-        It is the identity with tool-centre-point control.
+        With tool-centre-point control it is the identity. With indexed axes it is T₁·T₂, see the module.
         """
         pose = np.eye(4)
         if self.points is None:
@@ -86,9 +89,9 @@ class RotaryAxes(Struct, frozen=True, eq=False):
 
 
 def kind_faults(rotary: Rotary, words: Array, tcp_on: Ints) -> list[Fault]:
-    """Return the fault of a program that turns rotary axes in a way that the cell does not state, or none.
+    """Return the faults of a program whose use of rotary axes does not agree with `kind` in [rotary] of the cell.
 
-    :param words: (L, k) words of the rotary axes [deg].
+    :param words: (L, k) words of the rotary axes [deg], or (L, 3) directions of the tool; NaN where absent.
     :param tcp_on: (n,) rows that switch tool-centre-point control on.
     """
     if rotary.kind == "indexed" and len(tcp_on):
@@ -102,19 +105,24 @@ def kind_faults(rotary: Rotary, words: Array, tcp_on: Ints) -> list[Fault]:
 
 
 def _direction_faults(words: Array) -> list[Fault]:
-    """Return the faults of directions (L, 3) as programmed, NaN where a line has no word: one for each line."""
+    """Return the faults of directions of the tool, at most one for each line.
+
+    Turns of more than 170° are only looked for if all directions are complete and not zero.
+
+    :param words: (L, 3) I, J, K of each line; NaN where absent.
+    """
     is_given = ~np.isnan(words)
     rows = np.flatnonzero(is_given.any(axis=1))
     is_partial = ~is_given[rows].all(axis=1)
     advice = "Give all three: controls do not agree on what a missing one means."
     faults = [Fault(int(row), "a direction of the tool without I, J or K", advice) for row in rows[is_partial]]
     rows = rows[~is_partial]
-    directions = np.concatenate([[[0.0, 0.0, 1.0]], words[rows]])
+    directions = np.concatenate([[[0.0, 0.0, 1.0]], words[rows]])  # the tool begins upright
     length = norm(directions)
     faults += [Fault(int(row), "I0 J0 K0 is no direction", "Check I, J and K.") for row in rows[length[1:] == 0.0]]
     if faults:
         return sorted(faults, key=lambda fault: fault.row)
-    unit = directions / length[:, None]
-    is_opposite = (unit[1:] * unit[:-1]).sum(axis=1) < _OPPOSITE
+    unit_directions = directions / length[:, None]
+    is_opposite = (unit_directions[1:] * unit_directions[:-1]).sum(axis=1) < _OPPOSITE_COSINE
     advice = "Let the CAM system write more points where the tool turns."
     return [Fault(int(row), "the tool turns by more than 170° in one line", advice) for row in rows[is_opposite]]

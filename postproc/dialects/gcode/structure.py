@@ -14,25 +14,33 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import Struct
 
-from postproc.dialects.gcode.expressions import ARGUMENTS, Key, Parameters, Reader, Value, key_of, nearest_integer
+from postproc.dialects.gcode.expressions import (
+    ARGUMENTS,
+    Key,
+    Parameters,
+    Reader,
+    Value,
+    nearest_integer,
+    parameter_key,
+)
 from postproc.dialects.gcode.words import MARK, BlockError, Fault, Source
 from postproc.program import Document, Ints, distinct
 
 _CALLS = re.compile(rb"M0*9[89](?![\d.])")
 _O_WORD = re.compile(rb"\n[\x01/]*(?:N\d+)?[\x01/]*O(?!\d+\x01*\n)")
 _NOTABLE = re.compile(rb"[#\[O%]|M0*(?:2|30|98|99)(?![\d.])")
-_HEAD = re.compile(r"(?:/[1-9]?)?(?:N\d+)?O(?=[\d#\[<])")
+_O_WORD_START = re.compile(r"(?:/[1-9]?)?(?:N\d+)?O(?=[\d#\[<])")
 _LABEL = re.compile(r"<([^<>#]+)>|(\d+)")
 _KEYWORD = re.compile("SUB|ENDSUB|CALL|DO|WHILE|REPEAT|IF|ELSEIF|ELSE|ENDIF|BREAK|CONTINUE|ENDWHILE|ENDREPEAT|RETURN|$")
 _LITERAL = re.compile(
     r"[^#\[A-Z]+|[A-Z][+-]?(?:\d+\.?\d*|\.\d+)"
     r"|[A-Z](?![#\[+-]|(?:ABS|ACOS|ASIN|ATAN|COS|EXISTS|EXP|FIX|FUP|LN|ROUND|SIN|SQRT|TAN)\[)"
 )
-_ORDER = re.compile(r"M0*(2|30|98|99)(?![\d.])")
+_END_WORD = re.compile(r"M0*(2|30|98|99)(?![\d.])")
 _EMPTY_LINE = re.compile(r"[\x01/%]*(?:N\d+)?\x01*(?:M0*(?:2|30))?\x01*")
 _O_NUMBER = re.compile(r"[Oo]?(\d+)")
-_WORDS_WITH_TEST = ("IF", "ELSEIF", "WHILE", "REPEAT")
-_OPENED_BY = {
+_KEYWORDS_WITH_CONDITION = ("IF", "ELSEIF", "WHILE", "REPEAT")
+_OPENING_KEYWORDS = {
     "ENDSUB": ("SUB",),
     "ELSEIF": ("IF",),
     "ELSE": ("IF",),
@@ -56,19 +64,21 @@ def is_controlled(source: Source) -> bool:
 class Block(Struct, frozen=True):
     """A line whose words are computed when it is executed.
 
-    :param settings: parameters that the line sets, after all its values have been evaluated.
-    :param parts: text, or a letter with the expression of its value.
+    :param settings: key and value of each parameter that the line sets, after all its values have been evaluated.
+    :param parts: the words in order: plain text, or a letter with the expression of its value.
     """
 
     settings: tuple[tuple[Callable[[Parameters], Key], Value], ...]
     parts: tuple[str | tuple[str, Value], ...]
 
-    def text(self, parameters: Parameters) -> str:
-        """Set the parameters of the line, and return its words with numbers in place of expressions.
+    def executed_text(self, parameters: Parameters) -> str:
+        """Set the parameters of the line in `parameters`, and return its words with numbers in place of expressions.
 
         :raises BlockError: a value is not known or not valid.
         """
-        text = "".join([part if isinstance(part, str) else _word(part[0], part[1](parameters)) for part in self.parts])
+        text = "".join(
+            [part if isinstance(part, str) else _word_text(part[0], part[1](parameters)) for part in self.parts]
+        )
         if self.settings:
             for key, value in [(key(parameters), value(parameters)) for key, value in self.settings]:
                 parameters.put(key, value)
@@ -79,8 +89,9 @@ class Order(Struct, frozen=True):
     """A line with an O-word.
 
     :param keyword: ``SUB``, ``CALL`` …; empty for a number alone.
-    :param label: its name; for a call possibly an expression.
-    :param values: the condition or count; the arguments of a call; the return value of a subprogram.
+    :param label: name or number of the subprogram, branch or loop; for a call possibly an expression.
+    :param values: the values in brackets. IF, ELSEIF, WHILE: the condition; REPEAT: the number of rounds; CALL: the
+        arguments; ENDSUB and RETURN: the value that the subprogram returns, if it has one.
     """
 
     keyword: str
@@ -89,7 +100,7 @@ class Order(Struct, frozen=True):
 
 
 class _OpenStructure(NamedTuple):
-    """A subprogram, branch or loop without an end so far: its first keyword, its label, and rows of its O-words."""
+    """A subprogram, branch or loop whose end has not been read: its first keyword, its label, rows of its O-words."""
 
     keyword: str
     label: str
@@ -103,9 +114,10 @@ class _OpenStructure(NamedTuple):
 class Unit(Struct, eq=False):
     """A file with the structure of its subprograms, loops and branches.
 
-    :ivar following: (L + 1,) from each row on, the next row with an O-word, a parameter, an expression, a % or an
-        M code that affects the execution order; L where there is none.
-    :ivar subs: label of each subprogram in LinuxCNC style → its row; `numbers`: the same in Fanuc style.
+    :ivar lines: row → its parsed line, filled by `parsed_line`.
+    :ivar next_notable_row: (L + 1,) for each row, the first row from it on with an O-word, a parameter, an expression,
+        a % or an M code that affects the execution order; L: there is none.
+    :ivar subs: label of each subprogram in LinuxCNC style → its row; `numbered_subs`: the same in Fanuc style.
     :ivar links: row of an O-word → rows of the O-words of its structure, first to last.
     :ivar faults: faults of its O-words.
     """
@@ -113,34 +125,34 @@ class Unit(Struct, eq=False):
     document: Document
     source: Source
     lines: dict[int, Order | Block | None] = {}
-    following: list[int] = []
+    next_notable_row: list[int] = []
     subs: dict[str, int] = {}
-    numbers: dict[str, int] = {}
+    numbered_subs: dict[str, int] = {}
     links: dict[int, tuple[int, ...]] = {}
     faults: list[Fault] = []
 
     @classmethod
-    def of(cls, document: Document, source: Source) -> Unit:
+    def from_source(cls, document: Document, source: Source) -> Unit:
         """Return a file with its structure."""
         unit = cls(document, source)
         positions = np.array([match.start() for match in _NOTABLE.finditer(source.code)], dtype=np.int64)
-        notable = distinct(np.searchsorted(source.ends, positions) - 1)
+        notable = distinct(np.searchsorted(source.ends, positions) - 1)  # line i begins after line feed i
         rows = np.append(notable, len(source))
-        unit.following = rows[np.searchsorted(notable, np.arange(len(source) + 1))].tolist()
-        unit._connect(notable)
+        unit.next_notable_row = rows[np.searchsorted(notable, np.arange(len(source) + 1))].tolist()
+        unit._link_structures(notable)
         return unit
 
-    def at(self, row: int) -> Order | Block | None:
-        """Return the parsed line of a row of `following`; None for %.
+    def parsed_line(self, row: int) -> Order | Block | None:
+        """Return the parsed line of a row of `next_notable_row`; None for %. Each line is parsed once.
 
         :raises BlockError: the line cannot be read.
         """
         if row not in self.lines:
-            self.lines[row] = _read(self.source.line(row).replace(MARK, ""))
+            self.lines[row] = _read_line(self.source.line(row).replace(MARK, ""))
         return self.lines[row]
 
-    def only_defines(self) -> str | None:
-        """Return the name of the first subprogram if the file only defines subprograms; else None.
+    def defined_subprogram(self) -> str | None:
+        """Return the name of the first subprogram of a file that only defines subprograms; None for a main program.
 
         In LinuxCNC style all lines are within SUB … ENDSUB. In Fanuc style the file ends with M99, and its
         name is a number.
@@ -153,20 +165,25 @@ class Unit(Struct, eq=False):
             return f"O<{next(iter(self.subs))}>"
         number = _O_NUMBER.fullmatch(self.document.name.partition(".")[0])
         if number:
-            ends = {end for row in main_rows if self.following[row] == row for end in end_words(self.source.line(row))}
+            ends = {
+                end
+                for row in main_rows
+                if self.next_notable_row[row] == row
+                for end in end_words(self.source.line(row))
+            }
             return f"O{int(number[1])}" if "99" in ends and not ends & {"2", "30"} else None
         return None
 
-    def _connect(self, notable: Ints) -> None:
-        """Connect the O-words of each loop, branch and subprogram.
+    def _link_structures(self, notable: Ints) -> None:
+        """Fill `links`, `subs`, `numbered_subs` and `faults` from the O-words of the file.
 
         :param notable: (n,) rows that may have O-words, ascending.
         """
         open_structures: list[_OpenStructure] = []
-        for row, order in self._orders(notable):
+        for row, order in self._rows_with_orders(notable):
             label, keyword = str(order.label), order.keyword
             if keyword == "":
-                self.numbers.setdefault(label, row)
+                self.numbered_subs.setdefault(label, row)
             elif keyword == "SUB":
                 self._add_subprogram(row, label, open_structures)
             same_label = [
@@ -174,12 +191,13 @@ class Unit(Struct, eq=False):
                 for n, structure in enumerate(open_structures)
                 if structure.label == label and structure.keyword != "SUB"
             ]
+            # WHILE ends a DO of the same label, and begins a loop otherwise
             if keyword == "WHILE" and same_label and open_structures[same_label[-1]].keyword == "DO":
                 self._close(row, open_structures, same_label[-1])
             elif keyword in ("SUB", "IF", "WHILE", "DO", "REPEAT"):
                 open_structures.append(_OpenStructure(keyword, label, [row]))
-            elif keyword in _OPENED_BY:
-                self._continue(row, keyword, label, open_structures)
+            elif keyword in _OPENING_KEYWORDS:
+                self._add_to_structure(row, keyword, label, open_structures)
         for structure in open_structures:
             self.faults.append(structure.end_fault())
         # BREAK and CONTINUE, linked to their opening row alone so far, get the rows of the structure that is closed now
@@ -187,25 +205,29 @@ class Unit(Struct, eq=False):
             self.links[row] = self.links.get(opening, (row, row))
 
     def _add_subprogram(self, row: int, label: str, open_structures: Sequence[_OpenStructure]) -> None:
-        """Add a subprogram that begins at a row; a fault if its name is not new, or if it is within another one."""
+        """Add a subprogram that begins at a row.
+
+        Add a fault if another subprogram has its name, or if it begins within another subprogram.
+        """
         if label in self.subs or any(structure.keyword == "SUB" for structure in open_structures):
             problem = "a second subprogram of this name" if label in self.subs else "a subprogram in another"
             self.faults.append(Fault(row, f"O{label} SUB: {problem}"))
         self.subs.setdefault(label, row)
 
-    def _continue(self, row: int, keyword: str, label: str, open_structures: list[_OpenStructure]) -> None:
-        """Add an O-word to the innermost open structure that it belongs to; a fault if there is none.
+    def _add_to_structure(self, row: int, keyword: str, label: str, open_structures: list[_OpenStructure]) -> None:
+        """Add an O-word to the innermost open structure that it belongs to; add a fault if there is none.
 
-        BREAK and CONTINUE are linked to the row of its first O-word until the structure is closed.
+        ELSEIF and ELSE continue a structure, words that begin with END close it, and RETURN changes nothing. BREAK and
+        CONTINUE are linked to the first row of the structure alone until it is closed.
         """
-        opening_words = _OPENED_BY[keyword]
+        opening_keywords = _OPENING_KEYWORDS[keyword]
         indices = [
             n
             for n, structure in enumerate(open_structures)
-            if structure.keyword in opening_words and (structure.label == label or keyword == "RETURN")
+            if structure.keyword in opening_keywords and (structure.label == label or keyword == "RETURN")
         ]
         if not indices:
-            problem = f"O{label} {keyword} without O{label} {' or '.join(opening_words)} before it"
+            problem = f"O{label} {keyword} without O{label} {' or '.join(opening_keywords)} before it"
             self.faults.append(Fault(row, problem))
         elif keyword in ("ELSEIF", "ELSE"):
             open_structures[indices[-1]].rows.append(row)
@@ -215,60 +237,65 @@ class Unit(Struct, eq=False):
             self.links[row] = (open_structures[indices[-1]].rows[0],)
 
     def _close(self, row: int, open_structures: list[_OpenStructure], index: int) -> None:
-        """Link the rows of the open structure of an index, which ends at a row; open ones inside it have no end."""
+        """Link the rows of an open structure, which ends at a row, and remove it from `open_structures`.
+
+        Structures that were opened inside it have no end: they are faults, and removed too.
+
+        :param index: index of the structure in `open_structures`.
+        """
         for structure in open_structures[index + 1 :]:
             self.faults.append(structure.end_fault())
         link = (*open_structures[index].rows, row)
         self.links.update(dict.fromkeys(link, link))
         del open_structures[index:]
 
-    def _orders(self, notable: Ints) -> Iterator[tuple[int, Order]]:
-        """Yield row and O-word of those of the rows that have one; unreadable lines are left out."""
+    def _rows_with_orders(self, notable: Ints) -> Iterator[tuple[int, Order]]:
+        """Yield row and O-word of the rows (n,) that have an O-word; unreadable lines are left out."""
         for row in notable.tolist():
             if "O" in self.source.line(row):
                 try:
-                    order = self.at(row)
+                    order = self.parsed_line(row)
                 except BlockError:
                     continue  # reported when the line is executed
                 if isinstance(order, Order):
                     yield row, order
 
 
-def _read(code: str) -> Order | Block | None:
-    """Return a block, or a control order with its O-word; None for a line that begins with %.
+def _read_line(code: str) -> Order | Block | None:
+    """Return a packed line as an order if it begins with an O-word, else as a block; None if it begins with %.
 
     :raises BlockError: the line cannot be read.
     """
     if code.startswith("%"):
         return None
-    head = _HEAD.match(code)
-    return _block(code) if head is None else _order(code, head.end())
+    head = _O_WORD_START.match(code)
+    return _read_block(code) if head is None else _read_order(code, head.end())
 
 
-def _order(code: str, at: int) -> Order:
-    """Return the O word that begins at character `at`.
+def _read_order(code: str, position: int) -> Order:
+    """Return the order of a line with an O-word, whose label begins at character `position`.
 
     :raises BlockError: its name, keyword or values are invalid.
     """
-    reader = Reader(code, at)
-    name = _LABEL.match(code, at)
-    label: str | Value
+    reader = Reader(code, position)
+    name = _LABEL.match(code, position)
+    label: str | Value  # an expression if the name is computed
     if name is not None:
-        reader.at = name.end()
-        label = key_of(name[1]) if name[1] else name[2].lstrip("0") or "0"
+        reader.position = name.end()
+        label = parameter_key(name[1]) if name[1] else name[2].lstrip("0") or "0"
     else:
-        label = reader.value()
-    keyword = _KEYWORD.match(code, reader.at)
+        label = reader.read_value()
+    keyword = _KEYWORD.match(code, reader.position)
     if keyword is None:
         raise BlockError("an O word among other words", "Write an O number in a line of its own.")
-    reader.at = keyword.end()
+    reader.position = keyword.end()
     if not isinstance(label, str) and keyword[0] != "CALL":
         raise BlockError(f"O with a computed name before {keyword[0] or 'the end of the line'}", "Only CALL takes one.")
     values: list[Value] = []
-    while reader.at < len(code):
-        values.append(reader.expression())
+    while reader.position < len(code):
+        values.append(reader.read_expression())
     min_count, max_count = {"CALL": (0, ARGUMENTS), "RETURN": (0, 1), "ENDSUB": (0, 1)}.get(keyword[0], (0, 0))
-    if keyword[0] in _WORDS_WITH_TEST:
+    if keyword[0] in _KEYWORDS_WITH_CONDITION:
         min_count = max_count = 1
     if not min_count <= len(values) <= max_count:
         problem = "too many values" if len(values) > max_count else "a value in [ ] is missing"
@@ -276,7 +303,7 @@ def _order(code: str, at: int) -> Order:
     return Order(keyword[0], label, tuple(values))
 
 
-def _block(code: str) -> Block:
+def _read_block(code: str) -> Block:
     """Return a line as assignments of parameters, and words with their values.
 
     :raises BlockError: it is invalid.
@@ -284,40 +311,42 @@ def _block(code: str) -> Block:
     settings: list[tuple[Callable[[Parameters], Key], Value]] = []
     parts: list[str | tuple[str, Value]] = []
     reader = Reader(code)
-    while reader.at < len(code):
-        if code[reader.at] == "#":
-            key = reader.parameter()
-            if not code.startswith("=", reader.at):
+    while reader.position < len(code):
+        if code[reader.position] == "#":
+            key = reader.read_parameter()
+            if not code.startswith("=", reader.position):
                 raise BlockError("a parameter without a word before it", "Write #1=… to set it, X#1 to use it.")
-            reader.at += 1
-            settings.append((key, reader.value()))
+            reader.position += 1
+            settings.append((key, reader.read_value()))
             continue
-        literal = _LITERAL.match(code, reader.at)
+        literal = _LITERAL.match(code, reader.position)
         if literal is not None:
             parts.append(literal[0])
-            reader.at = literal.end()
-        elif code[reader.at] == "[":
+            reader.position = literal.end()
+        elif code[reader.position] == "[":
             raise BlockError("an expression without a word before it", "Write comments in ( ), or after a semicolon.")
         else:
-            letter = code[reader.at]
-            reader.at += 1
-            parts.append((letter, reader.value()))
+            letter = code[reader.position]
+            reader.position += 1
+            parts.append((letter, reader.read_value()))
     return Block(tuple(settings), tuple(parts))
 
 
-def _word(letter: str, value: float) -> str:
-    """Return a word with its computed number.
+def _word_text(letter: str, value: float) -> str:
+    """Return the text of a word with a computed number.
 
-    :raises BlockError: a code or count is not whole, as rs274 requires; D may be a diameter.
+    M, N, T, L, H and O must be whole, G a whole number of tenths, as rs274 requires. D may be a diameter.
+
+    :raises BlockError: such a number is not whole.
     """
     if letter in "MNTLHO":
         return f"{letter}{nearest_integer(value)}"
     if letter == "G":
         return f"G{nearest_integer(10.0 * value) / 10.0:g}"
-    return letter + number(value)
+    return letter + _number_text(value)
 
 
-def number(value: float) -> str:
+def _number_text(value: float) -> str:
     """Return a number as G-code text, with more digits than any control resolves."""
     text = f"{value:.8f}" if abs(value) >= 1.0 else f"{value:.12f}"
     return text.rstrip("0").rstrip(".") or "0"
@@ -325,4 +354,4 @@ def number(value: float) -> str:
 
 def end_words(text: str) -> Mapping[str, str]:
     """Return the M2, M30, M98 and M99 in a line of plain words: number → the text of the word."""
-    return {match[1]: match[0] for match in _ORDER.finditer(text)}
+    return {match[1]: match[0] for match in _END_WORD.finditer(text)}

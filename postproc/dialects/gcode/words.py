@@ -32,9 +32,9 @@ from postproc.program import Document, Ints, distinct
 GROUPS = "G", "XYZ", "A", "B", "C", "IJK", "R", "F", "P", "Q", "L"
 """Letters whose words are kept, in groups."""
 COLUMNS = "".join(GROUPS)
-_PLACE = {letter: (group, column) for group in GROUPS for column, letter in enumerate(group)}
-_PLAIN = "GXYZABCIJKRF"
-LIMIT = 1e7
+_COLUMN_OF_LETTER = {letter: (group, column) for group in GROUPS for column, letter in enumerate(group)}
+_PLAIN_LETTERS = "GXYZABCIJKRF"
+WORD_LIMIT = 1e7
 """Words of this magnitude or more (10 km, in mm) are refused as mistakes."""
 
 Bytes = NDArray[np.uint8]
@@ -46,18 +46,25 @@ _COMMENTS = {"(": r"\(([^()\r\n]*)\)", ";": r";([^\r\n]*)", '"': r"[Mm][Ss][Gg][
 _NESTED_BRACKET = re.compile(r"\([^()\r\n]*\(")
 _NESTED_COMMENT = r"\(((?:[^()\r\n]|\([^()\r\n]*\))*)\)"
 _STATUS_QUERY = re.compile(r"^[ \t]*\?(?=[ \t]*(?:[;(\r\n]|\Z))", re.MULTILINE)
-_INNER = re.compile(r"\([^()]*\)")
-_BLOCK = re.compile(r"(?:[A-Z][-+]*(?:[\d.]+|[#\[].*))+", re.IGNORECASE)
-_PACK = bytes(ord("\n") if c in b"\0\r" else c for c in range(256)).upper()
-_COORDINATE = re.compile(rb"[XYZ][-+.\d#\[]")
+_INNER_COMMENT = re.compile(r"\([^()]*\)")
+_BLOCK_TEXT = re.compile(r"(?:[A-Z][-+]*(?:[\d.]+|[#\[].*))+", re.IGNORECASE)
+_PACKING_TABLE = bytes(ord("\n") if c in b"\0\r" else c for c in range(256)).upper()
+_COORDINATE_WORD = re.compile(rb"[XYZ][-+.\d#\[]")
 _LINE_NUMBER = re.compile(rb"\nN\d{1,15}(?=[A-Z\n\x01])")
 
 CUT_SHORT = "the program ends here, but coordinates follow", "Remove this %, or what follows it."
 """Problem and advice for a % between blocks."""
 
 _END, _DIGIT, _DOT, _SIGN, _LETTER, _MARK, _OTHER_WORD = range(7)
-_CLASSES = {b"\n": _END, b"0123456789": _DIGIT, b".": _DOT, b"+-": _SIGN, _PLAIN.encode(): _LETTER, b"\x01": _MARK}
-_CLASS = bytes(next((v for chars, v in _CLASSES.items() if c in chars), _OTHER_WORD) for c in range(256))
+_CLASSES = {
+    b"\n": _END,
+    b"0123456789": _DIGIT,
+    b".": _DOT,
+    b"+-": _SIGN,
+    _PLAIN_LETTERS.encode(): _LETTER,
+    b"\x01": _MARK,
+}
+_CLASS_TABLE = bytes(next((v for chars, v in _CLASSES.items() if c in chars), _OTHER_WORD) for c in range(256))
 _FOLLOWERS = {
     _END: (_END, _LETTER, _MARK),
     _DIGIT: (_DIGIT, _DOT, _END, _LETTER, _MARK),
@@ -76,7 +83,8 @@ class Source(Struct, frozen=True, eq=False):
 
     :param code: one byte a character, upper case, no white space, every comment one `MARK`; begins with a line feed,
         and every line ends with one, whatever the file uses.
-    :param ends: (L + 1,) positions of the line feeds; line i + 1 of the file is ``code[ends[i] + 1 : ends[i + 1]]``.
+    :param ends: (L + 1,) positions of the line feeds; row i, line i + 1 of the file, is
+        ``code[ends[i] + 1 : ends[i + 1]]``.
     :param comments: text of the comments without brackets or semicolon, in order.
     :param comment_lines: (C,) their 1-based lines.
     """
@@ -90,45 +98,45 @@ class Source(Struct, frozen=True, eq=False):
         return len(self.ends) - 1
 
     def line(self, row: int) -> str:
-        """Return the packed code of line `row` + 1."""
+        """Return the packed code of a row, which is line `row` + 1 of the file."""
         return self.code[self.ends[row] + 1 : self.ends[row + 1]].decode("ascii")
 
-    def coordinates(self, row: int) -> Ints:
-        """Return the rows after a line that have coordinates."""
+    def rows_with_coordinates(self, row: int) -> Ints:
+        """Return the rows (n,) after `row` that have coordinates, ascending."""
         positions = [
-            match.start() for match in _COORDINATE.finditer(self.code, int(self.ends[min(row + 1, len(self))]))
+            match.start() for match in _COORDINATE_WORD.finditer(self.code, int(self.ends[min(row + 1, len(self))]))
         ]
         return distinct(np.searchsorted(self.ends, np.array(positions, dtype=np.int64)) - 1)
 
-    def goes_on(self, row: int) -> bool:
-        """Return whether a line begins or ends with %, which ends the program, and coordinates follow it."""
+    def is_cut_short(self, row: int) -> bool:
+        """Return whether coordinates follow a row that ends the program by %, at its begin or end."""
         line = self.code[self.ends[row] + 1 : self.ends[row + 1]].strip(MARK.encode())
-        ends = line.startswith(b"%") or line.endswith(b"%")
-        return ends and _COORDINATE.search(self.code, int(self.ends[row + 1])) is not None
+        has_percent = line.startswith(b"%") or line.endswith(b"%")
+        return has_percent and _COORDINATE_WORD.search(self.code, int(self.ends[row + 1])) is not None
 
 
 class Words:
     """Values of the words in L lines, in the units of the program. A group without words takes no memory."""
 
-    def __init__(self, rows: int) -> None:
-        self._rows = rows
+    def __init__(self, row_count: int) -> None:
+        self._row_count = row_count
         self._values: dict[str, Array] = {}
 
     def __getitem__(self, group: str) -> Array:
         """Return the values (L, n) of a group of letters, one of `GROUPS`; NaN where a line has no such word."""
         values = self._values.get(group)
-        return np.broadcast_to(np.nan, (self._rows, len(group))) if values is None else values
+        return np.broadcast_to(np.nan, (self._row_count, len(group))) if values is None else values
 
     def column(self, letter: str) -> Array:
-        """Return the values (L,) of a letter."""
-        group, column = _PLACE[letter]
+        """Return the values (L,) of a letter; NaN where a line has no such word."""
+        group, column = _COLUMN_OF_LETTER[letter]
         return self[group][:, column]
 
     def put(self, letter: str, rows: Ints | int, values: Array | float) -> None:
-        """Give lines (n,) the values (n,) of a letter."""
-        group, column = _PLACE[letter]
+        """Set the words with a letter of lines (n,), or of a single line, to values (n,)."""
+        group, column = _COLUMN_OF_LETTER[letter]
         if group not in self._values:
-            self._values[group] = np.full((self._rows, len(group)), np.nan)
+            self._values[group] = np.full((self._row_count, len(group)), np.nan)
         self._values[group][rows, column] = values
 
     def remove(self, rows: Ints) -> None:
@@ -140,17 +148,17 @@ class Words:
 def split(document: Document) -> Source:
     """Return a program in upper case, without comments and white space.
 
-    A bracket outside comments (not closed in its line) stays in the code. Brackets in a comment belong to it unless a
-    control that ends the comment at the first closing bracket could read a block behind that.
+    A bracket that is not closed in its line stays in the code. Some controls end a comment at its first closing
+    bracket. So brackets within a comment belong to it only if the text after the first closing bracket is no block.
     """
     text = document.text
     if "?" in text:
-        text = _STATUS_QUERY.sub("$?", text)  # a character that is not ASCII becomes ? below
-    text, comments = _mark_comments(text.replace(MARK, "?"))
+        text = _STATUS_QUERY.sub("$?", text)  # marks the command to Grbl: characters that are not ASCII become ? below
+    text, comments = _mark_comments(text.replace(MARK, "?"))  # the file has no mark of its own then
     code_bytes = text.encode("ascii", "replace")
     if b"\r" in code_bytes:
         code_bytes = code_bytes.replace(b"\r\r\n", b"\0").replace(b"\r\n", b"\0")
-    code_bytes = code_bytes.translate(_PACK, b" \t")
+    code_bytes = code_bytes.translate(_PACKING_TABLE, b" \t")
     code = b"\n" + code_bytes if code_bytes.endswith(b"\n") else b"\n" + code_bytes + b"\n"
     ends = line_feeds(code)
     marks = (
@@ -185,16 +193,19 @@ def line_feeds(code: bytes) -> Ints:
 
 
 def _is_comment(text: str) -> bool:
-    """Return whether no control could read a block behind the first closing bracket of a comment with brackets."""
-    remaining_text = _INNER.sub("", text.partition(")")[2])[:-1] if text.startswith("(") else ""
-    return _BLOCK.fullmatch("".join(remaining_text.split())) is None
+    """Return whether a comment with brackets is a comment on every control.
+
+    It is not if a control that ends it at its first closing bracket would read the text after that as a block.
+    """
+    remaining_text = _INNER_COMMENT.sub("", text.partition(")")[2])[:-1] if text.startswith("(") else ""
+    return _BLOCK_TEXT.fullmatch("".join(remaining_text.split())) is None
 
 
 def read_plain(source: Source, rotary: str = "") -> tuple[Words, Ints]:
     """Read the plain motion blocks of a program in bulk.
 
-    :param rotary: letters of rotary axes; lines with others of A, B, C are not plain.
-    :returns: the words of these blocks, and the rows (n,) of the lines that are not plain, which have none.
+    :param rotary: letters of the rotary axes; a line with another letter of A, B, C is not plain.
+    :returns: the words of the plain blocks, and the rows (n,) of all other lines with text, ascending.
     """
     words = Words(len(source))
     other_rows = [
@@ -213,7 +224,7 @@ def _read_lines(source: Source, first: int, last: int, rotary: str, words: Words
     count = last - first
     code = source.code[source.ends[first] : source.ends[last] + 1]
     code = _LINE_NUMBER.sub(b"\n", code) if b"\nN" in code else code
-    kind = np.frombuffer(code.translate(_CLASS), dtype=np.uint8)
+    kind = np.frombuffer(code.translate(_CLASS_TABLE), dtype=np.uint8)  # class of each character
     ends = np.flatnonzero(kind == _END)
     needs_parser = np.zeros(count, dtype=bool)
     needs_parser[np.searchsorted(ends, _malformed_words(kind), side="left") - 1] = True
@@ -227,19 +238,20 @@ def _read_lines(source: Source, first: int, last: int, rotary: str, words: Words
     letter = np.frombuffer(code, dtype=np.uint8)[letters]
     value = _numbers(code)
 
-    by_letter = {name: np.flatnonzero(letter == ord(name)) for name in _PLAIN if name.encode() in code}
-    refused_rows = [row[np.abs(value) >= LIMIT]]
+    by_letter = {name: np.flatnonzero(letter == ord(name)) for name in _PLAIN_LETTERS if name.encode() in code}
+    refused_rows = [row[np.abs(value) >= WORD_LIMIT]]
     for name, indices in by_letter.items():
         rows, letter_values = row[indices], value[indices]
         if name in "ABC" and name not in rotary:
             refused_rows.append(rows)
             continue
         words.put(name, first + rows, letter_values)
-        refused_rows.append(rows[1:][rows[1:] == rows[:-1]])  # the same letter twice
+        refused_rows.append(rows[1:][rows[1:] == rows[:-1]])  # the letter twice in a line
         if name == "F":
             refused_rows.append(rows[letter_values < 0.0])
         elif name == "G":
-            refused_rows.append(rows[~np.isin(letter_values, (0.0, 1.0, 2.0, 3.0)) | np.signbit(letter_values)])
+            is_motion_code = np.isin(letter_values, (0.0, 1.0, 2.0, 3.0)) & ~np.signbit(letter_values)  # not G-0
+            refused_rows.append(rows[~is_motion_code])
     odd_rows = np.concatenate(refused_rows)
     words.remove(first + odd_rows)
     needs_parser[odd_rows] = True
@@ -253,36 +265,37 @@ def _blanked(code: bytes, ends: Ints, is_blank: NDArray[np.bool_]) -> bytes:
     :param is_blank: (n,) lines to blank, with their line feeds.
     """
     characters = np.frombuffer(code, dtype=np.uint8).copy()
-    characters[1:][np.repeat(is_blank, np.diff(ends))] = ord(" ")
+    characters[1:][np.repeat(is_blank, np.diff(ends))] = ord(" ")  # the first character is a line feed of no line
     return characters.tobytes()
 
 
 def _numbers(code: bytes) -> Array:
     """Return the numbers of all words of plain blocks (n,), in order."""
-    digits = code.translate(_TO_NUMBERS)
-    characters = np.frombuffer(digits, dtype=np.uint8)
+    number_texts = code.translate(_TO_NUMBERS)  # blanks between the numbers
+    characters = np.frombuffer(number_texts, dtype=np.uint8)
     values = parsed_numbers(characters, *numbers_in(characters))
-    return np.fromstring(digits, sep=" ") if values is None else values  # numbers with too many digits
+    return np.fromstring(number_texts, sep=" ") if values is None else values  # numbers with too many digits
 
 
 def _malformed_words(kind: Bytes) -> Ints:
-    """Return positions (n,) at which a plain word is malformed: wrong next character, two dots, no digit.
+    """Return positions (n,) at which a word is not plain: a wrong next character, two dots, or no digit at a dot.
 
     :param kind: (N,) class of each character, such as `_DIGIT`.
     """
-    pairs = (kind[:-1] << 3) | kind[1:]
+    pairs = (kind[:-1] << 3) | kind[1:]  # a class takes three bits
     wrong = np.flatnonzero(np.frombuffer(pairs.tobytes().translate(_WRONG_PAIR), dtype=np.bool_)) + 1
     dots = np.flatnonzero(kind[:-1] == _DOT)
-    bare = dots[(kind[dots - 1] != _DIGIT) & (kind[dots + 1] != _DIGIT)]
-    positions = [wrong, bare]
+    bare_dots = dots[(kind[dots - 1] != _DIGIT) & (kind[dots + 1] != _DIGIT)]
+    positions = [wrong, bare_dots]
     if bytes((_DOT, _DOT)) in kind.tobytes().translate(None, bytes((_DIGIT,))):
-        marks = np.flatnonzero(kind != _DIGIT)
-        positions.append(marks[1:][(kind[marks[1:]] == _DOT) & (kind[marks[:-1]] == _DOT)])
+        # two dots with only digits between them
+        others = np.flatnonzero(kind != _DIGIT)
+        positions.append(others[1:][(kind[others[1:]] == _DOT) & (kind[others[:-1]] == _DOT)])
     return np.concatenate(positions)
 
 
 def no_plain_words(source: Source) -> tuple[Words, Ints]:
-    """Return no words, and the rows (n,) of all lines with words: `read_plain` with no line taken as plain."""
+    """Return empty words and the rows (n,) of all lines with text: `read_plain` without plain lines (for tests)."""
     rows = [row for row in range(len(source)) if source.line(row).strip(MARK)]
     return Words(len(source)), np.array(rows, dtype=np.int64)
 
@@ -297,7 +310,7 @@ _MOST_WORDS = 100
 """More words than all letters and modal groups together: such a block is refused."""
 _MOST_DIGITS = 15
 """Whole numbers of more digits are not exact as floats."""
-_CHARACTERS = {
+_CHARACTER_ADVICE = {
     "/": "Write / at the beginning of the block.",
     ",": "Write decimals with a point: X10.5. Corners (,R and ,C) are not read: let the CAM system write them out.",
     "@": "Polar coordinates are not read: let the CAM system write X and Y.",
@@ -305,7 +318,7 @@ _CHARACTERS = {
     ":": "Write the number of the program as O1001 or :1001.",
     "$": "Remove settings of a Grbl controller ($110=500), and the number of a spindle ($1).",
 }
-_WHOLE = {
+_WHOLE_NUMBER_ADVICE = {
     "M": "Write one M code for each function.",
     "T": "Write the number of the tool alone, like T1: $TOOL contains its length (Fagor: the offset after the point).",
 }
@@ -315,11 +328,11 @@ _O_ADVICE = "Write an O number in a line of its own."
 class Fault(Struct, frozen=True):
     """Why a line cannot be read.
 
-    :param row: of the line.
+    :param row: row of the line.
     :param problem: what is wrong.
-    :param advice: what to do; None: that is clear from the problem.
-    :param lost_text: text of a block whose effect is unknown: positions, modes and feed may differ from there on;
-        empty: the fault changes nothing for later lines.
+    :param advice: what to do; None: the problem says it.
+    :param lost_text: text of a block whose effect is unknown: position, modes and feed of later lines are in doubt.
+        Empty: the fault has no effect on later lines.
     """
 
     row: int
@@ -331,7 +344,7 @@ class Fault(Struct, frozen=True):
 class Remark(NamedTuple):
     """A remark on a line for the user.
 
-    :param row: of the line.
+    :param row: row of the line.
     :param level, kind, message: see `Issue`.
     """
 
@@ -344,7 +357,7 @@ class Remark(NamedTuple):
 class BlockError(Exception):
     """A block cannot be read.
 
-    :ivar problem: why; `advice`: what to do, or None.
+    :ivar problem: what is wrong; `advice`: what to do, or None.
     """
 
     def __init__(self, problem: str, advice: str | None) -> None:
@@ -352,17 +365,16 @@ class BlockError(Exception):
         self.problem, self.advice = problem, advice
 
     def fault(self, row: int, lost_text: str = "") -> Fault:
-        """Return the error as the fault of a row; `lost_text`: see `Fault`."""
+        """Return the error as a fault of a row; `lost_text`: see `Fault`."""
         return Fault(row, self.problem, self.advice, lost_text)
 
 
 def words_of(code: str) -> list[tuple[str, float]]:
     """Return the words of a packed block, (letter, value) in order, without its N word or program number.
 
-    A G28 or G30 may have letters without numbers (``G28 X Y``, Marlin and other controls of printers): the axes that go
-    home, each with the value NaN.
+    G28 and G30 may have letters without numbers for the axes that go home (``G28 X Y``, Marlin): their value is NaN.
 
-    :param code: see `postproc.dialects.gcode.words.Source.line`.
+    :param code: packed text of the block, as `Source.line` returns it.
     :raises BlockError: part of the block is not a word, a word is repeated or out of range, or two codes exclude each
         other.
     """
@@ -373,14 +385,15 @@ def words_of(code: str) -> list[tuple[str, float]]:
     bare = _BARE_HOME.fullmatch(code)
     if bare is not None and len(set(bare[2])) == len(bare[2]):
         return [("G", float(bare[1])), *((letter, float("nan")) for letter in bare[2])]
-    pairs = _split(code)
+    pairs = _letters_and_numbers(code)
     try:
         block = Block(" ".join(letter + number for letter, number in pairs))
     except AssertionError as cause:
-        raise BlockError(_conflict(pairs), "Write one block for each.") from cause
-    except Exception as cause:  # pygcode has many kinds, and not all of them on purpose
+        raise BlockError(_conflict_problem(pairs), "Write one block for each.") from cause
+    except Exception as cause:  # pygcode raises exceptions of many kinds
         raise BlockError(f"not a valid block: {cause}", None) from cause
     words = [(word.letter, float(word.value)) for word in block.words]
+    # pygcode must find the words of the grammar above
     for block_word, (letter, number) in zip(words, pairs, strict=False):
         if block_word != (letter, float(number)):
             raise BlockError(f"{letter}{number} is not valid", "G has one decimal at most; M, N, T are whole numbers.")
@@ -389,15 +402,15 @@ def words_of(code: str) -> list[tuple[str, float]]:
     for letter, value in words:
         if letter == "N":
             raise BlockError("N is not the first word of its block", None)
-        if not abs(value) < LIMIT:
-            raise BlockError(f"{letter}{value:g} is out of range: the largest number is {LIMIT:g}", None)
+        if not abs(value) < WORD_LIMIT:  # also NaN
+            raise BlockError(f"{letter}{value:g} is out of range: the largest number is {WORD_LIMIT:g}", None)
     return words
 
 
-def _split(code: str) -> list[tuple[str, str]]:
-    """Return the letters and numbers of a block.
+def _letters_and_numbers(code: str) -> list[tuple[str, str]]:
+    """Return letter and number text of each word of a packed block, in order.
 
-    :raises BlockError: a character, number or word is invalid.
+    :raises BlockError: a character, number or word is invalid, or a letter other than G and M occurs twice.
     """
     pairs: list[tuple[str, str]] = []
     position, stop = 0, len(code.rstrip(MARK))
@@ -407,11 +420,11 @@ def _split(code: str) -> list[tuple[str, str]]:
             raise BlockError(*_fault_of_text(code[position:].lstrip(MARK)))
         if match[1] in "LNT" and len(match[2]) > _MOST_DIGITS:
             raise BlockError(f"{match[0].lstrip(MARK)[:20]}… has too many digits", None)
-        if match[1] in "MT" and "." in _plain_number(match[1], match[2]):
-            raise BlockError(f"{match[1]}{match[2]} is not a whole number", _WHOLE[match[1]])
+        if match[1] in "MT" and "." in _pygcode_number(match[1], match[2]):
+            raise BlockError(f"{match[1]}{match[2]} is not a whole number", _WHOLE_NUMBER_ADVICE[match[1]])
         if match[1] == "O":
             raise BlockError("an O word among other words", _O_ADVICE)
-        pairs.append((match[1], _plain_number(match[1], match[2])))
+        pairs.append((match[1], _pygcode_number(match[1], match[2])))
         if len(pairs) > _MOST_WORDS:
             raise BlockError(f"more than {_MOST_WORDS} words in one block", "Check the line ends of the file.")
         position = match.end()
@@ -421,8 +434,8 @@ def _split(code: str) -> list[tuple[str, str]]:
     return pairs
 
 
-def _plain_number(letter: str, number: str) -> str:
-    """Return a number in the form that pygcode reads: no plus sign, no empty decimals in codes."""
+def _pygcode_number(letter: str, number: str) -> str:
+    """Return the text of a number in the form that pygcode reads: no plus sign; in codes no zeros after the point."""
     number = number.lstrip("+")
     if letter in "GMT" and "." in number:
         number = number.rstrip("0").rstrip(".") or "0"
@@ -430,7 +443,7 @@ def _plain_number(letter: str, number: str) -> str:
 
 
 def _fault_of_text(text: str) -> tuple[str, str | None]:
-    """Return problem and advice for text that does not begin with a word."""
+    """Return problem and advice (or None) for the rest of a block, which does not begin with a word."""
     character = text[0]
     if character in "()":
         return "a bracket outside of comments", "Close each comment in its line. Do not nest comments."
@@ -441,10 +454,13 @@ def _fault_of_text(text: str) -> tuple[str, str | None]:
         return f"{character} without a number", "Write each letter with its number, like X1.5."
     if character == "?":
         return "a question mark or a character that is not ASCII outside of comments", None
-    return f"unexpected character {character!r}", _CHARACTERS.get(character)
+    return f"unexpected character {character!r}", _CHARACTER_ADVICE.get(character)
 
 
-def _conflict(code_words: Sequence[tuple[str, str]]) -> str:
-    """Return the problem of a block whose codes exclude each other, with the codes."""
+def _conflict_problem(code_words: Sequence[tuple[str, str]]) -> str:
+    """Return the problem of a block whose codes exclude each other; it names the codes.
+
+    :param code_words: letter and number text of each word.
+    """
     code_names = [f"{letter}{float(number):g}" for letter, number in code_words if letter in "GM"]
     return f"two codes of one modal group, or a code twice, in one block: {' '.join(code_names)}"
