@@ -15,7 +15,7 @@ import trimesh
 from postproc import files
 from postproc.cell import CellFile
 from postproc.dialects.krl.language.tokens import FORCE
-from postproc.dialects.krl.read.comments import _OF_THE_EDITOR
+from postproc.dialects.krl.read.comments import _EDITOR_COMMENT
 from postproc.errors import MAX_ERRORS, CellError, ForceError, ProgramError
 from postproc.jobs import read_documents
 from postproc.program import FORCE_COMMENT, parse_force_note
@@ -43,7 +43,7 @@ LONG = 100_000
 )
 def test_comments_about_forces(text):
     FORCE_COMMENT.match(text)
-    _OF_THE_EDITOR.match(f";{text}")
+    _EDITOR_COMMENT.match(f";{text}")
     list(FORCE.finditer(f";{text}"))
 
 

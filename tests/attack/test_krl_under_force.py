@@ -62,14 +62,14 @@ def stiffer(cell, robot, arm):
     return cell, robot, dataclasses.replace(arm, stiffness=arm.stiffness * 1.001)
 
 
-SETUP, STARTS, NOTES = krl_under_force.setup, path.starts, reader.notes_of
+SETUP, STARTS, NOTES = krl_under_force.setup, path.starts, reader.force_notes
 FAULTS = {
     "branches begin where the one before ends": (
         path,
         "starts",
         lambda program, *rest: STARTS(replace(program, after=None), *rest),
     ),
-    "first force holds to the end": (reader, "notes_of", lambda *given: NOTES(*given)[:1]),
+    "first force holds to the end": (reader, "force_notes", lambda *given: NOTES(*given)[:1]),
     "springs are softer by a thousandth": (krl_under_force, "setup", cache(lambda: stiffer(*SETUP()))),
 }
 

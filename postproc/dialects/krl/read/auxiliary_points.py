@@ -1,4 +1,4 @@
-"""Orientations of the auxiliary points of SCIRC: by which way the tool turns.
+"""Orientations of the auxiliary points of SCIRC: by which rotation the tool turns.
 
 KUKA, KSS 8.x, `$CIRC_MODE.AUX_PT.ORI`: under #CONSIDER, the default, the tool turns from the start to the end by the
 shorter or the longer rotation, whichever comes closer to the orientation of the auxiliary point: anywhere on the way.
@@ -45,10 +45,10 @@ _THROUGH_MESSAGE = (
 )
 _LONGER_ADVICE = "Leave A, B, C out of the auxiliary point, or give those of half the way; or use CIRC."
 _THROUGH_ADVICE = "Use #CONSIDER or #IGNORE, or divide the circle at its auxiliary point into two."
-_NO_TURN = 1e-6
+_LEAST_ROTATION = 1e-6
 """A tool that turns by less than this [rad] keeps its orientation: the rotation has no axis."""
-_ON_THE_WAY = 0.01 * RAD_PER_DEG
-"""An orientation closer than this [rad] to where the tool turns anyway is on its way; one must come closer by this."""
+_ORIENTATION_TOLERANCE = 0.01 * RAD_PER_DEG
+"""Orientations that differ by less than this [rad] count as equal, and so do two such differences."""
 
 
 class Circles(Struct, frozen=True, eq=False):
@@ -58,7 +58,7 @@ class Circles(Struct, frozen=True, eq=False):
     :param start: (n, 4, 4) tool frames at their starts, in `$BASE` [m].
     :param end: (n, 4, 4) tool frames at their targets, likewise.
     :param via: (n, 3) auxiliary points in `$BASE` [m].
-    :param arcs: through start, auxiliary point and end point of the text.
+    :param arcs: arcs through start, auxiliary point and end point as the text gives them.
     """
 
     rows: Ints
@@ -86,9 +86,10 @@ class AuxiliaryOrientations(Struct, frozen=True, eq=False):
 
     @property
     def has_effect(self) -> Bools:
-        """The circles (n,) whose auxiliary orientation acts; it must be ignored once they are corrected.
+        """True for the circles (n,) whose auxiliary orientation may act.
 
-        An orientation on the rotation of a whole circle need not be on those of its pieces.
+        Corrected circles need #IGNORE then: correction divides a circle into pieces, and the rotation of a piece need
+        not pass the orientation that the rotation of the whole circle passes.
         """
         return np.asarray(self.is_led_through | ~np.isnan(self.angles).all(axis=1))
 
@@ -98,66 +99,70 @@ def auxiliary_orientations(
     rows: MotionColumns,
     moves: Mapping[int, MotionStatement],
     circle_rows: Ints,
-    in_force: MotionStates,
+    states: MotionStates,
 ) -> AuxiliaryOrientations:
     """Return the orientations of the auxiliary points of circles.
 
-    :param rows: all motions.
-    :param moves: row → statement, of those that are not plain.
-    :param circle_rows: (n,) rows of the circles.
-    :param in_force: settings in force at the circles.
+    :param rows: all motions of the program.
+    :param moves: row → statement, for motions that are not read in bulk.
+    :param circle_rows: (n,) rows of the circles in `rows`.
+    :param states: (n,) settings in force at the circles.
     """
-    may_act = is_spline(trace, rows, circle_rows) & ~in_force.column(_ignores_auxiliary)
+    may_act = is_spline(trace, rows, circle_rows) & ~states.column(_ignores_auxiliary)
     angles = np.full((len(circle_rows), 3), np.nan)
     for index in np.flatnonzero(may_act).tolist():
         angles[index] = _auxiliary_angles(trace, rows, circle_rows.item(index), moves)
-    return AuxiliaryOrientations(angles, may_act & in_force.column(_may_lead_through))
+    return AuxiliaryOrientations(angles, may_act & states.column(_may_lead_through))
 
 
-def first_other_turn(circles: Circles, orientations: AuxiliaryOrientations, turns_with_path: Bools) -> int:
+def first_other_rotation(circles: Circles, orientations: AuxiliaryOrientations, turns_with_path: Bools) -> int:
     """Return the index of the first circle on which the tool does not turn by the shorter rotation; −1: there is none.
 
-    :param orientations: of the auxiliary points of the n circles.
+    :param orientations: orientations of the auxiliary points of the n circles.
     :param turns_with_path: (n,) True where the orientation is kept relative to the path, which itself turns the tool.
     """
     indices = np.flatnonzero(orientations.has_effect)
     if not len(indices):
         return -1
-    turns_otherwise = _turns_otherwise(
+    has_other_rotation = _has_other_rotation(
         circles.take(indices),
         orientations.angles[indices],
         turns_with_path[indices],
         orientations.is_led_through[indices],
     )
-    return int(indices[np.argmax(turns_otherwise)]) if turns_otherwise.any() else -1
+    return int(indices[np.argmax(has_other_rotation)]) if has_other_rotation.any() else -1
 
 
-def other_turn_error(trace: Trace, row: int, *, is_led_through: bool) -> ProgramError:
+def other_rotation_error(trace: Trace, row: int, *, is_led_through: bool) -> ProgramError:
     """Return the error that the tool does not turn by the shorter rotation on a circle.
 
-    :param row: of the trace.
-    :param is_led_through: True if it turns through the orientation of the auxiliary point, False if the longer way.
+    :param row: row of the circle in the trace, from 1.
+    :param is_led_through: True if the tool turns through the orientation of the auxiliary point; False if it turns by
+        the longer rotation.
     """
     problem, advice = (_THROUGH_MESSAGE, _THROUGH_ADVICE) if is_led_through else (_LONGER_MESSAGE, _LONGER_ADVICE)
     return trace.error(problem, row, advice)
 
 
-def _turns_otherwise(circles: Circles, via_angles: Array, turns_with_path: Bools, is_led_through: Bools) -> Bools:
-    """Return the circles (n,) on which the auxiliary orientation turns the tool otherwise than by the shorter rotation.
+def _has_other_rotation(circles: Circles, via_angles: Array, turns_with_path: Bools, is_led_through: Bools) -> Bools:
+    """Return where (n,) the auxiliary orientation turns the tool otherwise than by the shorter rotation.
 
-    :param via_angles: A, B, C (n, 3) [deg] of the auxiliary points, NaN where they are those of the start.
+    #INTERPOLATE: the shorter rotation misses the orientation where the arc passes the auxiliary point. Other modes: the
+    longer rotation comes closer to the orientation than the shorter one.
+
+    :param via_angles: A, B, C (n, 3) [deg] of the auxiliary points; NaN: the angle of the start.
     :param turns_with_path: (n,) True where the orientation is kept relative to the path, which itself turns the tool.
     :param is_led_through: (n,) True where the tool takes on the orientation in the auxiliary point (#INTERPOLATE).
     """
     centre, axis, angle = circles.arcs
-    numbers = xyzabc_from_pose(circles.start)
+    numbers = xyzabc_from_pose(circles.start)  # X…C; A, B, C are replaced by those of the auxiliary points
     numbers[:, 3:] = np.where(np.isnan(via_angles), numbers[:, 3:], via_angles)
     start_radius, via_radius = circles.start[:, :3, 3] - centre, circles.via - centre
     via_turn = np.arctan2(
         np.einsum("ij,ij->i", axis, np.cross(start_radius, via_radius)), np.einsum("ij,ij->i", start_radius, via_radius)
     )
-    via_turn %= 2.0 * np.pi
-    # orientations relative to the path, if they are kept so
+    via_turn %= 2.0 * np.pi  # from the start, in the direction of the arc
+    # undoes the rotation of the path, so that orientations are relative to the path if they are kept so
     path_axis = np.where(turns_with_path, -1.0, 0.0)[:, None] * axis
     start_orientation = circles.start[:, :3, :3]
     via_orientation = rotation_from_vector(via_turn[:, None] * path_axis) @ pose_from_xyzabc(numbers)[:, :3, :3]
@@ -166,23 +171,25 @@ def _turns_otherwise(circles: Circles, via_angles: Array, turns_with_path: Bools
     passed_orientation = rotation_from_vector((via_turn / angle)[:, None] * shorter_rotation) @ start_orientation
     return np.where(
         is_led_through,
-        angle_between(passed_orientation, via_orientation) > _ON_THE_WAY,
+        angle_between(passed_orientation, via_orientation) > _ORIENTATION_TOLERANCE,
         _is_longer_way_closer(start_orientation, shorter_rotation, via_orientation),
     )
 
 
 def _is_longer_way_closer(start: Array, shorter_rotation: Array, via: Array) -> Bools:
-    """Return where the longer way round (n,) comes as close to an orientation as the shorter, or closer.
+    """Return where (n,) the longer rotation comes as close to an orientation as the shorter rotation, or closer.
 
-    Turned from R₀ by φ about k, the tool differs from R_v by an angle whose cosine is a + ρ·cos(φ − φ₀). So the φ of a
-    way that is nearest to φ₀ is where it comes closest.
+    Turned from R₀ by φ about the axis k, the tool differs from R_v by an angle whose cosine is a + ρ·cos(φ − φ₀). The
+    shorter rotation passes φ = 0 … θ, the longer one φ = 2π … θ. So each comes closest to R_v at its φ nearest to φ₀.
+
+    False where the shorter rotation passes R_v, and where the tool does not turn.
 
     :param start: orientations R₀ (n, 3, 3).
-    :param shorter_rotation: rotation vectors (n, 3) [rad] of the shorter way, about k.
+    :param shorter_rotation: rotation vectors k·θ (n, 3) [rad].
     :param via: orientations R_v (n, 3, 3).
     """
     size = norm(shorter_rotation)
-    axis = shorter_rotation / np.maximum(size, _NO_TURN)[:, None]
+    axis = shorter_rotation / np.maximum(size, _LEAST_ROTATION)[:, None]
     # φ₀: with Q = R_v·R₀ᵀ, ρ·cos φ₀ is tr Q − kᵀ·Q·k, and ρ·sin φ₀ is −tr(k̂·Q)
     via_rotation = via @ np.swapaxes(start, 1, 2)
     cosine = np.trace(via_rotation, axis1=1, axis2=2) - np.einsum("ni,nij,nj->n", axis, via_rotation, axis)
@@ -197,11 +204,19 @@ def _is_longer_way_closer(start: Array, shorter_rotation: Array, via: Array) -> 
 
     shorter_angle = smallest_angle(0.5 * size, 0.5 * size)  # turns by 0 … size
     longer_angle = smallest_angle(0.5 * size + np.pi, np.pi - 0.5 * size)  # turns by size … 2π
-    return (shorter_angle > _ON_THE_WAY) & (shorter_angle > longer_angle - _ON_THE_WAY) & (size >= _NO_TURN)
+    return (
+        (shorter_angle > _ORIENTATION_TOLERANCE)
+        & (shorter_angle > longer_angle - _ORIENTATION_TOLERANCE)
+        & (size >= _LEAST_ROTATION)
+    )
 
 
 def _auxiliary_angles(trace: Trace, rows: MotionColumns, row: int, moves: Mapping[int, MotionStatement]) -> list[float]:
-    """Return A, B, C [deg] of the auxiliary point of a circle, NaN where missing."""
+    """Return A, B, C [deg] of the auxiliary point of a circle, NaN where missing.
+
+    :param row: row of the circle in `rows`.
+    :param moves: row → statement, for motions that are not read in bulk.
+    """
     if row in moves:
         via = moves[row].via
         return [np.nan] * 3 if via is None else list(via.position.values[3:6])

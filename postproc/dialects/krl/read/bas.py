@@ -14,9 +14,9 @@ from postproc.dialects.krl.read.path_settings import PathSettings
 from postproc.dialects.krl.read.state import FIELDS, State
 from postproc.dialects.krl.read.variables import Variables
 
-_OF_SPLINES = {"$CIRC_MODE": "auxiliary", "$SPL_ORI_JOINT_AUTO": "by_wrist"}
-"""Variables of spline motions, which BAS does not know, and what of the `State` they set."""
-_MOTION_VARIABLES = tuple(name for name in FIELDS if name not in _OF_SPLINES)
+_SPLINE_VARIABLES = {"$CIRC_MODE": "auxiliary", "$SPL_ORI_JOINT_AUTO": "by_wrist"}
+"""Variables of spline motions, which BAS does not set, and the fields of the `State` that they set."""
+_MOTION_VARIABLES = tuple(name for name in FIELDS if name not in _SPLINE_VARIABLES)
 BAS_SETS = {
     "#INITMOV": _MOTION_VARIABLES,
     "#VEL_CP": ("$VEL",),
@@ -28,12 +28,17 @@ BAS_SETS = {
     "#CP_PARAMS": _MOTION_VARIABLES,
 }
 """Which variables a command of BAS sets."""
-_HARMLESS = frozenset({"ACC_CP", "ACC_PTP", "VEL_PTP", "PTP_DAT", "OUT_SYNC", "OUT_ASYNC", "GROUP", "ACC_GLUE"})
-_COMMANDS = "#INITMOV, #BASE, #TOOL, #FRAMES, #VEL_CP, #CP_DAT, #CP_PARAMS, #PTP_PARAMS, #VEL_PTP, #ACC_CP, #ACC_PTP"
+_HARMLESS_COMMANDS = frozenset(
+    {"ACC_CP", "ACC_PTP", "VEL_PTP", "PTP_DAT", "OUT_SYNC", "OUT_ASYNC", "GROUP", "ACC_GLUE"}
+)
+"""Commands that change no field of the `State`."""
+_COMMAND_LIST = (
+    "#INITMOV, #BASE, #TOOL, #FRAMES, #VEL_CP, #CP_DAT, #CP_PARAMS, #PTP_PARAMS, #VEL_PTP, #ACC_CP, #ACC_PTP"
+)
 
 
 def command_of(source: Source, call: Call) -> str:
-    """Return the command of a call of BAS, upper case; empty without one."""
+    """Return the command of a call of BAS with its ``#``, upper case; empty without arguments."""
     return source.text[call.arguments[0].start : call.arguments[0].stop].strip().upper() if call.arguments else ""
 
 
@@ -47,7 +52,9 @@ class Bas:
     def state_after_call(self, state: State, place: Place, call: Call) -> State:
         """Return the state after ``BAS(#COMMAND, value)``.
 
-        :raises ProgramError: the command is not known.
+        A value that is not known makes the frame or the speed that it sets unknown.
+
+        :raises ProgramError: the command is not understood, or its value is missing.
         """
         source = place.source
         command = command_of(source, call)
@@ -71,16 +78,18 @@ class Bas:
             return self.path.state_with_speed(
                 self._state_after_frames(self._state_after_cp_dat(state, place), place), place, "CP", argument
             )
-        if command[1:] in _HARMLESS:
+        if command[1:] in _HARMLESS_COMMANDS:
             return state
-        raise place.error(f"BAS({command}) is not understood", f"Understood are {_COMMANDS}.")
+        raise place.error(f"BAS({command}) is not understood", f"Understood are {_COMMAND_LIST}.")
 
     def _state_after_initmov(self, state: State, place: Place) -> State:
-        """Return the state after BAS(#INITMOV,0), which resets the settings of motions.
+        """Return the state after BAS(#INITMOV,0): default settings, but for those of splines, which stay.
 
-        KUKA's BAS also sets BASE(0) and TOOL_DATA[1]; the cell says whether these are meant, or its own frames.
+        The frames depend on `[krl] initmov` of the cell. "bas": BASE(0) and TOOL_DATA[1], as KUKA's BAS sets them.
+        "cell": the frames of the cell, rows 0. Not stated: the frames of the cell as well; if the program has set
+        others before, the frames are not known.
         """
-        spline_fields = {field: getattr(state, field) for field in _OF_SPLINES.values()}
+        spline_fields = {field: getattr(state, field) for field in _SPLINE_VARIABLES.values()}
         initial_state = State(
             **spline_fields,
             uncertain_fields=tuple((field, index) for field, index in state.uncertain_fields if field in spline_fields),
@@ -97,22 +106,29 @@ class Bas:
         return replace(initial_state, initial_frames=frozenset(("$BASE", "$TOOL")))
 
     def _without_frames(self, state: State, place: Place, reason: str) -> State:
-        """Return a state in which `$BASE` and `$TOOL` are not known, for a reason."""
+        """Return a state in which `$BASE` and `$TOOL` are not known; the reason is stored for messages."""
         return self.frames.state_with_unknown_frame(
             self.frames.state_with_unknown_frame(state, "$BASE", place, reason), "$TOOL", place, reason
         )
 
     def _structure_value(self, name: str, place: Place) -> VariableValue:
-        """Return the value of a structure that a command of BAS reads, such as LDAT_ACT."""
+        """Return the value of a structure that a command of BAS reads: LDAT_ACT or FDAT_ACT."""
         return self.variables.evaluate(self._reference(name, None, place))
 
     def _reference(self, name: str, field: str | None, place: Place) -> Reference:
-        """Return a reference to a structure, or to a field of it; errors about it name the line of the call."""
+        """Return a reference to a structure or to one of its fields, as if the call of BAS contained it.
+
+        :param field: name of the field; None: the whole structure.
+        :param place: the call of BAS.
+        """
         start, _ = place.source.code_span(place.line)
-        return Reference(name, None, field, start, start)
+        return Reference(name, None, field, start, start)  # no text, but the line of the call for messages
 
     def _state_after_cp_dat(self, state: State, place: Place) -> State:
-        """Return the state after BAS(#CP_DAT): fields of LDAT_ACT replace settings, others stay."""
+        """Return the state after BAS(#CP_DAT): LDAT_ACT gives `$APO.CDIS`, `$ORI_TYPE` and `$CIRC_TYPE`.
+
+        A setting whose field LDAT_ACT lacks stays. If LDAT_ACT itself is not known, none of the three is known.
+        """
         data = self._structure_value("LDAT_ACT", place)
         for name, field in (("$APO", "APO_DIST"), ("$ORI_TYPE", "ORI_TYP"), ("$CIRC_TYPE", "CIRC_TYP")):
             value = self._reference("LDAT_ACT", field, place)
@@ -125,7 +141,10 @@ class Bas:
         return state
 
     def _state_after_frames(self, state: State, place: Place) -> State:
-        """Return the state after BAS(#FRAMES): FDAT_ACT gives `$IPO_MODE` and the numbers of `$BASE` and `$TOOL`."""
+        """Return the state after BAS(#FRAMES): FDAT_ACT gives `$IPO_MODE` and the numbers of `$BASE` and `$TOOL`.
+
+        A frame whose number is missing or not known is unknown afterwards; `$IPO_MODE` stays if its field is missing.
+        """
         data = self._structure_value("FDAT_ACT", place)
         if not isinstance(data, Aggregate):
             return self._without_frames(

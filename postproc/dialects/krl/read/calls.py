@@ -84,7 +84,9 @@ class Calls:
     def follow_call(self, place: Place, call: Call, *, is_certain: bool) -> VariableValue:
         """Follow a call, and return the value of the function, if it is one.
 
-        :param is_certain: True if the call surely runs, and once; else what it may write becomes unknown.
+        A routine that cannot be run exactly is not run: all that it may write becomes unknown.
+
+        :param is_certain: True if the call runs exactly once. If False, only a routine without side effects is run.
         :returns: an `UnknownValue` if the value is not known before run time.
         :raises ProgramError: the routine moves the robot where this cannot be corrected.
         """
@@ -118,9 +120,9 @@ class Calls:
         return unknown
 
     def _note_break_off(self, place: Place, call: Call) -> None:
-        """Note that RESUME may break off a called routine, and with it the motion that BRAKE has stopped.
+        """Add a call to `interruptible_calls` if RESUME may break it off, and with it the motion that BRAKE stopped.
 
-        Functions of the controller are not broken off.
+        Functions of the controller are not broken off. Calls in routines that are not traced do not count.
         """
         if not self.run.may_be_broken_off or not self.run.is_traced or call.name in PURE or call.name in STANDARD:
             return
@@ -129,9 +131,10 @@ class Calls:
         self.run.interruptible_calls.append((self.run.row, reason))
 
     def write_place(self, call: Call, name: str) -> Place | None:
-        """Return the place at which a called routine may write a variable; None if there is none.
+        """Return a place at which a called routine may write a variable.
 
         :param name: stored name of the variable.
+        :returns: None if the routine does not write the variable, or is in no file.
         """
         callee = self.run.library.find_callee(call.name, self.run.level.module)
         return None if callee is None else self.run.analysis.effects_of(*callee).writes.get(name)
@@ -148,11 +151,11 @@ class Calls:
         self._forget_arguments(place, call, None)
 
     def note_lasting_effects(self, place: Place, subject: str, effects: Effects, source: str | None = None) -> None:
-        """Note routines that are in no file, and variables that may change at any time from now on.
+        """Note effects that last: routines in no file, variables that may change at any time from now on, and RESUME.
 
-        :param subject: the routine or statement that has these effects, for errors on this line.
-        :param source: the same for errors on later lines.
-        :raises ProgramError: frames or speeds may change at any time, or a variable that a caller gave.
+        :param subject: the routine or statement that has these effects, as errors on this line name it.
+        :param source: the routine or statement as errors on later lines name it; None: `subject`.
+        :raises ProgramError: frames or speeds may change at any time, or a variable that a caller gave as an argument.
         """
         if not (effects.lasting_write or effects.absent_calls or effects.resume or effects.volatile_writes):
             return
@@ -169,7 +172,7 @@ class Calls:
         self.run.note_possible_changes(effects.volatile_writes, source or subject)
 
     def _forget_arguments(self, place: Place, call: Call, routine: Routine | None) -> None:
-        """Mark as unknown the variables and settings that a call may write by its arguments.
+        """Mark as unknown the variables and settings that are arguments of a call which it may write.
 
         :param routine: the called routine; None if it is in no file.
         """
@@ -185,9 +188,10 @@ class Calls:
     def _writable_arguments(self, place: Place, call: Call, routine: Routine | None) -> list[tuple[int, Reference]]:
         """Return the arguments that a routine may write: the index, from 0, and the variable of each.
 
-        They are given for parameters without ``:IN``, or for none.
+        An argument for a parameter with ``:IN`` cannot be written. All other arguments that are variables can, also
+        those without a parameter.
 
-        :param routine: the called routine; None if it is in no file.
+        :param routine: the called routine; None if it is in no file: its parameters are not known.
         """
         parameters = () if routine is None else routine.parameters
         return [
@@ -198,14 +202,15 @@ class Calls:
         ]
 
     def _may_have_run(self, place: Place, name: str, effects: Effects) -> None:
-        """Mark as unknown all variables and settings that a routine writes, since it may run any number of times.
+        """Mark as unknown all variables and settings that a routine may write, since it may run any number of times.
 
-        :param name: of the routine, for messages.
+        :param name: name of the routine, for messages.
         """
         for variable, write_place in effects.writes.items():
             if variable in RELEVANT:
                 problem = f"{name} may change {variable} ({write_place})"
-                fields = fields_of(variable) if variable in FIELDS else ["base", "tool"]  # as for $ROBROOT
+                # $ROBROOT and the like move all frames
+                fields = fields_of(variable) if variable in FIELDS else ["base", "tool"]
                 self.run.settings.make_uncertain(self.run.row, fields, place.error(problem, SETTING_ADVICE))
             else:
                 self.run.variables.forget(variable, str(write_place))
@@ -213,11 +218,14 @@ class Calls:
             self.run.settings.forget_turn_speeds(self.run.row)
 
     def _check_motion(self, place: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> None:
-        """Refuse the call of a routine of the program itself that moves the robot and is not in the trace.
+        """Check the call of a routine that is not in the trace, if it contains motions or force comments.
 
-        After such a call of a routine in another file, the robot position is not known; a warning says so.
+        Force comment: the acting force is not known after the call. Motions in the program itself: the call is refused.
+        Motions in another file: the call is added to `untraced_calls`, the robot position after it is not known, and a
+        warning says so. Under `--keep-unresolved` a call that would be refused is left uncorrected.
 
-        :raises ProgramError: the call cannot be left as it is.
+        :param routine: the called routine; `effects` are its effects.
+        :raises ProgramError: the call is refused.
         """
         run = self.run
         if effects.force_comment is not None and run.is_traced:
@@ -256,9 +264,10 @@ class Calls:
     ) -> None:
         """Warn that the motions of a called routine are not corrected.
 
-        :param spelling: of its name; `name` is upper case.
+        :param spelling: name of the routine as the program spells it; `name` is the name in upper case.
         :param cause: why the call is not followed.
-        :param motion_place: one of its motions; `dependent_place` the first that depends on where the robot is.
+        :param motion_place: one of the motions of the routine.
+        :param dependent_place: the first of these motions that depends on the robot position; None: none does.
         """
         cause_text = f"{cause.file}, line {cause.line}: {cause.problem}"
         message = (
@@ -273,9 +282,9 @@ class Calls:
         self.run.issues.append(Issue("warning", "motions-elsewhere", message, self.run.reported_line, subject=name))
 
     def traced_callee(self, call: Call) -> Callee | None:
-        """Return the called routine if it belongs in the execution trace, else None.
+        """Return the called routine if it belongs in the execution trace: it moves the robot or has a force comment.
 
-        It does if it moves the robot or contains a force comment.
+        :returns: None if it does not belong there, is in no file, or cannot be followed (`Run.obstacles`).
         """
         callee = self.run.library.find_callee(call.name, self.run.level.module)
         if callee is None or callee.routine in self.run.obstacles:
@@ -284,9 +293,9 @@ class Calls:
         return callee if effects.motion is not None or effects.force_comment is not None else None
 
     def enter_routine(self, place: Place, call: Call, module: Module, routine: Routine) -> None:
-        """Begin a called routine with motions; statements run in it until `leave_routine`.
+        """Make a called routine of the execution trace the running routine, until `leave_routine`.
 
-        :raises InexactError: it cannot be followed.
+        :raises InexactError: the call cannot be followed exactly.
         """
         effects = self.run.analysis.effects_of(module, routine)
         self.note_lasting_effects(place, call.name, effects)
@@ -299,13 +308,14 @@ class Calls:
         self._begin_routine(self.entered_calls[-1], is_traced=True)
 
     def leave_routine(self) -> None:
-        """End the routine that was entered last."""
+        """End the routine that was entered last, and return to its caller."""
         self._end_routine(self.entered_calls.pop())
 
     def _run_exactly(self, place: Place, call: Call, module: Module, routine: Routine) -> VariableValue | None:
-        """Run a called routine, and return its value; None if it cannot be run exactly.
+        """Run a called routine that is not in the trace, and return its value.
 
-        :returns: an `UnknownValue` if the routine gives no value.
+        :returns: an `UnknownValue` if the routine gives no value; None if the routine cannot be run exactly. After None
+            variables may have values that the routine has given them.
         """
         bound = self._bound_call(place, call, module, routine)
         level = self._begin_routine(bound, is_traced=False)
@@ -320,7 +330,11 @@ class Calls:
         return level.result if level.result != NO_VALUE else UnknownValue(str(place))
 
     def _obstacle(self, place: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> str:
-        """Return why a call cannot be run exactly, for a message; empty if it can."""
+        """Return why a call cannot be run exactly, as text for a message; empty if it can.
+
+        An argument that the routine may write needs one name in the routine, that of its parameter: a variable with two
+        names would have two values while the routine runs.
+        """
         if routine in self.run.stack:
             return "it calls itself"
         if self.run.may_be_broken_off:
@@ -344,9 +358,9 @@ class Calls:
         return ""
 
     def _is_matching_array(self, routine: Routine, index: int, reference: Reference, root: str) -> bool:
-        """Return whether an argument is a whole array, and of the type that its parameter has.
+        """Return whether an argument is a whole array for an array parameter of the same type.
 
-        :param index: of the argument and its parameter.
+        :param index: index of the argument and of its parameter.
         :param root: stored name of the array.
         """
         parameter = routine.parameters[index]
@@ -356,7 +370,7 @@ class Calls:
     def _bound_call(
         self, place: Place, call: Call, module: Module, routine: Routine, *, is_traced: bool = False
     ) -> _BoundCall:
-        """Return a call with the values of its parameters; functions in the arguments are run.
+        """Return a call with the scope and the argument values of its routine; functions in the arguments are run.
 
         :param is_traced: True if the routine is in the execution trace.
         """
@@ -397,7 +411,7 @@ class Calls:
     def _argument_values(
         self, place: Place, call: Call, routine: Routine, *, is_traced: bool
     ) -> dict[int, VariableValue]:
-        """Return the values of all arguments of a call by index; functions in them are run.
+        """Return the values of all arguments of a call, index → value; functions in the arguments are run.
 
         Arguments that are left out, and whole arrays, have `NO_VALUE`.
 
@@ -416,21 +430,23 @@ class Calls:
         return values
 
     def _begin_routine(self, bound: _BoundCall, *, is_traced: bool) -> Level:
-        """Make the routine of a call the running one, and set its parameters.
+        """Make the routine of a call the running routine, set its parameters, and return its `Level`.
 
-        :param is_traced: True if it is in the execution trace.
+        :param is_traced: True if the routine is in the execution trace.
         """
         for index, parameter in enumerate(bound.routine.parameters):
             if parameter.name in bound.scope.array_names:
                 continue  # an array of the caller
             stored_name, kind = bound.scope.stored_name(parameter.name), bound.routine.types.get(parameter.name, "")
-            argument_kind = bound.argument_types.get(index, kind)  # parameters with :IN have values of their own
+            # a parameter with :IN has no type here: its value is separate from the argument
+            argument_kind = bound.argument_types.get(index, kind)
             if (kind == "REAL" and argument_kind in ("INT", WHOLE)) or (kind == "INT" and argument_kind != "INT"):
-                kind = WHOLE
+                kind = WHOLE  # see `_BoundCall.argument_types`
             if kind:
                 self.run.variables.types[stored_name] = kind
             argument_value = bound.argument_values.get(index, NO_VALUE)
             value = convert_to_type(argument_value, kind) if kind else argument_value
+            # the same object if it is equal: `_end_routine` compares by identity to see whether the routine has set it
             self.run.variables.put(stored_name, argument_value if value == argument_value else value)
         self.run.variables.volatile_values |= bound.volatile_names
         self.run.level = Level(bound.module, bound.routine, bound.scope, is_traced=is_traced)
@@ -439,22 +455,23 @@ class Calls:
         return self.run.level
 
     def _leave_routine(self, bound: _BoundCall) -> None:
-        """Make the caller the running routine again."""
+        """Make the caller the running routine again; its arguments keep the values that they had before the call."""
         self.run.stack.pop()
         self.run.level, self.run.variables.scope = bound.caller, bound.caller_scope
         for name in bound.volatile_names:
             self.run.variables.volatile_values.pop(name, None)
 
     def _end_routine(self, bound: _BoundCall) -> None:
-        """End a called routine: its caller runs again, with the values that the call leaves in its arguments.
+        """End a called routine: its caller runs again, and its arguments get the final values of the parameters.
 
-        An argument whose parameter still has its value stays as it is.
+        An argument whose parameter has not been set stays as it is. An argument of which it is not known which variable
+        it is, and a system variable that does not keep what is written, become unknown.
         """
         self._leave_routine(bound)
         place, variables = bound.place, self.run.variables
         for index, reference, key in bound.references:
             value = variables.value(bound.scope.stored_name(bound.routine.parameters[index].name))
-            if value is bound.argument_values[index] or value is None:
+            if value is bound.argument_values[index] or value is None:  # the parameter has not been set
                 continue
             if key is None or (reference.name[0] == "$" and reference.name not in STORED_VARIABLES):
                 variables.forget(self.run.stored_name(reference.name), str(place))
@@ -465,7 +482,10 @@ class Calls:
 
 
 def _has_no_effects(effects: Effects) -> bool:
-    """Return whether a routine only gives a value: it writes nothing outside, moves nothing, does not jump."""
+    """Return whether a routine only gives a value: it writes no variable outside, moves nothing and does not jump.
+
+    Turn speeds (`Effects.turn_speed`) do not count: it may set them.
+    """
     changes = effects.writes or effects.volatile_writes or effects.absent_calls
     moves = effects.motion or effects.interrupt_motion or effects.force_comment or effects.resume
     return not (changes or moves or effects.parameter_write or effects.lasting_write or effects.jump)
@@ -474,13 +494,13 @@ def _has_no_effects(effects: Effects) -> bool:
 class _PureFunctions(Struct, frozen=True, eq=False):
     """The functions of a program that change nothing, see `variables.Functions`.
 
-    :param calls: follows them.
+    :param calls: follows the calls of these functions.
     """
 
     calls: Calls
 
     def is_pure(self, call: Call) -> bool:
-        """Return whether a call gives a value and does nothing else; functions in its arguments do not count."""
+        """Return whether a called function gives a value and changes nothing; calls in its arguments do not count."""
         run = self.calls.run
         if call.name in PURE:
             return True
@@ -492,7 +512,7 @@ class _PureFunctions(Struct, frozen=True, eq=False):
         )
 
     def value(self, call: Call) -> VariableValue:
-        """Return the value of a call of such a function, at the statement that runs; `NO_VALUE` if none runs."""
+        """Return the value of a call of a pure function at the statement that runs; `NO_VALUE` before the first one."""
         place = self.calls.run.place
         return NO_VALUE if place is None else self.calls.follow_call(place, call, is_certain=False)
 
@@ -511,13 +531,17 @@ class _Argument(NamedTuple):
 
 
 class _BoundCall(Struct, frozen=True, eq=False):
-    """A call.
+    """A call with its arguments.
 
+    :param place: the statement that contains the call.
+    :param scope: scope of the names in the called routine, for this call alone.
     :param references: arguments that the routine may write.
-    :param argument_values: values of all arguments, by index.
-    :param argument_types: types of `references`, by index. A REAL parameter whose argument is an INT, or the other way
-        round, is `WHOLE`: no source says whether the routine sees what it assigned or what the variable keeps of it.
+    :param argument_values: index → value, of all arguments.
+    :param argument_types: index → type, of `references`. A REAL parameter whose argument is an INT, or an INT parameter
+        whose argument is a REAL, gets the type `WHOLE`: no source says whether the routine then reads the number that
+        it assigned or the number that the variable of the caller keeps of it.
     :param volatile_names: stored names of parameters whose arguments may change at any time, and what changes them.
+    :param caller: the calling routine; `caller_scope` is the scope of its names.
     """
 
     place: Place

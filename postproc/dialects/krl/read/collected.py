@@ -23,26 +23,28 @@ class CollectedMotions:
     """
 
     def __init__(self, run: Run, reader: MotionReader) -> None:
-        """Begin without motions; `_refused` has control structures whose motions were refused."""
+        """Begin without motions."""
         self.run, self.reader = run, reader
         self.motions = MotionCollector()
         self.idle_rows: list[int] = []
         self.splines = SplineBlocks(run.settings, reader)
-        self._refused: set[Place] = set()
+        self._refused_structures: set[Place] = set()  # control structures whose motions were refused
 
     def take_motion(self, place: Place, stmt: Statement) -> None:
-        """Take a motion, or a line that begins or ends a spline block; the functions in it have been followed.
+        """Add a motion to `motions`, or follow a line that begins or ends a spline block.
 
-        Under `--keep-unresolved` a motion whose target is not known is noted, to be left as it is.
+        A motion to where the robot is already is added to `idle_rows` instead. Under `--keep-unresolved` a motion whose
+        target is not known is added to `run.unresolved_motions`, to be left uncorrected.
 
-        :raises ProgramError: it is not understood, not certain, or its target is not known before the program runs.
+        :param stmt: the statement at `place`; the functions that it calls have been followed.
+        :raises ProgramError: the statement is not understood, may not run, or its target is not known before run time.
         """
         run = self.run
         if not isinstance(stmt, Motion):
             self.splines.follow_line(place, stmt, run.row)
             return
         if run.level.open_structures and not keeps_position(stmt):
-            self._refuse(place)
+            self._refuse_uncertain_motion(place)
             return
         try:
             move, state, name_offsets = self.reader.read_motion(place, stmt, run.row)
@@ -52,18 +54,17 @@ class CollectedMotions:
             run.unresolved_motions.append((run.row, cause))
             return
         run.understand(*name_offsets)
-        if move is None:
+        if move is None:  # the robot is at the target already
             self.idle_rows.append(run.row)
         else:
             self.motions.add(move, state)
 
-    def _refuse(self, place: Place) -> None:
-        """Refuse a motion of which it is not known whether or how often it runs.
+    def _refuse_uncertain_motion(self, place: Place) -> None:
+        """Refuse a motion in a control structure, of which it is not known whether or how often it runs.
 
-        Each control structure is reported once. Under `--keep-unresolved` the motion is noted instead, to be left as it
-        is.
+        Under `--keep-unresolved` the motion is added to `run.unresolved_motions` instead, to be left uncorrected.
 
-        :raises ProgramError: without that option.
+        :raises ProgramError: without that option, at the first motion of each control structure.
         """
         run = self.run
         opener, open_line = run.level.open_structures[-1]
@@ -71,6 +72,6 @@ class CollectedMotions:
         problem = f"motion inside {opener} ({opening_place})"
         if run.keeps_unresolved:
             run.unresolved_motions.append((run.row, place.error(problem)))
-        elif opening_place not in self._refused:
-            self._refused.add(opening_place)
+        elif opening_place not in self._refused_structures:
+            self._refused_structures.add(opening_place)
             raise place.error(problem, LOOP_ADVICE)

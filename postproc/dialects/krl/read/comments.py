@@ -30,20 +30,23 @@ _ADVICE = "Write a force comment before this motion."
 
 def force_comment_lines(source: Source) -> tuple[int, ...]:
     """Return the lines of a file that have a force comment, ascending."""
-    return tuple(_force_comment_places(source)[1].tolist())
+    _, lines = _force_comment_offsets(source)
+    return tuple(lines.tolist())
 
 
-def notes_of(
+def force_notes(
     course: Course,
     motions: Ints,
-    rapid: Bools,
+    is_rapid: Bools,
     unknown_reasons: Mapping[int, str],
     unchecked_joins: Set[Join] = frozenset(),
 ) -> list[tuple[int, ForceNote]]:
-    """Return the force comments of a trace, by its lines; the acting force is stated again at branches and joins.
+    """Return the force comments of a trace, each with its line of the trace, in order.
+
+    At branches and joins a comment is added that states the acting force again.
 
     :param motions: (M,) lines of the motions in the trace.
-    :param rapid: (M,) True for motions that carry no force.
+    :param is_rapid: (M,) True for motions that carry no force.
     :param unknown_reasons: lines of the trace after which the acting force is not known, and why.
     :param unchecked_joins: joins at which branches may end in different poses.
     :raises ProgramError: the force on a motion is not known.
@@ -66,19 +69,20 @@ def notes_of(
     marks = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not marks and not unknown_reasons:
         return notes
-    return _ActiveForce(course, motions, rapid, unchecked_joins).with_restated_notes(notes, unknown_reasons, marks)
+    return _ActiveForce(course, motions, is_rapid, unchecked_joins).with_restated_notes(notes, unknown_reasons, marks)
 
 
 def _parsed_notes(
     trace: Trace, motions: Ints, lines: Ints, comments: NDArray[np.object_]
 ) -> Iterator[tuple[int, ForceNote]]:
-    """Yield the force comments of a trace, by its lines.
+    """Yield the force comments of a trace, each with its line of the trace; each text is parsed once.
 
     :param motions: (M,) lines of the motions in the trace.
-    :param lines: (n,) lines of the comments in the trace; `comments` (n,) their texts. Each text is parsed once.
+    :param lines: (n,) lines of the comments in the trace; `comments` (n,) their texts.
     :raises ForceError: a comment cannot be read.
     """
     note_of_text: dict[str, ForceNote | None] = {}
+    # first motion on or after each line, and the line in the file
     rows, lines_in_files = np.searchsorted(motions, lines).tolist(), trace.line[lines - 1].tolist()
     for comment, line, file_line, row in zip(comments.tolist(), lines.tolist(), lines_in_files, rows, strict=True):
         if comment not in note_of_text:
@@ -90,30 +94,32 @@ def _parsed_notes(
 
 
 class _ForcePair(NamedTuple):
-    """The acting force, and that of the last motion."""
+    """The acting force, and the force on the last motion."""
 
-    now: _Force
-    last: _Force
+    active_force: _Force
+    motion_force: _Force
 
 
 class _ActiveForce:
     """The force comment in force, from line to line.
 
-    :ivar now: the comment in force; a text if it is not known: the reason.
-    :ivar last: the same for the last motion.
+    :ivar active_force: the comment in force; None: no force; a text: the reason why the force is not known.
+    :ivar motion_force: the force on the last motion, likewise; None if that motion carries no force.
+    :ivar passed_line: last line of the trace whose motions have been passed.
     """
 
-    def __init__(self, course: Course, motions: Ints, rapid: Bools, unchecked_joins: Set[Join]) -> None:
-        """Begin before the first line, without a force; `since` is the last line whose motions have been passed.
+    def __init__(self, course: Course, motions: Ints, is_rapid: Bools, unchecked_joins: Set[Join]) -> None:
+        """Begin before the first line, without a force.
 
-        :param motions: (M,) lines of the motions in the trace; `rapid` (M,) True for those that carry no force.
+        :param motions: (M,) lines of the motions in the trace.
+        :param is_rapid: (M,) True for motions that carry no force.
         :param unchecked_joins: joins at which branches may end in different poses.
         """
-        self.course, self.motions, self.rapid, self.unchecked_joins = course, motions, rapid, unchecked_joins
+        self.course, self.motions, self.is_rapid, self.unchecked_joins = course, motions, is_rapid, unchecked_joins
         self.notes: list[tuple[int, ForceNote]] = []
-        self.now: _Force = None
-        self.last: _Force = None
-        self.since = 0
+        self.active_force: _Force = None
+        self.motion_force: _Force = None
+        self.passed_line = 0
 
     def with_restated_notes(
         self,
@@ -121,12 +127,13 @@ class _ActiveForce:
         unknown_reasons: Mapping[int, str],
         marks: Sequence[Fork | Branch | Join],
     ) -> list[tuple[int, ForceNote]]:
-        """Return the force comments, with those that state the acting force again at branches and joins.
+        """Return the force comments, and added comments that state the acting force again at branches and joins.
 
-        :param notes: force comments by lines of the trace.
-        :param unknown_reasons: lines after which the acting force is not known, and why.
+        :param notes: force comments, each with its line of the trace.
+        :param unknown_reasons: lines of the trace after which the acting force is not known, and why.
         :param marks: forks, branches and joins of the trace.
         """
+        # line, order on the line, event
         events: list[tuple[int, int, _Force | Fork | Branch | Join]] = [
             *((line, 0, note) for line, note in notes),
             *((line, 1, reason) for line, reason in unknown_reasons.items()),
@@ -135,51 +142,62 @@ class _ActiveForce:
         # per open fork: the forces at it, and those at the ends of its branches
         open_forks: list[tuple[_ForcePair, list[_ForcePair]]] = []
         for line, _, event in sorted(events, key=lambda event: event[:2]):
-            self._pass_motions(line - isinstance(event, ForceNote))
+            # a comment acts on the motion of its own line, other events on the motions after it
+            self._pass_motions(line - 1 if isinstance(event, ForceNote) else line)
             if isinstance(event, ForceNote):
                 self.notes.append((line, event))
-                self.now = event
+                self.active_force = event
             elif isinstance(event, str):
-                self.now = event
+                self.active_force = event
             elif isinstance(event, Fork):
-                open_forks.append((_ForcePair(self.now, self.last), []))
+                open_forks.append((_ForcePair(self.active_force, self.motion_force), []))
             elif isinstance(event, Branch):
                 entry, ends = open_forks[-1]
-                ends.append(_ForcePair(self.now, self.last))
-                self.last = entry.last
-                self._set_force(line, entry.now)
+                ends.append(_ForcePair(self.active_force, self.motion_force))
+                self.motion_force = entry.motion_force
+                self._set_force(line, entry.active_force)
             elif isinstance(event, Join):
                 entry, ends = open_forks.pop()
-                end_forces = [*ends[1:], _ForcePair(self.now, self.last), *([] if event.is_exhaustive else [entry])]
+                # the first of `ends` was noted where the first branch begins: it is no end
+                end_forces = [*ends[1:], _ForcePair(self.active_force, self.motion_force)]
+                if not event.is_exhaustive:
+                    end_forces.append(entry)
                 self._pass_join(line, end_forces, is_unchecked=event in self.unchecked_joins)
         self._pass_motions(len(self.course.trace))
         return self.notes
 
     def _pass_join(self, line: int, ends: Sequence[_ForcePair], *, is_unchecked: bool) -> None:
-        """Set the force that acts after a join.
+        """Set the force that acts after a join; if it differs between the branches, it is not known.
 
-        :param ends: for each branch, the force at its end and that of its last motion.
+        A force common to all branches is not stated again if a motion is on the line of the join.
+
+        :param ends: for each branch, the acting force at its end and the force on its last motion.
         :param is_unchecked: True if branches may end in different poses.
-        :raises ProgramError: the branches end under different forces: corrected, they would end in different poses.
+        :raises ProgramError: the last motions are under different forces: corrected, they would end in different poses.
         """
-        forces, last_forces = ([_wrench_and_frame(end[index]) for end in ends] for index in (0, 1))
+        forces = [_wrench_and_frame(end.active_force) for end in ends]
+        motion_forces = [_wrench_and_frame(end.motion_force) for end in ends]
         if not is_unchecked and any(
-            _certainly_differ(force, last_forces[0]) or _turns_with_path(*force) for force in last_forces
+            _certainly_differ(force, motion_forces[0]) or _turns_with_path(*force) for force in motion_forces
         ):
             problem = "the branches that end here do so under different forces: corrected, they would not meet"
             raise self.course.trace.error(problem, line, _JOIN_ADVICE)
         is_common = all(force == forces[0] for force in forces)
         row = int(np.searchsorted(self.motions, line))
         if is_common and row < len(self.motions) and self.motions[row] == line:
-            return  # not stated again on the line of a motion after which a routine ends
-        self._set_force(line, ends[0].now if is_common else "branches that meet before it leave different ones")
+            return  # the line of a motion after which a routine ends
+        self._set_force(
+            line, ends[0].active_force if is_common else "branches that meet before it leave different ones"
+        )
 
     def _set_force(self, line: int, force: _Force) -> None:
-        """Make a force the acting one from a line of the trace on, and add a comment to `notes` that states it.
+        """Set the acting force from a line of the trace on, and add a comment to `notes` that states it.
 
-        :param force: a comment; None: no force; a text: why it is not known, which no comment can state.
+        No comment is added for an unknown force, or for no force before the first comment.
+
+        :param force: a comment; None: no force; a text: the reason why the force is not known.
         """
-        self.now = force
+        self.active_force = force
         if isinstance(force, str) or (force is None and not self.notes):
             return
         wrench, frame = _wrench_and_frame(force)
@@ -187,23 +205,27 @@ class _ActiveForce:
         self.notes.append((line, ForceNote(origin, wrench, frame, int(np.searchsorted(self.motions, line)))))
 
     def _pass_motions(self, line: int) -> None:
-        """Pass the motions up to a line, with the acting force.
+        """Pass the motions up to and including a line: the acting force becomes the force on the last of them.
 
-        :raises ProgramError: the force on one of them is not known.
+        :raises ProgramError: the force on one of these motions is not known.
         """
-        first, stop = np.searchsorted(self.motions, [self.since, line], side="right").tolist()
-        self.since = max(self.since, line)
+        # motions after `passed_line`, up to and including `line`
+        first, stop = np.searchsorted(self.motions, [self.passed_line, line], side="right").tolist()
+        self.passed_line = max(self.passed_line, line)
         if first >= stop:
             return
-        cutting = np.flatnonzero(~self.rapid[first:stop])
-        if isinstance(self.now, str) and len(cutting):
-            problem = f"which force acts is not known: {self.now}"
-            raise self.course.trace.error(problem, int(self.motions[first + cutting[0]]), _ADVICE)
-        self.last = None if self.rapid[stop - 1] else self.now
+        loaded_rows = first + np.flatnonzero(~self.is_rapid[first:stop])
+        if isinstance(self.active_force, str) and len(loaded_rows):
+            problem = f"which force acts is not known: {self.active_force}"
+            raise self.course.trace.error(problem, int(self.motions[loaded_rows[0]]), _ADVICE)
+        self.motion_force = None if self.is_rapid[stop - 1] else self.active_force
 
 
 def _certainly_differ(force: tuple[Any, ...], other_force: tuple[Any, ...]) -> bool:
-    """Return whether two forces, each a wrench and its axes, certainly differ; in different axes they may be equal."""
+    """Return whether two forces, each a wrench and its axes, certainly differ.
+
+    Forces other than zero in different axes may be equal: False.
+    """
     (wrench, frame), (other_wrench, other_frame) = force, other_force
     has_zero = not any(wrench) or not any(other_wrench)
     return (has_zero or frame == other_frame) and any(
@@ -216,13 +238,13 @@ def _turns_with_path(wrench: Sequence[float], frame: str) -> bool:
 
     :param wrench: (6,) force [N] and torque [N·m]; `frame` is the name of its axes.
     """
-    return frame == "FEED" and any((*wrench[:2], *wrench[3:5]))
+    return frame == "FEED" and any((*wrench[:2], *wrench[3:5]))  # z is the tool axis: not turned by the feed
 
 
 def _wrench_and_frame(force: _Force) -> tuple[Any, ...]:
-    """Return the wrench (6,) of a comment and the name of its axes; zeros in BASE without a comment.
+    """Return the wrench (6,) [N, N·m] of a comment and the name of its axes.
 
-    For an unknown force it is the reason and an empty name.
+    No force (None): zeros in BASE. Unknown force (text): the text in place of the wrench, and an empty name.
     """
     if isinstance(force, ForceNote):
         return force.wrench, force.frame
@@ -230,33 +252,33 @@ def _wrench_and_frame(force: _Force) -> tuple[Any, ...]:
 
 
 def _force_comments(course: Course) -> tuple[Ints, NDArray[np.object_]]:
-    """Return the rows of a trace with a force comment (n,), in order, and its text behind the semicolon (n,)."""
+    """Return the rows (n,) of a trace that have a force comment, in order, and the texts (n,) behind the semicolons."""
     rows, texts = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.object_)]
     for source in course.trace.sources:
-        places, lines = _force_comment_places(source)
+        offsets, lines = _force_comment_offsets(source)
         stops = source.stops[lines - 1].tolist()
-        comments = [source.text[place + 1 : stop] for place, stop in zip(places.tolist(), stops, strict=True)]
-        row, index = course.rows_of(source, lines)
-        rows.append(row)
+        comments = [source.text[offset + 1 : stop] for offset, stop in zip(offsets.tolist(), stops, strict=True)]
+        rows_of_file, index = course.rows_of(source, lines)  # a line has as many rows as times that it runs
+        rows.append(rows_of_file)
         texts.append(np.array(comments, dtype=np.object_)[index])
-    row = np.concatenate(rows)
-    order = np.argsort(row, kind="stable")
-    return row[order], np.concatenate(texts)[order]
+    all_rows = np.concatenate(rows)
+    order = np.argsort(all_rows, kind="stable")
+    return all_rows[order], np.concatenate(texts)[order]
 
 
-def _force_comment_places(source: Source) -> tuple[Ints, Ints]:
-    """Return the offsets (n,) at which force comments begin in a file, and their lines (n,)."""
+def _force_comment_offsets(source: Source) -> tuple[Ints, Ints]:
+    """Return the offsets (n,) at which force comments begin in a file, and their lines (n,), from 1, ascending."""
     text = source.text
-    places = np.array([match.start() for match in FORCE.finditer(text)], dtype=np.int64)
-    lines = np.searchsorted(source.starts, places, side="right")
+    offsets = np.array([match.start() for match in FORCE.finditer(text)], dtype=np.int64)
+    lines = np.searchsorted(source.starts, offsets, side="right")  # number of lines that begin at or before each
     starts, stops = source.starts[lines - 1].tolist(), source.stops[lines - 1].tolist()
     begins = [comment_start(text, *span) for span in zip(starts, stops, strict=True)]
-    is_comment = np.array(begins, dtype=np.int64) == places  # else the semicolon is inside a string or a comment
-    return places[is_comment], lines[is_comment]
+    is_comment = np.array(begins, dtype=np.int64) == offsets  # else the semicolon is inside a string or a comment
+    return offsets[is_comment], lines[is_comment]
 
 
 _COMMENT = re.compile(r";[^\r\n;]*")  # begins with a character that is found fast
-_OF_THE_EDITOR = re.compile(
+_EDITOR_COMMENT = re.compile(
     rf";\s*(?!\s)(?:{FORCE_COMMENT.pattern}|ENDFOLD|POSTPROC\b|Params\b|Make your|%|\*|"
     r"FOLD\s*(?:$|%|INI\b|BASISTECH|USER\b|S?PTP\b|S?LIN|S?CIRC|OUT\b|WAIT|SET_|Moduleparameters|DECLARATIONS))",
     re.IGNORECASE,
@@ -269,10 +291,12 @@ _MAX_COMMENTS = 2000
 
 
 def remarks(course: Course, motions: Ints) -> tuple[Event, ...]:
-    """Return the comments that may name an operation, as events at the first motions after them.
+    """Return the comments that may name an operation, in execution order, each as an event at the next motion.
+
+    Comments behind code, about forces, and those that KUKA's editor or postproc writes are left out.
 
     :param motions: (M,) lines of the motions in the trace.
-    :returns: none if there are more than `_MAX_COMMENTS`.
+    :returns: empty if there are more than `_MAX_COMMENTS` comments.
     """
     comment_starts = []
     for source in course.trace.sources:
@@ -287,20 +311,20 @@ def remarks(course: Course, motions: Ints) -> tuple[Event, ...]:
     for row, source, start in sorted(comment_starts, key=itemgetter(0)):
         comment = _COMMENT.match(source.text, start)
         name = _FOLD.sub("", comment[0]).strip(" \t-=*") if comment else ""
-        if comment and name and not _OF_THE_EDITOR.match(comment[0].rstrip()):
+        if comment and name and not _EDITOR_COMMENT.match(comment[0].rstrip()):
             shown_line = course.trace.shown_line(row)
             events.append(Event(int(np.searchsorted(motions, row)), "comment", shown_line, 0.0, name))
     return tuple(events)
 
 
 def _lines_of_comments(source: Source) -> tuple[Ints, Ints]:
-    """Return the offsets (n,) of comments that have a line to themselves, and their lines (n,)."""
+    """Return the offsets (n,) of comments without code before them on the line, and their lines (n,)."""
     text = source.text
     starts = np.array([match.start() for match in _COMMENT.finditer(text)], dtype=np.int64)
     lines = source.line_at_each(starts)
     begins = source.starts[lines - 1]
-    is_alone = begins == starts
-    candidates = np.flatnonzero(~is_alone)
+    is_alone = begins == starts  # most comments begin their line
+    candidates = np.flatnonzero(~is_alone)  # indented, or behind code
     for index, begin, start in zip(
         candidates.tolist(), begins[candidates].tolist(), starts[candidates].tolist(), strict=True
     ):

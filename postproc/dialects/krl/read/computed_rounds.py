@@ -36,15 +36,13 @@ _OPERATORS = "+-*/"
 
 
 def computed_body(source: Source, block: Block) -> PlainBody | None:
-    """Return the lines of a FOR that computes points from its counter and moves to them.
+    """Return the lines of a FOR that computes points from its counter and moves to them; it may also switch outputs.
 
-    Apart from that it may switch outputs.
-
-    :returns: None if it does anything else.
+    :returns: None if the FOR does anything else, changes its own bounds, or has no motion.
     """
     head, nodes = simple_head(source, block), block.parts[0].nodes
     lines = [node for node in nodes if isinstance(node, int)]
-    if head is None or len(lines) < len(nodes):
+    if head is None or len(lines) < len(nodes):  # other nodes are control structures
         return None
     assigned_names = {
         stmt.target.name for stmt in (statement(source, line) for line in lines) if isinstance(stmt, Assignment)
@@ -61,7 +59,7 @@ def computed_body(source: Source, block: Block) -> PlainBody | None:
         elif (
             isinstance(stmt, Assignment)
             and _sets_whole_variable(stmt, head.name)
-            and _is_computed(stmt.value, unset_names)
+            and _is_computable(stmt.value, unset_names)
         ):
             assignments.append(line)
             set_names.add(stmt.target.name)
@@ -70,39 +68,47 @@ def computed_body(source: Source, block: Block) -> PlainBody | None:
             motions.append(line)
         else:
             return None
-    return PlainBody((*motions,), (), (), (*assignments,), is_computed=True) if motions else None
+    if not motions:
+        return None
+    return PlainBody(motions=(*motions,), settings=(), triggers=(), assignments=(*assignments,), is_computed=True)
 
 
 def _sets_whole_variable(stmt: Assignment, counter: str) -> bool:
-    """Return whether an assignment sets a whole variable that is not the counter."""
+    """Return whether an assignment sets a whole variable, other than the counter and the settings of motions.
+
+    :param counter: name of the counter, upper case.
+    """
     target = stmt.target
     return target.indices is None and target.field is None and target.name not in (counter, *RELEVANT)
 
 
-def _is_computed(value: Value, unset_names: set[str]) -> bool:
+def _is_computable(value: Value, unset_names: set[str]) -> bool:
     """Return whether a value is made of numbers, variables and array elements by arithmetic and by `FUNCTIONS`.
 
-    :param unset_names: variables that the round sets only later.
+    :param unset_names: variables that the round sets only later: their values are those of the round before, so that a
+        value with one of them counts as not computable.
     """
     if isinstance(value, Number):
         return True
     if isinstance(value, Reference):
         is_plain = value.field is None and value.name[0] != "$" and value.name not in unset_names and not value.inner
         indices = value.indices
-        return is_plain and (indices is None or (len(indices) == 1 and _is_computed(indices[0], unset_names)))
+        return is_plain and (indices is None or (len(indices) == 1 and _is_computable(indices[0], unset_names)))
     if isinstance(value, Operation):
         sides = (value.right,) if value.left is None else (value.left, value.right)
-        return value.operator in _OPERATORS and all(_is_computed(side, unset_names) for side in sides)
+        return value.operator in _OPERATORS and all(_is_computable(side, unset_names) for side in sides)
     if isinstance(value, Call):
-        is_function = value.name in FUNCTIONS and len(value.arguments) == 1 + (value.name == "ATAN2")
-        return is_function and all(_is_computed(argument, unset_names) for argument in value.arguments)
+        is_function = value.name in FUNCTIONS and len(value.arguments) == (2 if value.name == "ATAN2" else 1)
+        return is_function and all(_is_computable(argument, unset_names) for argument in value.arguments)
     return False
 
 
 def _leads_to_computed_point(stmt: Motion, set_names: set[str], unset_names: set[str]) -> bool:
     """Return whether a motion leads to a variable that the round has set, or to an aggregate of computed numbers.
 
-    :param set_names: variables that the round has set; `unset_names` those that it sets later.
+    Circles, SPL, axis targets and motions with WITH do not count; nor do aggregates of constant numbers alone.
+
+    :param set_names: variables that the round has set before the motion; `unset_names` those that it sets later.
     """
     if stmt.word not in KINDS or stmt.word in (*CIRCLES, "SPL") or stmt.angle is not None or stmt.frame:
         return False
@@ -115,7 +121,7 @@ def _leads_to_computed_point(stmt: Motion, set_names: set[str], unset_names: set
     if not isinstance(end, Aggregate) or end.tag not in _TAGS or set(end.items) != set(CARTESIAN):
         return False
     values = end.items.values()
-    return all(_is_computed(value, unset_names) for value in values) and not all(
+    return all(_is_computable(value, unset_names) for value in values) and not all(
         isinstance(component, Number) for component in values
     )
 
@@ -128,15 +134,16 @@ class _Column(Struct, frozen=True, eq=False):
 
 
 class _NoColumnError(Exception):
-    """A value is not a number in every round, or not of one type."""
+    """A value is not known in every round, or has no column of numbers or of positions."""
 
 
 class _Rounds:
     """The values in all rounds of a loop, one column for each variable.
 
-    :ivar columns: of the counter and of variables that are numbers, by name.
-    :ivar positions: of variables that are positions, by name.
-    :ivar copied_elements: of assignments that copy a point: line, the array element, and the variable that gets it.
+    :ivar columns: name → numbers, of the counter and of variables that are numbers.
+    :ivar positions: name → positions, of variables that are positions.
+    :ivar copied_elements: assignments that copy a point: the line, the array element, and the name of the variable that
+        gets it.
     """
 
     def __init__(self, run: Run, rounds: PlainRounds, counter: str) -> None:
@@ -149,10 +156,10 @@ class _Rounds:
     def assign(self, line: int, stmt: Assignment) -> None:
         """Set a variable to the values of an assignment, one for each round.
 
-        :param line: of the assignment in its file.
-        :raises _NoColumnError: they are not all numbers of one type, or not all complete positions.
+        :param line: line of the assignment in its file.
+        :raises _NoColumnError: the values are neither all numbers of one type, nor all complete positions.
         """
-        name, key = stmt.target.name, self._stored_name(stmt.target.name)
+        name, stored_name = stmt.target.name, self._stored_name(stmt.target.name)
         self.columns.pop(name, None)
         self.positions.pop(name, None)
         if isinstance(stmt.value, Reference) and stmt.value.indices is not None:
@@ -163,15 +170,17 @@ class _Rounds:
                 if any(not point.is_computed for point in points):
                     self.copied_elements.append((line, stmt.value, name))
                 return
-        column, kind = self.column(stmt.value), self.run.variables.types.get(key, "")
+        column, variable_type = self.column(stmt.value), self.run.variables.types.get(stored_name, "")
+        # offsets 0, 0: the numbers are in no text
         self.columns[name] = _as_column(
-            [convert_to_type(Number(number, 0, 0, column.is_integer), kind) for number in column.numbers]
+            [convert_to_type(Number(number, 0, 0, column.is_integer), variable_type) for number in column.numbers]
         )
 
     def targets(self, end: Value) -> list[Position]:
         """Return the targets of a motion, one for each round.
 
-        :raises _NoColumnError: they are not all known, or out of reach.
+        :param end: the target as the text gives it.
+        :raises _NoColumnError: not all targets are known, or one is out of reach.
         """
         if isinstance(end, Reference):
             if end.name not in self.positions:
@@ -189,13 +198,14 @@ class _Rounds:
     def column(self, value: Value) -> _Column:
         """Return the values of an expression, one for each round; they equal those of `Variables.evaluate`.
 
-        :raises _NoColumnError: one of them is not a number, or only some of them are INTs.
+        :raises _NoColumnError: a value is not a number or cannot be computed, or only some of the values are INTs.
         """
         if isinstance(value, Number):
             return _Column([value.value] * self.count, value.is_integer)
         if isinstance(value, Reference):
             return self._variable_column(value)
         if isinstance(value, Operation):
+            # −x is 0 − x
             left = _Column([0.0] * self.count, is_integer=True) if value.left is None else self.column(value.left)
             return _operation_column(value.operator, left, self.column(value.right))
         if isinstance(value, Call):
@@ -211,7 +221,7 @@ class _Rounds:
     def _variable_column(self, reference: Reference) -> _Column:
         """Return the values of a variable or an array element, one for each round.
 
-        :raises _NoColumnError: they are not known before run time, or are no numbers of one type.
+        :raises _NoColumnError: the values are not known before run time, or are not numbers of one type.
         """
         if reference.indices is not None:
             return _as_column(self._element_values(reference))
@@ -225,7 +235,8 @@ class _Rounds:
     def _element_values(self, reference: Reference) -> Sequence[object]:
         """Return the elements of an array, one for each round; None for an element without a value.
 
-        :raises _NoColumnError: the index is no whole number in each round, or the array is set in the rounds.
+        :param reference: the element, with one index.
+        :raises _NoColumnError: an index is not a whole number, or the rounds set a variable with the name of the array.
         """
         variables, name = self.run.variables, self._stored_name(reference.name)
         if reference.indices is None or reference.name in self.columns or reference.name in self.positions:
@@ -238,7 +249,8 @@ class _Rounds:
     def _stored_name(self, name: str) -> str:
         """Return the name under which a variable is stored.
 
-        :raises _NoColumnError: it may change at any time, is a whole array of the caller, or the cell gives its value.
+        :raises _NoColumnError: the variable may change at any time, is a whole array of the caller, or has a value in
+            the cell.
         """
         variables = self.run.variables
         stored_name = self.run.stored_name(name)
@@ -249,9 +261,9 @@ class _Rounds:
 
 
 def _as_column(values: Sequence[object]) -> _Column:
-    """Return numbers as a column; they must all be INTs, or none.
+    """Return numbers as a column.
 
-    :raises _NoColumnError: a value is not a number, or the types differ.
+    :raises _NoColumnError: a value is not a number, or only some of the values may be INTs.
     """
     numbers = [value for value in values if isinstance(value, Number)]
     if len(numbers) < len(values) or len({number.is_integer for number in numbers}) != 1:
@@ -262,7 +274,7 @@ def _as_column(values: Sequence[object]) -> _Column:
 def _operation_column(operator: str, left: _Column, right: _Column) -> _Column:
     """Return the sums, differences, products or quotients of two columns.
 
-    :raises _NoColumnError: one of them is not known.
+    :raises _NoColumnError: a result is not known, as that of a division by 0.
     """
     integer = left.is_integer and right.is_integer
     values = [
@@ -277,7 +289,7 @@ def _operation_column(operator: str, left: _Column, right: _Column) -> _Column:
 def _cartesian_position(aggregate: Aggregate) -> Position:
     """Return the position of an aggregate.
 
-    :raises _NoColumnError: it is not a complete Cartesian position.
+    :raises _NoColumnError: the aggregate is not a complete Cartesian position of known numbers.
     """
     if not aggregate.items.keys() >= set(CARTESIAN) or not all(
         isinstance(value, Number) for value in aggregate.items.values()
@@ -295,8 +307,10 @@ def _cartesian_position(aggregate: Aggregate) -> Position:
 def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> list[MotionStatement] | None:
     """Return the motions of rounds whose points are computed from the counter, in execution order.
 
-    :param run: what has run before the first round; it is unchanged if None is returned.
-    :returns: None if the motions are not known.
+    The names that the rounds use, and the points that they copy, are noted in `run`.
+
+    :param run: the program as far as it has run, before the first round; unchanged if None is returned.
+    :returns: None if the motions cannot be computed as columns.
     """
     head = statement(rounds.source, rounds.head)
     if not isinstance(head, For) or not run.may_take_rounds_at_once:
@@ -326,7 +340,7 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
 
 
 def _note_followed_names(run: Run, rounds: PlainRounds) -> None:
-    """Note that the use of the variables that the rounds set, and of the points that they move to, is followed."""
+    """Add to `run.followed_names` the variables that the rounds set, and the points that they move to."""
     for line in (*rounds.body.assignments, *rounds.body.motions):
         stmt = statement(rounds.source, line)
         name = stmt.target if isinstance(stmt, Assignment) else stmt.end if isinstance(stmt, Motion) else None
@@ -335,7 +349,7 @@ def _note_followed_names(run: Run, rounds: PlainRounds) -> None:
 
 
 def _note_followed_name(run: Run, rounds: PlainRounds, line: int, name: Reference) -> None:
-    """Note that the use of a name on a line of the body is followed, in all rounds."""
+    """Add a name on a line of the body to `run.followed_names`, in all rounds."""
     run.followed_names.update([(row, name.start) for row in rounds.rows_of_statement(line).tolist()])
 
 
@@ -344,9 +358,9 @@ def _motions_of_statement(
 ) -> list[MotionStatement]:
     """Return the motions that one statement of the body makes, one for each of n rounds.
 
-    :param end: its target as the text gives it.
-    :param rows: (n,) rows of the trace at which it runs.
-    :param targets: (n,) its targets.
+    :param end: target of the statement as the text gives it.
+    :param rows: (n,) rows of the trace at which the statement runs.
+    :param targets: (n,) targets of the motions.
     """
     tail, kind, keyword = stmt.tail, KINDS[stmt.word], (stmt.start, stmt.start + len(stmt.word))
     name = end.name if isinstance(end, Reference) else ""

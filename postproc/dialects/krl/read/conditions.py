@@ -16,9 +16,9 @@ from postproc.dialects.krl.language.tree import Case, Statement
 from postproc.dialects.krl.language.values import Condition, Number, Word
 from postproc.dialects.krl.read.known import VariableValue
 
-_LOGIC = ("AND", "EXOR", "OR")
+_LOGIC_OPERATORS = ("AND", "EXOR", "OR")
 _BITWISE: dict[str, Callable[[int, int], int]] = {"B_AND": and_, "B_EXOR": xor, "B_OR": or_}
-_CLOSE = 1e-5
+_REAL_TOLERANCE = 1e-5
 """REALs that differ by less than this share may compare otherwise on a controller, which has fewer digits."""
 
 Term = bool | Number | Word | None
@@ -27,14 +27,14 @@ Term = bool | Number | Word | None
 def condition_value(values: Sequence[VariableValue], condition: Condition) -> Term:
     """Return the value of a condition; None if it is not known.
 
-    :param values: values of its terms.
+    :param values: values of the terms of the condition, in order.
     """
     terms: list[Term] = []
     for value, is_negated in zip(values, condition.negated, strict=True):
         term = as_term(value)
         terms.append((not term if isinstance(term, bool) else None) if is_negated else term)
     if any(
-        (is_negated or is_next_negated) and operator not in _LOGIC
+        (is_negated or is_next_negated) and operator not in _LOGIC_OPERATORS
         for (is_negated, is_next_negated), operator in zip(
             pairwise(condition.negated), condition.operators, strict=True
         )
@@ -49,10 +49,12 @@ def matches_case(value: VariableValue, case: VariableValue) -> bool | None:
 
 
 def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None:
-    """Return the index of the part of a SWITCH that each integer chooses; key None stands for all other integers.
+    """Return a table: integer behind CASE → index in `heads` of the first CASE with it.
 
-    :param heads: the statements CASE and DEFAULT, in order.
-    :returns: under None −2 if there is no DEFAULT. None instead of a table if not all values are integer constants.
+    The key None stands for all other integers. Its index is that of DEFAULT; −2 if there is no DEFAULT.
+
+    :param heads: the statements CASE and DEFAULT of a SWITCH, in order.
+    :returns: None instead of a table if not all values behind CASE are integer constants.
     """
     table: dict[float | None, int] = {}
     for index, head in enumerate(heads):
@@ -67,26 +69,29 @@ def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None
 
 
 def _combined_value(terms: list[Term], operators: list[str]) -> Term:
-    """Return the value of terms joined by operators; None where it is not known. Both lists are used up.
+    """Return the value of terms joined by operators; None if it is not known.
 
-    KRL joins by bits, by AND, EXOR, OR, and compares last. A result that depends on comparing first is not known.
+    Bitwise operators come first, then comparisons, then AND, EXOR, OR. KRL compares last: a value that then differs is
+    not known.
+
+    :param terms: the terms, `operators` the operators between them; both lists are emptied to the result.
     """
     if not _apply_bitwise(terms, operators):
         return None
-    is_mixed = any(operator in _LOGIC for operator in operators)
+    is_mixed = any(operator in _LOGIC_OPERATORS for operator in operators)
     index = 0
     while index < len(operators):
-        if operators[index] in _LOGIC:
+        if operators[index] in _LOGIC_OPERATORS:
             index += 1
             continue
         left, right = terms[index], terms[index + 1]
         if is_mixed and (isinstance(left, bool) or isinstance(right, bool)):
-            return None
+            return None  # a BOOL next to a comparison and AND, EXOR or OR: either may be meant to come first
         terms[index : index + 2] = [_comparison_holds(operators[index], left, right)]
         del operators[index]
-        if index < len(operators) and operators[index] not in _LOGIC:
+        if index < len(operators) and operators[index] not in _LOGIC_OPERATORS:
             return None  # a comparison of a comparison
-    for logic in _LOGIC:
+    for logic in _LOGIC_OPERATORS:
         while logic in operators:
             index_of_logic = operators.index(logic)
             terms[index_of_logic : index_of_logic + 2] = [
@@ -97,9 +102,12 @@ def _combined_value(terms: list[Term], operators: list[str]) -> Term:
 
 
 def _apply_bitwise(terms: list[Term], operators: list[str]) -> bool:
-    """Join terms by B_AND, B_EXOR and B_OR, in this order; they take INTs alone, so that comparisons cannot be first.
+    """Replace terms joined by B_AND, B_EXOR and B_OR, in this order, by their values.
 
-    :returns: False if one of their terms is not known, or is no INT of 32 bits.
+    These operators take INTs alone, so that no comparison can come before them.
+
+    :param terms: the terms, `operators` the operators between them; both lists are changed.
+    :returns: False if a term of a bitwise operator is not a known INT; the lists are of no use then.
     """
     for operator, bitwise in _BITWISE.items():
         while operator in operators:
@@ -108,13 +116,18 @@ def _apply_bitwise(terms: list[Term], operators: list[str]) -> bool:
             if not (isinstance(left, Number) and isinstance(right, Number) and left.is_integer and right.is_integer):
                 return False
             value = float(bitwise(int(left.value), int(right.value)))
-            terms[index : index + 2] = [Number(value, left.start, right.stop, True)]
+            terms[index : index + 2] = [Number(value, left.start, right.stop, is_integer=True)]
             del operators[index]
     return True
 
 
 def _logic_value(operator: str, left: Term, right: Term) -> bool | None:
-    """Return the value of AND, OR or EXOR (`operator`) of two terms; None if it depends on one that is not known."""
+    """Return the value of AND, OR or EXOR (`operator`) of two terms.
+
+    A term that is no BOOL counts as not known.
+
+    :returns: None if the value depends on a term that is not known.
+    """
     operands = [side for side in (left, right) if isinstance(side, bool)]
     if operator == "AND":
         return False if False in operands else True if len(operands) == 2 else None
@@ -131,7 +144,10 @@ def as_term(value: VariableValue) -> Term:
 
 
 def _comparison_holds(operator: str, left: Term, right: Term) -> bool | None:
-    """Return whether a comparison such as ``left >= right`` holds; None if it is not known, or makes no sense."""
+    """Return whether a comparison such as ``left >= right`` holds.
+
+    :returns: None if a term is not known, or the comparison makes no sense for terms of these types.
+    """
     if isinstance(left, Number) and isinstance(right, Number):
         return _number_comparison_holds(operator, left, right)
     if left is None or right is None or operator not in ("==", "<>") or type(left) is not type(right):
@@ -143,11 +159,12 @@ def _comparison_holds(operator: str, left: Term, right: Term) -> bool | None:
 def _number_comparison_holds(operator: str, left: Number, right: Number) -> bool | None:
     """Return whether a comparison of numbers holds.
 
-    None for REALs that are equal within the digits of a controller, unless both are the same 32-bit number.
+    :returns: None if a number is a REAL and the two are equal within the digits of a controller, unless both are the
+        same number of 32 bits.
     """
     a, b = left.value, right.value
     if not (left.is_integer and right.is_integer):
-        is_close = abs(a - b) <= _CLOSE * max(1.0, abs(a), abs(b))
+        is_close = abs(a - b) <= _REAL_TOLERANCE * max(1.0, abs(a), abs(b))
         if is_close and not (a == b and float(np.float32(a)) == a):
             return None
     return {"==": a == b, "<>": a != b, "<": a < b, ">": a > b, "<=": a <= b, ">=": a >= b}[operator]

@@ -33,15 +33,16 @@ def undecided_error(run: Run, place: Place, bounds: Sequence[Value] = ()) -> Ine
 class Counter:
     """The counter of a FOR loop.
 
-    :ivar name: as it is spelled.
-    :ivar key: its stored name, see `Variables.key_of`.
-    :ivar last: present last value; `step` the present step.
+    :ivar name: name of the counter as it is spelled.
+    :ivar key: stored name of the counter, see `Variables.key_of`.
+    :ivar last: last value of the counter that runs a round; `step` the step. Both as evaluated last.
     """
 
     def __init__(self, run: Run, source: Source, line: int) -> None:
         """Evaluate the bounds of the FOR on a line of a file, and set the counter to its first value.
 
-        :raises InexactError: its bounds are not known before run time, or it is a REAL.
+        :raises InexactError: the bounds are not known before run time, the counter is a REAL, or may change at any
+            time.
         :raises ProgramError: the statement cannot be read, or the step is no whole number other than 0.
         """
         self.run, self.place = run, Place(source, line)
@@ -59,22 +60,22 @@ class Counter:
             problem = f"motion inside FOR: its counter {self.name} is a REAL"
             raise inexact_error(self.place, problem, "Count by an INT, and compute the REAL from it in the loop.")
         self.key, self.bound_values = key, stmt.bounds
-        self._are_numbers = all(isinstance(bound, Number) for bound in stmt.bounds[1:] if bound is not None)
+        self._has_constant_bounds = all(isinstance(bound, Number) for bound in stmt.bounds[1:] if bound is not None)
         run.place = self.place
         self.last, self.step = self._bounds()
-        self._set(self._integer(self.bound_values[0]))
-        self.value()
+        self._set_value(self._whole_number(self.bound_values[0]))
+        self.value()  # raises the error if the counter may change at any time
 
     @property
-    def rounds(self) -> int:
-        """Number of iterations from now on.
+    def round_count(self) -> int:
+        """Number of rounds from now on, the present one included.
 
         :raises InexactError: the counter is not known.
         """
         return max(0, (self.last - self.value()) // self.step + 1)
 
     def has_next_round(self) -> bool:
-        """Return whether the loop runs another round: the counter has not passed the last value.
+        """Return whether the counter has not passed its last value, so that the loop runs a round with it.
 
         :raises InexactError: the counter is not known.
         """
@@ -84,16 +85,16 @@ class Counter:
     def advance(self) -> None:
         """Advance the counter by one step.
 
-        :raises InexactError: the bounds or the step have changed.
+        :raises InexactError: the last value or the step has changed, or the counter is not known.
         """
         self.run.place = self.place
-        if not self._are_numbers and self._bounds() != (self.last, self.step):
+        if not self._has_constant_bounds and self._bounds() != (self.last, self.step):
             raise inexact_error(self.place, "motion inside FOR: its end changes while it runs", LOOP_ADVICE)
-        self._set(self.value() + self.step)
+        self._set_value(self.value() + self.step)
 
-    def skip_rounds(self, rounds: int) -> None:
-        """Advance the counter by the steps of some rounds, whose statements leave the bounds unchanged."""
-        self._set(self.value() + rounds * self.step)
+    def skip(self, round_count: int) -> None:
+        """Advance the counter by the steps of a number of rounds, whose statements leave the bounds unchanged."""
+        self._set_value(self.value() + round_count * self.step)
 
     def _bounds(self) -> tuple[int, int]:
         """Return the present last value and step of the FOR.
@@ -105,25 +106,25 @@ class Counter:
         bounds = [first, last, *([] if step_value is None else [step_value])]
         if not all(map(self.run.variables.functions.is_pure, calls(bounds))):
             raise self._unknown_bounds_error()
-        step = 1 if step_value is None else self._step(step_value)
-        return self._integer(last), step
+        step = 1 if step_value is None else self._step_number(step_value)
+        return self._whole_number(last), step
 
-    def _step(self, step_value: Value) -> int:
-        """Return the value of a step.
+    def _step_number(self, step_value: Value) -> int:
+        """Return the number of an expression for STEP.
 
-        :raises ProgramError: it is 0, or no whole number.
-        :raises InexactError: it is not known before run time.
+        :raises ProgramError: the step is 0, or no whole number.
+        :raises InexactError: the step is not known before run time.
         """
         step = self.run.variables.evaluate(step_value)
         if isinstance(step, Number) and (not step.is_integer or step.value == 0.0):
             problem = f"FOR cannot count by STEP {step.value:g}"
             raise self.place.error(problem, "Give a whole number other than 0, as it is or by an INT.")
-        return self._integer(step_value)
+        return self._whole_number(step_value)
 
-    def _integer(self, value: Value) -> int:
-        """Return the value of a bound or a step as an integer.
+    def _whole_number(self, value: Value) -> int:
+        """Return the number of an expression for a bound or the step.
 
-        :raises InexactError: it is a REAL, or not known before run time.
+        :raises InexactError: the number is a REAL, or not known before run time.
         """
         number = self.run.variables.evaluate(value)
         if not isinstance(number, Number):
@@ -133,9 +134,9 @@ class Counter:
             raise inexact_error(self.place, problem, "Give whole numbers, as they are or by an INT.")
         return int(number.value)
 
-    def _set(self, number: int) -> None:
+    def _set_value(self, number: int) -> None:
         """Give the counter a value."""
-        self.run.variables.set(self.key, Number(float(number), 0, 0, True), self.place)
+        self.run.variables.set(self.key, Number(float(number), start=0, stop=0, is_integer=True), self.place)
 
     def value(self) -> int:
         """Return the present value of the counter.

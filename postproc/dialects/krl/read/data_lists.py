@@ -30,13 +30,13 @@ def read_data(
     is_global: bool = False,
     wanted_names: Set[str] | None = None,
 ) -> None:
-    """Store the variables and values that a `.dat` declares.
+    """Store the types and values of the variables that a `.dat` declares.
 
-    :param fill: True to store only those of names that have no value yet.
-    :param is_global: True if all of them are GLOBAL, as those of the `$config.dat`.
-    :param wanted_names: the names to take; None: all.
+    :param fill: True to store only what is missing: values of names without a value, types of names without a type.
+    :param is_global: True if all variables are GLOBAL, as those of the `$config.dat`.
+    :param wanted_names: names of the variables to store, upper case; None: all.
     :raises ProgramError: DEFDAT or ENDDAT is missing.
-    :raises CellError: it contradicts another source of BASE_DATA or TOOL_DATA.
+    :raises CellError: the file contradicts another source of BASE_DATA or TOOL_DATA.
     """
     _DataReader(variables, source, fill, is_global, wanted_names).read()
 
@@ -51,10 +51,10 @@ class _DataReader(Struct, frozen=True, eq=False):
     wanted_names: Set[str] | None
 
     def read(self) -> None:
-        """Store what all lines declare.
+        """Store what all lines up to ENDDAT declare.
 
         :raises ProgramError: DEFDAT or ENDDAT is missing.
-        :raises CellError: it contradicts another source of BASE_DATA or TOOL_DATA.
+        :raises CellError: the file contradicts another source of BASE_DATA or TOOL_DATA.
         """
         source, text = self.source, self.source.text
         has_defdat = has_enddat = False
@@ -86,10 +86,10 @@ class _DataReader(Struct, frozen=True, eq=False):
             )
 
     def _note_element(self, element: re.Match[str], line: int, stop: int) -> None:
-        """Store an element of an array that gets one aggregate; it is parsed when it is needed.
+        """Store an array element that a line sets to an aggregate, which is parsed when it is needed.
 
-        :param element: match of `ELEMENT` on the line, which ends at `stop`.
-        :raises CellError: another source gives another frame for it.
+        :param element: match of `ELEMENT` on the line; `stop` is the offset of the end of the line.
+        :raises CellError: another source gives another frame for the element.
         """
         variables = self.variables
         name = variables.scope.stored_name(element["name"].upper())
@@ -100,17 +100,17 @@ class _DataReader(Struct, frozen=True, eq=False):
         variables.put(key, value)
 
     def _note_line(self, line: int, start: int, stop: int) -> None:
-        """Store what a line declares; values are parsed when they are needed.
+        """Store what a line declares; values are parsed when they are needed. A line without a declaration is ignored.
 
-        :param start: offset of its code; `stop` that of the end of the line.
-        :raises CellError: another source gives another frame for one of its names.
+        :param start: offset at which the code of the line begins; `stop` is the offset of the end of the line.
+        :raises CellError: another source gives another frame for one of the names.
         """
         variables, source = self.variables, self.source
         match = DECLARATION.match(source.text, start, stop)
         if not match:
             return
         if match["equals"] and not NEXT_INITIAL_VALUE.search(source.text, match.end(), stop):
-            names = [next(declared_in(source, start, match.end()))]
+            names = [next(declared_in(source, start, match.end()))]  # one name: its long value need not be searched
         else:
             start, stop = source.code_span(line)
             names = list(declared_in(source, start, stop))
@@ -121,7 +121,7 @@ class _DataReader(Struct, frozen=True, eq=False):
             key = _note_declaration(variables, replace(declarator, is_global=is_global), fill=self.fill)
             if declarator.kind == "STRUC" and (named_structure := structure(source, *source.code_span(line))):
                 variables.structures.setdefault(named_structure.name, named_structure.members)
-            if declarator.value_start < 0:
+            if declarator.value_start < 0:  # no initial value
                 continue
             value = UnparsedValue(source, declarator.value_start, stop)
             if key.partition("[")[0] in FRAME_ARRAYS:
@@ -132,7 +132,7 @@ class _DataReader(Struct, frozen=True, eq=False):
 
 
 def _note_import(variables: Variables, place: Place) -> None:
-    """Note that a variable of another `.dat` has a second name here: each of the two may change at any time."""
+    """Note that an IMPORT gives a variable of another `.dat` a second name: both names may change at any time."""
     stmt = statement(place.source, place.line)
     if isinstance(stmt, Import):
         for name in (variables.scope.stored_name(stmt.name), *stored_originals(stmt)):
@@ -142,9 +142,9 @@ def _note_import(variables: Variables, place: Place) -> None:
 def declare_variables(
     variables: Variables, source: Source, declaration: Declaration, row: int
 ) -> tuple[DeclaredName, ...]:
-    """Store the variables of a declaration in a `.src`, with initial values; return what it declares.
+    """Store the types, structures and initial values of a declaration in a `.src`, and return the declared names.
 
-    :param row: row of the execution trace with it; 0 if it is not in the trace.
+    :param row: row of the execution trace with the declaration; 0 if it is not in the trace.
     """
     if declaration.structure is not None:
         variables.structures[declaration.structure.name] = declaration.structure.members
@@ -156,12 +156,14 @@ def declare_variables(
 
 
 def _note_declaration(variables: Variables, declarator: DeclaredName, *, fill: bool = False) -> str:
-    """Store the type of a declared name and whether it is GLOBAL; return the key of its value.
+    """Store the type of a declared name and whether it is GLOBAL; return the key under which its value is stored.
+
+    The key has the indices if the declaration sets one array element, as in ``DECL E6POS P[3]={…}``.
 
     :param fill: True to keep a type that is stored already.
     """
     name = variables.scope.stored_name(declarator.name)
-    has_type_of_call = declarator.name in variables.scope.local_names  # as parameters have
+    has_type_of_call = declarator.name in variables.scope.local_names  # the call may have set the type of a parameter
     if declarator.kind and not ((fill or has_type_of_call) and name in variables.types):
         variables.types[name] = declarator.kind
         if declarator.is_global:
@@ -171,7 +173,7 @@ def _note_declaration(variables: Variables, declarator: DeclaredName, *, fill: b
     if declarator.bounds is None:
         return name
     indices = [part.strip() for part in declarator.bounds.strip("[] \t").split(",")]
-    if not all(INDEX.fullmatch(index) for index in indices):
+    if not all(INDEX.fullmatch(index) for index in indices):  # an index is missing, or is no number
         return name
     return f"{name}[{','.join(str(int(index)) for index in indices)}]"
 
@@ -181,12 +183,12 @@ def read_shared(
 ) -> None:
     """Store the GLOBAL variables that a program uses from other `.dat` files.
 
-    A variable that several of these files declare is not known.
+    The value of a variable that several of these files declare is not known. A file with an error is left out.
 
-    :param code: all code of the program that may contain names; that of called files is read too.
-    :param own_names: names of its files.
+    :param code: all code of the program that may contain names; the code of called files is read in addition.
+    :param own_names: names of the files of the program itself.
     :param files: the folders to search.
-    :param local_names: names that the main routine declares: they hide GLOBAL ones.
+    :param local_names: names that the main routine declares: they hide GLOBAL variables.
     :raises CellError: one of the files contradicts another source of BASE_DATA or TOOL_DATA.
     """
     own_file_names = {name.upper() for name in own_names}
@@ -203,5 +205,5 @@ def read_shared(
         variables.put(name, UnknownValue(reason=f"it is GLOBAL in more than one .dat: {file_names}"))
     for path, names in global_names.items():
         if not unique_names.isdisjoint(names):
-            with suppress(ProgramError):  # they have no values then, and a motion that needs one says so
+            with suppress(ProgramError):  # a motion that needs one of its variables reports that it has no value
                 read_data(variables, files.source(path), fill=True, wanted_names=unique_names)

@@ -44,30 +44,30 @@ from postproc.errors import ProgramError
 _CLOSING = frozenset({*OPENING.values(), "UNTIL"})
 _RETURN_POSITIONS = frozenset({"$AXIS_RET", "$POS_RET"})
 """Where the robot left its path when it was stopped by an interrupt (KUKA, System Variables)."""
-_RAPID = ("PTP", "SPTP")
-_COMPONENT = {"$VEL": "CP", "$APO": "CDIS"}
+_RAPID_WORDS = ("PTP", "SPTP")
+_PATH_COMPONENTS = {"$VEL": "CP", "$APO": "CDIS"}
 """System variables of which one component matters to the path, and which."""
 _TURN_SPEEDS = ("ORI1", "ORI2")
 """Components of `$VEL` that limit how fast the tool turns."""
 
 
 class Effects(Struct, eq=False):
-    """Side effects.
+    """Side effects of a routine, a statement or an action.
 
-    :ivar writes: names, as they are stored, that may get another value while it runs, and where.
-    :ivar volatile_writes: names that may get another value at any time afterwards, by interrupts, triggers and cyclic
-        statements, and where.
-    :ivar motion: where the robot moves; None if it does not.
-    :ivar turn_speed: where it sets `$VEL.ORI1` or `$VEL.ORI2`; None if it does not.
-    :ivar interrupt_motion: where a GLOBAL interrupt moves the robot that it declares; None if none does.
+    :ivar writes: stored names of variables that may get another value while the code runs → the statement that does it.
+    :ivar volatile_writes: stored names of variables that interrupts, triggers and cyclic statements may change at any
+        time afterwards → the statement that does it.
+    :ivar motion: place of a motion; None if there is none.
+    :ivar turn_speed: place at which `$VEL.ORI1` or `$VEL.ORI2` is set; None if there is none.
+    :ivar interrupt_motion: place of a motion in a GLOBAL interrupt that the code declares; None if there is none.
     :ivar return_motion: place of a motion back to where an interrupt stopped the robot; None if there is none.
     :ivar force_comment: place of a force comment; None if there is none.
-    :ivar absent_calls: called programs that are in no file, by name: as they are spelled.
+    :ivar absent_calls: called programs that are in no file: name, upper case → name as the program spells it.
     :ivar jump: place of a GOTO or RESUME, so that the routine may not run line by line; None if there is none.
     :ivar resume: place of a RESUME that may break off the running routine; None if there is none.
-    :ivar parameter_write: where a parameter without ``:IN`` is written; None if none is.
-    :ivar lasting_write: where such a parameter, and so the variable given for it, is said to change at any time from
-        then on.
+    :ivar parameter_write: place at which a parameter without ``:IN`` is written; None if there is none.
+    :ivar lasting_write: place from which on a parameter without ``:IN``, and so the variable that the caller gives for
+        it, may change at any time; None if there is none.
     """
 
     writes: dict[str, Place] = {}
@@ -84,20 +84,27 @@ class Effects(Struct, eq=False):
     lasting_write: Place | None = None
 
     def add(self, effects: Effects) -> None:
-        """Add the effects of a called routine."""
+        """Add the effects of a called routine; places that are known already stay.
+
+        `jump`, `parameter_write` and effects that last are not added: they concern the called routine itself, or are
+        added by `Analysis`.
+        """
         for name, place in effects.writes.items():
             self.writes.setdefault(name, place)
         self.force_comment = self.force_comment or effects.force_comment
         self._add_common(effects)
 
     def add_action(self, effects: Effects) -> None:
-        """Add the effects of the action of an interrupt or a trigger: what it writes may change at any time."""
+        """Add the effects of the action of an interrupt or a trigger: what the action writes may change at any time.
+
+        Its force comment is not added: an action runs beside the motions.
+        """
         for name, place in effects.writes.items():
             self.volatile_writes.setdefault(name, place)
         self._add_common(effects)
 
     def _add_common(self, effects: Effects) -> None:
-        """Add the effects of a called routine or an action that do not depend on when it runs."""
+        """Add effects that are the same for a called routine and for an action: all but writes and force comments."""
         self.absent_calls = effects.absent_calls | self.absent_calls
         self.motion = self.motion or effects.motion
         self.turn_speed = self.turn_speed or effects.turn_speed
@@ -106,13 +113,13 @@ class Effects(Struct, eq=False):
 
 
 class _DirectEffects(Struct, eq=False):
-    """Effects of a routine without those of the routines that it calls.
+    """Effects of the statements of a routine, without the effects of the routines that it calls.
 
     :ivar callees: the routines that it calls.
     :ivar action_effects: effects of the actions of the interrupts, triggers and cyclic statements that it declares.
     :ivar action_callees: the routines that these actions call.
     :ivar global_interrupts: for each GLOBAL interrupt its action alone.
-    :ivar has_actions: whether it declares one.
+    :ivar has_actions: whether it declares an interrupt, a trigger or a cyclic statement.
     """
 
     effects: Effects = field(default_factory=Effects)
@@ -124,9 +131,9 @@ class _DirectEffects(Struct, eq=False):
 
 
 class Analysis:
-    """Finds the effects of routines, each once.
+    """Finds the effects of routines; the effects of each routine are found once and stored.
 
-    :param scope_of: scope of the non-local names of a routine.
+    :param scope_of: returns the scope of the names of a routine that are not local to it.
     """
 
     def __init__(self, library: Library, scope_of: Callable[[Module, Routine], Scope]) -> None:
@@ -138,13 +145,13 @@ class Analysis:
         self._stored_names: dict[Routine, frozenset[str]] = {}
 
     def effects_of(self, module: Module, routine: Routine) -> Effects:
-        """Return the effects of a routine, including all that it calls."""
+        """Return the effects of a routine and of all routines that it may call."""
         total = self._totals.get(routine)
         if total is not None:
             return total
         local_effects = self._direct_effects(module, routine).effects
         total = Effects(jump=local_effects.jump, parameter_write=local_effects.parameter_write)
-        for node in self._reachable([Callee(module, routine)]):
+        for node in self._reachable_callees([Callee(module, routine)]):
             direct = self._direct_effects(*node)
             total.add(direct.effects)
             self._add_action_effects(total, direct)
@@ -152,18 +159,19 @@ class Analysis:
                 action = Effects()
                 self._add_action_effects(action, event)
                 total.interrupt_motion = total.interrupt_motion or action.motion
+        # only in an action does a motion back to the path leave the path as it is
         total.motion = total.motion or total.return_motion
         self._totals[routine] = total
         return total
 
     def reachable_routines(self, module: Module, routine: Routine) -> set[Routine]:
         """Return the routine and all routines that it may call, directly or not, also by interrupts and triggers."""
-        return {callee for _, callee in self._reachable([Callee(module, routine)])}
+        return {callee for _, callee in self._reachable_callees([Callee(module, routine)])}
 
     def variable_names(self, module: Module, routine: Routine) -> frozenset[str]:
         """Return the stored names of all variables in the code of a routine and of the routines that it calls."""
         stored_names: set[str] = set()
-        for callee in self._reachable([Callee(module, routine)]):
+        for callee in self._reachable_callees([Callee(module, routine)]):
             if callee.routine not in self._stored_names:
                 source, scope = callee.routine.source, self.scope_of(*callee)
                 spans = [source.code_span(line) for line in callee.routine.statement_lines]
@@ -175,34 +183,40 @@ class Analysis:
         return frozenset(stored_names)
 
     def may_carry_force(self, module: Module, routine: Routine) -> bool:
-        """Return whether a routine, or one that it calls, moves otherwise than by PTP, under which no force acts."""
-        for _, node in self._reachable([Callee(module, routine)]):
+        """Return whether a routine, or a routine that it calls, has a motion other than PTP; no force acts on PTP."""
+        for _, node in self._reachable_callees([Callee(module, routine)]):
             for line in (*node.motion_lines.tolist(), *node.statement_lines):
                 stmt = statement(node.source, line)
-                if isinstance(stmt, Motion | Spline) and not stmt.word.startswith(_RAPID):
+                if isinstance(stmt, Motion | Spline) and not stmt.word.startswith(_RAPID_WORDS):
                     return True
         return False
 
     def first_dependent_place(self, module: Module, routine: Routine) -> Place | None:
         """Return the first statement of a routine whose target depends on where the robot is when the routine begins.
 
-        Routines that it calls are searched too. None if a complete target precedes all such statements.
+        Routines that it calls are searched too.
+
+        :returns: None if there is no such statement, or a complete target precedes all of them.
         """
-        return self._first_dependent_place(module, routine, set())[0]
+        dependent_place, _ = self._first_dependent_place(module, routine, set())
+        return dependent_place
 
     def _first_dependent_place(
         self, module: Module, routine: Routine, checked_routines: set[Routine]
     ) -> tuple[Place | None, bool]:
         """Return the statement of `first_dependent_place`, and whether a complete target certainly comes first.
 
-        :param checked_routines: those searched already, which are not searched again; this one is added.
+        :param checked_routines: routines that are not searched again; `routine` is added.
         """
         checked_routines.add(routine)
-        depth = 0  # of control structures: a target in one may not be reached
+        depth = 0  # of control structures: a target inside one may not be reached
         for line in sorted([*routine.motion_lines.tolist(), *routine.other_lines]):
             stmt, is_complete = statement(routine.source, line), False
-            depth += (stmt.word in OPENING or stmt.word == "REPEAT") - (stmt.word in _CLOSING)
-            if isinstance(stmt, Motion) and keeps_position(stmt):
+            if stmt.word in OPENING or stmt.word == "REPEAT":
+                depth += 1
+            elif stmt.word in _CLOSING:
+                depth -= 1
+            if isinstance(stmt, Motion) and keeps_position(stmt):  # does not move
                 continue
             if reads_robot_position(stmt) or (isinstance(stmt, Motion) and depends_on_position(stmt)):
                 return Place(routine.source, line), False
@@ -224,11 +238,12 @@ class Analysis:
         return self._force_lines[source]
 
     def effects_of_action(self, module: Module, routine: Routine, place: Place, event: Event, scope: Scope) -> Effects:
-        """Return the effects of an interrupt or a trigger that a running routine declares, on its local variables too.
+        """Return the effects of the action of an interrupt or a trigger, also on the local variables of its routine.
 
-        Motions back to where an interrupt stopped the robot do not count: they leave its path as it is.
+        Motions back to where an interrupt stopped the robot do not count as `motion`: they leave its path as it is.
 
-        :param scope: scope of the routine.
+        :param routine: the running routine, which declares the action at `place`.
+        :param scope: scope of the running routine.
         """
         direct, total = _DirectEffects(has_actions=True), Effects()
         action = _Statement(
@@ -239,21 +254,25 @@ class Analysis:
         return total
 
     def _add_action_effects(self, total: Effects, direct: _DirectEffects) -> None:
-        """Add the effects of the actions that a routine declares, and of all routines that these call."""
+        """Add the effects of the actions that a routine declares, and of all routines that these actions call.
+
+        :param total: gets the effects.
+        :param direct: effects of the routine that declares the actions.
+        """
         if not direct.has_actions:
             return
         total.add_action(direct.action_effects)
         total.lasting_write = total.lasting_write or direct.action_effects.parameter_write
-        for node in self._reachable(direct.action_callees):
+        for node in self._reachable_callees(direct.action_callees):
             node_effects = self._direct_effects(*node)
             total.add_action(node_effects.effects)
             total.add_action(node_effects.action_effects)
             total.lasting_write = total.lasting_write or node_effects.action_effects.parameter_write
 
-    def _reachable(self, first: list[Callee]) -> Iterator[Callee]:
-        """Yield routines and all routines that they may call, also by interrupts and triggers; each once."""
-        unvisited = list(first)
-        queued_routines = {routine for _, routine in unvisited}
+    def _reachable_callees(self, roots: list[Callee]) -> Iterator[Callee]:
+        """Yield some routines and all routines that they may call, also by interrupts and triggers; each once."""
+        unvisited = list(roots)
+        queued_routines = {routine for _, routine in unvisited}  # yielded, or in `unvisited`
         while unvisited:
             node = unvisited.pop()
             yield node
@@ -271,8 +290,9 @@ class Analysis:
             if routine.first_motion_line:
                 direct.effects.motion = Place(routine.source, routine.first_motion_line)
             comment_lines = self.force_comment_lines(routine.source)
+            # comments after the line of DEF and before the line of END
             first, stop = bisect_right(comment_lines, routine.first), bisect_left(comment_lines, routine.last)
-            if first < stop:  # between DEF and END
+            if first < stop:
                 direct.effects.force_comment = Place(routine.source, comment_lines[first])
             for line in routine.statement_lines:
                 stmt, place = statement(routine.source, line), Place(routine.source, line)
@@ -280,14 +300,16 @@ class Analysis:
                     direct.effects.jump = direct.effects.jump or place
                 if stmt.word == "RESUME":
                     direct.effects.resume = direct.effects.resume or place
-                self._read(direct, stmt, Callee(module, routine), place)
+                self._add_statement_effects(direct, stmt, Callee(module, routine), place)
         return direct
 
-    def _read(self, direct: _DirectEffects, stmt: Statement, node: Callee, place: Place) -> None:
-        """Add the effects of one statement; those of interrupts and the like are kept apart, as actions.
+    def _add_statement_effects(self, direct: _DirectEffects, stmt: Statement, node: Callee, place: Place) -> None:
+        """Add the effects of one statement to those of its routine.
+
+        INTERRUPT, TRIGGER, cyclic statements and IMPORT: they are added as the effects of actions.
 
         :param direct: gets the effects.
-        :param node: the routine of the statement.
+        :param node: the routine that contains the statement, at `place`.
         """
         if not isinstance(stmt, Event | CyclicInput | Import):
             _Statement(self, *node, place, direct.effects, direct.callees).note_effects(stmt)
@@ -297,7 +319,7 @@ class Analysis:
         if isinstance(stmt, Event):
             later_statement.note_event_effects(stmt)
             if stmt.is_global:
-                event_effects = _DirectEffects(has_actions=True)
+                event_effects = _DirectEffects(has_actions=True)  # the action once more, by itself
                 _Statement(
                     self, *node, place, event_effects.action_effects, event_effects.action_callees
                 ).note_event_effects(stmt)
@@ -313,8 +335,9 @@ class Analysis:
 class _Statement(Struct, eq=False):
     """Notes the effects of one statement.
 
-    :param effects: gets what it does; `callees` gets the routines that it calls.
-    :param running_scope: scope of the routine, if it runs: local variables count too then; None if it does not.
+    :param effects: gets the effects of the statement; `callees` gets the routines that it calls.
+    :param running_scope: scope of the routine if the routine runs: writes to its local variables are effects then. None
+        if it does not run: only writes to other variables are.
     """
 
     analysis: Analysis
@@ -332,7 +355,10 @@ class _Statement(Struct, eq=False):
             self.note_effects(event.action)
 
     def note_effects(self, stmt: Statement) -> None:
-        """Note the effects of a statement; a statement that cannot be read has none."""
+        """Note the effects of a statement: writes, motions and calls.
+
+        Declarations and statements that cannot be read have none. BAS writes what its command sets.
+        """
         if isinstance(stmt, Declaration | IdleDeclaration | Import | FaultyStatement):
             return
         if stmt.word == "BAS":
@@ -347,7 +373,7 @@ class _Statement(Struct, eq=False):
         elif isinstance(stmt, For) and stmt.name:
             self.note_write(stmt.name)
         elif isinstance(stmt, Assignment):
-            component = _COMPONENT.get(stmt.target.name)
+            component = _PATH_COMPONENTS.get(stmt.target.name)
             if stmt.target.name == "$VEL" and stmt.target.field in _TURN_SPEEDS:
                 self.effects.turn_speed = self.effects.turn_speed or self.place
             if component is None or stmt.target.field in (None, component):
@@ -355,7 +381,7 @@ class _Statement(Struct, eq=False):
         self._note_calls(stmt.values)
 
     def _note_calls(self, values: Iterable[Value]) -> None:
-        """Note the calls in some values; a value with unbalanced brackets has none."""
+        """Note the calls in some values; calls behind an expression with unbalanced brackets are not found."""
         try:
             for call in calls(values):
                 self._note_call(call)
@@ -363,7 +389,11 @@ class _Statement(Struct, eq=False):
             return
 
     def note_write(self, name: str) -> None:
-        """Note that a statement may write a variable, which may be global, or a parameter without ``:IN``."""
+        """Note that the statement may write a variable, if others can see it.
+
+        They see variables that are not local to the routine, parameters without ``:IN``, and all variables of a routine
+        that runs.
+        """
         name = name.upper()
         if self.running_scope is not None:
             self.effects.writes.setdefault(self.running_scope.stored_name(name), self.place)
@@ -374,7 +404,10 @@ class _Statement(Struct, eq=False):
             self.effects.parameter_write = self.effects.parameter_write or self.place
 
     def _note_call(self, call: Call) -> None:
-        """Note a call: the variables that it may write, and the routine, or that the routine is in no file."""
+        """Note a call: the arguments that it may write, and the called routine, or that this is in no file.
+
+        Functions of the controller (`STANDARD`) are in no file, and are not noted.
+        """
         callee = self.analysis.library.find_callee(call.name, self.module)
         parameters = callee.routine.parameters if callee else ()
         for index, argument in enumerate(call.arguments):
@@ -393,4 +426,5 @@ def _is_return_motion(motion: Motion) -> bool:
     target, tail = motion.end, motion.tail
     if not isinstance(target, Reference) or target.field is not None or target.name not in _RETURN_POSITIONS:
         return False
-    return motion.via is None and not motion.frame and tail.start == tail.with_stop == tail.stop and not tail.error
+    has_empty_tail = tail.start == tail.with_stop == tail.stop and not tail.error  # neither WITH nor approximation
+    return motion.via is None and not motion.frame and has_empty_tail

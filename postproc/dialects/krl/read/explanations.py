@@ -28,7 +28,9 @@ _MAX_LENGTH = 80
 
 
 def without_value(variables: Variables, source: Source, values: Iterable[Value]) -> list[str]:
-    """Return the variables in some values that have no value, as spelled: the cell can give them one.
+    """Return the variables in some expressions that have no value and to which the cell can give one, as spelled.
+
+    Local variables, fields of structures and settings of motions are left out: the cell cannot give them a value.
 
     :raises ProgramError: brackets are not balanced.
     """
@@ -37,6 +39,7 @@ def without_value(variables: Variables, source: Source, values: Iterable[Value])
         if not isinstance(value, Reference) or value.field is not None or value.name in RELEVANT:
             continue
         key = variables.key_of(value)
+        # "@" is in the stored names of local variables of a call
         if key is not None and "@" not in key and variables.value(key) in (None, NO_VALUE):
             spellings[source.text[value.start : value.stop]] = None
     return list(spellings)
@@ -45,8 +48,12 @@ def without_value(variables: Variables, source: Source, values: Iterable[Value])
 def why_unknown(variables: Variables, source: Source, value: Value | VariableValue) -> str:
     """Return why the value of an expression is not known, as text for a message.
 
+    For an operation, a pure function or a chain of frames, the reason is that of its first unknown part.
+
     :param source: the file that contains the expression.
-    :raises ProgramError: a part of it cannot be read.
+    :param value: the expression; a position or an `UnknownValue` stands for a value that is in no text.
+    :returns: that the value has the wrong type, if it is known.
+    :raises ProgramError: a part of the expression cannot be read.
     """
     if isinstance(value, Position | UnknownValue):
         return "it is computed while the program runs"
@@ -55,12 +62,12 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
     text = source.text[value.start : value.stop].strip()[:_MAX_LENGTH]
     if not text and isinstance(value, Reference):  # one that a program of the controller reads
         text = value.name if value.field is None else f"{value.name}.{value.field}"
-    sides = [side for side in (value.left, value.right) if side is not None] if isinstance(value, Operation) else []
+    parts = [side for side in (value.left, value.right) if side is not None] if isinstance(value, Operation) else []
     if isinstance(value, Call) and value.name in PURE:
-        sides = list(value.arguments)
-    for side in sides:
-        if isinstance(variables.evaluate(side), UnknownValue):
-            return why_unknown(variables, source, side)
+        parts = list(value.arguments)
+    for part in parts:
+        if isinstance(variables.evaluate(part), UnknownValue):
+            return why_unknown(variables, source, part)
     if isinstance(value, Operation) and isinstance(result := variables.evaluate(value), UnknownValue) and result.reason:
         return f"{text}: {result.reason}"
     if isinstance(value, Reference) and value.name[0] == "$":
@@ -75,7 +82,10 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
 
 
 def _why_chain_unknown(variables: Variables, source: Source, chain: Chain) -> str:
-    """Return why the position of frames joined by ``:`` is not known, as text for a message; empty if all are known."""
+    """Return why the position of frames joined by ``:`` is not known, as text for a message.
+
+    :returns: empty if the positions of all frames are known and complete.
+    """
     for operand in chain.operands:
         position = variables.position(operand)
         if position is None:
@@ -88,9 +98,9 @@ def _why_chain_unknown(variables: Variables, source: Source, chain: Chain) -> st
 def _why_variable_unknown(variables: Variables, source: Source, reference: Reference, spelling: str) -> str:
     """Return why the value of a variable of the program is not known, as text for a message; empty if it is known.
 
-    :param spelling: the variable as the message names it.
+    :param reference: the variable, an array element or a field; `spelling` is its name in the message.
     """
-    if variables.key_of(reference) is None:
+    if variables.key_of(reference) is None:  # which element is meant is not known
         unknown_indices = [
             index for index in reference.indices or () if index.start < index.stop and variables.index(index) is None
         ]
@@ -105,12 +115,12 @@ def _why_variable_unknown(variables: Variables, source: Source, reference: Refer
 def why_not_decided(variables: Variables, source: Source, values: Sequence[Value]) -> str:
     """Return why a condition, or the bounds of a FOR, are not known: ``: reason``, for the end of a message.
 
-    :returns: empty if each of the values is known.
+    :param values: the expressions of the condition or the bounds.
+    :returns: empty if there is neither a call with side effects, nor an unknown variable, nor an unknown operation.
     """
     for call in calls(values):
-        if variables.functions.is_pure(call):
-            continue
-        return f": it asks {call.spelling(source)}()"
+        if not variables.functions.is_pure(call):
+            return f": it asks {call.spelling(source)}()"
     for part in walk(values):
         result = variables.value_of(part) if isinstance(part, Reference) else NO_VALUE
         if isinstance(result, UnknownValue) and result != NO_VALUE:

@@ -12,7 +12,7 @@ from postproc.frames import M_PER_MM, Array
 from postproc.program import PTP, Bools, Carriage, Ints
 
 _AXIS_TOLERANCE = 1e-4
-"""External axes that vary by less than this [mm, deg] do not move."""
+"""External axes that vary by less than this [mm, deg] do not move; values closer to 0 than this are 0."""
 
 
 def external_axes(
@@ -26,11 +26,11 @@ def external_axes(
     """Return the issues about external axes, and the linear axis that carries the robot, None if there is none.
 
     :param rows: the R motions.
-    :param relative_rows: rows of relative targets, whose values are steps.
+    :param relative_rows: (n,) rows of motions with relative targets, whose values are steps.
     :param uses_root: (R,) True for motions whose path depends on the robot root: all but PTP to axis angles.
     :param direction: (3,) unit vector of E1 in the robot root, if it carries the robot; else None.
-    :param predecessors: (R,) the motion at whose end each begins, see `Program.after`.
-    :raises ProgramError: another axis moves, or the position of E1 is not known.
+    :param predecessors: (R,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
+    :raises ProgramError: an axis moves that does not carry the robot, or the position of E1, which does, is not known.
     """
     external = rows.external
     if np.isnan(external).all():
@@ -53,7 +53,8 @@ def external_axes(
     assumed_starts = np.flatnonzero(np.isnan(begin) & ~np.isnan(end))
     if len(assumed_starts):
         row = assumed_starts[0]
-        has_open_start = predecessors is not None and predecessors[row] == row  # a warning says so already
+        # the motion is its own predecessor if its start is not known: a warning says so already
+        has_open_start = predecessors is not None and predecessors[row] == row
         if rows.kind[row] != PTP and not has_open_start:
             issues.append(_assumed_start_warning(float(end[row]), int(rows.line[row])))
     begin = np.where(np.isnan(begin), end, begin)
@@ -65,10 +66,10 @@ def _fixed_axis_warnings(
 ) -> list[Issue]:
     """Return the warnings on external axes that do not move, but are not at 0.
 
-    :param external: (R, 6) positions of the axes at targets [mm, deg], NaN where not given; `steps` (R, 6) of relative
-        targets.
+    :param external: (R, 6) positions of the axes at targets [mm, deg], NaN where not given.
+    :param steps: (R, 6) steps of the axes in relative targets [mm, deg]; 0 for other targets.
     :param line: (R,) lines of the motions.
-    :param carries_robot: E1 carries the robot, and may move.
+    :param carries_robot: True if E1 carries the robot; it may move then and is left out.
     :raises ProgramError: an axis moves.
     """
     issues = []
@@ -93,13 +94,14 @@ def _axis_positions(positions: Array, steps: Array, predecessors: Ints | None) -
 
     :param positions: (R,) positions at targets; NaN where the axis keeps its position or moves by a step.
     :param steps: (R,) steps of relative targets, else 0.
-    :param predecessors: (R,) the motion at whose end each begins; None: the one before it.
+    :param predecessors: (R,) the motion at whose end each begins, −1 for the start of the program, the motion itself if
+        its start is not known; None: the motion before it.
     """
     is_given = ~np.isnan(positions)
     if predecessors is None:
         # row of the latest given position; −1 before the first
         given_row = np.maximum.accumulate(np.where(is_given, np.arange(len(positions)), -1))
-        travel = np.cumsum(steps)
+        travel = np.cumsum(steps)  # its differences are the steps between two motions
         end = np.where(given_row < 0, np.nan, positions[given_row] + travel - travel[given_row])
         return np.append([np.nan], end[:-1]), np.asarray(end)
     begin, end = np.full(len(positions), np.nan), positions.copy()
@@ -113,8 +115,8 @@ def _axis_positions(positions: Array, steps: Array, predecessors: Ints | None) -
 def _motion_error(trace: Trace, axis: int, change: str, line: int) -> ProgramError:
     """Return the error that an external axis moves.
 
-    :param axis: 0 for E1.
-    :param change: from where to where, for the message.
+    :param axis: 0 for E1 … 5 for E6.
+    :param change: text of the message behind "moves": from which value to which, or by which step.
     """
     name = EXTERNAL[axis]
     advice = "Only external axes that do not move are supported."
@@ -129,9 +131,10 @@ def _motion_error(trace: Trace, axis: int, change: str, line: int) -> ProgramErr
 def _fixed_axis_warning(axis: int, value: float, line: int, count: int) -> Issue:
     """Return the warning on an external axis that does not move, but is not at 0.
 
-    :param axis: 0 for E1.
-    :param value: where it is [mm or deg].
-    :param line: of the first motion with it; `count` motions have it.
+    :param axis: 0 for E1 … 5 for E6.
+    :param value: position of the axis [mm or deg].
+    :param line: line of the first motion that gives the position.
+    :param count: number of motions that give it.
     """
     name = EXTERNAL[axis]
     suffix = " (E1: or the cell must say where it goes, [external_axes.E1])" if axis == 0 else ""

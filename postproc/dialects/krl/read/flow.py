@@ -833,7 +833,7 @@ class Flow:
         """Record all rounds of a FOR at once if its body is plain and there are enough of them; else do nothing."""
         if block not in self._plain:
             self._plain[block] = plain_body(source, block) or computed_body(source, block)
-        body, begin, rounds = self._plain[block], counter.value(), counter.rounds
+        body, begin, rounds = self._plain[block], counter.value(), counter.round_count
         statement_count = rounds * (1 + len(block.parts[0].nodes))
         if body is None or not rounds or self._traced + statement_count > self._statement_limit(source):
             return
@@ -856,7 +856,7 @@ class Flow:
         for round_count in (rounds - 1, 1):  # only the last round leaves something
             for line in body.assignments:
                 self._follow_noting_errors(Place(source, line), statement(source, line))
-            counter.skip_rounds(round_count)
+            counter.skip(round_count)
 
     def _follow_endless(self, source: Source, block: Block, recorder: Recorder | None) -> None:
         """Follow one iteration of a LOOP without EXIT; nothing after it is reached.
@@ -894,15 +894,15 @@ class Flow:
         :raises InexactError: it has too many.
         """
         limit = MOST_STATEMENTS if recorder is None else MOST_TRACED + len(source.starts)
-        if counter.rounds > limit:
-            problem = f"FOR has {counter.rounds} rounds, more than {limit}"
+        if counter.round_count > limit:
+            problem = f"FOR has {counter.round_count} rounds, more than {limit}"
             raise inexact_error(Place(source, block.first), problem, "Check its bounds.")
         module = self.run.level.module
         if not self.run.level.loop_depth and not self._least_statements.may_write(
             source, block, counter.statement.name, module
         ):
-            rounds = counter.rounds * self._least_statements.minimum_of_round(source, block, module)
-            self._check_statement_count(Place(source, block.first), rounds)
+            minimum = counter.round_count * self._least_statements.minimum_of_round(source, block, module)
+            self._check_statement_count(Place(source, block.first), minimum)
 
     def _runs_again(self, source: Source, block: Block, counter: Counter | None) -> bool:
         """Return whether a loop runs its body once more, by its counter or the condition of WHILE."""

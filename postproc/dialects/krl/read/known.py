@@ -58,7 +58,9 @@ class UnparsedValue(Struct, frozen=True):
     def value(self) -> Value:
         """The value; it is parsed at the first call and stored with its file.
 
-        :raises ProgramError: it cannot be read.
+        An aggregate gets the row of its declaration in the execution trace: its numbers are corrected there.
+
+        :raises ProgramError: the text is not a value.
         """
         value = self.source.declared.get(self.start)
         if value is None:
@@ -85,17 +87,22 @@ class Scope(Struct, frozen=True):
     array_names: frozenset[str] = frozenset()
 
     def stored_name(self, name: str) -> str:
-        """Return the name under which a variable (upper case) is stored; variables of other scopes have other names."""
+        """Return the name under which a variable (upper case) is stored.
+
+        Local variables come first, then variables of the module, then GLOBAL variables, which keep their name.
+        """
         if name[0] == "$":
-            return name  # variables of the controller: no file declares its own
-        local = self.local_names.get(name)
-        return local if local is not None else self.prefix + name if name in self.prefixed_names else name
+            return name  # a variable of the controller, the same in all scopes
+        local_name = self.local_names.get(name)
+        if local_name is not None:
+            return local_name
+        return self.prefix + name if name in self.prefixed_names else name
 
 
 def stored_originals(imported: Import) -> tuple[str, str]:
     """Return the two names under which the variable of an IMPORT may be stored, see `Scope`.
 
-    They are its name as a GLOBAL variable, and that as a variable of its own `.dat`, with the prefix of that file.
+    The first is the name of a GLOBAL variable. The second has the prefix of the `.dat` that declares the variable.
     """
     return imported.original, f"{imported.file}/{imported.original}"
 
@@ -114,7 +121,7 @@ class UnresolvedError(ProgramError):
 
 
 def unresolved_error(cause: ProgramError) -> UnresolvedError:
-    """Return an error as one of a value that is not known before the program runs."""
+    """Return an `UnresolvedError` with the text of another error, which says why the value is not known."""
     return UnresolvedError(cause.problem, file=cause.file, line=cause.line, text=cause.text, advice=cause.advice)
 
 
@@ -123,7 +130,7 @@ def inexact_error(
 ) -> InexactError:
     """Return the error that the branch taken, or the number of iterations, is not known at a line.
 
-    :param routine: see `InexactError`.
+    :param routine: the called routine, if the error is about a call; else None.
     """
     base = place.error(problem, advice)
     error = InexactError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)

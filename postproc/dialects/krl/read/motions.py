@@ -19,8 +19,8 @@ from postproc.dialects.krl.read.auxiliary_points import (
     AuxiliaryOrientations,
     Circles,
     auxiliary_orientations,
-    first_other_turn,
-    other_turn_error,
+    first_other_rotation,
+    other_rotation_error,
 )
 from postproc.dialects.krl.read.end_poses import (
     EndPoses,
@@ -611,12 +611,12 @@ def _check_turns(
     :param in_force: settings in force at all motions.
     :raises ProgramError: there is one.
     """
-    index = first_other_turn(circles, orientations, targets.control.turns_with_path[circles.rows])
+    index = first_other_rotation(circles, orientations, targets.control.turns_with_path[circles.rows])
     if index >= 0:
         row = circles.rows.item(index)
         settings.refuse_uncertain(in_force.at(row), ["auxiliary"])
         is_led_through = bool(orientations.is_led_through[index])
-        raise other_turn_error(targets.trace, targets.line.item(row), is_led_through=is_led_through)
+        raise other_rotation_error(targets.trace, targets.line.item(row), is_led_through=is_led_through)
 
 
 def _circles(trace: Trace, rows: MotionColumns, circle_rows: Ints, ends: EndPoses, text_ends: Array) -> Circles:

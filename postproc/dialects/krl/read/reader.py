@@ -23,7 +23,7 @@ from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.read.comments import notes_of, remarks
+from postproc.dialects.krl.read.comments import force_notes, remarks
 from postproc.dialects.krl.read.data_lists import read_data, read_shared
 from postproc.dialects.krl.read.folder import FolderFiles, Library, codes_of, needed, text_of_lines
 from postproc.dialects.krl.read.frames import out_of_reach_error
@@ -272,7 +272,7 @@ class _Reading(Struct, frozen=True, eq=False):
         """
         run, course, sequence = main.run, main.course, separation.sequence
         unchecked_joins = frozenset() if self.cell.carriage is not None else free_joins(course, sequence)
-        notes = notes_of(
+        notes = force_notes(
             course, sequence.rows.line, sequence.rows.kind == PTP, run.unknown_force_reasons, unchecked_joins
         )
         if not self.cell.krl.keep_unresolved:

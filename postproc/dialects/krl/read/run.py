@@ -44,7 +44,11 @@ class Scopes:
         self._prefix = f"{program.name}/"
 
     def of(self, module: Module, routine: Routine) -> Scope:
-        """Return the scope of the names of a routine that are not local to it: which variables they mean."""
+        """Return the scope that resolves the names of a routine other than its local names.
+
+        The main routine needs none: its names are the stored names. Other routines of its file do not see its local
+        variables. Routines of another file share the scope of that file.
+        """
         if routine is self.main:
             return Scope()
         if module is self.program:
@@ -54,14 +58,14 @@ class Scopes:
                 )
             return self._routines[routine]
         if module not in self._modules:
-            self._modules[module] = self._of_module(module)
+            self._modules[module] = self._module_scope(module)
         return self._modules[module]
 
     def of_call(self, module: Module, routine: Routine, number: int, arrays: Mapping[str, str]) -> Scope:
-        """Return the scope of one call of a routine, whose local variables are new ones.
+        """Return the scope of one call of a routine; its local variables are stored separately from other calls.
 
-        :param number: of the call, from 1; it tells the variables of one call from those of another.
-        :param arrays: names of parameters that are whole arrays → the names under which these are stored.
+        :param number: number of the call, from 1; it is part of the stored names of the local variables.
+        :param arrays: parameter name → stored name of the whole array that the caller gives for it.
         """
         local_names = {name: f"{name}@{number}" for name in routine.local_names}
         if arrays:
@@ -69,8 +73,12 @@ class Scopes:
             return replace(self.of(module, routine), local_names=local_names, array_names=frozenset(arrays))
         return replace(self.of(module, routine), local_names=local_names)
 
-    def _of_module(self, module: Module) -> Scope:
-        """Return the scope of the routines in another file, and read the data list of that file."""
+    def _module_scope(self, module: Module) -> Scope:
+        """Return the scope of the routines in another file, and store the variables of the data list of that file.
+
+        Names that are not GLOBAL get the name of the file as prefix: those of its data list, and those that the main
+        program declares, which the other file does not see.
+        """
         variables, data = self.variables, module.data
         data_names, global_names = (frozenset(), frozenset()) if data is None else declared_names(data)
         main_names = (frozenset(variables.types) - variables.global_names) | self.main.local_names
@@ -116,10 +124,10 @@ class Level(Struct, eq=False):
 class UntracedCall(Struct, frozen=True, eq=False):
     """A call of a routine of another file whose motions are not in the execution trace.
 
-    :param row: of the trace; after it the robot position is not known.
-    :param reason: why a motion must not begin there.
-    :param name: of the routine, as it is spelled; `routine` itself, in `module`.
-    :param cause: why it is not followed.
+    :param row: row of the trace with the call; after it the robot position is not known.
+    :param reason: the error for a motion that begins there and depends on the robot position.
+    :param name: name of the routine, as it is spelled; `routine` is the routine itself, in `module`.
+    :param cause: why the call is not followed.
     """
 
     row: int
@@ -157,10 +165,11 @@ class RunPosition(NamedTuple):
 
 
 class _Fork(Struct, eq=False):
-    """A fork.
+    """An IF or SWITCH of which it is not known which branch runs.
 
-    :ivar values: of all variables there; `state` the settings in force.
-    :ivar ends: the same at the ends of the branches.
+    :ivar values: values of all variables before the branches; `state` the settings in force there.
+    :ivar is_begun: True once a branch has begun.
+    :ivar ends: values and settings at the end of each branch but the last.
     """
 
     values: Snapshot
@@ -176,12 +185,13 @@ class Run:
     :ivar trace: the rows of the program; those of the `.src` until they are complete.
     :ivar has_rows: whether `row` is a row of the trace while statements run; else it is a line of the `.src`.
     :ivar row: the present row of the trace.
-    :ivar shift: what the row of the present statement has in addition to its line in the file, if it is traced.
-    :ivar shown_line: line of the program's own `.src` to report for it; 0 where the trace is complete and says it.
-    :ivar is_final: False where statements must run once more when the trace is complete.
-    :ivar place: the statement that runs, in the file of its routine.
+    :ivar shift: row of the present statement minus its line in the file, if the statement is traced.
+    :ivar shown_line: line of the program's own `.src` to report for the present row; 0 if the trace is complete: the
+        trace has the line then.
+    :ivar is_final: False if the statements must run once more when the trace is complete.
+    :ivar place: the statement that runs, in the file of its routine; None before the first.
     :ivar level: the routine that runs.
-    :ivar stack: it, and those that called it.
+    :ivar stack: the routines that have been called and have not ended, the running routine last.
     :ivar statement_count: number of statements that have run in called routines and in control structures without
         motion.
     :ivar call_count: number of calls that have been run; it names the local variables of each.
@@ -238,27 +248,32 @@ class Run:
         self._nodes: dict[Routine, tuple[Node, ...]] = {}
 
     def come_to(self, row: int) -> Place:
-        """Make a row of the execution trace the present one; return its file and line."""
+        """Make a row of the execution trace the present row; return the file and the line of its statement."""
         place = self.trace.place(row)
         self.row, self.shift = row, row - place.line
         return place
 
     def with_row(self, aggregate: Aggregate) -> Aggregate:
-        """Return an aggregate of the present statement with its row of the trace: its numbers are corrected there."""
+        """Return an aggregate of the present statement with its row of the trace: its numbers are corrected there.
+
+        Without rows of the trace (`has_rows`) it is returned unchanged.
+        """
         return replace(aggregate, row=self.row) if self.has_rows else aggregate
 
     def understand(self, *offsets: int) -> None:
-        """Note that the use of names in the present statement is followed.
+        """Add names in the present statement to `followed_names`.
 
-        :param offsets: of these names in the file.
+        :param offsets: offsets of the names in the file.
         """
         self.followed_names.update([(self.row, offset) for offset in offsets])
 
     def note_copy(self, expression: Value, value: VariableValue, name: str) -> None:
-        """Note in `copies` that the present statement gives a variable or a parameter the text of a point, if it does.
+        """Add to `copies` that the present statement copies a point to a variable or a parameter.
 
-        :param expression: what the statement assigns, and `value` its value, see `Calls.evaluate_with_calls`.
-        :param name: of the variable or parameter, upper case.
+        Nothing is added if the expression is no variable, or its value is no point whose numbers are in the text.
+
+        :param expression: the assigned expression; `value` is its value from `Calls.evaluate_with_calls`.
+        :param name: name of the variable or parameter that gets the value, upper case.
         """
         if isinstance(expression, Reference) and isinstance(value, Aggregate) and not value.is_computed:
             self.understand(expression.start)
@@ -271,7 +286,9 @@ class Run:
         """
         if routine not in self._nodes:
             nodes = checked_nodes(routine.source, nodes_of(routine.source, routine.statement_lines))
-            if routine is not self.routine:  # whose errors are reported together
+            if (
+                routine is not self.routine
+            ):  # unclosed structures of the main routine are reported with its other errors
                 check_closed(routine.source, nodes)
             self._nodes[routine] = nodes
         return self._nodes[routine]
@@ -282,13 +299,13 @@ class Run:
         return self.shown_line or self.trace.shown_line(self.row)
 
     def begin_fork(self) -> None:
-        """Begin to follow branches of which it is not known which one runs: store values and settings."""
+        """Store the present values and settings, before the branches of a fork are followed one after the other."""
         self._forks.append(_Fork(self.variables.snapshot(), self.settings.state))
 
     def begin_branch(self) -> None:
-        """Begin one of the branches of the last fork, with the values and settings at that fork."""
+        """Begin the next branch of the last fork, with the values and settings at that fork."""
         fork = self._forks[-1]
-        if fork.is_begun:
+        if fork.is_begun:  # the present values are those at the end of the branch before
             fork.ends.append((self.variables.snapshot(), self.settings.state))
         fork.is_begun = True
         self.variables.restore(fork.values)
@@ -298,9 +315,11 @@ class Run:
         """End the last fork: values and settings that differ between its branches become unknown.
 
         :param place: the line that ends the branches, for messages.
-        :param is_exhaustive: True if one of the branches always runs.
+        :param is_exhaustive: True if one of the branches always runs; False if all may be skipped, so that the values
+            at the fork count as those of one more branch.
         """
         fork = self._forks.pop()
+        # the present values are those at the end of the last branch
         for values, state in [*fork.ends, *([] if is_exhaustive else [(fork.values, fork.state)])]:
             self.variables.merge(values, str(place))
             problem = "what motions depend on differs behind the branches that meet here"
@@ -308,7 +327,7 @@ class Run:
 
     @property
     def is_forked(self) -> bool:
-        """Whether a branch is followed of which it is not known whether it runs."""
+        """Whether a fork is open: it is not known whether the present statement runs."""
         return bool(self._forks)
 
     def position(self) -> RunPosition:
@@ -324,7 +343,10 @@ class Run:
         )
 
     def return_to(self, position: RunPosition) -> None:
-        """Return to the routine and the depth of the run at an earlier `position`."""
+        """Return to the routine and the depth of the run at an earlier `position`.
+
+        Open control structures and a GOTO on its way to its label are given up. Values and settings stay.
+        """
         self.level, self.variables.scope = position.level, position.scope
         self.level.loop_depth, self.level.is_left = position.loop_depth, position.is_left
         del self.stack[position.depth :], self._forks[position.fork_count :]
@@ -334,11 +356,11 @@ class Run:
     def finding_counts(self) -> FindingCounts:
         """Return the number of findings of each kind so far, for `drop_findings`."""
         return FindingCounts(
-            len(self.triggers),
-            len(self.untraced_calls),
-            len(self.interruptible_calls),
-            len(self.absent_calls),
-            len(self.issues),
+            triggers=len(self.triggers),
+            untraced_calls=len(self.untraced_calls),
+            interruptible_calls=len(self.interruptible_calls),
+            absent_calls=len(self.absent_calls),
+            issues=len(self.issues),
         )
 
     def drop_findings(self, counts: FindingCounts) -> None:
@@ -361,7 +383,7 @@ class Run:
     def may_take_rounds_at_once(self) -> bool:
         """Whether the motions of the next rounds of a loop may be taken at once.
 
-        Their frames and other settings must be known, they must run for certain, and be outside of a spline block.
+        The frames and all other settings must be known, no control structure or spline block may be open.
         """
         state = self.settings.state
         has_frames = state.base >= 0 and state.tool >= 0  # negative: not known
@@ -372,15 +394,19 @@ class Run:
         return self.variables.scope.stored_name(name.upper())
 
     def note_possible_changes(self, names: Mapping[str, Place], cause: str) -> None:
-        """Note that variables may get another value at any time from now on.
+        """Note that variables may get another value at any time from now on; earlier causes stay.
 
         :param names: stored name → the statement that changes the variable.
-        :param cause: what runs that statement, for messages.
+        :param cause: the interrupt, trigger or routine that runs this statement, for messages.
         """
         for name, place in names.items():
+            # a cause may name the place already
             cause_place = cause if cause.endswith(f"in {place}") else f"{cause}, {place}"
             self.variables.volatile_values.setdefault(name, UnknownValue(f"by {cause_place}"))
 
     def note_cyclic_change(self, place: Place, name: str) -> None:
-        """Note that the statement at a place makes a variable change cyclically; `name` is its stored name."""
+        """Note that the statement at a place makes a variable change cyclically (ANIN ON …).
+
+        :param name: stored name of the variable.
+        """
         self.variables.volatile_values.setdefault(name, UnknownValue(str(place)))

@@ -79,18 +79,24 @@ class State(Struct, frozen=True):
     uncertain_fields: tuple[tuple[str, int], ...] = ()
 
     def with_values(self, **fields: object) -> State:
-        """Return the state with other values of some fields, which are known then."""
-        initial_frames = self.initial_frames - {f"${name.upper()}" for name in fields}
+        """Return the state with new values of some fields; these fields are then known.
+
+        :param fields: field name → value. A frame given here no longer counts as set by BAS(#INITMOV,0).
+        """
+        initial_frames = self.initial_frames - {f"${name.upper()}" for name in fields}  # base → $BASE
         uncertain_fields = tuple((field, index) for field, index in self.uncertain_fields if field not in fields)
         return replace(self, initial_frames=initial_frames, uncertain_fields=uncertain_fields, **fields)
 
     def differing_fields(self, other_state: State) -> set[str]:
-        """Return the names of the fields whose values differ from those of another state."""
+        """Return the names of the fields that a variable sets and that have different values in two states.
+
+        `is_speed_assumed`, `initial_frames`, `spline_block` and `uncertain_fields` are not compared.
+        """
         fields = (*FIELDS.values(), *TURN_SPEEDS)
         return {field for field in fields if getattr(self, field) != getattr(other_state, field)}
 
     def without_turn_speeds(self) -> State:
-        """Return the state with infinite turn speeds, to compare what else is in force."""
+        """Return the state with infinite turn speeds, so that a comparison of two states disregards them."""
         return replace(self, swivel_speed=math.inf, rotation_speed=math.inf)
 
 
@@ -112,14 +118,15 @@ class MotionStates(Struct, frozen=True, eq=False):
         """Return the settings of some motions, given by their rows or by a mask (M,)."""
         return MotionStates(self.states, self.index[rows])
 
-    def column(self, value: Callable[[State], object]) -> np.ndarray[Any, Any]:
+    def column(self, property_of: Callable[[State], object]) -> np.ndarray[Any, Any]:
         """Return one property of the states of all motions (M,), to be read only.
 
-        :param value: reads the property from a state; integers get at most 4 bytes each.
+        :param property_of: reads the property from a state.
         """
-        values = np.array([value(state) for state in self.states])
+        values = np.array([property_of(state) for state in self.states])
         if len(values) and (values == values[0]).all():
             return np.broadcast_to(values[0], (len(self.index),))  # takes no memory
+        # 4 bytes or less for each integer of a long program
         return (compact(values, np.int32) if values.dtype == np.int64 else values)[self.index]
 
 
@@ -134,12 +141,17 @@ class Reasons:
         self.errors: list[ProgramError] = []
 
     def state_with_unknown(self, state: State, field: str, reason: ProgramError) -> State:
-        """Return a state in which a field is not known, and store the reason for it."""
+        """Return a state in which a field is not known, and add the reason to `errors`.
+
+        Frames: the row becomes negative, see `State.base`. Turn speeds: they become infinite, and the reason is not
+        stored. Other fields: the field keeps its value and is added to `State.uncertain_fields`.
+        """
         if field in TURN_SPEEDS:
             return state.with_values(**{field: math.inf})
         self.errors.append(reason)
         if field in ("base", "tool"):
-            return state.with_values(**{field: -len(self.errors)})
+            return state.with_values(**{field: -len(self.errors)})  # −1−k for the reason `errors[k]`
+        # drops an earlier reason for the field from `uncertain_fields`
         new_state = state.with_values(**{field: getattr(state, field)})
         return replace(new_state, uncertain_fields=(*new_state.uncertain_fields, (field, len(self.errors) - 1)))
 
