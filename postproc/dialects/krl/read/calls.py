@@ -21,8 +21,8 @@ from postproc.dialects.krl.read.state import FIELDS, RELEVANT, STORED_VARIABLES,
 from postproc.dialects.krl.read.variables import WHOLE, convert_to_type
 from postproc.errors import Issue, ProgramError
 
-_DEEPEST = 20
-"""Calls within each other that are followed; a deeper one is not run exactly."""
+_MAX_CALL_DEPTH = 20
+"""Largest number of calls within each other that are followed; a deeper call is not run exactly."""
 IN_ORDER = "Motions of interrupts cannot be corrected; write them out in order."
 _COMPLETE_ADVICE = "Begin behind the call with a LIN or PTP whose target has all components."
 _JOINTS_ADVICE = "Begin behind the call with a PTP to joint angles, all of A1 … A6."
@@ -341,8 +341,8 @@ class Calls:
             return "RESUME of an interrupt may break it off"
         if effects.jump is not None:
             return f"it jumps ({effects.jump})"
-        if len(self.run.stack) > _DEEPEST:
-            return f"more than {_DEEPEST} calls are within each other"
+        if len(self.run.stack) > _MAX_CALL_DEPTH:
+            return f"more than {_MAX_CALL_DEPTH} calls are within each other"
         if len(call.arguments) > len(routine.parameters):
             return f"it takes {len(routine.parameters)} arguments, {len(call.arguments)} are given"
         roots: set[str] = set()

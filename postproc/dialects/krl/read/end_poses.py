@@ -30,14 +30,15 @@ from postproc.program import Bools, Carriage, Ints, Starts
 _ANGLE_TOLERANCE = 1e-9
 """Angles that differ by less [deg] count as equal."""
 _FRAME_ADVICE = "Write all of X, Y, Z, A, B, C in the first target after $BASE or $TOOL is changed."
-_UNCHANGED = 1e-3 * RAD_PER_DEG
+_ORIENTATION_TOLERANCE = 1e-3 * RAD_PER_DEG
 """Orientations closer than this [rad] are the same."""
 
 
 class FrameColumns(NamedTuple):
     """Frames of M motions.
 
-    :ivar base: (M,) row of `$BASE` of each motion in `bases`; `tool` (M,) that of `$TOOL` in `tools`.
+    :ivar base: (M,) row of the `$BASE` of each motion in `bases`.
+    :ivar tool: (M,) row of the `$TOOL` of each motion in `tools`.
     :ivar bases: (nb, 4, 4) in the robot root [m].
     :ivar tools: (nt, 4, 4) in the flange frame [m].
     """
@@ -77,12 +78,13 @@ class OrientationControl(Struct, frozen=True, eq=False):
 class TextTargets(Struct, frozen=True, eq=False):
     """M targets as the text gives them.
 
-    :param trace: for messages; `line` (M,) the rows of the motions in it, from 1.
+    :param trace: the execution trace, for messages.
+    :param line: (M,) rows of the motions in the trace, from 1.
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in `$BASE`, NaN where missing; NaN for axis and relative targets.
         `end_poses` completes them in place.
-    :param frames: their frames.
+    :param frames: frames of the motions.
     :param statements: row → statement, for axis and relative targets and circles with CA.
-    :param control: how the orientation is led.
+    :param control: orientation control of the motions.
     :param carriage: the linear axis that carries the robot; None without one.
     :param is_missing: (M, 6) True where the text does not give the component; False for axis and relative targets.
     """
@@ -106,10 +108,10 @@ class EndPoses(Struct, frozen=True, eq=False):
 
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in `$BASE` where each motion ends.
     :param pose: (M, 4, 4) the same as poses [m].
-    :param joints: (M, 6) of axis targets [rad], NaN elsewhere.
+    :param joints: (M, 6) joint angles of axis targets [rad]; NaN for other targets.
     :param start: poses at which the motions start.
-    :param starts_from_joints: (M,) True where the previous position is an axis target or the start.
-    :param ignores_orientation: (M,) True where A, B, C of the text are not those of the target.
+    :param starts_from_joints: (M,) True where the previous position is an axis target or the start of the program.
+    :param ignores_orientation: (M,) True where A, B, C of the text differ from those of the target (#CONSTANT).
     :param circles: row → auxiliary and end point (2, 3) [mm] in `$BASE` of relative circles.
     """
 
@@ -125,10 +127,10 @@ class EndPoses(Struct, frozen=True, eq=False):
 class _RobotPosition(Struct, eq=False):
     """Robot position between two motions.
 
-    :ivar flange: (4, 4) in the robot root [m]; after a Cartesian target see `_Follower.flange`.
+    :ivar flange: (4, 4) in the robot root [m]; out of date after a Cartesian target, see `_Follower.flange`.
     :ivar joints: (6,) [rad]; None after a Cartesian target.
     :ivar numbers: (6,) X…C of the previous target [mm, deg]; None after an axis target, and at the start.
-    :ivar base: row of the `$BASE` of that target; `tool` that of its `$TOOL`.
+    :ivar base: row of the `$BASE` of the previous target; `tool` is the row of its `$TOOL`.
     """
 
     flange: Array
@@ -164,7 +166,7 @@ class _Follower:
         self.starts_from_joints = np.zeros(len(targets.numbers), dtype=np.bool_)
 
     def flange(self) -> Array:
-        """Return the present flange (4, 4) in the robot root [m]; it is computed when it is needed, and stored."""
+        """Return the present flange (4, 4) in the robot root [m], computed and stored after a Cartesian target."""
         present, frames = self.present, self.targets.frames
         if present.numbers is not None:
             tcp = frames.bases[present.base] @ pose_from_xyzabc(present.numbers)
@@ -172,7 +174,10 @@ class _Follower:
         return present.flange
 
     def present_numbers(self, row: int) -> Array:
-        """Return X…C (6,) [mm, deg] of the present position, in the frames of a motion."""
+        """Return X…C (6,) [mm, deg] of the present position, in `$BASE` and for `$TOOL` of a motion.
+
+        :param row: row of the motion; its frames may differ from those of the previous target.
+        """
         present, frames = self.present, self.targets.frames
         base, tool = int(frames.base[row]), int(frames.tool[row])
         if present.numbers is not None and (present.base, present.tool) == (base, tool):
@@ -180,7 +185,7 @@ class _Follower:
         return xyzabc_from_pose(inverse(frames.bases[base]) @ self.flange() @ frames.tools[tool])
 
     def arrive(self, row: int) -> None:
-        """Make the Cartesian target of a motion the present position."""
+        """Make the Cartesian target of a motion, given by its row, the present position."""
         present, frames = self.present, self.targets.frames
         present.numbers, present.joints = self.numbers[row], None
         present.base, present.tool = int(frames.base[row]), int(frames.tool[row])
@@ -188,19 +193,21 @@ class _Follower:
     def complete_absolute(self, first: int, last: int) -> None:
         """Fill in the missing components of the absolute Cartesian targets of rows first … last − 1.
 
+        The last of these targets becomes the present position.
+
         :raises ProgramError: a component is missing whose previous value is not certain.
         """
         if first == last:
             return
         self.starts_from_joints[first] = self.present.numbers is None
-        for part in chunks(last - first):
-            self._fill_in_rows(first + part.start, min(first + part.stop, last))
+        for chunk in chunks(last - first):
+            self._fill_in_rows(first + chunk.start, min(first + chunk.stop, last))
 
     def _fill_in_rows(self, first: int, last: int) -> None:
-        """Fill in missing components of the absolute targets first … last − 1, from the targets before.
+        """Fill in missing components of the absolute targets of rows first … last − 1 from the targets before them.
 
-        The rows are a chunk, which fits the cache. A running maximum of row numbers finds, for each component, the
-        latest row that gives it. Row 0 gives what is missing there from the present position.
+        A running maximum of row numbers finds, for each component, the latest row that gives it. What the first row
+        lacks is taken from the present position. The last target becomes the present position.
 
         :raises ProgramError: as for `complete_absolute`.
         """
@@ -210,19 +217,23 @@ class _Follower:
             self._check_frames(first, last, any_column(is_missing))
             position = self.present_numbers(first)
             first_row = np.where(is_missing[:1], position, block[:1])
+            # for each component, the latest row of the block that gives it; row 0 is complete
             latest = np.maximum.accumulate(np.where(is_missing, 0, np.arange(len(block))[:, None]), axis=0)
             previous_numbers = np.vstack(
                 [position, np.take_along_axis(np.vstack([first_row, block[1:]]), latest, axis=0)]
             )
-            block[:] = previous_numbers[1:]
+            block[:] = previous_numbers[1:]  # row 0 of `previous_numbers` is the present position
             self._check_angles(first, is_missing[:, 3:], previous_numbers[:-1, 4])
         self.arrive(last - 1)
 
     def _check_angles(self, first: int, is_missing: Bools, previous_b: Array) -> None:
-        """Refuse targets that lack some of A, B, C if two sets of angles describe the previous orientation.
+        """Refuse targets that lack some of A, B, C if the previous B is beyond ±90°.
 
+        The controller may then keep the other set of angles of that orientation: A ± 180, ±180 − B, C ± 180.
+
+        :param first: row of the first target.
         :param is_missing: (n, 3) True where A, B, C are missing, from row `first` on.
-        :param previous_b: (n,) the previous B [deg]; beyond ±90 the controller may keep A ± 180, ±180 − B, C ± 180.
+        :param previous_b: (n,) B [deg] of the targets before.
         :raises ProgramError: there is such a target.
         """
         is_partial = any_column(is_missing) & ~is_missing.all(axis=1)
@@ -236,6 +247,7 @@ class _Follower:
     def _check_frames(self, first: int, last: int, incomplete: Bools) -> None:
         """Refuse missing components right after a change of frames: the previous values refer to other frames.
 
+        :param first: first row; `last` is the row behind the last.
         :param incomplete: (n,) True where a component is missing, from row `first` on.
         :raises ProgramError: there is such a target.
         """
@@ -249,12 +261,11 @@ class _Follower:
             raise self.trace.error(problem, int(self.line[first + uncertain_rows[0]]), _FRAME_ADVICE)
 
     def follow_special(self, row: int, move: MotionStatement | None) -> None:
-        """Complete the target of a motion that is not plain.
+        """Complete the target of one of the `_special_rows`, and make it the present position.
 
-        That is an axis or relative target, a circle with CA, or a motion that keeps the orientation of its start.
-
+        :param row: row of the motion.
         :param move: its statement; None if it was read in bulk.
-        :raises ProgramError: the target is not certain, or the points of a circle do not define one.
+        :raises ProgramError: the target is not certain, or the points of a circle do not define a circle.
         """
         if move is not None and move.end.position.is_axis:
             self._follow_axis_target(row, move)
@@ -276,10 +287,14 @@ class _Follower:
         self.arrive(row)
 
     def _end_of_circle(self, row: int, start: Array, angle: float | None) -> None:
-        """Set the end of a circle: the point at its angle CA, and the orientation, turned if it follows the path.
+        """Set the end of a circle in `numbers`.
 
+        With CA the end is the point at that angle. Where the orientation is kept relative to the path, it turns by the
+        angle of the arc.
+
+        :param row: row of the circle.
         :param start: (6,) X…C [mm, deg] at the start of the circle.
-        :param angle: CA [rad]; None without it.
+        :param angle: CA [rad]; None without CA.
         :raises ProgramError: the points do not define a circle.
         """
         begin, end = start[:3] * M_PER_MM, self.numbers[row, :3] * M_PER_MM
@@ -295,8 +310,9 @@ class _Follower:
             self.numbers[row, 3:] = xyzabc_from_pose(pose)[3:]
 
     def _follow_axis_target(self, row: int, move: MotionStatement) -> None:
-        """Complete an axis target: missing axes keep their angles.
+        """Complete an axis target, in which missing axes keep their angles, and make it the present position.
 
+        :param row: row of the motion; `move` is its statement.
         :raises ProgramError: angles are missing or relative, and the angles before are not known.
         """
         angles, previous_joints = np.array(move.end.position.values) * RAD_PER_DEG, self.present.joints
@@ -321,8 +337,8 @@ class _Follower:
     def _relative_target(self, move: MotionStatement, numbers: Array) -> Array:
         """Return X…C (6,) [mm, deg] of a relative target.
 
-        :param numbers: (6,) X…C where the motion begins.
-        :raises ProgramError: it turns the tool.
+        :param numbers: (6,) X…C [mm, deg] at which the motion begins.
+        :raises ProgramError: the target turns the tool.
         """
         position = move.end.position
         offset = np.nan_to_num(np.array(position.values))
@@ -334,8 +350,9 @@ class _Follower:
 def _relative_offset(position: Position, axes: str, numbers: Array) -> Array:
     """Return the offset (3,) [mm] of a relative point in `$BASE`.
 
-    :param axes: ``#BASE`` or ``#TOOL``, in which the offset is given.
-    :param numbers: (6,) X…C where the motion begins.
+    :param position: the relative point; its missing components are 0.
+    :param axes: ``#BASE`` or ``#TOOL``: the axes in which the text gives the offset.
+    :param numbers: (6,) X…C [mm, deg] at which the motion begins.
     """
     step = np.nan_to_num(np.array(position.values[:3]))
     return np.asarray(pose_from_xyzabc(numbers)[:3, :3] @ step) if axes == "#TOOL" else step
@@ -344,8 +361,8 @@ def _relative_offset(position: Position, axes: str, numbers: Array) -> Array:
 def flange_on_track(flange: Array, carriage: Carriage, position: float) -> Array:
     """Return a flange pose (4, 4) [m] in the robot root at E1 = 0.
 
-    :param flange: (4, 4) in the root as the linear axis carries it [m].
-    :param position: of the linear axis [m].
+    :param flange: (4, 4) in the robot root at `position` [m].
+    :param position: position of the linear axis that carries the robot [m].
     """
     carried_flange = flange.copy()
     carried_flange[:3, 3] += position * carriage.direction
@@ -360,12 +377,13 @@ def end_poses(
 ) -> EndPoses:
     """Return the complete targets of M motions.
 
-    :param targets: completed in place.
-    :param start_joints: (6,) joint angles at the start [rad].
+    :param targets: their `numbers` are completed in place.
+    :param start_joints: (6,) joint angles at the start of the program [rad].
     :param kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
-    :param predecessors: (M,) the motion at whose end each begins, see `Program.after`.
-    :raises ProgramError: a component is missing and its previous value is not certain; a relative target cannot
-        be known; an axis is missing; the points of a circle do not define one.
+    :param predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
+    :raises ProgramError: a component is missing and its previous value is not certain; a relative target turns the
+        tool; an axis is missing or relative and its angle before is not known; the points of a circle do not define a
+        circle.
     """
     numbers, keeps_orientation = targets.numbers, targets.control.keeps_orientation
     start_flange = kinematics(start_joints)
@@ -402,8 +420,9 @@ def end_poses(
 def _special_rows(targets: TextTargets) -> list[int]:
     """Return the rows of motions whose targets are completed one by one, in order.
 
-    Those are axis and relative targets, circles with CA, and motions that keep the orientation of their start: if that
-    is the first in its frames, or is kept relative to a circle.
+    These motions have axis or relative targets, are circles with CA, or keep the orientation of their start
+    (#CONSTANT). The last count only if the motion is the first in its frames, or keeps the orientation relative to the
+    path of a circle; otherwise A, B, C are filled in like missing components.
     """
     special_rows = {
         row
@@ -411,16 +430,18 @@ def _special_rows(targets: TextTargets) -> list[int]:
         if move.end.position.is_axis or move.relative_axes or move.angle is not None
     }
     base, tool, control = targets.frames.base, targets.frames.tool, targets.control
-    has_new_frame = np.append(True, (np.diff(base) != 0) | (np.diff(tool) != 0))[: len(base)]
+    has_new_frame = np.append(True, (np.diff(base) != 0) | (np.diff(tool) != 0))[: len(base)]  # empty without motions
     oriented_rows = np.flatnonzero(control.keeps_orientation & (has_new_frame | control.turns_with_path))
     return sorted(special_rows.union(oriented_rows.tolist()))
 
 
 def _check_ignored(targets: TextTargets, is_incomplete: Bools, is_ignored: Bools) -> None:
-    """Refuse missing A, B, C after ignored ones: which of them the controller keeps is not certain.
+    """Refuse missing A, B, C behind targets whose A, B, C were ignored: it is not certain which the controller keeps.
 
-    :param is_incomplete: (M,) True where A, B or C is missing in the text.
-    :param is_ignored: (M,) True where A, B, C of the text are not those of the target.
+    A motion that does not keep the orientation of its start ends the effect of ignored angles before it.
+
+    :param is_incomplete: (M,) True where A, B or C is missing in the text; set to False for axis targets.
+    :param is_ignored: (M,) True where A, B, C of the text differ from those of the target.
     :raises ProgramError: there is such a target.
     """
     if not is_ignored.any():
@@ -429,7 +450,7 @@ def _check_ignored(targets: TextTargets, is_incomplete: Bools, is_ignored: Bools
     last_ignored_row = np.maximum.accumulate(np.where(is_ignored, all_rows, -1))
     last_free_row = np.maximum.accumulate(np.where(keeps_orientation, -1, all_rows))
     is_incomplete[targets.axis_rows()] = False
-    follows_ignored = (last_ignored_row > last_free_row)[:-1]
+    follows_ignored = (last_ignored_row > last_free_row)[:-1]  # for each motion from the second on
     rows = np.flatnonzero(is_incomplete[1:] & ~keeps_orientation[1:] & follows_ignored) + 1
     if len(rows):
         raise targets.trace.error(
@@ -441,10 +462,12 @@ def _check_ignored(targets: TextTargets, is_incomplete: Bools, is_ignored: Bools
 
 
 def circle_geometry(trace: Trace, line: Ints, start: Array, via: Array, end: Array) -> Arcs:
-    """Return the arcs through three points each, in `$BASE`.
+    """Return n arcs, each through three points in `$BASE`.
 
-    :param start: (n, 3) [m]; `via` (n, 3) a point between, and `end` (n, 3) likewise.
-    :param line: (n,) their rows in the trace, from 1, for messages.
+    :param line: (n,) rows of the circles in the trace, from 1, for messages.
+    :param start: (n, 3) start points [m].
+    :param via: (n, 3) points between start and end [m].
+    :param end: (n, 3) end points [m].
     :raises ProgramError: the three points lie on a straight line, or two of them coincide.
     """
     centre, axis, angle, is_flat = arcs_through(start, via, end)
@@ -458,18 +481,17 @@ def circle_geometry(trace: Trace, line: Ints, start: Array, via: Array, end: Arr
 
 
 def rotated_point(start: Array, centre: Array, axis: Array, angle: float) -> Array:
-    """Return the point (3,) to which a rotation about an axis moves another.
+    """Return the point (3,) to which a rotation about an axis moves the point `start` (3,).
 
-    :param start: (3,) that point.
     :param centre: (3,) a point on the axis.
     :param axis: (3,) unit vector.
-    :param angle: [rad].
+    :param angle: angle of the rotation, by the right hand [rad].
     """
     end: Array = centre + rotation_from_vector(axis * angle) @ (start - centre)
     return end
 
 
 def same_orientation(r1: Array, r2: Array) -> Bools:
-    """Return where orientations `r1` and `r2` (..., 3, 3) differ by less than `_UNCHANGED` (...)."""
+    """Return where (...) orientations `r1` and `r2` (..., 3, 3) differ by less than `_ORIENTATION_TOLERANCE`."""
     trace = np.einsum("...ij,...ij->...", r1, r2)  # of r1ᵀ·r2: 1 + 2·cos of the angle between them
-    return np.asarray(trace > 1.0 + 2.0 * np.cos(_UNCHANGED))
+    return np.asarray(trace > 1.0 + 2.0 * np.cos(_ORIENTATION_TOLERANCE))

@@ -22,7 +22,7 @@ from postproc.dialects.krl.language.values import Call, Number, Reference, Value
 from postproc.dialects.krl.read.computed_rounds import FEWEST_ROUNDS, computed_body
 from postproc.dialects.krl.read.conditions import constant_cases
 from postproc.dialects.krl.read.counter import Counter, undecided_error
-from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump
+from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump_message
 from postproc.dialects.krl.read.known import InexactError, VariableValue, inexact_error
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
 from postproc.dialects.krl.read.motion_reader import keeps_position
@@ -40,12 +40,12 @@ MOST_TRACED = 400_000
 """A trace has at most this many statements more than the file has lines."""
 MOST_UNCOUNTED = 60_000
 """Most statements that a loop around motions may run if its number of iterations is not known."""
-_CASES = 4
-"""Number of CASEs that count as one statement."""
+_CASES_PER_STATEMENT = 4
+"""Number of CASEs that count as one statement that runs."""
 _MOST_FORKS = 4000
 """Most forks followed whose branch taken is not known before run time."""
 _MOST_NAMES = 8
-"""Variables named in a message."""
+"""Most names of variables in a message."""
 _LENGTH_ADVICE = "Divide the program, or give its loops fewer rounds and its subprograms fewer calls."
 _JUMP_IN_LOOP_ADVICE = "Write IF around the statements that it skips."
 _LABEL_ADVICE = "Write LOOP, WHILE or IF in place of its GOTO, and remove the label."
@@ -71,24 +71,26 @@ class Flow:
         """Begin before the first statement."""
         self.run, self.recorder, self._note_fault = run, recorder, note_fault
         self.interpreter = Interpreter(run, motion, self.run_called_routine, self._inline_call)
-        self._moving: dict[tuple[Block, Module], bool] = {}  # see `_block_moves`
-        self._plain: dict[Block, PlainBody | None] = {}  # body of a FOR; None if it is not plain
-        self._cases: dict[Block, dict[float | None, int] | None] = {}  # of a SWITCH, see `constant_cases`
-        self._enclosing: list[tuple[Place, int]] = []  # enclosing loops and calls, each with its iteration
-        self._traced = self._forks = 0  # statements of the trace, forks so far
-        self._still = 0  # depth of control structures without motion
+        self._moving_blocks: dict[tuple[Block, Module], bool] = {}  # results of `_block_moves`
+        self._plain_bodies: dict[Block, PlainBody | None] = {}  # body of a FOR; None if it is not plain
+        self._case_tables: dict[Block, dict[float | None, int] | None] = {}  # of a SWITCH, see `constant_cases`
+        self._enclosing: list[tuple[Place, int]] = []  # enclosing loops and calls, each with its iteration; 0: a call
+        self._traced_count = self._fork_count = 0  # statements of the trace, and forks, that have run
+        self._motionless_depth = 0  # number of nested control structures without motion that are followed
         self._least_statements = LeastStatements(run)
 
-    def follow(self, source: Source, nodes: tuple[Node, ...], *, last: bool = False) -> None:
-        """Run statements and control structures one by one, up to RETURN or the EXIT of a loop.
+    def follow(self, source: Source, nodes: tuple[Node, ...], *, ends_routine: bool = False) -> None:
+        """Run statements and control structures one by one, up to RETURN, EXIT, or a GOTO whose label is elsewhere.
 
-        :param last: the routine ends after them.
+        :param ends_routine: True if the routine ends after the nodes.
         :raises InexactError: the branch taken is not known before run time.
         """
         level, index = self.run.level, 0
         while index < len(nodes):
             node = nodes[index]
-            if isinstance(node, Block) and (next_index := self._follow_skip(source, nodes, index, last=last)):
+            if isinstance(node, Block) and (
+                next_index := self._follow_skip(source, nodes, index, ends_routine=ends_routine)
+            ):
                 index = next_index
                 continue
             if isinstance(node, Block):
@@ -111,15 +113,15 @@ class Flow:
         return stmt.label if isinstance(stmt, tree.Goto) else ""
 
     def labels(self, source: Source, lines: Iterable[int]) -> set[str]:
-        """Return the labels that are on some lines, upper case."""
+        """Return the names of the labels on some lines, upper case."""
         statements = (statement(source, line) for line in lines)
         return {stmt.name for stmt in statements if isinstance(stmt, tree.Label)}
 
     def _label_index(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
-        """Return the index of the node at which execution continues after a GOTO: the one with its label.
+        """Return the index of the node with the label of a GOTO that has run; the GOTO is then complete.
 
-        :param index: of the node with the GOTO; labels before it are not searched.
-        :returns: the number of nodes if the label is none of the later ones.
+        :param index: index of the node with the GOTO; labels before it are not searched.
+        :returns: the number of nodes if no later node is the label, or no trace is recorded.
         :raises InexactError: the GOTO is in a loop around motions.
         """
         level, recorder = self.run.level, self.recorder
@@ -132,7 +134,7 @@ class Flow:
                         Place(source, level.jump_line), "GOTO leads to a label in a loop", _JUMP_IN_LOOP_ADVICE
                     )
                 level.jump_line = 0
-                recorder.record_passed_lines(line - 1, live=False)
+                recorder.record_passed_lines(line - 1, is_live=False)
                 return number
         return len(nodes)
 
@@ -143,30 +145,32 @@ class Flow:
             self._check_statement_count(
                 Place(routine.source, routine.first), self._least_statements.minimum_of_call(level.module, routine)
             )
-        self.follow(routine.source, self.run.nodes(routine), last=True)
+        self.follow(routine.source, self.run.nodes(routine), ends_routine=True)
 
     def belongs_in_trace(self, source: Source, node: Node) -> bool:
-        """Return whether a statement or a control structure belongs in the execution trace.
+        """Return whether a node belongs in the execution trace: it moves the robot or contains a force comment.
 
-        It does if it moves the robot or contains a force comment.
+        :param node: a statement, given by its line, or a control structure.
         """
         if isinstance(node, int):
             return self._statement_moves(source, node)
-        comment_lines = self.run.analysis.force_comment_lines(source)
-        return bisect_left(comment_lines, node.first) < bisect_left(comment_lines, node.last) or self._block_moves(
-            source, node
-        )
+        comment_lines = self.run.analysis.force_comment_lines(source)  # ascending
+        has_comment = bisect_left(comment_lines, node.first) < bisect_left(comment_lines, node.last)
+        return has_comment or self._block_moves(source, node)
 
     def _block_moves(self, source: Source, node: Block) -> bool:
         """Return whether a control structure moves the robot or calls a routine that does; the result is stored."""
         module = self.run.level.module
         key = node, module
-        if key not in self._moving:
-            is_own = source is self.run.level.routine.source
+        if key not in self._moving_blocks:
+            is_in_routine = source is self.run.level.routine.source
+            # plain motions of the routine, ascending, between the first and the last line
             begin, end = np.searchsorted(self.run.level.routine.motion_lines, [node.first, node.last])
-            has_plain_motion = is_own and bool(begin < end)
-            self._moving[key] = has_plain_motion or any(self._statement_moves(source, line) for line in node.lines())
-        return self._moving[key]
+            has_plain_motion = is_in_routine and bool(begin < end)
+            self._moving_blocks[key] = has_plain_motion or any(
+                self._statement_moves(source, line) for line in node.lines()
+            )
+        return self._moving_blocks[key]
 
     def _statement_moves(self, source: Source, line: int) -> bool:
         """Return whether a statement moves the robot, calls a routine that does, or is a GOTO."""
@@ -183,10 +187,14 @@ class Flow:
             return False
 
     def set_counter(self, place: Place, counter: Reference, number: int) -> None:
-        """Set the counter of a FOR to its value in a round of a recorded trace."""
+        """Set the counter of a FOR to a number, its value in a round of a recorded trace; note an error of the FOR.
+
+        :raises InexactError: too many statements have run.
+        """
         self._count_statement(place)
         try:
-            self.interpreter.assign(place, counter, Number(float(number), counter.start, counter.stop, True))
+            value = Number(float(number), counter.start, counter.stop, is_integer=True)
+            self.interpreter.assign(place, counter, value)
         except InexactError:
             raise
         except ProgramError as cause:
@@ -195,13 +203,13 @@ class Flow:
     # --- statements --------------------------------------------------------------------------------------------------
 
     def _follow_statement(self, place: Place, stmt: tree.Statement) -> None:
-        """Follow one statement; after EXIT or GOTO its successors are not followed."""
+        """Follow one statement. EXIT and GOTO set `Level.is_left` and `Level.jump_line`: the next one does not run."""
         level, word = self.run.level, stmt.word
         if level.is_traced:
             self._come_to(place.line)
         self._count_statement(place)
         if word == "EXIT" and (level.loop_depth or (level.is_traced and self.recorder is None)):
-            level.is_left = True  # in a recorded trace, the loop is around the row that runs
+            level.is_left = True  # a recorded trace that is followed has no loops: its rows are their rounds
             return
         if word == "GOTO" and self.recorder is not None and level.is_traced:
             self.recorder.record_run_lines(place.line - 1)
@@ -212,16 +220,14 @@ class Flow:
         self._follow_noting_errors(place, stmt)
 
     def _come_to(self, line: int) -> None:
-        """Make the row of the trace with a 1-based line of a traced routine the present row."""
+        """Make the row of the trace with a line (from 1) of the present routine the present row."""
         run = self.run
         if self.recorder is not None and self.recorder.is_final:
             run.shift, run.shown_line = self.recorder.shift_and_shown_line(line)
         run.row = line + run.shift
 
     def _follow_noting_errors(self, place: Place, stmt: tree.Statement) -> None:
-        """Follow a statement.
-
-        In a traced routine its error is noted, so that the errors of later statements are reported too.
+        """Follow a statement; in a traced routine its error is noted, and later statements are followed too.
 
         :raises InexactError: the branch taken is not known before run time.
         :raises ProgramError: the statement has an error, and its routine is not traced.
@@ -236,43 +242,47 @@ class Flow:
             self._note_fault(place, cause)
 
     def _count_statement(self, place: Place) -> None:
-        """Count a statement that runs.
+        """Count a statement that runs: in `run.statement_count` if no motion can be in its code, else as traced.
 
-        :raises InexactError: more statements run than are followed.
+        :raises InexactError: more statements have run than are followed.
         """
-        if self._still or not self.run.level.is_traced:
+        if self._motionless_depth or not self.run.level.is_traced:
             self.run.statement_count += 1
             if self.run.statement_count > MOST_STATEMENTS:
                 raise inexact_error(place, "too much runs before")
             return
-        self._traced += 1
-        if self._traced > MOST_TRACED and self._traced > (limit := self._statement_limit(place.source)):
+        self._traced_count += 1
+        if self._traced_count > MOST_TRACED and self._traced_count > (limit := self._statement_limit(place.source)):
             problem = f"loops around motions are too long: {limit} statements have run when the program comes here"
             raise inexact_error(place, problem, _LENGTH_ADVICE)
 
     def _statement_limit(self, source: Source) -> int:
-        """Return the largest number of statements that may run around motions."""
+        """Return the largest number of statements of the trace: the lines of the file or of the trace, and a margin."""
         return MOST_TRACED + (len(source.starts) if self.recorder is not None else len(self.run.trace))
 
     def _check_statement_count(self, place: Place, minimum: int) -> None:
         """Refuse code that runs too many statements, before it is followed.
 
+        :param place: the loop or the call that runs the code.
         :param minimum: lower bound on the number of statements that the code runs.
-        :raises InexactError: they exceed the limit, together with those that have run.
+        :raises InexactError: they and the statements that have run exceed the limit.
         """
-        if self._still or not self.run.level.is_traced:
+        if self._motionless_depth or not self.run.level.is_traced:
             if self.run.statement_count + minimum > MOST_STATEMENTS:
                 raise inexact_error(place, "too much runs before")
-        elif self._traced + minimum > self._statement_limit(place.source):
+        elif self._traced_count + minimum > self._statement_limit(place.source):
             problem = f"loops and calls around motions are too long: at least {minimum} statements run from here on, "
             problem += f"{self._statement_limit(place.source)} are followed"
             raise inexact_error(place, problem, _LENGTH_ADVICE)
 
     def _inline_call(self, place: Place, call: Call) -> bool:
-        """Follow the call of a routine with motions, as part of the execution trace.
+        """Follow the call of a routine with motions or force comments, as part of the execution trace.
 
-        :returns: False if the routine has no motions, or the call cannot be part of the trace.
-        :raises InexactError: its statements are not known before run time, and the call cannot be left as it is.
+        :returns: False if the call is not part of the trace: no trace is recorded, the routine has neither motions nor
+            force comments, the call may not run, an argument moves the robot, or the routine cannot be followed and is
+            left as it is under `--keep-unresolved`.
+        :raises InexactError: the order of its statements is not known before run time, and the call is not left as it
+            is.
         """
         run, recorder = self.run, self.recorder
         if recorder is None or not run.level.is_traced or not run.is_certain:
@@ -298,9 +308,9 @@ class Flow:
         return True
 
     def _check_structure(self, routine: Routine) -> None:
-        """Refuse a routine that no controller loads.
+        """Refuse a routine with a control structure that is not closed properly: no controller loads it.
 
-        :raises InexactError: a control structure is not closed properly.
+        :raises InexactError: there is one.
         """
         try:
             self.run.nodes(routine)
@@ -309,14 +319,14 @@ class Flow:
             raise inexact_error(place, cause.problem, cause.advice, routine) from None
 
     def _call_moves(self, call: Call) -> bool:
-        """Return whether a call moves the robot, by its routine or by one that this calls."""
+        """Return whether the routine of a call, or a routine that this calls, moves the robot."""
         callee = self.interpreter.calls.traced_callee(call)
         return callee is not None and self.run.analysis.effects_of(*callee).motion is not None
 
     def _undo_from_here(self, recorder: Recorder) -> Callable[[], None]:
-        """Return a function that restores the run, the trace and the open calls as they are now.
+        """Return a function that restores the findings, the position in the program, the trace and the open calls.
 
-        Values and settings stay as they are: to keep them for each call would take as long as there are variables.
+        Values of variables and settings are not restored: to copy all of them for each call would take too long.
         """
         run, entered_calls = self.run, self.interpreter.calls.entered_calls
         counts, mark, position = run.finding_counts(), recorder.mark(), run.position()
@@ -332,7 +342,10 @@ class Flow:
         return undo
 
     def _record_call(self, place: Place, call: Call, recorder: Recorder, module: Module, routine: Routine) -> None:
-        """Record the call of a routine with motions, follow the statements of the routine, and return to the caller."""
+        """Record the call of a routine with motions, follow the statements of the routine, and return to the caller.
+
+        :raises InexactError: the call cannot be followed exactly.
+        """
         run = self.run
         recorder.record_run_lines(place.line - 1)
         recorder.enter_routine(place, (call.start, call.start + len(call.name)), module, routine)
@@ -343,7 +356,7 @@ class Flow:
         self._enclosing.pop()
         if not level.return_line:
             recorder.record_run_lines(routine.last - 1)
-        recorder.record_passed_lines(routine.last - 1, live=False)
+        recorder.record_passed_lines(routine.last - 1, is_live=False)
         self.interpreter.calls.leave_routine()
         recorder.leave_routine()
 
@@ -352,28 +365,28 @@ class Flow:
     def _follow_block(self, source: Source, block: Block) -> None:
         """Follow a control structure.
 
-        One with motions or force comments is followed exactly. For others it is enough to mark as unknown what they may
-        write if the branch taken is not known.
+        With motions or force comments: exactly, as part of the trace. Without: exactly if that is possible; else all
+        variables that it may write become unknown.
         """
         if self.recorder is not None and self.run.level.is_traced and self.belongs_in_trace(source, block):
             self._follow_or_keep(source, block, self.recorder)
             return
         marks = self.run.finding_counts()
-        self._still += 1
+        self._motionless_depth += 1
         try:
             self._follow_exactly(source, block, None)
         except InexactError:
             self.run.drop_findings(marks)
             self.follow_roughly(source, block)
         finally:
-            self._still -= 1
+            self._motionless_depth -= 1
 
     def _follow_or_keep(self, source: Source, block: Block, recorder: Recorder) -> None:
         """Follow a control structure with motions or force comments, and record it.
 
-        Under `--keep-unresolved` it is left as it is if the branch taken is not known before run time.
+        Under `--keep-unresolved` it is left uncorrected if the branch taken is not known before run time.
 
-        :raises InexactError: without that option, the branch taken is not known.
+        :raises InexactError: without that option, if the branch taken is not known.
         """
         run = self.run
         if not run.keeps_unresolved:
@@ -399,7 +412,8 @@ class Flow:
     def follow_roughly(self, source: Source, block: Block) -> None:
         """Mark all variables that a control structure may write as unknown, for any number of iterations.
 
-        A loop is followed a second time, with the values that its own statements leave.
+        Its lines are followed in order, as statements that may not run. A loop is followed twice, the second time with
+        what the first time has made unknown.
         """
         lines = list(block.lines())
         self._add_to_count(len(lines))
@@ -414,10 +428,10 @@ class Flow:
     def _follow_exactly(self, source: Source, block: Block, recorder: Recorder | None) -> None:
         """Follow the branch of a control structure that is taken, or the rounds of a loop.
 
-        An IF or SWITCH whose branch is not known is followed in all branches if it is recorded.
+        All branches of an IF or SWITCH are followed if it is recorded and the branch taken is not known.
 
-        :param recorder: records it; None for a structure without motions.
-        :raises InexactError: the branch taken is not known before run time.
+        :param recorder: records the structure; None for a structure without motions.
+        :raises InexactError: the branch taken or the number of rounds is not known, and not all branches are followed.
         """
         if block.word in LOOPS:
             self._follow_loop(source, block, recorder)
@@ -435,14 +449,14 @@ class Flow:
             recorder.record_run_lines(block.first - 1)
             recorder.record_passed_lines(block.first)
             if part is not None:
-                recorder.record_passed_lines(part.head - 1, live=False)
+                recorder.record_passed_lines(part.head - 1, is_live=False)
                 recorder.record_passed_lines(part.head)
         if part is not None:
             self.follow(source, part.nodes)
         if recorder is not None:
             if part is not None and not self.run.level.is_broken_off:
                 recorder.record_run_lines(part.end - 1)
-            recorder.record_passed_lines(block.last - 1, live=False)
+            recorder.record_passed_lines(block.last - 1, is_live=False)
             recorder.record_passed_lines(block.last)
 
     def _follow_branches(
@@ -450,30 +464,32 @@ class Flow:
     ) -> None:
         """Follow all branches of an IF or SWITCH, each with the values at the fork.
 
-        :param occasion: the visit to it; `cause` is the error that its branch is not known.
-        :raises InexactError: one of them does not lead to the join, or a condition calls a function that changes
-            something.
+        :param occasion: the visit to the structure.
+        :param cause: the error that the branch taken is not known.
+        :raises InexactError: a branch is left before its end, a condition calls a function that changes something, or
+            there are too many forks.
         """
         run, level = self.run, self.run.level
         heads = [part.head for part in block.parts]
         if any(self._may_have_effects(statement(source, head).values) for head in heads):
             raise cause
-        self._forks += 1
-        if self._forks > _MOST_FORKS:
+        self._fork_count += 1
+        if self._fork_count > _MOST_FORKS:
             problem = f"branches whose condition is not known are reached more than {_MOST_FORKS} times"
             raise inexact_error(Place(source, block.first), problem, _LENGTH_ADVICE)
         recorder.record_run_lines(block.first - 1)
         recorder.record_passed_lines(block.first)
         recorder.record_division(Fork(0, occasion))
         run.begin_fork()
-        for part in block.parts[block.word == "SWITCH" :]:
+        branches = block.parts[1:] if block.word == "SWITCH" else block.parts  # part 0 precedes the first CASE
+        for part in branches:
             recorder.record_passed_lines(part.head)
             recorder.record_division(Branch(0))
             run.begin_branch()
             self.follow(source, part.nodes)
             if level.jump_line:
                 raise inexact_error(
-                    Place(source, level.jump_line), *undecided_jump(run.variables, Place(source, block.first))
+                    Place(source, level.jump_line), *undecided_jump_message(run.variables, Place(source, block.first))
                 )
             if level.is_broken_off:
                 raise cause
@@ -483,19 +499,20 @@ class Flow:
         recorder.record_division(Join(0, is_exhaustive))
         run.join_branches(Place(source, block.last), is_exhaustive=is_exhaustive)
 
-    def _follow_skip(self, source: Source, nodes: tuple[Node, ...], index: int, *, last: bool) -> int:
+    def _follow_skip(self, source: Source, nodes: tuple[Node, ...], index: int, *, ends_routine: bool) -> int:
         """Follow an IF that skips statements by GOTO or RETURN, as two branches: the jump and the skipped statements.
 
-        :param index: of the node with the IF.
-        :param last: the routine ends after the nodes.
-        :returns: the index of the node after the skipped code; 0 if the IF does not jump, or its condition is known.
-        :raises InexactError: a condition in one of the branches is not known before run time.
+        :param index: index of the node with the IF.
+        :param ends_routine: True if the routine ends after the nodes.
+        :returns: the index of the node after the skipped code; 0 if nothing was followed: the IF is no such one, its
+            condition is known, or the two branches cannot be followed and are left as they are (`--keep-unresolved`).
+        :raises InexactError: without that option, if a condition in one of the branches is not known.
         """
         run, block, recorder = self.run, nodes[index], self.recorder
-        if recorder is None or not isinstance(block, Block) or not self._may_skip(source, block):
+        if recorder is None or not isinstance(block, Block) or not self._may_be_skip(source, block):
             return 0
         part = block.parts[0]
-        next_index, end = self._jump_target(source, nodes, index, part.nodes[-1:], last=last)
+        next_index, end = self._jump_target(source, nodes, index, part.nodes[-1:], ends_routine=ends_routine)
         occasion = Occasion(Place(source, block.first), tuple(self._enclosing))
         if not next_index or self._is_part_known(source, block) or occasion in run.obstacles:
             return 0
@@ -506,13 +523,13 @@ class Flow:
             recorder.record_division(Fork(0, occasion))
             run.begin_fork()
             # one branch: the statements of the IF up to its jump
-            self._follow_branch(source, part.nodes[:-1], recorder, last=False)
+            self._follow_branch(source, part.nodes[:-1], recorder, ends_routine=False)
             jump = part.nodes[-1]
             recorder.record_run_lines((jump if isinstance(jump, int) else jump.last) - 1)
             recorder.record_passed_lines(block.last)
-            # the other one: the statements that the jump skips
-            is_routine_end = end == run.level.routine.last - 1
-            self._follow_branch(source, nodes[index + 1 : next_index], recorder, last=is_routine_end)
+            # the other branch: the statements that the jump skips
+            skips_to_end = end == run.level.routine.last - 1
+            self._follow_branch(source, nodes[index + 1 : next_index], recorder, ends_routine=skips_to_end)
             recorder.record_run_lines(end)
             recorder.record_division(Join(0, is_exhaustive=True))
             run.join_branches(Place(source, block.last), is_exhaustive=True)
@@ -523,10 +540,10 @@ class Flow:
             return 0
         return next_index
 
-    def _may_skip(self, source: Source, block: Block) -> bool:
+    def _may_be_skip(self, source: Source, block: Block) -> bool:
         """Return whether a control structure is an IF that may be followed as two branches.
 
-        It has no ELSE, its condition changes nothing, and it runs once.
+        It is one without ELSE, its condition changes nothing, and it surely runs exactly once.
         """
         level = self.run.level
         if not level.is_traced or level.loop_depth or not self.run.is_certain:
@@ -545,34 +562,42 @@ class Flow:
             return False
         return True
 
-    def _follow_branch(self, source: Source, nodes: tuple[Node, ...], recorder: Recorder, *, last: bool) -> None:
+    def _follow_branch(
+        self, source: Source, nodes: tuple[Node, ...], recorder: Recorder, *, ends_routine: bool
+    ) -> None:
         """Follow one of the branches of an IF that skips statements.
 
+        :param ends_routine: True if the routine ends after the branch.
         :raises InexactError: the branch is left before its end.
         """
         level = self.run.level
         recorder.record_division(Branch(0))
         self.run.begin_branch()
-        self.follow(source, nodes, last=last)
+        self.follow(source, nodes, ends_routine=ends_routine)
         if level.is_broken_off:
             raise inexact_error(
-                Place(source, level.jump_line or level.return_line), *undecided_jump(self.run.variables, None)
+                Place(source, level.jump_line or level.return_line), *undecided_jump_message(self.run.variables, None)
             )
 
     def _jump_target(
-        self, source: Source, nodes: tuple[Node, ...], index: int, jump: tuple[Node, ...], *, last: bool
+        self, source: Source, nodes: tuple[Node, ...], index: int, jump: tuple[Node, ...], *, ends_routine: bool
     ) -> tuple[int, int]:
         """Return the index of the node after the code that a GOTO or RETURN skips, and the last skipped line.
 
-        :param jump: the last node of the IF that jumps; empty if it has none.
-        :param last: the routine ends after the nodes.
-        :returns: zeros if there is no jump to a later node.
+        GOTO: the code up to its label, which must be one of the later nodes. RETURN without a value: the code up to the
+        end of a called routine.
+
+        :param index: index of the node with the IF that jumps.
+        :param jump: the last node of this IF; empty if the IF is empty.
+        :param ends_routine: True if the routine ends after the nodes.
+        :returns: zeros if the last node is no such jump.
         """
         if not jump or not isinstance(jump[0], int):
             return 0, 0
         stmt = statement(source, jump[0])
         if isinstance(stmt, tree.Return) and stmt.value is None:
-            return (len(nodes), self.run.level.routine.last - 1) if last and len(self.run.stack) > 1 else (0, 0)
+            is_skip = ends_routine and len(self.run.stack) > 1
+            return (len(nodes), self.run.level.routine.last - 1) if is_skip else (0, 0)
         if not isinstance(stmt, tree.Goto):
             return 0, 0
         label = self.label_of(source, jump[0])
@@ -583,13 +608,15 @@ class Flow:
         return 0, 0
 
     def _may_have_effects(self, values: Iterable[Value]) -> bool:
-        """Return whether some values contain calls that may do more than give a value."""
+        """Return whether some expressions contain calls that may do more than give a value."""
         return not all(map(self.run.variables.functions.is_pure, calls(values)))
 
     def _part_taken(self, source: Source, block: Block) -> int:
         """Return the index of the part of an IF or SWITCH that runs; −1 if none does.
 
-        :raises InexactError: its condition is not known before run time.
+        IF: part 0 is that of THEN, part 1 that of ELSE. SWITCH: part 0 precedes the first CASE.
+
+        :raises InexactError: the condition, or the value of the SWITCH, is not known before run time.
         :raises ProgramError: a CASE cannot be read.
         """
         place, stmt = Place(source, block.first), statement(source, block.first)
@@ -602,20 +629,21 @@ class Flow:
         if not isinstance(stmt, tree.Switch) or self._may_have_effects(stmt.values):
             raise undecided_error(self.run, place)
         selector = self.run.variables.evaluate(stmt.value)
-        self._add_to_count(len(block.parts) // _CASES)
-        if block not in self._cases:
-            self._cases[block] = constant_cases([statement(source, part.head) for part in block.parts[1:]])
-        table = self._cases[block]
+        self._add_to_count(len(block.parts) // _CASES_PER_STATEMENT)
+        if block not in self._case_tables:
+            self._case_tables[block] = constant_cases([statement(source, part.head) for part in block.parts[1:]])
+        table = self._case_tables[block]
         if isinstance(selector, Number) and selector.is_integer and table is not None:
-            return 1 + table.get(selector.value, table[None])  # part 0 precedes the first CASE; the table begins there
+            return 1 + table.get(selector.value, table[None])  # the table begins with part 1; −2 for none becomes −1
         return self._chosen_case(source, block, selector)
 
     def _chosen_case(self, source: Source, block: Block, selector: VariableValue) -> int:
         """Return the index of the part of a SWITCH that runs for a value; −1 if none does.
 
-        Part 0 is the SWITCH itself; each other one begins with CASE or DEFAULT.
+        Part 0 is the SWITCH itself; each later part begins with CASE or DEFAULT.
 
-        :raises InexactError: it is not known before run time whether the value is that of a CASE.
+        :param selector: value of the SWITCH.
+        :raises InexactError: it is not known before run time whether the value equals that of a CASE.
         :raises ProgramError: a CASE cannot be read.
         """
         for index, part in enumerate(block.parts[1:], 1):
@@ -631,16 +659,16 @@ class Flow:
         return -1
 
     def _add_to_count(self, count: int) -> None:
-        """Count statements that run, without refusing too many of them."""
-        if self._still or not self.run.level.is_traced:
+        """Count statements that run, as `_count_statement` does, but refuse nothing: the next statement does that."""
+        if self._motionless_depth or not self.run.level.is_traced:
             self.run.statement_count += count
         else:
-            self._traced += count
+            self._traced_count += count
 
     def _follow_loop(self, source: Source, block: Block, recorder: Recorder | None) -> None:
-        """Follow the rounds of a loop, and record them if it contains motions.
+        """Follow the rounds of a loop, and record them if the loop contains motions or force comments.
 
-        :param recorder: records the trace; None for a loop without motions.
+        :param recorder: records the trace; None for a loop without them.
         :raises InexactError: the number of rounds is not known, or too large.
         """
         level = self.run.level
@@ -680,19 +708,20 @@ class Flow:
     ) -> None:
         """Follow the rounds of a loop one by one, and record them.
 
-        :param counter: of FOR; None for another loop.
-        :param loop: what the recorder unrolls; None without a recorder.
-        :raises InexactError: there are too many rounds, or the loop never ends.
+        :param counter: the counter of FOR; None for another loop.
+        :param loop: the record of the loop in the trace; None without a recorder.
+        :raises InexactError: there are too many rounds, the loop never ends, a condition is not known before run time,
+            or a label would be recorded more than once.
         """
         level, place = self.run.level, Place(source, block.first)
-        start_count, depth = self._traced, len(self._enclosing) - 1
+        start_count, depth = self._traced_count, len(self._enclosing) - 1
         while self._runs_again(source, block, counter):
             self._count_statement(place)
             self._enclosing[depth] = place, self._enclosing[depth][1] + 1
             if recorder is not None and self._enclosing[depth][1] == 2:
                 self._check_labels(source, block.lines())
-            changes = self._change_counts()
-            if counter is None and self._traced - start_count > MOST_UNCOUNTED:
+            counts_at_begin = self._change_counts()
+            if counter is None and self._traced_count - start_count > MOST_UNCOUNTED:
                 problem = f"{block.word} has not ended after {MOST_UNCOUNTED} statements"
                 raise inexact_error(place, problem, "Check its condition, or write FOR instead.")
             if recorder is not None and loop is not None:
@@ -700,20 +729,22 @@ class Flow:
             self.follow(source, block.parts[0].nodes)
             is_whole = not level.is_broken_off
             if recorder is not None:
-                recorder.end_round(block, whole=is_whole)
+                recorder.end_round(block, is_whole=is_whole)
             if not is_whole or (block.word == "REPEAT" and self._condition_holds(source, block.last)):
                 break
             if counter is not None:
                 counter.advance()
-            elif self._change_counts() == changes:
+            elif self._change_counts() == counts_at_begin:
                 problem = f"{block.word} never ends: no variable of its condition changes from round to round"
                 raise inexact_error(place, problem, LOOP_ADVICE)
 
     def _follow_back_jump(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
-        """Follow the rounds between a label and an IF that jumps back to it.
+        """Follow the rounds between a label and an IF that jumps back to the label.
 
-        :returns: the index of that IF; 0 if there is none, or if it is left as it is under `--keep-unresolved`.
-        :raises InexactError: its condition is not known before run time.
+        :param index: index of the node with the label.
+        :returns: the index of the node with the IF; 0 if nothing was followed: there is no such IF, or the rounds are
+            left as they are since they cannot be followed (`--keep-unresolved`).
+        :raises InexactError: without that option, if the condition of the IF is not known before run time.
         """
         end, recorder = self._back_jump_index(source, nodes, index, label), self.recorder
         if not end or recorder is None:
@@ -737,7 +768,7 @@ class Flow:
 
         No other GOTO may lead to the label: if the rounds are written one after the other, the label is left out.
 
-        :param index: of the node with the label.
+        :param index: index of the node with the label.
         """
         level = self.run.level
         if self.recorder is None or not level.is_traced or level.loop_depth or not self.run.is_certain:
@@ -751,20 +782,22 @@ class Flow:
         return 0
 
     def _follow_label_rounds(self, source: Source, nodes: tuple[Node, ...], recorder: Recorder) -> None:
-        """Follow the statements from a label to the IF that jumps back to it, as REPEAT does.
+        """Follow the statements between a label and the IF that jumps back to it, as the rounds of a REPEAT.
 
         :param nodes: the label, the statements, the IF.
-        :raises InexactError: the condition is not known before run time, or never changes.
+        :raises InexactError: the condition is not known before run time, there are too many rounds, the rounds never
+            end, or a label would be recorded more than once.
         """
         level, first, jump = self.run.level, nodes[0], nodes[-1]
         if not isinstance(first, int) or not isinstance(jump, Block):
             return
         place = Place(source, jump.first)
+        # the loop ends with ENDIF, a round on the line before the IF
         loop_block = Block("REPEAT", first, jump.last, (Part(first, jump.first, nodes[1:-1]),))
         round_block = Block("REPEAT", first, jump.first, loop_block.parts)
         self._check_comments(source, loop_block, range(jump.first, jump.last))
         loop = recorder.begin_loop(loop_block, "", 0, has_exit=False, closing=jump.first)
-        start_count, depth = self._traced, len(self._enclosing)
+        start_count, depth = self._traced_count, len(self._enclosing)
         level.loop_depth += 1
         self._enclosing.append((Place(source, first), 0))
         try:
@@ -773,16 +806,16 @@ class Flow:
                 self._enclosing[depth] = Place(source, first), self._enclosing[depth][1] + 1
                 if self._enclosing[depth][1] == 2:
                     self._check_labels(source, range(first + 1, jump.first))
-                changes = self._change_counts()
-                if self._traced - start_count > MOST_UNCOUNTED:
+                counts_at_begin = self._change_counts()
+                if self._traced_count - start_count > MOST_UNCOUNTED:
                     problem = f"GOTO still leads back after {MOST_UNCOUNTED} statements"
                     raise inexact_error(place, problem, "Check its condition, or write FOR instead.")
                 recorder.begin_round(loop, round_block, None)
                 self.follow(source, nodes[1:-1])
-                recorder.end_round(round_block, whole=not level.is_broken_off)
+                recorder.end_round(round_block, is_whole=not level.is_broken_off)
                 if level.is_broken_off or not self._jumps_back(source, jump):
                     break
-                if self._change_counts() == changes:
+                if self._change_counts() == counts_at_begin:
                     problem = "GOTO always leads back: no variable of its condition changes"
                     raise inexact_error(place, problem, LOOP_ADVICE)
         finally:
@@ -791,55 +824,60 @@ class Flow:
         recorder.end_loop(loop, loop_block, None)
 
     def _jumps_back(self, source: Source, jump: Block) -> bool:
-        """Return whether the condition of an IF holds that does nothing but jump back to a label.
+        """Return whether the condition of an IF holds.
 
-        :raises InexactError: it is not known before run time.
+        :param jump: the IF, which does nothing but jump back to a label.
+        :raises InexactError: the condition is not known before run time.
         """
         place, head = Place(source, jump.first), statement(source, jump.first)
         self.run.place = place
         holds = self.run.variables.truth(head.condition) if isinstance(head, tree.If) else None
         if holds is None:
-            raise inexact_error(Place(source, jump.last - 1), *undecided_jump(self.run.variables, place))
+            raise inexact_error(Place(source, jump.last - 1), *undecided_jump_message(self.run.variables, place))
         return holds
 
     def _check_labels(self, source: Source, lines: Iterable[int]) -> None:
-        """Refuse labels in a loop with a second round: they would be written more than once.
+        """Refuse labels on the lines of a loop with a second round: they would be written more than once.
 
-        :raises InexactError: there is one.
+        :raises InexactError: there is a label.
         """
         for line in lines:
             if isinstance(statement(source, line), tree.Label):
                 raise inexact_error(Place(source, line), "a label is in a loop around motions", _LABEL_ADVICE)
 
     def _check_comments(self, source: Source, block: Block, closing: Iterable[int] = ()) -> None:
-        """Refuse force comments on the lines that begin and end a loop: it is not said in which rounds they hold.
+        """Refuse force comments on the lines that begin and end a loop: it is not clear in which rounds they hold.
 
-        :param closing: lines that close the loop, but for the last.
-        :raises ProgramError: there is one.
+        :param closing: lines that close the loop in addition to its last line.
+        :raises ProgramError: there is a comment.
         """
-        comment_lines = self.run.analysis.force_comment_lines(source)
+        comment_lines = self.run.analysis.force_comment_lines(source)  # ascending
         for line in (block.first, *closing, block.last):
             if line in comment_lines[bisect_left(comment_lines, line) :][:1]:
                 problem = f"a force comment is on the line of {statement(source, line).word}"
                 raise Place(source, line).error(problem, "Write it on a line of its own, in the loop or behind it.")
 
     def _change_counts(self) -> tuple[int, int]:
-        """Return how often variables have changed so far, and how often frames, speeds and modes have."""
+        """Return how often values of variables, and how often settings of motions, have changed so far."""
         return self.run.variables.change_count, len(self.run.settings.changes)
 
     def _record_plain_rounds(
         self, source: Source, block: Block, counter: Counter, recorder: Recorder, loop: UnrolledLoop
     ) -> None:
-        """Record all rounds of a FOR at once if its body is plain and there are enough of them; else do nothing."""
-        if block not in self._plain:
-            self._plain[block] = plain_body(source, block) or computed_body(source, block)
-        body, begin, rounds = self._plain[block], counter.value(), counter.round_count
+        """Record all rounds of a FOR at once if its body is plain and there are enough of them; else do nothing.
+
+        :param counter: the counter, at its first value; afterwards it has passed its last.
+        :param loop: the record of the loop in the trace.
+        """
+        if block not in self._plain_bodies:
+            self._plain_bodies[block] = plain_body(source, block) or computed_body(source, block)
+        body, begin, rounds = self._plain_bodies[block], counter.value(), counter.round_count
         statement_count = rounds * (1 + len(block.parts[0].nodes))
-        if body is None or not rounds or self._traced + statement_count > self._statement_limit(source):
+        if body is None or not rounds or self._traced_count + statement_count > self._statement_limit(source):
             return
         if body.is_computed and rounds < FEWEST_ROUNDS:
             return
-        self._traced += statement_count
+        self._traced_count += statement_count
         plain_rounds = PlainRounds(
             begin=begin,
             step=counter.step,
@@ -853,18 +891,20 @@ class Flow:
         recorder.record_plain_rounds(loop, block, plain_rounds)
         for line in body.triggers:  # what they write may change at any time from now on
             self._follow_noting_errors(Place(source, line), statement(source, line))
-        for round_count in (rounds - 1, 1):  # only the last round leaves something
+        # the first and the last round are run: the last one leaves the values
+        for round_count in (rounds - 1, 1):
             for line in body.assignments:
                 self._follow_noting_errors(Place(source, line), statement(source, line))
             counter.skip(round_count)
 
     def _follow_endless(self, source: Source, block: Block, recorder: Recorder | None) -> None:
-        """Follow one iteration of a LOOP without EXIT; nothing after it is reached.
+        """Follow one iteration of a LOOP without EXIT, in place of all; the routine ends with it.
 
         `joins` checks later that the iteration ends in the pose and with the settings with which it began.
 
-        :raises InexactError: it is in another loop, a branch or a called routine, or an iteration changes a variable
-            that the next one may use.
+        :param recorder: records the trace; None for a LOOP without motions, which is refused.
+        :raises InexactError: the LOOP is in another loop, a branch or a called routine, or an iteration changes a
+            variable that the next one may use.
         """
         run, level, place = self.run, self.run.level, Place(source, block.first)
         if recorder is None or level.loop_depth or run.is_forked or not run.is_certain or len(run.stack) > 1:
@@ -877,7 +917,7 @@ class Flow:
         self._enclosing.append((place, 1))
         recorder.begin_round(loop, block, None)
         self.follow(source, block.parts[0].nodes)
-        recorder.end_round(block, whole=True)
+        recorder.end_round(block, is_whole=True)
         recorder.end_loop(loop, block, None)
         self._enclosing.pop()
         if names := carried_variables(run, source, block, snapshot):
@@ -889,9 +929,10 @@ class Flow:
         level.return_line = block.last
 
     def _check_rounds(self, source: Source, block: Block, counter: Counter, recorder: Recorder | None) -> None:
-        """Refuse a FOR with too many iterations before it is followed.
+        """Refuse a FOR that runs too many iterations or statements, before it is followed.
 
-        :raises InexactError: it has too many.
+        :param recorder: records the trace; None for a FOR without motions.
+        :raises InexactError: it runs too many.
         """
         limit = MOST_STATEMENTS if recorder is None else MOST_TRACED + len(source.starts)
         if counter.round_count > limit:

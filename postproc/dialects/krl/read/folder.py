@@ -28,35 +28,38 @@ from postproc.dialects.text import decode
 from postproc.errors import ProgramError, combined_error
 from postproc.program import Document, NeededFile
 
-_LARGEST = 20_000_000
+_LARGEST_FILE = 20_000_000
 """Bytes of the largest file that is searched."""
-_OF_THE_CONTROLLER = PURE | STANDARD | RESERVED | {"BAS"}
+_CONTROLLER_NAMES = PURE | STANDARD | RESERVED | {"BAS"}
+"""Names of functions and programs of the controller, which are not searched for."""
+_OTHER_FILE = 2
+"""`Source.index` of all files other than the `.src` (0) and the `.dat` (1) of the program."""
 
 
 class FolderFiles:
-    """The `.src`, `.dat` and `.sub` files of some folders; the first folder that has one counts.
+    """The `.src`, `.dat` and `.sub` files of some folders; of files with one name, that of the first folder counts.
 
-    :param documents: files that count instead of those of the same name in the folders.
+    :param documents: files that replace files of the same name in the folders.
     """
 
     def __init__(self, folders: Sequence[Path], documents: Sequence[Document] = ()) -> None:
         """Keep the folders, which are searched when a file is first needed."""
         self._folders = folders
-        self._given = {document.name.upper(): document for document in documents}
+        self._documents = {document.name.upper(): document for document in documents}
 
     @cached_property
     def paths(self) -> dict[str, Path]:
-        """The files by name, upper case."""
+        """File name, upper case → path, of all files."""
         by_name: dict[str, Path] = {}
         for path in _program_files(self._folders):
             by_name.setdefault(path.name.upper(), path)
-        for name, document in self._given.items():
+        for name, document in self._documents.items():
             by_name.setdefault(name, Path(document.folder) / document.name)
         return by_name
 
     @cached_property
     def _routine_paths(self) -> dict[str, Path]:
-        """The `.src` files by the names, upper case, of their GLOBAL routines; all `.src` files are searched."""
+        """Name of a GLOBAL routine, upper case → path of its `.src`; all `.src` files are searched for them."""
         by_routine: dict[str, Path] = {}
         for path in (path for name, path in self.paths.items() if name.endswith(".SRC")):
             for name in self.declared_names(path, scan.global_routines):
@@ -64,19 +67,22 @@ class FolderFiles:
         return by_routine
 
     def called_files(self, code: str, own_routines: Set[str] = frozenset()) -> set[Path]:
-        """Return the `.src` files whose routines some code may call.
+        """Return the `.src` files whose routines some code may call: files of the called names, or GLOBAL routines.
 
-        :param code: without comments.
-        :param own_routines: names, upper case, of the other routines of its file: they come first.
+        :param code: code without comments.
+        :param own_routines: names, upper case, of the routines in the file of the code: they hide those of other files.
         """
         paths = {
-            name: self.paths.get(f"{name}.SRC") for name in scan.called_names(code) - own_routines - _OF_THE_CONTROLLER
+            name: self.paths.get(f"{name}.SRC") for name in scan.called_names(code) - own_routines - _CONTROLLER_NAMES
         }
         callees = {self._routine_paths.get(name) if path is None else path for name, path in paths.items()}
         return {path for path in callees if path is not None}
 
     def called_code(self, code: str) -> Iterator[str]:
-        """Yield code without comments, and that of all files that it calls, directly or not."""
+        """Yield the given code without comments, then the code of all files that it calls, directly or not.
+
+        Files that cannot be read are left out.
+        """
         unread_texts, visited_paths = [code], set[Path]()
         while unread_texts:
             code = scan.without_comments(unread_texts.pop())
@@ -84,65 +90,76 @@ class FolderFiles:
             new_paths = sorted(self.called_files(code) - visited_paths)
             visited_paths.update(new_paths)
             for path in new_paths:
-                with suppress(ProgramError):  # what calls it says so
+                with suppress(ProgramError):  # reported where a routine of the file is called
                     unread_texts.append(self.source(path).text)
 
     def source(self, path: Path) -> Source:
         """Return a file with its lines.
 
-        :raises ProgramError: it cannot be read.
+        :raises ProgramError: the file cannot be read.
         """
-        document = self._given.get(path.name.upper())
+        document = self._documents.get(path.name.upper())
         if document is not None:
-            return Source.of(document, 2)
+            return Source.of(document, _OTHER_FILE)
         try:
-            return Source.of(replace(decode(path.name, path.read_bytes()), folder=str(path.parent)), 2)
+            return Source.of(replace(decode(path.name, path.read_bytes()), folder=str(path.parent)), _OTHER_FILE)
         except OSError as cause:
             raise ProgramError(
                 f"cannot be read ({cause.strerror})", file=str(path), advice="Check its path, and that you may read it."
             ) from cause
 
-    def declared_names(self, path: Path, find: Callable[[str], frozenset[str]]) -> frozenset[str]:
-        """Return the names that `find`, a function of `language.scan`, finds in a file; none if it cannot be read."""
-        document = self._given.get(path.name.upper())
+    def declared_names(self, path: Path, find_names: Callable[[str], frozenset[str]]) -> frozenset[str]:
+        """Return the names that a function of `language.scan` finds in a file.
+
+        :param find_names: that function: text of the file → names, upper case.
+        :returns: empty if the file cannot be read, or is too large.
+        """
+        document = self._documents.get(path.name.upper())
         if document is not None:
-            return find(document.text)
+            return find_names(document.text)
         try:
             stat = path.stat()
         except OSError:
             return frozenset()
-        return _names_in(path, find, stat.st_mtime_ns, stat.st_size) if stat.st_size <= _LARGEST else frozenset()
+        if stat.st_size > _LARGEST_FILE:
+            return frozenset()
+        return _names_in(path, find_names, stat.st_mtime_ns, stat.st_size)
 
 
 def called_files_with_motion(paths: Sequence[Path], search: Sequence[Path]) -> dict[Path, set[Path]]:
-    """Return, for each of some programs of one folder, the files with motions that it may call, directly or not.
+    """Return program → files with motions that it may call, directly or not, for programs of one folder.
 
-    :param search: folders that are searched after that of the programs.
+    :param paths: the programs.
+    :param search: folders that are searched after the folder of the programs.
     """
     files = FolderFiles([paths[0].parent, *search])
 
     @cache
-    def called(path: Path) -> tuple[bool, set[Path]]:
-        """Return whether a file has motions, and the files that it calls."""
+    def code_of(path: Path) -> str:
+        """Return the code of a file without comments; empty if it cannot be read."""
         try:
-            code = scan.without_comments(decode(path.name, path.read_bytes()).text)
-        except (OSError, ProgramError):  # what calls it says so
-            return False, set()
-        return scan.has_motion(code), files.called_files(code)
+            return scan.without_comments(decode(path.name, path.read_bytes()).text)
+        except (OSError, ProgramError):  # reported when the program is read
+            return ""
+
+    @cache
+    def callees_of(path: Path) -> set[Path]:
+        """Return the files that a file calls itself."""
+        return files.called_files(code_of(path))
 
     moving_files: dict[Path, set[Path]] = {}
     for path in paths:
         callees: set[Path] = set()
-        new_callees = called(path)[1]
+        new_callees = callees_of(path)
         while new_callees:
             callees |= new_callees
-            new_callees = set().union(*(called(callee)[1] for callee in new_callees)) - callees
-        moving_files[path] = {callee for callee in callees if called(callee)[0]}
+            new_callees = set().union(*map(callees_of, new_callees)) - callees
+        moving_files[path] = {callee for callee in callees if scan.has_motion(code_of(callee))}
     return moving_files
 
 
 def _program_files(folders: Sequence[Path]) -> Iterator[Path]:
-    """Yield the `.src`, `.dat` and `.sub` files of folders, sorted within each; none of an unreadable folder."""
+    """Yield the `.src`, `.dat` and `.sub` files of folders, sorted within each folder; unreadable folders have none."""
     for folder in folders:
         try:
             yield from sorted(path for path in folder.iterdir() if path.suffix.upper() in (".SRC", ".DAT", ".SUB"))
@@ -150,24 +167,26 @@ def _program_files(folders: Sequence[Path]) -> Iterator[Path]:
             continue
 
 
-def calls_in(path: Path) -> set[str]:
-    """Return the names, upper case, that a file calls; none if it cannot be read or is too large."""
+def names_called_in(path: Path) -> set[str]:
+    """Return the names, upper case, that a file calls; empty if it cannot be read or is too large."""
     try:
-        text = path.read_bytes().decode("latin-1") if path.stat().st_size <= _LARGEST else ""
+        text = path.read_bytes().decode("latin-1") if path.stat().st_size <= _LARGEST_FILE else ""
     except OSError:
         return set()
     return scan.called_names(scan.without_comments(text))
 
 
 @lru_cache(maxsize=4096)
-def _names_in(path: Path, find: Callable[[str], frozenset[str]], mtime: int, size: int) -> frozenset[str]:
-    """Return the names that `find`, a function of `language.scan`, finds in a file; none if it cannot be read.
+def _names_in(path: Path, find_names: Callable[[str], frozenset[str]], mtime: int, size: int) -> frozenset[str]:
+    """Return the names that a function of `language.scan` finds in a file; empty if the file cannot be read.
 
-    :param mtime: time of the last change [ns]; with `size` [bytes] it is part of the cache's key.
+    :param find_names: that function.
+    :param mtime: time of the last change [ns]; like `size` [bytes] only part of the key of the cache, so that a changed
+        file is read again.
     """
-    del mtime, size  # a file that changes is read again
+    del mtime, size
     try:
-        return find(path.read_bytes().decode("latin-1"))
+        return find_names(path.read_bytes().decode("latin-1"))
     except OSError:
         return frozenset()
 
@@ -175,7 +194,8 @@ def _names_in(path: Path, find: Callable[[str], frozenset[str]], mtime: int, siz
 class Library:
     """Finds the routines that a program calls.
 
-    :param files: searched in addition to the program.
+    :param program: the file of the program, which is searched first.
+    :param files: the files of the folders, which are searched next.
     :ivar faults: name of a routine → why its file cannot be read.
     """
 
@@ -184,16 +204,20 @@ class Library:
         self.program, self.files = program, files
         self.faults: dict[str, str] = {}
         self._modules: dict[Path, Module | None] = {}
-        self._found: dict[str, Callee | None] = {}
+        self._callees: dict[str, Callee | None] = {}
 
     def find_callee(self, name: str, caller: Module) -> Callee | None:
-        """Return a routine and its module, as seen from the module that calls it; None if it is in no file."""
+        """Return the routine that a name means in a module, with the module of the routine; None if it is in no file.
+
+        :param name: name of the routine, upper case.
+        :param caller: the module that calls it; its own routines come first.
+        """
         routine = caller.routines.get(name)
         if routine is not None:
             return Callee(caller, routine)
-        if name not in self._found:
-            self._found[name] = self._find_routine(name)
-        return self._found[name]
+        if name not in self._callees:
+            self._callees[name] = self._find_routine(name)
+        return self._callees[name]
 
     def submit_programs(self) -> Iterator[Module]:
         """Yield the submit programs (`.sub`), which run concurrently with the program."""
@@ -202,8 +226,8 @@ class Library:
                 yield module
 
     def called_routines(self) -> Iterator[Callee]:
-        """Yield the routines of other files that `find_callee` has returned."""
-        yield from (entry for entry in self._found.values() if entry is not None)
+        """Yield the routines that `find_callee` has returned, without those in the module of their caller."""
+        yield from (callee for callee in self._callees.values() if callee is not None)
 
     def read_modules(self) -> Iterator[Module]:
         """Yield the files that have been read, the program itself left out."""
@@ -219,12 +243,15 @@ class Library:
         return self.program_names().union(*(self.files.declared_names(path, scan.global_routines) for path in paths))
 
     def users(self, routines: Collection[Routine]) -> Mapping[str, tuple[str, ...]]:
-        """Return the programs that name routines but were not read: file of the routines → names of these programs."""
+        """Return which programs call some routines, of the programs that were not read.
+
+        :returns: file name of the routines → names of the programs that call one of them, sorted; empty if none does.
+        """
         read_files = {module.source.document.name.upper() for module in (self.program, *self.read_modules())}
         unread_paths = [
             path for file, path in self.files.paths.items() if not file.endswith(".DAT") and file not in read_files
         ]
-        call_names = {path: calls_in(path) for path in unread_paths}
+        call_names = {path: names_called_in(path) for path in unread_paths}
         user_names: dict[str, tuple[str, ...]] = {}
         for routine in sorted(routines, key=lambda routine: routine.first):
             file = routine.source.document.name
@@ -233,23 +260,28 @@ class Library:
         return user_names
 
     def writers(self, names: Set[str]) -> dict[str, tuple[str, ...]]:
-        """Return the programs that set shared variables but were not read: variable → names of these programs."""
+        """Return which programs set GLOBAL variables, of the programs that were not read.
+
+        :param names: names of the variables, upper case.
+        :returns: variable → names of the programs that set it, sorted; variables that none sets are left out.
+        """
         read_files = {module.source.document.name.upper() for module in (self.program, *self.read_modules())}
         writer_names: dict[str, list[str]] = {}
         for file, path in self.files.paths.items() if names else ():
-            if file.endswith(".SRC") and file not in read_files and path.stem.upper() not in _OF_THE_CONTROLLER:
+            if file.endswith(".SRC") and file not in read_files and path.stem.upper() not in _CONTROLLER_NAMES:
                 for name in names & self.files.declared_names(path, scan.assigned_variables):
                     writer_names.setdefault(name, []).append(path.name)
         return {name: tuple(sorted(writer_names[name])) for name in sorted(writer_names)}
 
     def _find_routine(self, name: str) -> Callee | None:
-        """Return a routine by its name, upper case, with its file; None if it is in no file.
+        """Return a routine by its name, upper case, with its file, as other files see it; None if it is in no file.
 
-        The program's own routines come first, then the file of that name, then GLOBAL routines of other files.
+        GLOBAL routines of the program and its main routine come first, then the file of that name, then GLOBAL routines
+        of other files.
         """
-        program = self.program.routines.get(name)
-        if program is not None and (program.is_global or name == self.program.name):
-            return Callee(self.program, program)
+        program_routine = self.program.routines.get(name)
+        if program_routine is not None and (program_routine.is_global or name == self.program.name):
+            return Callee(self.program, program_routine)
         path = self.files.paths.get(f"{name}.SRC")
         if path is not None:
             module = self._module(path, name)
@@ -264,7 +296,10 @@ class Library:
         return None
 
     def _module(self, path: Path, name: str = "") -> Module | None:
-        """Return the routines of a file, which is read once; None if it cannot be read, for the reason in `faults`."""
+        """Return the routines of a file, which is read once; None if it cannot be read.
+
+        :param name: the routine that is looked for; `faults` gets the reason under this name.
+        """
         if path not in self._modules:
             self._modules[path] = None
             try:
@@ -275,20 +310,20 @@ class Library:
         return self._modules[path]
 
     def _data_source(self, path: Path) -> Source | None:
-        """Return the `.dat` next to a `.src`; None if there is none that can be read."""
+        """Return the `.dat` in the folder of a `.src` with its name; None if there is none, or it cannot be read."""
         data = self.files.paths.get(f"{path.stem.upper()}.DAT")
         if data is None or data.parent != path.parent:
             return None
         try:
             return self.files.source(data)
         except ProgramError:
-            return None  # its variables have no values then
+            return None  # the variables that it declares have no values then
 
 
 def module_of(source: Source, data: Source | None = None) -> Module:
     """Return the routines of a file.
 
-    :param data: the `.dat` of the file, if it has one.
+    :param data: the `.dat` of the file; None without one.
     :raises ProgramError: a DEF has no END, or a motion is outside of DEF … END.
     """
     motion_lines = np.concatenate([rows.line for rows in plain_lines.scan(source)])
@@ -303,13 +338,13 @@ def module_of(source: Source, data: Source | None = None) -> Module:
 def needed(
     documents: Sequence[Document], code: Iterable[Code], files: FolderFiles, moving: Collection[str]
 ) -> tuple[NeededFile, ...]:
-    """Return the files that a program needs from its folder, sorted by name.
+    """Return the files that a program needs from its folder to run, sorted by name.
 
-    :param documents: its files, with those that are written with it; the main one first.
+    :param documents: the files of the program, which are written themselves; the main file first.
     :param code: all code of its `.src` files that may name other files; it is not read if the folder has no other
         files.
     :param files: the files of the folders.
-    :param moving: names, upper case, of files with routines that it calls and that move the robot.
+    :param moving: names, upper case, of the files with routines that the program calls and that move the robot.
     """
     folder = Path(documents[0].folder)
     own_names = {document.name.upper() for document in documents}
@@ -321,25 +356,26 @@ def needed(
     if not documents[0].folder or not siblings:
         return ()
     links = _Links(siblings, files)
-    data = (document.text for document in documents if PurePath(document.name).suffix.upper() == ".DAT")
-    for part in code:
-        links.follow(part)
-    for text in data:
+    data_texts = (document.text for document in documents if PurePath(document.name).suffix.upper() == ".DAT")
+    for routine_code in code:
+        links.follow(routine_code)
+    for text in data_texts:
         links.follow_data(text)
     return tuple(links.needed_file(name, moving) for name in sorted(links.called_files | links.used_data))
 
 
 def text_of_lines(source: Source, lines: Iterable[int]) -> str:
-    """Return the text of some lines of a file."""
+    """Return the text of some lines of a file, given by their numbers from 1."""
     return "\n".join(source.text[source.starts[line - 1] : source.stops[line - 1]] for line in lines)
 
 
 class Code(Struct, frozen=True):
     """The code of a routine.
 
-    :param text: its lines.
-    :param names: names of variables, upper case, that it or the `.dat` of its file declares: they hide GLOBAL ones.
-    :param routines: names, upper case, of the routines of its file: they hide those of other files.
+    :param text: the lines of the routine.
+    :param names: names, upper case, of variables that the routine or the `.dat` of its file declares: they hide GLOBAL
+        variables.
+    :param routines: names, upper case, of the routines in its file: they hide routines of other files.
     """
 
     text: str
@@ -358,18 +394,19 @@ def codes_of(module: Module) -> Iterator[Code]:
 
 
 class _Links:
-    """Finds the files that code names, one through the other.
+    """Finds the files that code needs, directly or through other files.
 
-    :ivar called_files: names, upper case, of files with called routines, and of the data lists of these.
+    :ivar called_files: names, upper case, of files with called routines, and of the data lists of these files.
     :ivar used_data: names of data lists of which variables are used.
-    :ivar importing_data: those of these from which data lists import variables.
+    :ivar importing_data: names of data lists from which other data lists import variables.
     :ivar named_variables: names of the GLOBAL variables that code names.
+    :ivar variables: GLOBAL variable → names of the data lists that declare it.
     """
 
     def __init__(self, siblings: dict[str, Path], files: FolderFiles) -> None:
-        """Begin without links; find the data lists in which GLOBAL variables are declared.
+        """Begin without files; find the data lists in which GLOBAL variables are declared.
 
-        :param siblings: other files of the folder of the program, by name, upper case.
+        :param siblings: file name, upper case → path, of the other files in the folder of the program.
         """
         self.siblings, self.files = siblings, files
         self.called_files: set[str] = set()
@@ -382,7 +419,7 @@ class _Links:
                 self.variables.setdefault(variable, set()).add(name)
 
     def follow(self, code: Code) -> None:
-        """Note the files that some code names, and those that these name."""
+        """Note the files whose routines or variables some code names, and the files that these need in turn."""
         text = scan.without_comments(code.text)
         for path in sorted(self.files.called_files(text, code.routines)):
             name = f"{path.stem.upper()}.SRC"
@@ -397,31 +434,39 @@ class _Links:
                 self._note_data(self.variables[name])
 
     def follow_data(self, text: str) -> None:
-        """Note the data lists from which a data list imports variables."""
+        """Note the data lists from which a data list, given by its text, imports variables."""
         data_names = {name for stem in scan.imported_files(text) if (name := f"{stem}.DAT") in self.siblings}
         self.importing_data |= data_names
         self._note_data(data_names)
 
     def needed_file(self, name: str, moving: Collection[str]) -> NeededFile:
-        """Return a noted file as a file that the program needs."""
+        """Return a noted file as a `NeededFile`.
+
+        :param name: name of the file, upper case.
+        :param moving: names of the files with routines that the program calls and that move the robot.
+        """
         path, source = self.siblings[name], self.siblings.get(f"{PurePath(name).stem}.SRC")
         if name in self.called_files:
             uncorrected = name.endswith(".SRC") and scan.has_motion(scan.without_comments(self._text(path)))
             return NeededFile(str(path), moves=name in moving, uncorrected=uncorrected)
         if source is None or not self._moves(source):
             return NeededFile(str(path), moves=False)
+        # a data list of a program that moves the robot: which GLOBAL variables of it are used
         variables = tuple(sorted(variable for variable in self.named_variables if name in self.variables[variable]))
-        variables = () if name in self.importing_data else variables
+        variables = () if name in self.importing_data else variables  # imported ones need not be GLOBAL
         return NeededFile(str(path), moves=False, program=source.name, variables=variables)
 
     def _note_data(self, names: Collection[str]) -> None:
-        """Note data lists of which variables are used, and the data lists from which these import."""
+        """Note data lists of which variables are used, and the data lists from which these import variables."""
         for name in sorted(set(names) - self.used_data):
             self.used_data.add(name)
             self.follow_data(self._text(self.siblings[name]))
 
     def _follow_file(self, name: str) -> None:
-        """Note the `.dat` of a called file, and all files that the two name."""
+        """Note the `.dat` of a called file, and all files that the `.src` or the `.dat` names.
+
+        :param name: name of the `.src`, upper case.
+        """
         data = self.siblings.get(f"{PurePath(name).stem}.DAT")
         if data is not None:
             self.called_files.add(data.name.upper())
@@ -430,8 +475,8 @@ class _Links:
             module = module_of(
                 self.files.source(self.siblings[name]), None if data is None else self.files.source(data)
             )
-        except ProgramError:  # it is needed all the same
-            self.follow(Code(self._text(self.siblings[name]), frozenset(), frozenset()))
+        except ProgramError:  # a file with errors: its text as a whole
+            self.follow(Code(self._text(self.siblings[name]), names=frozenset(), routines=frozenset()))
             return
         for code in codes_of(module):
             self.follow(code)
@@ -441,8 +486,8 @@ class _Links:
         return any(map(scan.has_motion, self.files.called_code(self._text(path))))
 
     def _text(self, path: Path) -> str:
-        """Return the text of a file; empty where it cannot be read."""
+        """Return the text of a file; empty if it cannot be read: it is needed all the same."""
         try:
             return self.files.source(path).text
-        except ProgramError:  # it is needed all the same
+        except ProgramError:
             return ""

@@ -25,37 +25,41 @@ from postproc.errors import ProgramError
 from postproc.frames import Array
 
 _FRAME_TOLERANCE = 1e-13
-"""Frames closer than this [m, rad] are one: rounding of their conversion."""
+"""Frames closer than this [m, rad] are equal: they differ by the rounding of their conversion."""
 _ELEMENT = re.compile(r"\[(\d+)\]$")
-_ADVICE = "Write $BASE and $TOOL as numbers, or add [base_data.n], [tool_data.n] or config_dat to the cell."
+_FRAME_ADVICE = "Write $BASE and $TOOL as numbers, or add [base_data.n], [tool_data.n] or config_dat to the cell."
 
 
 class Frames:
     """The frames that a program uses.
 
-    :ivar bases: `$BASE` in the robot root, row 0 that of the cell.
-    :ivar tools: `$TOOL` in the flange frame, row 0 that of the cell.
-    :ivar tool_numbers: row of `tools` → n of each `TOOL_DATA[n]` that a program has put into `$TOOL` as that frame.
+    :ivar bases: the values of `$BASE`, each (4, 4) in the robot root [m]; row 0 is the base of the cell.
+    :ivar tools: the values of `$TOOL`, each (4, 4) in the flange frame [m]; row 0 is the tool of the cell.
+    :ivar tool_numbers: row of `tools` → numbers n of the `TOOL_DATA[n]` that the program has put into `$TOOL` with this
+        frame.
     :ivar is_initmov_open: True if the cell does not say to what BAS(#INITMOV,0) sets `$BASE` and `$TOOL`.
-    :ivar uncertain_names: those of `$BASE` and `$TOOL` that were read as values after such a call.
+    :ivar uncertain_names: `$BASE`, `$TOOL` or both, if the program has read their value after such a call.
     """
 
     def __init__(self, variables: Variables, cell: Cell, reasons: Reasons) -> None:
-        """Begin with the frames of the cell; `_rows` has the row of each frame that was set, by its numbers."""
+        """Begin with the frames of the cell."""
         self.variables, self.reasons = variables, reasons
         self.bases: list[Array] = [cell.base.pose()]
         self.tools: list[Array] = [cell.tool.pose()]
         self.tool_numbers: dict[int, set[int]] = {}
         self.is_initmov_open = cell.krl.initmov is None
         self.uncertain_names: set[str] = set()
-        self._rows: dict[tuple[str, tuple[float, ...]], int] = {}
-        self._folded: set[tuple[str, int]] = set()
+        self._rows: dict[tuple[str, tuple[float, ...]], int] = {}  # name and numbers of each frame that was set → row
+        self._given_by_other_angles: set[tuple[str, int]] = set()  # name and row: see `_has_angles_in_range`
 
     def state_after_assignment(
         self, state: State, place: Place, target: Reference, value: Value | VariableValue
     ) -> State:
         """Return the state after ``$BASE = value`` or ``$TOOL = value``, or after an assignment to a component.
 
+        The frame is unknown afterwards if the value is unknown, incomplete or given by joint angles.
+
+        :param target: `$BASE`, `$TOOL` or a component of them.
         :raises ProgramError: the base is moved while the program runs, or a component is out of reach.
         """
         name = target.name
@@ -72,9 +76,9 @@ class Frames:
             return self.state_with_unknown_frame(state, name, place, "its component is not understood")
         if isinstance(value, Reference) and value.name in ("BASE_DATA", "TOOL_DATA") and value.field is None:
             key = self.variables.key_of(value)
-            return self._with_named_frame(state, place, name, value, key or value.name)
+            return self._state_with_named_frame(state, place, name, value, key or value.name)
         if target.field is not None:
-            position = self._with_field(state, target, value)
+            position = self._frame_with_component(state, target, value)
         else:
             position = self.variables.position(value)
         if position is None or position.is_axis:
@@ -83,24 +87,30 @@ class Frames:
             return self.state_with_unknown_frame(state, name, place, _missing_components(position))
         if position.largest_coordinate > LARGEST_COORDINATE:
             raise out_of_reach_error(place, position.largest_coordinate)
-        return self._with_frame(state, name, position)
+        return self._state_with_frame(state, name, position)
 
     def state_with_numbered_frame(self, state: State, place: Place, name: str, number: int) -> State:
         """Return the state after ``$BASE=BASE_DATA[number]`` or ``$TOOL=TOOL_DATA[number]``.
 
+        The frame is unknown afterwards if the array element is not known or incomplete.
+
         :param name: ``$BASE`` or ``$TOOL``.
+        :raises ProgramError: a component is out of reach.
         """
         key = f"{name[1:]}_DATA[{number}]"
-        return self._with_named_frame(state, place, name, _array_element(f"{name[1:]}_DATA", number), key)
+        return self._state_with_named_frame(state, place, name, _array_element(f"{name[1:]}_DATA", number), key)
 
     def state_with_unknown_frame(self, state: State, name: str, place: Place, reason: str) -> State:
-        """Return a state in which `$BASE` or `$TOOL` (`name`) is not known, for a reason."""
+        """Return a state in which `$BASE` or `$TOOL` (`name`) is not known; the reason is stored for messages."""
         return self.reasons.state_with_unknown(
-            state, FIELDS[name], place.error(f"{name} is not known: {reason}", _ADVICE)
+            state, FIELDS[name], place.error(f"{name} is not known: {reason}", _FRAME_ADVICE)
         )
 
     def frames_of_cell(self, state: State) -> set[str]:
-        """Return which of `$BASE` and `$TOOL` are frames of the cell though KUKA's #INITMOV would set others."""
+        """Return which of `$BASE` and `$TOOL` are frames of the cell though KUKA's #INITMOV would set other frames.
+
+        KUKA's #INITMOV sets BASE(0) and TOOL_DATA[1].
+        """
         tool = self.variables.position(_array_element("TOOL_DATA", 1))
         kuka_frames = {"$BASE": Position((0.0,) * 6), "$TOOL": tool}
         return {name for name in state.initial_frames if not self._is_cell_frame(name, kuka_frames[name])}
@@ -111,32 +121,44 @@ class Frames:
         return position is not None and bool(np.abs(position.pose() - frame).max() < _FRAME_TOLERANCE)
 
     def current_value(self, state: State, name: str, field: str | None) -> VariableValue:
-        """Return `$BASE` or `$TOOL` as a state has it, or a component of it; an `UnknownValue` if it is not known."""
+        """Return the value of `$BASE` or `$TOOL` in a state, or one of its components.
+
+        The name is added to `uncertain_names` if the value may be another one on the controller.
+
+        :param field: X … C; None: the whole frame. `NO_VALUE` is returned for other fields.
+        :returns: an `UnknownValue` if the frame is not known, or the component is an angle that may be another one.
+        """
         row, frames = (state.base, self.bases) if name == "$BASE" else (state.tool, self.tools)
-        if row < 0:  # it holds the index of the reason, see `State.base`
+        if row < 0:  # an unknown frame holds the index of its reason, see `State.base`
             return UnknownValue(reason=self.reasons.errors[-1 - row].problem)
         if self.is_initmov_open and name in self.frames_of_cell(state):
             self.uncertain_names.add(name)
         position = position_from_pose(frames[row])
         if field is None:
             return position
-        if field in ANGLES and (name, row) in self._folded:
+        if field in ANGLES and (name, row) in self._given_by_other_angles:
             return UnknownValue(reason=f"whether {field} is kept as it was given is in no source")
         return component(position, field) if field in CARTESIAN else NO_VALUE
 
-    def _with_field(self, state: State, target: Reference, value: Value | VariableValue) -> Position | None:
-        """Return the frame in force with another value of one component; None if the result is not known."""
+    def _frame_with_component(self, state: State, target: Reference, value: Value | VariableValue) -> Position | None:
+        """Return the frame in force with another value of one component; None if the result is not known.
+
+        :param target: the component of `$BASE` or `$TOOL` that `value` is assigned to.
+        """
         name, field = target.name, target.field or ""
+        row = state.base if name == "$BASE" else state.tool
         frame, number = self.current_value(state, name, None), self.variables.number(value)
-        is_folded = field in ANGLES and (name, state.base if name == "$BASE" else state.tool) in self._folded
-        if not isinstance(frame, Position) or number is None or is_folded:
+        if not isinstance(frame, Position) or number is None:
             return None
+        if field in ANGLES and (name, row) in self._given_by_other_angles:
+            return None  # the other angles may be those that were given, or those that the controller shows
         return with_component(frame, field, number)
 
-    def _with_named_frame(self, state: State, place: Place, name: str, reference: Reference, key: str) -> State:
-        """Return the state with `$BASE` or `$TOOL` set to a variable.
+    def _state_with_named_frame(self, state: State, place: Place, name: str, reference: Reference, key: str) -> State:
+        """Return the state with `$BASE` or `$TOOL` set to a variable; unknown if the variable is unknown or incomplete.
 
-        :param key: its stored name, for messages.
+        :param name: `$BASE` or `$TOOL`.
+        :param reference: the variable; `key` is its stored name, for messages.
         :raises ProgramError: a component is out of reach.
         """
         position = self.variables.position(reference)
@@ -150,15 +172,15 @@ class Frames:
             return self.state_with_unknown_frame(state, name, place, reason)
         if not position.is_complete:
             return self.state_with_unknown_frame(state, name, place, f"{_missing_components(position)} in {key}")
-        state = self._with_frame(state, name, position)
+        state = self._state_with_frame(state, name, position)
         if name == "$TOOL" and (number := _ELEMENT.search(key)):
             self.tool_numbers.setdefault(state.tool, set()).add(int(number[1]))
         return state
 
-    def _with_frame(self, state: State, name: str, position: Position) -> State:
-        """Return the state with `$BASE` or `$TOOL` at a position.
+    def _state_with_frame(self, state: State, name: str, position: Position) -> State:
+        """Return the state with `$BASE` or `$TOOL` (`name`) at a complete Cartesian position.
 
-        Equal frames share a row of the table, so that motions can be grouped by it.
+        Equal frames share a row of `bases` or `tools`, so that motions can be grouped by the row.
         """
         row = self._rows.get((name, position.values))
         if row is None:
@@ -170,25 +192,29 @@ class Frames:
             if row == len(frames):
                 frames.append(pose)
             self._rows[name, position.values] = row
-        if not _has_usual_angles(position):
-            self._folded.add((name, row))
+        if not _has_angles_in_range(position):
+            self._given_by_other_angles.add((name, row))
         return state.with_values(**{FIELDS[name]: row})
 
 
-def _has_usual_angles(position: Position) -> bool:
-    """Return whether A, B, C of a frame are those by which controllers show its orientation."""
+def _has_angles_in_range(position: Position) -> bool:
+    """Return whether A, B, C of a frame are in the ranges in which controllers show angles: ±180°, ±90°, ±180°.
+
+    Other angles may be kept as given, or replaced by the set in these ranges.
+    """
     a, b, c = position.values[3:]
     return abs(a) <= HALF_TURN and abs(b) <= LARGEST_B and abs(c) <= HALF_TURN
 
 
 def _array_element(name: str, number: int) -> Reference:
-    """Return the element of an array with a number, as a reference."""
-    return Reference(name, (Number(float(number), 0, 0, True),), None, 0, 0)
+    """Return a reference to the element of an array with a number; it is in no text."""
+    index = Number(float(number), start=0, stop=0, is_integer=True)
+    return Reference(name, (index,), field=None, start=0, stop=0)
 
 
 def _missing_components(position: Position) -> str:
-    """Return which components of a frame are not given, as text: the controller does not take them as 0."""
-    names = [name for name, value in zip(CARTESIAN, position.values, strict=True) if value != value]
+    """Return which components of an incomplete frame are missing, as text for a message: ``A is not given``."""
+    names = [name for name, value in zip(CARTESIAN, position.values, strict=True) if np.isnan(value)]
     return f"{', '.join(names)} {'is' if len(names) == 1 else 'are'} not given"
 
 

@@ -30,32 +30,35 @@ _SUPERPOSED_MOTIONS = frozenset({"$TECH", "$TECH_C", "$SPL_TECH", "$SPL_TECH_C"}
 """Function generators, which swing the tool about its path (KUKA, System Variables)."""
 _TRIGGER_WORDS = frozenset({"CONST_VEL", "STOP"})
 """Statements of spline motions that count from the start or the end of the motion that follows."""
-_SIMPLE = (tree.Assignment, tree.CallStatement)
-_MOVING = (tree.Motion, tree.Spline, tree.EndSpline)
-_CONDITIONS = frozenset({"FOR", "IF", "WHILE", "UNTIL", "SWITCH"})
+_SIMPLE_STATEMENTS = (tree.Assignment, tree.CallStatement)
+_MOTION_STATEMENTS = (tree.Motion, tree.Spline, tree.EndSpline)
+_CONDITION_WORDS = frozenset({"FOR", "IF", "WHILE", "UNTIL", "SWITCH"})
 JUMP_ADVICE = (
     "Write LOOP with EXIT, FOR, WHILE or IF around the motions instead, or the motions in order; --keep-unresolved "
     "cannot leave it as it is."
 )
-_JUMP = "it is not known before the program runs whether GOTO is run, and with it what runs next"
+_JUMP_PROBLEM = "it is not known before the program runs whether GOTO is run, and with it what runs next"
 LOOP_ADVICE = (
     "Motions in loops and branches are corrected where the statements that run, and how often, are known before the "
     "program runs: write them out in order, or leave them as they are by --keep-unresolved."
 )
 
 
-def undecided_jump(variables: Variables, control: Place | None) -> tuple[str, str]:
+def undecided_jump_message(variables: Variables, control: Place | None) -> tuple[str, str]:
     """Return the problem and the advice for a GOTO of which it is not known whether it runs.
 
-    :param control: the IF or SWITCH whose condition is not known; None if there is none.
+    :param control: the control structure whose condition is not known; None if there is none.
     """
     if control is None:
-        return _JUMP, JUMP_ADVICE
+        return _JUMP_PROBLEM, JUMP_ADVICE
     stmt = statement(control.source, control.line)
     reason = why_not_decided(variables, control.source, stmt.values)
     names = without_value(variables, control.source, stmt.values)
     value_advice = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
-    return f"{_JUMP}: the condition of {stmt.word} ({control}) is not known{reason}", f"{JUMP_ADVICE}{value_advice}"
+    return (
+        f"{_JUMP_PROBLEM}: the condition of {stmt.word} ({control}) is not known{reason}",
+        f"{JUMP_ADVICE}{value_advice}",
+    )
 
 
 class Interpreter:
@@ -63,8 +66,9 @@ class Interpreter:
 
     :param run: the program as far as it has run.
     :param motion: takes a motion of the program, or a line that begins or ends a spline block.
-    :param run_routine: runs the routine that was called.
-    :param inline_call: follows the call of a routine with motions as part of the trace; returns False if it does not.
+    :param run_routine: runs the routine that was called last.
+    :param inline_call: follows the call of a routine with motions as part of the trace; returns False if the call is
+        not part of the trace.
     """
 
     def __init__(
@@ -79,24 +83,29 @@ class Interpreter:
         self.calls = Calls(run, run_routine)
 
     def follow_statement(self, place: Place, stmt: tree.Statement) -> None:
-        """Run one statement.
+        """Run one statement. Motions of routines outside of the trace are not taken; their functions are followed.
 
-        :raises ProgramError: it is not understood, or its effect on motion is not modelled.
+        :raises ProgramError: the statement is not understood, or its effect on motion is not modelled.
         """
         self.run.place = place
-        if isinstance(stmt, _MOVING):
+        if isinstance(stmt, _MOTION_STATEMENTS):
             if self.run.is_traced:
                 self._motion(place, stmt)
             else:
                 self.follow_functions(place, stmt.values)
-        elif (isinstance(stmt, _SIMPLE) and stmt.word not in _ASYNCHRONOUS) or not self._follow_control(place, stmt):
+        elif (isinstance(stmt, _SIMPLE_STATEMENTS) and stmt.word not in _ASYNCHRONOUS) or not self._follow_control(
+            place, stmt
+        ):
             self._follow_other(place, stmt)
 
     def _follow_control(self, place: Place, stmt: tree.Statement) -> bool:
         """Follow a statement that controls execution: a line of a control structure, GOTO, RETURN and the like.
 
-        :returns: False if it is none.
-        :raises ProgramError: it closes a structure that is not open, or what runs next is not known.
+        The head and the end of a control structure change `Level.open_structures`.
+
+        :returns: False if the statement is no such statement; nothing is followed then.
+        :raises ProgramError: it closes a structure that is not open, what runs next is not known, or it moves external
+            axes.
         """
         level, word = self.run.level, stmt.word
         if word in OPENING or word == "REPEAT":
@@ -108,9 +117,9 @@ class Interpreter:
                 )
             level.open_structures.pop()
         elif isinstance(stmt, tree.Goto):
-            lines = [line for word, line in level.open_structures if word in _CONDITIONS]
+            lines = [line for word, line in level.open_structures if word in _CONDITION_WORDS]
             control = Place(place.source, lines[-1]) if lines else None
-            raise place.error(*undecided_jump(self.run.variables, control))
+            raise place.error(*undecided_jump_message(self.run.variables, control))
         elif isinstance(stmt, tree.Return):
             self._follow_return(place, stmt)
         elif isinstance(stmt, tree.SplineTiming):
@@ -119,14 +128,14 @@ class Interpreter:
             raise place.error(f"{word} moves external axes", "Only fixed external axes are supported.")
         else:
             return False
-        if word in _CONDITIONS:
+        if word in _CONDITION_WORDS:
             self._follow_control_head(place, stmt)
         return True
 
     def _follow_spline_timing(self, place: Place, stmt: tree.SplineTiming) -> None:
-        """Follow a statement on the speed of spline motions, which is kept unchanged.
+        """Follow a statement on the speed or the stop of spline motions, such as CONST_VEL; its text stays unchanged.
 
-        :raises ProgramError: it is not understood, or not allowed here.
+        :raises ProgramError: the statement is not understood, or is outside of a spline block.
         """
         if not stmt.is_complete:
             raise place.error("the statement is not understood", "Check its spelling.")
@@ -141,7 +150,9 @@ class Interpreter:
     def _follow_return(self, place: Place, stmt: tree.Return) -> None:
         """Follow RETURN: the routine ends, with its value if it is a function.
 
-        :raises InexactError: it is not known whether it runs.
+        In the main routine a RETURN of which it is not known whether it runs is passed over.
+
+        :raises InexactError: it is not known whether it runs, and the routine is a called one.
         """
         level = self.run.level
         if not self.run.is_certain:
@@ -159,15 +170,14 @@ class Interpreter:
             self.run.variables.forget(self.run.stored_name(stmt.name), str(place))
 
     def follow_functions(self, place: Place, values: Iterable[Value]) -> None:
-        """Follow the functions in some values; it is not certain that they run."""
+        """Follow the functions in some expressions, as calls that may not run."""
         for call in calls(values):
             self.calls.follow_call(place, call, is_certain=False)
 
     def _follow_other(self, place: Place, stmt: tree.Statement) -> None:
-        """Follow a statement that neither moves nor controls execution: an assignment, a declaration, a call and the
-        like.
+        """Follow a statement that neither moves nor controls execution, such as an assignment, a declaration or a call.
 
-        :raises ProgramError: it is not understood, or its effect on motion is not modelled.
+        :raises ProgramError: the statement is not understood, or its effect on motion is not modelled.
         """
         if stmt.word == "BAS":
             self._follow_bas(place, stmt)
@@ -184,7 +194,7 @@ class Interpreter:
         elif isinstance(stmt, (tree.CyclicInput, tree.Import)):
             self._note_cyclic_changes(place, stmt)
         elif isinstance(stmt, tree.Declaration):
-            row = self.run.row if self.run.is_traced and self.run.has_rows else 0
+            row = self.run.row if self.run.is_traced and self.run.has_rows else 0  # 0: not in the trace
             names = declare_variables(self.run.variables, place.source, stmt, row)
             if self.run.is_traced:
                 self.run.understand(*(declarator.name_start for declarator in names))
@@ -202,7 +212,7 @@ class Interpreter:
     def _note_cyclic_changes(self, place: Place, stmt: tree.CyclicInput | tree.Import) -> None:
         """Note that the variable of an ANIN, DIGIN, SIGNAL or IMPORT may change at any time from now on.
 
-        :raises ProgramError: it is a setting of motions.
+        :raises ProgramError: the variable is a setting of motions.
         """
         if stmt.name in RELEVANT:
             raise place.error(f"{stmt.word} changes {stmt.name} at any time", SETTING_ADVICE)
@@ -212,9 +222,9 @@ class Interpreter:
                 self.run.note_cyclic_change(place, name)
 
     def _check_exit(self, place: Place) -> None:
-        """Refuse an EXIT if it is not known whether it runs.
+        """Refuse an EXIT that may leave a followed loop, if it is not known whether the EXIT runs.
 
-        :raises InexactError: it is in a control structure of a followed loop, whose condition is not known.
+        :raises InexactError: the EXIT is in a control structure of the loop whose condition is not known.
         """
         level = self.run.level
         if level.loop_depth and not any(word in LOOPS for word, _ in level.open_structures):
@@ -230,7 +240,7 @@ class Interpreter:
     def _follow_bas(self, place: Place, stmt: tree.Statement) -> None:
         """Follow a call of KUKA's BAS, which sets speeds, frames and modes by its command.
 
-        :raises ProgramError: it is not understood.
+        :raises ProgramError: the call is not understood.
         """
         if isinstance(stmt, tree.FaultyStatement):
             raise stmt.error
@@ -239,7 +249,7 @@ class Interpreter:
         self._change_state(place, self.run.settings.state_after_bas(place, stmt.call))
 
     def _change_state(self, place: Place, state: State) -> None:
-        """Put a state into force; if it is not certain that the statement runs, make uncertain what it would change."""
+        """Put a state into force; if the statement at `place` may not run, its changed fields become unknown instead."""
         if self.run.is_certain:
             self.run.settings.change_state(self.run.row, state)
         else:
@@ -250,9 +260,10 @@ class Interpreter:
     def assign(self, place: Place, target: Reference, expression: Value) -> None:
         """Follow an assignment.
 
-        The index of the target is evaluated before and after the value: a call in the value may change it.
+        The index of the target is evaluated before and after the value, since a call in the value may change it: which
+        element is written is not known then. Variables of the controller become unknown, but for `STORED_VARIABLES`.
 
-        :raises ProgramError: its effect on motion is not modelled.
+        :raises ProgramError: the effect on motion is not modelled.
         """
         self.follow_functions(place, [target])
         name = target.name
@@ -280,19 +291,21 @@ class Interpreter:
             self.run.variables.forget(stored_name, self._unknown_element_reason(place, target, expression))
         elif not self.run.is_certain or key is None or target.indices == ():
             self.run.variables.forget(stored_name, str(place))
-        elif value != NO_VALUE or name != "$H_POS" or target.field is not None:  # else the cell's home position stays
+        elif value != NO_VALUE or name != "$H_POS" or target.field is not None:
             self._store(place, target, key, expression, value)
+        # else $H_POS gets a position that is in no file: the home position of the cell stays
 
     def _store(self, place: Place, target: Reference, key: str, expression: Value, value: VariableValue) -> None:
         """Give a variable, or a member of it, the value of an assignment.
 
-        :param key: of the variable; `target` as the statement names it.
-        :param value: of the expression.
+        An unknown value keeps its own reason if that says where it arose; else this assignment becomes its place.
+
+        :param target: the variable as the statement names it; `key` is its stored name.
+        :param value: value of the expression.
         """
         if isinstance(value, UnknownValue):
-            # a whole variable may stay unknown for the reason that its value has, without words of its own
-            explains_itself = bool(value.change_place) if value.reason else target.field is None
-            if value == NO_VALUE or not explains_itself:
+            has_own_place = bool(value.change_place) if value.reason else target.field is None
+            if value == NO_VALUE or not has_own_place:
                 value = UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
         if target.field is None:
             self.run.note_copy(expression, value, target.name)
@@ -301,9 +314,10 @@ class Interpreter:
             self.run.variables.set_field(key, target.field, value, place)
 
     def _unknown_element_reason(self, place: Place, target: Reference, expression: Value) -> str:
-        """Return, as text, why it is not known which element an assignment writes.
+        """Return why it is not known which array element an assignment writes, as text for a message.
 
-        A call in its value changes the index, and KUKA does not say whether the index is evaluated before the value.
+        A call in the assigned expression changes the index, and KUKA does not say whether the index or the value is
+        evaluated first.
         """
         indices = {value.name for value in walk(target.indices or ()) if isinstance(value, Reference)}
         places = {
@@ -321,6 +335,7 @@ class Interpreter:
 
         :raises ProgramError: the value cannot be read, or its effect on motion is not modelled.
         """
+        # the expression itself, from which messages quote; the value of a function that has been run
         value: Value | VariableValue = expression
         if isinstance(expression, UnreadableText):
             raise expression.error
@@ -338,9 +353,9 @@ class Interpreter:
         )
 
     def _note_event(self, place: Place, event: tree.Event) -> None:
-        """Note what an INTERRUPT or a TRIGGER may change from now on.
+        """Note what the action of an INTERRUPT or a TRIGGER may change from now on.
 
-        :raises ProgramError: it moves the robot.
+        :raises ProgramError: the action moves the robot, or may change settings of motions at any time.
         """
         scope = self.run.variables.scope
         effects = self.run.analysis.effects_of_action(

@@ -24,13 +24,15 @@ from postproc.program import ForceNote, UnfollowedCall
 _MOST_NAMES = 10
 """Most names of points in one message."""
 _MOST_FILES = 3
-"""Most files named for one of them."""
+"""Most files named for one variable."""
 
 
 def issues_of(main: MainRoutine, in_force: MotionStates, rows: MotionColumns, layout: Layout) -> Iterator[Issue]:
     """Yield the issues about a program that has been followed.
 
-    :param in_force: settings in force at its motions.
+    :param main: has followed the program.
+    :param in_force: settings in force at the motions of the program.
+    :param rows: the motions.
     :raises ProgramError: a called program is known to move the robot by a sensor.
     """
     yield from _absent_program_warnings(main)
@@ -43,7 +45,7 @@ def issues_of(main: MainRoutine, in_force: MotionStates, rows: MotionColumns, la
 def _absent_program_warnings(main: MainRoutine) -> Iterator[Issue]:
     """Yield a warning for each called program that is in no file: it is assumed not to move the robot.
 
-    :raises ProgramError: one is known to move the robot.
+    :raises ProgramError: one of the programs is known to move the robot by a sensor (`BY_SENSOR`).
     """
     global_names = sorted(main.run.variables.used_names & main.run.variables.global_names)
     points = f", nor the GLOBAL {first_of(global_names, _MOST_NAMES)}" if global_names else ""
@@ -64,7 +66,7 @@ def _absent_program_warnings(main: MainRoutine) -> Iterator[Issue]:
 
 
 def _uncalled_routine_warnings(main: MainRoutine) -> Iterator[Issue]:
-    """Yield a warning for each routine of the program that has motions and is not called."""
+    """Yield a warning for each routine of the program that has motions of its own and is not called."""
     program = main.run.library.program
     for routine in program.routines.values():
         if routine is main.run.routine or routine in main.run.called_routines:
@@ -73,7 +75,7 @@ def _uncalled_routine_warnings(main: MainRoutine) -> Iterator[Issue]:
         if motion is None or motion.source is not main.run.routine.source:
             continue
         if not routine.first < motion.line < routine.last:
-            continue  # reported for the routine that contains it
+            continue  # the motion of a routine that it calls: reported for that routine
         message = (
             f"DEF {routine.name} has motions but {main.run.routine.name} does not call it; they are left as they are."
         )
@@ -88,7 +90,9 @@ def _unreachable_motion_warnings(main: MainRoutine) -> Iterator[Issue]:
     motion_lines = [line for line in routine.other_lines if line > end and isinstance(statement(source, line), Motion)]
     lines = np.sort([*routine.motion_lines[routine.motion_lines > end].tolist(), *motion_lines]).astype(np.int64)
     rows, index = main.course.rows_of(source, lines)
-    lines = np.delete(lines, index[main.course.may_run[rows - 1]])
+    lines = np.delete(
+        lines, index[main.course.may_run[rows - 1]]
+    )  # lines behind RETURN that run all the same, in a loop
     if len(lines):
         message = f"Motions are never reached, because of RETURN (line {end}); they are left as they are."
         yield Issue("warning", "never-reached", message, int(lines[0]), subject=routine.name, count=len(lines))
@@ -111,8 +115,11 @@ def _changed_variable_warnings(main: MainRoutine) -> Iterator[Issue]:
 def _initial_frame_warnings(
     main: MainRoutine, in_force: MotionStates, rows: MotionColumns, layout: Layout
 ) -> Iterator[Issue]:
-    """Yield a warning for `$BASE` and `$TOOL` if they are frames of the cell only because no statement sets them."""
-    has_axis_target = np.zeros(len(rows), dtype=np.bool_)
+    """Yield a warning for `$BASE` and `$TOOL` if they are frames of the cell only because no statement sets them.
+
+    :param in_force: settings in force at the motions `rows`.
+    """
+    has_axis_target = np.zeros(len(rows), dtype=np.bool_)  # needs no frames
     has_axis_target[[row for row, move in layout.statements.items() if move.end.position.is_axis]] = True
     for name, table in (("$BASE", "[base]"), ("$TOOL", "[tool]")):
         is_assumed = np.array([name in main.run.settings.assumed_frames(state) for state in in_force.states])
@@ -140,7 +147,7 @@ _KEEP = "--keep-unresolved leaves motions as they are"
 def refuse_routines_with_force_comments(run: Run) -> None:
     """Refuse routines that are not followed, contain force comments and may move under force.
 
-    :raises ProgramError: there is one; it names the statement that cannot be followed.
+    :raises ProgramError: there is such a routine; the error names the statement that cannot be followed.
     """
     for call in run.untraced_calls:
         force = run.analysis.effects_of(call.module, call.routine).force_comment
@@ -151,11 +158,11 @@ def refuse_routines_with_force_comments(run: Run) -> None:
 def refuse_routines_under_force(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
     """Refuse routines that are not followed and are called where a force comment holds.
 
-    :param notes: force comments of the trace, by its lines.
-    :raises ProgramError: there is one; it names the statement that cannot be followed.
+    :param notes: force comments of the trace, each with its line, in order.
+    :raises ProgramError: there is such a routine; the error names the statement that cannot be followed.
     """
     for call in run.untraced_calls:
-        acting_notes = [note for line, note in notes if line < call.row][-1:]
+        acting_notes = [note for line, note in notes if line < call.row][-1:]  # the last comment before the call
         if acting_notes and any(acting_notes[0].wrench) and run.analysis.may_carry_force(call.module, call.routine):
             raise _uncorrected_error(run, call, ": a force comment holds there")
 
@@ -169,14 +176,15 @@ def unfollowed_calls(run: Run) -> tuple[UnfollowedCall, ...]:
     )
 
 
-def _uncorrected_error(run: Run, call: UntracedCall, force: str = "") -> ProgramError:
+def _uncorrected_error(run: Run, call: UntracedCall, force_text: str = "") -> ProgramError:
     """Return the error that a called routine would stay uncorrected under force.
 
-    :param force: suffix of the message: which force.
+    :param call: the call of the routine.
+    :param force_text: end of the message, which names the force; empty if the force is not known.
     """
     cause, place = call.cause, run.trace.place(call.row)
     place_text = f"{place.source.document.name}, line {place.line}"
-    problem = f"{cause.problem}; {call.name}(), called in {place_text}, would stay uncorrected under force{force}"
+    problem = f"{cause.problem}; {call.name}(), called in {place_text}, would stay uncorrected under force{force_text}"
     advice = cause.advice or ""
     if "--keep-unresolved" not in advice:
         advice = f"{advice} {_KEEP}.".strip()

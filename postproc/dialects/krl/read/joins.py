@@ -29,7 +29,7 @@ _BRANCH_ADVICE = (
 _PTP_ADVICE = (
     "Give it S and T, or joint angles (PTP to all of A1 … A6), or leave the branches as they are by --keep-unresolved."
 )
-_WHOLE = (
+_START_ADVICE = (
     "Begin there with a LIN to all of X, Y, Z, A, B, C under $ORI_TYPE=#VAR, or leave the branches as they are by "
     "--keep-unresolved."
 )
@@ -41,7 +41,7 @@ _FORCE_ADVICE = "Write a force comment before the first motion of the LOOP."
 class BranchError(ProgramError):
     """Branches cannot be corrected.
 
-    :ivar occasions: the forks of these branches, and of all others that cannot be corrected.
+    :ivar occasions: the visits to all forks whose branches cannot be corrected.
     """
 
     occasions: frozenset[Occasion]
@@ -50,8 +50,8 @@ class BranchError(ProgramError):
 class JoinedEnds(NamedTuple):
     """The ends of the branches of a control-flow join.
 
-    :ivar fork: line of its fork in the trace.
-    :ivar ends: last motions that may run before the join; −1: the start of the program.
+    :ivar fork: line of the trace with the fork of these branches.
+    :ivar ends: the motions that may be the last before the join, ascending; −1: the start of the program.
     """
 
     fork: int
@@ -75,13 +75,16 @@ class _Successors:
     """Finds the motions that may follow each fork, branch and join of an execution trace."""
 
     def __init__(self, course: Course, sequence: OrderedMotions) -> None:
-        """Find the forks, branches and joins of the trace; results are stored by their numbers."""
+        """Find the forks, branches and joins of the trace: `steps`. A step is given by its index in them."""
         self.steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
-        self._course, self._ordered = course, sequence
+        self._course, self._sequence = course, sequence
         self._results: dict[int, bool] = {}
 
     def leads_to_joints(self, number: int) -> bool:
-        """Return whether every motion that may run next after a step is a PTP to joint angles; the result is stored."""
+        """Return whether every motion that may run next after a step is a PTP to joint angles; the result is stored.
+
+        :param number: index of the step in `steps`.
+        """
         if number not in self._results:
             self._results[number] = self._step_leads_to_joints(number)
         return self._results[number]
@@ -89,13 +92,15 @@ class _Successors:
     def _step_leads_to_joints(self, number: int) -> bool:
         """Return whether every motion that may run next after a step is a PTP to joint angles.
 
-        Next comes a motion, or else a fork, the end of a branch, a join or the end of the program.
+        What follows a step is a motion, or else a fork, the end of a branch, a join or the end of the program.
+
+        :param number: index of the step in `steps`.
         """
-        lines, step = self._ordered.rows.line, self.steps[number]
+        lines, step = self._sequence.rows.line, self.steps[number]
         next_step = self.steps[number + 1] if number + 1 < len(self.steps) else None
-        row = int(np.searchsorted(lines, step.row, side="right"))
+        row = int(np.searchsorted(lines, step.row, side="right"))  # the first motion after the step
         if row < len(lines) and (next_step is None or lines[row] <= next_step.row):
-            return is_ptp_to_joints(self._ordered, row)
+            return is_ptp_to_joints(self._sequence, row)
         if next_step is None:
             return self._next_round_leads_to_joints()
         if isinstance(next_step, Fork):
@@ -103,18 +108,19 @@ class _Successors:
             return all(map(self.leads_to_joints, branches if self._is_exhaustive_join(join) else [*branches, join]))
         if isinstance(next_step, Join):
             return self.leads_to_joints(number + 1)
-        _, join = self._branches_and_join(number)  # the next branch is not run after this one
+        # the next step begins another branch, which does not run after this one
+        _, join = self._branches_and_join(number)
         return self.leads_to_joints(join)
 
     def _is_exhaustive_join(self, number: int) -> bool:
-        """Return whether a step is a join of which one branch always runs, as those of an IF with ELSE do."""
+        """Return whether a step is a join whose branches are exhaustive: one of them always runs, as with ELSE."""
         join = self.steps[number]
         return isinstance(join, Join) and join.is_exhaustive
 
     def _branches_and_join(self, number: int) -> tuple[list[int], int]:
-        """Return the numbers of the branches after a step, and that of the join that ends them.
+        """Return the indices in `steps` of the branches after a step, and the index of the join that ends them.
 
-        Branches of nested forks are left out. Without a join the number is that of the last step.
+        Branches of nested forks are left out. Without a join the index is that of the last step.
         """
         depth, branches = 0, list[int]()
         for index in range(number + 1, len(self.steps)):
@@ -123,20 +129,22 @@ class _Successors:
                 return branches, index
             if isinstance(step, Branch) and not depth:
                 branches.append(index)
-            depth += isinstance(step, Fork) - isinstance(step, Join)
+            depth += isinstance(step, Fork) - isinstance(step, Join)  # number of open nested forks
         return branches, len(self.steps) - 1
 
     def _next_round_leads_to_joints(self) -> bool:
-        """Return whether the LOOP that ends the program begins with a PTP to joint angles; True if there is no LOOP.
+        """Return whether the LOOP that ends the program begins with a PTP to joint angles.
 
-        It then does not matter where a round ends. Branches before that PTP count as none.
+        It then does not matter where a round ends. False if branches precede the first motion of the LOOP.
+
+        :returns: True if the program does not end in a LOOP: nothing follows its end.
         """
-        loop, lines = self._course.endless_loop, self._ordered.rows.line
+        loop, lines = self._course.endless_loop, self._sequence.rows.line
         if loop is None:
             return True
-        row = int(np.searchsorted(lines, loop.first))
+        row = int(np.searchsorted(lines, loop.first))  # the first motion of the loop
         is_before_branches = row < len(lines) and not any(loop.first <= step.row < lines[row] for step in self.steps)
-        return is_before_branches and is_ptp_to_joints(self._ordered, row)
+        return is_before_branches and is_ptp_to_joints(self._sequence, row)
 
 
 def is_ptp_to_joints(sequence: OrderedMotions, row: int) -> bool:
@@ -146,11 +154,12 @@ def is_ptp_to_joints(sequence: OrderedMotions, row: int) -> bool:
 
 
 def _first_ambiguous_ptp(sequence: OrderedMotions, rows: slice) -> int:
-    """Return the first PTP among some motions whose joint angles depend on those before it; −1 if there is none.
+    """Return the row of the first PTP among some motions to a Cartesian target without status or turn.
 
-    That is a PTP to a Cartesian target without status or turn.
+    Its joint angles depend on the joint angles before it.
 
     :param rows: the motions, which follow each other.
+    :returns: −1 if there is no such PTP.
     """
     for row in (rows.start + np.flatnonzero(sequence.rows.kind[rows] == PTP)).tolist():
         if not is_ptp_to_joints(sequence, row) and (sequence.rows.posture[row] < 0).any():
@@ -165,14 +174,16 @@ def predecessors_and_joins(
     kept_lines: Sequence[int],
     unchecked_joins: Set[Join],
 ) -> tuple[Ints | None, list[JoinedEnds]]:
-    """Return the motion at whose end each motion begins, see `Program.after`, and the control-flow joins.
+    """Return the motion at whose end each of M motions begins, see `Program.after`, and the control-flow joins.
 
     Joins at which branches may end in different poses are left out.
 
-    :param predecessors: (M,) the same if branches ran one after the other; None: the motion before.
+    :param predecessors: (M,) the motion at whose end each would begin if branches ran one after the other; None: the
+        motion before it. Returned unchanged for a trace without branches.
     :param kept_lines: lines of uncorrected motions.
     :param unchecked_joins: joins at which branches may end in different poses.
-    :raises BranchError: a motion in or after a branch depends on more than its start pose.
+    :raises BranchError: an uncorrected motion is in a branch, or a motion in or after a branch depends on more than its
+        start pose.
     """
     steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not steps:
@@ -191,16 +202,17 @@ def predecessors_and_joins(
     for row in np.flatnonzero(branch_predecessors != np.arange(len(line)) - 1).tolist():
         if branch_predecessors[row] != row and depends_on_start(sequence, row, arcs=False):
             problem = f"{_start_dependence(sequence, row)} where branches begin or meet"
-            faults.append(_branch_error(course, forks, int(fork_lines[row]), problem, _WHOLE))
+            faults.append(_branch_error(course, forks, int(fork_lines[row]), problem, _START_ADVICE))
     _raise_combined(faults)
     return branch_predecessors, [ends for join, ends in joins if join not in unchecked_joins]
 
 
 class _BranchPredecessors(NamedTuple):
-    """The motions before M motions, with branches and joins.
+    """The motions at whose ends M motions begin, with branches and joins.
 
     :ivar predecessors: (M,) the motion at whose end each begins, see `Program.after`.
-    :ivar fork_lines: (M + 1,) line of the trace with the fork that is next to each motion, and to the end.
+    :ivar fork_lines: (M + 1,) for each motion right after a fork, branch or join, and for the end of the program, the
+        line of the trace with the fork of that branch or join; 0 for all other motions.
     :ivar joins: all joins, with the ends of their branches.
     """
 
@@ -212,10 +224,10 @@ class _BranchPredecessors(NamedTuple):
 class _OpenFork(NamedTuple):
     """A fork whose join has not been reached.
 
-    :ivar line: of the execution trace.
-    :ivar entry: the last motion before it; −1 if there is none.
-    :ivar ends: the last motions of its finished branches.
-    :ivar is_begun: whether one of its branches has begun.
+    :ivar line: line of the execution trace with the fork.
+    :ivar entry: the last motion before the fork; −1 if there is none.
+    :ivar ends: the last motions of the branches that have ended.
+    :ivar is_begun: True once a branch has begun.
     """
 
     line: int
@@ -227,13 +239,15 @@ class _OpenFork(NamedTuple):
 def _branch_predecessors(
     steps: Sequence[Fork | Branch | Join], line: Ints, predecessors: Ints | None
 ) -> _BranchPredecessors:
-    """Return the motions before M motions, with branches and joins.
+    """Return the motions at whose ends M motions begin, with branches and joins.
 
-    Behind a join the one before is the first of the last motions of its branches.
+    Each branch begins where its fork was reached. The motion behind a join begins at the end of the branch whose last
+    motion comes first in the trace: all branches must end in one pose.
 
     :param steps: forks, branches and joins of the trace, in order.
     :param line: (M,) lines of the trace with the motions.
-    :param predecessors: (M,) predecessors if branches ran one after the other; None: the motion before.
+    :param predecessors: (M,) the motion at whose end each would begin if branches ran one after the other, the motion
+        itself if its start is not known; None: the motion before it.
     """
     count = len(line)
     branch_predecessors = np.arange(count) - 1 if predecessors is None else predecessors.copy()
@@ -243,7 +257,7 @@ def _branch_predecessors(
     previous_row, row_count = -1, 0
 
     def run_to(row: int) -> None:
-        """Make motions up to `row` follow each other; the first of them begins at the end of `previous_row`."""
+        """Pass the motions up to, not including, `row`; the first of them begins at the end of `previous_row`."""
         nonlocal previous_row, row_count
         if row > row_count:
             if branch_predecessors[row_count] != row_count:
@@ -251,13 +265,14 @@ def _branch_predecessors(
             previous_row, row_count = row - 1, row
 
     for step in steps:
-        run_to(int(np.searchsorted(line, step.row, side="right")))
+        run_to(int(np.searchsorted(line, step.row, side="right")))  # motions up to the line of the step
         fork_lines[row_count] = open_forks[-1].line if open_forks else step.row
         if isinstance(step, Fork):
             open_forks.append(_OpenFork(step.row, previous_row, [], is_begun=False))
             continue
         fork, entry, ends, is_begun = open_forks.pop()
         if isinstance(step, Branch):
+            # the branch before ends here, if this one is not the first
             open_forks.append(_OpenFork(fork, entry, [*ends, previous_row] if is_begun else ends, is_begun=True))
             previous_row = entry
         else:
@@ -269,7 +284,7 @@ def _branch_predecessors(
 
 
 def branches(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
-    """Return the first motion of each branch, and the motion after its last; see `Program.branches`.
+    """Return, for each branch with motions, its first motion and the motion after its last; see `Program.branches`.
 
     :param line: (M,) lines of the trace with the motions.
     """
@@ -292,9 +307,9 @@ def branches(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
 class _Transitions(NamedTuple):
     """Motions next to a fork whose join has not been reached.
 
-    :ivar entries: motions that may end right before it.
-    :ivar branch_ends: last motions of its finished branches.
-    :ivar is_begun: whether one of its branches has begun.
+    :ivar entries: motions that may be the last before the fork.
+    :ivar branch_ends: motions that may be the last of the branches that have ended.
+    :ivar is_begun: True once a branch has begun.
     """
 
     entries: set[int]
@@ -305,12 +320,16 @@ class _Transitions(NamedTuple):
 def transitions(
     course: Course, line: Ints, predecessors: Ints | None, kept_lines: Sequence[int], unchecked_joins: Set[Join]
 ) -> tuple[tuple[int, int], ...]:
-    """Return further pairs of a motion and one at whose end it may begin, see `Program.transitions`.
+    """Return pairs of a motion and another motion at whose end it may begin too, see `Program.transitions`.
+
+    The motion at whose end it begins by `predecessors` is left out.
 
     :param line: (M,) lines of the trace with the motions.
-    :param predecessors: (M,) the motion at whose end each begins, see `Program.after`.
-    :param kept_lines: lines of uncorrected motions: a round whose last motion is one of them ends in an unknown pose.
-    :param unchecked_joins: joins at which branches may end in different poses; at others they end in one pose.
+    :param predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
+    :param kept_lines: lines of uncorrected motions; behind the last corrected motion, they end a round in an unknown
+        pose.
+    :param unchecked_joins: joins at which branches may end in different poses; at other joins all branches end in one
+        pose, so that one of their last motions stands for all.
     """
     previous_rows = np.arange(len(line)) - 1 if predecessors is None else predecessors
     further_transitions: list[tuple[int, int]] = []
@@ -318,7 +337,7 @@ def transitions(
     ends, row_count = {-1}, 0  # motions that may end right before the present step; number of motions so far
 
     def run_to(row: int) -> None:
-        """Make motions up to `row` follow each other; note at which other ends the first of them may begin."""
+        """Pass the motions up to, not including, `row`; note at which further ends the first of them may begin."""
         nonlocal ends, row_count
         if row > row_count:
             if previous_rows[row_count] != row_count:
@@ -342,19 +361,20 @@ def transitions(
             branch_ends = branch_ends if step.is_exhaustive else branch_ends | entries
             ends = branch_ends if step in unchecked_joins else {min(branch_ends)}
     run_to(len(line))
-    if max(kept_lines, default=0) < max(line, default=0):
+    if max(kept_lines, default=0) < max(line, default=0):  # the last motion is corrected
         further_transitions += _round_transitions(course, line, previous_rows, ends)
     return tuple(dict.fromkeys(further_transitions))
 
 
 def _round_transitions(course: Course, line: Ints, previous_rows: Ints, ends: Set[int]) -> Iterator[tuple[int, int]]:
-    """Yield pairs of a motion that may begin the second round of an endless loop, and one that may end before it.
+    """Yield pairs: a motion that may begin the second round of an endless loop, and the motion that may precede it.
 
-    Those motions are the ones that begin where the first motion of the loop does.
+    The motions that may be the first are those that begin where the first motion of the loop begins. Nothing is yielded
+    without an endless loop.
 
     :param line: (M,) lines of the trace with the motions.
-    :param previous_rows: (M,) the motion at whose end each begins; the motion itself: its start is not known.
-    :param ends: motions that may end the first round.
+    :param previous_rows: (M,) the motion at whose end each begins; the motion itself if its start is not known.
+    :param ends: motions that may be the last of the first round.
     """
     if (loop := course.endless_loop) is None:
         return
@@ -365,7 +385,7 @@ def _round_transitions(course: Course, line: Ints, previous_rows: Ints, ends: Se
 
 
 class FramesAndStart(NamedTuple):
-    """The frames of a program, and where the robot is when it starts.
+    """The frames of a program, and the flange pose at its start.
 
     :ivar bases: (nb, 4, 4) `$BASE` in the robot root [m].
     :ivar tools: (nt, 4, 4) `$TOOL` in the flange frame [m].
@@ -377,7 +397,10 @@ class FramesAndStart(NamedTuple):
     start_flange: Array
 
     def end_flange(self, motions: Motions, row: int) -> Array:
-        """Return the flange (4, 4) in the robot root [m] at the end of a motion; −1: at the start of the program."""
+        """Return the flange (4, 4) in the robot root [m] at the end of a motion.
+
+        :param row: row of the motion; −1: the start of the program.
+        """
         if row < 0:
             return self.start_flange
         tool = self.tools[motions.tool[row]]
@@ -393,7 +416,9 @@ def check_joins(
 ) -> None:
     """Refuse branches that end in different poses.
 
-    :param carriage: the linear axis that carries the robot.
+    :param joins: the joins at which branches must end in one pose.
+    :param carriage: the linear axis that carries the robot; None without one.
+    :param path: frames of the program and flange at its start.
     :raises BranchError: the ends of the branches of a fork differ.
     """
     forks, faults = _fork_visits(course), []
@@ -402,14 +427,15 @@ def check_joins(
         if any(np.abs(flange - flanges[0]).max() > _POSE_TOLERANCE for flange in flanges[1:]):
             faults.append(_branch_error(course, forks, fork, "the branches end in different places"))
         elif carriage is not None:
-            track_positions = np.append(carriage.end, carriage.begin[0])[list(ends)]  # −1: the start
+            # the last element, which −1 selects, is the position at the start of the program
+            track_positions = np.append(carriage.end, carriage.begin[0])[list(ends)]
             if np.ptp(track_positions) > _POSE_TOLERANCE:
                 faults.append(_branch_error(course, forks, fork, "E1 differs between the ends of the branches"))
     _raise_combined(faults)
 
 
 def _fork_visits(course: Course) -> Mapping[int, set[Occasion]]:
-    """Return, for each line of the trace with a fork, the visits of the trace to it."""
+    """Return line of the trace with a fork → the visits to that fork."""
     visits: dict[int, set[Occasion]] = {}
     for step in course.steps:
         if isinstance(step, Fork):
@@ -418,9 +444,9 @@ def _fork_visits(course: Course) -> Mapping[int, set[Occasion]]:
 
 
 def _raise_combined(faults: Sequence[BranchError]) -> None:
-    """Refuse branches that cannot be corrected.
+    """Raise the first of some errors, with the forks of all of them; do nothing without errors.
 
-    :raises BranchError: the first of the `faults`, with the forks of all; nothing is raised without faults.
+    :raises BranchError: there are `faults`.
     """
     if faults:
         faults[0].occasions = frozenset[Occasion]().union(*(fault.occasions for fault in faults))
@@ -444,9 +470,10 @@ def _start_dependence(sequence: OrderedMotions, row: int) -> str:
 def _branch_error(
     course: Course, forks: Mapping[int, set[Occasion]], fork: int, problem: str, advice: str = _BRANCH_ADVICE
 ) -> BranchError:
-    """Return the error that branches cannot be corrected.
+    """Return the error that the branches of a fork cannot be corrected.
 
-    :param forks: line of the trace → visits to the fork on it; `fork` is the line of the one in question.
+    :param forks: line of the trace → visits to the fork on that line.
+    :param fork: line of the trace with the fork in question.
     """
     base = course.trace.error(f"motion in branches whose condition is not known: {problem}", fork, advice)
     error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
@@ -458,9 +485,9 @@ class EndlessRounds(NamedTuple):
     """The motions of a program that ends in a LOOP without EXIT.
 
     :ivar loop: the LOOP.
-    :ivar first: first motion of a round; `stop` the one after its last; equal if the LOOP has no motions.
-    :ivar motions: all M motions.
-    :ivar start: (M + 1) start poses of the motions, and one more: that of `first` in the second round.
+    :ivar first: first motion of a round; `stop` is the motion after its last. Equal if the LOOP has no motions.
+    :ivar motions: all M motions of the program.
+    :ivar start: (M + 1) start poses of the motions, and last the start pose of `first` in the second round.
     :ivar carriage: the linear axis that carries the robot; None without one.
     """
 
@@ -472,23 +499,28 @@ class EndlessRounds(NamedTuple):
     carriage: Carriage | None
 
     def joined_ends(self) -> tuple[tuple[int, int], ...]:
-        """Return the pair of motions at whose ends a round may begin: the one before the LOOP and its last.
+        """Return the pair of motions at whose ends a round may begin: the motion before the LOOP and its last motion.
 
-        −1 is the start of the program. There is no such pair if the LOOP has no motions, or if the first one leads to
-        joint angles: it does not matter then where it begins.
+        −1 is the start of the program.
+
+        :returns: empty if the LOOP has no motions, or if its first motion leads to joint angles: it does not matter
+            then where that begins.
         """
         if self.first == self.stop or not np.isnan(self.motions.joints[self.first, 0]):
             return ()
         return ((self.first - 1, self.stop - 1),)
 
     def pose_difference(self) -> str:
-        """Return how the pose after a round differs from that before it, as text; empty if it does not."""
+        """Return how the pose after a round differs from the pose before it, as text for a message.
+
+        :returns: empty if the poses are equal, or the first motion leads to joint angles, from wherever it starts.
+        """
         motions, carriage, first, last = self.motions, self.carriage, self.first, self.stop - 1
         if carriage is not None and abs(carriage.end[last] - carriage.begin[first]) > _POSE_TOLERANCE:
             return "with E1 elsewhere than it began"
         if not np.isnan(motions.joints[first, 0]):
-            return ""  # it leads to joint angles, from wherever it starts
-        begin, second_begin = self.start.at(np.array([first, len(motions)]))
+            return ""
+        begin, second_begin = self.start.at(np.array([first, len(motions)]))  # the last is that of the second round
         if np.abs(second_begin[:3] - begin[:3]).max() < _POSE_TOLERANCE:
             return ""
         distance = float(np.linalg.norm(second_begin[:3, 3] - begin[:3, 3]))
@@ -500,8 +532,8 @@ class EndlessRounds(NamedTuple):
 def check_endless_loop(course: Course, rounds: EndlessRounds, settings: Settings) -> None:
     """Refuse a LOOP without EXIT whose round ends in another pose, or with other settings, than it began.
 
-    :param settings: settings in force, by line.
-    :raises ProgramError: it does.
+    :param settings: the settings of the program, which has been followed.
+    :raises ProgramError: the pose or the settings differ.
     """
     loop = rounds.loop
     if rounds.first == rounds.stop:
@@ -515,7 +547,7 @@ def check_endless_loop(course: Course, rounds: EndlessRounds, settings: Settings
 
 
 def endless_loop_issue(course: Course, loop: UnrolledLoop) -> Issue:
-    """Return the information that a LOOP has no EXIT."""
+    """Return the issue, of severity "info", that a LOOP has no EXIT."""
     message = "LOOP has no EXIT: one round is corrected, and is what all rounds do. What follows it is never reached."
     return Issue("info", "endless-loop", message, _loop_line(course, loop))
 
@@ -523,14 +555,16 @@ def endless_loop_issue(course: Course, loop: UnrolledLoop) -> Issue:
 def endless_rounds(
     loop: UnrolledLoop, layout: Layout, motions: Motions, path: FramesAndStart, predecessors: Ints | None
 ) -> EndlessRounds:
-    """Return the motions of a program that ends in a LOOP without EXIT.
+    """Return the motions of a program that ends in a LOOP without EXIT, with the start poses of two rounds.
 
-    :param layout: of the program.
-    :param predecessors: (M,) the motion at whose end each begins; None: the one before it.
+    :param motions: the M motions of the program.
+    :param path: frames of the program and flange at its start.
+    :param predecessors: (M,) the motion at whose end each begins; None: the motion before it.
     """
     count = len(motions)
     first, stop = np.searchsorted(layout.line, [loop.first, loop.stop]).tolist()
-    rows = np.append(np.arange(count), min(first, count - 1))  # any motion, if the loop has none
+    # `first` once more, in the second round; any motion if the loop has none
+    rows = np.append(np.arange(count), min(first, count - 1))
     all_predecessors = np.append(np.arange(count) - 1 if predecessors is None else predecessors, stop - 1)
     start = Starts.of(
         (motions.base[rows], motions.tool[rows], path.bases, path.tools),
@@ -544,24 +578,28 @@ def endless_rounds(
 def check_force(course: Course, loop: UnrolledLoop, line: Ints, notes: Sequence[tuple[int, ForceNote]]) -> None:
     """Refuse a LOOP without EXIT whose first motion has another force in the second iteration.
 
+    A force comment before that motion, in the LOOP, makes the two forces equal.
+
     :param line: (M,) lines of the motions in the trace.
-    :param notes: force comments by lines of the trace.
-    :raises ProgramError: it has.
+    :param notes: force comments, each with its line of the trace, in order.
+    :raises ProgramError: the force differs.
     """
     first, stop = np.searchsorted(line, [loop.first, loop.stop]).tolist()
     if first == stop or any(loop.first <= note_line <= line[first] for note_line, _ in notes):
         return
+    # the last comment before the first and before the second round; none if there is none
     acting_notes = [[note for note_line, note in notes if note_line < limit][-1:] for limit in (loop.first, loop.stop)]
+    # zero forces are equal in all axes
     begin, end = ([(note.wrench, note.frame) for note in group if any(note.wrench)] for group in acting_notes)
     if begin != end:
         raise _loop_error(course, loop, "its round ends under another force than it began with", _FORCE_ADVICE)
 
 
 def _loop_line(course: Course, loop: UnrolledLoop) -> int:
-    """Return the line of a LOOP in its file: the one before its body."""
+    """Return the line of a LOOP in its file: the line before its body."""
     return course.trace.place(loop.first).line - 1
 
 
 def _loop_error(course: Course, loop: UnrolledLoop, problem: str, advice: str) -> ProgramError:
-    """Return the error that a LOOP without EXIT cannot be corrected, at its line."""
+    """Return the error that a LOOP without EXIT cannot be corrected, at the line of the LOOP."""
     return course.main.source.line_error(f"LOOP never ends, and {problem}", _loop_line(course, loop), advice)

@@ -19,8 +19,8 @@ from postproc.dialects.krl.read.run import Run
 from postproc.errors import ProgramError
 
 ENDS_LOOPS = frozenset({"EXIT", "RETURN", "GOTO"})
-_DEEPEST = 25
-"""Calls in calls that are counted; deeper ones are not followed."""
+_MAX_CALL_DEPTH = 25
+"""Largest number of calls within each other that are counted; deeper calls are not followed anyway."""
 
 
 class LeastStatements:
@@ -30,34 +30,41 @@ class LeastStatements:
     """
 
     def __init__(self, run: Run) -> None:
-        """Begin with nothing counted; `_open` are the routines that are being counted."""
+        """Begin with nothing counted."""
         self.run = run
-        self._routines: dict[Routine, int] = {}
-        self._rounds: dict[Block, int] = {}
-        self._open: list[Routine] = []
+        self._minimum_of_routine: dict[Routine, int] = {}
+        self._minimum_of_round: dict[Block, int] = {}
+        self._open_routines: list[Routine] = []  # routines that are being counted, each called by the one before
 
     def minimum_of_call(self, module: Module, routine: Routine) -> int:
-        """Return a lower bound on the number of statements that a call runs."""
-        if routine in self._open or len(self._open) > _DEEPEST:
+        """Return a lower bound on the number of statements that a call of a routine runs; the result is stored.
+
+        It is 0 for a routine that calls itself or cannot be read, and for calls that are nested too deeply.
+        """
+        if routine in self._open_routines or len(self._open_routines) > _MAX_CALL_DEPTH:
             return 0
-        if routine not in self._routines:
-            self._open.append(routine)
+        if routine not in self._minimum_of_routine:
+            self._open_routines.append(routine)
             try:
-                self._routines[routine] = self._minimum_of_nodes(routine.source, self.run.nodes(routine), module)
+                minimum = self._minimum_of_nodes(routine.source, self.run.nodes(routine), module)
             except ProgramError:
-                self._routines[routine] = 0
-            self._open.pop()
-        return self._routines[routine]
+                minimum = 0
+            self._minimum_of_routine[routine] = minimum
+            self._open_routines.pop()
+        return self._minimum_of_routine[routine]
 
     def minimum_of_round(self, source: Source, block: Block, module: Module) -> int:
-        """Return a lower bound on the number of statements that one round of a loop runs, its own line included."""
-        if block not in self._rounds:
-            self._rounds[block] = 1 + self._minimum_of_nodes(source, block.parts[0].nodes, module)
-        return self._rounds[block]
+        """Return a lower bound on the number of statements that one round of a loop runs, its first line included."""
+        if block not in self._minimum_of_round:
+            self._minimum_of_round[block] = 1 + self._minimum_of_nodes(source, block.parts[0].nodes, module)
+        return self._minimum_of_round[block]
 
     def may_write(self, source: Source, block: Block, name: str, module: Module) -> bool:
-        """Return whether statements of a loop may write its counter, `name`."""
-        for line in list(block.lines())[1:]:
+        """Return whether statements of a FOR may write its counter, by assignments, inner FORs or calls.
+
+        :param name: name of the counter, upper case.
+        """
+        for line in list(block.lines())[1:]:  # without the FOR itself
             stmt = statement(source, line)
             if isinstance(stmt, Assignment) and stmt.target.name == name:
                 return True
@@ -68,14 +75,15 @@ class LeastStatements:
                 call_text = source.text[call.start : call.stop].upper()
                 if name in call_text or callee is None:
                     return True
+                # a stored name may begin with the prefix of a module
                 if any(variable.endswith(name) for variable in self.run.analysis.effects_of(*callee).writes):
                     return True
         return False
 
     def _minimum_of_nodes(self, source: Source, nodes: Sequence[Node], module: Module) -> int:
-        """Return a lower bound on the number of statements that nodes run.
+        """Return a lower bound on the number of statements that some nodes run, one after the other.
 
-        Counting stops at the first that may leave the loop or the routine.
+        Counting stops at the first node that may leave the loop or the routine.
         """
         count = 0
         for node in nodes:
@@ -96,9 +104,10 @@ class LeastStatements:
     def _minimum_of_block(self, source: Source, block: Block, module: Module, *, has_exit: bool) -> int:
         """Return a lower bound on the number of statements that a control structure runs.
 
-        Only an IF with ELSE, and a FOR whose bounds and step are numbers, surely run some.
+        IF with ELSE: the smaller minimum of its two parts. FOR with numbers as bounds and step: the number of rounds
+        times the minimum of one round. All others, and a FOR that may write its counter: 0.
 
-        :param has_exit: True if EXIT may end it early; the bound is 0 then.
+        :param has_exit: True if an EXIT inside the structure may end a FOR early; the bound of a FOR is 0 then.
         """
         if block.word == "IF" and len(block.parts) > 1:
             return min(self._minimum_of_nodes(source, part.nodes, module) for part in block.parts)
@@ -111,14 +120,14 @@ class LeastStatements:
         ):
             return 0
         first, last, step = stmt.bounds
-        step = step or Number(1.0, 0, 0, True)
+        step = step or Number(1.0, start=0, stop=0, is_integer=True)  # without STEP, FOR counts by 1
         if not (isinstance(first, Number) and isinstance(last, Number) and isinstance(step, Number)) or not step.value:
             return 0
-        rounds = max(0, int((last.value - first.value) // step.value) + 1)
-        return rounds * self.minimum_of_round(source, block, module) if rounds else 0
+        round_count = max(0, int((last.value - first.value) // step.value) + 1)
+        return round_count * self.minimum_of_round(source, block, module) if round_count else 0
 
     def _certain_call(self, source: Source, line: int) -> Call | None:
-        """Return the call that a statement makes; None if it makes none."""
+        """Return the call that is a whole statement, or the whole value of an assignment; None for other statements."""
         stmt = statement(source, line)
         if isinstance(stmt, CallStatement):
             return stmt.call

@@ -123,7 +123,7 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
         raise _jump_error(main, flow, run.level.jump_line)
     if not run.level.return_line:
         recorder.record_run_lines(main.last - 1)
-    recorder.record_passed_lines(main.last - 1, live=False)
+    recorder.record_passed_lines(main.last - 1, is_live=False)
     course = _with_used_names(recorder.course(run.unfollowed_routines), start)
     # else statements must run once more, along the complete trace
     is_complete = run.is_final and recorder.is_final and not settings.lacked_numbers

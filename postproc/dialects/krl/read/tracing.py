@@ -103,7 +103,7 @@ class Recorder:
         self._counts: list[tuple[int, int]] = []  # row that sets the counter of a FOR, and the number
         self._inlined: dict[Routine, None] = {}
         self._files: dict[Document, None] = {}
-        self._record_lines(main.source, 1, main.first, 0, live=False)
+        self._record_lines(main.source, 1, main.first, 0, is_live=False)
         self.body = Body(self.count + 1)
         self._open = [_OpenRoutine(main.source, main.first + 1, 0, [self.body])]
 
@@ -119,15 +119,15 @@ class Recorder:
     def record_run_lines(self, line: int) -> None:
         """Record the lines of the present routine up to `line`, as lines that run."""
         first = self.count + 1
-        if self._record_to(line, live=True):
+        if self._record_to(line, is_live=True):
             self._add_run_lines(first)
 
-    def record_passed_lines(self, line: int, *, live: bool = True) -> None:
+    def record_passed_lines(self, line: int, *, is_live: bool = True) -> None:
         """Record the lines of the present routine up to `line` that only control execution.
 
-        :param live: False for lines that do not run.
+        :param is_live: False for lines that do not run.
         """
-        self._record_to(line, live=live)
+        self._record_to(line, is_live=is_live)
 
     def record_unresolved(self, line: int, cause: ProgramError) -> None:
         """Record the lines of a control structure, up to `line`, that is left as it is.
@@ -135,7 +135,7 @@ class Recorder:
         :param cause: why the branch taken is not known before run time.
         """
         first = self.count + 1
-        self._record_to(line, live=True)
+        self._record_to(line, is_live=True)
         self._steps.append(UnresolvedStructure(first, self.count, cause))
         self.may_call_originals = True
         self.is_final = False
@@ -247,11 +247,14 @@ class Recorder:
         self.is_final = False
         self._add_run_lines(rounds.first)
 
-    def end_round(self, block: Block, *, whole: bool) -> None:
-        """End the innermost iteration of a loop; `whole` is False if EXIT, RETURN or GOTO has ended it early."""
-        if whole:
+    def end_round(self, block: Block, *, is_whole: bool) -> None:
+        """End the innermost iteration of a loop.
+
+        :param is_whole: False if EXIT, RETURN or GOTO has ended it before its last line.
+        """
+        if is_whole:
             self.record_run_lines(block.last - 1)
-        self.record_passed_lines(block.last - 1, live=False)
+        self.record_passed_lines(block.last - 1, is_live=False)
         self._open[-1].bodies.pop().stop = self.count + 1
 
     def end_loop(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
@@ -260,7 +263,7 @@ class Recorder:
         :param number: value of the counter of FOR after the loop; None if the loop was left early, and for other loops.
         """
         if not loop.bodies:
-            self.record_passed_lines(block.last, live=False)
+            self.record_passed_lines(block.last, is_live=False)
         self._record_assignment(block, number)
         self._open[-1].cursor = block.last + 1
         loop.stop = self.count + 1
@@ -275,9 +278,9 @@ class Recorder:
         next_line = main.last
         for routine in sorted(self._inlined, key=lambda routine: routine.first):
             if routine.source is main.source and routine.first > main.last:
-                self._record_lines(main.source, next_line, routine.first - 1, 0, live=False)
+                self._record_lines(main.source, next_line, routine.first - 1, 0, is_live=False)
                 next_line = routine.last + 1
-        self._record_lines(main.source, next_line, len(main.source.starts), 0, live=False)
+        self._record_lines(main.source, next_line, len(main.source.starts), 0, is_live=False)
         columns = np.array(self._pieces, dtype=np.int64).T
         lengths = columns[2] - columns[1] + 1  # last and first line
         file, first, _, shown_line, for_line, is_live = (np.repeat(values, lengths) for values in columns)
@@ -295,25 +298,25 @@ class Recorder:
             count_of_row=dict(self._counts),
         )
 
-    def _record_to(self, line: int, *, live: bool) -> bool:
+    def _record_to(self, line: int, *, is_live: bool) -> bool:
         """Record the lines of the present routine up to `line`; return whether there were any."""
         open_routine = self._open[-1]
         if line < open_routine.cursor:
             return False
-        self._record_lines(open_routine.source, open_routine.cursor, line, open_routine.shown_line, live=live)
+        self._record_lines(open_routine.source, open_routine.cursor, line, open_routine.shown_line, is_live=is_live)
         open_routine.cursor = line + 1
         return True
 
-    def _record_lines(self, source: Source, first: int, last: int, shown_line: int, *, live: bool) -> None:
+    def _record_lines(self, source: Source, first: int, last: int, shown_line: int, *, is_live: bool) -> None:
         """Record lines first … last of a file.
 
         :param shown_line: line of the `.src` to report for all of them; 0: each its own.
-        :param live: whether they run.
+        :param is_live: whether they run.
         """
         if last < first:
             return
         file = self._sources.setdefault(source, len(self._sources))
-        self._pieces.append(_Piece(file, first, last, shown_line, for_line=0, is_live=live))
+        self._pieces.append(_Piece(file, first, last, shown_line, for_line=0, is_live=is_live))
         self.count += last - first + 1
 
     def _present_file(self) -> int:
