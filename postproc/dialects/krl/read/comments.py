@@ -238,7 +238,7 @@ def _turns_with_path(wrench: Sequence[float], frame: str) -> bool:
 
     :param wrench: (6,) force [N] and torque [N·m]; `frame` is the name of its axes.
     """
-    return frame == "FEED" and any((*wrench[:2], *wrench[3:5]))  # z is the tool axis: not turned by the feed
+    return frame == "FEED" and any((*wrench[:2], *wrench[3:5]))  # z is along the spindle, whatever the feed
 
 
 def _wrench_and_frame(force: _Force) -> tuple[Any, ...]:

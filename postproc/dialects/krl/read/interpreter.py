@@ -249,7 +249,7 @@ class Interpreter:
         self._change_state(place, self.run.settings.state_after_bas(place, stmt.call))
 
     def _change_state(self, place: Place, state: State) -> None:
-        """Put a state into force; if the statement at `place` may not run, its changed fields become unknown instead."""
+        """Put a state into force; its changed fields become unknown instead if the statement at `place` may not run."""
         if self.run.is_certain:
             self.run.settings.change_state(self.run.row, state)
         else:
