@@ -249,10 +249,10 @@ def check(ctx: click.Context, folder: Path) -> None:
     from postproc.identification.dataset import check as findings_of
 
     findings = findings_of(folder)
-    for finding in sorted(findings, key=lambda finding: (finding.has, not finding.required)):
-        mark = "has  " if finding.has else "lacks"
-        click.echo(f"{mark} {finding.text}{'' if finding.has or not finding.required else ' (required)'}")
-    if any(finding.required and not finding.has for finding in findings):
+    for finding in sorted(findings, key=lambda finding: (finding.is_present, not finding.required)):
+        mark = "has  " if finding.is_present else "lacks"
+        click.echo(f"{mark} {finding.text}{'' if finding.is_present or not finding.required else ' (required)'}")
+    if any(finding.required and not finding.is_present for finding in findings):
         ctx.exit(3)
 
 

@@ -43,7 +43,7 @@ _STEPS = 8
 """Gauss-Newton steps from the nominal geometry, which is close (assumed)."""
 _FOLDS = 10
 """Parts of the cross-validation: the usual number (Hastie, Tibshirani and Friedman 2009, section 7.10)."""
-_INDEPENDENT = 1e-6
+_INDEPENDENT_SHARE = 1e-6
 """Share of a column that the columns before it leave, below which it is dependent: the rounding of derivatives."""
 _SPARE_READINGS = 10
 """Coordinates that must be read beyond the number of unknowns, so that residuals show the noise (assumed)."""
@@ -56,20 +56,24 @@ _CONFIGURATIONS = 200
 
 
 class GeometryParameter(Struct, frozen=True):
-    """Displacement of a joint along or about one axis of its nominal frame, or (``A2.sin2``) an error of its gear."""
+    """Displacement of a joint along or about one axis of its nominal frame, or (``A2.sin2``) an error of its gear.
+
+    :param joint: A1 to A6.
+    :param axis: X, Y, Z for shifts, RX, RY, RZ for turns, or one of `GEAR_TERMS`.
+    """
 
     joint: str
     axis: str
 
     @property
-    def unit(self) -> tuple[str, float]:
-        """Return the unit in files, and the factor from SI to it."""
+    def unit_and_factor(self) -> tuple[str, float]:
+        """Return the unit of the parameter in files, and the factor from SI to this unit."""
         if self.axis in GEAR_TERMS:
             return "urad", PER_URAD
         return ("deg", DEG_PER_RAD) if self.axis.startswith("R") else ("mm", MM_PER_M)
 
     @property
-    def usual(self) -> float:
+    def usual_size(self) -> float:
         """Return the prior standard deviation [m, rad]."""
         if self.axis in GEAR_TERMS:
             return _USUAL_WAVE
@@ -88,10 +92,10 @@ class Geometry(Struct, frozen=True, eq=False):
     :param values: (n,) [m, rad].
     :param covariance: (n, n).
     :param content: model file with `[geometry]` and the gravity reference that belongs to it.
-    :param placement: base transform and points found along with it.
-    :param sag: True if the geometry is that of the weightless robot.
-    :param rms: variant → (RMS of the fit, RMS on configurations left out) [m]; both per reading in space.
-    :param chosen: the variant taken.
+    :param placement: base transform and points of the same fit.
+    :param is_weightless: whether the geometry is that of the weightless robot, to which the sag is added.
+    :param rms: variant → RMS distance of the points [m] in the fit, and on configurations left out.
+    :param chosen: the variant whose geometry this is.
     :param u95: 95 % quantile of the cross-validation errors, noise removed [m].
     :param not_observable: names of parameters whose interval the readings do not narrow.
     """
@@ -101,7 +105,7 @@ class Geometry(Struct, frozen=True, eq=False):
     covariance: Array
     content: ModelFile
     placement: Placement
-    sag: bool
+    is_weightless: bool
     rms: dict[str, tuple[float, float]]
     chosen: str
     u95: float
@@ -113,24 +117,25 @@ class Geometry(Struct, frozen=True, eq=False):
         return np.asarray(NORMAL_95 * np.sqrt(np.diag(self.covariance)))
 
 
-def nonredundant(nominal: Chain, point_count: int) -> tuple[GeometryParameter, ...]:
+def nonredundant_displacements(nominal: Chain, point_count: int) -> tuple[GeometryParameter, ...]:
     """Return the displacements of joints that base transform, points and the displacements before cannot imitate.
 
-    Determined by the rank of the derivatives at random configurations, so it is valid for any arm.
+    Independence is decided by the rank of the derivatives at random configurations, so it is valid for any arm.
 
     :param point_count: number of points on the flange.
+    :returns: sorted by joint, then axis.
     """
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (60, 6))
-    # points that are not on one line: more than three show no more
+    # [m], not on one line; points beyond three make no further displacement independent
     offsets = np.array([[0.2, 0.1, 0.3], [-0.2, 0.15, 0.25], [0.05, -0.3, 0.2]])[: max(1, min(point_count, 3))]
-    flange, columns = _derivatives(nominal, q, offsets)
+    flange, columns = _joint_derivatives(nominal, q, offsets)
     basis, _ = np.linalg.qr(_placement_columns(flange, offsets, np.eye(4)))
     independent: list[tuple[int, int]] = []
     for joint, axis in _displacement_order(nominal):
         column = columns[:, joint, axis]
         residual = column - basis @ (basis.T @ column)
         residual -= basis @ (basis.T @ residual)  # once more, for rounding (Gram-Schmidt)
-        if np.linalg.norm(residual) > _INDEPENDENT * np.linalg.norm(column):
+        if np.linalg.norm(residual) > _INDEPENDENT_SHARE * np.linalg.norm(column):
             basis = np.column_stack([basis, residual / np.linalg.norm(residual)])
             independent.append((joint, axis))
     return tuple(GeometryParameter(JOINTS[joint], _AXES[axis]) for joint, axis in sorted(independent))
@@ -148,7 +153,7 @@ def _displacement_order(nominal: Chain) -> list[tuple[int, int]]:
     return list(dict.fromkeys(order))
 
 
-def _derivatives(chain: Chain, q: Array, points: Array) -> tuple[Array, Array]:
+def _joint_derivatives(chain: Chain, q: Array, points: Array) -> tuple[Array, Array]:
     """Return flange poses (C, 4, 4) [m] and derivatives (C·P·3, 6, 6) of the points by displacements of the joints.
 
     :param q: (C, 6) joint angles [rad].
@@ -169,7 +174,7 @@ def _derivatives(chain: Chain, q: Array, points: Array) -> tuple[Array, Array]:
 
 
 def _placement_columns(flange: Array, points: Array, root: Array) -> Array:
-    """Return derivatives (3CP, 6 + 3P) of the points in device axes by the twist of the root and by the points.
+    """Return derivatives (3CP, 6 + 3P) of the points in device axes: by the twist of the root, then by the points.
 
     :param flange: (C, 4, 4) in the root [m].
     :param points: (P, 3) in the flange frame [m].
@@ -182,15 +187,15 @@ def _placement_columns(flange: Array, points: Array, root: Array) -> Array:
 
 
 def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measurements) -> Geometry:
-    """Identify the geometry from the readings without load.
+    """Identify the geometry from the readings without load: fit all variants, and take the simplest good one.
 
-    :param content: model whose springs, masses and compensator predict the sag; its own `[geometry]` is replaced.
+    :param content: model whose springs, masses and compensator predict the sag; its `[geometry]` is replaced.
     :param nominal: the controller's geometry.
     :param name: of the robot.
     :raises MeasurementError: fewer readings than unknowns, or a configuration contradicts all others.
     """
     fits = _fitted_variants(content, nominal, name, data)
-    best_label = simplest({label: fold_errors for label, (_, fold_errors) in fits.items()})
+    best_label = simplest_variant({label: fold_errors for label, (_, fold_errors) in fits.items()})
     solution, fold_errors = fits[best_label]
     half_width = NORMAL_95 * np.sqrt(np.diag(solution.covariance))
     source, u95 = f"identified from {data.file}", _error_95(fold_errors, data)
@@ -202,14 +207,14 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
     )
     calibrated_content = _add_geometry(solution.content, solution.parameters, solution.values, source, half_width)
     _check_configurations(assemble(name, calibrated_content, nominal), data, solution)
-    is_wide = half_width > _WIDE_SHARE * NORMAL_95 * _usual(solution.parameters)
+    is_wide = half_width > _WIDE_SHARE * NORMAL_95 * _usual_sizes(solution.parameters)
     return Geometry(
         parameters=solution.parameters,
         values=solution.values,
         covariance=solution.covariance,
         content=msgspec.structs.replace(calibrated_content, geometry_error=error),
         placement=solution.placement,
-        sag="with sag" in best_label,
+        is_weightless="with sag" in best_label,
         rms={label: (_rms(fit.residual), float(np.sqrt(np.mean(errors)))) for label, (fit, errors) in fits.items()},
         chosen=best_label,
         u95=u95,
@@ -220,13 +225,13 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
 def _fitted_variants(
     content: ModelFile, nominal: Chain, name: str, data: Measurements
 ) -> dict[str, tuple[_Solution, Array]]:
-    """Return the fit of each geometry that can be fitted, simple to rich, and its cross-validation errors (C,) [m²].
+    """Return the fit of each variant of the geometry, simple to rich, and its cross-validation errors (C,) [m²].
 
-    Parameters as of `identify_geometry`.
+    Variants that cannot be fitted are left out. For the parameters see `identify_geometry`.
 
     :raises MeasurementError: there are fewer readings than unknowns.
     """
-    parameters = nonredundant(nominal, len(data.points))
+    parameters = nonredundant_displacements(nominal, len(data.points))
     unknowns = 6 + 3 * len(data.points) + len(parameters)
     readings = 3 * len(data.q) * len(data.points)
     if readings < unknowns + _SPARE_READINGS:
@@ -235,12 +240,12 @@ def _fitted_variants(
             file=data.file,
             advice="Measure more configurations: 30 of three points are usual.",
         )
-    with_gears = readings >= unknowns + len(_GEARS) + _SPARE_READINGS
+    with_gears = readings >= unknowns + len(_GEAR_ERRORS) + _SPARE_READINGS
     fits: dict[str, tuple[_Solution, Array]] = {}
     for variant in _variants(content, parameters, with_gears=with_gears):
         try:
-            solution = _solve(variant.content, nominal, name, data, variant.parameters)
-        except PostprocError:  # a model that cannot carry its own weight, or parameters that the readings do not hold
+            solution = _fit_geometry(variant.content, nominal, name, data, variant.parameters)
+        except PostprocError:  # a model that cannot carry its own weight, or values beyond any arm
             continue
         fits[variant.label] = solution, _cross_validation_error(solution, data)
     return fits
@@ -249,10 +254,11 @@ def _fitted_variants(
 def _check_configurations(robot: RobotModel, data: Measurements, solution: _Solution) -> None:
     """Check that no configuration contradicts all others in the fit of the geometry.
 
-    :raises MeasurementError: one does.
+    :param robot: with the calibrated geometry.
+    :raises MeasurementError: a configuration does.
     """
     weight = solution.weight.reshape(len(data.q), -1)
-    readings_design, prior_rows = np.split(solution.design, [weight.size])
+    readings_design, prior_rows = np.split(solution.design, [weight.size])  # rows of the prior follow the readings
     design = readings_design.reshape(*weight.shape, -1)
     check_configurations(robot, data, solution.placement, design, prior_rows, weight)
 
@@ -268,7 +274,7 @@ def _ranges(q: Array) -> dict[str, tuple[float, float]]:
     return {joint: (float(low), float(high)) for joint, low, high in zip(JOINTS, lower, upper, strict=True)}
 
 
-_GEARS = tuple(GeometryParameter(joint, term) for joint in JOINTS for term in GEAR_TERMS)
+_GEAR_ERRORS = tuple(GeometryParameter(joint, term) for joint in JOINTS for term in GEAR_TERMS)
 """Errors of the gears' transmission, of all joints."""
 
 
@@ -276,8 +282,8 @@ class _Variant(NamedTuple):
     """A geometry that is tried.
 
     :param label: for the user.
-    :param content: model that predicts the sag, if it is of a weightless robot.
-    :param parameters: that are fitted.
+    :param content: model; it predicts the sag if its geometry is that of the weightless robot.
+    :param parameters: the free ones.
     """
 
     label: str
@@ -286,45 +292,48 @@ class _Variant(NamedTuple):
 
 
 def _variants(content: ModelFile, parameters: tuple[GeometryParameter, ...], *, with_gears: bool) -> list[_Variant]:
-    """Return the geometries that are tried, simple to rich.
+    """Return the geometries that are tried, simple to rich: nominal and calibrated, each without and with sag.
 
-    :param parameters: of the geometry.
-    :param with_gears: whether errors of the gears are tried too.
+    :param content: model whose geometry is replaced.
+    :param parameters: of the calibrated geometry.
+    :param with_gears: whether the calibrated geometries are tried with errors of the gears too.
     """
-    bare = msgspec.structs.replace(
+    without_sag = msgspec.structs.replace(
         content,
         geometry={},
         transmission={},
         geometry_error=None,
         gravity=Gravity("calibrated", content.gravity.in_gears),
     )
-    heavy = msgspec.structs.replace(bare, gravity=Gravity("rigid", content.gravity.in_gears))
+    with_sag = msgspec.structs.replace(without_sag, gravity=Gravity("rigid", content.gravity.in_gears))
     calibrated_variants = [
-        _Variant("calibrated geometry", bare, parameters),
-        _Variant("calibrated geometry with sag", heavy, parameters),
+        _Variant("calibrated geometry", without_sag, parameters),
+        _Variant("calibrated geometry with sag", with_sag, parameters),
     ]
     variants = [
-        _Variant("nominal geometry", bare, ()),
-        _Variant("nominal geometry with sag", heavy, ()),
+        _Variant("nominal geometry", without_sag, ()),
+        _Variant("nominal geometry with sag", with_sag, ()),
         *calibrated_variants,
     ]
     if with_gears:
         variants += [
-            _Variant(f"{variant.label}, gears", variant.content, (*variant.parameters, *_GEARS))
+            _Variant(f"{variant.label}, gears", variant.content, (*variant.parameters, *_GEAR_ERRORS))
             for variant in calibrated_variants
         ]
     return variants
 
 
-def simplest(squares: dict[str, Array]) -> str:
-    """Return the first variant that is no worse than the best by more than one standard error of the difference.
+def simplest_variant(squares: dict[str, Array]) -> str:
+    """Return the label of the simplest variant that is about as good as the best one.
 
-    :param squares: squares (C,) of the cross-validation errors of each variant, simple to rich.
+    Its mean square error exceeds that of the best variant by at most one standard error of the difference.
+
+    :param squares: label → mean square cross-validation errors (C,) of each configuration; variants simple to rich.
     """
     best = min(squares, key=lambda label: squares[label].mean())
 
     def is_as_good(square: Array) -> bool:
-        """Return whether the squares (C,) of a variant are no larger than the best one's, but for their scatter."""
+        """Return whether a variant with these squares (C,) is as good as the best one, within one standard error."""
         difference = square - squares[best]
         return bool(difference.mean() <= difference.std(ddof=1) / np.sqrt(len(difference)))
 
@@ -334,27 +343,30 @@ def simplest(squares: dict[str, Array]) -> str:
 def _error_95(square_errors: Array, data: Measurements) -> float:
     """Return an upper limit of the 95 % quantile of the errors of a point without noise [m].
 
+    The mean square without noise is taken larger by one standard error; it is at least 0.
+
     :param square_errors: (C,) mean squares of the errors of the points in each configuration, with noise [m²].
     """
     _, reading_count = data.means()
     count = reading_count[data.unloaded_states]
     is_visible = count > 0.0
+    # mean over the points of 3 σ²/n: three coordinates of the mean of n readings of a point
     noise = (
         3.0
         * data.sigma**2
         * np.sum(is_visible / np.maximum(count, 1.0), axis=1)
         / np.maximum(is_visible.sum(axis=1), 1)
-    )  # of the mean of the readings of a point, three coordinates, mean over the points
+    )
     square_excess = square_errors - noise
     upper_limit = square_excess.mean() + square_excess.std(ddof=1) / np.sqrt(len(square_excess))
     return float(LENGTH_95 * np.sqrt(max(0.0, upper_limit)))
 
 
 def _extrapolation_error(solution: _Solution, nominal: Chain) -> float:
-    """Return the 95 % quantile [m] of the errors that readings and prior allow for all over the joints' range.
+    """Return the 95 % quantile [m] of the errors that readings and prior allow for, over the whole range of the joints.
 
-    Those of base and points count too: readings over a small range do not separate them from the joints'. The range is
-    that of the limits, and one turn at most.
+    The range is that of the joint limits, but one turn at most. Errors of base and points count too: readings over a
+    small range do not separate them from errors of the joints.
     """
     half_turn = np.full(6, np.pi)
     lower, upper = np.maximum(nominal.lower, -half_turn), np.minimum(nominal.upper, half_turn)
@@ -363,10 +375,10 @@ def _extrapolation_error(solution: _Solution, nominal: Chain) -> float:
     _, flange = nominal.joint_frames(q)
     by_parameter = _parameter_columns(solution.parameters, nominal, (q, q), point, root)
     design = np.concatenate([_placement_columns(flange, point, root), *by_parameter], axis=1)
-    first_parameter = len(solution.whole_covariance) - len(solution.values)
+    first_parameter = len(solution.whole_covariance) - len(solution.values)  # after base and all points
     rows_of_arm = [*range(9), *range(first_parameter, len(solution.whole_covariance))]  # base, first point, parameters
     variance = np.einsum("ni,ij,nj->n", design, solution.whole_covariance[np.ix_(rows_of_arm, rows_of_arm)], design)
-    return float(LENGTH_95 * np.sqrt(3.0 * np.mean(variance)))  # of a point, whose three coordinates are rows
+    return float(LENGTH_95 * np.sqrt(3.0 * np.mean(variance)))  # rows are coordinates, three a point
 
 
 class _Solution(Struct, frozen=True, eq=False):
@@ -374,8 +386,8 @@ class _Solution(Struct, frozen=True, eq=False):
 
     :param content: model before the fit.
     :param parameters: (p,) of the geometry.
-    :param values: (p,) their values [m, rad].
-    :param whole_covariance: (u, u) of the unknowns, inflated by the residuals.
+    :param values: (p,) of the parameters [m, rad].
+    :param whole_covariance: (u, u) of all unknowns, increased by the misfit.
     :param placement: base and points.
     :param residual: (C, P, 3) measured minus predicted positions [m]; zero for points without readings.
     :param design: (n + p, u) derivatives of the n whitened coordinates, then rows of the prior.
@@ -395,13 +407,15 @@ class _Solution(Struct, frozen=True, eq=False):
 
     @property
     def covariance(self) -> Array:
-        """Covariance (n, n) of the parameters alone."""
+        """Covariance (p, p) of the geometry parameters alone, which are the last unknowns."""
         first = len(self.whole_covariance) - len(self.values)
         return self.whole_covariance[first:, first:]
 
 
 def _misfit(white_residual: Array, unknowns: int) -> float:
-    """Return the sum of squares of whitened residuals (n,) per degree of freedom, 1 at least: by how much noise grows.
+    """Return the sum of squares of whitened residuals (n,) per degree of freedom, 1 at least.
+
+    It is the factor on the variance of the noise that explains the residuals.
 
     :param unknowns: number of unknowns of the fit.
     """
@@ -412,8 +426,8 @@ def _misfit(white_residual: Array, unknowns: int) -> float:
 class _PosedArm(NamedTuple):
     """An arm without load in C configurations.
 
-    :param chain: for derivatives by displacements of the joints.
-    :param flange: (C, 4, 4) in the root [m].
+    :param chain: chain for derivatives by displacements of the joints.
+    :param flange: (C, 4, 4) poses of the flange in the root [m].
     :param angles: (C, 6) of the joints, with sag [rad].
     """
 
@@ -422,32 +436,34 @@ class _PosedArm(NamedTuple):
     angles: Array
 
 
-def _usual(parameters: tuple[GeometryParameter, ...]) -> Array:
-    """Return the usual sizes (p,) of errors of geometry parameters, each in the unit of its parameter."""
-    return np.array([parameter.usual for parameter in parameters])
+def _usual_sizes(parameters: tuple[GeometryParameter, ...]) -> Array:
+    """Return the prior standard deviations (p,) of geometry parameters [m, rad]."""
+    return np.array([parameter.usual_size for parameter in parameters])
 
 
-def _solve(
+def _fit_geometry(
     content: ModelFile, nominal: Chain, name: str, data: Measurements, parameters: tuple[GeometryParameter, ...]
 ) -> _Solution:
     """Fit the geometry parameters, the frame of the tracker and the points to unloaded readings.
 
     Gauss-Newton with the priors of the parameters as a ridge; the covariance grows with the misfit.
 
-    :param parameters: those that are free; others are zero.
+    :param content: model whose geometry is replaced by the parameters.
+    :param name: of the robot.
+    :param parameters: free parameters; all others are zero.
     :raises PostprocError: the model has no equilibrium under its own weight, or a value is beyond any arm.
     """
     mean, count = data.means()
     readings, weight = mean[data.unloaded_states], count[data.unloaded_states]
-    scale = np.repeat(np.sqrt(weight).ravel(), 3) / data.sigma  # whitens the coordinates
-    values, points, usual = np.zeros(len(parameters)), data.guess.copy(), _usual(parameters)
-    frame_count = 6 + 3 * len(points)
-    ridge = np.diag(np.concatenate([np.zeros(frame_count), 1.0 / usual]))[frame_count:]
+    scale = np.repeat(np.sqrt(weight).ravel(), 3) / data.sigma  # whitens the coordinates; 0 without a reading
+    values, points, usual = np.zeros(len(parameters)), data.guess.copy(), _usual_sizes(parameters)
+    placement_count = 6 + 3 * len(points)  # unknowns of base and points, which have no prior
+    ridge = np.diag(np.concatenate([np.zeros(placement_count), 1.0 / usual]))[placement_count:]
 
     def pose_arm(values: Array) -> _PosedArm:
         """Return the arm without load in the configurations of the readings, for values (p,) of the parameters."""
         robot = assemble(name, _add_geometry(content, parameters, values, "", None), nominal)
-        return _PosedArm(_geometric(nominal, robot), *_unloaded_poses(robot, data.q))
+        return _PosedArm(_derivative_chain(nominal, robot), *_unloaded_poses(robot, data.q))
 
     arm = pose_arm(values)
     root = kabsch(point_positions(arm.flange, points).reshape(-1, 3), readings.reshape(-1, 3))
@@ -459,21 +475,21 @@ def _solve(
         right = np.concatenate([white_residual, -values / usual])
         step = np.linalg.lstsq(np.vstack([design, ridge]), right, rcond=None)[0]
         root = displace(root, step[:6])
-        points = points + step[6:frame_count].reshape(points.shape)
-        values = values + step[frame_count:]
+        points = points + step[6:placement_count].reshape(points.shape)
+        values = values + step[placement_count:]
         arm = pose_arm(values)
         if np.abs(step).max() < _STEP_TOLERANCE:
             break
     residual = (readings - point_positions(root @ arm.flange, points)) * (weight > 0.0)[..., None]
     white_residual = residual.ravel() * scale
     covariance = np.linalg.pinv(design.T @ design + ridge.T @ ridge, hermitian=True)
-    unknowns = np.concatenate([np.zeros(frame_count), values])  # of a twist and shifts from the solution on
+    unknowns = np.concatenate([np.zeros(placement_count), values])  # twist and shifts of the points count from here
     return _Solution(
         content=content,
         parameters=parameters,
         values=values,
         whole_covariance=covariance * _misfit(white_residual, design.shape[1]),
-        placement=Placement(root, points, covariance[:frame_count, :frame_count] / data.sigma**2, residual),
+        placement=Placement(root, points, covariance[:placement_count, :placement_count] / data.sigma**2, residual),
         residual=residual,
         design=np.vstack([design, ridge]),
         target=np.concatenate([white_residual + design @ unknowns, np.zeros(len(parameters))]),
@@ -484,24 +500,26 @@ def _solve(
 def _parameter_columns(
     parameters: tuple[GeometryParameter, ...], chain: Chain, angles: tuple[Array, Array], points: Array, root: Array
 ) -> list[Array]:
-    """Return the derivatives (n, 1) of the points, device axes, by each parameter.
+    """Return the derivatives (3CP, 1) of the points, device axes, by each parameter.
 
-    :param angles: joint angles (C, 6) [rad] of the controller, and those with sag.
+    :param angles: joint angles of the controller (C, 6) [rad], and joint angles with sag (C, 6) [rad].
     :param points: (P, 3) [m], flange axes.
     :param root: (4, 4) pose of the robot root in the device frame [m].
     """
     commanded_angles, loaded_angles = angles
-    _, columns = _derivatives(chain, loaded_angles, points)
+    _, columns = _joint_derivatives(chain, loaded_angles, points)
     by_joint = columns.reshape(len(commanded_angles), len(points), 3, 6, 6)
     by_joint = np.einsum("ij,cpjab->cpiab", root[:3, :3], by_joint)
-    return [_column(parameter, by_joint, chain, commanded_angles) for parameter in parameters]
+    return [_parameter_column(parameter, by_joint, chain, commanded_angles) for parameter in parameters]
 
 
-def _column(parameter: GeometryParameter, by_joint: Array, chain: Chain, q: Array) -> Array:
-    """Return the derivative (n, 1) of the points by a parameter.
+def _parameter_column(parameter: GeometryParameter, by_joint: Array, chain: Chain, q: Array) -> Array:
+    """Return the derivative (3CP, 1) of the points by a parameter.
 
-    :param by_joint: (C, P, 3, 6, 6) by displacements of the joints, device axes.
-    :param q: (C, 6) joint angles of the controller.
+    An error of a gear is a turn about the joint's axis times a wave of the controller's angle.
+
+    :param by_joint: (C, P, 3, 6, 6) derivatives by displacements of the joints, see `_joint_derivatives`, device axes.
+    :param q: (C, 6) joint angles of the controller [rad].
     """
     joint = JOINTS.index(parameter.joint)
     if parameter.axis not in GEAR_TERMS:
@@ -517,14 +535,19 @@ def _unloaded_poses(robot: RobotModel, q: Array) -> tuple[Array, Array]:
     :returns: (C, 4, 4) poses in the root [m]; (C, 6) actual angles [rad].
     """
     x, joints = elastostatics.coordinates(robot, q), list(robot.actuated)
+    # the geometry contains the sag
     if robot.subtract_reference:
-        return kinematics.tcp(robot.actual, x, np.eye(4))[0], x[:, joints]
+        pose, _ = kinematics.tcp(robot.actual, x, np.eye(4))
+        return pose, x[:, joints]
     sag = elastostatics.deflect(robot, q, np.eye(4), np.zeros((len(q), 6)))
     return sag.pose, (x + sag.theta)[:, joints]
 
 
-def _geometric(nominal: Chain, robot: RobotModel) -> Chain:
-    """Return the chain for derivatives by displacements of joints: the robot's, or the nominal one if links deflect."""
+def _derivative_chain(nominal: Chain, robot: RobotModel) -> Chain:
+    """Return the chain for derivatives by displacements of joints.
+
+    It is the robot's actual chain. If links deflect, that has further coordinates, and the nominal chain is taken.
+    """
     if robot.actual.nv == nominal.nv:
         return robot.actual
     return nominal
@@ -533,13 +556,13 @@ def _geometric(nominal: Chain, robot: RobotModel) -> Chain:
 def _cross_validation_error(solution: _Solution, data: Measurements) -> Array:
     """Return the mean square cross-validation error (C,) [m²] of the points of each configuration.
 
-    The equations of the fit are solved again without the configurations of each fold.
+    The linear equations of the fit are solved again without the configurations of each fold.
     """
-    rows = 3 * len(data.points)
+    rows = 3 * len(data.points)  # of a configuration
     readings = len(data.q) * rows
     folds = min(_FOLDS, len(data.q))
     fold = np.random.default_rng(0).permutation(len(data.q)) % folds
-    # rows of the prior count in every fold
+    # −1: rows of the prior, which are in no fold, so they count in every solution
     row_fold = np.concatenate([np.repeat(fold, rows), np.full(len(solution.target) - readings, -1)])
     errors = np.empty(len(data.q))
     for index in range(folds):
@@ -553,10 +576,13 @@ def _cross_validation_error(solution: _Solution, data: Measurements) -> Array:
 
 
 def _add_geometry(
-    content: ModelFile, parameters: tuple[GeometryParameter, ...], values: Array, source: str, half: Array | None
+    content: ModelFile, parameters: tuple[GeometryParameter, ...], values: Array, source: str, half_widths: Array | None
 ) -> ModelFile:
-    """Return the model with values (p,) of geometry parameters [SI]; `half` (p,): half 95 % intervals for its sources.
+    """Return the model with a geometry and transmission errors.
 
+    :param values: (p,) of the parameters, SI.
+    :param source: text on the origin of the values.
+    :param half_widths: (p,) of the 95 % intervals, which the source then names, SI; None: it names none.
     :raises MeasurementError: a value is beyond any arm.
     """
     is_gear = np.array([parameter.axis in GEAR_TERMS for parameter in parameters], dtype=bool)
@@ -565,7 +591,7 @@ def _add_geometry(
             [parameter for parameter, counts in zip(parameters, rows, strict=True) if counts],
             values[rows],
             source,
-            None if half is None else half[rows],
+            None if half_widths is None else half_widths[rows],
         )
         for rows in (~is_gear, is_gear)
     )
@@ -578,11 +604,12 @@ def _add_geometry(
 
 
 def _parameter_table(
-    parameters: Sequence[GeometryParameter], values: Array, source: str, half: Array | None
+    parameters: Sequence[GeometryParameter], values: Array, source: str, half_widths: Array | None
 ) -> dict[str, dict[str, float | str]]:
     """Return joint → entry of `model.toml`: its values in units of the file, and their source.
 
-    :param values: (p,) SI, and `half` (p,) of their 95 % intervals, which the source names; None: it names none.
+    :param values: (p,) of the parameters, SI.
+    :param half_widths: (p,) of the 95 % intervals, which the source then names, SI; None: it names none.
     """
     table: dict[str, dict[str, float | str]] = {}
     for joint in dict.fromkeys(parameter.joint for parameter in parameters):
@@ -590,10 +617,10 @@ def _parameter_table(
         entry: dict[str, float | str] = {"source": source}
         intervals = []
         for row in rows:
-            (unit, factor), axis = parameters[row].unit, parameters[row].axis
+            (unit, factor), axis = parameters[row].unit_and_factor, parameters[row].axis
             entry[f"{axis}_{unit}"] = float(values[row] * factor)
-            if half is not None:
-                intervals.append(f"{axis} ± {half[row] * factor:.2g} {unit}")
+            if half_widths is not None:
+                intervals.append(f"{axis} ± {half_widths[row] * factor:.2g} {unit}")
         if intervals:
             entry["source"] = f"{source} (95 %: {', '.join(intervals)})"
         table[joint] = entry
@@ -601,7 +628,7 @@ def _parameter_table(
 
 
 def warnings(result: Geometry, sigma: float) -> list[str]:
-    """Return what the user must know before the calibrated geometry is used.
+    """Return warnings that the user must know before using the calibrated geometry.
 
     :param sigma: noise of one coordinate of one reading [m].
     """
@@ -613,7 +640,7 @@ _LARGE_RESIDUAL = 5e-4
 
 
 def _large_residuals(result: Geometry, sigma: float) -> list[str]:
-    """Return a warning if the geometry leaves far more of the readings than calibrated arms and noise do.
+    """Return a warning if the residuals are far larger than those of calibrated arms and than noise; else none.
 
     :param sigma: noise of one coordinate of one reading [m].
     """
@@ -627,13 +654,13 @@ def _large_residuals(result: Geometry, sigma: float) -> list[str]:
 
 
 def _contradictions(result: Geometry) -> list[str]:
-    """Return a warning if a weightless geometry contradicts gears that were identified under the load alone.
+    """Return a warning if a weightless geometry contradicts nonlinear gears that were identified under the load alone.
 
-    In a weightless geometry the weights load the gears too. Lost motion is no contradiction: only the load turns it
-    over, whatever the geometry describes.
+    In a weightless geometry the weights load the gears too. Lost motion is no contradiction: it reacts to the load
+    alone, with any geometry.
     """
     content = result.content
-    if not result.sag or content.gravity.in_gears:
+    if not result.is_weightless or content.gravity.in_gears:
         return []
     nonlinear_joints = [
         name for name, spring in content.joints.items() if spring.stiffening or spring.knees or spring.backlash
@@ -652,7 +679,7 @@ _USUAL_SPAN = 30.0
 
 
 def _small_motion_warnings(result: Geometry) -> list[str]:
-    """Return a warning if joints turned so little in the readings that programs will leave what was measured."""
+    """Return a warning if joints turned by less than `_USUAL_SPAN` in the readings: programs will leave their range."""
     error = result.content.geometry_error
     assert error is not None, "a calibration states its error"
     spans = [(joint, high - low) for joint, (low, high) in error.angles_deg.items() if high - low < _USUAL_SPAN]
@@ -668,17 +695,17 @@ def _small_motion_warnings(result: Geometry) -> list[str]:
 def report_data(result: Geometry) -> record.Geometry:
     """Return the geometry as `identification.json` contains it."""
     entries = {}
-    for parameter, value, half in zip(result.parameters, result.values, result.ci95, strict=True):
-        unit, factor = parameter.unit
+    for parameter, value, half_width in zip(result.parameters, result.values, result.ci95, strict=True):
+        unit, factor = parameter.unit_and_factor
         is_observable = parameter.name not in result.not_observable
         entries[parameter.name] = record.Parameter(
             float(value * factor),
-            float(half * factor),
+            float(half_width * factor),
             unit,
             observable=is_observable,
-            determined=bool(half <= abs(value)),
+            determined=bool(half_width <= abs(value)),
         )
     variants = {
         name: record.Variant(fit * MM_PER_M, fold_rms * MM_PER_M) for name, (fit, fold_rms) in result.rms.items()
     }
-    return record.Geometry(entries, result.sag, result.chosen, variants, result.u95 * MM_PER_M)
+    return record.Geometry(entries, result.is_weightless, result.chosen, variants, result.u95 * MM_PER_M)

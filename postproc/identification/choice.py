@@ -34,7 +34,7 @@ from postproc.errors import PostprocError
 from postproc.frames import Array
 from postproc.identification import over_pose, record
 from postproc.identification.fit import Fit, LinearEquations, Prior, Regression, learn, linearise, prior_of
-from postproc.identification.joint_springs import UNCERTAIN, is_physical, unloaded_joints
+from postproc.identification.joint_springs import UNCERTAIN_SHARE, is_physical, unloaded_joints
 from postproc.identification.measurement_model import (
     Placement,
     Structure,
@@ -86,7 +86,7 @@ _LEAST_TORQUE = 1.0
 
 
 def link_springs(robot: RobotModel, with_ends: bool) -> tuple[LinkSpring, ...]:
-    """Return the springs of links that differ from those of the joints.
+    """Return the candidate springs of the links, without those that equal the spring of a joint.
 
     :param with_ends: include springs where links end, and under the base.
     """
@@ -116,42 +116,45 @@ def _springs_about_joint_axes(robot: RobotModel) -> set[LinkSpring]:
 
 
 def _gear_parameters(
-    kind: type[FadingPart | Backlash], shares: Sequence[float], joints: Sequence[JointCompliance], largest: Array
+    parameter_type: type[FadingPart | Backlash],
+    shares: Sequence[float],
+    joints: Sequence[JointCompliance],
+    largest_torque: Array,
 ) -> Iterator[Parameter]:
-    """Yield candidate parameters of gears, at some torques of each joint that is loaded enough.
+    """Yield candidate parameters of gears: one per joint and share, for joints with more than `_LEAST_TORQUE`.
 
-    :param shares: of the largest torque on the joint, at which there is a parameter each.
-    :param largest: (6,) largest torque on each joint in the readings [N·m].
+    :param shares: torques of the parameters, over the largest torque on the joint.
+    :param largest_torque: (6,) on each joint in the readings [N·m].
     """
     for joint in joints:
-        if largest[joint.index] > _LEAST_TORQUE:
+        if largest_torque[joint.index] > _LEAST_TORQUE:
             for share in shares:
-                torque = float(f"{share * largest[joint.index]:.2g}")  # two digits: it is in the parameter's name
-                yield kind(joint.joint, torque)
+                torque = float(f"{share * largest_torque[joint.index]:.2g}")  # two digits: the parameter's name has it
+                yield parameter_type(joint.joint, torque)
 
 
 def full_structure(
     robot: RobotModel, data: Measurements, in_gears: bool, compensator: bool
 ) -> tuple[Structure, tuple[str, ...]]:
-    """Return the structure with all candidate parameters, and the kind of each.
+    """Return the structure with all candidate parameters, and the kind of each parameter.
 
-    :param in_gears: weights and compensator load the gears at rest.
-    :param compensator: K_c and s₀ are free.
+    :param in_gears: whether weights and compensator load the gears at rest.
+    :param compensator: whether K_c and s₀ are parameters.
     """
     idle_joints = unloaded_joints(robot, data)
     loaded_joints = [joint for joint in JOINT_COMPLIANCES if joint not in idle_joints]
-    largest = np.abs(joint_torques(robot, data)).max(axis=0)
+    largest_torque = np.abs(joint_torques(robot, data)).max(axis=0)
     springs, springs_with_ends = link_springs(robot, with_ends=False), link_springs(robot, with_ends=True)
     parameters_by_kind: dict[str, Iterable[Parameter]] = {
         JOINT: JOINT_COMPLIANCES,
         COMPENSATOR_SPRING: COMPENSATOR if compensator else (),
         LINK: springs,
         END: (spring for spring in springs_with_ends if spring not in springs),
-        FADING: _gear_parameters(FadingPart, _FADE_AT, loaded_joints, largest),
-        KNEE: _gear_parameters(Knee, _BREAKPOINTS_AT, loaded_joints, largest),
-        BACKLASH: _gear_parameters(Backlash, _TURNS_OVER_AT, loaded_joints, largest),
+        FADING: _gear_parameters(FadingPart, _FADE_AT, loaded_joints, largest_torque),
+        KNEE: _gear_parameters(Knee, _BREAKPOINTS_AT, loaded_joints, largest_torque),
+        BACKLASH: _gear_parameters(Backlash, _TURNS_OVER_AT, loaded_joints, largest_torque),
         # if the load alone acts on the gears, backlash is lost motion
-        LOST_MOTION: _gear_parameters(LostMotion, _TURNS_OVER_AT, loaded_joints, largest) if in_gears else (),
+        LOST_MOTION: _gear_parameters(LostMotion, _TURNS_OVER_AT, loaded_joints, largest_torque) if in_gears else (),
         # a free compensator replaces the weights on joint 2: masses are not identifiable then
         AT_REST: _gravity_parameters(robot) if not compensator and (in_gears or not robot.subtract_reference) else (),
     }
@@ -171,8 +174,8 @@ def _gravity_parameters(robot: RobotModel) -> Iterator[Parameter]:
     return (parameter for parameter in sources if robot.prior_sigma(parameter) > 0.0)
 
 
-def has_compensator(robot: RobotModel, data: Measurements) -> bool:
-    """Return whether K_c and s₀ can be identified: there is a compensator, and three levels of q2 or more."""
+def can_identify_compensator(robot: RobotModel, data: Measurements) -> bool:
+    """Return whether K_c and s₀ can be identified: a compensator exists, and readings at three levels of q2 or more."""
     return robot.compensator is not None and int(levels_of(data).max()) >= 2
 
 
@@ -201,10 +204,11 @@ _GEAR_PARTS = (
 def candidates(compensator: bool) -> list[KindsOfStructure]:
     """Return the structures to try, from simple to rich.
 
-    Masses and compensator at rest are part of every structure with gears that are not linear; their kind is not listed.
+    The kind `AT_REST` is not listed: it belongs to every structure whose gears are not linear.
 
-    :param compensator: K_c and s₀ of the compensator are parameters of all structures.
+    :param compensator: whether K_c and s₀ are parameters of all structures.
     """
+    # next to joint springs alone, gears are linear or stiffen
     simple_gears = [gear for gear in _GEAR_PARTS if set(gear.kinds) <= {FADING}]
     # next to the many springs of link ends, backlash and lost motion are tried with all parts of the gears only
     few_gears = [
@@ -242,12 +246,12 @@ class Candidate(Struct, frozen=True):
 
     :param name: for the user.
     :param parameters: number of parameters.
-    :param active: how many of them are not zero.
+    :param active: number of parameters that are not zero.
     :param rms_sigma: RMS of the whitened residuals of the fit.
-    :param held_out: mean square of the whitened residuals of configurations left out; 1 would be noise alone.
-    :param error: standard error of the difference of `held_out` to that of the mean.
-    :param weight: its share in the mean.
-    :param chosen: the one that weighs most.
+    :param held_out: mean square of the whitened residuals of configurations left out; noise alone gives 1.
+    :param error: standard error of the difference between `held_out` and the error of the mean of structures.
+    :param weight: of the structure in the mean.
+    :param chosen: whether its weight is the largest.
     """
 
     name: str
@@ -275,42 +279,45 @@ class Candidate(Struct, frozen=True):
 
 
 class Choice(Struct, frozen=True, eq=False):
-    """The mean of structures, and how it came about.
+    """The mean of structures, and its errors.
 
     :param fit: the mean, with its posterior covariance.
-    :param wider: (p, p) covariance of its parameters that the bound is made of.
+    :param bound_covariance: (p, p) of its parameters, for the bound; wider than the posterior.
     :param candidates: all structures tried, simple to rich.
-    :param reason: one sentence.
+    :param reason: of the choice, one sentence.
     :param held_out: (C,) mean square whitened residual of each configuration when it was left out.
-    :param left_out: (L, P, 3) measured − predicted displacement of each when its configuration was left out [m].
+    :param left_out: (L, P, 3) measured − predicted displacements, each when its configuration was left out [m].
     :param influence: (p, rows) derivatives of the parameters by the whitened readings.
-    :param determined: how many numbers the readings determine: effective degrees of freedom of the mean.
+    :param effective_parameters: effective number of parameters of the mean, which the readings determine.
     :param held_by_prior: parameters that the readings do not narrow.
     :param evidence: log evidence of the structure with all parameters.
     """
 
     fit: Fit
-    wider: Array
+    bound_covariance: Array
     candidates: tuple[Candidate, ...]
     reason: str
     held_out: Array
     left_out: Array
     influence: Array
-    determined: float
+    effective_parameters: float
     held_by_prior: tuple[Parameter, ...]
     evidence: float
 
 
 class Member(Struct, frozen=True, eq=False):
-    """A structure: its regression, and its residuals `left` (rows,) of configurations left out.
+    """A structure of the mean.
 
-    `nonlinear`: its gears do not deflect in proportion to the torque.
+    :param name: for the user.
+    :param nonlinear: whether its gears do not deflect in proportion to the torque.
+    :param regression: of all readings.
+    :param held_out_residual: (rows,) whitened residual of each reading when its fold was left out.
     """
 
     name: str
     nonlinear: bool
     regression: Regression
-    left: Array
+    held_out_residual: Array
 
     @classmethod
     def of(
@@ -318,8 +325,8 @@ class Member(Struct, frozen=True, eq=False):
     ) -> Member:
         """Return a structure with its regression on the readings and its cross-validation residuals.
 
-        :param nonlinear: its gears do not deflect in proportion to the torque.
-        :param columns: (n,) its parameters among those of the equations.
+        :param nonlinear: whether its gears do not deflect in proportion to the torque.
+        :param columns: (n,) indices of its parameters among those of the equations.
         :param fold: (C,) number of the fold of each configuration.
         """
         regression = learn(equations, prior, columns)
@@ -335,9 +342,11 @@ class Mean(Struct, frozen=True, eq=False):
     weights: Array
 
     @property
-    def by_configuration(self) -> Array:
-        """Mean square cross-validation errors (C,) of the mean of structures."""
-        residual = sum(weight * member.left for weight, member in zip(self.weights, self.members, strict=True))
+    def mean_square_errors(self) -> Array:
+        """Mean square cross-validation errors (C,) of the mean of structures, by configuration [σ²]."""
+        residual = sum(
+            weight * member.held_out_residual for weight, member in zip(self.weights, self.members, strict=True)
+        )
         return self.equations.mean_squares(np.asarray(residual))
 
     @property
@@ -349,7 +358,7 @@ class Mean(Struct, frozen=True, eq=False):
     def solve(self, excluded_configs: Ints | None = None) -> Array:
         """Return the parameters (p,) of the mean, SI.
 
-        :param excluded_configs: configurations whose readings are left out.
+        :param excluded_configs: configurations whose readings are left out; None: none.
         """
         weighted_values = (
             weight * member.regression.solve(self.equations, excluded_configs)
@@ -377,30 +386,31 @@ class _CandidateEquations(Struct, frozen=True, eq=False):
     """The structure with all candidate parameters.
 
     :param kinds: kind of each parameter.
-    :param equations: linearised at the values of the fit.
-    :param whole: the regression on all parameters.
+    :param prior: of the parameters.
+    :param equations: linearised near the values of the fit.
+    :param full_regression: on all parameters.
     """
 
     structure: Structure
     kinds: tuple[str, ...]
     prior: Prior
     equations: LinearEquations
-    whole: Regression
+    full_regression: Regression
 
 
 def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choice:
     """Fit all structures, and return their mean with the least cross-validation error.
 
-    Structures with a free compensator are returned only if the evidence for them is clear, and the compensator is
-    determined and one that could be built.
+    Structures with a free compensator are returned only if the evidence for them is clear, the readings determine the
+    compensator, and it could be built. Else the compensator has the values of the robot.
 
     :raises PostprocError: not even joint springs can be fitted.
     """
     solution = _equations_with_weights_or_without(robot, data, placement)
-    if has_compensator(robot, data):
+    if can_identify_compensator(robot, data):
         with suppress(PostprocError):  # the structures without a free compensator remain
             free = _candidate_equations(robot, data, placement, solution.structure.in_gears, compensator=True)
-            if free.whole.evidence > solution.whole.evidence + CLEAR:
+            if free.full_regression.evidence > solution.full_regression.evidence + CLEAR:
                 choice = _choice_among(free, data, placement, compensator=True)
                 if is_physical(choice.fit) and not _has_uncertain_compensator(choice):
                     return choice
@@ -408,9 +418,10 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
 
 
 def _choice_among(solution: _CandidateEquations, data: Measurements, placement: Placement, compensator: bool) -> Choice:
-    """Return the mean of the structures that have the parameters of a fit.
+    """Return the mean of the candidate structures, extended by couplings and waves if the evidence is for them.
 
-    :param compensator: whether the compensator's spring is among them.
+    :param solution: the structure with all candidate parameters.
+    :param compensator: whether K_c and s₀ are parameters of all structures.
     """
     mean, solution = _extend(_mean_of_structures(solution, compensator), solution, data, placement)
     return _choice_of_mean(mean, solution, data, placement)
@@ -419,9 +430,9 @@ def _choice_among(solution: _CandidateEquations, data: Measurements, placement: 
 def _equations_with_weights_or_without(
     robot: RobotModel, data: Measurements, placement: Placement
 ) -> _CandidateEquations:
-    """Return the fit of all parameters with gears under the load alone, or under weights and compensator too.
+    """Return the fit of all parameters, with the gears loaded by the load alone, or by weights and compensator too.
 
-    The latter only if the evidence for it is clear, or gears under the load alone cannot be fitted.
+    Weights and compensator load the gears if the evidence for it is clear, or if no fit without them exists.
 
     :raises PostprocError: neither can be fitted.
     """
@@ -434,8 +445,9 @@ def _equations_with_weights_or_without(
         except PostprocError:
             if not solutions and in_gears == has_gravity_torque:  # this was the last one
                 raise
-    is_last_better = solutions[-1].whole.evidence > solutions[0].whole.evidence + CLEAR
-    return solutions[-1] if is_last_better else solutions[0]
+    # with one solution alone, first and last are the same
+    first, last = solutions[0], solutions[-1]
+    return last if last.full_regression.evidence > first.full_regression.evidence + CLEAR else first
 
 
 def evidence_of(structure: Structure, values: Array, data: Measurements, placement: Placement) -> float:
@@ -453,37 +465,39 @@ def _has_uncertain_compensator(choice: Choice) -> bool:
     if spring not in fit.parameter_values:
         return False
     index = fit.structure.parameters.index(spring)
-    return bool(fit.ci95[index] > UNCERTAIN * fit.values[index])
+    return bool(fit.ci95[index] > UNCERTAIN_SHARE * fit.values[index])
 
 
 def _candidate_equations(
     robot: RobotModel, data: Measurements, placement: Placement, in_gears: bool, compensator: bool
 ) -> _CandidateEquations:
-    """Return the structure with all candidate parameters, fitted with all of them, and its equations there.
+    """Return the structure with all candidate parameters, fitted in `_ROUNDS` linearisations, and its last equations.
 
-    :param in_gears: weights and compensator load the gears at rest.
-    :param compensator: K_c and s₀ are free.
+    :param in_gears: whether weights and compensator load the gears at rest.
+    :param compensator: whether K_c and s₀ are parameters.
+    :raises PostprocError: the springs have no equilibrium under a measured load.
     """
     structure, kinds = full_structure(robot, data, in_gears, compensator)
-    prior, values, columns = prior_of(structure), structure.start(), np.arange(len(structure.parameters))
+    prior, values, columns = prior_of(structure), structure.start_values(), np.arange(len(structure.parameters))
     for _ in range(_ROUNDS):
         equations = linearise(structure, values, data, placement)
-        whole = learn(equations, prior, columns)
-        values = whole.solve(equations)
-    return _CandidateEquations(structure, kinds, prior, equations, whole)
+        full_regression = learn(equations, prior, columns)
+        values = full_regression.solve(equations)
+    return _CandidateEquations(structure, kinds, prior, equations, full_regression)
 
 
 def _mean_of_structures(solution: _CandidateEquations, compensator: bool) -> Mean:
-    """Return the structures and the weights of their mean with the least cross-validation error.
+    """Return the candidate structures, with the weights of the mean that has the least cross-validation error.
 
-    Structures whose gears are not linear count only if the evidence for one of them is clear.
+    Structures whose gears are not linear have a weight only if the evidence for one of them is clear.
 
-    :param compensator: whether structures with a compensator are candidates.
+    :param solution: the structure with all candidate parameters.
+    :param compensator: whether K_c and s₀ are parameters of all structures.
     """
     equations, kinds, fold = solution.equations, np.array(solution.kinds), folds(solution.equations)
     members = []
     for name, member_kinds in candidates(compensator):
-        if not set(member_kinds) <= set(solution.kinds):  # this robot has none of a kind
+        if not set(member_kinds) <= set(solution.kinds):  # this robot has no parameter of one of the kinds
             continue
         nonlinear = not set(member_kinds).isdisjoint(GEARS)
         columns = np.flatnonzero(np.isin(kinds, [*member_kinds, AT_REST] if nonlinear else member_kinds))
@@ -499,28 +513,29 @@ def _mean_of_structures(solution: _CandidateEquations, compensator: bool) -> Mea
 
 
 def folds(equations: LinearEquations) -> Ints:
-    """Return the number of the cross-validation fold of each configuration (C,), at random but always the same."""
-    return np.random.default_rng(0).permutation(equations.configs) % min(_FOLDS, equations.configs)
+    """Return the number of the cross-validation fold of each configuration (C,), drawn with a fixed seed."""
+    return np.random.default_rng(0).permutation(equations.config_count) % min(_FOLDS, equations.config_count)
 
 
 def _extend(
     mean: Mean, solution: _CandidateEquations, data: Measurements, placement: Placement
 ) -> tuple[Mean, _CandidateEquations]:
-    """Return the mean with structures with coupled joints and compliances over the pose, if the evidence is for them.
+    """Return the mean with further structures, if the evidence for them is clear.
 
-    Both are tried on the structure with the most evidence: first the couplings, then the waves over the pose.
+    Tried are couplings of joints, then waves of the compliances over the pose, on the structure with the most evidence.
 
-    :returns: the mean, and `solution` with the new parameters; both unchanged if the evidence is against them.
+    :param solution: the structure with all candidate parameters.
+    :returns: the mean, and `solution` with the new parameters; both unchanged without clear evidence.
     """
     idle_joints = unloaded_joints(mean.structure.prior, data)
     loaded_joints = [joint for joint in JOINT_COMPLIANCES if joint not in idle_joints]
     couplings, waves = over_pose.couplings(loaded_joints), over_pose.waves(loaded_joints)
     parameters = (*mean.structure.parameters, *couplings, *waves)
     structure = replace(mean.structure, parameters=parameters)
-    prior, first_new = prior_of(structure), len(mean.structure.parameters)
-    values = np.concatenate([mean.solve(), np.zeros(len(parameters) - first_new)])
+    prior, old_count = prior_of(structure), len(mean.structure.parameters)
+    values = np.concatenate([mean.solve(), np.zeros(len(parameters) - old_count)])
     equations = linearise(structure, values, data, placement)
-    coupling_columns, wave_columns = np.split(np.arange(first_new, len(parameters)), [len(couplings)])
+    coupling_columns, wave_columns = np.split(np.arange(old_count, len(parameters)), [len(couplings)])
     additions = {", coupled wrist": coupling_columns, ", over the pose": wave_columns}
     extensions = _supported_extensions(mean, equations, prior, additions)
     if not extensions:
@@ -530,21 +545,30 @@ def _extend(
         replace(member, regression=replace(member.regression, size=len(parameters))) for member in mean.members
     ]
     members = (*old_members, *extensions)
+    # structures without a weight in the mean get none in the extended mean
     stacked_rows = np.flatnonzero([*(mean.weights > 0.0), *(True for _ in extensions)])
     weights = _stacking_weights(equations, members, stacked_rows)
     kinds = (*solution.kinds, *(COUPLING for _ in couplings), *(OVER_POSE for _ in waves))
-    whole = extensions[-1].regression
-    solution = replace(solution, structure=structure, kinds=kinds, prior=prior, equations=equations, whole=whole)
+    solution = replace(
+        solution,
+        structure=structure,
+        kinds=kinds,
+        prior=prior,
+        equations=equations,
+        full_regression=extensions[-1].regression,
+    )
     return Mean(structure, equations, members, weights), solution
 
 
 def _supported_extensions(
     mean: Mean, equations: LinearEquations, prior: Prior, additions: Mapping[str, Ints]
 ) -> list[Member]:
-    """Return the best structure of a mean with further parameters, as often as the evidence for them is clear.
+    """Return structures with further parameters, each with clear evidence over the structure before it.
 
-    :param equations: with the further parameters, and `prior` of them too.
-    :param additions: end of the structure's name → columns of the parameters that are tried next, after those before.
+    The first is compared with the structure of the mean that has the most evidence. Empty if no evidence is clear.
+
+    :param equations: of all parameters, further ones included, and `prior` of all.
+    :param additions: suffix of the structure's name → columns of the further parameters, in the order of the trials.
     """
     fold = folds(equations)
     best = max((member for _, member in mean.weighted_members), key=lambda member: member.regression.evidence)
@@ -564,7 +588,7 @@ def _supported_extensions(
 
 
 def _fold_residuals(regression: Regression, equations: LinearEquations, fold: Ints) -> Array:
-    """Return the cross-validation residuals (rows,): of each reading, by the fit to the other folds.
+    """Return the cross-validation residuals (rows,): whitened, of each reading from the fit to the other folds.
 
     :param fold: (C,) number of the fold of each configuration.
     """
@@ -575,16 +599,18 @@ def _fold_residuals(regression: Regression, equations: LinearEquations, fold: In
     return residual
 
 
-def _stacking_weights(equations: LinearEquations, members: Sequence[Member], rows_of_members: Ints) -> Array:
-    """Return the stacking weights (m,), ≥ 0 with sum one: those of the mean with the least cross-validation error.
+def _stacking_weights(equations: LinearEquations, members: Sequence[Member], candidate_rows: Ints) -> Array:
+    """Return the stacking weights (m,) of the mean with the least cross-validation error: ≥ 0, with sum one.
+
+    Weights below `_LEAST_WEIGHT` are set to zero.
 
     :param members: m structures.
-    :param rows_of_members: of those that may have a weight; the others have zero, as those below `_LEAST_WEIGHT`.
+    :param candidate_rows: indices of the structures that may have a weight; the others have zero.
     """
-    from scipy.optimize import nnls
+    from scipy.optimize import nnls  # takes long to import
 
-    residual = np.array([members[index].left for index in rows_of_members]) * np.sqrt(equations.weight)
-    # the error of the mean is wᵀ S w; the factor of S, a little larger so that it exists, gives it as a sum of squares
+    residual = np.array([members[index].held_out_residual for index in candidate_rows]) * np.sqrt(equations.weight)
+    # the mean square error is wᵀ S w = |Lᵀ w|² with S = L Lᵀ; 1e-9 of its size makes S positive definite
     square = residual @ residual.T / residual.shape[1]
     size = np.trace(square) / len(square)
     rows = np.linalg.cholesky(square + 1e-9 * size * np.eye(len(square))).T
@@ -594,7 +620,7 @@ def _stacking_weights(equations: LinearEquations, members: Sequence[Member], row
     solution, _ = nnls(matrix, np.append(np.zeros(len(rows)), sum_weight), maxiter=1000)
     solution = np.where(solution > _LEAST_WEIGHT * solution.sum(), solution, 0.0)
     weights = np.zeros(len(members))
-    weights[rows_of_members] = solution / solution.sum()
+    weights[candidate_rows] = solution / solution.sum()
     return weights
 
 
@@ -610,7 +636,7 @@ def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurement
     equations, parameters = mean.equations, mean.structure.parameters
     values, posterior, spread = mean.solve(), mean.covariance(), mean.spread()
     jackknife, held_out_residual = _jackknife(mean)
-    # springs of links that are zero cost a coordinate each: the remaining ones take their place
+    # a spring of a link costs a coordinate of the model: springs that are zero are omitted, the others take their place
     is_link = np.array([isinstance(parameter, LinkSpring) for parameter in parameters])
     is_constant = _is_constant_over_pose(mean.structure, spread)
     columns = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link) & ~is_constant)
@@ -624,15 +650,15 @@ def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurement
     held_out_by_state = held_out_residual.reshape(len(data.loaded_states), len(data.points), 3)
     return Choice(
         fit=fit,
-        wider=transform @ wider @ transform.T,
+        bound_covariance=transform @ wider @ transform.T,
         candidates=table,
         reason=_choice_reason(table, float(square_errors.mean())),
         held_out=square_errors,
         left_out=unwhiten(whitening(data), held_out_by_state),
         influence=transform @ influence,
-        determined=dof,
+        effective_parameters=dof,
         held_by_prior=tuple(parameters[index] for index in np.flatnonzero((spread > 0.0) & ~is_narrower)),
-        evidence=solution.whole.evidence,
+        evidence=solution.full_regression.evidence,
     )
 
 
@@ -655,10 +681,10 @@ def _effective_parameters(mean: Mean) -> tuple[float, Array]:
 def _fit_of(
     mean: Mean, columns: Ints, covariance: Array, parameter_number: float, data: Measurements, placement: Placement
 ) -> Fit:
-    """Return a mean as a fit of some of its parameters; the others are zero.
+    """Return a mean as a fit of k of its parameters; the other parameters are zero in the fit.
 
-    :param columns: (k,) indices of these parameters.
-    :param covariance: (k, k) of them [SI].
+    :param columns: (k,) indices of the parameters that remain.
+    :param covariance: (k, k) of these parameters, SI.
     :param parameter_number: effective number of parameters.
     """
     equations, values = mean.equations, mean.solve()[columns]
@@ -670,7 +696,7 @@ def _fit_of(
         data,
         placement,
         covariance=covariance,
-        dof=max(1, round(equations.count - parameter_number)),
+        dof=max(1, round(equations.reading_count - parameter_number)),
         prediction=prediction,
         design=equations.design[:, columns],
         target=equations.target,
@@ -678,26 +704,28 @@ def _fit_of(
 
 
 def _jackknife(mean: Mean) -> tuple[Array, Array]:
-    """Return the jackknife covariance (p, p) of the parameters [SI], and the residuals (rows,) of left-out readings.
+    """Return the jackknife covariance (p, p) of the parameters, SI, and whitened residuals (rows,) of the readings.
 
-    One configuration is left out at a time; its whitened residuals are those of the fit to all others.
+    One configuration is left out at a time; the residuals of its readings are those of the fit to all others.
     """
     equations = mean.equations
-    values = np.array([mean.solve(np.array([index])) for index in range(equations.configs)])
+    values = np.array([mean.solve(np.array([index])) for index in range(equations.config_count)])
     residual = np.empty(len(equations.target))
-    for index in range(equations.configs):
+    for index in range(equations.config_count):
         rows = equations.config == index
         residual[rows] = equations.residual(values[index], rows)
     deviation = values - values.mean(axis=0)
     return (len(deviation) - 1) / len(deviation) * deviation.T @ deviation, residual
 
 
-_CONSTANT = 0.005
+_CONSTANT_SHARE = 0.005
 """Standard deviation of a compliance over the pose, as a share of the compliance, below which it is constant."""
 
 
 def _is_constant_over_pose(structure: Structure, spread: Array) -> Bools:
-    """Return True for parameters (p,) that are waves of a joint whose compliance does not depend on the pose.
+    """Return True for parameters (p,) that are waves of a joint whose compliance is constant over the pose.
+
+    It counts as constant if the prior's standard deviations of its waves are small together, see `_CONSTANT_SHARE`.
 
     :param spread: (p,) prior standard deviations, SI.
     """
@@ -710,20 +738,22 @@ def _is_constant_over_pose(structure: Structure, spread: Array) -> Bools:
         ]
         compliance = structure.prior.compliance[structure.prior.row(joint)]
         # the mean square of a sine or cosine is a half
-        is_constant[rows] = np.sqrt(np.sum(spread[rows] ** 2) / 2.0) < _CONSTANT * compliance
+        is_constant[rows] = np.sqrt(np.sum(spread[rows] ** 2) / 2.0) < _CONSTANT_SHARE * compliance
     return is_constant
 
 
 def design_effect(equations: LinearEquations, influence: Array, residual: Array) -> float:
-    """Return the design effect of configurations (Kish 1965), at least 1: by how much they raise the variance of a fit.
+    """Return the design effect of configurations (Kish 1965), at least 1: the factor on the variance of a fit.
 
-    It is the variance by residuals as they are, which those of a configuration share, over that by independent ones.
+    Residuals r of one configuration c have a common error. The design effect is Σ_c r_cᵀ H_c r_c / Σ_i H_ii r_i²: the
+    variance with this error over the variance with independent residuals. H is design times influence, H_c its block of
+    configuration c. It is 1 if the denominator is not positive.
 
     :param influence: (p, rows) derivatives of the parameters by the whitened readings.
     :param residual: (rows,) whitened residuals of configurations left out.
     """
     clustered_variance, independent_variance = 0.0, 0.0
-    for config in range(equations.configs):
+    for config in range(equations.config_count):
         rows = np.flatnonzero(equations.config == config)
         effect = (equations.design[rows] @ influence[:, rows]) * np.outer(residual[rows], residual[rows])
         clustered_variance += float(effect.sum())
@@ -732,26 +762,27 @@ def design_effect(equations: LinearEquations, influence: Array, residual: Array)
 
 
 def projection(equations: LinearEquations, columns: Ints, spread: Array) -> Array:
-    """Return the matrix (k, p) that turns p parameters into k of them with about the same effect on the readings.
+    """Return the matrix (k, p) that maps values of p parameters to values of k of them with the same effect.
 
-    Least squares on the readings, with the prior of the k parameters as a ridge.
+    The effect on the readings is the same in least squares; the prior of the k parameters is a ridge. The k parameters
+    keep their values, and take over the effect of the others.
 
     :param columns: (k,) indices of the k parameters.
-    :param spread: (p,) prior standard deviations: changes of the k that are large against them are avoided.
+    :param spread: (p,) prior standard deviations, which limit the changes of the k parameters.
     """
-    square = spread[columns, None] * equations.normal(np.arange(len(spread))).square[columns]
+    square = spread[columns, None] * equations.normal_equations(np.arange(len(spread))).square[columns]
     normal = square[:, columns] * spread[columns] + np.eye(len(columns))
     matrix = spread[columns, None] * np.linalg.solve(normal, square)
-    matrix[:, columns] = np.eye(len(columns))  # these stay as they are
+    matrix[:, columns] = np.eye(len(columns))
     return np.asarray(matrix)
 
 
 def _candidate_table(mean: Mean) -> tuple[Candidate, ...]:
-    """Return the results of each structure that was tried, for the user; the one with the largest weight is chosen."""
-    equations, mean_errors = mean.equations, mean.by_configuration
+    """Return the results of each structure that was tried, simple to rich; `chosen` marks the largest weight."""
+    equations, mean_errors = mean.equations, mean.mean_square_errors
     rows = []
     for weight, member in zip(mean.weights, mean.members, strict=True):
-        squares = equations.mean_squares(member.left)
+        squares = equations.mean_squares(member.held_out_residual)
         difference, values = squares - mean_errors, member.regression.solve(equations)
         rows.append(
             Candidate(
@@ -769,7 +800,11 @@ def _candidate_table(mean: Mean) -> tuple[Candidate, ...]:
 
 
 def _choice_reason(table: Sequence[Candidate], square_error: float) -> str:
-    """Return a sentence with the structures of the mean and its mean square cross-validation error [σ²]."""
+    """Return a sentence with the structures of the mean, the heaviest first, and the mean square error.
+
+    :param table: all structures tried; the first has joint springs alone.
+    :param square_error: mean square cross-validation error of the mean [σ²].
+    """
     rows = sorted((row for row in table if row.weight > 0.0), key=lambda row: -row.weight)
     parts = "; ".join(f"{row.weight:.0%} {row.name}" for row in rows)
     return (

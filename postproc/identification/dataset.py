@@ -24,14 +24,14 @@ from postproc.identification.readings import Experiment, Measurements, gaps, rea
 from postproc.identification.uncertainty import levels
 from postproc.robot import JOINTS, RobotModel
 
-NAME, EXPERIMENT, READINGS, SUMS, LICENCE = (
+DATASET, EXPERIMENT, READINGS, SUMS, LICENCE = (
     "dataset.toml",
     "experiment.toml",
     "measurements.csv",
     "SHA256SUMS",
     "LICENSE",
 )
-_CONFIGURATIONS, _REPEATS = 30, 3
+_USUAL_CONFIGURATIONS, _USUAL_REPEATS = 30, 3
 """Usual numbers of configurations and of repeats (assumed)."""
 _TORQUE_SHARE = 0.02
 """Share of the largest torque on any joint below which a joint is not loaded."""
@@ -52,15 +52,22 @@ class Dataset(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Finding(Struct, frozen=True):
-    """A statement on a folder: `has` it, or lacks it; `required` for publishing."""
+    """Something that a folder should contain.
+
+    :param text: the thing, for the user.
+    :param is_present: whether the folder contains it.
+    :param required: whether a folder without it cannot be published.
+    """
 
     text: str
-    has: bool
+    is_present: bool
     required: bool = False
 
 
 def check(folder: Path) -> list[Finding]:
     """Return findings on what a folder of measurements contains and lacks for an identification.
+
+    Files that cannot be read are one finding, in place of those on readings, set-up and robot.
 
     :raises InputError: there is no such folder.
     """
@@ -70,12 +77,12 @@ def check(folder: Path) -> list[Finding]:
     try:
         setup = read_experiment(folder / EXPERIMENT)
         data = read(folder / READINGS, setup)
-        _, _, robot = starting_robot(setup, folder / EXPERIMENT)
+        robot = starting_robot(setup, folder / EXPERIMENT).model
         torque = np.abs(joint_torques(robot, as_positions(robot, data))).max(axis=0)
     except PostprocError as error:
         return [
             *findings,
-            Finding(f"{EXPERIMENT}, {READINGS}: {error}", has=False, required=True),
+            Finding(f"{EXPERIMENT}, {READINGS}: {error}", is_present=False, required=True),
             _checksum_finding(folder),
         ]
     return [
@@ -92,12 +99,14 @@ def _origin_findings(folder: Path) -> list[Finding]:
     """Return the findings on `dataset.toml`, with licence and source, and on the text of the licence."""
     findings = []
     try:
-        dataset = files.read_toml(folder / NAME, Dataset, MeasurementError)
+        dataset = files.read_toml(folder / DATASET, Dataset, MeasurementError)
         empty = [key for key in ("name", "licence", "source", "robot", "rig", "device") if not getattr(dataset, key)]
-        text = f"{NAME}: {dataset.name}, {dataset.licence}, from {dataset.source}"
-        findings.append(Finding(text if not empty else f"{NAME}: {', '.join(empty)} empty", not empty, required=True))
+        text = f"{DATASET}: {dataset.name}, {dataset.licence}, from {dataset.source}"
+        findings.append(
+            Finding(text if not empty else f"{DATASET}: {', '.join(empty)} empty", not empty, required=True)
+        )
     except PostprocError as error:
-        findings.append(Finding(f"{NAME}: {error}", has=False, required=True))
+        findings.append(Finding(f"{DATASET}: {error}", is_present=False, required=True))
     findings.append(Finding(f"{LICENCE}: text of the licence", (folder / LICENCE).is_file(), required=True))
     return findings
 
@@ -112,15 +121,19 @@ def _reading_findings(data: Measurements) -> list[Finding]:
     gap_notes = gaps(data)
     return [
         Finding(
-            f"{READINGS}: {len(data.state)} readings of {kind}, each state and point named", has=True, required=True
+            f"{READINGS}: {len(data.state)} readings of {kind}, each state and point named",
+            is_present=True,
+            required=True,
         ),
-        Finding(f"{len(data.q)} configurations; {_CONFIGURATIONS} are usual", len(data.q) >= _CONFIGURATIONS),
+        Finding(
+            f"{len(data.q)} configurations; {_USUAL_CONFIGURATIONS} are usual", len(data.q) >= _USUAL_CONFIGURATIONS
+        ),
         Finding(
             f"loads of {load.min():.0f} to {load.max():.0f} N on {level_count} levels; two show gears that are not "
             "linear",
             level_count >= 2,
         ),
-        Finding(f"{repeats} repeats; {_REPEATS} show the noise", repeats >= _REPEATS),
+        Finding(f"{repeats} repeats; {_USUAL_REPEATS} show the noise", repeats >= _USUAL_REPEATS),
         Finding(f"{len(data.points)} points; three show all six directions of a link", len(data.points) >= 3),
         Finding("readings without load, which show the geometry", not data.are_displacements),
         Finding(gap_notes[0] if gap_notes else "every repeat has all points", not gap_notes),
@@ -148,34 +161,38 @@ def _torque_finding(torque: np.ndarray) -> Finding:
 
 
 def _agreement_findings(robot: RobotModel, data: Measurements) -> list[Finding]:
-    """Return a finding for each contradiction of readings to the robot, its loads or each other; else one finding.
+    """Return a finding for each contradiction of the readings to the robot, the loads or each other.
 
-    These are outliers and the doubts of `check_readings`; or the error that makes the readings unusable.
+    Contradictions are outliers, and doubts and warnings of `check_readings`. Unusable readings are one finding: the
+    error. Readings without contradictions are one finding too, which is present.
     """
     try:
         checked_readings = check_readings(robot, data)
     except PostprocError as error:
-        return [Finding(str(error), has=False, required=True)]
+        return [Finding(str(error), is_present=False, required=True)]
     faults = [*(f"outlier: {name}" for name in checked_readings.outliers), *filter(None, [checked_readings.doubt])]
-    faults += [note for note in checked_readings.warnings if note not in gaps(data)]
+    faults += [note for note in checked_readings.warnings if note not in gaps(data)]  # gaps have their own finding
     if not faults:
         return [Finding(f"readings that agree with {robot.name}: points, angles, frame, direction of the loads", True)]
-    return [Finding(fault, has=False) for fault in faults]
+    return [Finding(fault, is_present=False) for fault in faults]
 
 
 _SUMS_COMMAND = f"find . -type f ! -name {SUMS} -exec sha256sum {{}} + > {SUMS}"
-_SUM = re.compile(r"^([0-9a-fA-F]{64}) [ *](?:\./)?(.+?)\r?$", re.M)
+_CHECKSUM_LINE = re.compile(r"^([0-9a-fA-F]{64}) [ *](?:\./)?(.+?)\r?$", re.M)
 """A line of `sha256sum`; files that were edited on Windows end it with CR LF."""
 
 
 def _checksum_finding(folder: Path) -> Finding:
-    """Return the finding whether the checksums of all files of a folder are there and right."""
+    """Return the finding on `SHA256SUMS`: present if it has the right checksum for each file of the folder, no more."""
     path = folder / SUMS
     advice = f"run `{_SUMS_COMMAND}` in the folder"
     if not path.is_file():
-        return Finding(f"{SUMS}: {advice}", has=False, required=True)
-    stated_digests = {name: digest.lower() for digest, name in _SUM.findall(files.read_text(path, MeasurementError))}
+        return Finding(f"{SUMS}: {advice}", is_present=False, required=True)
+    stated_digests = {
+        name: digest.lower() for digest, name in _CHECKSUM_LINE.findall(files.read_text(path, MeasurementError))
+    }
     present = {p.relative_to(folder).as_posix(): p for p in sorted(folder.rglob("*")) if p.is_file() and p != path}
+    # beginning of the message → names of the files with this fault
     files_by_fault = {
         "not those of": [
             name for name in present if name in stated_digests and stated_digests[name] != _digest(present[name])
@@ -185,8 +202,8 @@ def _checksum_finding(folder: Path) -> Finding:
     }
     parts = [f"{fault} {', '.join(names)}" for fault, names in files_by_fault.items() if names]
     if parts:
-        return Finding(f"{SUMS}: {'; '.join(parts)}; {advice}", has=False, required=True)
-    return Finding(f"{SUMS}: right for {len(present)} files", has=True, required=True)
+        return Finding(f"{SUMS}: {'; '.join(parts)}; {advice}", is_present=False, required=True)
+    return Finding(f"{SUMS}: right for {len(present)} files", is_present=True, required=True)
 
 
 def _digest(file: Path) -> str:

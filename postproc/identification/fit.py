@@ -38,10 +38,11 @@ from postproc.identification import over_pose
 from postproc.identification.measurement_model import (
     Placement,
     Structure,
+    coordinate_count,
     displacement_residuals,
     measured_displacements,
     predict,
-    visible,
+    visible_points,
     whiten,
     whitening,
 )
@@ -72,9 +73,9 @@ LENGTH_95 = 1.6140
 
 _ITERATIONS = 25
 """Limit of Gauss-Newton steps (assumed)."""
-_WORSE = 1.5
+_MAX_GROWTH = 1.5
 """Growth of the squares that calls for a shorter step."""
-_DEAD = 1e-6
+_LEAST_EFFECT = 1e-6
 """Effect of a parameter of usual size on all readings, in σ, below which it has none."""
 
 
@@ -112,9 +113,10 @@ class Fit(Struct, frozen=True, eq=False):
         design: Array,
         target: Array | None = None,
     ) -> Fit:
-        """Return the fit with values of the parameters, with the residuals of a prediction by them.
+        """Return the fit with values (p,) of the parameters [SI], with residuals and χ² of their prediction.
 
         :param prediction: (L, P, 3) displacements of the points in the loaded states, root axes [m].
+        :param design: (rows, p) whitened derivatives.
         :param target: (rows,) right side of the equations; None: whitened residuals + design·values.
         """
         residual = displacement_residuals(prediction, data, placement)
@@ -137,8 +139,8 @@ class Fit(Struct, frozen=True, eq=False):
 
     @property
     def rms(self) -> float:
-        """RMS distance [m] of the points from their prediction."""
-        squares = np.sum(self.residual**2, axis=-1)
+        """RMS distance [m] of the points from their prediction; 0 without readings."""
+        squares = np.sum(self.residual**2, axis=-1)  # exactly zero for points without a reading
         return float(np.sqrt(squares.sum() / max(1, np.count_nonzero(squares))))
 
     @property
@@ -161,11 +163,11 @@ def gauss_newton(
 ) -> Fit:
     """Return the least-squares fit of the parameters to loaded − unloaded displacements, by Gauss-Newton steps.
 
-    :param start: (p,) values to begin with, SI; None: those of the robot.
+    :param start: (p,) values to begin with, SI; None: the robot's.
     :param iterations: largest number of steps; steps that are halved count too.
-    :raises NotConvergedError: no equilibrium at the start.
+    :raises NotConvergedError: the springs have no equilibrium at the start, or at the values after the last step.
     """
-    values = structure.start() if start is None else start.copy()
+    values = structure.start_values() if start is None else start.copy()
     displacement, whitening_matrices = measured_displacements(data, placement), whitening(data)
     size = len(structure.parameters)
     last_good_values, smallest_cost = values, np.inf
@@ -177,12 +179,12 @@ def gauss_newton(
             if values is last_good_values:  # the start itself: there is no step to halve
                 raise
             cost = np.inf
-        if cost > _WORSE * smallest_cost:  # a step too far, perhaps without equilibrium: halve it
+        if cost > _MAX_GROWTH * smallest_cost:  # a step too far, or without equilibrium: halve it
             values = 0.5 * (last_good_values + values)
             continue
         last_good_values, smallest_cost = values, min(cost, smallest_cost)
         design = whiten(whitening_matrices, slopes).reshape(-1, size)
-        design[:, np.linalg.norm(design, axis=0) * structure.usual() < _DEAD] = 0.0
+        design[:, np.linalg.norm(design, axis=0) * structure.usual_sizes() < _LEAST_EFFECT] = 0.0
         target = whiten(whitening_matrices, displacement - prediction).ravel() + design @ values
         new_values = solve(design, target)
         scale = np.linalg.norm(design, axis=0)
@@ -194,18 +196,22 @@ def gauss_newton(
 
 
 def _fit_at(structure: Structure, values: Array, data: Measurements, placement: Placement) -> Fit:
-    """Return the fit with parameters (p,) [SI]: residuals, and the covariance of the equations linearised there."""
+    """Return the fit with values (p,) [SI] of the parameters: residuals, and the covariance of the values.
+
+    The covariance is that of least squares with the derivatives of the prediction at these values.
+
+    :raises NotConvergedError: the springs have no equilibrium under a load.
+    """
     size = len(structure.parameters)
     prediction, slopes = predict(structure, values, data, placement)
     design = whiten(whitening(data), slopes).reshape(-1, size)
-    reading_count = int(np.count_nonzero(np.linalg.norm(design, axis=1) > 0.0))
     return Fit.of(
         structure,
         values,
         data,
         placement,
-        covariance=covariance_of(design, structure.usual()),
-        dof=reading_count - size,
+        covariance=covariance_of(design, structure.usual_sizes()),
+        dof=coordinate_count(data) - size,
         prediction=prediction,
         design=design,
     )
@@ -219,14 +225,14 @@ def solve(design: Array, target: Array) -> Array:
     return np.asarray(values / scale)
 
 
-def covariance_of(design: Array, typical: Array) -> Array:
+def covariance_of(design: Array, usual_sizes: Array) -> Array:
     """Return (DᵀD)⁻¹ (p, p) of a whitened design D (r, p); the variance of undetermined parameters is infinite.
 
-    :param typical: (p,) usual sizes of the parameters: one whose usual size changes the readings by less than `_DEAD` σ
-        is not determined.
+    :param usual_sizes: (p,) of the parameters: a parameter is not determined if its usual size changes the readings by
+        less than `_LEAST_EFFECT` σ.
     """
     scale = np.linalg.norm(design, axis=0)
-    has_no_effect = scale * typical < _DEAD
+    has_no_effect = scale * usual_sizes < _LEAST_EFFECT
     scale = np.where(has_no_effect, 1.0, scale)
     _, singular_values, directions = np.linalg.svd(design / scale, full_matrices=False)
     is_determined = singular_values > 1e-8 * singular_values.max(initial=0.0)  # below is rounding
@@ -241,7 +247,7 @@ def covariance_of(design: Array, typical: Array) -> Array:
 
 
 def correlations(covariance: Array) -> Array:
-    """Return the correlations (p, p) of a covariance (p, p); 0 where a variance is zero or infinite."""
+    """Return the correlations (p, p) of a covariance (p, p); 0 for parameters with a variance of zero or infinity."""
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(deviation, deviation)
@@ -264,7 +270,8 @@ class FileValues(NamedTuple):
 def to_file_units(fit: Fit) -> FileValues:
     """Return parameters, values and covariance of a fit in the units of `model.toml`.
 
-    k1…k6 are compliances at small torque, fading parts included; s₀ comes from K_c·s₀.
+    k1…k6 become compliances at small torque, fading parts included; K_c·s₀ becomes s₀. The covariance is transformed
+    at first order.
 
     :raises MeasurementError: a value or its variance is not finite.
     """
@@ -280,7 +287,7 @@ def to_file_units(fit: Fit) -> FileValues:
             advice="Measure configurations and loads that put torque on these joints.",
         )
     covariance = slopes @ fit.covariance @ slopes.T
-    return FileValues(parameters, values, 0.5 * (covariance + covariance.T))
+    return FileValues(parameters, values, 0.5 * (covariance + covariance.T))  # symmetric, but for rounding
 
 
 _HUBER = 3.5
@@ -290,7 +297,7 @@ _MEDIAN_OF_THREE = 1.538
 
 
 class NormalEquations(NamedTuple):
-    """Sums over equations with design D, weights W and target y; of one set of equations, or of each of several.
+    """Normal equations of least squares with design D, weights W and target y; of one set or of several sets.
 
     :param square: (..., p, p) DᵀWD.
     :param right: (..., p) DᵀWy.
@@ -305,10 +312,10 @@ class NormalEquations(NamedTuple):
 class LinearEquations(Struct, frozen=True, eq=False, dict=True):
     """Whitened equations design·values = target.
 
-    :param design: (rows, p), per SI unit of each parameter; rows are states, points, axes.
+    :param design: (rows, p), per SI unit of each parameter; rows are states, points, axes. Zero without a reading.
     :param target: (rows,).
-    :param config: (rows,) row of the configuration of each.
-    :param weight: (rows,) of each in the sum of squares; less than one for gross residuals.
+    :param config: (rows,) index of the configuration of each equation.
+    :param weight: (rows,) of each equation in the sum of squares; less than one for gross residuals.
     """
 
     design: Array
@@ -317,57 +324,58 @@ class LinearEquations(Struct, frozen=True, eq=False, dict=True):
     weight: Array
 
     @property
-    def configs(self) -> int:
+    def config_count(self) -> int:
         """Number of configurations."""
         return int(self.config.max()) + 1
 
     @cached_property
-    def count(self) -> int:
+    def reading_count(self) -> int:
         """Number of equations that contain a reading."""
         return int(np.count_nonzero(np.linalg.norm(self.design, axis=1) > 0.0))
 
     @cached_property
-    def by_configuration(self) -> NormalEquations:
+    def equations_by_configuration(self) -> NormalEquations:
         """The normal equations of each configuration: (C, p, p), (C, p) and (C,)."""
         product = self.design * self.weight[:, None]
-        masks = [self.config == index for index in range(self.configs)]
+        masks = [self.config == index for index in range(self.config_count)]
         return NormalEquations(
             np.array([product[rows].T @ self.design[rows] for rows in masks]),
             np.array([product[rows].T @ self.target[rows] for rows in masks]),
             np.array([float(self.weight[rows] @ self.target[rows] ** 2) for rows in masks]),
         )
 
-    def normal(self, columns: Ints, excluded_configs: Ints | None = None) -> NormalEquations:
+    def normal_equations(self, columns: Ints, excluded_configs: Ints | None = None) -> NormalEquations:
         """Return the normal equations of n parameters: (n, n), (n,) and ().
 
         :param columns: (n,) indices of these parameters.
         :param excluded_configs: configurations to leave out; None: none.
         """
-        sums = self._sum
+        sums = self._total_equations
         if excluded_configs is not None:
-            excluded_sums = (part[excluded_configs].sum(axis=0) for part in self.by_configuration)
-            sums = NormalEquations(*(total - part for total, part in zip(sums, excluded_sums, strict=True)))
+            excluded_sums = (term[excluded_configs].sum(axis=0) for term in self.equations_by_configuration)
+            sums = NormalEquations(*(total - excluded for total, excluded in zip(sums, excluded_sums, strict=True)))
         return NormalEquations(sums.square[np.ix_(columns, columns)], sums.right[columns], sums.square_sum)
 
     @cached_property
-    def _sum(self) -> NormalEquations:
+    def _total_equations(self) -> NormalEquations:
         """The normal equations of all configurations together: (p, p), (p,) and ()."""
-        square, right, square_sum = self.by_configuration
+        square, right, square_sum = self.equations_by_configuration
         return NormalEquations(square.sum(axis=0), right.sum(axis=0), np.asarray(square_sum.sum()))
 
     def residual(self, values: Array, rows: Array | slice = slice(None)) -> Array:
-        """Return the residuals target − design·values of some rows, all by default; `values` (p,), SI."""
+        """Return the residuals target − design·values of some rows, by default of all; `values` (p,), SI."""
         return np.asarray(self.target[rows] - self.design[rows] @ values)
 
     def mean_squares(self, residual: Array) -> Array:
-        """Return the weighted mean squares (C,) of residuals (rows,) of each configuration."""
+        """Return the mean of weight times square (C,) of residuals (rows,), for each configuration."""
         count = np.bincount(self.config)
         return np.asarray(np.bincount(self.config, weights=self.weight * residual**2) / count)
 
 
 def linearise(structure: Structure, values: Array, data: Measurements, placement: Placement) -> LinearEquations:
-    """Return the equations at some values of the parameters; gross residuals there are weighted down.
+    """Return the equations at some values of the parameters; points with gross residuals are weighted down.
 
+    :param values: (p,) SI.
     :raises PostprocError: the springs have no equilibrium under a measured load.
     """
     whitening_matrices = whitening(data)
@@ -382,7 +390,7 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
     design = whiten(whitening_matrices, slopes).reshape(-1, len(values))
     white_residual = whiten(whitening_matrices, displacement_residuals(prediction, data, placement))
     weight = _robust_weights(np.linalg.norm(white_residual, axis=2))
-    is_visible = np.repeat((visible(data)[..., 0] > 0.0).ravel(), 3)
+    is_visible = np.repeat((visible_points(data)[..., 0] > 0.0).ravel(), 3)
     config = np.repeat(data.state_config[data.loaded_states], 3 * len(data.points))
     design = design * is_visible[:, None]
     target = white_residual.ravel() + design @ values
@@ -390,9 +398,11 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
 
 
 def _robust_weights(size: Array) -> Array:
-    """Return the weights (L, P) of points by the sizes (L, P) of their whitened residuals: less than 1 for gross ones.
+    """Return the weights (L, P) of points: 1, and less if the whitened residual of the point is gross.
 
     Source: Huber, "Robust estimation of a location parameter", 1964. The usual size comes from the median.
+
+    :param size: (L, P) lengths of the whitened residuals; zero for points without a reading.
     """
     usual_size = float(np.median(size[size > 0.0])) / _MEDIAN_OF_THREE if np.any(size > 0.0) else 1.0
     # 1e-300 keeps zero out of the denominator
@@ -401,7 +411,7 @@ def _robust_weights(size: Array) -> Array:
 
 _LEAST_COMPLIANCE = 1e-9
 """Smallest compliance of a joint [rad/(N·m)] that sets a scale (assumed)."""
-_OF_JOINT = 0.1
+_SHARE_OF_JOINT = 0.1
 """Usual compliance of a part of a gear, and of a link's rotation, over that of the joint (assumed)."""
 
 JOINT, STATED_SPREAD = "joint", ""
@@ -428,14 +438,14 @@ class Prior(Struct, frozen=True, eq=False):
 
     :param mean: (p,).
     :param size: (p,) standard deviation at a factor of one.
-    :param kind: (p,) index into `kinds` of the factor on the size; −1 where the size is stated.
-    :param kinds: names in `FACTORS`.
-    :param signed: (p,) parameters that may have either sign; the others are ≥ 0.
+    :param kind_index: (p,) index into `kinds`, −1 for parameters of a stated size. Parameters of a kind share a factor.
+    :param kinds: keys of `FACTORS`.
+    :param signed: (p,) whether the parameter may have either sign; else it is ≥ 0.
     """
 
     mean: Array
     size: Array
-    kind: Ints
+    kind_index: Ints
     kinds: tuple[str, ...]
     signed: Bools
 
@@ -443,7 +453,7 @@ class Prior(Struct, frozen=True, eq=False):
 def prior_of(structure: Structure) -> Prior:
     """Return the prior of the parameters of a structure.
 
-    Joint compliances and parameters whose spread the robot states are about the values of the robot; others about 0.
+    Means: the robot's values for joint compliances and for parameters of the kind `STATED_SPREAD`, else 0.
     """
     robot = structure.prior
     kinds_and_sizes = [_kind_and_size(parameter, robot) for parameter in structure.parameters]
@@ -455,9 +465,9 @@ def prior_of(structure: Structure) -> Prior:
         for kind, parameter in zip(parameter_kinds, structure.parameters, strict=True)
     ]
     return Prior(
-        mean=np.where(is_about_robot, structure.start(), 0.0),
+        mean=np.where(is_about_robot, structure.start_values(), 0.0),
         size=np.array([size for _, size in kinds_and_sizes]),
-        kind=np.array([kinds.index(kind) if kind in kinds else -1 for kind in parameter_kinds], dtype=np.int64),
+        kind_index=np.array([kinds.index(kind) if kind in kinds else -1 for kind in parameter_kinds], dtype=np.int64),
         kinds=kinds,
         signed=np.array(is_signed, dtype=bool),
     )
@@ -466,7 +476,8 @@ def prior_of(structure: Structure) -> Prior:
 def _kind_and_size(parameter: Parameter, robot: RobotModel) -> tuple[str, float]:
     """Return the kind of a parameter, a key of `FACTORS`, and the standard deviation of its prior at factor 1, SI.
 
-    The kind is `STATED_SPREAD` if the robot states the standard deviation.
+    The kind is `STATED_SPREAD`, without a factor, if the robot states the standard deviation. It is the kind of all
+    other parameters too; their usual size is the standard deviation.
     """
     sigma = robot.prior_sigma(parameter)
     if not isinstance(parameter, JointCompliance) and np.isfinite(sigma):
@@ -480,28 +491,28 @@ def _kind_and_size(parameter: Parameter, robot: RobotModel) -> tuple[str, float]
             if parameter.slides:
                 return f"{part} translation", parameter.usual
             joint_compliance = joint_compliances[0 if parameter.link == BASE else JOINTS.index(parameter.link)]
-            return f"{part} rotation", float(_OF_JOINT * joint_compliance)
+            return f"{part} rotation", float(_SHARE_OF_JOINT * joint_compliance)
         case GearCoupling():
-            pair = joint_compliances[[JOINTS.index(parameter.joint), JOINTS.index(parameter.second)]]
-            return "coupling", float(_OF_JOINT * np.sqrt(pair.prod()))
+            coupled_compliances = joint_compliances[[JOINTS.index(parameter.joint), JOINTS.index(parameter.second)]]
+            return "coupling", float(_SHARE_OF_JOINT * np.sqrt(coupled_compliances.prod()))  # geometric mean
         case PoseWave():
-            size = _OF_JOINT * joint_compliances[JOINTS.index(parameter.joint)] * over_pose.share(parameter)
+            size = _SHARE_OF_JOINT * joint_compliances[JOINTS.index(parameter.joint)] * over_pose.share(parameter)
             return f"{parameter.joint} over the pose", float(size)
         case LostMotion() | Backlash():
             return "lost motion" if isinstance(parameter, LostMotion) else "backlash", parameter.usual
         case FadingPart():
             kind = "breakpoint" if isinstance(parameter, Knee) else "fading"
-            return kind, float(_OF_JOINT * joint_compliances[JOINTS.index(parameter.joint)])
+            return kind, float(_SHARE_OF_JOINT * joint_compliances[JOINTS.index(parameter.joint)])
         case CompensatorTorque():
             return "compensator", parameter.usual
     return STATED_SPREAD, parameter.usual
 
 
-_NARROWEST, _WIDEST = -6.0, 4.0
+_MIN_LOG_FACTOR, _MAX_LOG_FACTOR = -6.0, 4.0
 """Limits of the logarithms of factors (assumed)."""
-_MOST_NOISE = 4.0
-"""Largest logarithm of φ; its prior is normal about 0 with standard deviation `_NOISE_SPREAD` (assumed)."""
-_NOISE_SPREAD = 0.5
+_MAX_LOG_NOISE = 4.0
+"""Largest logarithm of φ; its prior is normal about 0 with standard deviation `_LOG_NOISE_SIGMA` (assumed)."""
+_LOG_NOISE_SIGMA = 0.5
 """Assumed: the stated noise is right within a factor of 1.6, by one standard deviation."""
 
 
@@ -512,9 +523,9 @@ class Regression(Struct, frozen=True, eq=False):
     :param mean: (n,) prior mean, SI.
     :param spread: (n,) prior standard deviation, SI.
     :param signed: (n,) whether the parameter may be negative.
-    :param noise: φ.
+    :param noise: factor φ on the variance of the readings.
     :param evidence: logarithm of the density of the readings and the factors.
-    :param size: p.
+    :param size: number p of parameters of the equations.
     """
 
     columns: Ints
@@ -528,21 +539,19 @@ class Regression(Struct, frozen=True, eq=False):
     def solve(self, equations: LinearEquations, excluded_configs: Ints | None = None) -> Array:
         """Return the most probable values (p,), SI; zero for parameters that are not among the columns.
 
-        Non-negative least squares (Lawson and Hanson 1974) on the normal equations. Parameters of either sign come
-        first in `order`. With the triangular factor of Cholesky the others are solved without them; then they follow.
+        Non-negative least squares (Lawson and Hanson 1974) on the normal equations N x = r. With the Cholesky factor
+        N = Uᵀ U, the cost is |U x − t|² with Uᵀ t = r. Signed parameters s come first, so that U is triangular in
+        blocks: non-negative parameters b minimise |U_bb x_b − t_b|², then U_ss x_s = t_s − U_sb x_b.
 
         :param excluded_configs: configurations to leave out; None: none.
         """
-        from scipy.optimize import nnls
+        from scipy.optimize import nnls  # takes long to import
 
         normal, right = self._normal(equations, excluded_configs)
         order, signed_count = np.argsort(~self.signed, kind="stable"), int(np.count_nonzero(self.signed))
         lower = np.linalg.cholesky(normal[np.ix_(order, order)])
         target, upper = np.linalg.solve(lower, right[order]), lower.T
-        signed_part, bounded_part = (
-            slice(0, signed_count),
-            slice(signed_count, None),
-        )  # parts of the order; bounded: ≥ 0
+        signed_part, bounded_part = slice(0, signed_count), slice(signed_count, None)  # of `order`; bounded: ≥ 0
         scaled_values = np.empty(len(order))
         scaled_values[bounded_part], _ = nnls(
             upper[bounded_part, bounded_part], target[bounded_part], maxiter=100 * len(order)
@@ -556,23 +565,25 @@ class Regression(Struct, frozen=True, eq=False):
         return values
 
     def unbounded_values(self, equations: LinearEquations, excluded_configs: Ints | None = None) -> Array:
-        """Return the most probable values (p,), SI, as `solve` does, if all parameters may be negative."""
+        """Return the most probable values (p,), SI, if all parameters may be negative; see `solve`."""
         normal, right = self._normal(equations, excluded_configs)
         values = np.zeros(self.size)
         values[self.columns] = np.linalg.solve(normal, right) * self.spread
         return values
 
     def covariance(self, equations: LinearEquations) -> Array:
-        """Return the posterior covariance (p, p), SI."""
+        """Return the posterior covariance (p, p), SI; zero for parameters that are not among the columns."""
         normal, _ = self._normal(equations)
         matrix = np.zeros((self.size, self.size))
         matrix[np.ix_(self.columns, self.columns)] = np.linalg.inv(normal) * np.outer(self.spread, self.spread)
         return matrix
 
     def influence(self, equations: LinearEquations, values: Array) -> Array:
-        """Return the derivatives (p, rows) of the values by the whitened readings; 0 for parameters that are zero.
+        """Return the derivatives (p, rows) of the values by the whitened readings.
 
-        :param values: (p,) SI: a non-negative parameter that is zero stays there.
+        They are 0 for non-negative parameters at their bound 0, and for parameters that are not among the columns.
+
+        :param values: (p,) result of `solve`, SI.
         """
         active = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
         normal, _ = self._normal(equations)
@@ -584,22 +595,25 @@ class Regression(Struct, frozen=True, eq=False):
         return matrix
 
     def degrees_of_freedom(self, equations: LinearEquations, values: Array) -> float:
-        """Return the effective number of parameters: tr(1 − (DᵀD/φ + S⁻²)⁻¹S⁻²) over those that are not zero.
+        """Return the effective number of parameters: tr(1 − (DᵀD/φ + S⁻²)⁻¹S⁻²).
 
-        D is the design, φ the noise factor, S the prior standard deviations.
+        D is the design, φ the noise factor, S the prior standard deviations. Non-negative parameters at their bound 0
+        do not count.
 
-        :param values: (p,) SI.
+        :param values: (p,) result of `solve`, SI.
         """
         active = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
         normal, _ = self._normal(equations)
         return float(len(active) - np.trace(np.linalg.inv(normal[np.ix_(active, active)])))
 
     def _normal(self, equations: LinearEquations, excluded_configs: Ints | None = None) -> tuple[Array, Array]:
-        """Return the normal equations, readings and prior together, for values over their prior standard deviation.
+        """Return matrix (n, n) and right side (n,) of the normal equations, readings and prior together.
 
-        :returns: (n, n) matrix and (n,) right side.
+        The unknowns are the values, each over its prior standard deviation.
+
+        :param excluded_configs: configurations to leave out; None: none.
         """
-        square, right, _ = equations.normal(self.columns, excluded_configs)
+        square, right, _ = equations.normal_equations(self.columns, excluded_configs)
         normal = square * np.outer(self.spread, self.spread) / self.noise + np.eye(len(self.columns))
         return normal, right * self.spread / self.noise + self.mean / self.spread
 
@@ -612,10 +626,10 @@ class _Evidence(Struct, frozen=True, eq=False):
     (k + 1,), their natural logarithms, φ last; these have normal priors. The normal equations are those for deviations
     of n parameters from m, in units of their standard deviations at factor 1.
 
-    :param square: (n, n) matrix of the normal equations, `right` (n,) their right side.
+    :param square: (n, n) matrix of the normal equations, and `right` (n,) right side.
     :param square_sum: sum of the squares of the deviations of y from D·m.
     :param count: number of readings.
-    :param kind_rows: for each kind the rows of its parameters, among n.
+    :param kind_rows: for each of k kinds the indices of its parameters, from 0 to n − 1.
     :param log_mean: (k + 1,) prior mean of `logs`, and `log_sigma` (k + 1,) standard deviation.
     """
 
@@ -629,29 +643,37 @@ class _Evidence(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, equations: LinearEquations, prior: Prior, columns: Ints) -> _Evidence:
-        """Return the evidence for parameters; `columns` (n,): their indices among those of the equations."""
+        """Return the evidence for n parameters; `columns` (n,): their indices among those of the equations."""
         size, mean = prior.size[columns], prior.mean[columns]
-        kinds = [name for index, name in enumerate(prior.kinds) if (prior.kind[columns] == index).any()]
-        square, right, target_square = equations.normal(columns)
+        kinds = [name for index, name in enumerate(prior.kinds) if (prior.kind_index[columns] == index).any()]
+        square, right, target_square = equations.normal_equations(columns)
         return cls(
             square=square * np.outer(size, size),
             right=(right - square @ mean) * size,
             square_sum=float(target_square) - 2.0 * float(mean @ right) + float(mean @ square @ mean),
-            count=equations.count,
-            kind_rows=[np.flatnonzero(prior.kind[columns] == prior.kinds.index(name)) for name in kinds],
+            count=equations.reading_count,
+            kind_rows=[np.flatnonzero(prior.kind_index[columns] == prior.kinds.index(name)) for name in kinds],
             log_mean=np.array([*(FACTORS[name][0] for name in kinds), 0.0]),
-            log_sigma=np.array([*(FACTORS[name][1] for name in kinds), _NOISE_SPREAD]),
+            log_sigma=np.array([*(FACTORS[name][1] for name in kinds), _LOG_NOISE_SIGMA]),
         )
 
     def factors(self, logs: Array) -> Array:
-        """Return the factor on the standard deviation of each parameter (n,), 1 for those of no kind."""
+        """Return the factor (n,) on the standard deviation of each parameter; 1 for parameters of a stated size.
+
+        :param logs: (k + 1,) see the class.
+        """
         factor = np.ones(len(self.right))
         for log, rows in zip(logs[:-1], self.kind_rows, strict=True):
             factor[rows] = np.exp(log)
         return factor
 
     def cost(self, logs: Array) -> tuple[float, Array]:
-        """Return −log evidence, up to a constant, and its derivatives (k + 1,) by `logs`."""
+        """Return −log evidence, up to a constant, and its derivatives (k + 1,) by `logs` (k + 1,), see the class.
+
+        With N = 1 + S(DᵀD)S/φ and the most probable values x, over their standard deviations, it is
+        ½(|y − DSx|²/φ + |x|² + count·log φ + log det N) plus the priors of `logs`. For the derivatives x counts as
+        fixed, as it minimises the cost.
+        """
         factor, noise = self.factors(logs), float(np.exp(logs[-1]))
         normal = np.eye(len(factor)) + factor[:, None] * self.square * factor / noise
         lower = np.linalg.cholesky(normal)
@@ -664,23 +686,23 @@ class _Evidence(Struct, frozen=True, eq=False):
             + float(scaled_values @ self.square @ scaled_values)
         )
         log_determinant_half = float(np.log(np.diag(lower)).sum())
-        value = 0.5 * (residual_sum / noise + values @ values + self.count * logs[-1]) + log_determinant_half
-        information_share = 1.0 - np.diag(inverse)  # of the readings in what is known of each parameter
+        likelihood_cost = 0.5 * (residual_sum / noise + values @ values + self.count * logs[-1]) + log_determinant_half
+        information_share = 1.0 - np.diag(inverse)  # share of the readings, next to the prior, in each parameter
         slope = [float((information_share[rows] - values[rows] ** 2).sum()) for rows in self.kind_rows]
         slope.append(0.5 * (self.count - float(information_share.sum())) - 0.5 * residual_sum / noise)
         deviation = (logs - self.log_mean) / self.log_sigma
-        return value + 0.5 * float(deviation @ deviation), np.array(slope) + deviation / self.log_sigma
+        return likelihood_cost + 0.5 * float(deviation @ deviation), np.array(slope) + deviation / self.log_sigma
 
 
 def learn(equations: LinearEquations, prior: Prior, columns: Ints) -> Regression:
-    """Return the regression whose prior widths and noise factor maximise the evidence (MacKay 1992), see the module.
+    """Return the regression on n parameters whose prior widths and noise factor maximise the evidence (MacKay 1992).
 
     :param columns: (n,) indices of the parameters to use, among those of the equations.
     """
-    from scipy.optimize import minimize
+    from scipy.optimize import minimize  # takes long to import
 
     evidence = _Evidence.of(equations, prior, columns)
-    limits = [*([(_NARROWEST, _WIDEST)] * len(evidence.kind_rows)), (0.0, _MOST_NOISE)]
+    limits = [*([(_MIN_LOG_FACTOR, _MAX_LOG_FACTOR)] * len(evidence.kind_rows)), (0.0, _MAX_LOG_NOISE)]
     optimum = minimize(
         evidence.cost, evidence.log_mean, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 200}
     )

@@ -9,8 +9,8 @@ Garnier, Furet, "Joint stiffness identification of six-revolute industrial seria
 Computer-Integrated Manufacturing 27 (2011), as the paper describes it. The displacement of the flange, position and
 orientation, is computed from the points; k follows by linear least squares from Δt = J diag(k) Jᵀ F, Eq. (2).
 
-**Observability** (`not_observable`): parameters that the readings do not determine, the reason, and what to measure
-instead.
+**Observability** (`unobservable_parameters`): parameters that the readings do not determine, the reason, and what to
+measure instead.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from postproc.identification.measurement_model import (
     LevelCompliance,
     Placement,
     Structure,
+    coordinate_count,
     device_to_root,
     joint_torques,
     kabsch,
@@ -50,14 +51,14 @@ from postproc.robot import (
     RobotModel,
 )
 
-UNCERTAIN = 0.5
+UNCERTAIN_SHARE = 0.5
 """Half width of the 95 % interval over the value beyond which a parameter counts as not determined."""
-_NO_TORQUE = 0.02
+_LEAST_TORQUE_SHARE = 0.02
 """Largest torque on a joint over the largest on any, below which the loads do not reach it."""
-PRIOR_SPREAD = 0.5
+PRIOR_SPREAD_SHARE = 0.5
 """Standard deviation of a prior compliance over its value, where the prior states none: published sets for one class
 of arm differ by 20 to 50 %."""
-_LONGEST_SPRING = 3.0
+_MAX_FREE_LENGTH = 3.0
 """Free length [m] that no compensator has (assumed)."""
 
 
@@ -77,17 +78,19 @@ class UnobservableParameter(Struct, frozen=True):
         return f"{self.name} is not observable: {self.reason}. {self.advice} The robot's prior value is kept."
 
 
-def not_observable(fit: Fit, data: Measurements, covariance_has_misfit: bool = False) -> list[UnobservableParameter]:
-    """Return the joint compliances and compensator values that the fit does not determine.
+def unobservable_parameters(
+    fit: Fit, data: Measurements, covariance_has_misfit: bool = False
+) -> list[UnobservableParameter]:
+    """Return the joint compliances and the compensator's stiffness, if the fit does not determine them.
 
     The compensator comes first, then the compliances by the width of their intervals, widest first.
 
-    :param covariance_has_misfit: the covariance already contains the unexplained residual.
+    :param covariance_has_misfit: whether the covariance already contains the unexplained residual.
     """
     robot = fit.structure.prior
     torque = joint_torques(robot, data)
     entries = []
-    # an unexplained residual widens the intervals
+    # an unexplained residual widens the intervals; noise alone does not double χ² (assumed)
     widens_intervals = not covariance_has_misfit and fit.chi2 > 2.0 * fit.dof > 0
     interval_factor = np.sqrt(max(1.0, fit.chi2 / fit.dof)) if widens_intervals else 1.0
     for index, parameter in enumerate(fit.structure.parameters):
@@ -96,7 +99,7 @@ def not_observable(fit: Fit, data: Measurements, covariance_has_misfit: bool = F
         prior_value = robot.compliance[robot.row(parameter)]
         half_width = float(fit.ci95[index] * interval_factor)
         # a value far below the prior is judged against the prior: a noisy small value would never count as determined
-        if half_width <= UNCERTAIN * max(abs(fit.values[index]), prior_value) and fit.values[index] > 0.0:
+        if half_width <= UNCERTAIN_SHARE * max(abs(fit.values[index]), prior_value) and fit.values[index] > 0.0:
             continue
         entry = _unloaded_joint(parameter, torque) or _uncertain_joint(parameter, fit, half_width)
         entries.append((half_width, entry))
@@ -113,10 +116,10 @@ def not_observable(fit: Fit, data: Measurements, covariance_has_misfit: bool = F
 def _unobservable_compensator(
     fit: Fit, data: Measurements, interval_factor: float, is_k2_undetermined: bool
 ) -> UnobservableParameter | None:
-    """Return the reason that the compensator is not observable, with advice; None if it is.
+    """Return the reason that the compensator of a fit is not observable, with advice; None if it is observable.
 
-    :param interval_factor: by which an unexplained residual widens the 95 % intervals.
-    :param is_k2_undetermined: the compliance of joint 2 is not observable.
+    :param interval_factor: factor on the 95 % intervals of the fit, by an unexplained residual.
+    :param is_k2_undetermined: whether the fit does not determine the compliance of joint 2.
     """
     index = fit.structure.parameters.index(CompensatorStiffness())
     value, half_width = float(fit.values[index]), float(fit.ci95[index] * interval_factor)
@@ -134,7 +137,7 @@ def _unobservable_compensator(
             "outweighs its effect",
             "Measure more and heavier loads at levels of q2 far apart.",
         )
-    if half_width > UNCERTAIN * value:
+    if half_width > UNCERTAIN_SHARE * value:
         return UnobservableParameter(
             CompensatorStiffness(),
             f"its effect on joint 2 is too small against the noise (K_c {value:.2g} ± {half_width:.2g} N/m)",
@@ -145,24 +148,24 @@ def _unobservable_compensator(
 
 
 def is_physical(fit: Fit) -> bool:
-    """Return whether the compensator of a fit could be built: K_c positive, a free length from 0 to `_LONGEST_SPRING`.
+    """Return whether the compensator of a fit could be built: K_c positive, a free length from 0 to `_MAX_FREE_LENGTH`.
 
     True for a fit without compensator.
     """
     stiffness = fit.parameter_values.get(CompensatorStiffness())
     if stiffness is None:
         return True
-    return stiffness > 0.0 and 0.0 <= fit.parameter_values[CompensatorPreload()] / stiffness <= _LONGEST_SPRING
+    return stiffness > 0.0 and 0.0 <= fit.parameter_values[CompensatorPreload()] / stiffness <= _MAX_FREE_LENGTH
 
 
 def _unloaded_joint(parameter: JointCompliance, torque: Array) -> UnobservableParameter | None:
-    """Return that a joint compliance is not observable since the loads put hardly any torque on it; None if they do.
+    """Return the entry of a joint compliance whose joint the loads hardly load; None if they load it enough.
 
-    :param torque: (L, 6) of the loads [N·m].
+    :param torque: (L, 6) on the joints by the loads [N·m].
     """
-    joint = parameter.index
+    joint = parameter.index  # 0 to 5
     joint_torque = float(np.abs(torque[:, joint]).max())
-    if joint_torque >= _NO_TORQUE * float(np.abs(torque).max()):
+    if joint_torque >= _LEAST_TORQUE_SHARE * float(np.abs(torque).max()):
         return None
     reason = f"the loads put at most {joint_torque:.2g} N·m on A{joint + 1}"
     advice = f"Choose configurations in which the load has a lever about A{joint + 1}."
@@ -176,13 +179,13 @@ def _unloaded_joint(parameter: JointCompliance, torque: Array) -> UnobservablePa
 
 
 def _uncertain_joint(parameter: JointCompliance, fit: Fit, half_width: float) -> UnobservableParameter:
-    """Return that the interval of a joint compliance of a fit is too wide, and what it cannot be separated from.
+    """Return the entry of a joint compliance whose interval is too wide, with the parameter that is confused with it.
 
     :param half_width: of its 95 % interval [rad/(N·m)]; infinite if the readings do not determine it.
     """
     index = fit.structure.parameters.index(parameter)
     correlation = correlations(fit.covariance)[index]
-    correlation[index] = 0.0  # by itself
+    correlation[index] = 0.0  # of the parameter with itself
     partner = int(np.argmax(np.abs(correlation)))
     reason = "the configurations do not determine it"
     if np.isfinite(half_width):
@@ -199,16 +202,18 @@ def _uncertain_joint(parameter: JointCompliance, fit: Fit, half_width: float) ->
 
 
 def unloaded_joints(robot: RobotModel, data: Measurements) -> tuple[JointCompliance, ...]:
-    """Return the compliances of joints on which the loads put less than `_NO_TORQUE` of the largest joint torque."""
+    """Return the compliances of joints whose torque by the loads is below `_LEAST_TORQUE_SHARE` of the largest one."""
     torque = np.abs(joint_torques(robot, data)).max(axis=0)
-    is_unloaded = torque < _NO_TORQUE * torque.max()
+    is_unloaded = torque < _LEAST_TORQUE_SHARE * torque.max()
     return tuple(joint for joint, is_idle in zip(JOINT_COMPLIANCES, is_unloaded, strict=True) if is_idle)
 
 
-def held_by_prior(fit: Fit, open_entries: list[UnobservableParameter]) -> Fit:
-    """Return the fit with values and uncertainties of the prior for joint compliances that it does not determine.
+def fit_with_prior_values(fit: Fit, open_entries: list[UnobservableParameter]) -> Fit:
+    """Return the fit with the prior's values and variances for joint compliances that it does not determine.
 
-    :param open_entries: parameters that are not observable; those of the compensator are ignored.
+    They are added to its parameters if they were omitted from the fit.
+
+    :param open_entries: parameters that are not observable; entries of the compensator are ignored.
     """
     robot, fit_parameters = fit.structure.prior, fit.structure.parameters
     joints = [entry.parameter for entry in open_entries if isinstance(entry.parameter, JointCompliance)]
@@ -228,12 +233,15 @@ def held_by_prior(fit: Fit, open_entries: list[UnobservableParameter]) -> Fit:
 
 
 def prior_spread(robot: RobotModel, joint: Parameter) -> float:
-    """Return the standard deviation of a joint compliance of a robot [rad/(N·m)]: stated, else `PRIOR_SPREAD` of it."""
+    """Return the standard deviation of a joint compliance of a robot [rad/(N·m)].
+
+    It is the stated one, or `PRIOR_SPREAD_SHARE` of the compliance if the robot states none.
+    """
     covariance = robot.covariance
     if covariance is not None and joint in covariance.parameters:
         index = covariance.parameters.index(joint)
         return float(np.sqrt(covariance.matrix[index, index])) / joint.per_si
-    return PRIOR_SPREAD * robot.value(joint)
+    return PRIOR_SPREAD_SHARE * robot.value(joint)
 
 
 _CHI2_LIMIT = 13.8
@@ -254,7 +262,11 @@ class Levels(Struct, frozen=True, eq=False):
 
 
 class SpringOfJoint2(Struct, frozen=True, eq=False):
-    """K⁰_θ2 [N·m/rad], K_c [N/m], s₀·K_c [N] from the levels: second step of the paper, with covariance (3, 3)."""
+    """Gear and compensator of joint 2 from the levels: second step of the paper.
+
+    :param values: (3,) K⁰_θ2 [N·m/rad], K_c [N/m], s₀·K_c [N].
+    :param covariance: (3, 3).
+    """
 
     values: Array
     covariance: Array
@@ -273,7 +285,7 @@ def extended_set(robot: RobotModel, data: Measurements, placement: Placement) ->
     The fit is iterated on the equilibrium. Its first iterate, from zero compliance, is Eq. (8) itself: there the
     derivative of the displacement by k_j is J_j J_jᵀ F.
 
-    :returns: None if there are too few readings for a value at each level, or no equilibrium.
+    :returns: None if there are too few readings for a value at each level, or the fit has no equilibrium.
     """
     level = levels_of(data)
     count = int(level.max()) + 1
@@ -297,8 +309,9 @@ def compensator_from_levels(levels: Levels, law: Compensator) -> SpringOfJoint2 
     Least squares by Eq. (9) and (10), which are linear in K⁰_θ2, K_c and s₀·K_c, weighted by the covariance of the
     levels.
 
-    :param law: gives L, a_x, a_y.
-    :returns: None with fewer than three usable levels, or if these do not separate the three values.
+    :param law: compensator whose lengths L, a_x, a_y count; its spring does not.
+    :returns: None if fewer than three levels have a positive compliance of finite variance, or if the levels do not
+        separate the three values.
     """
     is_determined = np.isfinite(np.diag(levels.covariance)) & (levels.compliance > 0.0)
     if np.count_nonzero(is_determined) < 3:
@@ -310,7 +323,7 @@ def compensator_from_levels(levels: Levels, law: Compensator) -> SpringOfJoint2 
     weight = np.linalg.inv(covariance)
     normal = design.T @ weight @ design
     scale = 1.0 / np.sqrt(np.diag(normal))
-    # singular but for rounding
+    # singular, but for rounding
     if np.linalg.cond(normal * np.outer(scale, scale)) > 1e12:
         return None
     spring_covariance: Array = np.asarray(np.linalg.inv(normal))
@@ -322,10 +335,10 @@ def fit_joints(
 ) -> tuple[Fit, list[UnobservableParameter]]:
     """Fit k1…k6, and K_c and s₀ of a compensator, omitting what the readings do not determine.
 
-    Parameters are omitted one after the other, the worst first: the robot's values are kept for them.
+    Parameters are omitted one after the other, the worst first; they keep the robot's values.
 
-    :param start: gear and compensator of joint 2 to begin with; None: those of the robot.
-    :returns: the fit of the others; the parameters that are omitted.
+    :param start: gear and compensator of joint 2 to begin with; None: the robot's.
+    :returns: the fit without the omitted parameters; entries of the omitted parameters.
     :raises MeasurementError: there are fewer readings than unknowns, or they determine none of the compliances.
     """
     _check_count(data)
@@ -336,7 +349,7 @@ def fit_joints(
         structure = Structure(tuple(parameters), robot)
         fit = _attempt(structure, data, placement, _start_values(structure, start))
         start = None  # of the first fit only
-        unobservable = not_observable(fit, data)
+        unobservable = unobservable_parameters(fit, data)
         # an uncertain spring stays if the prior's is refuted; one that cannot be built is no better than the prior's
         if unobservable and unobservable[0].parameter in COMPENSATOR and is_physical(fit):
             is_prior_refuted = is_prior_refuted or _refutes_prior_spring(fit, data, placement)
@@ -353,9 +366,9 @@ def fit_joints(
 
 
 def _check_count(data: Measurements) -> None:
-    """Check that there are more readings under load than joint compliances.
+    """Check that there are more coordinates of readings under load than joint compliances.
 
-    :raises MeasurementError: there are not.
+    :raises MeasurementError: there are as many or fewer.
     """
     readings = 3 * len(data.loaded_states) * len(data.points)
     if readings <= len(JOINT_COMPLIANCES):
@@ -367,12 +380,13 @@ def _check_count(data: Measurements) -> None:
 
 
 def _start_values(structure: Structure, start: SpringOfJoint2 | None) -> Array:
-    """Return start values (p,) of a fit, SI: those of the robot, and for joint 2 and its compensator those of `start`.
+    """Return start values (p,) of a fit, SI: for joint 2 and its compensator from `start`, else the robot's.
 
-    :param structure: with k2 if it has K_c.
-    :param start: gear and compensator of joint 2; None, or a gear without stiffness: those of the robot.
+    :param structure: a structure with K_c has k2 too.
+    :param start: gear and compensator of joint 2. The robot's values are taken if it is None, if its gear stiffness is
+        not positive, or if the structure has no K_c.
     """
-    values = structure.start()
+    values = structure.start_values()
     if start is not None and CompensatorStiffness() in structure.parameters and start.values[0] > 0.0:
         gear_stiffness, spring_stiffness, preload = start.values
         rows = [structure.parameters.index(parameter) for parameter in (JOINT_COMPLIANCES[1], *COMPENSATOR)]
@@ -381,21 +395,23 @@ def _start_values(structure: Structure, start: SpringOfJoint2 | None) -> Array:
 
 
 def _refutes_prior_spring(fit: Fit, data: Measurements, placement: Placement) -> bool:
-    """Return whether the readings contradict the prior's compensator: an uncertain value is then better than that.
+    """Return whether the readings contradict the prior's compensator: an uncertain value is then better.
 
-    The fit is repeated without the two parameters; the growth of χ² is compared with the residual of the full fit.
+    The fit is repeated with the compensator of the prior. The readings contradict it if χ² grows by more than
+    `_CHI2_LIMIT` times the χ² per degree of freedom of the full fit, at least 1. False if the full fit has no finite
+    variance of K_c.
     """
     spring = fit.structure.parameters.index(CompensatorStiffness())
     if not np.isfinite(fit.covariance[spring, spring]):
         return False
     other_parameters = tuple(p for p in fit.structure.parameters if p not in COMPENSATOR)
     structure = Structure(other_parameters, fit.structure.prior)
-    reduced_fit = _attempt(structure, data, placement, structure.start())
+    reduced_fit = _attempt(structure, data, placement, structure.start_values())
     return reduced_fit.chi2 - fit.chi2 > _CHI2_LIMIT * max(1.0, fit.chi2 / max(fit.dof, 1))
 
 
 def _attempt(structure: Structure, data: Measurements, placement: Placement, values: Array) -> Fit:
-    """Return the fit from start values (p,); where it fails, two iterations from the prior."""
+    """Return the fit from start values (p,); if it fails, the fit after two iterations from the prior."""
     try:
         return gauss_newton(structure, data, placement, start=values)
     except PostprocError:  # a start far off: the prior itself
@@ -405,9 +421,10 @@ def _attempt(structure: Structure, data: Measurements, placement: Placement, val
 def flange_displacements(data: Measurements, placement: Placement) -> Array:
     """Return measured displacements (L, 6) of the load point by the loads: position [m], rotation [rad], root axes.
 
-    NaN for a loaded state with fewer than three points that have readings with and without load.
+    A loaded state is NaN if fewer than three points have readings with and without its load.
 
-    :raises MeasurementError: fewer than three points, or points on one line: no orientation.
+    :raises MeasurementError: there are fewer than three points, or they are on one line, so that they show no
+        orientation.
     """
     offset = placement.points - placement.points.mean(axis=0)
     if len(data.points) < 3 or np.linalg.matrix_rank(offset, tol=5e-3) < 2:  # within 5 mm of a line
@@ -424,7 +441,7 @@ def flange_displacements(data: Measurements, placement: Placement) -> Array:
     for row, state in enumerate(data.loaded_states):
         unloaded_state = data.unloaded_states[data.state_config[state]]
         is_visible = (count[state] > 0) & (count[unloaded_state] > 0)
-        if np.count_nonzero(is_visible) >= 3:
+        if np.count_nonzero(is_visible) >= 3:  # three points show the orientation
             points = placement.points[is_visible]
             unloaded_pose, loaded_pose = (
                 kabsch(points, positions[index, is_visible]) for index in (unloaded_state, state)
@@ -458,7 +475,7 @@ def fit_serial(robot: RobotModel, data: Measurements, placement: Placement) -> F
     pose_residual = target - design @ values
     sigma = np.sqrt(float(pose_residual @ pose_residual) / (len(target) - 6))
     structure = Structure(JOINT_COMPLIANCES, serial_robot)
-    covariance = covariance_of(design / sigma, structure.usual())
+    covariance = covariance_of(design / sigma, structure.usual_sizes())
     return _fit_of_points(structure, values, covariance, data, placement)
 
 
@@ -476,9 +493,9 @@ def _twists_by_compliance(robot: RobotModel, data: Measurements) -> Array:
 def _fit_of_points(
     structure: Structure, values: Array, covariance: Array, data: Measurements, placement: Placement
 ) -> Fit:
-    """Return joint compliances that were fitted to poses as a fit, with the residuals of the points.
+    """Return a fit of joint compliances, with residuals and χ² of the points that their equilibrium predicts.
 
-    :param values: (6,) compliances [rad/(N·m)], and `covariance` (6, 6) of them.
+    :param values: (6,) compliances [rad/(N·m)] that were fitted to poses, with `covariance` (6, 6).
     """
     # no equilibrium without stiffness: compliances are at least 1e-9 rad/(N·m) in the prediction of the points
     prediction, slopes = predict(structure, np.maximum(values, 1e-9), data, placement)
@@ -489,7 +506,7 @@ def _fit_of_points(
         data,
         placement,
         covariance=covariance,
-        dof=len(design) - 6,
+        dof=coordinate_count(data) - 6,
         prediction=prediction,
         design=design,
     )

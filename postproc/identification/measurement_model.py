@@ -39,8 +39,8 @@ class Placement(Struct, frozen=True, eq=False):
 
     :param root_in_device: (4, 4) maps robot root coordinates to the frame of the device [m].
     :param points: (P, 3) in the flange frame [m].
-    :param covariance: (6 + 3P, 6 + 3P) of (twist of the root in device axes, points), for unit noise [1/1].
-    :param residual: (C, P, 3) reading minus model without load, device axes [m].
+    :param covariance: (6 + 3P, 6 + 3P) of the twist of the root in device axes and the points, for noise of 1 m.
+    :param residual: (C, P, 3) reading minus model without load, device axes [m]; 0 for points without a reading.
     """
 
     root_in_device: Array
@@ -51,7 +51,7 @@ class Placement(Struct, frozen=True, eq=False):
     @property
     def rms(self) -> float:
         """RMS distance of the unloaded readings from the model [m]."""
-        squares = np.sum(self.residual**2, axis=-1)
+        squares = np.sum(self.residual**2, axis=-1)  # exactly zero for points without a reading
         return float(np.sqrt(squares.sum() / max(1, np.count_nonzero(squares))))
 
 
@@ -59,7 +59,7 @@ def kabsch(source: Array, target: Array) -> Array:
     """Return the rigid transform (4, 4) from `source` (n, 3) to `target` (n, 3) with least squares (Kabsch 1976)."""
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     u, _, vt = np.linalg.svd((source - source_mean).T @ (target - target_mean))
-    # a rotation, no reflection
+    # the last sign makes it a rotation, not a reflection
     sign = np.diag([1.0, 1.0, np.linalg.det(vt.T @ u.T)])
     pose = np.eye(4)
     pose[:3, :3] = vt.T @ sign @ u.T
@@ -107,7 +107,7 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
 
 
 def _check_separable(normal: Array, file_name: str) -> None:
-    """Check that normal equations (n, n) determine base transform and reference points.
+    """Check that normal equations (n, n) determine base transform and reference points: they are not singular.
 
     :raises MeasurementError: they are singular, but for rounding.
     """
@@ -147,10 +147,11 @@ def as_positions(robot: RobotModel, data: Measurements) -> Measurements:
 def unloaded_flange(robot: RobotModel, q: Array) -> Array:
     """Return the pose (C, 4, 4) of the flange without load, root frame [m]; `q` (C, 6) [rad].
 
-    A robot whose geometry is that of a weightless one sags by its weights.
+    A robot whose geometry is weightless sags by its weights; other geometries contain the sag.
     """
     if robot.subtract_reference:  # the geometry contains the sag
-        return kinematics.tcp(robot.actual, elastostatics.coordinates(robot, q), np.eye(4))[0]
+        pose, _ = kinematics.tcp(robot.actual, elastostatics.coordinates(robot, q), np.eye(4))
+        return pose
     return elastostatics.deflect(robot, q, np.eye(4), np.zeros((len(q), 6))).pose
 
 
@@ -180,9 +181,12 @@ def device_to_root(placement: Placement, positions: Array) -> Array:
 
 
 def placement_derivatives(model: Array, origin: Array, rotation: Array) -> Array:
-    """Return the derivatives (C, P, 3, 6 + 3P) of points by the twist of the root about itself and by the points.
+    """Return the derivatives (C, P, 3, 6 + 3P) of points in device axes, by the root and by the points themselves.
 
-    :param model: (C, P, 3) the points, device axes [m]; they are moved in flange axes.
+    The first six columns are by the twist of the root about its origin, in device axes: translation, then rotation.
+    Three columns for each point follow, by its coordinates in flange axes.
+
+    :param model: (C, P, 3) positions of the points in the device frame [m].
     :param origin: (3,) of the root in the device frame [m].
     :param rotation: (C, 3, 3) of the flange in the device frame.
     """
@@ -208,29 +212,37 @@ _MIN_WEIGHT = 1e-12
 
 
 def measured_displacements(data: Measurements, placement: Placement) -> Array:
-    """Return loaded − unloaded mean positions (L, P, 3) [m] in root axes, L loaded states."""
+    """Return loaded − unloaded mean positions (L, P, 3) [m] of L loaded states, root axes; 0 for unseen points.
+
+    A point is unseen in a loaded state if it has no reading with or no reading without this load.
+    """
     mean, _ = data.means()
     unloaded_state = data.unloaded_states[data.state_config[data.loaded_states]]
-    return visible(data) * in_root_axes(placement, mean[data.loaded_states] - mean[unloaded_state])
+    return visible_points(data) * in_root_axes(placement, mean[data.loaded_states] - mean[unloaded_state])
 
 
 def displacement_residuals(prediction: Array, data: Measurements, placement: Placement) -> Array:
-    """Return measured − predicted displacements (L, P, 3) [m], root axes; 0 where a point has no reading of both.
+    """Return measured − predicted displacements (L, P, 3) [m], root axes; 0 for points that `visible_points` excludes.
 
     :param prediction: (L, P, 3) of the loaded states, see `predict` [m].
     """
-    return np.asarray((measured_displacements(data, placement) - prediction) * visible(data))
+    return np.asarray((measured_displacements(data, placement) - prediction) * visible_points(data))
 
 
-def visible(data: Measurements) -> Array:
-    """Return 1 where a point has readings with and without load, else 0: (L, P, 1), for L loaded states."""
+def visible_points(data: Measurements) -> Array:
+    """Return 1 for points that have readings with and without load, else 0: (L, P, 1), for L loaded states."""
     _, count = data.means()
     unloaded_state = data.unloaded_states[data.state_config[data.loaded_states]]
     return np.asarray(((count[data.loaded_states] > 0) & (count[unloaded_state] > 0)).astype(float)[..., None])
 
 
+def coordinate_count(data: Measurements) -> int:
+    """Return the number of measured coordinates of displacements: three for each visible point of a loaded state."""
+    return 3 * int(np.count_nonzero(visible_points(data)))
+
+
 def whitening(data: Measurements) -> Array:
-    """Return for each point the matrix W (P, L, L) that makes its displacements independent, of variance 1: W Σ Wᵀ = I.
+    """Return matrices W (P, L, L), one a point, that make its displacements independent with variance 1: W Σ Wᵀ = I.
 
     Σ (L, L) is the covariance of the displacements in L loaded states, for noise σ of a reading: σ²/n_l on the diagonal
     for n_l readings under load. Loads of one configuration share its n_0 readings without load: plus σ²/n_0.
@@ -247,14 +259,16 @@ def whitening(data: Measurements) -> Array:
 
 
 def whiten(w: Array, values: Array) -> Array:
-    """Return values (L, P, …) of L states at P points, each point multiplied by its matrix in w (P, L, L)."""
+    """Return values (L, P, …) of L states at P points, those of each point multiplied by its matrix in w (P, L, L)."""
     return np.asarray(np.einsum("plm,mp...->lp...", w, values))
 
 
 def unwhiten(w: Array, values: Array) -> Array:
-    """Return the inverse of `whiten`: values (L, P, …), each point multiplied by the inverse of its matrix.
+    """Return values (L, P, …) of L states at P points, those of each point multiplied by the inverse of its matrix.
 
-    :param w: (P, L, L) matrices of the points; `values` (L, P, …) of L states at P points.
+    It is the inverse of `whiten`.
+
+    :param w: (P, L, L) matrices of the points.
     """
     columns = []
     for matrix, point_values in zip(w, np.swapaxes(values, 0, 1), strict=True):
@@ -298,7 +312,10 @@ class Structure(Struct, frozen=True, eq=False, dict=True):
         return plain.with_link_springs(p for p in self.parameters if isinstance(p, LinkSpring))
 
     def active(self, level: int | None) -> list[int]:
-        """Return the indices of the parameters that act at a level of q2."""
+        """Return the indices of the parameters that act at a level of q2: all but compliances of other levels.
+
+        :param level: None: a structure without levels.
+        """
         return [
             index
             for index, parameter in enumerate(self.parameters)
@@ -312,6 +329,7 @@ class Structure(Struct, frozen=True, eq=False, dict=True):
         :param level: level of q2 whose `LevelCompliance` applies to joint 2; None: no levels.
         """
         robot = self.template.with_values({self.parameters[i]: float(values[i]) for i in self.active(level)})
+        # compliances of zero or below have no equilibrium
         joints = list(robot.actuated)
         if (robot.compliance[joints] < MIN_COMPLIANCE).any():
             stiffness = robot.stiffness.copy()
@@ -322,11 +340,11 @@ class Structure(Struct, frozen=True, eq=False, dict=True):
         # the levels contain the compensator's part, about the state of rest as in Eq. (4)
         return replace(robot, compensator=None, subtract_reference=True)
 
-    def usual(self) -> Array:
+    def usual_sizes(self) -> Array:
         """Return typical magnitudes (p,) of the parameters, SI, for scaling."""
         return np.array([parameter.usual for parameter in self.parameters])
 
-    def start(self) -> Array:
+    def start_values(self) -> Array:
         """Return start values (p,), SI: those of the prior, 0 for springs that it does not have."""
         return np.array([self.template.value(parameter) for parameter in self.parameters])
 
@@ -342,9 +360,9 @@ def predict(structure: Structure, values: Array, data: Measurements, placement: 
     displacement = np.empty((len(config), len(data.points), 3))
     slopes = np.zeros((*displacement.shape, len(structure.parameters)))
     level = np.full(len(config), -1) if structure.levels is None else structure.levels[config]
-    for value in np.unique(level):
-        rows = np.flatnonzero(level == value)
-        q2_level = None if structure.levels is None else int(value)
+    for number in np.unique(level):
+        rows = np.flatnonzero(level == number)
+        q2_level = None if structure.levels is None else int(number)
         active = structure.active(q2_level)
         try:
             displacement[rows], active_slopes = _predict(
@@ -366,8 +384,9 @@ def _predict(
     """Return the displacements (n, P, 3) [m] of the points in root axes, and derivatives (n, P, 3, a) per SI unit.
 
     :param robot: with the values of the parameters.
-    :param active: indices of the a parameters for derivatives.
-    :param states: (n,) loaded states.
+    :param active: indices of the a parameters by which the derivatives are.
+    :param states: (n,) indices of loaded states.
+    :raises NotConvergedError: the springs have no equilibrium under a load.
     """
     q = data.q[data.state_config[states]]
     unloaded_coordinates = elastostatics.coordinates(robot, q)
@@ -388,10 +407,10 @@ def _predict(
 
 
 def _point_motions(pose: Array, twist: Array, lever: Array) -> tuple[Array, Array]:
-    """Return the points relative to the load point (L, P, 3) [m], and their motions by p twists (L, P, 3, p).
+    """Return the points relative to the load point (L, P, 3) [m], and their motions (L, P, 3, p), in root axes.
 
-    :param pose: (L, 4, 4) of the load point in the root frame; results are in root axes.
-    :param twist: (L, 6, p) of the load point.
+    :param pose: (L, 4, 4) of the load point in the root frame.
+    :param twist: (L, 6, p) of the load point per unit of p parameters: translation, then rotation.
     :param lever: (P, 3) points relative to the load point in flange axes [m].
     """
     points = np.einsum("lij,pj->lpi", pose[:, :3, :3], lever)
@@ -402,7 +421,7 @@ def _point_motions(pose: Array, twist: Array, lever: Array) -> tuple[Array, Arra
 def _equilibrium(
     structure: Structure, robot: RobotModel, active: list[int], q: Array, tool: Array, wrench: Array
 ) -> tuple[Array, Array]:
-    """Return the pose (L, 4, 4) [m] of the load point under load, and twists (L, 6, a) [m, rad] of it per parameter.
+    """Return the pose (L, 4, 4) [m] of the load point under load, and its twists (L, 6, a) per unit of each parameter.
 
     :param active: indices of the a parameters.
     :param q: (L, 6) joint angles [rad]; `wrench` (L, 6) at the load point, root axes [N, N·m].
@@ -415,7 +434,7 @@ def _equilibrium(
 
 
 def joint_torques(robot: RobotModel, data: Measurements) -> Array:
-    """Return the torques (L, 6) of the loads about the joint axes [N·m]."""
+    """Return the torques (L, 6) of the loads about the joint axes [N·m], for L loaded states."""
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
     config = data.state_config[data.loaded_states]
@@ -428,7 +447,7 @@ def joint_torques(robot: RobotModel, data: Measurements) -> Array:
 def levels_of(data: Measurements) -> Ints:
     """Return the level of q2 of each configuration (C,), numbered from 0 by angle.
 
-    Sorted angles that differ by less than `_SAME_LEVEL` from the one before share a level.
+    A level ends where the next larger angle is more than `_SAME_LEVEL` away.
     """
     order = np.argsort(data.q[:, 1])
     sorted_levels = np.concatenate([[0], np.cumsum(np.diff(data.q[order, 1]) > _SAME_LEVEL)])

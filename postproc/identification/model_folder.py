@@ -64,9 +64,9 @@ _COMMENT = f"Written by `postproc identify`. Units are in the names; every entry
 
 
 def model_file(result: Identification, prior: ModelFile, source: str, geometry_source: str | None) -> ModelFile:
-    """Return the content of `model.toml`: identified values with intervals, the prior's where none was identified.
+    """Return the content of `model.toml`: identified values with intervals, and the prior's values for the others.
 
-    :param source: of the identified values, in words.
+    :param source: text on the origin of the identified values.
     :param geometry_source: of the compensator's geometry if it was identified from markers, else None.
     :raises MeasurementError: the readings do not determine the values in units of the file.
     """
@@ -86,7 +86,7 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         language=prior.language,
         joints=joints,
         gravity=Gravity(reference=prior.gravity.reference, in_gears=result.fit.structure.in_gears),
-        compensator=_compensator(result, prior, tables["compensator"], source, geometry_source),
+        compensator=_compensator_entry(result, prior, tables["compensator"], source, geometry_source),
         payload=prior.payload,
         geometry=prior.geometry,
         transmission=prior.transmission,
@@ -139,15 +139,17 @@ def _parameter_tables(
 
 
 def _joint_springs(tables: Mapping[str, dict[str, Any]], prior: ModelFile, source: str) -> dict[str, JointSpring]:
-    """Return the [joints] of the identified model, the prior's where none was identified or it came out negative.
+    """Return the [joints] of the identified model.
 
-    :param tables: keys of the identified joints, by the name of the joint.
+    A joint keeps the prior's compliance if none was identified, or a negative one.
+
+    :param tables: entries of the identified joints, by the name of the joint.
     """
     joints = {}
     for joint in JOINTS:
         table, prior_spring = tables.get(joint), prior.joints[joint]
         if table is not None and table[_COMPLIANCE] >= 0.0:
-            # where link springs deflect in its place, the prior's value would count twice
+            # a value near zero is raised, not replaced by the prior's: link springs deflect in place of the joint
             parts = {key: list(map(_with_least_compliance, table[key])) for key in _GEAR_PARTS if key in table}
             joints[joint] = msgspec.convert(_with_least_compliance(table) | parts, JointSpring)
         else:
@@ -170,38 +172,47 @@ def _with_least_compliance(table: dict[str, Any]) -> dict[str, Any]:
     return table | {_COMPLIANCE: max(table[_COMPLIANCE], MIN_COMPLIANCE * PER_URAD)}
 
 
-def _compensator(
+def _compensator_entry(
     result: Identification, prior: ModelFile, spring_table: dict[str, Any], source: str, geometry_source: str | None
 ) -> CompensatorEntry | None:
-    """Return the [compensator] of the identified model; None if it has none."""
+    """Return the [compensator] of the identified model.
+
+    None if the fit has no compensator, or if its lengths are new and its spring was not identified.
+
+    :param spring_table: keys of the identified spring; empty: the spring keeps the prior's values.
+    :param geometry_source: origin of identified lengths; None: the lengths are the prior's.
+    """
     law = result.fit.structure.prior.compensator
-    old = prior.compensator
-    if law is None or (old is None and not spring_table):
+    prior_entry = prior.compensator
+    if law is None or (prior_entry is None and not spring_table):
         return None
     spring: dict[str, Any] = {
         "stiffness_N_per_m": max(law.stiffness, 0.0),
         "free_length_mm": max(law.free_length * MM_PER_M, 0.0),
-        "source": f"prior, not observable in {source}: {'' if old is None else old.source}",
+        "source": f"prior, not observable in {source}: {'' if prior_entry is None else prior_entry.source}",
         "assumed": True,
     } | spring_table
-    if old is not None:
-        spring["spread_percent"] = old.spread_percent
+    if prior_entry is not None:
+        spring["spread_percent"] = prior_entry.spread_percent
     return CompensatorEntry(
         L_mm=law.L * MM_PER_M,
         a_x_mm=law.ax * MM_PER_M,
         a_y_mm=law.ay * MM_PER_M,
-        sigma_percent=None if old is None or spring_table else old.sigma_percent,
-        geometry_source=geometry_source or ("" if old is None else old.geometry_source),
+        sigma_percent=None if prior_entry is None or spring_table else prior_entry.sigma_percent,
+        geometry_source=geometry_source or ("" if prior_entry is None else prior_entry.geometry_source),
         **spring,
     )
 
 
 def _masses(prior: Masses | None, mass_table: dict[str, float], source: str) -> Masses | None:
-    """Return the link masses of `model.toml`: those of the prior, replaced by the identified ones."""
+    """Return the link masses of `model.toml`: the prior's masses, replaced by identified ones; None without any.
+
+    :param mass_table: keys of the identified masses.
+    """
     if not mass_table:
         return prior
-    old = Masses(source="robot.urdf", assumed=True) if prior is None else prior
-    return msgspec.structs.replace(old, source=f"{source}, about {old.source}", **mass_table)
+    prior_masses = Masses(source="robot.urdf", assumed=True) if prior is None else prior
+    return msgspec.structs.replace(prior_masses, source=f"{source}, about {prior_masses.source}", **mass_table)
 
 
 def write(
@@ -211,17 +222,17 @@ def write(
     prior_folder: Path,
     render: Callable[[record.IdentificationRecord, str], bytes] | None = None,
 ) -> list[Path]:
-    """Write the model folder, whole or not at all.
+    """Write the model folder, all files or none, and return their paths.
 
     :param content: of `model.toml`.
-    :param data: of `identification.json`; its ``files``, the files written with it, are added.
-    :param prior_folder: where robot.urdf is, and the meshes that it names.
-    :param render: makes `report.html` from `data` and the name of the model.
+    :param data: content of `identification.json`; the list of the files written with it is added.
+    :param prior_folder: folder of robot.urdf and of the meshes that it names.
+    :param render: makes `report.html` from `data` and the name of the model; None: no report.
     :raises InputError: the folder cannot be written, or is the prior's.
     :raises MeasurementError: a number is not finite; the message names it.
     """
-    for name, part in (("model.toml", content), (record.NAME, data)):
-        require_finite(msgspec.to_builtins(part), name)
+    for name, file_content in (("model.toml", content), (record.NAME, data)):
+        require_finite(msgspec.to_builtins(file_content), name)
     if folder.resolve() == prior_folder.resolve():
         raise InputError("would overwrite the prior model", file=str(folder), advice="Give another folder with -o.")
     contents: dict[str, bytes | Iterable[bytes]] = {
@@ -231,23 +242,23 @@ def write(
     text = (prior_folder / "robot.urdf").read_text(encoding="utf-8")
     for geometry in urdf.geometries(text, "robot.urdf"):
         path = prior_folder / geometry.file
-        if geometry.file == path.name and path.is_file():
+        if geometry.file == path.name and path.is_file():  # meshes in other folders are not copied
             contents[path.name] = path.read_bytes()
     if render is not None:
         contents["report.html"] = render(data, folder.resolve().name)
 
-    def rendered(entries: list[files.FileEntry]) -> bytes:
+    def record_text(entries: list[files.FileEntry]) -> bytes:
         """Return the text of `identification.json` with a list of the files written with it."""
         return msgspec.structs.replace(data, files=entries).as_json()
 
-    return files.write_whole(folder, files.add_record(contents, record.NAME, rendered))
+    return files.write_whole(folder, files.add_record(contents, record.NAME, record_text))
 
 
 def require_finite(content: Any, name: str) -> None:
-    """Refuse content in which a number is not finite.
+    """Check that all numbers of a content, nested or not, are finite.
 
-    :param name: of the content, for the message.
-    :raises MeasurementError: names the first such number.
+    :param name: of the content, for the message: a file, or for nested content ``model.toml: joints.A2``.
+    :raises MeasurementError: a number is infinite or NaN; the message names the first.
     """
     if isinstance(content, float) and not np.isfinite(content):
         raise MeasurementError(
@@ -257,16 +268,16 @@ def require_finite(content: Any, name: str) -> None:
         )
     if isinstance(content, dict):
         for key, value in content.items():
-            require_finite(value, f"{name}: {key}" if ":" not in name else f"{name}.{key}")
+            require_finite(value, f"{name}: {key}" if ":" not in name else f"{name}.{key}")  # colon after the file
     elif isinstance(content, list | tuple):
         for index, value in enumerate(content):
             require_finite(value, f"{name}[{index}]")
 
 
 def protect(folder: Path) -> None:
-    """Refuse a folder with a model that was not identified by postproc, or was changed since.
+    """Check that no model in a folder was written by hand, or changed after postproc identified it.
 
-    :raises InputError: it does.
+    :raises InputError: the folder has such a model, which writing would overwrite.
     """
     files.refuse(files.foreign(folder, ("model.toml", "robot.urdf", "report.html", record.NAME), record.NAME))
 
@@ -274,7 +285,9 @@ def protect(folder: Path) -> None:
 def read_prior(folder: Path, payload: Payload | None, source: str) -> ModelFile:
     """Return the content of the prior's `model.toml`, with the payload of the experiment.
 
+    :param payload: of the experiment; None: no payload, whatever the prior states.
     :param source: file that states the payload.
+    :raises ModelError: the file is unusable.
     """
     content = files.read_toml(folder / "model.toml", ModelFile, ModelError)
     entry = None
@@ -286,7 +299,10 @@ def read_prior(folder: Path, payload: Payload | None, source: str) -> ModelFile:
 
 
 def constant_springs_only(content: ModelFile) -> ModelFile:
-    """Return a model with constant joint springs alone, without springs of links and all other terms of gears."""
+    """Return the model as a prior: constant joint springs, without springs of links and all other terms of gears.
+
+    Covariance, forces, discrepancy and the record of the measurements belong to these terms, and are removed too.
+    """
     joints = {
         name: msgspec.structs.replace(
             spring, stiffening=[], knees=[], backlash=None, lost_motion=None, over_pose=[], coupling={}
@@ -305,11 +321,11 @@ def report_data(result: Identification) -> record.IdentificationRecord:
         verdict=record.Verdict(bool(result.judgement.distrust), result.judgement.line),
         method=result.method,
         robot=result.prior.name,
-        parameters=_entries_of(result, in_file),
-        k2_levels=_levels(result.levels),
+        parameters=_parameter_records(result, in_file),
+        k2_levels=_level_records(result.levels),
         k2_curve=_k2_curve(result),
-        from_levels=_level_springs(result.spring),
-        residual=_residual(result),
+        from_levels=_spring_records(result.spring),
+        residual=_residual_record(result),
         discrepancy=_unexplained_records(result.discrepancy),
         workspace=_workspace_records(result.workspace),
         workspace_line=result.workspace.line,
@@ -326,14 +342,14 @@ def report_data(result: Identification) -> record.IdentificationRecord:
             [parameter.name for parameter in in_file.parameters],
             [[round(value, 4) for value in row] for row in correlations(in_file.covariance).tolist()],
         ),
-        states=_states(result.data),
+        states=_state_records(result.data),
         torque_Nm=np.abs(joint_torques(result.prior, result.data)).max(axis=0).tolist(),
         torques=validation.torque_record(validation.coverage_of(result.prior, result.data)),
     )
 
 
 def _placement_entries(placement: Placement, data: Measurements) -> dict[str, Any]:
-    """Return the entries of `identification.json` on the base, the points and the residuals without load."""
+    """Return entries of `identification.json` by key: base, points and RMS residual of the readings without load."""
     return {
         "base": describe(placement),
         "points": describe_points(placement, data.points),
@@ -341,8 +357,8 @@ def _placement_entries(placement: Placement, data: Measurements) -> dict[str, An
     }
 
 
-def _levels(levels: Levels | None) -> list[record.Level]:
-    """Return the compliances of joint 2 by level, as `identification.json` has them."""
+def _level_records(levels: Levels | None) -> list[record.Level]:
+    """Return the compliances of joint 2 at the levels of q2, for `identification.json`; empty without levels."""
     if levels is None:
         return []
     deviation = np.sqrt(np.diag(levels.covariance))
@@ -354,19 +370,20 @@ def _levels(levels: Levels | None) -> list[record.Level]:
     ]
 
 
-def _level_springs(spring: SpringOfJoint2 | None) -> dict[str, record.FromLevels] | None:
-    """Return the spring of joint 2 from the levels, with half 95 % intervals; None without one."""
+def _spring_records(spring: SpringOfJoint2 | None) -> dict[str, record.FromLevels] | None:
+    """Return gear and compensator of joint 2 from the levels, with half 95 % intervals; None if they are unknown."""
     if spring is None:
         return None
-    half = (NORMAL_95 * np.sqrt(np.diag(spring.covariance))).tolist()
+    half_widths = (NORMAL_95 * np.sqrt(np.diag(spring.covariance))).tolist()
+    names = ("K_theta2_0", "K_c", "K_c*s_0")
     return {
-        name: record.FromLevels(value, reach)
-        for name, value, reach in zip(("K_theta2_0", "K_c", "K_c*s_0"), spring.values.tolist(), half, strict=True)
+        name: record.FromLevels(value, half_width)
+        for name, value, half_width in zip(names, spring.values.tolist(), half_widths, strict=True)
     }
 
 
-def _residual(result: Identification) -> record.Residual:
-    """Return the residuals as `identification.json` has them [mm]."""
+def _residual_record(result: Identification) -> record.Residual:
+    """Return the residuals for `identification.json` [mm]: of all readings, and RMS distances by configuration."""
     without_model, with_model = rms_distances(result)
     return record.Residual(
         rms_mm=result.fit.rms * MM_PER_M,
@@ -375,8 +392,8 @@ def _residual(result: Identification) -> record.Residual:
         chi2=result.fit.chi2,
         degrees_of_freedom=result.fit.dof,
         per_configuration=[
-            record.OfConfiguration(float(c), float(b) * MM_PER_M, float(a) * MM_PER_M)
-            for c, b, a in zip(result.data.config, without_model, with_model, strict=True)
+            record.OfConfiguration(float(config), float(before) * MM_PER_M, float(after) * MM_PER_M)
+            for config, before, after in zip(result.data.config, without_model, with_model, strict=True)
         ],
     )
 
@@ -406,7 +423,7 @@ def _workspace_records(workspace: Workspace) -> list[record.InWorkspace]:
     ]
 
 
-def _states(data: Measurements) -> list[record.State]:
+def _state_records(data: Measurements) -> list[record.State]:
     """Return the loaded states of the readings, angles in degrees."""
     angles = (data.q[data.state_config[data.loaded_states]] * DEG_PER_RAD).round(6).tolist()
     return [
@@ -415,12 +432,13 @@ def _states(data: Measurements) -> list[record.State]:
     ]
 
 
-def _entries_of(result: Identification, in_file: FileValues) -> dict[str, record.Parameter]:
-    """Return the parameters of `identification.json`: k1…k6, K⁰_θ2, K_c, s₀ always, the others if identified.
+def _parameter_records(result: Identification, in_file: FileValues) -> dict[str, record.Parameter]:
+    """Return the parameters of `identification.json` by name.
 
-    Sparse parameters (`Parameter.sparse`) count as identified if they are not zero.
+    k1…k6, K⁰_θ2, K_c, s₀ (with a compensator) are always present, other parameters if they were identified. Sparse
+    parameters (`Parameter.sparse`) count as identified if they are not zero.
 
-    :param in_file: values of the fit.
+    :param in_file: values of the fit in units of the file.
     """
     half_widths = NORMAL_95 * np.sqrt(np.diag(in_file.covariance))
     triples = zip(in_file.parameters, in_file.values.tolist(), half_widths.tolist(), strict=True)
@@ -443,31 +461,33 @@ def _entries_of(result: Identification, in_file: FileValues) -> dict[str, record
         if parameter in always_present or parameter in prior_mean:
             prior_value, _ = parameter.file_value(prior_values)
         source = record.ABOUT_THE_PRIOR if parameter in prior_mean else None
-        entries[parameter.name] = _entry(value, parameter.unit, prior_value, source)
+        entries[parameter.name] = _parameter_record(value, parameter.unit, prior_value, source)
         if parameter == JOINT_COMPLIANCES[-1]:  # the stiffness of joint 2 follows the compliances
-            stiffness = _stiffness_entry(entries[JOINT_COMPLIANCES[1].name])
+            stiffness = _stiffness_record(entries[JOINT_COMPLIANCES[1].name])
             entries |= {} if stiffness is None else {"K_theta2_0": stiffness}
     return entries
 
 
-def _stiffness_entry(compliance: record.Parameter) -> record.Parameter | None:
-    """Return the stiffness of a joint [N·m/rad] by the entry of its compliance; None without a value or a prior."""
+def _stiffness_record(compliance: record.Parameter) -> record.Parameter | None:
+    """Return the stiffness of a joint [N·m/rad] from its compliance [µrad/(N·m)]; None without a value or a prior."""
     value, ci95, prior_value = compliance.value, compliance.ci95, compliance.prior
     if value is None or prior_value is None:
         return None
     # the interval at first order: the derivative of 1/k is −1/k²
     stiffness = None if ci95 is None else (PER_URAD / value, PER_URAD * ci95 / value**2)
-    return _entry(stiffness, "N·m/rad", PER_URAD / prior_value)
+    return _parameter_record(stiffness, "N·m/rad", PER_URAD / prior_value)
 
 
-def _entry(
+def _parameter_record(
     value: tuple[float, float] | None, unit: str, prior_value: float | None, source: str | None = None
 ) -> record.Parameter:
-    """Return the entry of a parameter.
+    """Return the record of a parameter.
 
-    :param value: with the half width of its 95 % interval; None: the readings do not show it, and it has the value of
-        the prior.
-    :param prior_value: None if the prior does not have it.
+    :param value: identified value and half width of its 95 % interval; None: the readings do not show the parameter,
+        and it has the value of the prior.
+    :param unit: of value and prior value in files.
+    :param prior_value: None if the prior does not have the parameter.
+    :param source: of an identified value, see `record.Parameter`; None: the readings alone.
     """
     if value is None:
         return record.Parameter(prior_value, None, unit, observable=False, prior=prior_value, source="prior")
@@ -484,7 +504,10 @@ def _entry(
 
 
 def _k2_curve(result: Identification) -> list[tuple[float, float]]:
-    """Return equivalent compliance of joint 2 of the model over q2: [deg, µrad/(N·m)]."""
+    """Return pairs of q2 [deg] and equivalent compliance of joint 2 [µrad/(N·m)] of the model, over the measured q2.
+
+    Empty without levels of q2.
+    """
     if result.levels is None:
         return []
     model = result.robot()
@@ -501,10 +524,10 @@ _UNCERTAIN_NOTE = "   (not determined: the interval is larger than the value)"
 class Choices(Struct, frozen=True, kw_only=True):
     """Inputs and options of an identification.
 
-    :param compensator: file of `identify compensator`, whose geometry is taken; None = that of the robot.
+    :param compensator: file of `identify compensator` with the lengths of the compensator; None: the robot's lengths.
     :param method: see `procedure.identify`.
     :param structure: "auto" also tries springs of links and stiffening gears.
-    :param geometry: calibrate the geometry too, with the springs found.
+    :param geometry: whether the geometry is calibrated too, with the identified springs.
     """
 
     compensator: Path | None = None
@@ -527,15 +550,17 @@ class IdentifiedFolder(Struct, frozen=True, eq=False):
 
 
 def with_compensator_geometry(robot: RobotModel, path: Path) -> RobotModel:
-    """Return the robot with L, a_x, a_y from a file of `identify compensator`; the spring is that of the robot.
+    """Return the robot with L, a_x, a_y from a file of `identify compensator`.
+
+    The spring is the robot's; a robot without compensator gets a spring of zero stiffness.
 
     :raises MeasurementError: the file is unusable.
     """
     length, ax, ay = compensator_geometry.load(path)
-    old = robot.compensator
+    robot_law = robot.compensator
     law = Compensator(
-        stiffness=0.0 if old is None else old.stiffness,
-        free_length=0.0 if old is None else old.free_length,
+        stiffness=0.0 if robot_law is None else robot_law.stiffness,
+        free_length=0.0 if robot_law is None else robot_law.free_length,
         L=float(length),
         ax=float(ax),
         ay=float(ay),
@@ -557,8 +582,9 @@ class StartingRobot(NamedTuple):
 
 
 def starting_robot(setup: Experiment, experiment: Path) -> StartingRobot:
-    """Return the robot that an experiment names, as the search starts from it.
+    """Return the robot that an experiment names, prepared as the start of the search.
 
+    :param setup: content of `experiment.toml`.
     :param experiment: path of `experiment.toml`: paths in it are relative to its folder.
     :raises ModelError: there is no such robot, or its model is wrong.
     """
@@ -578,8 +604,11 @@ def identify_folder(
 ) -> IdentifiedFolder:
     """Read measurements, identify, write the model folder.
 
+    :param experiment: path of `experiment.toml`.
+    :param output: model folder to write.
     :param progress: called with the name of each step.
-    :param render: makes `report.html` from the content of `identification.json` and the name of the model.
+    :param render: makes `report.html` from the content of `identification.json` and the name of the model; None: no
+        report.
     :raises MeasurementError: the files are unusable.
     :raises InputError: the folder cannot be written.
     """
@@ -634,7 +663,10 @@ def geometry_folder(
 ) -> IdentifiedFolder:
     """Calibrate the geometry from readings without load and write the model folder.
 
-    :param model: folder of the model whose springs predict the sag; the robot of the experiment by default.
+    :param experiment: path of `experiment.toml`.
+    :param output: model folder to write.
+    :param model: folder of the model whose springs predict the sag; None: the robot of the experiment.
+    :param render: see `identify_folder`.
     :raises MeasurementError: the files are unusable.
     :raises InputError: the folder cannot be written.
     """
@@ -662,7 +694,7 @@ def geometry_folder(
 
 
 def summary(data: record.IdentificationRecord) -> str:
-    """Return the identified values as a table for a terminal."""
+    """Return the verdict, the identified values and their errors as lines for a terminal."""
     lines = [] if data.verdict is None else [data.verdict.line]
     if data.parameters:
         lines += _parameter_lines(data.parameters)
@@ -687,7 +719,10 @@ def summary(data: record.IdentificationRecord) -> str:
 
 
 def _parameter_lines(parameters: Mapping[str, record.Parameter]) -> list[str]:
-    """Return the identified elastic parameters, one a line, without those that have neither a value nor a prior."""
+    """Return the identified elastic parameters, one a line, and a line on the source of the intervals.
+
+    Undetermined parameters without a prior are not listed; a line counts them.
+    """
     lines, open_count = [], 0
     for name, entry in parameters.items():
         if entry.determined is False and entry.prior is None:
@@ -709,7 +744,7 @@ def _parameter_lines(parameters: Mapping[str, record.Parameter]) -> list[str]:
 
 
 def _geometry_lines(geometry: record.Geometry) -> list[str]:
-    """Return the geometry parameters, one a line, and the errors of the geometries that were tried."""
+    """Return the geometry parameters, one a line, then the errors of the variants that were tried, and the bound."""
     lines = []
     for name, entry in geometry.parameters.items():
         mark = _UNCERTAIN_NOTE if entry.determined is False else ""

@@ -21,8 +21,8 @@ _USUAL_FRAMES = np.concatenate([np.full(6, np.inf), np.full(36, 1e-3)])
 """Standard deviations of twists of the root, which is free, and of the six joint frames [m, rad] (assumed)."""
 _UNMODELLED = 2e-4
 """Standard deviation of the error that a calibrated geometry leaves of a coordinate [m] (assumed)."""
-_RARE = 1e-4
-"""Chance of a step as clear as this one in readings of one set-up, at any of the configurations (assumed)."""
+_RARE_CHANCE = 1e-4
+"""Largest probability of a step at least as clear in readings of one set-up, at any configuration (assumed)."""
 _RANK_TOLERANCE = 1e-6
 """Least singular value, over the largest, of a direction that the readings determine (assumed)."""
 _MAX_CORRELATION = 0.5
@@ -32,28 +32,29 @@ _MIN_MOVEMENT = 2e-4
 
 
 def moved_device(robot: RobotModel, data: Measurements, placement: Placement) -> list[str]:
-    """Return a warning if the measuring device seems to have moved between two configurations; none if not.
+    """Return a warning if the measuring device seems to have moved between two configurations; else none.
 
     Readings without load are fitted by a frame, the points, errors of the geometry (six for each joint) and the sag of
-    the joints, with and without a step of the frame from a configuration on. Errors of the geometry are free if there
-    are enough configurations for that; else they are as large as they usually are.
+    the joints, with and without a step of the frame from a configuration on, see `_clearest_step`.
     """
-    is_visible = np.abs(placement.residual).max(axis=2, keepdims=True) > 0.0
-    by_frames, by_sag = (source(robot, data, placement) for source in (_frame_derivatives, _sag_derivatives))
+    is_visible = np.abs(placement.residual).max(axis=2, keepdims=True) > 0.0  # exactly zero without a reading
+    by_frames, by_sag = _frame_derivatives(robot, data, placement), _sag_derivatives(robot, data, placement)
     by_points = unloaded_design(robot, data, placement)[..., 6:]  # the first six are by the root, see by_frames
     design = np.concatenate([by_frames, by_points, by_sag], axis=3) * is_visible[..., None]
     free = np.full(by_points.shape[3], np.inf)
     compliance = np.maximum(robot.compliance[list(robot.actuated)], MIN_COMPLIANCE)
     usual_sizes = np.concatenate([_USUAL_FRAMES, free, compliance])
-    chance, first, twist = _clearest_step(design, usual_sizes, placement.residual, data.q)
+    step = _clearest_step(design, usual_sizes, placement.residual, data.q)
     # size of the movement in the middle of all readings
     mean_point = np.append(np.mean(placement.points, axis=0), 1.0)
     mean_position = np.mean((unloaded_flange(robot, data.q) @ mean_point)[:, :3], axis=0)
-    size = float(np.linalg.norm(twist[:3] + np.cross(twist[3:], mean_position)))
-    if chance * len(data.q) > _RARE or size < _MIN_MOVEMENT:
+    size = float(np.linalg.norm(step.twist[:3] + np.cross(step.twist[3:], mean_position)))
+    # a step was sought at every configuration: probabilities of single tests add up (Bonferroni)
+    if step.chance * len(data.q) > _RARE_CHANCE or size < _MIN_MOVEMENT:
         return []
     return [
-        f"from config {data.config[first]:g} on the measuring device seems to have moved by {size * MM_PER_M:.1f} mm: "
+        f"from config {data.config[step.first]:g} on the measuring device seems to have moved by "
+        f"{size * MM_PER_M:.1f} mm: "
         "displacements are differences within a configuration and stay right; the geometry is not. Check the tripod."
     ]
 
@@ -75,25 +76,25 @@ def _clearest_step(design: Array, usual_sizes: Array, residual: Array, q: Array)
     """Return the step of the measuring device that explains most of the residuals, with its chance by the F-test.
 
     Source: Draper and Smith, "Applied Regression Analysis", 1998, ch. 6. Points of a configuration share the error of
-    the geometry, so they count as one. Without a step that can be tested the chance is infinite.
+    the geometry, so they count as one point. All unknowns are free if that leaves enough degrees of freedom, else
+    they have their usual sizes. The chance is infinite if no step can be tested.
 
-    :param design: (C, P, 3, n) derivatives of the readings, those by a twist of the root first.
-    :param usual_sizes: (n,) standard deviations of what the derivatives are by, infinite if free; they count where too
-        few degrees of freedom would be left without them.
+    :param design: (C, P, 3, n) derivatives of the readings by n unknowns; the first six are a twist of the root.
+    :param usual_sizes: (n,) standard deviations of the unknowns; infinite for unknowns that are always free.
     :param residual: (C, P, 3) of the readings without load [m].
     :param q: (C, 6) joint angles [rad].
     """
     configs, points = residual.shape[:2]
     columns, errors = design.reshape(-1, design.shape[3]), residual.ravel()
     basis = _basis(columns)
-    freedom = 3 * configs - basis.shape[1] - 6
+    freedom = 3 * configs - basis.shape[1] - 6  # degrees of freedom after the six of the step
     if freedom < _FREEDOM_OF_STEP:
         # a pseudo-reading of zero for each error of a usual size; points count as one, so it weighs as many readings
         weight = np.diag(_UNMODELLED * np.sqrt(points) / usual_sizes)[np.isfinite(usual_sizes)]
         columns, errors = np.concatenate([columns, weight]), np.append(errors, np.zeros(len(weight)))
         basis = _basis(columns)
         freedom = 3 * configs + len(weight) - basis.shape[1] - 6
-    unexplained_errors = errors - basis @ (basis.T @ errors)  # that no error of the geometry explains
+    unexplained_errors = errors - basis @ (basis.T @ errors)
     clearest = _Step(np.inf, 0, np.zeros(6))
     if freedom < _FREEDOM_OF_STEP:
         return clearest
@@ -109,7 +110,7 @@ def _clearest_step(design: Array, usual_sizes: Array, residual: Array, q: Array)
             explained_square = float(np.sum((step @ twist) ** 2))
             # 1e-300 keeps zero out of the denominator
             unexplained_square = max(float(np.sum(unexplained_errors**2)) - explained_square, 1e-300)
-            chance = _chance(explained_square / 6.0 * freedom / unexplained_square, freedom)
+            chance = _exceedance_probability(explained_square / 6.0 * freedom / unexplained_square, freedom)
             if chance < clearest.chance:
                 clearest = _Step(chance, first, np.asarray(twist))
     return clearest
@@ -121,9 +122,9 @@ def _basis(columns: Array) -> Array:
     return np.asarray(basis[:, singular_values > _RANK_TOLERANCE * singular_values[0]])
 
 
-def _chance(ratio: float, freedom: int) -> float:
+def _exceedance_probability(ratio: float, freedom: int) -> float:
     """Return the probability that an F-distributed ratio with 6 and `freedom` degrees of freedom exceeds `ratio`."""
-    from scipy.stats import f
+    from scipy.stats import f  # takes long to import
 
     return float(f.sf(ratio, 6, freedom))
 
@@ -142,9 +143,9 @@ def _is_correlated_with_step(q: Array, first: int) -> bool:
 
 
 def _frame_derivatives(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
-    """Return the derivatives (C, P, 3, 42) of the points, device axes, by twists of the root and the six joint frames.
+    """Return the derivatives (C, P, 3, 42) of the points, device axes, by twists of the root, then of six joint frames.
 
-    Each twist is in the axes of its frame: translation, then rotation.
+    Each twist is about the origin of its frame, in the axes of the frame: translation, then rotation.
     """
     x = elastostatics.coordinates(robot, data.q)
     root_axes = placement.root_in_device[:3, :3]
@@ -164,7 +165,7 @@ def _frame_derivatives(robot: RobotModel, data: Measurements, placement: Placeme
 
 
 def _sag_derivatives(robot: RobotModel, data: Measurements, placement: Placement) -> Array:
-    """Return the derivatives (C, P, 3, 6) of the points by the compliance of each joint under the own weight."""
+    """Return the derivatives (C, P, 3, 6) of the points, device axes, by the compliance of each joint under gravity."""
     x = elastostatics.coordinates(robot, data.q)
     torque = elastostatics.balance.static_torque(robot, x.T).T[:, list(robot.actuated)]
     slopes = np.zeros((len(x), len(placement.points), 3, len(JOINTS)))

@@ -27,7 +27,7 @@ from postproc.identification.measurement_model import (
     measured_displacements,
     predict,
     unloaded_design,
-    visible,
+    visible_points,
     whiten,
     whitening,
 )
@@ -516,9 +516,9 @@ class _VisibleDisplacements(NamedTuple):
 
 def _visible_displacements(robot: RobotModel, data: Measurements, placement: Placement) -> _VisibleDisplacements:
     """Return measured displacements, and those of a robot's joint springs."""
-    structure, visibility = Structure(JOINT_COMPLIANCES, robot), visible(data)
+    structure, visibility = Structure(JOINT_COMPLIANCES, robot), visible_points(data)
     rows = np.flatnonzero(visibility.any(axis=(1, 2)))
-    prediction, _ = predict(structure, structure.start(), data, placement)
+    prediction, _ = predict(structure, structure.start_values(), data, placement)
     return _VisibleDisplacements(measured_displacements(data, placement)[rows], (prediction * visibility)[rows], rows)
 
 
@@ -580,7 +580,7 @@ def _loop_equations(robot: RobotModel, data: Measurements, placement: Placement)
     load was measured before and after a larger one.
     """
     start_rows, end_rows = load_loops(data)
-    displacement, visibility = measured_displacements(data, placement), visible(data)[..., 0]
+    displacement, visibility = measured_displacements(data, placement), visible_points(data)[..., 0]
     is_visible = (visibility[start_rows] * visibility[end_rows]).astype(bool)
     _, reading_counts = data.means()
     count = np.maximum(reading_counts[data.loaded_states], 1.0)

@@ -22,9 +22,9 @@ from postproc.identification.joint_springs import (
     extended_set,
     fit_joints,
     fit_serial,
-    held_by_prior,
-    not_observable,
+    fit_with_prior_values,
     unloaded_joints,
+    unobservable_parameters,
 )
 from postproc.identification.measurement_model import (
     Placement,
@@ -188,9 +188,9 @@ def _enhanced_identification(
     :param doubt: clause on axes and point of the loads; may be empty.
     """
     choice, data, placement, outliers = springs.choice, springs.data, springs.placement, springs.outliers
-    fit = held_by_prior(springs.fit, springs.open_entries) if choice is None else springs.fit
+    fit = fit_with_prior_values(springs.fit, springs.open_entries) if choice is None else springs.fit
     model_error = discrepancy(data, placement, fit, left_out_of(fit, data) if choice is None else choice.left_out)
-    fit = fit if choice is None else replace(fit, covariance=choice.wider)
+    fit = fit if choice is None else replace(fit, covariance=choice.bound_covariance)
     fit = add_stated_errors(fit, data, placement, None if choice is None else choice.influence)
     workspace = over_workspace(_robot_with_bound(fit, model_error), data)
     judgement = judge(data, fit, choice, workspace, displacement_ratio(prior, data, placement))
@@ -388,8 +388,8 @@ def _serial_identification(prior: RobotModel, checked: CheckedReadings) -> Ident
     """
     data, placement, outliers = checked.data, checked.placement, checked.outliers
     fit = fit_serial(prior, data, placement)
-    open_entries = not_observable(fit, data, covariance_has_misfit=True)
-    fit = held_by_prior(fit, open_entries)
+    open_entries = unobservable_parameters(fit, data, covariance_has_misfit=True)
+    fit = fit_with_prior_values(fit, open_entries)
     model_error = discrepancy(data, placement, fit, fit.residual)
     fit = add_stated_errors(fit, data, placement, None)
     workspace = over_workspace(_robot_with_bound(fit, model_error), data)

@@ -38,10 +38,10 @@ class Verdict(Struct, frozen=True):
 
 
 class Parameter(Struct, frozen=True, omit_defaults=True):
-    """A value with the half width of its 95 % interval; None for a value of the prior.
+    """A value with the half width of its 95 % interval, which is None for a value of the prior.
 
-    `determined`: the interval is not larger than the value; `source`: "prior" where that is kept, or
-    `ABOUT_THE_PRIOR`.
+    `determined`: whether the half width is at most the value. `source`: "prior" for a value of the prior,
+    `ABOUT_THE_PRIOR` for a value that was fitted about the prior's, None for other identified values.
     """
 
     value: float | None
@@ -54,7 +54,7 @@ class Parameter(Struct, frozen=True, omit_defaults=True):
 
     @property
     def share(self) -> float | None:
-        """Half width as a share of the value, or None."""
+        """Half width of the interval over the value; None without an interval, or with a value of zero or None."""
         return None if self.ci95 is None or not self.value else abs(self.ci95 / self.value)
 
 
@@ -232,9 +232,9 @@ class MeasuredStates(Struct, frozen=True):
     torques: list[TorqueRange] = []
 
     def as_array(self) -> Array:
-        """Return joint angles [rad] and loads [N, N·m] (m, 12) of the states."""
+        """Return the m states as rows (m, 12): six joint angles [rad], then the load [N, N·m]."""
         rows = [(*np.multiply(state.joints_deg, RAD_PER_DEG), *state.load) for state in self.states]
-        return np.array(rows).reshape(-1, 12)
+        return np.array(rows).reshape(-1, 12)  # (0, 12) without states
 
 
 def measured_states(folder: Path) -> MeasuredStates:

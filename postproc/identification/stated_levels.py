@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from postproc.frames import Array, norm
 from postproc.identification.choice import full_structure
 from postproc.identification.fit import Fit, LinearEquations, Prior, Regression, learn, linearise, prior_of
-from postproc.identification.measurement_model import Placement, Structure, predict, visible, whiten, whitening
+from postproc.identification.measurement_model import Placement, Structure, predict, visible_points, whiten, whitening
 from postproc.identification.readings import Measurements
 from postproc.identification.uncertainty import levels
 from postproc.kinematics.forward import GRAVITY
@@ -118,7 +118,7 @@ def _all_parameters(fit: Fit, data: Measurements) -> tuple[Structure, Array]:
     structure, _ = full_structure(fit.structure.prior, data, fit.structure.in_gears, has_free_compensator)
     parameters = tuple(dict.fromkeys((*structure.parameters, *fit.structure.parameters)))
     structure = replace(structure, parameters=parameters)
-    values_at_start = dict(zip(parameters, structure.start().tolist(), strict=True))
+    values_at_start = dict(zip(parameters, structure.start_values().tolist(), strict=True))
     return structure, np.array([(values_at_start | fit.parameter_values)[parameter] for parameter in parameters])
 
 
@@ -128,7 +128,7 @@ def _with_factor(prior: Prior) -> Prior:
         prior,
         mean=np.append(prior.mean, 0.0),
         size=np.append(prior.size, _USUAL),
-        kind=np.append(prior.kind, -1),
+        kind_index=np.append(prior.kind_index, -1),
         signed=np.append(prior.signed, True),
     )
 
@@ -142,11 +142,11 @@ def _by_factor(structure: Structure, values: Array, data: Measurements, placemen
     wrench[states] *= np.exp(_STEP)
     prediction, _ = predict(structure, values, data, placement)
     scaled_prediction, _ = predict(structure, values, replace(data, wrench=wrench), placement)
-    return whiten(whitening(data), (scaled_prediction - prediction) * visible(data) / _STEP).ravel()
+    return whiten(whitening(data), (scaled_prediction - prediction) * visible_points(data) / _STEP).ravel()
 
 
 def _jackknife(regression: Regression, equations: LinearEquations) -> float:
     """Return the jackknife standard deviation of the last parameter, over the configurations."""
-    count = equations.configs
+    count = equations.config_count
     values = np.array([regression.unbounded_values(equations, np.array([index]))[-1] for index in range(count)])
     return float(np.sqrt((count - 1) / count * np.sum((values - values.mean()) ** 2)))

@@ -23,7 +23,7 @@ from postproc.identification.measurement_model import (
     measured_displacements,
     predict,
     unloaded_flange,
-    visible,
+    visible_points,
     whiten,
     whitening,
 )
@@ -163,7 +163,7 @@ def _best_point(data: Measurements, placement: Placement, stated: Fit) -> _LoadP
 
     :param stated: joint springs with the loads as stated.
     """
-    structure, whitening_matrix, is_visible = stated.structure, whitening(data), visible(data)
+    structure, whitening_matrix, is_visible = stated.structure, whitening(data), visible_points(data)
     displacement = measured_displacements(data, placement)
     point, values, best = data.load_point, stated.values, _LoadPoint(data.load_point, 1.0)
     for _ in range(_ROUNDS):
@@ -199,7 +199,7 @@ def _best_turn(prior: RobotModel, data: Measurements, placement: Placement, stat
     """
     structure, whitening_matrix = Structure(JOINT_COMPLIANCES, prior), whitening(data)
     target = whiten(whitening_matrix, measured_displacements(data, placement)).ravel()
-    values, best = structure.start(), _Turn(np.eye(3), 1.0)
+    values, best = structure.start_values(), _Turn(np.eye(3), 1.0)
     for _ in range(_ROUNDS):
         design = _by_force(structure, values, data, placement, whitening_matrix)
         mixture = np.linalg.lstsq(design, target, rcond=None)[0].reshape(3, 3)
@@ -232,7 +232,7 @@ def _by_force(
         wrench = np.zeros_like(data.wrench)
         wrench[:, axis] = _PROBE
         prediction, _ = predict(structure, values, replace(data, wrench=wrench), placement)
-        motion = prediction * visible(data) / _PROBE  # per newton along the axis
+        motion = prediction * visible_points(data) / _PROBE  # per newton along the axis
         columns += [whiten(whitening_matrix, motion * force[:, None, None, j]).ravel() for j in range(3)]
     return np.stack(columns, axis=1)
 

@@ -42,14 +42,14 @@ from postproc.errors import NotConvergedError, first_of
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, norm
 from postproc.identification.choice import Choice
 from postproc.identification.fit import NORMAL_95, Fit
-from postproc.identification.joint_springs import PRIOR_SPREAD, prior_spread
+from postproc.identification.joint_springs import PRIOR_SPREAD_SHARE, prior_spread
 from postproc.identification.measurement_model import (
     Placement,
     joint_torques,
     measured_displacements,
     predict,
     unwhiten,
-    visible,
+    visible_points,
     whiten,
     whitening,
 )
@@ -110,7 +110,7 @@ def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residua
 
     :param fold_residual: (L, P, 3) measured − predicted, each by a fit without its configuration [m].
     """
-    is_visible = visible(data)[..., 0] > 0.0
+    is_visible = visible_points(data)[..., 0] > 0.0
     errors = _mean_point_errors(data, fit, fold_residual)
     displacement = measured_displacements(data, placement)
     load = norm(data.wrench[data.loaded_states])
@@ -151,7 +151,7 @@ class _MeanPointErrors(NamedTuple):
 
 def _mean_point_errors(data: Measurements, fit: Fit, fold_residual: Array) -> _MeanPointErrors:
     """Return the errors of the mean of the points of each state; parameters as of `discrepancy`."""
-    is_visible = visible(data)[..., 0] > 0.0
+    is_visible = visible_points(data)[..., 0] > 0.0
     share = is_visible / np.maximum(is_visible.sum(axis=1), 1)[:, None]  # of each point in the mean
     slopes = unwhiten(whitening(data), fit.design.reshape((*fold_residual.shape, len(fit.values))))
     mean_slopes = np.einsum("lp,lpia->lia", share, slopes)
@@ -593,7 +593,7 @@ def _few_configurations(data: Measurements) -> str:
 def _implausible_scale(robot: RobotModel, ratio: float) -> str:
     """Return that all compliances would be far from those of robots of this kind; empty if they are not."""
     spread = sum(prior_spread(robot, joint) for joint in JOINT_COMPLIANCES)
-    largest_ratio = 1.0 + _IMPLAUSIBLE * max(spread / sum(map(robot.value, JOINT_COMPLIANCES)), PRIOR_SPREAD)
+    largest_ratio = 1.0 + _IMPLAUSIBLE * max(spread / sum(map(robot.value, JOINT_COMPLIANCES)), PRIOR_SPREAD_SHARE)
     if 1.0 / largest_ratio < ratio < largest_ratio:
         return ""
     return (
@@ -608,7 +608,7 @@ def _misfit(data: Measurements, fit: Fit, choice: Choice | None) -> _Misfit:
     unloaded_states = data.unloaded_states[data.state_config[data.loaded_states]]
     measured = np.nan_to_num(mean[data.loaded_states] - mean[unloaded_states])
     residual = fit.residual if choice is None else choice.left_out
-    visibility = visible(data)
+    visibility = visible_points(data)
     error, size = (
         float(np.sqrt(np.sum((vectors * visibility) ** 2) / max(1.0, visibility.sum())))
         for vectors in (residual, measured)

@@ -36,7 +36,7 @@ from postproc.identification.measurement_model import (
     as_positions,
     joint_torques,
     measured_displacements,
-    visible,
+    visible_points,
 )
 from postproc.identification.readings import Measurements, read, read_experiment
 from postproc.identification.stated_points import displaced_points
@@ -276,7 +276,7 @@ def _comparison(robot: RobotModel, data: Measurements, placement: Placement, fre
     prediction, bound = _prediction(robot, data, placement)
     left, noise = norm(displacement - prediction), noise_of(data)
     return _Displacements(
-        is_compared=(visible(data)[..., 0] > 0.0) & fresh[:, None],
+        is_compared=(visible_points(data)[..., 0] > 0.0) & fresh[:, None],
         config=data.state_config[data.loaded_states],
         load=norm(data.wrench[data.loaded_states]),
         displacement=norm(displacement),

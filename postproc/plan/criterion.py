@@ -30,7 +30,7 @@ from msgspec.structs import replace
 from postproc.compensator import Compensator
 from postproc.frames import Array
 from postproc.identification.fit import NORMAL_95
-from postproc.identification.joint_springs import UNCERTAIN
+from postproc.identification.joint_springs import UNCERTAIN_SHARE
 from postproc.identification.measurement_model import levels_of
 from postproc.identification.readings import Measurements
 from postproc.identification.validation import LEAST_TORQUE, MIN_CONFIGURATIONS, SIGNS, split_signs
@@ -268,7 +268,7 @@ class Accuracy(Struct, frozen=True, eq=False):
     def uncertain(self) -> tuple[Parameter, ...]:
         """Parameters that the identification would not take from such measurements: their intervals are too wide."""
         pairs = zip(self.parameters, self.relative, strict=True)
-        return tuple(parameter for parameter, half_width in pairs if not half_width <= UNCERTAIN)
+        return tuple(parameter for parameter, half_width in pairs if not half_width <= UNCERTAIN_SHARE)
 
 
 def expected_accuracy(
@@ -328,13 +328,13 @@ def _relative_values(joint2: Joint2, count: int) -> Array:
 def unidentifiable_joints(information: Array, count: int) -> tuple[int, ...]:
     """Return the joints, from 0, whose compliance no plan of `count` poses could determine.
 
-    Even if all poses were as good as the best one, the 95 % interval of the compliance would be wider than `UNCERTAIN`
-    times the compliance, which the identification does not accept.
+    Even if all poses were as good as the best one, the 95 % interval of the compliance would be wider than
+    `UNCERTAIN_SHARE` times the compliance, which the identification does not accept.
 
     :param information: (N, 6, 6) of many poses that can be measured, on the six compliances relative to their values.
     """
     best_information = np.diagonal(information, axis1=1, axis2=2).max(axis=0)
-    least_information = (NORMAL_95 / UNCERTAIN) ** 2
+    least_information = (NORMAL_95 / UNCERTAIN_SHARE) ** 2
     return tuple(int(joint) for joint in np.flatnonzero(best_information * count < least_information))
 
 

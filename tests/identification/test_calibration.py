@@ -58,7 +58,7 @@ def harness_points():
 def test_eighteen_displacements_are_left_for_a_six_axis_arm():
     """4·6 + 6 of a complete model, less the frames of base and tool."""
     for name in ("kuka_kr270", "kuka_kr16_2"):
-        found = calibration.nonredundant(robot.load(robot.find(name)).nominal, 3)
+        found = calibration.nonredundant_displacements(robot.load(robot.find(name)).nominal, 3)
         assert len(found) == 18
         assert not any(parameter.joint == "A1" for parameter in found)  # all of A1 is the base's
 
@@ -139,7 +139,7 @@ def test_gears_that_turn_further_once_and_twice_a_turn_are_found_and_only_those(
 def test_derivatives_by_waves_of_gears_are_those_by_finite_differences():
     nominal, rng = harness.PRIOR.nominal, np.random.default_rng(0)
     q, points, h = rng.uniform(-2, 2, (7, 6)), harness_points(), 1e-6
-    _, columns = calibration._derivatives(nominal, q, points)
+    _, columns = calibration._joint_derivatives(nominal, q, points)
     inside = columns.reshape(7, 3, 3, 6, 6)
     for joint in range(6):
         for index, term in enumerate(robot.GEAR_TERMS):
@@ -151,7 +151,9 @@ def test_derivatives_by_waves_of_gears_are_those_by_finite_differences():
                 moved.append(np.einsum("nij,pj->npi", pose[:, :3, :3], points) + pose[:, None, :3, 3])
             slope = (moved[0] - moved[1]).ravel() / (2 * h)
             parameter = calibration.GeometryParameter(robot.JOINTS[joint], term)
-            np.testing.assert_allclose(calibration._column(parameter, inside, nominal, q)[:, 0], slope, atol=1e-8)
+            np.testing.assert_allclose(
+                calibration._parameter_column(parameter, inside, nominal, q)[:, 0], slope, atol=1e-8
+            )
 
 
 def test_command_writes_a_folder_that_carries_the_geometry(tmp_path):
@@ -188,8 +190,8 @@ def test_of_variants_the_simplest_is_taken_that_is_worse_by_no_more_than_one_sta
     other = np.where(np.arange(16) % 2, 0.4, -0.4) * np.sqrt(15 / 16)  # standard error 0.1
     for worse, taken in ((0.099, "simple"), (0.101, "rich")):
         found = {"poor": base + 9.0, "simple": base + other + worse, "rich": base, "richest": base}
-        assert calibration.simplest(found) == taken
-    assert calibration.simplest({"simple": base, "rich": base + 0.1}) == "simple"
+        assert calibration.simplest_variant(found) == taken
+    assert calibration.simplest_variant({"simple": base, "rich": base + 0.1}) == "simple"
 
 
 def test_an_exact_robot_keeps_its_nominal_geometry(tmp_path):
@@ -217,7 +219,7 @@ def test_intervals_of_the_geometry_cover_the_truth(tmp_path):
         found = calibration.identify_geometry(
             read_prior(robot.find("kuka_kr270"), None, ""), harness.PRIOR.nominal, "x", harness.load(tmp_path)
         )
-        assert not found.sag
+        assert not found.is_weightless
         names = [parameter.name for parameter in found.parameters]
         for joint, axis, sign in ((1, "RY", 1), (2, "RY", 1), (3, "RX", -1), (4, "RY", 1)):
             index = names.index(f"A{joint + 1}.{axis}")
@@ -247,8 +249,8 @@ def test_the_equations_that_configurations_are_left_out_of_have_the_calibration_
     measured(tmp_path, gear="linear")
     data = harness.load(tmp_path)
     content = read_prior(robot.find("kuka_kr270"), None, "")
-    free = calibration.nonredundant(harness.PRIOR.nominal, len(data.points))
-    solution = calibration._solve(content, harness.PRIOR.nominal, "x", data, free)
+    free = calibration.nonredundant_displacements(harness.PRIOR.nominal, len(data.points))
+    solution = calibration._fit_geometry(content, harness.PRIOR.nominal, "x", data, free)
     state = np.linalg.lstsq(solution.design, solution.target, rcond=None)[0]
     known = 6 + 3 * len(data.points)
     half = 1.96 * np.sqrt(np.diag(solution.covariance))

@@ -37,9 +37,9 @@ def data(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def solution(data):
-    free = calibration.nonredundant(NOMINAL, 3)
+    free = calibration.nonredundant_displacements(NOMINAL, 3)
     bare = msgspec.structs.replace(CONTENT, geometry={}, transmission={}, gravity=Gravity("calibrated"))
-    return calibration._solve(bare, NOMINAL, "x", data, free)
+    return calibration._fit_geometry(bare, NOMINAL, "x", data, free)
 
 
 def places(q, root, points, shift=None, joint=None):
@@ -63,7 +63,7 @@ ROOT[:3, 3] = [1.2, -3.4, 0.8]
 
 def test_derivatives_by_base_points_and_joints_are_differences_of_another_arm():
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (3, 6))
-    flange, columns = calibration._derivatives(NOMINAL, q, POINTS)
+    flange, columns = calibration._joint_derivatives(NOMINAL, q, POINTS)
     base, tool = np.split(calibration._placement_columns(flange, POINTS, ROOT), [6], axis=1)
     h = 1e-6
     for column in range(6):
@@ -95,9 +95,9 @@ def test_derivatives_by_base_points_and_joints_are_differences_of_another_arm():
 def test_displacements_that_are_kept_are_independent_of_the_frames_and_of_each_other():
     """By the rank of differences; all others are in the span of those that are kept."""
     q = np.random.default_rng(3).uniform(-1.5, 1.5, (40, 6))
-    flange, columns = calibration._derivatives(NOMINAL, q, POINTS)
+    flange, columns = calibration._joint_derivatives(NOMINAL, q, POINTS)
     frames = calibration._placement_columns(flange, POINTS, np.eye(4))
-    kept = calibration.nonredundant(NOMINAL, 3)
+    kept = calibration.nonredundant_displacements(NOMINAL, 3)
     names = ("X", "Y", "Z", "RX", "RY", "RZ")
     own = np.stack([columns[:, JOINTS.index(p.joint), names.index(p.axis)] for p in kept], axis=1)
     basis = np.hstack([frames, own])
@@ -107,7 +107,7 @@ def test_displacements_that_are_kept_are_independent_of_the_frames_and_of_each_o
     # zero offsets come before all others where both would do
     axis = [names[3 + int(np.argmax(np.abs(NOMINAL.axis[joint])))] for joint in range(6)]
     assert {f"A{joint + 1}.{axis[joint]}" for joint in range(1, 5)} <= {p.name for p in kept}
-    one = calibration.nonredundant(NOMINAL, 1)
+    one = calibration.nonredundant_displacements(NOMINAL, 1)
     assert len(one) <= 18
 
 
@@ -224,7 +224,7 @@ def result_of(**parts):
     angles = dict.fromkeys(JOINTS, (-100.0, 100.0))
     error = GeometryErrorEntry(source="", u95_mm=0.1, angles_deg=angles, unmeasured_mm=1.0)
     content = msgspec.structs.replace(CONTENT, geometry_error=error, gravity=Gravity("rigid"))
-    return SimpleNamespace(**({"sag": True, "content": content} | parts))
+    return SimpleNamespace(**({"is_weightless": True, "content": content} | parts))
 
 
 def test_joints_that_turned_by_less_than_thirty_degrees_are_named():
@@ -249,7 +249,7 @@ def test_gears_identified_without_the_weights_contradict_a_weightless_geometry()
     (text,) = calibration._contradictions(result_of(content=stiffening))
     assert "the gears of A3 were identified with the load alone" in text
     assert calibration._contradictions(result_of()) == []
-    assert calibration._contradictions(result_of(sag=False, content=stiffening)) == []
+    assert calibration._contradictions(result_of(is_weightless=False, content=stiffening)) == []
     in_gears = msgspec.structs.replace(stiffening, gravity=Gravity("rigid", in_gears=True))
     assert calibration._contradictions(result_of(content=in_gears)) == []
 
@@ -269,7 +269,11 @@ def test_the_record_of_a_geometry_has_millimetres_and_what_was_not_narrowed(data
         narrowed = np.sqrt(found.covariance[row, row]) <= 0.8 * usual
         assert entry.observable == narrowed
         assert entry.determined == (entry.ci95 <= abs(entry.value))
-    assert (written.u95_mm, written.sag, written.chosen) == (pytest.approx(1e3 * found.u95), found.sag, found.chosen)
+    assert (written.u95_mm, written.sag, written.chosen) == (
+        pytest.approx(1e3 * found.u95),
+        found.is_weightless,
+        found.chosen,
+    )
     for label, (fit, held_out) in found.rms.items():
         variant = written.variants[label]
         assert (variant.rms_mm, variant.held_out_rms_mm) == pytest.approx((1e3 * fit, 1e3 * held_out))
@@ -284,15 +288,17 @@ def test_the_record_of_a_geometry_has_millimetres_and_what_was_not_narrowed(data
 
 def test_errors_of_gears_are_expected_smaller_than_those_of_zero_offsets():
     wave, turn, shift = (GeometryParameter("A3", axis) for axis in ("sin2", "RY", "X"))
-    assert 0.0 < wave.usual < 0.5 * turn.usual
-    assert shift.usual == 1e-3  # a tolerance of a casting
-    assert (wave.unit[0], turn.unit[0], shift.unit[0]) == ("urad", "deg", "mm")
-    assert (wave.unit[1], turn.unit[1], shift.unit[1]) == pytest.approx((1e6, np.degrees(1.0), 1e3))
+    assert 0.0 < wave.usual_size < 0.5 * turn.usual_size
+    assert shift.usual_size == 1e-3  # a tolerance of a casting
+    assert (wave.unit_and_factor[0], turn.unit_and_factor[0], shift.unit_and_factor[0]) == ("urad", "deg", "mm")
+    assert (wave.unit_and_factor[1], turn.unit_and_factor[1], shift.unit_and_factor[1]) == pytest.approx(
+        (1e6, np.degrees(1.0), 1e3)
+    )
     assert (wave.name, turn.name) == ("A3.sin2", "A3.RY")
 
 
 def test_parameters_that_five_poses_leave_at_four_fifths_of_their_prior_are_not_observable(data, monkeypatch):
-    monkeypatch.setattr(calibration, "simplest", lambda _: "calibrated geometry")
+    monkeypatch.setattr(calibration, "simplest_variant", lambda _: "calibrated geometry")
     found = calibration.identify_geometry(CONTENT, NOMINAL, "x", data.take_configurations(np.arange(5)))
     usual = np.array([2e-3 if p.axis.startswith("R") else 1e-3 for p in found.parameters])
     wide = np.sqrt(np.diag(found.covariance)) > 0.8 * usual

@@ -36,7 +36,7 @@ def test_the_size_of_each_parameter_is_physical_and_stated_ones_keep_their_sprea
     parameters = tuple(parameter_of_name(name) for name in names)
     prior = prior_of(Structure(parameters, harness.PRIOR))
     k = harness.PRIOR.compliance
-    assert [prior.kinds[kind] if kind >= 0 else "" for kind in prior.kind] == [
+    assert [prior.kinds[kind] if kind >= 0 else "" for kind in prior.kind_index] == [
         "link rotation", "link translation", "base rotation", "breakpoint", "fading", "backlash", "lost motion",
         "joint", "",
     ]  # fmt: skip
@@ -106,7 +106,7 @@ def test_a_wider_structure_without_effect_gains_no_evidence():
     rng = np.random.default_rng(7)
     design = rng.normal(size=(CONFIGS * ROWS, 20))
     made = equations(rng, design, np.r_[np.full(10, 2.0), np.zeros(10)])
-    prior = replace(links(20), kind=np.repeat([0, 1], 10), kinds=("link rotation", "breakpoint"))
+    prior = replace(links(20), kind_index=np.repeat([0, 1], 10), kinds=("link rotation", "breakpoint"))
     narrow, wide = (learn(made, prior, np.arange(count)).evidence for count in (10, 20))
     assert wide < narrow + 1.0
 
@@ -176,7 +176,7 @@ def test_a_load_without_equilibrium_is_named_by_configuration(tmp_path):
     structure = Structure(robot.JOINT_COMPLIANCES, harness.PRIOR)
     heavy = replace(data, wrench=np.where(np.arange(12)[:, None] == data.loaded_states[3], 1e4, 1.0) * data.wrench)
     with pytest.raises(NotConvergedError, match="config 4, load 1: "):
-        predict(structure, structure.start(), heavy, placement)
+        predict(structure, structure.start_values(), heavy, placement)
 
 
 @pytest.mark.parametrize("compensator", [False, True])
@@ -190,9 +190,9 @@ def test_all_structures_whose_parameters_a_robot_has_are_tried(gears, compensato
     )
     monkeypatch.setattr(choice, "_fold_residuals", lambda *_: np.zeros(CONFIGS * ROWS))
     monkeypatch.setattr(choice, "_stacking_weights", lambda *_: None)
-    whole = SimpleNamespace(configs=CONFIGS)
+    equations = SimpleNamespace(config_count=CONFIGS)
     mean = choice._mean_of_structures(
-        SimpleNamespace(equations=whole, kinds=tuple(kinds), prior=None, structure=None), compensator
+        SimpleNamespace(equations=equations, kinds=tuple(kinds), prior=None, structure=None), compensator
     )
     words = {"fading": "stiffen", "breakpoint": "breakpoints", "backlash": "backlash", "lost motion": "lost motion"}
     expected = [
@@ -263,7 +263,12 @@ def test_couplings_waves_and_the_compensator_have_sizes_of_the_joints_and_of_spr
     wave = robot.PoseWave("A3", (0, 1, 0, 0, 0, 0), "sin")
     parameters = (robot.GearCoupling("A4", "A6"), wave, *robot.COMPENSATOR)
     prior = prior_of(Structure(parameters, harness.PRIOR))
-    assert [prior.kinds[kind] for kind in prior.kind] == ["coupling", "A3 over the pose", "compensator", "compensator"]
+    assert [prior.kinds[kind] for kind in prior.kind_index] == [
+        "coupling",
+        "A3 over the pose",
+        "compensator",
+        "compensator",
+    ]
     sizes = [0.1 * np.sqrt(k[3] * k[5]), 0.1 * k[2] * over_pose.share(wave), 1e6, 1e6]
     np.testing.assert_allclose(prior.size, sizes)
     np.testing.assert_array_equal(prior.mean, 0.0)

@@ -52,7 +52,7 @@ FIVE = at_levels([-50.0, -60.0, -70.0, -80.0, -90.0])
     ],
 )
 def test_a_compensator_that_is_uncertain_by_half_or_cannot_be_built_is_open(stiffness, length, half, reason):
-    entries = joint_springs.not_observable(fit_with_spring(FIVE, stiffness, length, half), FIVE)
+    entries = joint_springs.unobservable_parameters(fit_with_spring(FIVE, stiffness, length, half), FIVE)
     assert len(entries) == bool(reason)
     if reason:
         assert entries[0].parameter == CompensatorStiffness()
@@ -62,11 +62,11 @@ def test_a_compensator_that_is_uncertain_by_half_or_cannot_be_built_is_open(stif
 
 def test_a_compensator_needs_three_levels_and_a_known_second_joint():
     two = at_levels([-50.0, -50.5, -80.0, -80.5, -81.0])
-    (entry,) = joint_springs.not_observable(fit_with_spring(two, 8e4, 0.45, 1e3), two)
+    (entry,) = joint_springs.unobservable_parameters(fit_with_spring(two, 8e4, 0.45, 1e3), two)
     assert entry.reason == "K_theta2_0, K_c and s_0 are three unknowns, and there are 2 levels of q2"
     three = at_levels([-50.0, -50.5, -65.0, -80.5, -81.0])
-    assert joint_springs.not_observable(fit_with_spring(three, 8e4, 0.45, 1e3), three) == []
-    entries = joint_springs.not_observable(fit_with_spring(FIVE, 8e4, 0.45, 1e3, k2_half=0.9), FIVE)
+    assert joint_springs.unobservable_parameters(fit_with_spring(three, 8e4, 0.45, 1e3), three) == []
+    entries = joint_springs.unobservable_parameters(fit_with_spring(FIVE, 8e4, 0.45, 1e3, k2_half=0.9), FIVE)
     # without the compensator k2 is determined again, so that comes first
     assert [entry.parameter for entry in entries] == [CompensatorStiffness(), JOINT_COMPLIANCES[1]]
     assert "there are 5 levels" in entries[0].reason
@@ -152,8 +152,8 @@ def test_sources_of_torque_at_rest_are_uncertain_masses_and_the_compensator():
 @pytest.mark.parametrize(("angles", "enough"), [([-50.0, -60.0, -60.5], False), ([-50.0, -60.0, -70.0], True)])
 def test_a_compensator_is_looked_for_from_three_levels_on(angles, enough):
     data = at_levels(angles)
-    assert choice.has_compensator(harness.PRIOR, data) == enough
-    assert not choice.has_compensator(BARE, data)
+    assert choice.can_identify_compensator(harness.PRIOR, data) == enough
+    assert not choice.can_identify_compensator(BARE, data)
 
 
 @pytest.mark.parametrize(("half", "is_open"), [(0.49, False), (0.51, True)])
@@ -279,7 +279,7 @@ def test_a_compensator_of_the_levels_is_where_the_fit_begins(monkeypatch):
         return fit_of(FIVE, values, parameters=structure.parameters)
 
     monkeypatch.setattr(joint_springs, "_attempt", attempt)
-    monkeypatch.setattr(joint_springs, "not_observable", lambda *_: [])
+    monkeypatch.setattr(joint_springs, "unobservable_parameters", lambda *_: [])
     law = Compensator(stiffness=8e4, free_length=0.45, L=0.184, ax=0.685, ay=0.12)
     prior = replace(harness.PRIOR, compensator=law)
     spring = joint_springs.SpringOfJoint2(np.array([4e6, 9e4, 3e4]), np.eye(3))
@@ -287,7 +287,7 @@ def test_a_compensator_of_the_levels_is_where_the_fit_begins(monkeypatch):
     parameters, values = starts[-1]
     assert parameters == (*JOINT_COMPLIANCES, *robot.COMPENSATOR)
     np.testing.assert_allclose(values[[1, 6, 7]], [1 / 4e6, 9e4, 3e4])
-    usual = Structure(parameters, prior).start()
+    usual = Structure(parameters, prior).start_values()
     np.testing.assert_array_equal(np.delete(values, [1, 6, 7]), np.delete(usual, [1, 6, 7]))
     for start in (None, joint_springs.SpringOfJoint2(np.array([-4e6, 9e4, 3e4]), np.eye(3))):
         joint_springs.fit_joints(prior, FIVE, placed(FIVE), start)
@@ -312,7 +312,7 @@ def test_open_parameters_are_left_out_one_after_the_other(monkeypatch):
 
     monkeypatch.setattr(joint_springs, "_attempt", attempt)
     monkeypatch.setattr(joint_springs, "_refutes_prior_spring", lambda *_: False)
-    monkeypatch.setattr(joint_springs, "not_observable", lambda fit, _: told[len(fit.values)])
+    monkeypatch.setattr(joint_springs, "unobservable_parameters", lambda fit, _: told[len(fit.values)])
     fit, missing = joint_springs.fit_joints(harness.PRIOR, FIVE, placed(FIVE), None)
     assert [entry.reason for entry in missing] == ["c", "e"]
     assert fit.structure.parameters == tuple(np.delete(np.array(JOINT_COMPLIANCES, dtype=object), 3))
@@ -324,7 +324,7 @@ def test_open_parameters_are_left_out_one_after_the_other(monkeypatch):
     assert [entry.reason for entry in missing] == ["d"]
     assert CompensatorStiffness() in fit.structure.parameters
     monkeypatch.setattr(
-        joint_springs, "not_observable",
+        joint_springs, "unobservable_parameters",
         lambda fit, _: [UnobservableParameter(fit.structure.parameters[0], "x", "measure")],
     )  # fmt: skip
     with pytest.raises(MeasurementError, match="none of the compliances can be determined"):
@@ -425,7 +425,7 @@ def test_a_compensator_is_open_with_the_second_joint_whatever_else_is_open():
     fit = fit_with_spring(FIVE, 8e4, 0.45, 1e3, k2_half=0.9)
     covariance = fit.covariance.copy()
     covariance[3, 3] = (5.0 * SPRINGS[3]) ** 2
-    entries = joint_springs.not_observable(replace(fit, covariance=covariance), FIVE)
+    entries = joint_springs.unobservable_parameters(replace(fit, covariance=covariance), FIVE)
     assert entries[0].parameter == CompensatorStiffness()
     assert {entry.parameter for entry in entries[1:]} == {JOINT_COMPLIANCES[1], JOINT_COMPLIANCES[3]}
 
@@ -446,10 +446,12 @@ def test_gears_are_tried_with_and_without_the_weights_where_that_is_another_mode
 
     def weighed(_robot, _data, _placement, in_gears, compensator):
         tried.append(in_gears)
-        return SimpleNamespace(whole=SimpleNamespace(evidence=0.0), structure=SimpleNamespace(in_gears=in_gears))
+        return SimpleNamespace(
+            full_regression=SimpleNamespace(evidence=0.0), structure=SimpleNamespace(in_gears=in_gears)
+        )
 
     monkeypatch.setattr(choice, "_candidate_equations", weighed)
-    monkeypatch.setattr(choice, "has_compensator", lambda *_: False)
+    monkeypatch.setattr(choice, "can_identify_compensator", lambda *_: False)
     monkeypatch.setattr(choice, "_mean_of_structures", lambda settled, compensator: settled)
     monkeypatch.setattr(choice, "_extend", lambda mean, settled, *_: (mean, settled))
     monkeypatch.setattr(choice, "_choice_of_mean", lambda mean, *_: mean)

@@ -8,7 +8,15 @@ from msgspec.structs import replace
 
 from postproc.identification import choice
 from postproc.identification.choice import Mean, Member, projection
-from postproc.identification.fit import LinearEquations, Prior, Regression, covariance_of, learn, linearise
+from postproc.identification.fit import (
+    LinearEquations,
+    Prior,
+    Regression,
+    covariance_of,
+    gauss_newton,
+    learn,
+    linearise,
+)
 from postproc.identification.measurement_model import Structure, measured_displacements, predict
 from postproc.robot import JOINT_COMPLIANCES
 from samples.paper_study import harness
@@ -135,7 +143,7 @@ def test_residuals_left_out_are_those_of_fits_to_the_other_folds():
             rows = fold[equations.config] == index
             _, values = dense(member.regression, equations, ~rows)
             own = equations.target[rows] - equations.design[rows][:, member.regression.columns] @ values
-            np.testing.assert_allclose(member.left[rows], own, rtol=1e-8, atol=1e-12)
+            np.testing.assert_allclose(member.held_out_residual[rows], own, rtol=1e-8, atol=1e-12)
 
 
 def test_the_mean_of_structures_is_a_mixture():
@@ -153,8 +161,8 @@ def test_the_mean_of_structures_is_a_mixture():
     np.testing.assert_allclose(mean.solve(), value, rtol=1e-9)
     np.testing.assert_allclose(mean.covariance(), second - np.outer(value, value), rtol=1e-7, atol=1e-12)
     np.testing.assert_allclose(mean.spread(), np.sqrt(variance))
-    left = 0.3 * mean.members[0].left + 0.7 * mean.members[1].left
-    for index, found in enumerate(mean.by_configuration):
+    left = 0.3 * mean.members[0].held_out_residual + 0.7 * mean.members[1].held_out_residual
+    for index, found in enumerate(mean.mean_square_errors):
         rows = equations.config == index
         assert found == pytest.approx(np.mean(equations.weight[rows] * left[rows] ** 2))
 
@@ -224,6 +232,14 @@ def test_covariance_is_the_inverse_of_the_squares_and_infinite_where_nothing_is_
     assert np.isinf(np.diag(covariance_of(twins, usual[[0, 1, 1, 3]]))).tolist() == [False, True, True, False]
 
 
+def test_degrees_of_freedom_do_not_count_coordinates_of_points_without_a_reading():
+    data = readings(forces(5, 800.0), count=5)
+    for points_left_out in (0, 1):
+        data = replace(data, used=~((data.state == 3) & (data.point < points_left_out)))
+        fit = gauss_newton(Structure(JOINT_COMPLIANCES, harness.PRIOR), data, placed(data))
+        assert fit.dof == 5 * 12 - 3 * points_left_out - 6
+
+
 def test_equations_near_values_have_displacements_derivatives_and_weights_of_the_readings():
     """Whitened by the noise of means of two; a point that is far off weighs less."""
     data = readings(forces(5, 800.0), count=5)
@@ -235,8 +251,8 @@ def test_equations_near_values_have_displacements_derivatives_and_weights_of_the
     values = SPRINGS
     found = linearise(structure, values, data, placement)
     assert found.config.tolist() == np.repeat(np.arange(5), 12).tolist()
-    assert found.count == 5 * 12 - 3
-    assert found.configs == 5
+    assert found.reading_count == 5 * 12 - 3
+    assert found.config_count == 5
     moved, _ = predict(structure, values, data, placement)
     left = measured_displacements(data, placement) - moved
     slopes = np.empty((*left.shape, 6))

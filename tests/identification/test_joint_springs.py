@@ -153,9 +153,9 @@ def test_a_joint_without_torque_keeps_the_springs_of_the_prior_in_the_serial_mod
     np.testing.assert_array_equal(result.fit.covariance[:, 5], result.fit.covariance[5])
     whole = procedure._serial_identification(prior, procedure.CheckedReadings(data, placed(data), [], [], ""))
     assert whole.missing == ()
-    published = joint_springs.held_by_prior(whole.fit, list(result.missing))
+    published = joint_springs.fit_with_prior_values(whole.fit, list(result.missing))
     plain = replace(published.structure, prior=harness.PRIOR)
-    again = joint_springs.held_by_prior(replace(whole.fit, structure=plain), list(result.missing))
+    again = joint_springs.fit_with_prior_values(replace(whole.fit, structure=plain), list(result.missing))
     assert again.covariance[5, 5] == pytest.approx(
         (0.5 * harness.PRIOR.compliance[5]) ** 2
     )  # half of it, if not stated

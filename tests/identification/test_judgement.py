@@ -252,7 +252,7 @@ def test_a_joint_that_can_hardly_be_separated_from_another_names_it(correlation,
     sigma[1] = 0.6 * SPRINGS[1]
     covariance = np.diag(sigma**2)
     covariance[1, 2] = covariance[2, 1] = correlation * sigma[1] * sigma[2]
-    (entry,) = joint_springs.not_observable(fit_of(data, covariance=covariance), data)
+    (entry,) = joint_springs.unobservable_parameters(fit_of(data, covariance=covariance), data)
     assert entry.parameter == JOINT_COMPLIANCES[1]
     half = 1.96 * 0.6 * 0.2
     assert entry.reason.startswith(f"its 95 % interval is ± {half:.2g} µrad/(N·m) for a value of 0.2")
@@ -261,7 +261,7 @@ def test_a_joint_that_can_hardly_be_separated_from_another_names_it(correlation,
     assert entry.advice == "Measure configurations that put more torque on A2 alone."
     covariance[1, 1] = np.inf
     covariance[1, 2] = covariance[2, 1] = 0.0
-    (entry,) = joint_springs.not_observable(fit_of(data, covariance=covariance), data)
+    (entry,) = joint_springs.unobservable_parameters(fit_of(data, covariance=covariance), data)
     assert entry.reason == "the configurations do not determine it"
 
 
@@ -283,7 +283,7 @@ def test_a_joint_is_open_from_half_its_size_on(half, chi2, with_misfit, open_joi
         sigma[3] = half * max(value, prior[3]) / 1.96
         fit = fit_of(data, values, covariance=np.diag(sigma**2))
         fit = replace(fit, chi2=chi2 * fit.dof)
-        entries = joint_springs.not_observable(fit, data, covariance_has_misfit=with_misfit)
+        entries = joint_springs.unobservable_parameters(fit, data, covariance_has_misfit=with_misfit)
         assert [JOINT_COMPLIANCES.index(entry.parameter) for entry in entries] == open_joints
 
 
@@ -292,7 +292,7 @@ def test_open_joints_are_listed_worst_first_and_a_negative_value_is_open():
     values, sigma = SPRINGS.copy(), 0.02 * SPRINGS
     values[0] = -values[0]
     sigma[4], sigma[3] = 4e-6, 3e-6
-    entries = joint_springs.not_observable(fit_of(data, values, covariance=np.diag(sigma**2)), data)
+    entries = joint_springs.unobservable_parameters(fit_of(data, values, covariance=np.diag(sigma**2)), data)
     assert [entry.parameter for entry in entries] == [JOINT_COMPLIANCES[joint] for joint in (4, 3, 0)]
 
 

@@ -102,11 +102,11 @@ def test_the_fit_of_a_mean_is_that_of_dense_matrices(settled):
     onto = choice.projection(equations, np.array(keep), np.sqrt(spread2))
     np.testing.assert_allclose(found.fit.covariance, onto @ posterior @ onto.T, rtol=1e-5, atol=1e-22)
     wider = onto @ (2.0 * effect * posterior + jackknife) @ onto.T
-    np.testing.assert_allclose(found.wider, wider, rtol=1e-4, atol=1e-20)
+    np.testing.assert_allclose(found.bound_covariance, wider, rtol=1e-4, atol=1e-20)
     assert jackknife[0, 0] > 0.3 * wider[0, 0]
     assert effect > 1.5
     np.testing.assert_allclose(found.influence, onto @ influence, rtol=1e-5, atol=1e-9 * np.abs(influence).max())
-    assert found.determined == pytest.approx(dof, rel=1e-6)
+    assert found.effective_parameters == pytest.approx(dof, rel=1e-6)
     assert found.fit.dof == round(3 * 4 * CONFIGS - dof)
     # one load, two repeats with and without it: σ²·(1/2 + 1/2)
     np.testing.assert_allclose(found.left_out.ravel(), left * data.sigma, rtol=1e-4, atol=1e-10)
@@ -131,8 +131,8 @@ def test_each_structure_has_a_row_and_the_sentence_names_those_that_count(settle
         ("joints", 6, 0.3), ("one link", 7, 0.7), ("links", 9, 0.0),
     ]  # fmt: skip
     assert [row.chosen for row in found.candidates] == [False, True, False]
-    squares = [(equations.weight * member.left**2).reshape(CONFIGS, -1).mean(axis=1) for member in members]
-    together = 0.3 * members[0].left + 0.7 * members[1].left
+    squares = [(equations.weight * member.held_out_residual**2).reshape(CONFIGS, -1).mean(axis=1) for member in members]
+    together = 0.3 * members[0].held_out_residual + 0.7 * members[1].held_out_residual
     of_mean = (equations.weight * together**2).reshape(CONFIGS, -1).mean(axis=1)
     for row, member, square in zip(found.candidates, members, squares, strict=True):
         values = solved(member.regression, equations)
@@ -160,7 +160,7 @@ def test_gears_that_are_not_linear_need_odds_of_one_in_twenty(gain, nonlinear_to
     monkeypatch.setattr(choice, "learn", learned)
     monkeypatch.setattr(choice, "_fold_residuals", lambda *_: np.zeros(1))
     monkeypatch.setattr(choice, "_stacking_weights", lambda _, __, rows: seen.extend(rows.tolist()))
-    settled = SimpleNamespace(equations=SimpleNamespace(configs=9), kinds=kinds, prior=None, structure=None)
+    settled = SimpleNamespace(equations=SimpleNamespace(config_count=9), kinds=kinds, prior=None, structure=None)
     mean = choice._mean_of_structures(settled, compensator=False)
     chosen = {mean.members[index].name for index in seen}
     linear = {"joint springs", "link springs"}
@@ -191,7 +191,9 @@ def test_richer_models_need_odds_of_one_in_twenty(weights, with_weights, with_sp
         if evidence is None:
             raise PostprocError("no equilibrium")
         return SimpleNamespace(
-            whole=SimpleNamespace(evidence=evidence), structure=SimpleNamespace(in_gears=in_gears), free=compensator
+            full_regression=SimpleNamespace(evidence=evidence),
+            structure=SimpleNamespace(in_gears=in_gears),
+            free=compensator,
         )
 
     choices_of(monkeypatch, weighed)
@@ -203,7 +205,7 @@ def test_richer_models_need_odds_of_one_in_twenty(weights, with_weights, with_sp
 def choices_of(monkeypatch, weighed, is_open=False, is_physical=True):
     """Let `choose` see the evidence of `weighed` alone."""
     monkeypatch.setattr(choice, "_candidate_equations", weighed)
-    monkeypatch.setattr(choice, "has_compensator", lambda *_: True)
+    monkeypatch.setattr(choice, "can_identify_compensator", lambda *_: True)
     monkeypatch.setattr(choice, "_mean_of_structures", lambda settled, compensator: (settled, compensator))
     monkeypatch.setattr(choice, "_extend", lambda mean, settled, *_: (mean, settled))
     monkeypatch.setattr(
@@ -221,7 +223,7 @@ def test_a_spring_of_the_compensator_that_is_open_or_cannot_be_built_is_not_take
 ):
     def weighed(_robot, _data, _placement, in_gears, compensator):
         return SimpleNamespace(
-            whole=SimpleNamespace(evidence=50.0 * compensator), structure=SimpleNamespace(in_gears=in_gears),
+            full_regression=SimpleNamespace(evidence=50.0 * compensator), structure=SimpleNamespace(in_gears=in_gears),
             free=compensator,
         )  # fmt: skip
 
@@ -259,7 +261,7 @@ def test_couplings_and_waves_over_the_pose_need_odds_of_one_in_twenty(settled, g
     real, evidence = learn, {}
 
     def learned(equations, prior, columns):
-        kinds = {prior.kinds[kind] for kind in prior.kind[columns[columns >= 9]]}
+        kinds = {prior.kinds[kind] for kind in prior.kind_index[columns[columns >= 9]]}
         gain = 0.0 if not kinds else gains[0] if kinds == {"coupling"} else gains[1]
         return replace(real(equations, prior, columns), evidence=evidence["base"] + gain)
 
@@ -290,4 +292,4 @@ def test_couplings_and_waves_over_the_pose_need_odds_of_one_in_twenty(settled, g
         expected = {*(range(9, 12) if has_couplings else ()), *(range(12, size) if has_waves else ())}
         assert extra == expected
         assert len(member.regression.columns) == len(best.regression.columns) + len(expected)
-    assert extended.whole is wider.members[-1].regression
+    assert extended.full_regression is wider.members[-1].regression

@@ -60,7 +60,7 @@ FOUND = {"stiffness_N_per_m": 2e5, "free_length_mm": 400.0, "source": "identifie
 )
 def test_a_compensator_has_the_spring_that_was_identified_or_the_prior_one(law, old, identified, expected):
     result = SimpleNamespace(fit=SimpleNamespace(structure=SimpleNamespace(prior=SimpleNamespace(compensator=law))))
-    found = model_folder._compensator(result, SimpleNamespace(compensator=old), identified, "r.csv", "markers")
+    found = model_folder._compensator_entry(result, SimpleNamespace(compensator=old), identified, "r.csv", "markers")
     if expected is None:
         assert found is None
         return
@@ -69,7 +69,7 @@ def test_a_compensator_has_the_spring_that_was_identified_or_the_prior_one(law, 
         found.stiffness_N_per_m, found.free_length_mm, found.sigma_percent, found.spread_percent, found.geometry_source,
         found.source,
     )  # fmt: skip
-    without = model_folder._compensator(result, SimpleNamespace(compensator=old), identified, "r.csv", None)
+    without = model_folder._compensator_entry(result, SimpleNamespace(compensator=old), identified, "r.csv", None)
     assert without.geometry_source == ("" if old is None else "old")
 
 
@@ -91,7 +91,7 @@ def test_most_of_a_bound_is_that_of_the_joint_whose_parameters_together_have_mos
 def test_levels_of_the_second_joint_are_written_in_degrees_and_microradians_with_two_sided_intervals():
     """2 and 3 µrad/N·m, standard deviations 0.1 µrad/N·m and unknown: 1.96 standard deviations are 95 %."""
     levels = Levels(np.radians([-90.0, -30.0]), np.array([2e-6, 3e-6]), np.diag([1e-14, np.inf]))
-    first, second = model_folder._levels(levels)
+    first, second = model_folder._level_records(levels)
     assert astuple(first) == pytest.approx((-90.0, 2.0, 0.19600), rel=1e-4)
     assert astuple(second)[:2] == pytest.approx((-30.0, 3.0))
     assert second.ci95 is None

@@ -123,11 +123,11 @@ def test_the_curve_of_joint_2_is_that_of_gear_and_compensator_by_differences_of_
 
 def test_the_spring_of_joint_2_from_levels_has_two_sided_intervals():
     spring = SpringOfJoint2(np.array([4e6, 8e4, 3e4]), np.diag([1e10, 4e6, 9e4]))
-    written = model_folder._level_springs(spring)
+    written = model_folder._spring_records(spring)
     assert list(written) == ["K_theta2_0", "K_c", "K_c*s_0"]
     for entry, value, sigma in zip(written.values(), (4e6, 8e4, 3e4), (1e5, 2e3, 300.0), strict=True):
         assert list(astuple(entry)) == pytest.approx([value, 1.96 * sigma], rel=1e-4)
-    assert model_folder._level_springs(None) is None
+    assert model_folder._spring_records(None) is None
 
 
 def test_what_is_not_identified_keeps_the_prior_in_both_files(result):

@@ -256,7 +256,7 @@ def test_a_folder_has_what_is_usual_from_its_number_on(count, loads, points):
         data = twice_loaded(data, parallel=True)
     enough = count == 30
     found = dataset._reading_findings(data)
-    assert [finding.has for finding in found] == [True, enough, enough, False, enough, True, True]
+    assert [finding.is_present for finding in found] == [True, enough, enough, False, enough, True, True]
     assert found[2].text.startswith(f"loads of {'200' if loads == 2 else '400'} to 400 N on {loads} levels")
 
 
@@ -265,14 +265,18 @@ def test_names_of_the_dataset_that_are_empty_are_listed(tmp_path):
     (tmp_path / "dataset.toml").write_text(text)
     (tmp_path / "LICENSE").mkdir()
     statement, licence = dataset._origin_findings(tmp_path)
-    assert (statement.text, statement.has, statement.required) == ("dataset.toml: licence, rig empty", False, True)
-    assert (licence.has, licence.required) == (False, True)
+    assert (statement.text, statement.is_present, statement.required) == (
+        "dataset.toml: licence, rig empty",
+        False,
+        True,
+    )
+    assert (licence.is_present, licence.required) == (False, True)
     (tmp_path / "dataset.toml").write_text(text.replace('""', '"z"'))
     statement, _ = dataset._origin_findings(tmp_path)
-    assert (statement.text, statement.has) == ("dataset.toml: x, z, from y", True)
+    assert (statement.text, statement.is_present) == ("dataset.toml: x, z, from y", True)
     (tmp_path / "dataset.toml").write_text("name = 3\n")
     statement, _ = dataset._origin_findings(tmp_path)
-    assert (statement.has, statement.required) == (False, True)
+    assert (statement.is_present, statement.required) == (False, True)
 
 
 @pytest.mark.parametrize(

@@ -202,14 +202,14 @@ def test_each_statement_on_readings_is_one_that_a_folder_has_or_lacks():
     torque = np.array([100.0, 2000.0, 900.0, 41.0, 300.0, 39.0])
     found = dataset._torque_finding(torque)
     assert found.text == "torques up to 100, 2000, 900, 41, 300, 39 N·m on A1 … A6: A6 hardly loaded"
-    assert not found.has
+    assert not found.is_present
     found = dataset._torque_finding(np.maximum(torque, 41.0))
-    assert (found.text, found.has) == ("torques up to 100, 2000, 900, 41, 300, 41 N·m on A1 … A6", True)
+    assert (found.text, found.is_present) == ("torques up to 100, 2000, 900, 41, 300, 41 N·m on A1 … A6", True)
 
 
 def test_what_readings_have_is_counted(measured, tmp_path):
     data = changed(measured[0], tmp_path, lambda cells: cells)
-    found = {finding.text: finding.has for finding in dataset._reading_findings(data)}
+    found = {finding.text: finding.is_present for finding in dataset._reading_findings(data)}
     force = np.linalg.norm(data.wrench[data.load > 0.0, :3], axis=1)
     assert list(found.values()) == [True, False, False, True, False, True, True]
     texts = list(found)
@@ -227,7 +227,7 @@ def test_what_readings_have_is_counted(measured, tmp_path):
 
     data = changed(measured[0], tmp_path, row, 'readings = "displacements"\n')
     found = dataset._reading_findings(data)
-    assert [finding.has for finding in found] == [True, False, False, False, False, False, True]
+    assert [finding.is_present for finding in found] == [True, False, False, False, False, False, True]
     assert "readings of displacements" in found[0].text
     assert "2 repeats; 3 show the noise" in found[3].text
 
@@ -299,7 +299,7 @@ def test_the_robot_of_a_folder_may_be_in_the_folder(measured, tmp_path):
     assert 'robot = "kuka_kr270"' in text
     (tmp_path / "experiment.toml").write_text(text.replace('robot = "kuka_kr270"', 'robot = "arm"'))
     findings = dataset.check(tmp_path)
-    assert any(finding.has and finding.text.startswith("readings that agree with") for finding in findings)
+    assert any(finding.is_present and finding.text.startswith("readings that agree with") for finding in findings)
 
 
 @pytest.mark.parametrize(("stated", "point"), [(None, 0.0), (0.0, 0.0), (2.0, 0.5)])
@@ -307,5 +307,5 @@ def test_errors_of_load_and_load_point_are_stated_or_not(measured, stated, point
     setup = read_experiment(measured[0] / "experiment.toml")
     setup = replace(setup, load_error_percent=stated, load_point_sigma_mm=point)
     load, spot = dataset._setup_findings(setup)
-    assert (load.has, spot.has) == (stated is not None, point > 0.0)
+    assert (load.is_present, spot.is_present) == (stated is not None, point > 0.0)
     assert (load.text[:18], spot.text[:19]) == ("load_error_percent", "load_point_sigma_mm")

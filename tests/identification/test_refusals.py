@@ -78,7 +78,7 @@ def test_doubts_of_readings_are_listed_as_faults_of_a_folder(monkeypatch):
     monkeypatch.setattr(dataset, "check_readings", lambda *_: checked)
     monkeypatch.setattr(dataset, "gaps", lambda _: ["gap"])
     found = dataset._agreement_findings(harness.PRIOR, data)
-    assert [(finding.text, finding.has) for finding in found] == [
+    assert [(finding.text, finding.is_present) for finding in found] == [
         ("outlier: line 7", False),
         ("forces turned", False),
         ("all points move", False),
@@ -300,7 +300,7 @@ def test_a_parameter_that_moves_no_reading_stays_at_nothing(monkeypatch):
     rng = np.random.default_rng(3)
     measured = rng.normal(0.0, 1e-5, (3, 4, 3)) + 2e-4
     structure = Structure(JOINT_COMPLIANCES[:2], harness.PRIOR)
-    usual = structure.usual()
+    usual = structure.usual_sizes()
 
     for size, is_dead in ((1e-7, True), (1e-4, False)):
         # all readings by the second parameter, in units of the noise, if it has its usual size
