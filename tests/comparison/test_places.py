@@ -7,9 +7,12 @@ import json
 import re
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from postproc.report.comparison import summary
 from tests import commands
 from tests.comparison.krl_moves import TURNED
 from tests.html_page import read_page
@@ -130,3 +133,17 @@ def test_a_target_out_of_reach_is_named_with_its_path():
     assert f"corrected/part.src:{line}: out of reach" in run(
         "compare", "nominal/part.src", "corrected/part.src", code=1
     )
+
+
+def test_a_target_without_a_partner_follows_the_partner_of_the_target_before_it():
+    pairing = SimpleNamespace(
+        pair=np.array([[0, 0], [1, 2], [2, 4], [4, 9]]),
+        inserted_rows=np.array([1, 3, 5, 6, 7, 8]),
+        only_nominal=np.array([3]),
+        passed_rows=np.array([5]),
+        additional_rows=np.array([10]),
+    )
+    targets = summary._table_targets(pairing)
+    rows = [(int(targets.nominal[k]), int(targets.corrected[k])) for k in targets.order]
+    assert rows[4:8] == [(2, 4), (3, -1), (-1, 5), (-1, 6)]
+    assert rows[-3:] == [(4, 9), (5, -1), (-1, 10)]

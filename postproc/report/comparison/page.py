@@ -51,25 +51,29 @@ from postproc.report.kit import (
 from postproc.report.kit.parts import Colour
 
 _MOST_GROUPS = 4_000
-"""Points of a curve, more than a screen has pixels."""
+"""Largest number of groups of pairs, each of which has a point of a curve: more than a screen has pixels."""
 _MOST_POINTS = 24_000
-"""Points that are drawn in space (assumed): browsers still turn them quickly."""
-_CHORD = np.radians(10.0)
-"""Angle of a chord that an arc is drawn by (assumed)."""
-_WORST = 20
-"""Rows of the table."""
+"""Largest number of points that are drawn in space (assumed): browsers still turn them quickly."""
+_CHORD_ANGLE = np.radians(10.0)
+"""Angle of the chords by which an arc is drawn [rad] (assumed)."""
+_MOST_WORST_PAIRS = 20
+"""Largest number of rows of the table of largest offsets."""
 _BINS = 40
 """Bars of the histogram."""
-_KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
-_PLACE = re.compile(r"\S+:\d+")
+_LEVEL_KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
+_FILE_AND_LINE = re.compile(r"\S+:\d+")
 """File and line at the beginning of a text: not capitalised."""
-_ROWS = ("Maximum", "RMS", "Mean", "95th percentile")
+_MEASURES = ("Maximum", "RMS", "Mean", "95th percentile")
+"""Labels of the fields of `Distances`, in order."""
 
 
 class Facts(msgspec.Struct, frozen=True):
-    """Data of the script in addition to the columns: names, place of the largest offset.
+    """Data that the script of the page reads in addition to the columns.
 
-    Names of files are those of each program, and empty if all its pairs are in one file.
+    :param nominal: display name of the nominal program, `corrected` of the corrected one.
+    :param nominal_files: file names of the nominal program, `corrected_files` of the corrected one; empty if all pairs
+        are in one file of it.
+    :param worst: place of the page with the largest offset.
     """
 
     nominal: str
@@ -114,12 +118,12 @@ def comparison_page(comparison: Comparison, content: ComparisonSummary) -> Itera
 
 
 def _verdict_section(content: ComparisonSummary) -> Section:
-    """Return the section with the verdict and its reasons."""
+    """Return the section with the verdict: headline, three answers and reasons."""
     verdict = content.verdict
     names = (content.nominal, content.corrected)
-    # names of files keep their first letter
+    # a reason begins with a capital letter, unless it begins with the name of a file
     reasons = tuple(
-        (text if text.startswith(names) or _PLACE.match(text) else text[:1].upper() + text[1:]) + "."
+        (text if text.startswith(names) or _FILE_AND_LINE.match(text) else text[:1].upper() + text[1:]) + "."
         for text in verdict.reasons
     )
     parts: list[Part] = [Verdict(verdict.state, *split_headline(verdict)), answer_facts(verdict)]
@@ -130,7 +134,7 @@ def _verdict_section(content: ComparisonSummary) -> Section:
 
 
 def _numbers_section(content: ComparisonSummary) -> Section:
-    """Return the section with offsets and deviations, and notes on targets that are passed and on splines."""
+    """Return the section with offsets and deviations, and notes on left-out targets and on splines if there are any."""
     parts: list[Part] = [_number_tiles(content), _number_table(content)]
     texts = [passed_sentence(content)] if content.passed else []
     texts += [spline_sentence(content)] if content.splines else []
@@ -140,7 +144,10 @@ def _numbers_section(content: ComparisonSummary) -> Section:
 
 
 def _number_tiles(content: ComparisonSummary) -> Tiles:
-    """Return the tiles with the largest offset, rotation, distance of the paths, and deviation of each program."""
+    """Return the tiles with the largest offset, rotation, distance of the paths, and deviation of each program.
+
+    The distance of the paths and the deviations are left out if they are unknown.
+    """
     tiles = [
         Tile("Largest offset", millimetres(content.offset.max_mm), "mm"),
         Tile("Largest change of orientation", f"{content.rotation.max_deg:.4f}", "°"),
@@ -155,11 +162,12 @@ def _number_tiles(content: ComparisonSummary) -> Tiles:
 
 def _number_table(content: ComparisonSummary) -> Table:
     """Return the table of offsets, and of the deviations of both programs where forces are known [mm]."""
-    head, columns = ["Criterion", "Offset, mm"], [content.offset]
+    head, distances = ["Criterion", "Offset, mm"], [content.offset]
     if content.cut is not None:
         head += ["Nominal cuts, mm", "Corrected cuts, mm"]
-        columns += [content.cut.nominal, content.cut.corrected]
-    measures = zip(_ROWS, *map(astuple, columns), strict=True)
+        distances += [content.cut.nominal, content.cut.corrected]
+    # a row for each measure, a column for each of the distances
+    measures = zip(_MEASURES, *map(astuple, distances), strict=True)
     rows = tuple(Row((label, *map(millimetres, values))) for label, *values in measures)
     if content.between is not None:
         largest = (millimetres(content.between.nominal_max_mm), millimetres(content.between.corrected_max_mm))
@@ -168,9 +176,12 @@ def _number_table(content: ComparisonSummary) -> Table:
 
 
 def _page_rows(comparison: Comparison, linked_rows: Ints) -> Ints:
-    """Return the pairs (s,) to show, in order: those with the largest values of each group, the worst, linked ones.
+    """Return the pairs (s,) to show, ascending; empty without pairs.
 
-    :param linked_rows: pairs to which tables lead.
+    Consecutive pairs are grouped. Of each group the cutting pairs with the largest offset, path distance and deviations
+    are shown; also the pairs with the largest offsets of all, and linked ones.
+
+    :param linked_rows: (n,) pairs to which tables lead.
     """
     if not len(comparison.pair):
         return np.zeros(0, dtype=np.int64)
@@ -188,14 +199,17 @@ def _page_rows(comparison: Comparison, linked_rows: Ints) -> Ints:
 
 
 def _worst_rows(comparison: Comparison) -> Ints:
-    """Return the `_WORST` cutting pairs (n,) with the largest offsets, the largest first."""
+    """Return the cutting pairs (n,) with the largest offsets, the largest first, at most `_MOST_WORST_PAIRS`."""
     size = np.where(comparison.rapid, -1.0, comparison.distance)  # negative: not cutting
-    order = np.argsort(-size, kind="stable")[:_WORST]
+    order = np.argsort(-size, kind="stable")[:_MOST_WORST_PAIRS]
     return np.asarray(order[size[order] >= 0.0])
 
 
 def _linked_rows(comparison: Comparison, content: ComparisonSummary, nominal: Names) -> Ints:
-    """Return the pairs (n,) that rows of the tables of operations and differences link to: thinning must keep them."""
+    """Return the pairs (n,) to which tables of operations and differences lead: thinning must keep them.
+
+    :param nominal: display names of the files of the nominal program.
+    """
     places = [(entry.nominal_file, entry.nominal_line) for entry in content.operations]
     lines = [*places, *((entry.source_file, entry.source_line) for entry in content.issues)]
     rows = (_pair_of(comparison, nominal, file, line) for file, line in lines)
@@ -203,34 +217,44 @@ def _linked_rows(comparison: Comparison, content: ComparisonSummary, nominal: Na
 
 
 def _pair_of(comparison: Comparison, names: Names, file: str | None, line: int | None) -> int | None:
-    """Return the pair on a line of the nominal program, or the next one after it in that file; else the last pair.
+    """Return the first pair on a line of the nominal program, else the first pair after the line in that file.
 
-    None without a line, or if there are no pairs.
+    The last pair of all if there is neither. None without a line, or if there are no pairs.
 
-    :param names: of the files of the nominal program.
+    :param names: display names of the files of the nominal program.
+    :param file: display name of the file.
     """
     if line is None or not len(comparison.pair):
         return None
     places = comparison.nominal.places(comparison.pair[:, 0])
     is_in_file = np.array([names.prefix + name == file for name in places.files])[places.file]
-    for matches in (is_in_file & (places.line == line), is_in_file & (places.line >= line)):
-        if matches.any():
-            return int(np.argmax(matches))
+    for is_match in (is_in_file & (places.line == line), is_in_file & (places.line >= line)):
+        if is_match.any():
+            return int(np.argmax(is_match))  # the first True
     return len(comparison.pair) - 1
 
 
 def _place_of(comparison: Comparison, pair_rows: Ints, names: Names, file: str | None, line: int | None) -> int | None:
-    """Return the index, among the pairs shown, of the one on a line of the nominal program; None as of `_pair_of`.
+    """Return the place of the page of the pair on a line of the nominal program: its index among the pairs shown.
 
-    :param pair_rows: (s,) pairs shown, in order; the one sought is among them.
+    None as for `_pair_of`.
+
+    :param pair_rows: (s,) pairs shown, ascending; they contain the pair.
+    :param names: display names of the files of the nominal program.
+    :param file: display name of the file.
     """
     pair = _pair_of(comparison, names, file, line)
     return None if pair is None else int(np.searchsorted(pair_rows, pair))
 
 
 def _facts(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Sequence[Names]) -> Facts:
-    """Return the facts for the script of the page: names, files and the pair with the largest offset."""
-    size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows]
+    """Return the facts for the script of the page: names, files and the place of the largest offset.
+
+    :param pair_rows: (s,) pairs shown, ascending.
+    :param names: display names of the files of both programs.
+    """
+    size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows]  # negative: not cutting
+    # places of a single pair: they contain the names of all files of the program
     nominal_files, corrected_files = (
         [name.prefix + file for file in program.places(comparison.pair[:1, k]).files] if name.has_several_files else []
         for k, (program, name) in enumerate(zip((comparison.nominal, comparison.corrected), names, strict=True))
@@ -239,7 +263,10 @@ def _facts(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, 
 
 
 def _pair_columns(comparison: Comparison, pair_rows: Ints) -> Columns:
-    """Return the columns of the pairs (s,) for the script of the page: mm, degrees, N, mm/s."""
+    """Return the columns of pairs for the script of the page: mm, degrees, N, mm/s.
+
+    :param pair_rows: (s,) pairs shown, ascending.
+    """
     nominal_places, corrected_places = (
         comparison.nominal.places(comparison.pair[pair_rows, 0]),
         comparison.corrected.places(comparison.pair[pair_rows, 1]),
@@ -266,13 +293,16 @@ def _pair_columns(comparison: Comparison, pair_rows: Ints) -> Columns:
 
 
 def _place_section() -> Section:
-    """Return the section with the details of the chosen pair, next to all others."""
+    """Return the section with the details of the chosen pair, beside all other sections."""
     label = "Details of the chosen pair: lines, pose, offset, speeds, force, what each program cuts"
     return Section("place", "Place", (View("place", label),), "side")
 
 
 def _path_section(comparison: Comparison, rows: Ints) -> Section:
-    """Return the section with both paths in space, offsets exaggerated to a tenth of the extent."""
+    """Return the section with both paths in space, offsets exaggerated to about a tenth of the extent of the path.
+
+    :param rows: (s,) pairs shown, ascending.
+    """
     path = _drawn_path(comparison, rows)
     extent = float(np.ptp(path.point, axis=0).max())
     largest = float(norm(path.offset).max())
@@ -307,9 +337,9 @@ def _round_scale(factor: float) -> float:
 class _DrawnPath(NamedTuple):
     """Points of both paths as they are drawn.
 
-    :param point: (n, 3) of the nominal path [m].
-    :param offset: (n, 3) of the other path from there [m].
-    :param place: (n,) row of the pairs shown to which each leads.
+    :param point: (n, 3) points of the nominal path [m].
+    :param offset: (n, 3) vectors from these points to the corrected path [m].
+    :param place: (n,) index among the pairs shown to which each point leads.
     """
 
     point: Array
@@ -318,23 +348,23 @@ class _DrawnPath(NamedTuple):
 
 
 def _drawn_path(comparison: Comparison, rows: Ints) -> _DrawnPath:
-    """Return points of the nominal path and offsets of the other one.
+    """Return points of the nominal path and offsets of the corrected path.
 
     Between consecutive pairs both paths are followed: arcs are drawn as arcs.
 
-    :param rows: (s,) pairs shown, in order.
+    :param rows: (s,) pairs shown, ascending.
     """
     if comparison.curves is None:
         return _DrawnPath(comparison.target[rows, :3, 3], comparison.offset[rows], np.arange(len(rows)))
-    # one part, a straight one, where the path is not known, and from a pair that is not the one before
-    parts = np.where(np.isnan(comparison.path_distance[rows]), 1, comparison.curves.parts(_CHORD)[rows])
+    # one straight part where the path is unknown, and where pairs before it are not shown
+    parts = np.where(np.isnan(comparison.path_distance[rows]), 1, comparison.curves.parts(_CHORD_ANGLE)[rows])
     parts = np.where(np.diff(rows, prepend=-2) == 1, np.minimum(parts, max(1, _MOST_POINTS // len(rows))), 1)
     place = np.repeat(np.arange(len(rows)), parts)
-    # pair i is at u = i, the path to it between i − 1 and i: its parts end at i minus the share that is left to it
+    # pair i is at u = i, the path to it from i − 1 to i: each of its parts ends at i minus the share that is left
     parts_left = np.cumsum(parts)[place] - 1 - np.arange(len(place))
     u = rows[place] - parts_left / parts[place]
     nominal_point, corrected_point = comparison.target[rows[place], :3, 3], comparison.pose[rows[place], :3, 3]
-    inner = np.flatnonzero(parts_left)
+    inner = np.flatnonzero(parts_left)  # points between pairs
     if len(inner):
         nominal_point[inner], corrected_point[inner] = comparison.curves.at(u[inner])
     return _DrawnPath(nominal_point, corrected_point - nominal_point, place)
@@ -343,7 +373,7 @@ def _drawn_path(comparison: Comparison, rows: Ints) -> _DrawnPath:
 def _path_line(points: Array, name: str, colour: Colour, place: Ints) -> Lines:
     """Return points (n, 3) [m] as a line in space, in mm.
 
-    :param place: (n,) row of the pairs shown to which a click on each point leads.
+    :param place: (n,) index among the pairs shown to which a click on each point leads.
     """
     x, y, z = (points * MM_PER_M).T.tolist()
     return Lines(x, y, z, name, colour, places=place.tolist())
@@ -352,7 +382,8 @@ def _path_line(points: Array, name: str, colour: Colour, place: Ints) -> Lines:
 def _program_plots_section(comparison: Comparison, content: ComparisonSummary, rows: Ints, nominal: Names) -> Section:
     """Return the section with offsets and, where forces are known, deviations along the program.
 
-    :param rows: (s,) pairs shown, in order.
+    :param rows: (s,) pairs shown, ascending.
+    :param nominal: display names of the files of the nominal program.
     """
 
     def curve(values: Array, name: str, colour: Colour) -> Curve:
@@ -384,13 +415,18 @@ def _program_plots_section(comparison: Comparison, content: ComparisonSummary, r
 
 
 def _histogram_section(comparison: Comparison, pair_rows: Ints) -> Section:
-    """Return the section with the histogram of the offset [mm]; a bar leads to the largest shown pair in it."""
+    """Return the section with the histogram of the offset [mm] over the length of the cutting path.
+
+    A click on a bar leads to the shown pair with the largest offset in it.
+
+    :param pair_rows: (s,) pairs shown, ascending.
+    """
     cutting, total = ~comparison.rapid, float(comparison.cut_length.sum())
     percent = 100.0 * comparison.cut_length[cutting] / (total or 1.0)
     heights, edges = np.histogram(comparison.distance[cutting] * MM_PER_M, bins=_BINS, weights=percent)
     size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows] * MM_PER_M  # negative: not cutting
     order = np.argsort(size)
-    # the largest shown pair below the upper edge of each bar; −1: there is none
+    # index in `order` of the largest shown pair up to the upper edge of each bar; −1: there is none
     largest = np.searchsorted(size[order], edges[1:], side="right") - 1
     places = [
         int(order[k]) if k >= 0 and size[order[k]] >= lower_edge else None
@@ -409,7 +445,11 @@ def _histogram_section(comparison: Comparison, pair_rows: Ints) -> Section:
 def _operations_section(
     comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Sequence[Names]
 ) -> Section:
-    """Return the section with the largest values of each operation."""
+    """Return the section with the largest values of each operation of the nominal program.
+
+    :param pair_rows: (s,) pairs shown, ascending.
+    :param names: display names of the files of both programs.
+    """
     head = ["Operation", "Tool", "First line", "Cutting targets", "Offset, mm"]
     head += ["Nominal cuts, mm", "Corrected cuts, mm"] if content.cut is not None else []
     rows = []
@@ -432,10 +472,10 @@ def _operations_section(
 
 
 def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequence[Names]) -> Section:
-    """Return the section with the table of the `_WORST` cutting pairs with the largest offsets.
+    """Return the section with the table of the cutting pairs with the largest offsets.
 
-    :param pair_rows: (s,) pairs shown, in order, to which rows lead.
-    :param names: of the files of both programs.
+    :param pair_rows: (s,) pairs shown, ascending; they contain those of the table.
+    :param names: display names of the files of both programs.
     """
     head = [
         *(f"Line of {name.main}" for name in names),
@@ -465,13 +505,17 @@ def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequenc
 
 
 def _issues_section(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Names) -> Section:
-    """Return the section with the differences besides positions; a row leads to the pair at its place."""
+    """Return the section with the differences that are not of positions; a row leads to the pair at its line.
+
+    :param pair_rows: (s,) pairs shown, ascending.
+    :param names: display names of the files of the nominal program.
+    """
     if not content.issues:
         return Section("issues", "Differences besides positions", (Notes((Note("None.", "good"),)),))
     rows = tuple(
         Row(
             (
-                Cell(issue.level, _KINDS[issue.level]),
+                Cell(issue.level, _LEVEL_KINDS[issue.level]),
                 issue.message,
                 place_text(issue) or "-",
                 str(issue.count),

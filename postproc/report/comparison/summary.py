@@ -34,7 +34,7 @@ class Names(Struct, frozen=True):
 
     :param main: the main file.
     :param prefix: text before file names: empty, or folders with a trailing slash.
-    :param has_several_files: True if its motions are in several files.
+    :param has_several_files: True if the motions of the program are in several files.
     """
 
     main: str
@@ -42,16 +42,16 @@ class Names(Struct, frozen=True):
     has_several_files: bool
 
     def place(self, file_and_line: tuple[str, int]) -> str:
-        """Return file and line in the form used in messages."""
+        """Return file and line as text, such as `folder/part.src:12`."""
         return f"{self.prefix}{file_and_line[0]}:{file_and_line[1]}"
 
     def line(self, file_and_line: tuple[str, int]) -> str:
-        """Return a line number for tables, preceded by its file if a program has several."""
+        """Return a line number for tables, preceded by its file if the program has several files."""
         return self.place(file_and_line) if self.has_several_files else str(file_and_line[1])
 
 
 def names_of(comparison: Comparison) -> tuple[Names, Names]:
-    """Return the display names of the files of both programs."""
+    """Return the display names of the files of both programs, with folders if a file name is in both."""
     programs = comparison.nominal, comparison.corrected
     files = [{document.name.lower() for document in program.documents} for program in programs]
     prefixes = (
@@ -65,37 +65,44 @@ def names_of(comparison: Comparison) -> tuple[Names, Names]:
 
 
 def _has_several_files(program: Program, rows: Ints) -> bool:
-    """Return whether motions `rows` (n,) are in more than one file; False without motions."""
+    """Return whether motions are in more than one file; False without motions.
+
+    :param rows: (n,) rows of the motions of the program.
+    """
     places = program.places(rows)
     return bool(len(places.file)) and bool((places.file != places.file[0]).any())
 
 
 def _distinct_ends(nominal_folder: str, second_folder: str) -> tuple[str, str]:
-    """Return the shortest distinct ends of two folders, with a trailing slash; empty if they are the same folder."""
+    """Return the shortest ends by which two folders differ, with a trailing slash; empty if they are the same folder.
+
+    For example "new/" and "old/" of /jobs/new and /jobs/old.
+    """
     folders = [Path(folder).resolve().parts for folder in (nominal_folder, second_folder)]
     if folders[0] == folders[1]:
         return "", ""
+    # number of parts from the end; the folders differ, so that it exists
     count = next(n for n in range(1, max(map(len, folders)) + 1) if folders[0][-n:] != folders[1][-n:])
     # the root of a drive is a part with slashes of its own
     first, second = ("/".join(part.strip("/\\") for part in folder[-count:]) + "/" for folder in folders)
     return first, second
 
 
-_LARGEST_PAIRS = 20
-"""Pairs in the JSON file."""
-_DIFFERENCES = (
+_MOST_LARGEST_PAIRS = 20
+"""Number of pairs with the largest offsets in the JSON file."""
+_DIFFERENCE_KINDS = (
     "speed", "kind", "approximation", "base", "tool", "external-axis", "posture", "axis-target", "orientation", "force",
     "rapid", "twice", "back", "orientation-type", "statement", "not-compared",
 )  # fmt: skip
 
 
 class ProgramOrigin(Struct, frozen=True):
-    """The origin of the second program.
+    """The origin of the second program, and whether it was made from the inputs of this comparison.
 
-    :param origin: as its text states it.
-    :param agrees: whether it was made from these, by name: program, cell, robot model, force file. Empty if its text
-        states no origin; without force file if it was made with one that is not given now.
-    :param same_origin: its text is as postproc wrote it, from these.
+    :param origin: the origin that its text states.
+    :param agrees: name of each input (program, cell, robot model, force file) → whether the second program was made
+        from it. Empty if its text states no origin; without force file if it was made with one that is not given now.
+    :param same_origin: its text is as postproc wrote it, and it was made from these inputs.
     :param without_forces: it was made with a force file that is not given now.
     """
 
@@ -233,9 +240,9 @@ def comparison_summary(
 ) -> ComparisonSummary:
     """Return the content of `part.compare.report.json`.
 
-    :param file_origin: where the second program comes from.
+    :param file_origin: origin of the second program.
     :param tolerance: largest permitted distance of the tip from the nominal path [m].
-    :param limit: the largest correction that is allowed [m].
+    :param limit: largest permitted correction [m].
     """
     content = _unjudged_summary(comparison, file_origin, tolerance)
     errors, doubts = [*_failures(content, limit * MM_PER_M, file_origin)], [*_doubts(content, file_origin)]
@@ -247,7 +254,7 @@ def comparison_summary(
 
 
 def _passed_checks(content: ComparisonSummary, file_origin: ProgramOrigin) -> list[str]:
-    """Return sentences on the checks that passed, and the differences that are for information only."""
+    """Return sentences on the checks that passed, and on the differences of level "info"."""
     holds = ["every target has its partner" + (", or the path passes it" if content.passed else "")]
     if content.provenance.state == "intact":
         holds.append("the text is as postproc wrote it")
@@ -269,7 +276,8 @@ def _unjudged_summary(comparison: Comparison, file_origin: ProgramOrigin, tolera
     count = Counter[str]()
     for difference in comparison.differences:
         count[difference.kind] += difference.count
-    names = nominal, second_names = names_of(comparison)
+    names = names_of(comparison)
+    nominal, second_names = names
     return ComparisonSummary(
         nominal=nominal.main,
         corrected=second_names.main,
@@ -285,7 +293,7 @@ def _unjudged_summary(comparison: Comparison, file_origin: ProgramOrigin, tolera
         rotation=Rotations(max_deg=rotation.largest * DEG_PER_RAD, rms_deg=rotation.rms * DEG_PER_RAD),
         between_targets=_largest_gap(comparison, names),
         largest=_largest_pairs(comparison, names),
-        differences={kind.replace("-", "_"): count[kind] for kind in _DIFFERENCES},
+        differences={kind.replace("-", "_"): count[kind] for kind in _DIFFERENCE_KINDS},
         cut=_cut_distances(comparison, names, slice(0, len(comparison.pair))),
         between=_deviation_between_targets(comparison, second_names),
         tolerance_mm=stated_mm(tolerance),
@@ -302,13 +310,16 @@ def _unjudged_summary(comparison: Comparison, file_origin: ProgramOrigin, tolera
 
 
 def _largest_passing_distance(comparison: Comparison) -> float | None:
-    """Return the largest distance at which the second path passes targets that it leaves out [mm]; None if unknown."""
+    """Return the largest distance of the second path from nominal targets that it leaves out [mm]; None if unknown."""
     distances = comparison.passing_distance[np.isfinite(comparison.passing_distance)]
     return float(distances.max()) * MM_PER_M if len(distances) else None
 
 
 def _difference_entry(difference: Difference, nominal: Names, second_names: Names) -> DifferenceEntry:
-    """Return a difference as an entry of the summary."""
+    """Return a difference as an entry of the summary.
+
+    :param nominal: display names of the files of the nominal program, `second_names` of the second one.
+    """
     return DifferenceEntry(
         level=difference.level,
         kind=difference.kind,
@@ -322,7 +333,7 @@ def _difference_entry(difference: Difference, nominal: Names, second_names: Name
 
 
 def place_text(entry: DifferenceEntry) -> str:
-    """Return the lines of the first place of a difference, in both programs; empty if unknown."""
+    """Return file and line of the first place of a difference in each program, joined by "and"; empty if unknown."""
     places = (
         (entry.source_file, entry.source_line),
         (entry.corrected_file, entry.corrected_line),
@@ -331,12 +342,15 @@ def place_text(entry: DifferenceEntry) -> str:
 
 
 def _failures(content: ComparisonSummary, limit_mm: float, file_origin: ProgramOrigin) -> Iterator[str]:
-    """Yield reasons why the corrected program must not be run."""
+    """Yield reasons why the corrected program must not be run.
+
+    :param limit_mm: largest permitted correction.
+    """
     if content.provenance.state == "changed":
         yield f"{content.corrected} was changed since postproc wrote it: convert the program again"
-    # without forces the correction is too uncertain to distinguish a target from an inserted one next to it
-    explains_offsets = content.cut is not None or not file_origin.same_origin
-    if explains_offsets and not content.offset.max_mm <= limit_mm:
+    # without the forces of its correction, targets cannot be told from inserted ones: then offsets mean nothing
+    are_offsets_judged = content.cut is not None or not file_origin.same_origin
+    if are_offsets_judged and not content.offset.max_mm <= limit_mm:  # not ≤: an unknown offset (NaN) fails too
         offset = above_limit_text(content.offset.max_mm, limit_mm)
         place = _pair_text(content.largest[0])
         yield f"{place}: this target is {offset} mm off: more than max_correction_mm = {limit_mm:g}"
@@ -346,7 +360,11 @@ def _failures(content: ComparisonSummary, limit_mm: float, file_origin: ProgramO
 
 
 def _tolerance_answer(content: ComparisonSummary) -> Tolerance | None:
-    """Return the answer that the second program misses the tolerance of the path; None if nothing shows it."""
+    """Return the answer that the second program does not hold the tolerance of the path; None if nothing shows that.
+
+    It is never "held": collisions and limits are left to a prediction of the second program.
+    """
+    # not ≤: an unknown distance (NaN) fails too
     cut, between_targets, tolerance, reasons = content.cut, content.between, content.tolerance_mm, list[str]()
     if cut is not None and not cut.corrected.max_mm <= tolerance:
         reasons.append(
@@ -368,7 +386,7 @@ def _pair_text(pair: Lines | WorstPair) -> str:
 
 
 def _doubts(content: ComparisonSummary, file_origin: ProgramOrigin) -> Iterator[str]:
-    """Yield reasons to look at the corrected program before it is run."""
+    """Yield reasons to check the corrected program before it is run."""
     origin = content.provenance
     changed_inputs = [name for name, is_same in origin.made_from_these.items() if not is_same]
     if changed_inputs:
@@ -399,7 +417,7 @@ def _distances(values: Array, cut_length: Array) -> Distances:
     """Return the statistics of distances along the cutting path [mm].
 
     :param values: (n,) the distances [m].
-    :param cut_length: (n,) length of path that each counts with, for example [m]; 0 of rapid motions.
+    :param cut_length: (n,) length of path with which each distance counts [m]; 0 of rapid motions.
     """
     measures = statistics(values, cut_length)
     return Distances(
@@ -411,10 +429,12 @@ def _distances(values: Array, cut_length: Array) -> Distances:
 
 
 def _cut_distances(comparison: Comparison, names: Sequence[Names], rows: slice) -> CutDistances | None:
-    """Return the deviations of both programs under force at cutting targets [mm], and where the second is worst.
+    """Return the deviations of both programs under force at cutting targets [mm], and the worst pair of the second one.
 
-    :param rows: of the pairs that count.
-    :returns: None without forces.
+    None without forces. The lines of the worst pair are None if all pairs are rapid.
+
+    :param names: display names of the files of both programs.
+    :param rows: pairs that count.
     """
     if comparison.cuts is None:
         return None
@@ -433,8 +453,11 @@ def _cut_distances(comparison: Comparison, names: Sequence[Names], rows: slice) 
 
 
 def _largest_gap(comparison: Comparison, names: Sequence[Names]) -> PathGap:
-    """Return the largest distance of the paths between targets [mm], and where."""
-    # rapid motions and ways with a PTP do not count
+    """Return the largest distance of the paths between targets [mm], and its pair.
+
+    :param names: display names of the files of both programs.
+    """
+    # rapid motions, and paths from or to a PTP (NaN), do not count
     size = np.where(comparison.rapid | np.isnan(comparison.path_distance), -1.0, comparison.path_distance)
     worst = int(np.argmax(size)) if len(size) else -1
     if worst < 0 or size[worst] < 0.0:
@@ -443,7 +466,7 @@ def _largest_gap(comparison: Comparison, names: Sequence[Names]) -> PathGap:
 
 
 def _deviation_between_targets(comparison: Comparison, second_names: Names) -> DistancesBetweenPairs | None:
-    """Return the largest deviations between targets of cutting moves [mm]; None if there are none."""
+    """Return the largest deviations between targets of cutting moves [mm]; None without forces or cutting moves."""
     cuts = comparison.cuts
     motions = comparison.corrected.motions
     if cuts is None or not len(cuts.row):
@@ -462,9 +485,9 @@ def _deviation_between_targets(comparison: Comparison, second_names: Names) -> D
 
 
 def _largest_pairs(comparison: Comparison, names: Sequence[Names]) -> list[PairEntry]:
-    """Return the `_LARGEST_PAIRS` cutting pairs with the largest offsets, largest first."""
-    size = np.where(comparison.rapid, -1.0, comparison.distance)
-    order = np.argsort(-size, kind="stable")[:_LARGEST_PAIRS]
+    """Return the cutting pairs with the largest offsets, the largest first, at most `_MOST_LARGEST_PAIRS`."""
+    size = np.where(comparison.rapid, -1.0, comparison.distance)  # negative: not cutting
+    order = np.argsort(-size, kind="stable")[:_MOST_LARGEST_PAIRS]
     return [
         PairEntry(
             **asdict(_lines_of_pair(comparison, names, row)),
@@ -478,6 +501,7 @@ def _largest_pairs(comparison: Comparison, names: Sequence[Names]) -> list[PairE
 def _lines_of_pair(comparison: Comparison, names: Sequence[Names], pair: int) -> Lines:
     """Return file and line of both targets of a pair, as keys of the report.
 
+    :param names: display names of the files of both programs.
     :param pair: index of the pair.
     """
     nominal_row, corrected_row = comparison.pair[pair]
@@ -492,7 +516,10 @@ def _lines_of_pair(comparison: Comparison, names: Sequence[Names], pair: int) ->
 
 
 def _operation_entries(comparison: Comparison, names: Sequence[Names]) -> Iterator[OperationEntry]:
-    """Yield an entry for each operation with cutting targets."""
+    """Yield an entry for each operation of the nominal program that has cutting targets, in order.
+
+    :param names: display names of the files of both programs.
+    """
     starts = operation_starts(comparison.nominal, comparison.pair[:, 0])
     for first, end in pairwise([*sorted(starts), len(comparison.pair)]):
         rows = slice(first, end)
@@ -500,7 +527,7 @@ def _operation_entries(comparison: Comparison, names: Sequence[Names]) -> Iterat
         if not cutting:
             continue
         name, tool = starts[first]
-        # of the first cutting target: argmin of rapid
+        # argmin: the first pair that is not rapid
         lines = _lines_of_pair(comparison, names, first + int(np.argmin(comparison.rapid[rows])))
         yield OperationEntry(
             name=name,
@@ -514,38 +541,39 @@ def _operation_entries(comparison: Comparison, names: Sequence[Names]) -> Iterat
 
 
 _XYZABC = ("X", "Y", "Z", "A", "B", "C")
-_NUMBERS = (
+_NUMBER_COLUMNS = (
     *(f"{name}_nominal" for name in _XYZABC),
     *(f"{name}_corrected" for name in _XYZABC),
     "offset_mm", "rotation_deg", "speed_nominal_mm_per_s", "speed_corrected_mm_per_s",
     "cut_nominal_mm", "cut_corrected_mm", "between_mm", "cut_length_mm",
 )  # fmt: skip
 _DECIMALS = (6,) * 13 + (6, 3, 3, 6, 6, 6, 6)
-"""Decimals of `_NUMBERS`."""
-PAIR_COLUMNS = ("state", "nominal_file", "nominal_line", "corrected_file", "corrected_line", "rapid", *_NUMBERS)
-"""Columns of the file, in order."""
+"""Decimals of each of `_NUMBER_COLUMNS`."""
+PAIR_COLUMNS = ("state", "nominal_file", "nominal_line", "corrected_file", "corrected_line", "rapid", *_NUMBER_COLUMNS)
+"""Columns of the CSV file of pairs, in order."""
 _STATES = ("pair", "inserted", "only_nominal", "only_corrected", "passed")
 
 
 def pairs_csv(comparison: Comparison) -> Iterator[bytes]:
-    """Yield the CSV of pairs in pieces of some thousand rows: in the order of the second program.
+    """Yield the CSV of pairs in pieces of some thousand rows, in the order of the second program.
 
-    Targets that only the first program has follow the partner of the target before them.
-
-    Numbers that a target does not have are empty. Poses are in the nominal `$BASE` for pairs, else in their own.
+    A target that only the nominal program has follows the partner of the target before it.
+    A number that is unknown or does not apply to a target is an empty cell. Poses of pairs are in the nominal `$BASE`,
+    poses of other targets in the `$BASE` of their own motion.
     """
     yield (",".join(PAIR_COLUMNS) + "\n").encode()
     targets = _table_targets(comparison)
     nominal_row, corrected_row = targets.nominal[targets.order], targets.corrected[targets.order]
     numbers = _numbers_of_targets(comparison, targets)[targets.order]
     is_nominal_rapid, is_corrected_rapid = comparison.nominal.motions.rapid, comparison.corrected.motions.rapid
+    # a pair is rapid if its nominal motion is
     rapid = np.where(nominal_row >= 0, is_nominal_rapid[nominal_row], is_corrected_rapid[corrected_row]).astype(float)
-    names = _word_column(_STATES, targets.state[targets.order])
+    state_names = _word_column(_STATES, targets.state[targets.order])
     nominal_file, nominal_line = _place_columns(comparison.nominal, nominal_row)
     corrected_file, corrected_line = _place_columns(comparison.corrected, corrected_row)
     for part in chunks(len(targets.order)):
         columns: list[Number | NDArray[np.uint8]] = [
-            names[part],
+            state_names[part],
             nominal_file[part],
             Number.of(nominal_line[part], 0),
             corrected_file[part],
@@ -557,12 +585,12 @@ def pairs_csv(comparison: Comparison) -> Iterator[bytes]:
 
 
 class _TableTargets(NamedTuple):
-    """The n targets of the table: pairs first, in the order of `Comparison.pair`, then the other states.
+    """The n targets of the CSV file: first the pairs, in the order of `Comparison.pair`, then all others.
 
     :param state: (n,) index in `_STATES`.
-    :param nominal: (n,) nominal motion, −1 where there is none.
-    :param corrected: (n,) motion of the second program, −1 where there is none.
-    :param order: (n,) of the targets in the table.
+    :param nominal: (n,) motion of the nominal program; −1 for targets of the second program alone.
+    :param corrected: (n,) motion of the second program; −1 for targets of the nominal program alone.
+    :param order: (n,) indices of the targets in the order of the rows of the file.
     """
 
     state: Ints
@@ -572,28 +600,31 @@ class _TableTargets(NamedTuple):
 
 
 def _table_targets(comparison: Comparison) -> _TableTargets:
-    """Return all targets of both programs, and their order in the table."""
-    nominal_row, corrected_row = comparison.pair.T
+    """Return all targets of both programs, and their order in the CSV file."""
+    paired_nominal_row, paired_corrected_row = comparison.pair.T
     states = [
-        _targets_of_state("pair", nominal_row, corrected_row),
+        _targets_of_state("pair", paired_nominal_row, paired_corrected_row),
         _targets_of_state("inserted", None, comparison.inserted_rows),
         _targets_of_state("only_nominal", comparison.only_nominal, None),
         _targets_of_state("passed", comparison.passed_rows, None),
         _targets_of_state("only_corrected", None, comparison.additional_rows),
     ]
     state, nominal_row, corrected_row = np.concatenate(states, axis=1)
-    # by motion of the second program; a nominal target without a partner follows the partner of the last paired target
-    # before it (−1: it comes first), after that target's own row
+    # sorted by the motion of the second program; for a nominal target without a partner, the partner of the last paired
+    # target before it counts (−1: there is none), and `is_alone` sorts it after that; searchsorted: paired targets
+    # before it
     is_alone = corrected_row < 0
     sort_row = corrected_row.copy()
-    sort_row[is_alone] = np.append(-1, corrected_row)[np.searchsorted(nominal_row, nominal_row[is_alone])]
+    paired_count = np.searchsorted(paired_nominal_row, nominal_row[is_alone])
+    sort_row[is_alone] = np.append(-1, paired_corrected_row)[paired_count]
     return _TableTargets(state, nominal_row, corrected_row, order=np.lexsort((is_alone, sort_row)))
 
 
 def _targets_of_state(state: str, nominal: Ints | None, corrected: Ints | None) -> Ints:
-    """Return targets of one state (3, n): index of the state, motion of each program; −1 where there is none.
+    """Return targets of one state (3, n): index of the state, nominal motion and motion of the second program.
 
-    :param nominal: (n,) motions of the nominal program, `corrected` (n,) of the second one; None: there are none.
+    :param nominal: (n,) motions of the nominal program; None: −1 for all targets.
+    :param corrected: (n,) motions of the second program; None: −1 for all targets.
     """
     count = len(nominal if nominal is not None else corrected if corrected is not None else ())
     rows = [np.full(count, -1) if motions is None else motions for motions in (nominal, corrected)]
@@ -601,7 +632,7 @@ def _targets_of_state(state: str, nominal: Ints | None, corrected: Ints | None) 
 
 
 def _numbers_of_targets(comparison: Comparison, targets: _TableTargets) -> Array:
-    """Return the columns `_NUMBERS` (n, k) of targets, before they are ordered; NaN where there is no value."""
+    """Return the columns `_NUMBER_COLUMNS` (n, k) of targets, not yet in the order of the file; NaN without a value."""
     pair_count, nominal_row, corrected_row = len(comparison.pair), targets.nominal, targets.corrected
     nominal_motions, corrected_motions = comparison.nominal.motions, comparison.corrected.motions
     nominal_pose, corrected_pose = (np.full((len(targets.state), 6), np.nan) for _ in range(2))
@@ -611,7 +642,7 @@ def _numbers_of_targets(comparison: Comparison, targets: _TableTargets) -> Array
     corrected_pose[unpaired] = xyzabc_from_pose(corrected_motions.target[corrected_row[unpaired]])
 
     def of_pairs(values: Array | None) -> Array:
-        """Return a column (n,) with the values of the pairs; NaN for other targets, and everywhere without values."""
+        """Return a column (n,) with the values of the pairs, NaN for other targets; None: NaN for all targets."""
         column = np.full(len(targets.state), np.nan)
         if values is not None:
             column[:pair_count] = values
@@ -637,19 +668,20 @@ def _numbers_of_targets(comparison: Comparison, targets: _TableTargets) -> Array
 def _place_columns(program: Program, rows: Ints) -> tuple[NDArray[np.uint8], Array]:
     """Return the columns of file names (n, width) and of lines (n,) of motions (n,).
 
-    :param rows: (n,) motions; −1: none, with an empty file name, and NaN as line.
+    :param rows: (n,) motions; −1: no motion, whose file name is empty and whose line is NaN.
     """
     is_motion = rows >= 0
     places = program.places(rows[is_motion])
-    line, file_index = np.full(len(rows), np.nan), np.full(len(rows), len(places.files))
+    line, file_index = np.full(len(rows), np.nan), np.full(len(rows), len(places.files))  # the last name is empty
     line[is_motion], file_index[is_motion] = places.line, places.file
     return _word_column([*places.files, ""], file_index), line
 
 
 def _word_column(words: Sequence[str], index: Ints) -> NDArray[np.uint8]:
-    """Return a column of texts (n, width) in UTF-8, padded with zeros, quoted where CSV asks for it.
+    """Return a column of texts (n, width) as bytes in UTF-8, padded with zeros, quoted where CSV requires it.
 
-    :param index: (n,) word of each row.
+    :param words: distinct texts of the column.
+    :param index: (n,) index in `words` of the text of each row.
     """
     csv_words = ['"' + word.replace('"', '""') + '"' if set(word) & set(',"\r\n') else word for word in words]
     return np.char.encode(csv_words, "utf-8").view(np.uint8).reshape(len(csv_words), -1)[index]
@@ -660,16 +692,17 @@ WORDS: dict[State, str] = {
     "warning": "Look at the differences.",
     "failed": "Do not run the corrected one.",
 }
-"""Sentence for each verdict."""
-_ROWS = ("max", "RMS", "mean", "95 %")
+"""Sentence for each state of the verdict."""
+_MEASURES = ("max", "RMS", "mean", "95 %")
+"""Labels of the fields of `Distances`, in order."""
 _PAIRS_IN_TEXT = 5
-"""Pairs in the terminal."""
+"""Largest number of pairs in the text for a terminal."""
 
 
 def comparison_text(content: ComparisonSummary, display: Display = PLAIN) -> str:
-    """Return the summary of a comparison, at most one screen.
+    """Return the summary of a comparison as text for a terminal, at most one screen.
 
-    :param display: style of the text; plain by default.
+    :param display: output whose style the text has; plain by default.
     """
     verdict = content.verdict
     lines = [
@@ -689,8 +722,10 @@ def _distance_table(content: ComparisonSummary, display: Display) -> str:
     """Return the table of offsets, and of the deviations of both programs where forces are known [mm]."""
     cut, between_targets = content.cut, content.between
     head = ["along the cuts [mm]", "offset"] + (["nominal cuts", "corrected cuts"] if cut is not None else [])
-    columns = [content.offset] + ([cut.nominal, cut.corrected] if cut is not None else [])
-    rows = [(label, *map(millimetres, values)) for label, *values in zip(_ROWS, *map(astuple, columns), strict=True)]
+    distances = [content.offset] + ([cut.nominal, cut.corrected] if cut is not None else [])
+    # a row for each measure, a column for each of the distances
+    measures = zip(_MEASURES, *map(astuple, distances), strict=True)
+    rows = [(label, *map(millimetres, values)) for label, *values in measures]
     if between_targets is not None:
         nominal_mm, corrected_mm = between_targets.nominal_max_mm, between_targets.corrected_max_mm
         rows.append(("max between", "-", millimetres(nominal_mm), millimetres(corrected_mm)))
@@ -722,13 +757,13 @@ def _detail_lines(content: ComparisonSummary) -> Iterator[str]:
 
 
 def spline_sentence(content: ComparisonSummary) -> str:
-    """Return a sentence on splines, of which only the targets are compared."""
+    """Return a sentence on splines, of which the targets are compared but not the path between them."""
     count = content.splines
     return f"of splines ({count} SPL) the targets are compared, the way between them is not"
 
 
 def passed_sentence(content: ComparisonSummary) -> str:
-    """Return a sentence on nominal targets that the second program leaves out and whose path passes them."""
+    """Return a sentence on nominal targets that the second program leaves out, but whose path passes them."""
     count, distance = content.passed, content.passed_within_mm
     count_text, pronoun = ("1 target", "it") if count == 1 else (f"{count} targets", "them")
     verb = "is" if count == 1 else "are"
@@ -737,7 +772,7 @@ def passed_sentence(content: ComparisonSummary) -> str:
 
 
 def count_text(content: ComparisonSummary) -> str:
-    """Return the numbers of paired and unpaired targets in words."""
+    """Return the numbers of paired and unpaired targets in words; missing and added ones only if there are any."""
     text = f"{content.pairs} pairs, {content.inserted} inserted"
     text += f", {content.only_nominal} missing" if content.only_nominal else ""
     return text + (f", {content.only_corrected} added" if content.only_corrected else "")
