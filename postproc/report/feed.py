@@ -16,7 +16,7 @@ _MOST_MOVES = 100
 
 
 class OperationFeed(Struct, frozen=True):
-    """One operation: its cutting time at the programmed and at the written feeds, and how many moves were slowed."""
+    """An operation: its cutting time at the programmed and at the written feeds, and the number of slowed moves."""
 
     name: str
     tool: int
@@ -27,7 +27,10 @@ class OperationFeed(Struct, frozen=True):
 
 
 class MissedMove(Struct, frozen=True):
-    """A move that does not hold the tolerance: expected error at its feed, and as the feed tends to zero."""
+    """A move that does not hold the tolerance: expected error at its feed, and as the feed tends to zero.
+
+    `edge_forces_mm` is the error as the feed tends to zero: edge forces do not depend on the feed. None: unknown.
+    """
 
     source_line: int
     feed_mm_per_min: float
@@ -36,7 +39,7 @@ class MissedMove(Struct, frozen=True):
 
 
 class FeedSummary(Struct, frozen=True):
-    """`feed` of report.json. Times are lengths by feeds of cutting moves; the controller's accelerations are not in."""
+    """`feed` of report.json. A time is the sum of length over feed of cutting moves, without accelerations."""
 
     tolerance_mm: float
     min_feed_mm_per_min: float
@@ -57,7 +60,9 @@ def feed_summary(result: Result) -> FeedSummary | None:
         return None
     cuts = ~m.rapid & (feeds.feed > 0.0)
     programmed_time, written_time = (
-        np.where(cuts, feeds.length / np.where(cuts, feed, 1.0), 0.0) for feed in (feeds.programmed, feeds.feed)
+        # 1.0: no division by the feed of moves that do not cut
+        np.where(cuts, feeds.length / np.where(cuts, feed, 1.0), 0.0)
+        for feed in (feeds.programmed, feeds.feed)
     )
     return FeedSummary(
         tolerance_mm=stated_mm(feeds.tolerance),
@@ -78,7 +83,9 @@ def _operation_feeds(
 ) -> list[OperationFeed]:
     """Return an entry for each operation with cutting moves.
 
-    :param cuts: (M,) True for cutting moves, `programmed_time` and `written_time` (M,) their durations [s].
+    :param cuts: (M,) True for cutting moves.
+    :param programmed_time: (M,) duration of each move at the programmed feed [s], `written_time` (M,) at the written
+        feed.
     """
     entries: list[OperationFeed] = []
     program_operations = operations(result.program)
@@ -103,21 +110,24 @@ def _missed_moves(result: Result, feeds: HeldFeed) -> list[MissedMove]:
     """Return up to `_MOST_MOVES` moves that do not hold the tolerance, the largest expected error first."""
     rows = np.flatnonzero(feeds.is_exceeded)
     rows = rows[np.argsort(-feeds.expected[rows], kind="stable")][:_MOST_MOVES]
-    edge = feeds.without_feed[rows]
+    edge_errors = feeds.without_feed[rows]  # expected error as the feed tends to zero [m]
     return [
-        MissedMove(source_line=line, feed_mm_per_min=feed, expected_mm=error, edge_forces_mm=floor)
-        for line, feed, error, floor in zip(
+        MissedMove(source_line=line, feed_mm_per_min=feed, expected_mm=error, edge_forces_mm=edge_error)
+        for line, feed, error, edge_error in zip(
             result.program.motions.line[rows].tolist(),
             (feeds.feed[rows] * MM_PER_MIN).tolist(),
             (feeds.expected[rows] * MM_PER_M).tolist(),
-            [float(value) * MM_PER_M if np.isfinite(value) else None for value in edge],
+            [float(error) * MM_PER_M if np.isfinite(error) else None for error in edge_errors],
             strict=True,
         )
     ]
 
 
 def feed_sentences(feed: FeedSummary, max_moves: int = 5) -> list[str]:
-    """Return sentences on lowered feeds, and on up to `max_moves` moves out of tolerance; without full stop."""
+    """Return sentences, without full stops, on lowered feeds and on moves out of tolerance.
+
+    :param max_moves: largest number of moves out of tolerance that have a sentence each.
+    """
     tolerance = f"{feed.tolerance_mm:g} mm"
     if not feed.lowered_moves:
         texts = [f"feeds as programmed: lowering none of them helps to hold {tolerance}"]
@@ -137,23 +147,24 @@ def feed_sentences(feed: FeedSummary, max_moves: int = 5) -> list[str]:
             f'([output] unheld = "{feed.unheld}")'
         )
         for move in feed.missed[:max_moves]:
-            floor = move.edge_forces_mm
+            edge_mm = move.edge_forces_mm
             text = f"line {move.source_line}: {two_digits(move.expected_mm)} mm at {move.feed_mm_per_min:.0f} mm/min"
             texts.append(
-                text + ("" if floor is None else f", {two_digits(max(floor, 0.0))} mm of it by edge forces at any feed")
+                text
+                + ("" if edge_mm is None else f", {two_digits(max(edge_mm, 0.0))} mm of it by edge forces at any feed")
             )
     return texts
 
 
-def duration_text(value: float) -> str:
+def duration_text(seconds: float) -> str:
     """Return a duration [s] as text.
 
     >>> duration_text(35.24), duration_text(754.0), duration_text(7260.0)
     ('35.2 s', '12 min 34 s', '2 h 01 min')
     """
-    if value < 100.0:
-        return f"{value:.1f} s"
-    whole = round(value)
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02d} s"
-    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+    if seconds < 100.0:
+        return f"{seconds:.1f} s"
+    whole_seconds = round(seconds)
+    if whole_seconds < 3600:
+        return f"{whole_seconds // 60} min {whole_seconds % 60:02d} s"
+    return f"{whole_seconds // 3600} h {whole_seconds % 3600 // 60:02d} min"

@@ -12,12 +12,12 @@ State = Literal["ok", "warning", "failed"]
 """State of a verdict."""
 ROUNDING_MM = 1e-4
 """Deviation at a target by the rounding of written numbers (X, Y, Z to 1e-4 mm): factors below it mean nothing."""
-_PLACES = 9
-"""Decimals of millimetres that are tried: a picometre."""
+_MOST_DECIMALS = 9
+"""Largest number of decimals of a length [mm]: a picometre."""
 
 
 def stated_mm(length: float) -> float:
-    """Return a length [m] that the user stated in mm, with the digits as stated.
+    """Return a length [m] that the user stated in mm, in mm with the digits as stated.
 
     >>> stated_mm(0.249 * 1e-3), 0.249 * 1e-3 * 1e3
     (0.249, 0.24899999999999997)
@@ -26,7 +26,7 @@ def stated_mm(length: float) -> float:
 
 
 def millimetres(value: float) -> str:
-    """Return a distance [mm] as text, to a tenth of a micrometre.
+    """Return a distance [mm] as text, to a tenth of a micrometre; "<0.0001" below that.
 
     >>> millimetres(8.28), millimetres(0.0), millimetres(0.00008)
     ('8.2800', '0.0000', '<0.0001')
@@ -35,7 +35,9 @@ def millimetres(value: float) -> str:
 
 
 def two_digits(value_mm: float) -> str:
-    """Return a bound or an estimate in mm as text, with two significant digits, down to 0.0001 mm.
+    """Return a bound or an estimate [mm] as text, with two significant digits but at most four decimals.
+
+    Below 0.0001 mm it is "<0.0001"; 0 is "0".
 
     >>> two_digits(0.2752), two_digits(0.01234), two_digits(12.7), two_digits(0.0)
     ('0.28', '0.012', '13', '0')
@@ -50,7 +52,9 @@ def two_digits(value_mm: float) -> str:
 
 
 def two_digit_decimals(value_mm: float) -> int:
-    """Return the number of decimals that show two significant digits of a length [mm]; 2 if it is not positive.
+    """Return the number of decimals that show two significant digits of a length [mm].
+
+    2 if the length is not positive, infinite or NaN.
 
     >>> two_digit_decimals(0.2752), two_digit_decimals(0.0999), two_digit_decimals(3.0), two_digit_decimals(25.0)
     (2, 2, 1, 0)
@@ -61,9 +65,12 @@ def two_digit_decimals(value_mm: float) -> int:
 
 
 def estimate(value_mm: float, u95_mm: float | None) -> str:
-    """Return a predicted distance in mm as text: as many decimals as the two digits of its uncertainty have.
+    """Return a predicted distance [mm] as text, with the decimals of two significant digits of its uncertainty.
 
-    Two significant digits if the uncertainty is unknown, or the value is below the last decimal.
+    The distance has two significant digits if its uncertainty is unknown or below 0.0001 mm, or if the distance is
+    below the last of these decimals.
+
+    :param u95_mm: uncertainty (95 %) of the distance; None: unknown.
 
     >>> estimate(0.5218, 0.2752), estimate(0.5218, 0.0093), estimate(1.0687, None), estimate(0.0042, 0.28)
     ('0.52', '0.5218', '1.1', '0.0042')
@@ -76,13 +83,13 @@ def estimate(value_mm: float, u95_mm: float | None) -> str:
 
 
 def above_limit_text(value_mm: float, limit_mm: float) -> str:
-    """Return a length [mm] above a limit [mm] as text, with two digits or as many as show that it is above.
+    """Return a length [mm] as text, with two significant digits, or as many as show that it is above a limit [mm].
 
     >>> above_limit_text(0.0493, 0.01), above_limit_text(0.0104, 0.01)
     ('0.049', '0.0104')
     """
     decimals = two_digit_decimals(value_mm)
-    while decimals < _PLACES and float(f"{value_mm:.{decimals}f}") <= limit_mm:
+    while decimals < _MOST_DECIMALS and float(f"{value_mm:.{decimals}f}") <= limit_mm:
         decimals += 1
     return f"{value_mm:.{decimals}f}"
 
@@ -99,26 +106,26 @@ class Display(Protocol):
     ) -> str:
         """Return a table.
 
-        :param head: of each column.
+        :param head: head of each column.
         :param rows: cells of each row, as many as heads.
-        :param right: columns whose cells end in line: numbers.
-        :param indent: in front of each line.
+        :param right: indices of the columns that are aligned right: numbers.
+        :param indent: text before each line.
         """
         ...
 
 
 class PlainFormat:
-    """Plain text, each column as wide as it needs to be."""
+    """Summaries as plain text; each column of a table is as wide as its widest cell."""
 
     def verdict(self, text: str, state: State) -> str:
-        """Return the text as it is."""
+        """Return the text as it is: plain text has no style."""
         del state
         return text
 
     def table(
         self, head: Sequence[str], rows: Sequence[Sequence[str]], right: Collection[int] = (), indent: str = ""
     ) -> str:
-        """Return a table as text.
+        """Return a table as text; parameters as of `Display.table`.
 
         >>> print(PlainFormat().table(("axis", "mm"), [("X", "1.5"), ("Y", "-12.0")], right=(1,)))
         axis     mm

@@ -34,22 +34,25 @@ from postproc.report.kit.parts import PlotItem
 from postproc.robot import WITH_LINKS
 from postproc.robot.parameters import parameter_of_name
 
-_GOOD, _ROUGH, _LARGEST_SHARE = 0.1, 0.5, 1.0
-"""Half width of an interval as a share of the value, up to which a parameter is well, roughly and barely known."""
-_LEAST_NUMBER, _LARGE = 1e-3, 1e5
-"""The scale of shares begins at 0.1 % or below; values from the second on are formatted as large ones."""
-_LEAST_MM = 1e-5
+_WELL_KNOWN_SHARE, _ROUGHLY_KNOWN_SHARE, _BARELY_KNOWN_SHARE = 0.1, 0.5, 1.0
+"""Largest half width of the 95 % interval, as a share of the value, of well, roughly and barely known parameters."""
+_LEAST_SHARE_SHOWN, _LEAST_VALUE_IN_MILLIONS = 1e-3, 1e5
+"""The scale of shares begins at 0.1 % or below; larger values than the second number are stated in millions."""
+_LEAST_MM_SHOWN = 1e-5
 """Displacements are drawn on a logarithmic scale that begins at 0.01 µm."""
-_SPRINGS = (
+_SPRING_NOTE = (
     "The farther left, the better known; a hollow circle is how far off the robot's prior value was. "
     f"{WITH_LINKS}: the intervals are of that sum. Springs of links that lie alike in the chain are determined "
     "together, not one by one: each interval is wide, that of their sum is not."
 )
-_JOINTS = "Displacement of each joint from its nominal place on the link before it, axes of its nominal frame."
+_JOINT_NOTE = "Displacement of each joint from its nominal place on the link before it, axes of its nominal frame."
 
 
 def verdict_section(data: IdentificationRecord) -> Section | None:
-    """Return the section of the verdict: whether the model may be used, and within which bound; None without one."""
+    """Return the section of the verdict: whether the model may be used, and within which bound.
+
+    None without a verdict.
+    """
     if data.verdict is None:
         return None
     if data.verdict.refused:
@@ -67,17 +70,19 @@ def verdict_section(data: IdentificationRecord) -> Section | None:
 
 
 def summary_section(data: IdentificationRecord) -> Section | None:
-    """Return the section with the results in numbers; None of a record without residual or parameters."""
+    """Return the section with the results in numbers; None if the record has no residual or no parameters."""
     residual = data.residual
     if residual is None or data.parameters is None:
         return None
+    # half width of the 95 % interval over the value; None: the readings do not show the parameter
     shares = [entry.share for entry in data.parameters.values() if entry.share is not None]
     well_known_count, roughly_known_count, known_count = (
-        sum(share <= limit for share in shares) for limit in (_GOOD, _ROUGH, _LARGEST_SHARE)
+        sum(share <= limit for share in shares)
+        for limit in (_WELL_KNOWN_SHARE, _ROUGHLY_KNOWN_SHARE, _BARELY_KNOWN_SHARE)
     )
     words = [
-        f"{well_known_count} to {_GOOD * 100:.0f} %",
-        f"{roughly_known_count - well_known_count} more to {_ROUGH * 100:.0f} %",
+        f"{well_known_count} to {_WELL_KNOWN_SHARE * 100:.0f} %",
+        f"{roughly_known_count - well_known_count} more to {_ROUGHLY_KNOWN_SHARE * 100:.0f} %",
         *([f"{known_count - roughly_known_count} barely"] if known_count > roughly_known_count else []),
         *([f"{len(shares) - known_count} only together with others"] if len(shares) > known_count else []),
         *(
@@ -86,7 +91,7 @@ def summary_section(data: IdentificationRecord) -> Section | None:
             else []
         ),
     ]
-    gain = residual.before_rms_mm / max(residual.rms_mm, 1e-12)
+    gain = residual.before_rms_mm / max(residual.rms_mm, 1e-12)  # 1e-12: no division by zero
     tiles = (
         Tile("Displacement under load, RMS", f"{residual.before_rms_mm:.3f}", "mm"),
         Tile("Residual on these readings, RMS", f"{residual.rms_mm:.3f}", "mm", f"{gain:.0f} times less"),
@@ -106,6 +111,7 @@ def findings_section(data: IdentificationRecord) -> Section:
         Note(f"{entry.name} is not observable: {entry.reason}. {entry.advice} The model keeps the prior value.")
         for entry in unobservable
     )
+    # these parameters are in the notes already; "\0" begins no warning: without such parameters all warnings stay
     stated_beginnings = tuple(f"{entry.name} is not observable" for entry in unobservable)
     warnings = tuple(
         Note(text, "warning") for text in data.warnings if not text.startswith(stated_beginnings or ("\0",))
@@ -114,23 +120,27 @@ def findings_section(data: IdentificationRecord) -> Section:
 
 
 def configurations_section(data: IdentificationRecord) -> Section | None:
-    """Return the section with displacement under load and residual [mm] of each configuration; None without."""
+    """Return the section with displacement under load and residual [mm] of each configuration.
+
+    None without residual.
+    """
     if data.residual is None:
         return None
     rows = data.residual.per_configuration
-    at = [row.config for row in rows]
-    displacement = [max(row.before_mm, _LEAST_MM) for row in rows]
-    residual = [max(row.after_mm, _LEAST_MM) for row in rows]
+    numbers = [row.config for row in rows]
+    displacement = [max(row.before_mm, _LEAST_MM_SHOWN) for row in rows]
+    residual = [max(row.after_mm, _LEAST_MM_SHOWN) for row in rows]
     texts = [f"config {row.config:g}: {row.before_mm:.3f} → {row.after_mm:.4f} mm" for row in rows]
     plot = Plot(
         label="Displacement under load and residual of the model, for each configuration; the table has the numbers",
         traces=[
-            Span(at, residual, displacement),
-            Points(at, displacement, "displacement under load", "before", texts=texts),
-            Points(at, residual, "residual of the model", "after", texts=texts),
+            Span(numbers, residual, displacement),
+            Points(numbers, displacement, "displacement under load", "before", texts=texts),
+            Points(numbers, residual, "residual of the model", "after", texts=texts),
         ],
         x=Axis(title="configuration"),
         y=Axis(title="distance, RMS over the points, mm", logarithmic=True),
+        # the distance of one reading, of three coordinates with the noise σ each
         marks=[Mark(data.sigma_mm * 3**0.5, "one reading: σ·√3", "soft", level=True)],
     )
     cells = tuple(Row((f"{row.config:g}", f"{row.before_mm:.3f}", f"{row.after_mm:.4f}")) for row in rows)
@@ -142,13 +152,13 @@ def parameters_section(data: IdentificationRecord) -> Section | None:
     """Return the section of the parameters with their 95 % intervals; None without parameters."""
     if not data.parameters:
         return None
-    return Section("parameters", "Parameters with 95 % intervals", _interval_parts(data.parameters, _SPRINGS))
+    return Section("parameters", "Parameters with 95 % intervals", _interval_parts(data.parameters, _SPRING_NOTE))
 
 
 def _interval_parts(entries: Mapping[str, Parameter], note: str) -> tuple[Part, ...]:
-    """Return a plot and a table of the 95 % intervals of parameters.
+    """Return a plot and a table of the 95 % intervals of parameters, in the order of `entries`.
 
-    :param entries: by name of the parameter.
+    :param entries: name of each parameter → value and interval.
     :param note: a sentence below the plot.
     """
     titles = [_parameter_title(name) for name in entries]
@@ -163,25 +173,29 @@ def _interval_parts(entries: Mapping[str, Parameter], note: str) -> tuple[Part, 
 def _interval_plot(entries: Mapping[str, Parameter], titles: list[str], note: str) -> Plot:
     """Return the plot of half widths of 95 % intervals, and of errors of prior values, in percent of the values.
 
-    :param titles: of the parameters, in the order of `entries`.
+    :param titles: titles of the parameters, in the order of `entries`.
+    :param note: a sentence below the plot.
     """
+    # a parameter is at the height of its number in `entries`: y is a category
     shares = [(row, share) for row, entry in enumerate(entries.values()) if (share := entry.share) is not None]
-    priors = [
+    prior_errors = [
         (row, abs(entry.prior / entry.value - 1.0))
         for row, entry in enumerate(entries.values())
         if entry.prior is not None and entry.value and entry.share is not None
     ]
-    smallest = min([_LEAST_NUMBER, *(share for _, share in shares)])
+    smallest = min([_LEAST_SHARE_SHOWN, *(share for _, share in shares)])
     largest = max([1.0, *(share for _, share in shares)])
     texts = [f"{titles[row]}: known to {_percent_text(share)}" for row, share in shares]
     traces: list[PlotItem] = [
         Points(
-            [100.0 * min(max(prior_error, smallest), largest) for _, prior_error in priors],
-            [float(row) for row, _ in priors],
+            [100.0 * min(max(prior_error, smallest), largest) for _, prior_error in prior_errors],
+            [float(row) for row, _ in prior_errors],
             "prior value off by",
             "soft",
             hollow=True,
-            texts=[f"{titles[row]}: prior value off by {_percent_text(prior_error)}" for row, prior_error in priors],
+            texts=[
+                f"{titles[row]}: prior value off by {_percent_text(prior_error)}" for row, prior_error in prior_errors
+            ],
         ),
         Points(
             [100.0 * share for _, share in shares],
@@ -191,14 +205,16 @@ def _interval_plot(entries: Mapping[str, Parameter], titles: list[str], note: st
             texts=texts,
         ),
     ]
-    marks = [Mark(100.0 * limit, f"{100.0 * limit:.0f} %", "soft") for limit in (_GOOD, _LARGEST_SHARE)]
+    marks = [
+        Mark(100.0 * limit, f"{100.0 * limit:.0f} %", "soft") for limit in (_WELL_KNOWN_SHARE, _BARELY_KNOWN_SHARE)
+    ]
     return Plot(
         label="Half width of each 95 % interval in per cent of the value; the table has the numbers",
         traces=traces,
         x=Axis(
             title="half width of the interval, % of the value",
             logarithmic=True,
-            range=(80.0 * smallest, 130.0 * largest),
+            range=(80.0 * smallest, 130.0 * largest),  # in percent, with a margin
         ),
         y=Axis(categories=titles),
         marks=marks,
@@ -213,11 +229,11 @@ def _percent_text(share: float) -> str:
 
 
 class ValueTexts(NamedTuple):
-    """A parameter as texts.
+    """Value, interval and unit of a parameter as texts.
 
-    :param value: the value; a dash without one.
-    :param interval: half width of its 95 % interval, or that it is a prior.
-    :param unit: the unit of both.
+    :param value: the value; "-" if it is unknown.
+    :param interval: "±" and half width of the 95 % interval; "prior" without an interval.
+    :param unit: unit of value and interval.
     """
 
     value: str
@@ -226,8 +242,12 @@ class ValueTexts(NamedTuple):
 
 
 def value_texts(entry: Parameter) -> ValueTexts:
-    """Return a parameter as texts: as many decimals as the interval has, large values in millions."""
-    is_large = entry.value is not None and abs(entry.value) >= _LARGE
+    """Return a parameter as texts.
+
+    The value has as many decimals as two digits of its interval; without an interval, three digits. Large values are in
+    millions.
+    """
+    is_large = entry.value is not None and abs(entry.value) >= _LEAST_VALUE_IN_MILLIONS
     scale, unit = (1e6, f"10⁶ {entry.unit}") if is_large else (1.0, entry.unit)
     if entry.value is None:
         value = "-"
@@ -243,23 +263,23 @@ def value_texts(entry: Parameter) -> ValueTexts:
 
 
 def _accuracy_cell(entry: Parameter) -> Cell:
-    """Return a word on the accuracy of a parameter, by the half width of its interval."""
-    kinds: tuple[tuple[float, str, Kind], ...] = (
-        (_GOOD, "well known", "good"),
-        (_ROUGH, "roughly known", ""),
-        (_LARGEST_SHARE, "barely known", "warning"),
+    """Return words on the accuracy of a parameter, by its share: half width of the 95 % interval over the value."""
+    accuracy_steps: tuple[tuple[float, str, Kind], ...] = (
+        (_WELL_KNOWN_SHARE, "well known", "good"),
+        (_ROUGHLY_KNOWN_SHARE, "roughly known", ""),
+        (_BARELY_KNOWN_SHARE, "barely known", "warning"),
     )
     share = entry.share
     if share is None:
         return Cell("not from these readings", "warning")
-    for limit, text, kind in kinds:
+    for limit, text, kind in accuracy_steps:
         if share <= limit:
             return Cell(text, kind)
     return Cell("only together with others", "warning")
 
 
 def _parameter_title(name: str) -> str:
-    """Return the title of a parameter for readers; its name if it is not one of the robot model."""
+    """Return the title of a parameter for readers; its name if the robot model has no such parameter."""
     parameter = parameter_of_name(name)
     return name if parameter is None else parameter.title
 
@@ -268,17 +288,22 @@ def levels_section(data: IdentificationRecord) -> Section | None:
     """Return the section with the equivalent compliance of joint 2 [µrad/(N·m)] by level of q2; None without levels."""
     if not data.k2_levels:
         return None
-    at = [level.q2_deg for level in data.k2_levels]
-    values = [level.value for level in data.k2_levels]
-    half = [level.ci95 for level in data.k2_levels]
-    curve = data.k2_curve or []
-    texts = [f"q2 = {q:.1f}°: {v:.4f} ± {h or 0:.4f}" for q, v, h in zip(at, values, half, strict=True)]
-    traces = [Curve([q for q, _ in curve], [v for _, v in curve], "the model at small load", "correction")]
+    angles = [level.q2_deg for level in data.k2_levels]
+    compliances = [level.value for level in data.k2_levels]
+    half_widths = [level.ci95 for level in data.k2_levels]
+    model_curve = data.k2_curve or []
+    texts = [
+        f"q2 = {q:.1f}°: {k2:.4f} ± {half or 0:.4f}"  # no interval: ± 0
+        for q, k2, half in zip(angles, compliances, half_widths, strict=True)
+    ]
+    traces = [
+        Curve([q for q, _ in model_curve], [k2 for _, k2 in model_curve], "the model at small load", "correction")
+    ]
     plot = Plot(
         label="Equivalent compliance of joint 2 at each level of q2, and of the model",
         traces=[
-            *(traces if curve else []),
-            Points(at, values, "level by level", "after", half=half, texts=texts),
+            *(traces if model_curve else []),
+            Points(angles, compliances, "level by level", "after", half=half_widths, texts=texts),
         ],
         x=Axis(title="q2, °"),
         y=Axis(title="compliance of joint 2, µrad/(N·m)"),
@@ -290,18 +315,21 @@ def levels_section(data: IdentificationRecord) -> Section | None:
 
 
 def structures_section(data: IdentificationRecord) -> Section | None:
-    """Return the section that lists the structures tried, with their cross-validation errors."""
+    """Return the section that lists the structures tried, with their cross-validation errors.
+
+    None if none was chosen.
+    """
     if data.structure is None:
         return None
     rows = data.structure.tried
-    lengths = [max(row.held_out_sigma2, 0.1) for row in rows]
+    lengths = [max(row.held_out_sigma2, 0.1) for row in rows]  # the scale is logarithmic
     plot = Plot(
         label="Mean square error of each structure on configurations left out, in units of the noise",
         traces=[
             Bars(
                 lengths,
                 [f"{row.held_out_sigma2:.2f} σ² · {row.active} parameters" for row in rows],
-                [r.chosen for r in rows],
+                [row.chosen for row in rows],
             )
         ],
         x=Axis(title="mean square error, σ²", logarithmic=True),
@@ -314,14 +342,16 @@ def structures_section(data: IdentificationRecord) -> Section | None:
 
 
 def correlations_section(data: IdentificationRecord) -> Section | None:
-    """Return the section on the correlations of the identified parameters."""
+    """Return the section on the correlations of the identified parameters; None with fewer than two parameters."""
     if data.correlation is None or len(data.correlation.names) < 2:
         return None
     names = data.correlation.names
+    # some 900 px in all; names stay legible from 18 px on
+    row_height = min(40, max(900 // len(names), 18))
     plot = Plot(
         label="Correlation of each pair of parameters",
         traces=[Matrix(names, data.correlation.matrix)],
-        height=180 + min(40, max(900 // len(names), 18)) * len(names),
+        height=180 + row_height * len(names),
         note="Blue: together; orange: against. Point at a cell for its number.",
     )
     return Section("correlations", "Correlations of the parameters", (plot,))
@@ -349,10 +379,10 @@ def geometry_section(data: IdentificationRecord) -> Section | None:
 
 
 def calibration_section(data: IdentificationRecord) -> Section | None:
-    """Return the section with the calibrated geometry and its 95 % intervals; None if it was not identified."""
+    """Return the section with the calibrated geometry and its 95 % intervals; None if no geometry was identified."""
     if data.geometry is None or not data.geometry.parameters:
         return None
-    return Section("calibrated", "Calibrated geometry", _interval_parts(data.geometry.parameters, _JOINTS))
+    return Section("calibrated", "Calibrated geometry", _interval_parts(data.geometry.parameters, _JOINT_NOTE))
 
 
 def placement_section(data: IdentificationRecord) -> Section:
@@ -380,17 +410,17 @@ SECTIONS: tuple[Callable[[IdentificationRecord], Section | None], ...] = (
     calibration_section,
     placement_section,
 )
-"""The sections of the page in order. One that has nothing to say returns None."""
+"""Functions of the sections of the page, in order; a section without content is None."""
 
 
 def page(data: IdentificationRecord, name: str) -> bytes:
     """Return the page as HTML in UTF-8: one file that loads nothing.
 
     :param data: content of `identification.json`.
-    :param name: of the model that was written.
+    :param name: name of the written model.
     """
     count = "" if data.residual is None else f"{len(data.residual.per_configuration)} configurations · "
-    sections = tuple(section for make in SECTIONS if (section := make(data)) is not None)
+    sections = tuple(section for section_of in SECTIONS if (section := section_of(data)) is not None)
     footer = (
         Note(
             "Intervals are 95 %, from the noise of the readings; what the structure of the model does not describe "

@@ -14,34 +14,40 @@ from postproc.frames import Array, norm
 from postproc.operations import operations as program_operations
 from postproc.program import CIRC, Ints, Program
 
-_STEP = tuple(np.radians([10.0, 20.0]))
-"""Smallest and largest angle of a chord that an arc is drawn by (assumed)."""
-_FINEST = 1e-4
-"""Smallest angle of a chord where its distance from the arc is given [rad] (assumed)."""
-_UNSEEN = 1.0 / 2000.0
+_LEAST_CHORD_ANGLE, _MOST_CHORD_ANGLE = np.radians([10.0, 20.0]).tolist()
+"""Smallest and largest angle of the chords by which an arc is drawn [rad] (assumed)."""
+_LEAST_STATED_CHORD_ANGLE = 1e-4
+"""Smallest angle of a chord if its distance from the arc is stated [rad] (assumed)."""
+_CHORD_DISTANCE_SHARE = 1.0 / 2000.0
 """Largest distance of a chord from its arc, as a share of the extent of the path: half a pixel (assumed)."""
 
 
 def drawn_path(result: Result, chord: float | None = None) -> tuple[Array, Ints]:
-    """Return points along the nominal path, and the target to which each leads.
+    """Return points along the nominal path, and the target to which each point leads.
 
-    :param chord: largest distance of the chords of an arc from it [m]; None = `_UNSEEN` of the extent of the path.
+    Straight pieces have one point, their target; pieces of arcs have points before it.
 
-    :returns: positions (P, 3) [m] in `$BASE`, or in the robot root if the program has more than one base; and the row
-        (P,) of the target at the end of the piece that the point lies on. Each target is the last of its points.
+    :param chord: largest distance of an arc from its chords [m]; None: `_CHORD_DISTANCE_SHARE` of the extent of the
+        path.
+
+    :returns: positions (P, 3) [m] in `$BASE`, or in the robot root if the program has more than one base; and for each
+        point the row (P,) of the target at the end of its piece. Each target is the last point of its piece.
     """
     motions = result.program.motions
     position, row = result.nominal.position, np.arange(len(result))
     arc_rows = np.flatnonzero(motions.kind[result.motion] == CIRC)
     if len(arc_rows):
         arcs = _ArcPieces.of(result, arc_rows)
-        distance = _UNSEEN * float(np.ptp(position, axis=0).max()) if chord is None else chord
+        distance = _CHORD_DISTANCE_SHARE * float(np.ptp(position, axis=0).max()) if chord is None else chord
         count = np.ones(len(result), dtype=np.int64)
-        count[arc_rows] = arcs.chord_counts(distance, _STEP[0] if chord is None else _FINEST)
+        count[arc_rows] = arcs.chord_counts(
+            distance, _LEAST_CHORD_ANGLE if chord is None else _LEAST_STATED_CHORD_ANGLE
+        )
         row, share = toolpath.even_places(row, count)
         remaining_share = 1.0 - share
-        inner = np.flatnonzero(remaining_share > 0.0)  # the others are targets
+        inner = np.flatnonzero(remaining_share > 0.0)  # points before a target
         position = position[row]
+        # searchsorted: index of the row of a target in arc_rows, which contains it
         position[inner] = arcs.points(np.searchsorted(arc_rows, row[inner]), remaining_share[inner])
     bases = result.program.bases
     if len(bases) > 1:
@@ -53,11 +59,11 @@ def drawn_path(result: Result, chord: float | None = None) -> tuple[Array, Ints]
 class _ArcPieces(NamedTuple):
     """The A pieces of arcs and helices that lead to targets, in their `$BASE`.
 
-    :param axis: (A, 3) point of the axis at the height of the end [m].
-    :param radial: (A, 3) from there to the end [m].
-    :param tangent: (A, 3) direction of travel at the end, as long as the radius [m].
-    :param angle: (A,) of the piece [rad].
-    :param rise: (A, 3) by which a helix rises along the axis on the piece [m].
+    :param axis: (A, 3) point of the axis at the height of the end of the piece [m].
+    :param radial: (A, 3) vector from `axis` to the end of the piece [m].
+    :param tangent: (A, 3) direction of travel at the end of the piece, as long as the radius [m].
+    :param angle: (A,) angle of the piece [rad].
+    :param rise: (A, 3) vector by which a helix rises along its axis on the piece [m]; 0 of an arc.
     """
 
     axis: Array
@@ -68,9 +74,13 @@ class _ArcPieces(NamedTuple):
 
     @classmethod
     def of(cls, result: Result, rows: Ints) -> _ArcPieces:
-        """Return the pieces to targets on arcs, `rows` (A,) of the result."""
+        """Return the pieces that lead to targets on arcs and helices.
+
+        :param rows: (A,) rows of these targets in the result.
+        """
         motions, motion, end = result.program.motions, result.motion[rows], result.nominal.position[rows]
         previous = np.maximum(rows - 1, 0)
+        # t of the piece begins at the previous target if that is on the same motion, else at 0
         is_same_motion = (rows > 0) & (result.motion[previous] == motion)
         angle = motions.sweep[motion] * (result.t[rows] - np.where(is_same_motion, result.t[previous], 0.0))
         normal, radius_vector = motions.normal[motion], end - motions.centre[motion]
@@ -87,15 +97,21 @@ class _ArcPieces(NamedTuple):
     def chord_counts(self, distance: float, least_angle: float) -> Ints:
         """Return the number of chords (A,) by which each piece is drawn.
 
-        :param distance: largest distance of a chord from the arc [m].
-        :param least_angle: smallest angle of a chord [rad].
+        A chord of angle a is r (1 − cos(a/2)) from its arc.
+
+        :param distance: largest distance of the arc from a chord [m]; the limits of the angle go before it.
+        :param least_angle: smallest angle of a chord [rad]; the largest is `_MOST_CHORD_ANGLE`.
         """
         step = 2.0 * np.arccos(np.clip(1.0 - distance / np.maximum(norm(self.radial), distance), -1.0, 1.0))
-        step = np.clip(step, least_angle, _STEP[1])
+        step = np.clip(step, least_angle, _MOST_CHORD_ANGLE)
         return np.asarray(np.maximum(np.ceil(self.angle / step), 1.0).astype(np.int64))
 
     def points(self, piece: Ints, remaining_share: Array) -> Array:
-        """Return the points (n, 3) on pieces (n,) of which a share (n,) remains until their end [m]."""
+        """Return points (n, 3) on pieces, in their `$BASE` [m].
+
+        :param piece: (n,) index of the piece of each point.
+        :param remaining_share: (n,) share of the piece from the point to the end of the piece.
+        """
         angle = self.angle[piece] * remaining_share
         cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
         on_circle = self.axis[piece] + cos * self.radial[piece] - sin * self.tangent[piece]
@@ -103,12 +119,12 @@ class _ArcPieces(NamedTuple):
 
 
 class Operation(Struct, frozen=True):
-    """A run of targets.
+    """An operation: consecutive targets with one tool.
 
-    :param name: comment before it, or empty.
+    :param name: comment before the operation, or empty.
     :param tool: number of the tool that was changed to, or of the `$TOOL` of the program (from 1); 0 = not known.
-    :param first: row of its first target, `last` of its last one.
-    :param line: source line of its first target.
+    :param first: row of its first target, `last` row of its last target.
+    :param line: source line of its first cutting target.
     :param cutting: number of cutting targets.
     :param before: deviation of the tool tip without correction [m], `after` with the program as written [m], along
         the cutting path.
@@ -129,7 +145,7 @@ class Operation(Struct, frozen=True):
 
 
 def operations(result: Result) -> list[Operation]:
-    """Return the operations that cut, in order; a program without any mark is one."""
+    """Return the operations that cut, in order; a program without marks of operations has one."""
     starts = operation_starts(result.program, result.motion)
     cutting_operations = []
     for first, end in pairwise([*sorted(starts), len(result)]):
@@ -139,14 +155,14 @@ def operations(result: Result) -> list[Operation]:
         if not cutting:
             continue
         name, tool = starts[first]
-        begin = first + int(np.argmin(rapid))
+        first_cut = first + int(np.argmin(rapid))  # the first target that is not rapid
         cutting_operations.append(
             Operation(
                 name=name,
                 tool=tool,
                 first=first,
                 last=end - 1,
-                line=int(result.source_line[begin]),
+                line=int(result.source_line[first_cut]),
                 cutting=cutting,
                 before=statistics(norm(result.deviation_before[rows]), result.cut_length[rows]),
                 after=statistics(norm(result.deviation_after[rows]), result.cut_length[rows]),
@@ -158,9 +174,11 @@ def operations(result: Result) -> list[Operation]:
 
 
 def operation_starts(program: Program, motion: Ints) -> dict[int, tuple[str, int]]:
-    """Return the rows at which operations start: row → (name, tool).
+    """Return the operations by the target at which they start: row of the target → (name, tool).
 
-    :param motion: (K,) row of `program.motions`, never decreasing.
+    Of operations without a target only the last before a target counts; operations after the last target are left out.
+
+    :param motion: (K,) row of `program.motions` of each target, never decreasing.
     """
     operations_in_order = program_operations(program)
     rows = np.searchsorted(motion, [operation.first for operation in operations_in_order]).tolist()

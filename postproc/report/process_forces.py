@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from math import isnan
 
 import numpy as np
 from msgspec import Struct
@@ -24,14 +25,12 @@ COLUMNS = (
     "factor_percent",
 )  # fmt: skip
 """Columns of forces.csv, in order."""
-_CM3_PER_MIN = 0.06
-"""cm³/min of one mm³/s."""
-_MM3 = 1e9
-"""mm³ of one m³."""
+_CM3_PER_MIN_OF_MM3_PER_S = 0.06
+_MM3_PER_M3 = 1e9
 
 
 class ToolSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
-    """Largest values of one tool; `max_force_line` is where.
+    """Largest values of one tool; `max_force_line` is the line of the program with the largest force.
 
     `max_depth_mm` of a drill is the depth of its deepest hole; `max_feed_force_N` is given for drills only.
     """
@@ -48,9 +47,9 @@ class ToolSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
 
 
 class ForcesSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
-    """Content of forces.json. Without material and stock, all up to `tools` are left out.
+    """Content of forces.json. Without material and stock, the keys up to `tools` are left out.
 
-    `operation_knots` counts the moves whose force is from the table of operations. `forces_json` adds what follows it.
+    `by_operation` counts the moves whose force is from the table of operations. `forces_json` adds the keys after it.
     """
 
     program: str | None = None
@@ -67,16 +66,19 @@ class ForcesSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
 def forces_csv(program: Program, knots: Knots) -> Iterator[bytes]:
     """Yield forces.csv in pieces of some thousand rows.
 
+    `t` is empty for a ramped knot, the only knot of its motion.
+
     :param knots: of one motion for each line of the program, see `machining.one_move_a_line`.
     """
     yield (",".join(COLUMNS) + "\n").encode()
     lines, t = program.motions.line[knots.motion], np.where(knots.ramped, np.nan, knots.t)
     for part in chunks(len(knots)):
+        # numbers below the last decimal are printed as −0.000: the sign is removed from the text
         yield "".join(
-            f"{line},{'' if place != place else format(place, '.6f')},"
-            f"{w[0]:.3f},{w[1]:.3f},{w[2]:.3f},{w[3]:.4f},{w[4]:.4f},{w[5]:.4f},{FORCE_FRAMES[axes]},"
+            f"{line},{'' if isnan(place) else format(place, '.6f')},"
+            f"{w[0]:.3f},{w[1]:.3f},{w[2]:.3f},{w[3]:.4f},{w[4]:.4f},{w[5]:.4f},{FORCE_FRAMES[frame]},"
             f"{s[0]:.3f},{s[1]:.3f},{s[2]:.3f},{s[3]:.4f},{s[4]:.4f},{s[5]:.4f},{100.0 * factor:.3f}\n"
-            for line, place, w, axes, s, factor in zip(
+            for line, place, w, frame, s, factor in zip(
                 lines[part].tolist(), t[part].tolist(), without_negative_zero(knots.wrench[part]).tolist(),
                 knots.frame[part].tolist(), knots.sigma[part].tolist(), knots.factor[part].tolist(), strict=True,
             )
@@ -96,35 +98,37 @@ def summary(program: Program, process: ProcessForces | None, by_operation: int) 
     for index in distinct(process.tools.tool[cuts.motion]).tolist():
         rows = process.tools.tool[cuts.motion] == index
         force = np.linalg.norm(cuts.wrench[rows, :3], axis=1)
-        worst = int(cuts.motion[rows][int(np.argmax(force))])
+        worst_motion = int(cuts.motion[rows][int(np.argmax(force))])
+        # component 2 of a wrench is along the axis of the tool: the feed force of a drill
         feed_force = round(float(np.abs(cuts.wrench[rows, 2]).max()), 1)
         tools.append(
             ToolSummary(
                 tool=process.tools.keys[index],
                 max_force_N=round(float(force.max()), 1),
-                max_force_line=int(m.line[worst]),
+                max_force_line=int(m.line[worst_motion]),
                 max_torque_Nm=round(float(np.abs(cuts.torque[rows]).max()), 3),
                 max_power_W=round(float(cuts.power[rows].max()), 1),
                 max_depth_mm=round(float(cuts.depth[rows].max()) * MM_PER_M, 3),
                 max_width_mm=round(float(cuts.width[rows].max()) * MM_PER_M, 3),
-                max_removal_mm3_per_s=round(float(cuts.rate[rows].max()) * _MM3, 1),
+                max_removal_mm3_per_s=round(float(cuts.rate[rows].max()) * _MM3_PER_M3, 1),
                 max_feed_force_N=feed_force if process.drills[index] else None,
             )
         )
     return ForcesSummary(
         program=program.documents[0].name,
         places=len(cuts.t),
-        removed_mm3=round(process.removed_volume * _MM3, 1),
-        left_mm3=round(process.stock.volume() * _MM3, 1),
+        removed_mm3=round(process.removed_volume * _MM3_PER_M3, 1),
+        left_mm3=round(process.stock.volume() * _MM3_PER_M3, 1),
         tools=tools,
         by_operation=by_operation,
     )
 
 
 def forces_json(content: ForcesSummary, issues: Sequence[Issue], entries: list[FileEntry]) -> bytes:
-    """Return forces.json.
+    """Return forces.json as bytes: the content with the version, the issues and the written files.
 
-    :param content: see `summary`; version, `issues` and `entries` of the files that were written are added.
+    :param content: content as of `summary`.
+    :param entries: entries of the files that were written.
     """
     return json_bytes(replace(content, version=VERSION, issues=[issue_entry(i) for i in issues], files=entries))
 
@@ -133,6 +137,7 @@ def as_text(content: ForcesSummary) -> str:
     """Return the summary as lines to print: forces and cut of each tool, removed volume, forces by operation."""
     lines = []
     for tool in content.tools or []:
+        removal = tool.max_removal_mm3_per_s * _CM3_PER_MIN_OF_MM3_PER_S
         lines.append(
             f"tool {tool.tool}: mean force up to {tool.max_force_N:g} N (line {tool.max_force_line}); "
             f"torque {tool.max_torque_Nm:g} N·m; power {tool.max_power_W:g} W"
@@ -140,12 +145,11 @@ def as_text(content: ForcesSummary) -> str:
         if tool.max_feed_force_N is not None:
             lines.append(
                 f"  drilled up to {tool.max_depth_mm:g} mm deep, feed force up to {tool.max_feed_force_N:g} N, "
-                f"torque up to {tool.max_torque_Nm:g} N·m, {tool.max_removal_mm3_per_s * _CM3_PER_MIN:.3g} cm³/min"
+                f"torque up to {tool.max_torque_Nm:g} N·m, {removal:.3g} cm³/min"
             )
             continue
         lines.append(
-            f"  depth of cut up to {tool.max_depth_mm:g} mm, width {tool.max_width_mm:g} mm, "
-            f"{tool.max_removal_mm3_per_s * _CM3_PER_MIN:.3g} cm³/min"
+            f"  depth of cut up to {tool.max_depth_mm:g} mm, width {tool.max_width_mm:g} mm, {removal:.3g} cm³/min"
         )
     if content.removed_mm3 is not None and content.left_mm3 is not None:
         lines.append(f"removed {content.removed_mm3 / 1e3:.4g} cm³, left {content.left_mm3 / 1e3:.4g} cm³")

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from postproc.version import VERSION
 
-_DIGITS = 16
+_SHA_DIGITS = 16
 """Digits of a SHA-256 that a page shows."""
 
 
@@ -19,9 +19,9 @@ class Record(Struct, frozen=True):
     :param title: of the cell, `[report] title`; empty: none.
     :param customer: of the cell; empty: none.
     :param cell: file of the cell.
-    :param sums: SHA-256 in hexadecimal digits by the file that they are of, such as ``"program"``; ``"-"``: none.
-    :param date: day on which it was made, as 2026-11-27.
-    :param version: of postproc.
+    :param sums: SHA-256 in hexadecimal digits by the name of the file, such as ``"program"``; ``"-"``: no such file.
+    :param date: day of the conversion, as 2026-11-27.
+    :param version: version of postproc.
     """
 
     title: str
@@ -32,21 +32,24 @@ class Record(Struct, frozen=True):
     version: str = VERSION
 
     def head(self) -> str:
-        """Return title, customer, date and version in a line."""
+        """Return title, customer, date and version in a line; an empty title or customer is left out."""
         return " · ".join(filter(None, (self.title, self.customer, self.date, f"postproc {self.version}")))
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return names and values in the order in which a page shows them."""
-        titles = [("Title", self.title), ("Customer", self.customer)]
-        rows = [(name, value) for name, value in titles if value]
+        """Return names and values in the order in which a page shows them; empty values are left out."""
+        stated_texts = [("Title", self.title), ("Customer", self.customer)]
+        rows = [(name, text) for name, text in stated_texts if text]
         rows += [("Date", self.date), ("Version", f"postproc {self.version}"), ("Cell", self.cell)]
         return rows + [
-            (f"SHA-256 of {name}", f"{value[:_DIGITS]}…") for name, value in self.sums.items() if value != "-"
+            (f"SHA-256 of {name}", f"{digits[:_SHA_DIGITS]}…") for name, digits in self.sums.items() if digits != "-"
         ]
 
 
 def today() -> str:
-    """Return the day in UTC as 2026-11-27: today, or that of SOURCE_DATE_EPOCH, which makes output reproducible."""
+    """Return today in UTC, as 2026-11-27.
+
+    The environment variable SOURCE_DATE_EPOCH [s since 1970] replaces today, so that output is reproducible.
+    """
     seconds = os.environ.get("SOURCE_DATE_EPOCH", "")
     moment = datetime.fromtimestamp(int(seconds), UTC) if seconds.isdecimal() else datetime.now(UTC)
     return moment.date().isoformat()

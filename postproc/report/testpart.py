@@ -33,13 +33,13 @@ from postproc.testpart.model import Agreement, PartIdentification
 from postproc.testpart.prior import Prior
 from postproc.testpart.probing import TOP
 
-_WIDE = 900.0
+_DRAWING_WIDTH = 900.0
 """Width of the drawing [px]."""
-_ARC = 24
+_ARC_CHORDS = 24
 """Chords of the half circle at the end of a slot: their height is below a pixel."""
 _HIDDEN_SHARE = 0.9
 """A part does not show a parameter if more than this share of its standard deviation is left (assumed)."""
-_LARGE_SHARE = 0.3
+_LARGE_CHANGE = 0.3
 """Relative change of a joint that a part should show (assumed)."""
 _PRODUCT = (
     "Forces and compliances scale against each other: twice the force on a robot half as compliant leaves the same "
@@ -52,11 +52,11 @@ _PRODUCT = (
 def design_page(
     design: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, Program], box: Box, robot: str
 ) -> bytes:
-    """Return the page of a chosen part: drawing, table of features, and what each parameter will be known to.
+    """Return the page of a chosen part: drawing, features, and the accuracy of each parameter after it is measured.
 
-    :param parts: program of each placement of the block.
-    :param box: of the block in `$BASE` [mm].
-    :param robot: its name, for the head of the page.
+    :param parts: program of the test part for each placement of the block.
+    :param box: ranges of X, Y, Z that the block fills in `$BASE` [mm].
+    :param robot: name of the robot, for the head of the page.
     """
     remarks = Notes(tuple(Note(text) for text in _remarks(design, prior)))
     sections = (
@@ -72,7 +72,7 @@ def design_page(
 
 
 def _design_tiles(design: Design, parts: dict[Placement, Program]) -> Tiles:
-    """Return the tiles of a chosen part: size, cutting time, and expected errors now and with it."""
+    """Return the tiles of a chosen part: its size, cutting time, and expected errors now and once it is measured."""
     tiles = (
         Tile("Features", str(len(design.features))),
         Tile("Probed points", str(sum(len(part.feature) for part in parts.values()))),
@@ -91,8 +91,8 @@ def _design_tiles(design: Design, parts: dict[Placement, Program]) -> Tiles:
 def _design_steps(parts: dict[Placement, Program], box: Box) -> tuple[Note, ...]:
     """Return the steps of a test part: clamp, touch off, cut, probe, identify.
 
-    :param parts: program of each placement of the block.
-    :param box: of the block in `$BASE` [mm].
+    :param parts: program of the test part for each placement of the block.
+    :param box: ranges of X, Y, Z that the block fills in `$BASE` [mm].
     """
     programs = " ".join(placement.name for placement, part in parts.items() if len(part.feature))
     return (
@@ -127,18 +127,19 @@ def _remarks(design: Design, prior: Prior) -> list[str]:
     remarks = [_PRODUCT]
     if design.sigma_without_weight is not None:
         remarks.append(f"Here {_weight_sentence(design, design.sigma_without_weight)}.")
-    if (text := _unseen_change_sentence(design, prior)) is not None:
-        remarks.append(f"{text[0].upper()}{text[1:]}.")
+    if (change_sentence := _unseen_change_sentence(design, prior)) is not None:
+        remarks.append(f"{change_sentence[0].upper()}{change_sentence[1:]}.")
     return remarks
 
 
 def _parameter_table(design: Design, prior: Prior) -> Table:
     """Return the table of standard deviations before and after the part is measured."""
+    # design.sigma: after the part, as shares of those before; design.change: a change is seen from this share on
     rows = []
     for k, parameter in enumerate(prior.parameters):
-        value, change = prior.values[k], float(design.change[k])
-        sigma_percent = 100.0 * prior.sigma[k] / value if value else float("nan")
-        change_text = f"{100.0 * change:.0f}" if change < MOST_CHANGE else "not seen"
+        prior_value, seen_change = prior.values[k], float(design.change[k])
+        sigma_percent = 100.0 * prior.sigma[k] / prior_value if prior_value else float("nan")
+        change_text = f"{100.0 * seen_change:.0f}" if seen_change < MOST_CHANGE else "not seen"
         rows.append(_parameter_row(parameter.title, sigma_percent, float(design.sigma[k]), change_text))
     # the last standard deviation, after those of the parameters, is that of the scale of the forces
     rows.append(
@@ -154,10 +155,10 @@ def _parameter_table(design: Design, prior: Prior) -> Table:
 
 
 def _parameter_row(name: str, prior_sigma: float, share: float, change_text: str) -> Row:
-    """Return the row of a parameter: its standard deviation now and with the part, and what the part does not show.
+    """Return the row of a parameter: its standard deviation now and with the part, and whether the part shows it.
 
     :param prior_sigma: standard deviation now, in percent of the value; NaN if the value is 0.
-    :param share: what the part leaves of it, in [0, 1].
+    :param share: share of `prior_sigma` that is left once the part is measured, in [0, 1].
     :param change_text: smallest change that the same part shows later [%]; empty if there is none to show.
     """
     is_hidden = share > _HIDDEN_SHARE
@@ -167,14 +168,20 @@ def _parameter_row(name: str, prior_sigma: float, share: float, change_text: str
 
 
 def _unseen_change_sentence(design: Design, prior: Prior) -> str | None:
-    """Return a sentence on the joints that may change by 30 % unseen, although the part shows their values.
+    """Return a sentence on parameters whose value the part shows, but not a later change of 30 % (`_LARGE_CHANGE`).
 
-    None if there are no such joints.
+    None if there are no such parameters.
     """
     names = [
-        f"{parameter.name} ({100.0 * change:.0f} %)" if change < MOST_CHANGE else parameter.name
-        for parameter, change, share in zip(prior.parameters, design.change.tolist(), design.sigma[:-1], strict=True)
-        if change > _LARGE_SHARE and share <= _HIDDEN_SHARE
+        f"{parameter.name} ({100.0 * seen_change:.0f} %)" if seen_change < MOST_CHANGE else parameter.name
+        for parameter, seen_change, sigma_share in zip(
+            # the last standard deviation is that of the scale of the forces
+            prior.parameters,
+            design.change.tolist(),
+            design.sigma[:-1],
+            strict=True,
+        )
+        if seen_change > _LARGE_CHANGE and sigma_share <= _HIDDEN_SHARE
     ]
     if not names:
         return None
@@ -186,17 +193,17 @@ def _unseen_change_sentence(design: Design, prior: Prior) -> str | None:
 
 
 def _touch_texts(parts: dict[Placement, Program]) -> str:
-    """Return names and places of the touch-off points of the first placement in which something is cut."""
+    """Return the touch-off points of the first placement in which something is cut, as text: `T01 X20 Y30, …` [mm]."""
     program = next(part for part in parts.values() if part.features)
     return ", ".join(
-        f"{name.partition('.')[0]} X{x:g} Y{y:g}"
+        f"{name.partition('.')[0]} X{x:g} Y{y:g}"  # name is such as T01.top
         for name, (x, y, _) in zip(program.feature, (program.point * MM_PER_M).tolist(), strict=True)
         if name.rpartition(".")[2] == TOP
     )
 
 
 def _cutting_steps(parts: dict[Placement, Program]) -> list[Note]:
-    """Return the steps to cut the part, for each placement of the block."""
+    """Return the steps to cut the part: one note for each placement of the block."""
     uncorrected = "uncorrected, in one clamping, with a sharp tool."
     if len(parts) == 1:
         return [Note(f"Cut testpart.src, or testpart.nc by your own post: {uncorrected}")]
@@ -214,7 +221,7 @@ def _cutting_steps(parts: dict[Placement, Program]) -> list[Note]:
 def _weight_steps(parts: dict[Placement, Program]) -> list[Note]:
     """Return the steps to hang a weight on the tool; empty if the part has no gauge readings."""
     masses = [float(part.mass.max(initial=0.0)) for part in parts.values()]
-    if not max(masses) > 0.0:
+    if max(masses) <= 0.0:
         return []
     return [
         Note(
@@ -226,7 +233,10 @@ def _weight_steps(parts: dict[Placement, Program]) -> list[Note]:
 
 
 def _feature_table(design: Design, parts: dict[Placement, Program]) -> Table:
-    """Return the table of the features, in mm and degrees of `$BASE`."""
+    """Return the table of the features [mm, deg] in `$BASE`.
+
+    With several placements, also where the block is clamped.
+    """
     rows = []
     block_frames = [placement.title for placement, program in parts.items() for _ in range(program.features)]
     has_placements = len(parts) > 1
@@ -253,40 +263,53 @@ def _feature_table(design: Design, parts: dict[Placement, Program]) -> Table:
 
 def _drawings(design: Design, cutting: Cutting, parts: dict[Placement, Program], box: Box) -> tuple[Drawing, ...]:
     """Return a drawing for each placement of the block in which something is cut."""
-    drawings, first = [], 0
+    drawings, first_feature = [], 0
     for placement, program in parts.items():
-        feature_numbers = range(first, first + program.features)
+        feature_numbers = range(first_feature, first_feature + program.features)
         if not feature_numbers:
             continue
         caption = f"Block at {placement.title}, {placement.name}. " if len(parts) > 1 else ""
         drawings.append(_drawing(design, feature_numbers, cutting, box, program, caption))
-        first = feature_numbers.stop
+        first_feature = feature_numbers.stop
     return tuple(drawings)
 
 
 class _PlanView:
-    """Plan view of a block: places of the drawing [px] for points in `$BASE` [m].
+    """Plan view of a block: converts points in `$BASE` [m] to places of the drawing [px].
 
-    `height` is that of the drawing [px].
+    :ivar height: height of the drawing [px]; its width is `_DRAWING_WIDTH`.
     """
 
     def __init__(self, box: Box) -> None:
-        """Scale the drawing so that a block, `box` in `$BASE` [mm], fills its width."""
+        """Scale the drawing so that the block fills its width.
+
+        :param box: ranges of X, Y, Z that the block fills in `$BASE` [mm].
+        """
         self._low = np.array([box.X[0], box.Y[0]])
-        self._scale = _WIDE / (box.X[1] - box.X[0])
+        self._scale = _DRAWING_WIDTH / (box.X[1] - box.X[0])
         self.height = self._scale * (box.Y[1] - box.Y[0])
 
     def xy(self, points: Array) -> Array:
-        """Return the places (n, 2) [px] of points (n, 2 or 3) [m]; y of a picture points down."""
+        """Return the places (n, 2) in the drawing [px] of points (n, 2 or 3) in `$BASE` [m].
+
+        Y of the drawing is down.
+        """
         x, y = (points[:, :2] * MM_PER_M - self._low).T * self._scale
         return np.column_stack([x, self.height - y])
 
     def path(self, points: Array, style: str) -> str:
-        """Return an svg path: the closed line through points (n, 2 or 3) [m] in a style."""
+        """Return the closed line through points (n, 2 or 3) in `$BASE` [m] as an svg path.
+
+        `style`: its svg attributes.
+        """
         return f'<path d="M{" L".join(f"{x:.1f} {y:.1f}" for x, y in self.xy(points).tolist())}Z" {style}/>'
 
     def text(self, text: str, point: Array, rise: float, style: str) -> str:
-        """Return an svg text centred above a point (3,) or (2,) [m] by `rise` pixels."""
+        """Return an svg text centred about a point (3,) or (2,) in `$BASE` [m].
+
+        :param rise: height of the base line of the text above the point [px]; negative: below it.
+        :param style: svg attributes of the text.
+        """
         x, y = self.xy(point[None])[0].tolist()
         return f'<text x="{x:.1f}" y="{y - rise:.1f}" text-anchor="middle" fill="currentColor" {style}>{text}</text>'
 
@@ -296,11 +319,14 @@ def _drawing(
 ) -> Drawing:
     """Return the plan view of the block: outlines of grooves and trimmed halves, probed points, numbers.
 
-    :param feature_numbers: features of this placement; of others the outlines are shown.
-    :param program: of this placement.
+    :param feature_numbers: indices of the features of this placement; others are shown as faint outlines.
+    :param program: program of this placement.
+    :param caption: sentence with which the note below the drawing begins; empty for a single placement.
     """
     plan = _PlanView(box)
-    shapes = [f'<rect x="0" y="0" width="{_WIDE:.0f}" height="{plan.height:.0f}" fill="none" stroke="currentColor"/>']
+    shapes = [
+        f'<rect x="0" y="0" width="{_DRAWING_WIDTH:.0f}" height="{plan.height:.0f}" fill="none" stroke="currentColor"/>'
+    ]
     for index, feature in enumerate(design.features):
         if index in feature_numbers:
             shapes += _feature_shapes(plan, feature, cutting, f"F{index + 1:02d}")
@@ -309,7 +335,7 @@ def _drawing(
             shapes += _outlines(plan, feature, cutting, "", faint)
     shapes += [*_touch_off_shapes(plan, program), *_edge_labels(plan, box)]
     svg = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-60 -8 {_WIDE + 70:.0f} {plan.height + 34:.0f}" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="-60 -8 {_DRAWING_WIDTH + 70:.0f} {plan.height + 34:.0f}" '
         f'style="width:100%;max-height:40rem">{"".join(shapes)}</svg>'
     )
     return Drawing(
@@ -323,9 +349,10 @@ def _drawing(
 
 def _edge_labels(plan: _PlanView, box: Box) -> list[str]:
     """Return the coordinates of the edges of the block [mm] as svg texts: X below the drawing, Y left of it."""
+    # text, x and y of its base line [px] from the upper left corner, and which end of the text is at x
     labels = (
         (f"X {box.X[0]:g}", 0.0, plan.height + 18.0, "start"),
-        (f"X {box.X[1]:g}", _WIDE, plan.height + 18.0, "end"),
+        (f"X {box.X[1]:g}", _DRAWING_WIDTH, plan.height + 18.0, "end"),
         (f"Y {box.Y[0]:g}", -6.0, plan.height, "end"),
         (f"Y {box.Y[1]:g}", -6.0, 12.0, "end"),
     )
@@ -336,15 +363,19 @@ def _edge_labels(plan: _PlanView, box: Box) -> list[str]:
 
 
 def _feature_shapes(plan: _PlanView, feature: features.Feature, cutting: Cutting, name: str) -> list[str]:
-    """Return a feature as svg elements: its surfaces, its probed points, its name with its depth [mm]."""
+    """Return a feature as svg elements: its surfaces, its probed points, its name with its depth [mm].
+
+    :param name: number of the feature, such as F01.
+    """
     areas = 'fill="currentColor" fill-opacity="0.12" stroke="currentColor"'
     hidden_lines = 'fill="none" stroke="currentColor" stroke-dasharray="4 3"'
     shapes = []
     for surface, style in (("groove", areas), ("step", areas), ("trim", hidden_lines)):
         shapes += _outlines(plan, feature, cutting, surface, style)
     for probe in features.probes(feature.kind, cutting):
+        # the plan view shows no Z: the upper face may be at 0
         x, y = plan.xy(features.to_base(feature, 0.0, np.array([probe.point])))[0].tolist()
-        fill = "none" if probe.name.startswith("ref") else "currentColor"
+        fill = "none" if probe.name.startswith("ref") else "currentColor"  # hollow: on a reference surface
         shapes.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{fill}" stroke="currentColor"/>')
     style = 'font-size="15" font-weight="bold" paint-order="stroke" stroke="var(--card)" stroke-width="4"'
     middle = np.array([feature.x, feature.y])
@@ -354,14 +385,18 @@ def _feature_shapes(plan: _PlanView, feature: features.Feature, cutting: Cutting
 def _outlines(plan: _PlanView, feature: features.Feature, cutting: Cutting, surface: str, style: str) -> list[str]:
     """Return the outlines of the passes of a feature that make a surface, as svg elements in a style.
 
-    :param surface: beginning of its name; empty: all surfaces.
+    :param surface: beginning of the name of the surface; empty: all surfaces.
+    :param style: svg attributes.
     """
     radius = 0.5 * cutting.diameter
-    return [plan.path(_stadium(feature, begin, end, radius), style) for begin, end in _runs(feature, cutting, surface)]
+    return [
+        plan.path(_pass_outline(feature, begin, end, radius), style)
+        for begin, end in _straight_passes(feature, cutting, surface)
+    ]
 
 
 def _touch_off_shapes(plan: _PlanView, program: Program) -> list[str]:
-    """Return the touch-off points as crosses with their names."""
+    """Return the touch-off points of a program as svg elements: crosses with their names, such as T01."""
     shapes = []
     for name, point in zip(program.feature, program.point, strict=True):
         if name.rpartition(".")[2] == TOP:
@@ -372,29 +407,30 @@ def _touch_off_shapes(plan: _PlanView, program: Program) -> list[str]:
     return shapes
 
 
-def _runs(feature: features.Feature, cutting: Cutting, name: str) -> list[tuple[Array, Array]]:
-    """Return start and end (2,) [m] of the straight passes of a feature that make a surface, in its own axes.
+def _straight_passes(feature: features.Feature, cutting: Cutting, name: str) -> list[tuple[Array, Array]]:
+    """Return start and end (2,) [m] of the straight passes of a feature that make a surface, in the feature's axes.
 
-    :param name: beginning of the name of the surface.
+    :param name: beginning of the name of the surface; passes that make no surface have no name.
     """
-    runs, start = [], np.zeros(3)
+    ends, start = [], np.zeros(3)
     for move in features.passes(feature.kind, cutting):
         end = np.array(move.end)
         if move.name and move.name.startswith(name):
-            runs.append((start[:2], end[:2]))
+            ends.append((start[:2], end[:2]))
         start = end
-    return runs
+    return ends
 
 
-def _stadium(feature: features.Feature, begin: Array, end: Array, radius: float) -> Array:
-    """Return the outline (n, 2) in `$BASE` of the area that a tool covers on a straight run [m].
+def _pass_outline(feature: features.Feature, begin: Array, end: Array, radius: float) -> Array:
+    """Return the outline (n, 2) in `$BASE` [m] of the area that the tool covers on a straight pass.
 
-    :param begin: (2,) of the run in the axes of the feature [m], `end` (2,) its end.
+    :param begin: (2,) start of the pass in the axes of the feature [m], `end` (2,) its end.
     :param radius: of the tool [m].
     """
-    run_x, run_y = end - begin
-    direction = np.arctan2(run_y, run_x)
-    turn = np.pi * (np.arange(_ARC + 1) / _ARC - 0.5)  # of a half circle, from −90° to 90° about the direction
+    pass_x, pass_y = end - begin
+    direction = np.arctan2(pass_y, pass_x)
+    # angles of the points of a half circle, from −90° to 90° about the direction
+    turn = np.pi * (np.arange(_ARC_CHORDS + 1) / _ARC_CHORDS - 0.5)
     half_circles = [
         centre + radius * np.column_stack([np.cos(angle + turn), np.sin(angle + turn)])
         for centre, angle in ((end, direction), (begin, direction + np.pi))
@@ -405,6 +441,7 @@ def _stadium(feature: features.Feature, begin: Array, end: Array, radius: float)
 
 def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, Program]) -> list[str]:
     """Return a chosen part as lines to print: features, expected errors, and what the part will show."""
+    # standard deviations with the part, as shares of those now; the last is that of the scale of the forces
     names = [*(parameter.name for parameter in prior.parameters), "forces"]
     shares = list(zip(names, design.sigma, strict=True))
     sigma_texts = [f"{name} {100 * share:.0f} %" for name, share in shares if share <= _HIDDEN_SHARE]
@@ -430,7 +467,8 @@ def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Pla
 def _weight_sentence(design: Design, sigma_without_weight: Array) -> str:
     """Return in words how well the scale of the forces is known with and without the weight on the tool.
 
-    :param sigma_without_weight: shares of the prior standard deviations that would be left; the last is that scale.
+    :param sigma_without_weight: standard deviations without the weight, as shares of the prior ones; the last is that
+        of the scale of the forces.
     """
     return (
         f"the weight on the tool leaves {100 * design.sigma[-1]:.0f} % of the standard deviation of the forces; "
@@ -439,7 +477,7 @@ def _weight_sentence(design: Design, sigma_without_weight: Array) -> str:
 
 
 def part_lines(data: PartIdentification) -> list[str]:
-    """Return the result of a test part as lines to print."""
+    """Return what was identified from a test part as lines to print: verdict, parameters, forces, errors, heights."""
     lines = [data.verdict.line]
     for name, entry in data.parameters.items():
         if entry.source == "prior":
@@ -464,7 +502,7 @@ def part_lines(data: PartIdentification) -> list[str]:
 
 
 def agreement_lines(data: PartIdentification, agreement: Agreement) -> list[str]:
-    """Return lines to print on the agreement of the cell's model with the part."""
+    """Return lines to print on the agreement of the cell's model with the part: holds, does not, or not decided."""
     state = "the model holds" if agreement.holds else "THE MODEL DOES NOT HOLD"
     return [
         f"NOT DECIDED: {agreement.fault}" if agreement.fault else f"{state}: {agreement.line}",
@@ -476,7 +514,7 @@ def agreement_lines(data: PartIdentification, agreement: Agreement) -> list[str]
 def part_page(data: PartIdentification, name: str) -> bytes:
     """Return the page of a model from a test part as HTML in UTF-8.
 
-    :param name: of the model, for the head of the page.
+    :param name: name of the model, for the head of the page.
     """
     is_refused = data.verdict.refused
     verdict = Verdict("failed" if is_refused else "ok", "Refused" if is_refused else "Usable", data.verdict.line)
@@ -493,7 +531,7 @@ def part_page(data: PartIdentification, name: str) -> bytes:
 
 
 def _part_tiles(data: PartIdentification) -> Tiles:
-    """Return the tiles of a measured part: what the models leave of the deviations, forces, heights of the programs."""
+    """Return the tiles of a measured part: deviations that the models leave, force scale, heights of the programs."""
     tiles = (
         Tile("Deviations, RMS", f"{data.deviation_mm:.3f}", "mm"),
         Tile("Left by the model before", f"{data.without_mm:.4f}", "mm"),
@@ -514,7 +552,7 @@ def _part_tiles(data: PartIdentification) -> Tiles:
 
 
 def _prediction_plot(data: PartIdentification) -> Plot:
-    """Return the plot of measured over predicted deviations [mm], by the model before and by this one."""
+    """Return the plot of measured over predicted deviations [mm], predicted by the model before and by this model."""
     measured_mm = [point.measured_mm for point in data.points]
     names = [point.feature for point in data.points]
     span = [min(measured_mm), max(measured_mm)]
@@ -532,13 +570,13 @@ def _prediction_plot(data: PartIdentification) -> Plot:
 
 
 def _error_plot(data: PartIdentification) -> Plot:
-    """Return the plot of the error of each point predicted from all others [µm], with 95 % bars."""
+    """Return the plot of the error of each point, predicted from all other points [µm], with 95 % intervals."""
     errors = Points(
         [float(number) for number in range(len(data.points))],
-        [1e3 * point.error_mm for point in data.points],
+        [1e3 * point.error_mm for point in data.points],  # mm to µm
         "predicted from all others",
         "after",
-        half=[1.96e3 * point.sigma_mm for point in data.points],  # 95 % of a normal distribution, in µm
+        half=[1.96e3 * point.sigma_mm for point in data.points],  # ±1.96 σ: 95 % of a normal distribution; mm to µm
         texts=[point.feature for point in data.points],
     )
     return Plot(
@@ -550,12 +588,15 @@ def _error_plot(data: PartIdentification) -> Plot:
 
 
 def _interval_plot(data: PartIdentification) -> Plot:
-    """Return the plot of the change of each parameter against its prior value [%], with its 95 % interval."""
+    """Return the plot of the change of each parameter, and of the forces, against its prior value [%].
+
+    Changes have 95 % intervals; parameters without an interval or a prior value are left out.
+    """
     names, changes, half_widths = list[str](), list[float](), list[float | None]()
     entries = {**data.parameters, "forces": data.force_scale}
     for name, entry in entries.items():
         if entry.value is None or entry.ci95 is None or not entry.prior:
-            continue  # without an interval, or without a value to compare with
+            continue
         names.append(name)
         changes.append(100.0 * (entry.value / entry.prior - 1.0))
         half_widths.append(100.0 * entry.ci95 / abs(entry.prior))
@@ -570,7 +611,7 @@ def _interval_plot(data: PartIdentification) -> Plot:
 
 
 def _value_table(data: PartIdentification) -> Table:
-    """Return the table of the parameters with their 95 % intervals and prior values."""
+    """Return the table of the parameters and of the scale of the forces, with 95 % intervals and prior values."""
     rows = []
     for name, entry in {**data.parameters, "scale of the forces": data.force_scale}.items():
         origin = "prior" if entry.source == "prior" else "part"
@@ -585,7 +626,7 @@ def _value_table(data: PartIdentification) -> Table:
 
 
 def _point_table(data: PartIdentification) -> Table:
-    """Return the table of the probed points: measured and predicted deviation, error and its uncertainty [mm]."""
+    """Return the table of the probed points [mm]: measured and predicted deviations, error and its uncertainty."""
     rows = []
     for point in data.points:
         values = (point.measured_mm, point.before_mm, point.after_mm, point.error_mm, point.sigma_mm)

@@ -13,18 +13,21 @@ from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, estim
 from postproc.report.summary import IssueEntry, Summary, improvement
 from postproc.report.verdict import clearance_text, nothing_to_correct, uncorrected_sentence
 
-_STATES: dict[State, str] = {"failed": "failed", "warning": "to be looked at", "ok": "good"}
+_VERDICT_WORDS: dict[State, str] = {"failed": "failed", "warning": "to be looked at", "ok": "good"}
+"""Word of the table of programs for each state of a verdict."""
 _NO_FORCES = "no forces"
-_REASONS = 8
-"""Reasons of a verdict in the terminal; the page has all."""
-_ROWS = ("max", "RMS", "mean", "95 %")
+_MOST_REASONS = 8
+"""Largest number of reasons of a verdict in the terminal; the page has all."""
+_MEASURES = ("max", "RMS", "mean", "95 %")
 """Labels of `summary.Distances`."""
 
 
 def program_text(content: Summary, display: Display = PLAIN) -> str:
-    """Return the summary of one program on one screen: the verdict, the paper's Table 3, and other facts.
+    """Return the summary of one program on one screen: the verdict, the table of deviations, and other facts.
 
-    :param display: style of the text; plain by default.
+    The table is Table 3 of the paper.
+
+    :param display: output whose style the text has; plain by default.
     """
     verdict = content.verdict
     lines = [
@@ -32,8 +35,8 @@ def program_text(content: Summary, display: Display = PLAIN) -> str:
         display.verdict(verdict.headline, verdict.state),
         *(f"  {answer}" for answer in verdict.answers),
     ]
-    lines += [f"  - {reason}" for reason in verdict.reasons[:_REASONS]]
-    if len(verdict.reasons) > _REASONS:
+    lines += [f"  - {reason}" for reason in verdict.reasons[:_MOST_REASONS]]
+    if len(verdict.reasons) > _MOST_REASONS:
         lines.append(f"  - {_further_reasons_text(len(verdict.reasons))}: see the report")
     no_correction = nothing_to_correct(content)
     lines += [
@@ -48,21 +51,25 @@ def program_text(content: Summary, display: Display = PLAIN) -> str:
 
 
 def _deviation_table(content: Summary, display: Display) -> str:
-    """Return the table of deviations [mm]: as predicted, or before and after correction."""
+    """Return the table of deviations [mm].
+
+    Mode "predict": the predicted deviations. Other modes: deviations before and after correction, and the improvement.
+    """
     u95 = _largest_u95(content)
     if content.mode == "predict":
-        rows = [(label, estimate(value, u95)) for label, value in zip(_ROWS, astuple(content.before), strict=True)]
+        rows = [(label, estimate(value, u95)) for label, value in zip(_MEASURES, astuple(content.before), strict=True)]
         return display.table(("deviation [mm]", "predicted"), rows, (1,), "  ")
-    values = zip(_ROWS, astuple(content.before), astuple(content.after), strict=True)
+    # astuple: largest, RMS, mean and 95th percentile, as _MEASURES
+    measures = zip(_MEASURES, astuple(content.before), astuple(content.after), strict=True)
     table_rows = [
         (label, estimate(before, u95), estimate(after, u95), factor_text(before, after))
-        for label, before, after in values
+        for label, before, after in measures
     ]
     return display.table(("deviation [mm]", "before", "after", "improvement"), table_rows, range(1, 4), "  ")
 
 
 def target_count_text(content: Summary) -> str:
-    """Return in words how many targets the result has, and how many of them were inserted between those as read."""
+    """Return the number of targets in words, and how many of them were inserted between the targets of the program."""
     inserted_count = content.inserted_targets
     noun = "places looked at" if content.mode == "predict" and inserted_count else "targets"
     origin = "between its targets" if content.mode == "predict" else "inserted"
@@ -70,7 +77,7 @@ def target_count_text(content: Summary) -> str:
 
 
 def _fact_lines(content: Summary) -> list[str]:
-    """Return indented lines with facts in addition to the reasons of the verdict: origin, margins, clearance."""
+    """Return indented lines with facts that the verdict does not contain: path, origin, margins, clearance."""
     facts = [] if content.verdict.state == "ok" else _path_facts(content)
     if content.mode == "convert" and content.compensated_percent is not None:
         facts.append(f"compensated {percent_text(content.compensated_percent)}")
@@ -80,8 +87,8 @@ def _fact_lines(content: Summary) -> list[str]:
         facts.append(f"tolerance {content.tolerance_mm:g} mm EXCEEDED")
     origin = content.provenance
     if origin.state == "intact":
-        makes_up = origin.mode == "corrected" and nothing_to_correct(content) is None
-        correction_note = ": its targets compensate the deviation predicted here" if makes_up else ""
+        is_compensated = origin.mode == "corrected" and nothing_to_correct(content) is None
+        correction_note = ": its targets compensate the deviation predicted here" if is_compensated else ""
         facts.append(f"written by postproc {origin.version} ({origin.mode}), unchanged since{correction_note}")
     limits = content.limits
     facts.append(
@@ -93,7 +100,10 @@ def _fact_lines(content: Summary) -> list[str]:
 
 
 def _feed_lines(content: Summary, display: Display) -> list[str]:
-    """Return lines on lowered feeds and, for several operations, a table of cutting times; none without either."""
+    """Return lines on lowered feeds and, for several operations, a table of cutting times.
+
+    Empty if feeds are not chosen by a tolerance.
+    """
     feed = content.feed
     if feed is None:
         return []
@@ -113,11 +123,12 @@ def _feed_lines(content: Summary, display: Display) -> list[str]:
 
 
 def _path_facts(content: Summary) -> list[str]:
-    """Return facts that the verdict leaves out: the largest correction, the path error, and how corners are rounded."""
+    """Return facts on the path: the largest correction, the path error between targets, and how corners are rounded."""
     facts = []
     if content.mode == "convert" and content.max_correction_mm is not None:
         facts.append(f"largest correction {two_digits(content.max_correction_mm)} mm")
     if content.mode != "predict" and content.between_max_mm is not None:
+        # tolerance_held is None if only approximation exceeds the tolerance
         judgement = {None: ", held but for approximation", True: ", held", False: ", EXCEEDED"}[content.tolerance_held]
         tolerance_text = "" if content.tolerance_mm is None else f" (tolerance {content.tolerance_mm:g} mm{judgement})"
         facts.append(f"between targets at most {two_digits(content.between_max_mm)} mm{tolerance_text}")
@@ -132,27 +143,30 @@ def _path_facts(content: Summary) -> list[str]:
 
 
 def issue_line(issue: IssueEntry, program: str) -> str:
-    """Return one line about an issue, with its first file and line."""
+    """Return one line about an issue, with the line of the program where it occurs first.
+
+    :param program: file name of the program.
+    """
     place = program if issue.source_line is None else f"{program}:{issue.source_line}"
     count = f" ({issue.count} times)" if issue.count > 1 else ""
     return f"{issue.level}: {place}: {issue.message}{count}"
 
 
 def programs_table(rows: Sequence[tuple[str, Summary | None, str]], display: Display = PLAIN) -> str:
-    """Return a table of many programs: expected errors (95 %), and the first reason of each verdict that is not good.
+    """Return a table of many programs with expected errors (95 %); below, the first reason of each verdict not "ok".
 
-    :param rows: name, summary (None where it failed) and one word on what came of it.
-    :param display: how it looks.
+    :param rows: name, summary (None: the program was not written) and result in one word, of each program.
+    :param display: output whose style the table has; plain by default.
     """
     head = ("program", "targets", "uncorrected [mm]", "corrected [mm]", "better", "tolerance", "verdict", "result")
     cells: list[tuple[str, ...]] = []
-    for name, content, word in rows:
+    for name, content, outcome in rows:
         if content is None:
-            cells.append((name, *("-",) * 6, word))
+            cells.append((name, *("-",) * 6, outcome))
             continue
         tolerance = "-" if content.part.tolerance_mm is None else f"{content.part.tolerance_mm:g}"
         cells.append(
-            (name, str(content.targets), *_error_texts(content.verdict), tolerance, _verdict_word(content), word)
+            (name, str(content.targets), *_error_texts(content.verdict), tolerance, _verdict_word(content), outcome)
         )
     summaries = [content for _, content, _ in rows if content is not None]
     if len(rows) > 1 and summaries:
@@ -161,27 +175,27 @@ def programs_table(rows: Sequence[tuple[str, Summary | None, str]], display: Dis
 
 
 def _totals_row(summaries: Sequence[Summary], count: int) -> tuple[str, ...]:
-    """Return the last row of the table of programs: number of targets, largest errors, and how many have each verdict.
+    """Return the last row of the table of programs: number of targets, largest errors, and the count of each verdict.
 
-    :param summaries: of the programs that were written, at least one.
-    :param count: number of all programs.
+    :param summaries: summaries of the programs that were written, at least one.
+    :param count: number of all programs, including those that were not written.
     """
     answers = [better for content in summaries if (better := content.verdict.better) is not None]
     uncorrected = _largest_length_text([answer.uncorrected_mm for answer in answers])
     corrected_text = _largest_length_text([answer.corrected_mm for answer in answers])
     words = [_verdict_word(content) for content in summaries]
     counts = [f"{count - len(summaries)} not written"] if count > len(summaries) else []
-    counts += [f"{words.count(word)} {word}" for word in (*_STATES.values(), _NO_FORCES) if word in words]
+    counts += [f"{words.count(word)} {word}" for word in (*_VERDICT_WORDS.values(), _NO_FORCES) if word in words]
     targets = str(sum(content.targets for content in summaries))
     return (f"all {count}, at most", targets, uncorrected, corrected_text, "", "", "", ", ".join(counts))
 
 
 class _ErrorTexts(NamedTuple):
-    """Errors of a program as texts; dashes where they are not known.
+    """Expected errors of a program as texts; "-" if unknown.
 
     :param uncorrected: expected error without correction [mm].
-    :param corrected: with correction [mm].
-    :param chance: that the correction helps.
+    :param corrected: expected error with correction [mm].
+    :param chance: chance that the correction makes the part better.
     """
 
     uncorrected: str
@@ -190,7 +204,8 @@ class _ErrorTexts(NamedTuple):
 
 
 def _error_texts(verdict: Verdict) -> _ErrorTexts:
-    """Return the expected errors of a program and the chance that the correction helps, as texts."""
+    """Return the expected errors of a program and the chance that the correction makes the part better, as texts."""
+    # the answer to the question whether the part gets better
     better = verdict.better
     if better is None:
         return _ErrorTexts("-", "-", "-")
@@ -202,7 +217,7 @@ def _error_texts(verdict: Verdict) -> _ErrorTexts:
 
 
 def _largest_length_text(lengths_mm: Sequence[float | None]) -> str:
-    """Return the largest of lengths [mm] as text; a dash if none is known."""
+    """Return the largest of lengths [mm] as text; None is an unknown length, "-" is returned if all are unknown."""
     lengths = [length for length in lengths_mm if length is not None]
     return two_digits(max(lengths)) if lengths else "-"
 
@@ -213,42 +228,46 @@ def _largest_u95(content: Summary) -> float | None:
 
 
 def _verdict_word(content: Summary) -> str:
-    """Return the verdict of a program as the word of the table; "no forces" if only those are missing."""
+    """Return the verdict of a program as the word of the table; "no forces" for a warning if no force is known."""
     state = content.verdict.state
-    return _NO_FORCES if state == "warning" and content.max_force_N == 0.0 else _STATES[state]
+    return _NO_FORCES if state == "warning" and content.max_force_N == 0.0 else _VERDICT_WORDS[state]
 
 
 def _reason_lines(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
-    """Return a line for each different reason of a verdict that is not "ok", with the programs that it concerns.
+    """Return a line for each distinct reason of verdicts that are not "ok", with the programs that it concerns.
 
-    :param rows: name and summary of each program (the third entry is not used). Only the first reason counts.
+    Only the first reason of each verdict counts. At most `_MOST_REASONS` have a line; a last line counts the others.
+
+    :param rows: name, summary (None: the program was not written) and result of each program.
     """
     programs: dict[str, list[str]] = {}
     for name, content, _ in rows:
         if content is not None and content.verdict.state != "ok":
             programs.setdefault(content.verdict.reasons[0], []).append(name)
     lines = []
-    for reason, names in [*programs.items()][:_REASONS]:
+    for reason, names in [*programs.items()][:_MOST_REASONS]:
         program_names = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
         lines.append(f"  - {program_names}: {reason}")
-    if len(programs) > _REASONS:
+    if len(programs) > _MOST_REASONS:
         lines.append(f"  - {_further_reasons_text(len(programs))}: see the overview")
     return lines
 
 
 def _further_reasons_text(count: int) -> str:
-    """Return in words how many of `count` reasons are beyond those that are listed."""
-    further_count = count - _REASONS
+    """Return in words how many of `count` reasons are not listed, as only `_MOST_REASONS` are."""
+    further_count = count - _MOST_REASONS
     return f"{further_count} more reason{'s' if further_count > 1 else ''}"
 
 
 def number_text(value: float | None, places: int) -> str:
-    """Return a number with fixed decimals, or a dash where there is none."""
+    """Return a number with `places` decimals as text; "-" for None."""
     return "-" if value is None else f"{value:.{places}f}"
 
 
 def factor_text(before_mm: float, after_mm: float) -> str:
-    """Return the improvement factor, before divided by after, as text; a dash if only rounding was there before.
+    """Return the improvement factor, before divided by after, as text.
+
+    "-" if the deviation before is below the rounding of written numbers; "to rounding" if only that after is.
 
     >>> factor_text(5.6, 0.5), factor_text(5.6, 0.0016), factor_text(0.5, 0.00005), factor_text(0.00005, 0.00005)
     ('11.2', '3500', 'to rounding', '-')

@@ -39,7 +39,7 @@ SECTIONS: tuple[Callable[[Deviation], Section | None], ...] = (
     sections.record_section,
     sections.place_section,
 )
-"""The sections of the page in order. One that has nothing to say returns None."""
+"""Functions of the sections of the page, in order; a section without content is None."""
 ON_PAPER = frozenset({"verdict", "view3d", "numbers", "surface", "operations", "worst", "limits", "record"})
 """The sections that are printed: a record of two sheets."""
 _MODES = {
@@ -69,12 +69,12 @@ def page(
 
     :param result: of one program.
     :param tolerance: largest permitted distance of the tip from the nominal path [m]; None = not stated.
-    :param surface: of the part, see `postproc.report.surface`; None = not looked at.
-    :param process: forces that a process computed; None = forces are from elsewhere.
+    :param surface: deviations of the surface of the part, see `postproc.report.surface`; None: not computed.
+    :param process: forces computed from material and stock; None: the forces have another source.
     :param part_tolerance: largest permitted error of the part [m], 95 %; None = not stated.
-    :param stem: with which the names of the files begin that are written with the page, such as ``"part."``.
-    :param remedies: what would lower the expected error, see `postproc.report.summary.summary`.
-    :param record: when, with what and for whom it is made; None = not stated.
+    :param stem: beginning of the names of the files that are written with the page, such as ``"part."``.
+    :param remedies: measures that would lower the expected error, see `postproc.report.summary.summary`.
+    :param record: date, customer and checksums that the page states; None: no record.
     """
     data = Deviation(
         result,
@@ -86,9 +86,9 @@ def page(
         remedies=tuple(remedies),
         record=record,
     )
-    all_sections = (section for make in SECTIONS if (section := make(data)) is not None)
+    all_sections = (section for section_of in SECTIONS if (section := section_of(data)) is not None)
     sections = tuple(replace(section, printed=section.id in ON_PAPER) for section in all_sections)
-    has_views = len(result) > 0
+    has_views = len(result) > 0  # without targets there is nothing that scripts could show
     content = data.content
     yield from Page(
         kind="Deviation report",

@@ -31,26 +31,26 @@ if TYPE_CHECKING:
     from postproc.machining import ProcessForces
     from postproc.report.surface import Surface
 
-_SLOW = 1.0 + 1e-6
-"""A piece of path that takes longer than at its feed by this factor is slowed by the turn of the tool."""
+_LEAST_SLOWING = 1.0 + 1e-6
+"""A piece of path is slowed by the turn of the tool if it takes longer than at its feed by this factor."""
 _BINS = 60
 """Bars of the histogram."""
 _STOCK_CELLS = 40_000
 """Cells of the remaining stock that a page shows; larger maps are made coarser."""
-_SHARP = np.cos(np.radians(40.0))
-"""Facets that meet at a larger angle have an edge between them in the picture (assumed)."""
-_WORST = 12
-"""Lines of the program with the largest values that are listed, for each measure."""
-_GOUGES = 40
-"""Rows of the table."""
+_SHARP_EDGE_COSINE = np.cos(np.radians(40.0))
+"""Cosine of the angle of two normals: facets that meet at a larger angle have an edge in the picture (assumed)."""
+_WORST_LINES = 12
+"""Number of lines of the program with the largest values that are listed, for each measure."""
+_MOST_GOUGES = 40
+"""Largest number of rows of the table of gouges."""
 _LONGEST_TEXT = 6_000_000
-"""Characters of a program whose text is in the page: some 250 000 lines, a megabyte of the page."""
+"""Largest number of characters of a program whose text is in the page: 250 000 lines, a megabyte of the page."""
 _LONGEST_LINE = 200
-"""Characters of a line of the program that are shown."""
+"""Largest number of characters of a line of the program that are shown."""
 
 
 class Histogram(msgspec.Struct, frozen=True):
-    """Shares of the cutting path by deviation: per cent of its length between edges [mm]."""
+    """Shares of the cutting path by deviation: percent of its length between each two of the edges [mm]."""
 
     edges: list[float]
     percent: list[float]
@@ -60,16 +60,21 @@ class Facts(msgspec.Struct, frozen=True):
     """Data that the scripts of the page read in addition to the columns. Lengths mm, angles degrees.
 
     :param mode: see `postproc.correction.Mode`.
-    :param frame: of the path drawn: "$BASE", or "robot root" where the program has several.
-    :param tolerance_mm: stated, or None.
-    :param worst: places of the largest deviation before and after.
-    :param lower: limits of the joints, `upper` too [deg].
-    :param bases: each `$BASE` in the root, tools each `$TOOL` in the flange: 4×4 by rows [mm].
-    :param placement: of each joint on the link before it, 4×4 by rows [mm]; `axis` about which it turns; `flange`.
-    :param links: links that have meshes, in the order of their points: number of the link (0 = base), of its points and
-        faces.
-    :param bodies: the same of tool and obstacles, whose points and faces follow; 7 = the flange.
-    :param histograms: by column name.
+    :param frame: frame of the drawn path: "$BASE", or "robot root" if the program has several bases.
+    :param tolerance_mm: stated tolerance of the path; None: not stated.
+    :param bounded: the places have expected errors (column `u95`).
+    :param worst: places of the largest deviation before and after, by column name.
+    :param lower: lower limits of the joints, `upper` their upper limits.
+    :param bases: each `$BASE` in the root, 4×4 by rows.
+    :param tools: each `$TOOL` in the flange frame, 4×4 by rows.
+    :param placement: frame of each joint in the frame of the link before it, 4×4 by rows.
+    :param axis: axis of each joint in its frame.
+    :param flange: flange in the frame of the last link, 4×4 by rows.
+    :param links: links that have meshes, in the order of their points in the columns: number of the link (0 = base),
+        number of its points and of its faces.
+    :param bodies: tool and obstacles, whose points and faces follow those of the links: number of the link that carries
+        the body (0 = base, 7 = flange), number of its points and of its faces.
+    :param histograms: histograms of the deviation before and after, by column name.
     :param reversals: place and joint of each step by lost motion, where a torque changes its direction.
     """
 
@@ -92,16 +97,16 @@ class Facts(msgspec.Struct, frozen=True):
 
 
 class Deviation(Struct, frozen=True, dict=True):
-    """A result, and the data of it that the sections of its page share.
+    """A result, and data computed from it that several sections of its page use.
 
-    :param result: of one program.
+    :param result: result of one program.
     :param tolerance: largest permitted distance of the tip from the nominal path [m]; None = not stated.
-    :param surface: of the part, or None.
-    :param process: what a process made of the program, where the forces are from one.
+    :param surface: deviations of the surface of the part; None: not computed.
+    :param process: forces computed from material and stock; None: the forces have another source.
     :param part_tolerance: largest permitted error of the part [m], 95 %; None = not stated.
-    :param stem: with which the names of the files begin that are written with the page, such as ``"part."``.
-    :param remedies: what would lower the expected error, see `postproc.report.summary.summary`.
-    :param record: when, with what and for whom the page is made, or None.
+    :param stem: beginning of the names of the files that are written with the page, such as ``"part."``.
+    :param remedies: measures that would lower the expected error, see `postproc.report.summary.summary`.
+    :param record: date, customer and checksums that the page states; None: no record.
     """
 
     result: Result
@@ -120,35 +125,40 @@ class Deviation(Struct, frozen=True, dict=True):
 
     @cached_property
     def uncorrected_reason(self) -> str | None:
-        """A sentence where there is nothing to correct, or None."""
+        """A sentence that says why there is nothing to correct; None if there is a deviation to correct."""
         return nothing_to_correct(self.content)
 
     @cached_property
     def source(self) -> str:
-        """Text of the program as read, lines separated by line feeds; empty where it is too long for a page."""
+        """Text of the program as read, with line feeds between its lines; empty if it is too long for a page.
+
+        Lines are cut off after `_LONGEST_LINE` characters.
+        """
         documents = self.result.program.documents
         if not documents or len(documents[0].text) > _LONGEST_TEXT:
             return ""
         text = documents[0].text
         starts, stops = line_spans(text)
         return "\n".join(
-            text[a : min(b, a + _LONGEST_LINE)] for a, b in zip(starts.tolist(), stops.tolist(), strict=True)
+            text[start : min(stop, start + _LONGEST_LINE)]
+            for start, stop in zip(starts.tolist(), stops.tolist(), strict=True)
         )
 
     @property
     def is_compared(self) -> bool:
-        """True if there is a program as written, to be compared with the one as programmed."""
+        """True if a program was written, so that deviations before and after can be compared."""
         return self.result.mode != "predict"
 
     @cached_property
     def places(self) -> ShownTargets:
-        """The places that the page shows; only where there are targets."""
+        """The targets that the page shows; the result must have a target."""
         return shown_targets(self.result, self._linked_rows())
 
     @cached_property
     def links(self) -> list[LinkShape]:
         """Shapes of the links from the model folder; a link without a readable file is drawn as a simple solid."""
-        return self.result.robot.link_shapes(for_drawing=True)[0]
+        shapes, _ = self.result.robot.link_shapes(for_drawing=True)
+        return shapes
 
     @cached_property
     def bodies(self) -> list[Body]:
@@ -163,9 +173,10 @@ class Deviation(Struct, frozen=True, dict=True):
 
     @cached_property
     def worst_rows(self) -> Ints:
-        """Rows (n,) of the worst target of each of the `_WORST` worst lines, for deviation before, after, and bound.
+        """Rows (n,) of the targets in the table of the worst places, sorted by the deviation before, the largest first.
 
-        Sorted by the deviation before, the largest first.
+        These are, for each of the deviation before, the deviation after and the bound, the targets with the largest
+        values, one for each line of the program, `_WORST_LINES` of them.
         """
         result = self.result
         measures = [result.before, *([result.after] if self.is_compared else [])]
@@ -177,26 +188,27 @@ class Deviation(Struct, frozen=True, dict=True):
 
     @cached_property
     def gouges(self) -> Ints:
-        """Facets (n,) that are gouged by more than the tolerance: the deepest of each line, the deepest first.
+        """Facets (n,) that are gouged by more than the tolerance: the deepest of each source line, the deepest first.
 
-        At most `_GOUGES`; none without a surface or a tolerance.
+        At most `_MOST_GOUGES`; empty without a surface or a tolerance.
         """
         surface, tolerance = self.surface, self.tolerance
         if surface is None or tolerance is None:
             return np.zeros(0, dtype=np.int64)
         deviation = surface.after if self.is_compared else surface.before
-        deep = np.flatnonzero(deviation < -tolerance)
-        order = deep[np.argsort(deviation[deep], kind="stable")]
-        _, first = np.unique(self.result.source_line[surface.row[order]], return_index=True)
-        return order[np.sort(first)[:_GOUGES]]
+        gouged = np.flatnonzero(deviation < -tolerance)
+        deepest_first = gouged[np.argsort(deviation[gouged], kind="stable")]
+        # unique returns where each line occurs first: at its deepest facet
+        _, first = np.unique(self.result.source_line[surface.row[deepest_first]], return_index=True)
+        return deepest_first[np.sort(first)[:_MOST_GOUGES]]
 
     def row_of(self, issue: Issue) -> int | None:
-        """Return the row of the first target on the line of an issue, or None."""
+        """Return the row of the first target on the source line of an issue; None if the line has no target."""
         rows = np.flatnonzero(self.result.source_line == issue.source_line)
         return int(rows[0]) if len(rows) else None
 
     def _linked_rows(self) -> Ints:
-        """Return the rows that tables of the page lead to: thinning must keep them."""
+        """Return the rows of the result to which tables of the page lead: thinning of the targets must keep them."""
         result = self.result
         issue_rows = [row for issue in result.issues if (row := self.row_of(issue)) is not None]
         operation_rows = [operation.first for operation in self.operations]
@@ -216,7 +228,7 @@ class Deviation(Struct, frozen=True, dict=True):
         if self.process is None:
             return {}
         points, faces = self.process.mesh(_STOCK_CELLS)
-        height = points @ self.process.map_in_base[:3, 2]
+        height = points @ self.process.map_in_base[:3, 2]  # along the z axis of the map of the stock
         depth = height.max(initial=-np.inf) - height
         edge = _sharp_edges(points, faces)
         vertex_columns = {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2], "depth": depth}
@@ -243,7 +255,14 @@ class Deviation(Struct, frozen=True, dict=True):
         return tables
 
     def _facet_columns(self, surface: Surface) -> Columns:
-        """Return the deviations of each facet [mm], and the place of the page that cuts there, −1 for none."""
+        """Return the deviations of each facet [mm], and the place of the page at which a tool cuts it.
+
+        −1 without a cut.
+
+        :param surface: the surface of this page, `self.surface`.
+        """
+        # the row that leaves the surface as written; if no tool touches the facet, the row that cuts into it as
+        # programmed
         row = np.where(surface.row < 0, surface.programmed_row, surface.row)
         place = np.minimum(np.searchsorted(self.places.row, row), len(self.places.row) - 1)
         bound = np.full(len(place), np.nan) if surface.bound is None else surface.bound
@@ -257,8 +276,10 @@ class Deviation(Struct, frozen=True, dict=True):
         nominal, program = result.robot.nominal, result.program
         measures = {"before": result.before, "after": result.after} if self.is_compared else {"before": result.before}
         cutting = ~result.rapid
+        # −1.0: rapid targets do not count
         worst = {
-            name: self.places.of(int(np.argmax(np.where(cutting, values, -1.0)))) for name, values in measures.items()
+            name: self.places.place_of_row(int(np.argmax(np.where(cutting, values, -1.0))))
+            for name, values in measures.items()
         }
         return Facts(
             mode=result.mode,
@@ -273,6 +294,7 @@ class Deviation(Struct, frozen=True, dict=True):
             placement=[_in_mm(joint) for joint in nominal.placement],
             axis=nominal.axis.tolist(),
             flange=_in_mm(nominal.flange),
+            # carriers are numbered from −1, the base
             links=[(mesh.carrier + 1, len(mesh.points), len(mesh.faces)) for mesh in self.links],
             bodies=[(mesh.carrier + 1, len(mesh.points), len(mesh.faces)) for mesh in self.bodies],
             reversals=self.reversal_marks(),
@@ -280,8 +302,11 @@ class Deviation(Struct, frozen=True, dict=True):
         )
 
     def reversals(self) -> list[tuple[int, str]]:
-        """Return place and joint of each of the largest reversals, in the order of their table."""
-        return self._places_and_joints(self.result.largest_reversals) if self.result.reversals is not None else []
+        """Return place and joint of each of the largest reversals, in the order of their table.
+
+        Empty without reversals.
+        """
+        return [] if self.result.reversals is None else self._places_and_joints(self.result.largest_reversals)
 
     def reversal_marks(self) -> list[tuple[int, str]]:
         """Return place and joint of all reversals with lost motion, each place and joint once, in order."""
@@ -291,30 +316,35 @@ class Deviation(Struct, frozen=True, dict=True):
         return list(dict.fromkeys(self._places_and_joints(np.flatnonzero(reversals.step > 0.0))))
 
     def _places_and_joints(self, index: Ints) -> list[tuple[int, str]]:
-        """Return place of the page and joint of reversals, `index` (n,) among those of the result, which has some."""
+        """Return place of the page and name of the joint of reversals; the result must have `reversals`.
+
+        :param index: (n,) indices in the reversals of the result.
+        """
         reversals = self.result.reversals
         assert reversals is not None
         rows, joints = reversals.row[index].tolist(), reversals.joint[index].tolist()
-        return [(self.places.of(row), JOINTS[joint]) for row, joint in zip(rows, joints, strict=True)]
+        return [(self.places.place_of_row(row), JOINTS[joint]) for row, joint in zip(rows, joints, strict=True)]
 
 
 def _worst_rows(measure: Array, rapid: Bools, line: Ints) -> Ints:
-    """Return the rows (n,) of the largest value of each of the `_WORST` lines with the largest values.
+    """Return the rows (n,) with the largest value of each of the `_WORST_LINES` lines with the largest values.
 
-    :param measure: (K,) value of each target; rapid ones do not count, NaN is the largest.
+    :param measure: (K,) value of each target; NaN counts as the largest.
+    :param rapid: (K,) True for targets that do not count.
     :param line: (K,) source line of each target.
     """
     value = np.where(rapid, -1.0, np.nan_to_num(measure, nan=np.inf))
     # the lines are sought among the largest values only: sorting all of a long program takes longer (400: assumed)
-    count = min(len(value), 400 * _WORST)
+    count = min(len(value), 400 * _WORST_LINES)
     largest_rows = np.argpartition(-value, count - 1)[:count]
-    order = largest_rows[np.argsort(-value[largest_rows], kind="stable")]
-    _, first = np.unique(line[order], return_index=True)
-    return np.asarray(order[np.sort(first)[:_WORST]])
+    largest_first = largest_rows[np.argsort(-value[largest_rows], kind="stable")]
+    # unique returns where each line occurs first: at its largest value
+    _, first = np.unique(line[largest_first], return_index=True)
+    return np.asarray(largest_first[np.sort(first)[:_WORST_LINES]])
 
 
 def _sharp_edges(points: Array, faces: Ints) -> Ints:
-    """Return the edges (E, 2) of a closed mesh at which it bends sharply, as rows of its vertices.
+    """Return the edges (E, 2) of a closed mesh at which two faces meet at a large angle, as rows of its vertices.
 
     :param points: (V, 3) vertices, `faces` (F, 3) rows of the corners of each face.
     """
@@ -323,25 +353,25 @@ def _sharp_edges(points: Array, faces: Ints) -> Ints:
     # 1e-300 keeps zero out of the denominator
     normal /= np.maximum(norm(normal), 1e-300)[:, None]
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    # each edge of a closed mesh belongs to two faces: sorted, its two rows are neighbours; row r is of face r % count
+    # each edge of a closed mesh belongs to two faces: sorted, its two rows are next to each other
     order = np.lexsort((edges[:, 1], edges[:, 0]))
     first, second = order[:-1], order[1:]
     same_edge = (edges[first] == edges[second]).all(axis=1)
     first, second = first[same_edge], second[same_edge]
-    count = len(faces)
-    is_sharp = np.einsum("ei,ei->e", normal[first % count], normal[second % count]) < _SHARP
+    count = len(faces)  # edges are three blocks of `count` rows: row r is of face r % count
+    is_sharp = np.einsum("ei,ei->e", normal[first % count], normal[second % count]) < _SHARP_EDGE_COSINE
     return np.asarray(edges[first[is_sharp]])
 
 
 def _histogram(values: Array, cut_length: Array) -> Histogram:
-    """Return the histogram of values (K,) [mm] on cuts, from 0 to the largest; up to 1 if all are 0.
+    """Return the histogram of values (K,) [mm] on cuts, from 0 to the largest value; up to 1 if all values are 0.
 
-    :param cut_length: (K,) length of the cutting path for which each value stands [m].
+    :param cut_length: (K,) length of the cutting path with which each value counts [m]; 0 of rapid moves.
     """
     is_cut = cut_length > 0.0
     values, percent = values[is_cut], 100.0 * cut_length[is_cut] / (float(cut_length.sum()) or 1.0)
-    top = float(values.max(initial=0.0)) or 1.0
-    heights, edges = np.histogram(values, bins=_BINS, range=(0.0, top), weights=percent)
+    largest_value = float(values.max(initial=0.0)) or 1.0
+    heights, edges = np.histogram(values, bins=_BINS, range=(0.0, largest_value), weights=percent)
     return Histogram(edges.tolist(), heights.tolist())
 
 
@@ -353,21 +383,26 @@ def _in_mm(pose: Array) -> list[float]:
 
 
 MAX_PLACES = 40_000
-"""Places that a page holds at most, besides those that its tables name: of more, runs keep their first and worst."""
+"""Largest number of places of a page, not counting places that its tables lead to.
+
+Of more targets, consecutive ones are grouped: each group keeps its first target and its largest values.
+"""
 _MOST_POINTS = 80_000
-"""Points that are drawn in space (assumed): browsers still turn them quickly."""
-_SINGULAR_AT = 1_000
-"""Places at which the Jacobian is decomposed at most; between them its smallest singular value is interpolated."""
+"""Largest number of points that are drawn in space (assumed): browsers still turn them quickly."""
+_MOST_DECOMPOSITIONS = 1_000
+"""Largest number of places at which the Jacobian is decomposed; between them singular values are interpolated."""
 
 
 class ShownTargets(Struct, frozen=True, eq=False):
-    """The P places of a page, each a target of the result. Row i of `columns` is place i.
+    """The targets that a page shows: P places, a selection of the K targets of the result.
 
-    :param row: (P,) row of the result that each place is.
+    Row i of `columns` is place i.
+
+    :param row: (P,) row of the result of each place, ascending.
     :param path_length: (K,) length of the path up to each target of the result [m].
     :param columns: the values at each place; millimetres, degrees, newtons.
-    :param path_columns: points of the nominal path for the view in space: X, Y, Z [mm] and the place that it
-        leads to.
+    :param path_columns: points of the nominal path for the view in space: X, Y, Z [mm], and the place to which each
+        leads.
     """
 
     row: Ints
@@ -375,40 +410,47 @@ class ShownTargets(Struct, frozen=True, eq=False):
     columns: Columns
     path_columns: Columns
 
-    def of(self, row: int) -> int:
-        """Return the place that is this row of the result, or the first one after it."""
+    def place_of_row(self, row: int) -> int:
+        """Return the place of a row of the result, or the first place after it; the last place if there is none."""
         return min(int(np.searchsorted(self.row, row)), len(self.row) - 1)
 
 
 def correction(result: Result, row: Ints) -> Array:
-    """Return commanded minus nominal positions (n, 3) of targets (n,) [m], `$BASE`, as printed."""
+    """Return commanded minus nominal positions (n, 3) of targets [m], `$BASE`; the commanded ones as printed.
+
+    :param row: (n,) rows of the targets in the result.
+    """
     return np.asarray(result.printed[row, :3] / MM_PER_M - result.nominal.position[row])
 
 
 def page_rows(result: Result, linked_rows: Ints) -> Ints:
-    """Return the rows (P,) that a page shows, in order: all up to `MAX_PLACES`, else some of each run of targets.
+    """Return the rows (P,) of the result that a page shows, ascending: all if there are at most `MAX_PLACES`.
 
-    These are the first, and the largest deviation before and after, correction, force and bound.
+    Of more targets, consecutive ones are grouped. Each group keeps its first target, and the targets with the largest
+    deviation before and after, correction, force and bound.
 
-    :param linked_rows: rows that tables lead to; they are kept.
+    :param linked_rows: (n,) rows to which tables lead; they are kept.
     """
     count = len(result)
     if count <= MAX_PLACES:
         return np.arange(count)
-    runs = MAX_PLACES // (5 if result.bound is None else 6)  # each run keeps its first and one for each measure
-    begin = distinct(np.linspace(0, count, runs, endpoint=False).astype(np.int64))
+    group_count = MAX_PLACES // (5 if result.bound is None else 6)  # a group keeps its first and one for each measure
+    begin = distinct(np.linspace(0, count, group_count, endpoint=False).astype(np.int64))
     length = np.diff(begin, append=count)
     rows = [begin, np.array([count - 1]), linked_rows]
     for measure in _measures(result):
         value = np.nan_to_num(measure, nan=np.inf)
         largest_rows = np.flatnonzero(value == np.repeat(np.maximum.reduceat(value, begin), length))
-        # of equal values of a run the first: where the number of the run changes
+        # of equal largest values of a group the first: where the number of the group changes
         rows.append(largest_rows[np.diff(np.searchsorted(begin, largest_rows, side="right"), prepend=0) != 0])
     return distinct(np.concatenate(rows))
 
 
 def _measures(result: Result) -> Iterator[Array]:
-    """Yield the measures (K,) of which a page shows the largest: deviations, correction [m], force [N], bound [m]."""
+    """Yield the measures (K,) whose largest values a page shows: deviations, correction [m], force [N], bound [m].
+
+    The bound is left out if the model states no uncertainty.
+    """
     yield result.before
     yield result.after
     yield norm(correction(result, np.arange(len(result))))
@@ -418,27 +460,30 @@ def _measures(result: Result) -> Iterator[Array]:
 
 
 def shown_targets(result: Result, linked_rows: Ints) -> ShownTargets:
-    """Return the targets of a result that its page shows: all, or a selection of them with the linked ones.
+    """Return the targets of a result that its page shows: all, or a selection that contains the linked rows.
 
-    :param result: with at least one target.
-    :param linked_rows: (n,) rows of the result that tables of the page lead to.
+    :param result: a result with at least one target.
+    :param linked_rows: (n,) rows of the result to which tables of the page lead.
     """
-    position, leads_to = drawn_path(result)  # of each point, the row of the target that it leads to
+    position, target_row = drawn_path(result)
     step = norm(np.diff(position, axis=0, prepend=position[:1]))
-    path_length = np.cumsum(step)[np.flatnonzero(np.diff(leads_to, append=len(result)))]
+    # each target is the last point of its piece
+    path_length = np.cumsum(step)[np.flatnonzero(np.diff(target_row, append=len(result)))]
     duration = _durations(result, np.diff(path_length, prepend=0.0))
     row = page_rows(result, linked_rows)
     columns = _place_columns(result, row, path_length, duration)
-    return ShownTargets(row, path_length, Columns.of(columns), _path_columns(result, position, leads_to, row))
+    return ShownTargets(row, path_length, Columns.of(columns), _path_columns(result, position, target_row, row))
 
 
 def _place_columns(result: Result, row: Ints, path_length: Array, duration: Array) -> dict[str, Array | Ints | Bools]:
     """Return the columns (P,) of the places of a page by name; millimetres, degrees, newtons, seconds.
 
-    Names of a letter and an axis: c correction, b deviation before, a after; components of both also along the feed.
+    A name of a letter and an axis: c is the correction, b the deviation before, a the deviation after, along X, Y or Z
+    of `$BASE`. Deviations also have components along, across and normal to the feed, such as `b_along`.
 
-    :param row: (P,) row of the result that each place is.
-    :param path_length: (K,) length of the path up to each target [m], `duration` (K,) the time from the one before [s].
+    :param row: (P,) row of the result of each place.
+    :param path_length: (K,) length of the path up to each target [m].
+    :param duration: (K,) time from the previous target to each target [s].
     """
     m, motion = result.program.motions, result.motion
     correction_mm = correction(result, row) * MM_PER_M
@@ -477,37 +522,43 @@ def _place_columns(result: Result, row: Ints, path_length: Array, duration: Arra
 
 
 def _speeds(length: Array, feed: Array, seconds: Array) -> Array:
-    """Return the speeds (P,) of pieces of path [m/s]: the feed, or less where the turn of the tool takes longer.
+    """Return the speeds (P,) on pieces of path [m/s]: the feed, or less where the turn of the tool takes longer.
 
-    :param length: (P,) of the pieces [m], `feed` (P,) [m/s], `seconds` (P,) that they take [s].
+    :param length: (P,) lengths of the pieces [m].
+    :param feed: (P,) feeds [m/s].
+    :param seconds: (P,) times of the pieces [s].
     """
-    is_slow = (length > 0.0) & (seconds * feed > length * _SLOW)
+    is_slow = (length > 0.0) & (seconds * feed > length * _LEAST_SLOWING)
     return np.where(is_slow, length / np.where(is_slow, seconds, 1.0), feed)
 
 
-def _path_columns(result: Result, position: Array, leads_to: Ints, row: Ints) -> Columns:
+def _path_columns(result: Result, position: Array, target_row: Ints, row: Ints) -> Columns:
     """Return the points of the nominal path that lead to places [mm], each with its place.
 
-    :param position: (n, 3) points of the path [m], `leads_to` (n,) the row of the result to which each leads.
-    :param row: (P,) row of the result that each place is.
+    Of more than `_MOST_POINTS` points the targets alone.
+
+    :param position: (n, 3) points of the path [m].
+    :param target_row: (n,) row of the result to which each point leads.
+    :param row: (P,) row of the result of each place.
     """
-    is_shown = np.isin(leads_to, row)
-    if np.count_nonzero(is_shown) > _MOST_POINTS:  # then the targets alone: the last point of each
-        is_shown = np.zeros(len(leads_to), dtype=bool)
-        is_shown[np.flatnonzero(np.diff(leads_to, append=len(result)))[row]] = True
+    is_shown = np.isin(target_row, row)
+    if np.count_nonzero(is_shown) > _MOST_POINTS:
+        is_shown = np.zeros(len(target_row), dtype=bool)
+        # each target is the last point of its piece
+        is_shown[np.flatnonzero(np.diff(target_row, append=len(result)))[row]] = True
     point = position[is_shown] * MM_PER_M
     return Columns.of(
-        {"x": point[:, 0], "y": point[:, 1], "z": point[:, 2], "place": np.searchsorted(row, leads_to[is_shown])}
+        {"x": point[:, 0], "y": point[:, 1], "z": point[:, 2], "place": np.searchsorted(row, target_row[is_shown])}
     )
 
 
 def _durations(result: Result, length: Array) -> Array:
-    """Return the time (K,) to each target from the one before [s].
+    """Return the time (K,) from the previous target to each target [s].
 
-    At the feed or, if that takes longer, by the turn of the tool at the speed of turning that the program states; of
-    PTP with the slowest joint at its full speed.
+    Cartesian motions: the time at the feed, or the time to turn the tool at the stated speed if that is longer.
+    PTP, and motions without a feed: the time of the slowest joint at its full speed.
 
-    :param length: (K,) length of the path to each target [m].
+    :param length: (K,) length of the path from the previous target to each target [m].
     """
     motions = result.program.motions
     feed, kind = motions.feed[result.motion], motions.kind[result.motion]
@@ -518,9 +569,9 @@ def _durations(result: Result, length: Array) -> Array:
 
 
 def _turn_times(result: Result) -> Array:
-    """Return the least time (K,) of the turn of the tool from the target before [s], at the stated speeds of turning.
+    """Return the least time (K,) to turn the tool from the previous target [s], at the turning speeds of the program.
 
-    0 where the program states none, or where `$BASE` or `$TOOL` changes.
+    0 if the program states no turning speeds, and where `$BASE` or `$TOOL` changes.
     """
     program, motion = result.program, result.motion
     seconds = np.zeros(len(result))
@@ -545,7 +596,8 @@ def _feed_axes(result: Result, row: Ints) -> Array:
     travel = position[row] - position[previous]
     is_arc = m.kind[motion] == CIRC
     travel[is_arc] = _arc_tangents(result, row[is_arc], travel[is_arc])
-    length = norm(travel)[:, None]  # steps of finishing programs are shorter than a millimetre
+    # divided by its length: axes_of_travel may take short steps, of finishing programs, for no travel
+    length = norm(travel)[:, None]
     travel = np.divide(travel, length, out=np.zeros_like(travel), where=length > 0.0)
     axes, is_defined = axes_of_travel(result.nominal[row, :3, :3], travel, result.axis)
     is_defined &= m.base[motion] == m.base[result.motion[previous]]
@@ -554,29 +606,30 @@ def _feed_axes(result: Result, row: Ints) -> Array:
 
 
 def _arc_tangents(result: Result, row: Ints, chord: Array) -> Array:
-    """Return the vectors (n, 3) along the feed at targets on arcs and helices, `$BASE` [m].
+    """Return vectors (n, 3) along the feed at targets on arcs and helices, `$BASE` [m].
 
-    The chord from the target before deviates from it by half the angle of the piece.
+    The chord from the previous target would differ in direction by half the angle of the piece.
 
-    :param row: (n,) rows of the targets in the result; `chord` (n, 3) from the target before to each [m].
+    :param row: (n,) rows of the targets in the result.
+    :param chord: (n, 3) vector from the previous target to each target [m].
     """
     m, motion, previous = result.program.motions, result.motion[row], np.maximum(row - 1, 0)
     normal = m.normal[motion]
-    turning = np.cross(normal, result.nominal.position[row] - m.centre[motion])  # travel per radian in the plane
+    travel_per_radian = np.cross(normal, result.nominal.position[row] - m.centre[motion])  # in the plane of the arc
     rise = np.einsum("ni,ni->n", chord, normal)[:, None] * normal
     is_same_motion = (result.motion[previous] == motion) & (row > 0)
     angle = m.sweep[motion] * (result.t[row] - np.where(is_same_motion, result.t[previous], 0.0))
-    return np.asarray(turning + rise / np.where(angle > 0.0, angle, 1.0)[:, None])
+    return np.asarray(travel_per_radian + rise / np.where(angle > 0.0, angle, 1.0)[:, None])
 
 
 def _singular_values(result: Result, row: Ints) -> Array:
-    """Return the smallest singular value (P,) of the tool's Jacobian, metres and radians per radian.
+    """Return the smallest singular value (P,) of the tool's Jacobian, in m/rad and rad/rad.
 
-    At more than `_SINGULAR_AT` places it is interpolated between some of them.
+    Of more than `_MOST_DECOMPOSITIONS` places it is computed at so many and interpolated between these.
 
-    :param row: (P,) row of the result that each place is.
+    :param row: (P,) row of the result of each place.
     """
-    samples = distinct(np.linspace(0, len(row) - 1, min(len(row), _SINGULAR_AT)).astype(np.int64))
+    samples = distinct(np.linspace(0, len(row) - 1, min(len(row), _MOST_DECOMPOSITIONS)).astype(np.int64))
     tool = result.program.tools[result.program.motions.tool[result.motion[row[samples]]]]
     values = kinematics.singular_values(result.robot, result.q[row[samples]], tool)
     return np.interp(np.arange(len(row)), samples, values)

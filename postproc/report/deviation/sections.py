@@ -66,12 +66,13 @@ def verdict_section(data: Deviation) -> Section:
 
 
 _MEASURES = ("Maximum", "RMS", "Mean", "95th percentile")
+"""Labels of the fields of `summary.Distances`, in order."""
 
 
 def numbers_section(data: Deviation) -> Section | None:
     """Return the section with deviations before and after, the expected error, and the improvement [mm].
 
-    None without targets; only a sentence where there is nothing to correct.
+    None without targets; the section has only a sentence if there is nothing to correct.
     """
     content = data.content
     if not content.targets:
@@ -100,7 +101,10 @@ def numbers_section(data: Deviation) -> Section | None:
 
 
 def _deviation_table(data: Deviation) -> Table:
-    """Return the table of predicted deviations [mm] before and after compensation, as far as there are such."""
+    """Return the table of predicted deviations [mm] before and after compensation.
+
+    It has one column if no program was written, or if only rounding remains after compensation.
+    """
     content = data.content
     u95 = None if content.u95 is None else content.u95.max_mm
     measures = zip(_MEASURES, astuple(content.before), strict=True)
@@ -112,19 +116,21 @@ def _deviation_table(data: Deviation) -> Table:
             ("Criterion", "Before compensation, mm"),
             rows,
             "Deviation before compensation",
-            note=f"{_ALL_ROUNDING} {_ROUNDING}",
+            note=f"{_ONLY_ROUNDING_NOTE} {_TABLE_NOTE}",
         )
     table_rows = tuple(
         Row((label, estimate(before_mm, u95), estimate(after_mm, u95), factor_text(before_mm, after_mm)))
         for label, before_mm, after_mm in zip(_MEASURES, astuple(content.before), astuple(content.after), strict=True)
     )
     head = ("Criterion", "Before compensation, mm", "After compensation, mm", "Improvement factor")
-    note = f"{_ROUNDING} “To rounding”: what remains is the rounding of the text."
+    note = f"{_TABLE_NOTE} “To rounding”: what remains is the rounding of the text."
     return Table(head, table_rows, "Deviation before and after compensation", note=note)
 
 
-_ALL_ROUNDING = "After compensation only the rounding of the written numbers remains: below 0.0001 mm at each target."
-_ROUNDING = "Along the cutting path, at its targets, as the model predicts it."
+_ONLY_ROUNDING_NOTE = (
+    "After compensation only the rounding of the written numbers remains: below 0.0001 mm at each target."
+)
+_TABLE_NOTE = "Along the cutting path, at its targets, as the model predicts it."
 
 
 _VIEW_LABEL = (
@@ -135,7 +141,7 @@ _VIEW_LABEL = (
 
 
 def view3d_section(data: Deviation) -> Section | None:
-    """Return the section with the 3D view of path and deviation."""
+    """Return the section with the 3D view of path and deviation; None if there is nothing to correct."""
     if not len(data.result) or data.uncorrected_reason is not None:
         return None
     hint = (
@@ -154,7 +160,7 @@ _SOURCE_LABEL = "The text of the program; lines with targets lead to their place
 def surface_section(data: Deviation) -> Section | None:
     """Return the section of the surface: largest deviations along its normal [mm], and gouges beyond the tolerance.
 
-    None without a surface.
+    None without a surface; a note alone if no tool reaches the part.
     """
     surface, measures = data.surface, data.content.surface
     if surface is None or measures is None:
@@ -178,21 +184,21 @@ def surface_section(data: Deviation) -> Section | None:
     return Section("surface", "Surface of the part", (tiles, view, *_gouge_parts(data, deviation, words)))
 
 
-_DEFLECTION = "from the programmed path"
+_DEFLECTION_NOTE = "from the programmed path"
 
 
 def _deflection_tiles(data: Deviation, surface: Surface) -> list[Tile]:
     """Return the tiles of the largest gouges and of the most material left before and after, and of the bound.
 
-    Empty if no tool touches a facet.
+    Empty if no tool touches a facet. Deviations of the surface below 0 are gouges, above 0 material that is left.
     """
     is_touched = surface.is_touched
     if not is_touched.any():
         return []
     deviation_before_correction, corrected_deviation = surface.before[is_touched], surface.after[is_touched]
     tiles = [
-        _depth_tile("Gouged before, at most", -deviation_before_correction.min(), _DEFLECTION),
-        _depth_tile("Left before, at most", deviation_before_correction.max(), _DEFLECTION),
+        _depth_tile("Gouged before, at most", -deviation_before_correction.min(), _DEFLECTION_NOTE),
+        _depth_tile("Left before, at most", deviation_before_correction.max(), _DEFLECTION_NOTE),
     ]
     if data.is_compared:
         tiles.append(_depth_tile("Gouged after, at most", -corrected_deviation.min(), "as the model predicts it"))
@@ -204,29 +210,34 @@ def _deflection_tiles(data: Deviation, surface: Surface) -> list[Tile]:
 
 
 def _programmed_tile(measures: OnSurface, data: Deviation) -> Tile:
-    """Return the tile on the programmed path and the mesh of the part: it cuts in, leaves material, or neither."""
-    label, cut, left = "Programmed path cuts into the part", measures.cut_into_mm, measures.left_mm
+    """Return the tile on the programmed path and the mesh of the part: it cuts in, leaves material, or neither.
+
+    Depths up to the tolerance of the part do not count; without it, up to that of the path; else up to `CUT_MM`.
+    """
+    label, cut_mm, left_mm = "Programmed path cuts into the part", measures.cut_into_mm, measures.left_mm
     limit = data.content.part.tolerance_mm or data.content.tolerance_mm or CUT_MM
-    if cut > limit:
+    if cut_mm > limit:
         note = f"line {measures.source_line}: is the mesh in place, and the finished part?"
-        return Tile(label, two_digits(cut), "mm", note, "warning")
-    if left is not None and left > max(limit, LEFT_MM):
-        return Tile("Programmed path leaves", two_digits(left), "mm", "on half of what the tools touch", "warning")
+        return Tile(label, two_digits(cut_mm), "mm", note, "warning")
+    if left_mm is not None and left_mm > max(limit, LEFT_MM):
+        return Tile("Programmed path leaves", two_digits(left_mm), "mm", "on half of what the tools touch", "warning")
     return Tile(label, "nowhere", "", f"by more than {limit:g} mm")
 
 
-def _depth_tile(label: str, value: float, note: str = "") -> Tile:
-    """Return the tile of a depth below the surface, or a height above it, `value` [m]; 0 and below: there is none."""
-    if value <= 0.0:
+def _depth_tile(label: str, depth: float, note: str = "") -> Tile:
+    """Return the tile of a depth below the surface or a height above it [m]; "nothing" unless it is positive."""
+    if depth <= 0.0:
         return Tile(label, "nothing", "", note)
-    return Tile(label, millimetres(float(value) * MM_PER_M), "mm", note)
+    return Tile(label, millimetres(float(depth) * MM_PER_M), "mm", note)
 
 
-def _gouge_parts(data: Deviation, deviation: np.ndarray, words: str) -> list[Part]:
-    """Return the table of the lines that gouge by more than the tolerance, or a note that none does.
+def _gouge_parts(data: Deviation, deviation: Array, words: str) -> list[Part]:
+    """Return the table of the lines that gouge by more than the tolerance, or a note that no line does.
 
-    :param deviation: (F,) of the facets [m].
-    :param words: which program made them, for the note.
+    Empty without a surface or a tolerance of the path.
+
+    :param deviation: (F,) deviation of each facet along its normal [m], negative: gouged.
+    :param words: words for the note on the program that makes these deviations.
     """
     surface, tolerance = data.surface, data.tolerance
     if surface is None or tolerance is None:
@@ -240,7 +251,7 @@ def _gouge_parts(data: Deviation, deviation: np.ndarray, words: str) -> list[Par
         row = int(surface.row[facet])
         cells = [str(data.result.source_line[row]), f"{-deviation[facet] * MM_PER_M:.4f}"]
         cells += [f"{value:.2f}" for value in centre[facet]]
-        rows.append(Row(tuple(cells), data.places.of(row), int(data.result.source_line[row])))
+        rows.append(Row(tuple(cells), data.places.place_of_row(row), int(data.result.source_line[row])))
     head = ("Source line", "Depth, mm", "X, mm", "Y, mm", "Z, mm")
     note = f"Deeper than {tolerance * MM_PER_M:g} mm {words}, by deflection; the deepest place of each line."
     return [Table(head, tuple(rows), "Gouges beyond the tolerance", sortable=True, note=note)]
@@ -253,7 +264,7 @@ _ALONG_LABEL = (
 
 
 def program_section(data: Deviation) -> Section | None:
-    """Return the section with the plots over the length of the path; None where nothing was corrected."""
+    """Return the section with the plots over the length of the path; None if there is nothing to correct."""
     if not len(data.result) or data.uncorrected_reason is not None:
         return None
     note = (
@@ -265,14 +276,13 @@ def program_section(data: Deviation) -> Section | None:
 
 
 _CURVE_POINTS = 600
-"""Points of a curve: the largest and the least of each group."""
+"""Points of a thinned curve: the largest and the smallest value of each group of points."""
 _MOST_CURVE_POINTS = 10 * _CURVE_POINTS
-"""Points of a curve with the ends of its runs (assumed)."""
-_KEY_ROUNDING = 1e-9
-"""Share of a motion by which a station at the end of a target may be behind it by rounding."""
-_CM3_PER_MIN = 1e6 * 60.0
-_CM3 = 1e6
-"""cm³/min of one m³/s, and cm³ of one m³."""
+"""Largest number of points of a curve together with the ends of its runs (assumed)."""
+_KEY_TOLERANCE = 1e-9
+"""Share of a motion: a station that is less behind a target is at the target, but for rounding."""
+_CM3_PER_MIN_OF_M3_PER_S = 1e6 * 60.0
+_CM3_PER_M3 = 1e6
 
 
 def cut_section(data: Deviation) -> Section | None:
@@ -292,9 +302,10 @@ def cut_section(data: Deviation) -> Section | None:
 def _cut_plots(data: Deviation, cuts: Cuts) -> list[Plot]:
     """Return the plots of the engagement over the length of the path: depth and width, angles, removal rate, power."""
     stations = _stations_in_contact(cuts)
-    # motion + t is one increasing key of targets and stations
+    # t is in [0, 1]: motion + t increases along the program, for targets and for stations
     target_key, station_key = data.result.motion + data.result.t, stations.motion + stations.t
-    row = np.searchsorted(target_key, station_key - _KEY_ROUNDING)
+    # of each station the target that follows it, or is at it; then the place of the page at or after that target
+    row = np.searchsorted(target_key, station_key - _KEY_TOLERANCE)
     place = np.minimum(np.searchsorted(data.places.row, row), len(data.places.row) - 1)
     length_mm = np.interp(station_key, target_key, data.places.path_length) * MM_PER_M
 
@@ -319,17 +330,19 @@ def _cut_plots(data: Deviation, cuts: Cuts) -> list[Plot]:
     return [
         plot("Depth and width of cut", "mm", depth, width),
         plot("Angles of engagement", "°", entry, leave),
-        plot("Removal rate", "cm³/min", curve(cuts.rate * _CM3_PER_MIN, "removal rate", "before")),
+        plot("Removal rate", "cm³/min", curve(cuts.rate * _CM3_PER_MIN_OF_M3_PER_S, "removal rate", "before")),
         plot("Power", "W", curve(cuts.power, "power", "before")),
     ]
 
 
 def _curve_with_gaps(x: Array, y: Array, run: Ints, place: Ints, name: str, colour: Colour) -> Curve:
-    """Return a curve through points x, y (n,), thinned, without a line where nothing is cut.
+    """Return a curve through points x, y (n,), thinned, with gaps where nothing is cut.
 
-    :param run: (n,) number of the run of stations without a gap, `place` (n,) the place of the page of each point.
+    :param run: (n,) number of the run of each point: a run is without a gap.
+    :param place: (n,) place of the page to which each point leads.
     """
     shown_rows = _drawn_rows(y, run)
+    # a NaN before the first point of each further run
     gaps = np.flatnonzero(np.diff(run[shown_rows])) + 1
     x_values, y_values = (np.insert(values[shown_rows].astype(float), gaps, np.nan).tolist() for values in (x, y))
     places = np.insert(place[shown_rows], gaps, place[shown_rows][gaps]).tolist()
@@ -343,24 +356,24 @@ def _cut_tiles(process: ProcessForces) -> Tiles:
         (
             Tile("Depth of cut, up to", f"{np.nanmax(cuts.depth) * MM_PER_M:.2f}", "mm"),
             Tile("Width of cut, up to", f"{np.nanmax(cuts.width) * MM_PER_M:.2f}", "mm"),
-            Tile("Removed, up to", f"{np.nanmax(cuts.rate) * _CM3_PER_MIN:.1f}", "cm³/min"),
+            Tile("Removed, up to", f"{np.nanmax(cuts.rate) * _CM3_PER_MIN_OF_M3_PER_S:.1f}", "cm³/min"),
             Tile(
                 "Removed in all",
-                f"{process.removed_volume * _CM3:.1f}",
+                f"{process.removed_volume * _CM3_PER_M3:.1f}",
                 "cm³",
-                f"left {process.stock.volume() * _CM3:.1f} cm³",
+                f"left {process.stock.volume() * _CM3_PER_M3:.1f} cm³",
             ),
         )
     )
 
 
 class _ContactStations(NamedTuple):
-    """The n stations in contact with the stock.
+    """The n stations in contact with the stock, along the program.
 
-    :param run: (n,) number of the run of stations without a gap.
-    :param row: (n,) of the cuts.
+    :param run: (n,) number of the run of each station: consecutive stations in contact without a gap.
+    :param row: (n,) row of the cuts.
     :param motion: (n,) row of `Motions`.
-    :param t: (n,) place on it, in [0, 1].
+    :param t: (n,) place on the motion, in [0, 1].
     """
 
     run: Ints
@@ -372,7 +385,7 @@ class _ContactStations(NamedTuple):
 def _stations_in_contact(cuts: Cuts) -> _ContactStations:
     """Return the stations in contact with the stock.
 
-    Where the engagement is the same along a motion, the process has one station: it is shown at both ends.
+    A motion with a single station has the same engagement all along: the station is returned at both of its ends.
     """
     order = np.lexsort((cuts.t, cuts.motion))
     _, motion_index, station_count = np.unique(cuts.motion[order], return_inverse=True, return_counts=True)
@@ -383,6 +396,7 @@ def _stations_in_contact(cuts: Cuts) -> _ContactStations:
     motion = cuts.motion[rows]
     t = np.where(is_copied, np.where(is_second, 1.0, 0.0), cuts.t[rows])
     is_contact = cuts.rate[rows] > 0.0
+    # a gap: a motion without a station, or a station without contact, between a station and the one before it
     starts_run = np.append(0, (np.diff(motion) > 1) | ~is_contact[1:] | ~is_contact[:-1])
     run = np.cumsum(starts_run)
     return _ContactStations(run[is_contact], rows[is_contact], motion[is_contact], t[is_contact])
@@ -391,7 +405,9 @@ def _stations_in_contact(cuts: Cuts) -> _ContactStations:
 def _drawn_rows(values: Array, run: Ints) -> Ints:
     """Return the rows of values (n,) that are drawn: of each group the smallest and the largest, and ends of runs.
 
-    :param run: (n,) number of the run of each value.
+    All rows if there are at most `_CURVE_POINTS` values.
+
+    :param run: (n,) number of the run of each value, ascending.
     """
     group_size = -(-2 * len(values) // _CURVE_POINTS)  # rounded up
     if group_size <= 2:
@@ -400,16 +416,20 @@ def _drawn_rows(values: Array, run: Ints) -> Ints:
     # filled up with the last value to whole groups, which leaves their extremes as they are
     filling = np.full(-len(finite_values) % group_size, finite_values[-1])
     groups = np.append(finite_values, filling).reshape(-1, group_size)
-    first = np.arange(len(groups)) * group_size
-    ends = np.flatnonzero(np.diff(run, prepend=-1, append=-1))
-    rows = np.concatenate([first + groups.argmin(axis=1), first + groups.argmax(axis=1), ends, ends - 1])
+    group_begins = np.arange(len(groups)) * group_size
+    run_begins = np.flatnonzero(np.diff(run, prepend=-1, append=-1))  # and, last, the number of values
+    extremes = [group_begins + groups.argmin(axis=1), group_begins + groups.argmax(axis=1)]
+    rows = np.concatenate([*extremes, run_begins, run_begins - 1])
     rows = distinct(np.clip(rows, 0, len(values) - 1))
     # many short runs: then only some of the rows
     return rows if len(rows) <= _MOST_CURVE_POINTS else rows[:: -(-len(rows) // _MOST_CURVE_POINTS)]
 
 
 def histogram_section(data: Deviation) -> Section | None:
-    """Return the section of the histogram of the deviation; `Facts.histograms` has its numbers."""
+    """Return the section of the histogram of the deviation; None if there is nothing to correct.
+
+    The script of the page draws it from `Facts.histograms`.
+    """
     if not len(data.result) or data.uncorrected_reason is not None:
         return None
     label = (
@@ -423,6 +443,7 @@ def operations_section(data: Deviation) -> Section | None:
     """Return the section with the table of the operations, largest values of each; None if there are none."""
     if not data.operations:
         return None
+    # deviations after correction are shown only if they are more than rounding of the text
     rows, has_after = [], data.is_compared and data.content.after.max_mm >= ROUNDING_MM
     for number, operation in enumerate(data.operations, 1):
         u95 = None if operation.bound is None else operation.bound.largest * MM_PER_M
@@ -438,7 +459,7 @@ def operations_section(data: Deviation) -> Section | None:
             cells.append(estimate(operation.after.largest * MM_PER_M, u95))
         if u95 is not None:
             cells.append(two_digits(u95))
-        rows.append(Row(tuple(cells), data.places.of(operation.first), operation.line))
+        rows.append(Row(tuple(cells), data.places.place_of_row(operation.first), operation.line))
     head = [
         "Operation",
         "Tool",
@@ -455,13 +476,13 @@ def operations_section(data: Deviation) -> Section | None:
         "Operations and tools, largest values",
         texts=(1,),
         sortable=True,
-        note="Largest values." + (f" {_ALL_ROUNDING}" if data.is_compared and not has_after else ""),
+        note="Largest values." + (f" {_ONLY_ROUNDING_NOTE}" if data.is_compared and not has_after else ""),
     )
     return Section("operations", "Operations and tools", (table,))
 
 
 def feeds_section(data: Deviation) -> Section | None:
-    """Return the section on feeds that were lowered to hold the tolerance of the part; None if none may be."""
+    """Return the section on feeds that were lowered to hold the tolerance; None if feeds are as programmed."""
     feed = data.content.feed
     if feed is None:
         return None
@@ -486,10 +507,14 @@ def feeds_section(data: Deviation) -> Section | None:
 
 
 def worst_places_section(data: Deviation) -> Section | None:
-    """Return the section with the table of the worst place of each of the worst lines, before and after [mm]."""
+    """Return the section with the table of the worst place of each of the worst lines, before and after [mm].
+
+    None if there is nothing to correct.
+    """
     result = data.result
     if not len(result) or data.uncorrected_reason is not None:
         return None
+    # deviations after correction are shown only if they are more than rounding of the text
     has_after = data.is_compared and data.content.after.max_mm >= ROUNDING_MM
     measures = [result.before] + ([result.after] if has_after else [])
     rows = data.worst_rows
@@ -505,13 +530,16 @@ def worst_places_section(data: Deviation) -> Section | None:
         cells += [estimate(float(measure[row]) * MM_PER_M, u95) for measure in measures]
         cells += [] if u95 is None else [two_digits(u95)]
         cells += [f"{force[index]:.0f}"] + ([estimate(float(correction_mm[index]), u95)] if data.is_compared else [])
-        table_rows.append(Row(tuple(cells), data.places.of(row), int(result.source_line[row])))
+        table_rows.append(Row(tuple(cells), data.places.place_of_row(row), int(result.source_line[row])))
     table = Table(tuple(head), tuple(table_rows), "The worst places, one for each line of the program", sortable=True)
     return Section("worst", "Worst places", (table,))
 
 
 def reversals_section(data: Deviation) -> Section | None:
-    """Return the section of the largest reversals: a table; a note where the model states no lost motion; or None."""
+    """Return the section with the table of the largest reversals; a note alone if the model states no lost motion.
+
+    None if no torque changes its direction on a cut.
+    """
     entries = data.content.reversals
     if not entries:
         return None
@@ -535,15 +563,19 @@ def reversals_section(data: Deviation) -> Section | None:
     return Section("reversals", "Reversals", (table,))
 
 
-_TOLERANCE_CELLS = {
+_TOLERANCE_CELLS: dict[bool | None, tuple[str, Kind]] = {
     None: ("held but for approximation", "warning"),
     True: ("held", "good"),
     False: ("exceeded", "error"),
 }
+"""Text and style of a tolerance by `Summary.tolerance_held`; None: only the approximation of corners exceeds it."""
 
 
 def limits_section(data: Deviation) -> Section | None:
-    """Return the section with the tolerance, the margins to limits of the robot, and the smallest clearance."""
+    """Return the section with tolerance, correction, margins to limits of the robot, and the smallest clearance.
+
+    None without targets.
+    """
     content = data.content
     if not content.targets:
         return None
@@ -553,7 +585,7 @@ def limits_section(data: Deviation) -> Section | None:
     ]
     if content.tolerance_mm is not None:
         text, kind = _TOLERANCE_CELLS[content.tolerance_held]
-        rows.append(("Tolerance", Cell(f"{content.tolerance_mm:g} mm: {text}", kind)))  # type: ignore[arg-type]
+        rows.append(("Tolerance", Cell(f"{content.tolerance_mm:g} mm: {text}", kind)))
     blending = content.blending
     if blending.source_line is not None:
         corner_text = f"{number_text(blending.max_mm, 3)} mm, line {blending.source_line}"
@@ -561,8 +593,8 @@ def limits_section(data: Deviation) -> Section | None:
     if content.mode == "convert":
         rows.append(("Largest correction", f"{number_text(content.max_correction_mm, 3)} mm"))
     if content.tool_deflection is not None:
-        share = f"{number_text(content.tool_deflection.max_mm, 3)} mm"
-        rows.append(("Deflection of holder, spindle and tool, up to", share))
+        deflection_text = f"{number_text(content.tool_deflection.max_mm, 3)} mm"
+        rows.append(("Deflection of holder, spindle and tool, up to", deflection_text))
     rows.append(("Largest force", f"{content.max_force_N:.0f} N"))
     limits = content.limits
     rows.append(("Smallest joint margin", f"{number_text(limits.min_joint_margin_deg, 1)}°"))
@@ -584,6 +616,7 @@ def joints_section(data: Deviation) -> Section | None:
     for index, name in enumerate(JOINTS):
         angle, margin = result.q[:, index] * DEG_PER_RAD, float(result.joint_margin[index]) * DEG_PER_RAD
         text = number_text(margin if np.isfinite(margin) else None, 1)
+        # z in a format: no "-0"
         limits = (f"{limit * DEG_PER_RAD:z.0f}" for limit in (result.robot.lower[index], result.robot.upper[index]))
         margin_cell = Cell(text, "warning" if margin < NARROW_DEG else "")
         rows.append(Row((name, f"{angle.min():z.1f}", f"{angle.max():z.1f}", " … ".join(limits), margin_cell)))
@@ -592,7 +625,7 @@ def joints_section(data: Deviation) -> Section | None:
 
 
 def model_section(data: Deviation) -> Section:
-    """Return the section with the values of the model and their sources, assumed ones flagged."""
+    """Return the section with the values of the model and their sources; assumed values are marked."""
     robot = data.result.robot
     rows = tuple(
         Row((entry.name, entry.value, Cell("assumed", "warning") if entry.assumed else "stated", entry.source))
@@ -613,9 +646,9 @@ def model_section(data: Deviation) -> Section:
     return Section("model", "Robot model", tuple(parts))
 
 
-_MOST_LINES = 2000
-"""Texts that a page lists."""
-_KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
+_MOST_LINE_RANGES = 2000
+"""Largest number of line ranges of an issue that a page lists."""
+_LEVEL_KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
 
 
 def issues_section(data: Deviation) -> Section:
@@ -626,12 +659,12 @@ def issues_section(data: Deviation) -> Section:
     rows = tuple(
         Row(
             (
-                Cell(issue.level, _KINDS[issue.level]),
+                Cell(issue.level, _LEVEL_KINDS[issue.level]),
                 issue.message,
                 Cell(_line_ranges(issue), sort=issue.source_line),
                 str(issue.count),
             ),
-            None if (row := data.row_of(issue)) is None else data.places.of(row),
+            None if (row := data.row_of(issue)) is None else data.places.place_of_row(row),
             issue.source_line,
         )
         for issue in issues
@@ -640,17 +673,18 @@ def issues_section(data: Deviation) -> Section:
 
 
 def _line_ranges(issue: Issue) -> str:
-    """Return all lines of an issue as text, runs of them as ranges; the first `_MOST_LINES` if there are more."""
+    """Return the lines of an issue as text, consecutive lines as a range; at most `_MOST_LINE_RANGES` ranges."""
     if not issue.lines:
         return "-" if issue.source_line is None else str(issue.source_line)
     # in a run of consecutive lines, line − index is the same
-    runs = [[line for _, line in run] for _, run in groupby(enumerate(issue.lines), lambda entry: entry[1] - entry[0])]
+    numbered_lines = enumerate(issue.lines)
+    runs = [[line for _, line in run] for _, run in groupby(numbered_lines, lambda entry: entry[1] - entry[0])]
     texts = [str(run[0]) if len(run) == 1 else f"{run[0]}–{run[-1]}" for run in runs]
-    return first_of(texts, _MOST_LINES)
+    return first_of(texts, _MOST_LINE_RANGES)
 
 
 def place_section(data: Deviation) -> Section | None:
-    """Return the section with the details of the chosen place, next to all others; None without targets."""
+    """Return the section with the details of the chosen place, beside all other sections; None without targets."""
     if not len(data.result):
         return None
     label = "Details of the chosen place: lines, pose, joints, force, deviation, correction"
@@ -659,18 +693,21 @@ def place_section(data: Deviation) -> Section | None:
 
 _MAP_COLUMNS = 400
 """Largest number of columns of the map along the path."""
-_COLOURED_ERROR = 1e-9
+_LEAST_COLOURED_ERROR = 1e-9
 """Expected errors below this [m] are nothing to colour by: the joint margin is shown."""
 
 
 def turn_section(data: Deviation) -> Section | None:
-    """Return the section with the map of the turn about the tool axis and the chosen line; None if not chosen."""
+    """Return the section with the map of the turn about the tool axis and the chosen turn.
+
+    None if postproc did not choose the turn.
+    """
     tool_turn = data.result.turn
     if tool_turn is None:
         return None
     turns = placement.bin_turns(tool_turn)
     blocks = tool_turn.map.blocks
-    # length of the path up to each row of the map [m]
+    # length of the path up to each row of the map [m]; a share of 1 is the end of its block
     metres = np.cumsum(blocks.length)[blocks.block] - blocks.length[blocks.block] * (1.0 - blocks.share)
     degrees = (tool_turn.map.offset + tool_turn.constant) * DEG_PER_RAD
     line = _wrap_to_map((turns + tool_turn.constant) * DEG_PER_RAD, degrees)
@@ -679,6 +716,7 @@ def turn_section(data: Deviation) -> Section | None:
         label="Map of the path by the turn of the tool about its axis, with the chosen line.",
         traces=[_turn_map(tool_turn, metres, degrees), curve],
         x=Axis(title="along the path, m"),
+        # with a margin of 2.5° beyond the first and the last angle of the map
         y=Axis(title="turn about the tool axis, °", range=(float(degrees[0]) - 2.5, float(degrees[-1]) + 2.5)),
         height=420,
         note="Each column is the worst of its piece of the path. Rapid moves count for reach only, not for errors.",
@@ -688,7 +726,9 @@ def turn_section(data: Deviation) -> Section | None:
 
 
 def _turn_map(tool_turn: Turn, metres: Array, degrees: Array) -> Map:
-    """Return the map of the turn: a column for each piece of the path, a row for each angle.
+    """Return the picture of the map of the turn, transposed: a column for each piece of the path, a row for each angle.
+
+    It has at most `_MAP_COLUMNS` columns.
 
     :param metres: (K,) length of the path up to each row of the map of the turn [m].
     :param degrees: (J,) angles of the tool about its axis [deg].
@@ -711,22 +751,26 @@ def _turn_map(tool_turn: Turn, metres: Array, degrees: Array) -> Map:
 
 
 def _turn_sentences(tool_turn: Turn, turns: Array) -> list[str]:
-    """Return sentences on the chosen turn: its range, the expected error with it, and what was not compared.
+    """Return sentences on the chosen turn: its range, the expected error with it, and that clearance was not compared.
 
     :param turns: (K,) chosen turn [rad] at each row of the map.
     """
     low, high = tool_turn.range_deg()
     mode_text = "one turn for each operation" if tool_turn.mode == "best" else "a turn that changes along the path"
-    first, last = f"{low:.0f}°", f"{high:.0f}°"
-    range_text = f"{first} everywhere" if first == last else f"{mode_text}, from {first} to {last}"
+    low_text, high_text = f"{low:.0f}°", f"{high:.0f}°"
+    range_text = f"{low_text} everywhere" if low_text == high_text else f"{mode_text}, from {low_text} to {high_text}"
     sentences = [f"Chosen: {range_text}.", *_gain_sentences(tool_turn, turns)]
     return sentences if tool_turn.map.hit is not None else [*sentences, NO_CLEARANCE]
 
 
 def _map_values(tool_turn: Turn) -> tuple[Array, str]:
-    """Return the values (K, J) that colour the map, and their title: expected error, deflection or joint margin."""
+    """Return the values (K, J) that colour the map, and their title with the unit.
+
+    Expected errors, or deflections if the model states no uncertainty, NaN for rapid moves. Joint margins if the errors
+    are zero.
+    """
     error = tool_turn.map.error * MM_PER_M
-    if np.nanmax(error, initial=0.0) > _COLOURED_ERROR * MM_PER_M:
+    if np.nanmax(error, initial=0.0) > _LEAST_COLOURED_ERROR * MM_PER_M:
         cuts = tool_turn.map.blocks.cuts[tool_turn.map.blocks.block]
         error = np.where(cuts[:, None], error, np.nan)
         return error, "expected error (95 %), mm" if np.isfinite(tool_turn.map.u95).any() else "deflection, mm"
@@ -735,7 +779,7 @@ def _map_values(tool_turn: Turn) -> tuple[Array, str]:
 
 
 def _wrap_to_map(angle: Array, degrees: Array) -> Array:
-    """Return angles (n,) [deg] within the range of the map, NaN where the line goes round from edge to edge.
+    """Return angles (n,) [deg] within the range of the map; NaN after a jump from one edge of the map to the other.
 
     :param degrees: angles of the rows of the map [deg], evenly spaced.
     """
@@ -746,9 +790,9 @@ def _wrap_to_map(angle: Array, degrees: Array) -> Array:
 
 
 def _gain_sentences(tool_turn: Turn, turns: Array) -> list[str]:
-    """Return a sentence that compares the expected error of the chosen line with that of the turn of the cell.
+    """Return a sentence that compares the expected errors with the chosen turn and with the turn that the cell states.
 
-    Empty if an error is unknown or all are zero.
+    Empty if an error on a cut is unknown, or all are zero.
 
     :param turns: (K,) chosen turn [rad] at each row of the map.
     """
@@ -756,7 +800,7 @@ def _gain_sentences(tool_turn: Turn, turns: Array) -> list[str]:
     error, offset = tool_turn.map.error, tool_turn.map.offset
     step = offset[1] - offset[0]
     columns = np.rint((turns - offset[0]) / step).astype(np.int64) % len(offset)  # offsets go round once
-    cell_column = int(np.argmin(np.abs(offset)))
+    cell_column = int(np.argmin(np.abs(offset)))  # offsets are from the turn that the cell states
     line_error = error[np.arange(len(columns)), columns]
     cut_error = line_error[cut_length > 0.0]
     if not len(cut_error) or not np.isfinite(cut_error).all() or not cut_error.any():
@@ -771,7 +815,7 @@ def _gain_sentences(tool_turn: Turn, turns: Array) -> list[str]:
 
 
 def record_section(data: Deviation) -> Section | None:
-    """Return the section with date, version, customer, and the SHA-256 of program, cell, model and forces, or None."""
+    """Return the section with date, version, customer, and the SHA-256 of the inputs; None without a record."""
     if data.record is None:
         return None
     return Section(

@@ -20,8 +20,8 @@ class Part(Protocol):
 class Cell(msgspec.Struct, frozen=True):
     """Text of a table or a fact.
 
-    :param sort: what the column is sorted by where that is not the text.
-    :param href: file in the folder of the page that the text leads to.
+    :param sort: number by which the column is sorted; None: it is sorted by the text.
+    :param href: file in the folder of the page that the text links to; empty: no link.
     """
 
     text: str
@@ -31,10 +31,10 @@ class Cell(msgspec.Struct, frozen=True):
 
 
 class Row(msgspec.Struct, frozen=True):
-    """Row of a table; with `place` it chooses that place in all views.
+    """Row of a table; a click on it chooses its place in all views.
 
-    :param place: row of the page's columns, or None.
-    :param source_line: of that place.
+    :param place: row of the page's columns; None: a click chooses nothing.
+    :param source_line: source line of the place; None without a place.
     """
 
     cells: tuple[Cell | str, ...]
@@ -43,12 +43,12 @@ class Row(msgspec.Struct, frozen=True):
 
 
 class Table(msgspec.Struct, frozen=True):
-    """Table: the first column names the row, the others are numbers, but for those named in `texts`.
+    """Table: the first column names the row, the others are numbers unless they are in `texts`.
 
-    :param caption: says what the table shows, for those who do not see it.
-    :param texts: columns (from 0) that hold text, left aligned.
-    :param sortable: its columns can be sorted by.
-    :param note: a sentence below.
+    :param caption: what the table shows, for readers who do not see it.
+    :param texts: indices of further columns that hold text, left aligned.
+    :param sortable: a click on the head of a column sorts the rows.
+    :param note: a sentence below the table.
     """
 
     template: ClassVar[str] = "table"
@@ -92,9 +92,10 @@ class Note(msgspec.Struct, frozen=True):
 
 
 class Notes(msgspec.Struct, frozen=True):
-    """Sentences, with a heading of their own or none.
+    """Sentences under a heading.
 
-    :param marked: as a list.
+    :param title: the heading; empty: none.
+    :param marked: the sentences are shown as a list with bullets.
     """
 
     template: ClassVar[str] = "notes"
@@ -115,9 +116,10 @@ class Verdict(msgspec.Struct, frozen=True):
 class View(msgspec.Struct, frozen=True):
     """An area that a script of the page draws into.
 
-    :param name: of the script's view: the element gets the id ``NAME-view``, its controls ``NAME-controls``.
-    :param label: what it shows and how it is used, for those who do not see it.
-    :param note: a sentence below; `hint`: how it is used with mouse and keys, which is not printed.
+    :param name: name of the script's view: the element gets the id ``NAME-view``, its controls ``NAME-controls``.
+    :param label: what the view shows and how it is used, for readers who do not see it.
+    :param note: a sentence below the view.
+    :param hint: how the view is used with mouse and keys; not printed.
     """
 
     template: ClassVar[str] = "view"
@@ -130,8 +132,9 @@ class View(msgspec.Struct, frozen=True):
 class Drawing(msgspec.Struct, frozen=True):
     """A drawing to scale.
 
-    :param svg: an svg element, without text of users; `label` says what it shows, for those who do not see it.
-    :param note: a sentence below.
+    :param svg: an svg element; it must not contain text of users, as it is not escaped.
+    :param label: what the drawing shows, for readers who do not see it.
+    :param note: a sentence below the drawing.
     """
 
     template: ClassVar[str] = "drawing"
@@ -151,10 +154,10 @@ class Fold(msgspec.Struct, frozen=True):
 class Section(msgspec.Struct, frozen=True):
     """Section of a page.
 
-    :param id: its anchor.
-    :param parts: its content, in order.
-    :param width: ``"half"`` may be next to another one, ``"side"`` stays in sight next to all others.
-    :param printed: it is on paper too.
+    :param id: anchor of the section.
+    :param parts: content, in order.
+    :param width: ``"half"``: next to another section of half width; ``"side"``: always visible beside the others.
+    :param printed: the section is printed too.
     """
 
     id: str
@@ -181,7 +184,8 @@ class Axis(msgspec.Struct, frozen=True, kw_only=True):
 class Curve(msgspec.Struct, frozen=True, tag="curve"):
     """A line through points.
 
-    :param places: row of the page's columns that each point is; then a click chooses it, and the chosen one is marked.
+    :param places: row of the page's columns of each point: a click chooses that place, and the chosen place is marked.
+        None: the curve is not linked.
     """
 
     x: Numbers
@@ -194,9 +198,11 @@ class Curve(msgspec.Struct, frozen=True, tag="curve"):
 
 
 class Points(msgspec.Struct, frozen=True, tag="points"):
-    """Dots, with the half widths of their 95 % intervals, and texts shown when pointed at.
+    """Dots, with 95 % intervals and texts.
 
-    :param across: the intervals lie along x, not y.
+    :param half: half width of the interval of each dot; None: no interval.
+    :param across: the intervals are along x, not along y.
+    :param texts: text that is shown when the pointer is on a dot.
     """
 
     x: Numbers
@@ -218,7 +224,7 @@ class Span(msgspec.Struct, frozen=True, tag="span"):
 
 
 class Bars(msgspec.Struct, frozen=True, tag="bars"):
-    """Horizontal bars, one for each category of y, with a text at their end; chosen ones are emphasised."""
+    """Horizontal bars, one for each category of y, with a text at their end; bars with `chosen` are emphasised."""
 
     lengths: Numbers
     texts: list[str]
@@ -226,7 +232,10 @@ class Bars(msgspec.Struct, frozen=True, tag="bars"):
 
 
 class Histogram(msgspec.Struct, frozen=True, tag="histogram"):
-    """A histogram: bars between edges. `places`: the place that a click on each bar chooses."""
+    """A histogram: bars between edges (one more than bars).
+
+    :param places: row of the page's columns that a click on each bar chooses; None: a click chooses nothing.
+    """
 
     edges: Numbers
     heights: Numbers
@@ -242,7 +251,7 @@ class Matrix(msgspec.Struct, frozen=True, tag="matrix"):
 
 
 class Lines(msgspec.Struct, frozen=True, tag="lines"):
-    """A line in space, in the unit of its plot; pieces are parted by NaN. `places`: see `Curve`."""
+    """A line in space, in the unit of its plot; NaN separates its pieces. `places`: see `Curve`."""
 
     x: Numbers
     y: Numbers
@@ -255,12 +264,12 @@ class Lines(msgspec.Struct, frozen=True, tag="lines"):
 
 
 class Map(msgspec.Struct, frozen=True, tag="map"):
-    """Values on a grid, and why cells have none.
+    """Values on a grid, and the reasons why cells have no value.
 
-    :param values: (rows, columns); null where a cell is refused.
-    :param reasons: (rows, columns) index in `names`; 0 = not refused.
-    :param names: of the reasons; the first is not shown.
-    :param title: of the values, with their unit.
+    :param values: (rows, columns); None where a cell is refused.
+    :param reasons: (rows, columns) index in `names` of the reason; 0 = not refused.
+    :param names: names of the reasons; the first, of cells that are not refused, is not shown.
+    :param title: title of the values, with their unit.
     """
 
     x: Numbers
@@ -272,7 +281,7 @@ class Map(msgspec.Struct, frozen=True, tag="map"):
 
 
 class Mark(msgspec.Struct, frozen=True):
-    """A vertical or horizontal (`level`) line across a plot, with a text."""
+    """A vertical line across a plot at x = `at`, or with `level` a horizontal one at y = `at`, with a text."""
 
     at: float
     text: str
@@ -286,9 +295,11 @@ PlotItem = Curve | Points | Span | Bars | Histogram | Matrix | Map | Lines
 class Plot(msgspec.Struct, frozen=True, kw_only=True):
     """A plot.
 
-    :param label: what it shows, for those who do not see it.
-    :param unit: of the axes of a plot in space.
-    :param steps: for each step of a slider, which of the traces are shown; a name for each in `step_names`.
+    :param label: what the plot shows, for readers who do not see it.
+    :param height: [px].
+    :param unit: unit of the axes of a plot in space.
+    :param steps: indices of the traces that each step of a slider shows; None: no slider.
+    :param step_names: name of each step.
     """
 
     template: ClassVar[str] = "plot"
@@ -305,7 +316,7 @@ class Plot(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_linked(self) -> bool:
-        """Whether a click on it chooses a place."""
+        """True if a click on a point of the plot chooses a place of the page."""
         return any(getattr(trace, "places", None) is not None for trace in self.traces)
 
     @property
@@ -315,5 +326,5 @@ class Plot(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def safe_json(content: object) -> str:
-    """Return JSON that is safe in a script element of HTML; NaN becomes null."""
+    """Return the content as JSON that may be put into a script element of HTML; NaN becomes null."""
     return msgspec.json.encode(content).decode().replace("<", "\\u003c")
