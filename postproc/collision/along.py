@@ -59,7 +59,7 @@ class Hits(Struct, frozen=True, eq=False):
 
 
 def path_hits(
-    scene: Scene, q: Array, need: float, shift: Array | None = None, commanded_q: Array | None = None
+    scene: Scene, q: Array, min_distance: float, shift: Array | None = None, commanded_q: Array | None = None
 ) -> Hits:
     """Return where bodies come closer than allowed along a path, and the smallest distance.
 
@@ -68,17 +68,17 @@ def path_hits(
     :param q: (n, 6) joint angles [rad].
     :param commanded_q: (n, 6) joint angles that the arm may have instead, or any between [rad]: distances of a body are
         reduced by its largest displacement from one to the other.
-    :param need: smallest allowed distance [m]; 0: they must not touch.
+    :param min_distance: smallest allowed distance [m]; 0: they must not touch.
     :param shift: (n, 3) how far E1 carries the robot from the root [m].
     """
-    return pair_hits(Solids(scene), q, need, shift, commanded_q)
+    return pair_hits(Solids(scene), q, min_distance, shift, commanded_q)
 
 
 def pair_hits(
-    solids: Solids, q: Array, need: float, shift: Array | None = None, commanded_q: Array | None = None
+    solids: Solids, q: Array, min_distance: float, shift: Array | None = None, commanded_q: Array | None = None
 ) -> Hits:
     """Return where bodies come closer than allowed along a path, for the pairs of `solids`; see `path_hits`."""
-    search = _Search(solids, q, need, shift, needs_minimum=True)
+    search = _Search(solids, q, min_distance, shift, needs_minimum=True)
     if commanded_q is not None:
         search.less = _largest_displacement(solids, q, commanded_q)
     if len(q):
@@ -98,15 +98,17 @@ def pair_hits(
     )
 
 
-def hits(solids: Solids, q: Array, need: float, shift: Array | None = None, *, between_samples: bool = True) -> Bools:
+def hits(
+    solids: Solids, q: Array, min_distance: float, shift: Array | None = None, *, between_samples: bool = True
+) -> Bools:
     """Return True for samples (n,) of a path at which, or before which, two bodies are closer than allowed, or touch.
 
     :param q: (n, 6) joint angles [rad].
-    :param need: smallest allowed distance [m]; 0: they must not touch.
+    :param min_distance: smallest allowed distance [m]; 0: they must not touch.
     :param shift: (n, 3) how far E1 carries the robot from the root [m].
     :param between_samples: look between samples too; else at the samples only.
     """
-    search = _Search(solids, q, need, shift, needs_minimum=False)
+    search = _Search(solids, q, min_distance, shift, needs_minimum=False)
     is_hit = np.zeros(len(q), dtype=bool)
     if len(q):
         for first, second in solids.pairs:
@@ -125,16 +127,18 @@ class _Search:
     :ivar hits: (row, first body, second body) → smallest distance there [m].
     """
 
-    def __init__(self, solids: Solids, q: Array, need: float, shift: Array | None, *, needs_minimum: bool) -> None:
+    def __init__(
+        self, solids: Solids, q: Array, min_distance: float, shift: Array | None, *, needs_minimum: bool
+    ) -> None:
         """Begin without hits.
 
         :param q: (n, 6) joint angles [rad].
-        :param need: smallest allowed distance [m].
+        :param min_distance: smallest allowed distance [m].
         :param shift: (n, 3) how far E1 carries the robot from the root [m]; None: there is no E1.
         :param needs_minimum: whether the smallest distance is wanted, too, and not only where less is found than
             allowed.
         """
-        self.solids, self.q, self.need, self.needs_minimum = solids, q, need, needs_minimum
+        self.solids, self.q, self.min_distance, self.needs_minimum = solids, q, min_distance, needs_minimum
         self.less = np.zeros(len(solids.bodies))
         self.chain = solids.scene.robot.nominal
         self.states = q if shift is None else np.concatenate([q, shift], axis=1)
@@ -201,7 +205,7 @@ class _Search:
 
     def _is_open(self, bound: Array) -> Bools:
         """Return True for lower bounds (n,) of distances [m] that leave open a hit, or a new smallest distance."""
-        return np.asarray((bound < self.need) | (bound < self._smallest_distance() - _EXACT))
+        return np.asarray((bound < self.min_distance) | (bound < self._smallest_distance() - _EXACT))
 
     def _smallest_distance(self) -> float:
         """Return the smallest distance so far [m], infinite before the first; −∞ if the smallest one is not wanted."""
@@ -213,7 +217,8 @@ class _Search:
         """Compute the distances at rows of samples where they are NaN, in place; record hits and the smallest one."""
         rows = rows[np.isnan(distance[rows])]
         distance[rows] = self._distance(first, second, self.frames[rows])
-        is_hit = (distance[rows] < self.need) | (distance[rows] <= 0.0)  # bodies that touch, also without a clearance
+        # bodies that touch are hits, also if none is required to keep a distance
+        is_hit = (distance[rows] < self.min_distance) | (distance[rows] <= 0.0)
         for row in rows[is_hit].tolist():
             self._record_hit(first, second, row, float(distance[row]))
         if len(rows):
@@ -245,8 +250,8 @@ class _Search:
             length = motion_bound(self.solids, first, second, pair[:, :6], self._frames(pair))[::2]
             bound = 0.5 * (begin_distance + end_distance - length)
             smaller = np.minimum(begin_distance, end_distance)
-            is_noted = (smaller < self.need) | (smaller <= 0.0)  # reported already
-            may_hit = (bound < self.need) & ~is_noted
+            is_noted = (smaller < self.min_distance) | (smaller <= 0.0)  # reported already
+            may_hit = (bound < self.min_distance) & ~is_noted
             is_open = (may_hit | (bound < self._smallest_distance() - _EXACT)) & (length > _SHORT)
             rows, begin, end = rows[is_open], begin[is_open], end[is_open]
             begin_distance, end_distance = begin_distance[is_open], end_distance[is_open]
@@ -254,7 +259,7 @@ class _Search:
                 return
             middle = 0.5 * (begin + end)
             middle_distance = self._distance(first, second, self._frames(middle))
-            for k in np.flatnonzero((middle_distance < self.need) | (middle_distance <= 0.0)).tolist():
+            for k in np.flatnonzero((middle_distance < self.min_distance) | (middle_distance <= 0.0)).tolist():
                 self._record_hit(first, second, int(rows[k]) + 1, float(middle_distance[k]))
             k = int(np.argmin(middle_distance))
             self._update_closest(first, second, int(rows[k]) + 1, float(middle_distance[k]))

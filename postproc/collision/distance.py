@@ -141,8 +141,12 @@ class Solids:
         body = self.bodies[row]
         return np.broadcast_to(np.eye(4), (len(frames), 4, 4)) if body.is_fixed else frames[:, body.carrier + 1]
 
-    def may_be_near(self, first: int, second: int, frames: Array, need: float) -> NDArray[np.bool_]:
-        """Return at which poses (n,) two bodies may be closer than `need` [m]: bounding sphere against bounding box."""
+    def may_be_near(self, first: int, second: int, frames: Array, min_distance: float) -> NDArray[np.bool_]:
+        """Return True for poses (n,) at which the bounding sphere of one body is near the bounding box of another.
+
+        :param first: index of a body, and `second` of another.
+        :param min_distance: they are near if they are closer than this [m].
+        """
         may_be_near = np.ones(len(frames), dtype=bool)
         for ball, box_body in ((first, second), (second, first)):
             centre, radius = self.spheres[ball]
@@ -150,15 +154,15 @@ class Solids:
             point = frame[:, :3, :3] @ centre + frame[:, :3, 3] - box[:, :3, 3]
             local = np.einsum("nji,nj->ni", box[:, :3, :3], point)
             low, high = self.spans[box_body]
-            may_be_near &= norm(np.maximum(np.maximum(low - local, local - high), 0.0)) - radius < need
+            may_be_near &= norm(np.maximum(np.maximum(low - local, local - high), 0.0)) - radius < min_distance
         return may_be_near
 
-    def is_closer(self, frames: Array, need: float) -> bool:
-        """Return whether two bodies touch or are closer than `need` [m] at any of some poses."""
+    def is_closer(self, frames: Array, min_distance: float) -> bool:
+        """Return whether two bodies touch or are closer than `min_distance` [m] at any of some poses."""
         for first, second in self.pairs:
-            rows = np.flatnonzero(self.may_be_near(first, second, frames, max(need, _TOUCH)))
+            rows = np.flatnonzero(self.may_be_near(first, second, frames, max(min_distance, _TOUCH)))
             distance = self.distance(first, second, frames[rows], solid=True)
-            if ((distance < need) | (distance <= 0.0)).any():
+            if ((distance < min_distance) | (distance <= 0.0)).any():
                 return True
         return False
 

@@ -536,7 +536,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
         )
     knots = _knots(program, process, forces)
     content = process_forces.summary(program, forces, int(knots.ramped.sum()))
-    rows = machining.one_move_a_line(program, path, robot_in_cell.spindle, knots)
+    rows = machining.knots_by_line(program, path, robot_in_cell.spindle, knots)
     contents: dict[str, bytes | Iterable[bytes]] = {names[0]: process_forces.forces_csv(program, rows)}
     if request.stock_out is not None:
         if forces is None:

@@ -7,7 +7,7 @@ them from a small table instead. Both use the process that `load` reads from pro
 from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.material import Entry, table
 from postproc.machining.process import Process, load
-from postproc.machining.profiles import one_move_a_line
+from postproc.machining.profiles import knots_by_line
 from postproc.machining.source import ProcessSource, operation_knots
 from postproc.machining.sweep import Cuts
 from postproc.machining.tool_path import Shift
@@ -20,8 +20,8 @@ __all__ = [
     "ProcessSource",
     "Shift",
     "estimate",
+    "knots_by_line",
     "load",
-    "one_move_a_line",
     "operation_knots",
     "table",
 ]

@@ -29,12 +29,12 @@ def check_branches(program: Program, cutting_rows: Ints, is_near: Bools) -> None
     """
     removes_material = np.zeros(len(program.motions), dtype=bool)
     removes_material[cutting_rows] = True
-    for first, end in program.branches:
+    for first, end in program.branches:  # rows of the motions of a branch; `end` is exclusive
         later_rows = np.flatnonzero(is_near[end:])
         if removes_material[first:end].any() and len(later_rows):
             first_cut = first + np.argmax(removes_material[first:end])
-            places = program.places(np.array([first_cut, end + later_rows[0]]))
-            (file, line), (later_file, later_line) = places.of(0), places.of(1)
+            source_lines = program.places(np.array([first_cut, end + later_rows[0]]))
+            (file, line), (later_file, later_line) = source_lines.of(0), source_lines.of(1)
             later_place = f"line {later_line}" if later_file == file else f"{later_file}:{later_line}"
             problem = (
                 "whether this motion cuts is decided while the robot runs, by the condition of its branch, so that "

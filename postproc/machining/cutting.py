@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 
 from postproc.frames import Array, norm
 from postproc.machining.material import Floats
-from postproc.machining.stock import SLOPE, Stock, between_cells
+from postproc.machining.stock import SLOPE, Stock, surface_between_cells
 from postproc.machining.tool import Turn
 from postproc.program import Bools
 
@@ -73,7 +73,9 @@ class EngagedEdge(Struct, frozen=True, eq=False):
 class _CellLevels(NamedTuple):
     """Levels of the cells that contain points, (n, K) each.
 
-    :param high: upper levels [m]; `low`: lower levels [m]; `share`: of the area of a cell at the lower one, 0 … 1.
+    :param high: upper levels [m].
+    :param low: lower levels [m].
+    :param share: share of the area of each cell that is at its lower level, 0 … 1.
     :param floor: lower side of the material [m].
     """
 
@@ -93,9 +95,10 @@ class Corners(Struct, frozen=True, eq=False):
 def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, descent: Floats) -> EngagedEdge:
     """Return the cutting edge in material of a tool along z of the map, at n stations.
 
-    :param turn: P sample points of the edge within a turn: those of the end face, of the round, of the cylinder.
+    :param turn: P sample points of the edge within a turn: first on the end face, then on the round, then on the
+        cylinder.
     :param x: (n, P) and `y` (n, P): coordinates of these points in the map [m].
-    :param position: (n, 3) of the tip [m].
+    :param position: (n, 3) positions of the tip [m].
     :param descent: (n,) descent of the tool in one turn [m], > 0: the end face cuts material within it.
     """
     length = np.zeros(x.shape, dtype=np.float32)
@@ -124,9 +127,10 @@ def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, d
 def _round_lengths(stock: Stock, turn: Turn, corners: Corners, z: Floats, has_partly_cut: bool) -> Floats:
     """Return the lengths of edge in material (n, R) [m] at the R sample points on the round of a tool.
 
-    The height of each piece of edge below the surface of the stock is converted to a length along the edge.
+    The part of the height of each piece that is below the surface of the stock is converted to a length along the edge.
 
-    :param corners: cells around the points on the end face and the R points on the round.
+    :param turn: its `low` are the heights of the lower ends of pieces above the tip, its `rise` the heights of pieces.
+    :param corners: cells around the points on the end face, and around the R points on the round.
     :param z: (n, 1) height of the tip [m].
     :param has_partly_cut: whether any of the cells is at two levels.
     """
@@ -189,7 +193,7 @@ def _containing_cells(stock: Stock, x: Floats, y: Floats) -> NDArray[np.int32]:
 
 
 def _has_partly_cut_cells(stock: Stock, corners: Corners) -> bool:
-    """Return whether the rows of the map that contain these cells have a partly cut cell."""
+    """Return whether any row of the map that contains one of these cells has a partly cut cell."""
     lower_left = corners.cell[0]
     columns = stock.high.shape[1]
     # a flat index divided by the number of columns is a row; the upper cells are one row further
@@ -200,35 +204,36 @@ def _has_partly_cut_cells(stock: Stock, corners: Corners) -> bool:
 def _interpolated_difference(
     stock: Stock, corners: Corners, pieces: slice, function: Callable[[Floats], Floats], has_partly_cut: bool
 ) -> Floats:
-    """Return function(surface) − function(lower side) of the stock, interpolated between four cells (n, k).
+    """Return function(surface) − function(lower side) of the stock, interpolated between four cells (n, k), at least 0.
 
     :param corners: cells around the points; `pieces` selects k of the points.
-    :param function: of heights (n, k) [m]; it does not fall as they rise.
-    :param has_partly_cut: whether any of the cells is at two levels: both count by their shares of the area.
+    :param function: a function of heights (n, k) [m] that is constant or rises with the height.
+    :param has_partly_cut: whether any of the cells has two levels: each then counts by its share of the area.
     """
     high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
     result = None
     for cell, weight in zip(corners.cell, corners.weight, strict=True):
         cell_index = cell[:, pieces]
         upper = high.take(cell_index)
-        value = function(upper)
+        difference = function(upper)
         if has_partly_cut:
             cut_share = share.take(cell_index)
             if cut_share.any():
-                value += cut_share * (function(np.minimum(low.take(cell_index), upper)) - value)
-        value = value - function(floor.take(cell_index))
-        np.maximum(value, 0.0, out=value)
-        value *= weight[:, pieces]
-        result = value if result is None else result + value
+                difference += cut_share * (function(np.minimum(low.take(cell_index), upper)) - difference)
+        difference = difference - function(floor.take(cell_index))
+        np.maximum(difference, 0.0, out=difference)
+        difference *= weight[:, pieces]
+        result = difference if result is None else result + difference
     return np.asarray(result)
 
 
 def _cylinder_contact(stock: Stock, nearest: NDArray[np.int32], position: Floats, turn: Turn) -> tuple[Floats, Floats]:
     """Return the engaged height of the cylinder (n, K) [m], and its first moment ∫ z dz above the tip (n, K) [m²].
 
-    Both levels of the cell that contains the point count by their shares of its area: a second pass along the same
-    wall is then in air. An edge inside an earlier cut, as at the end of each layer of a slot, meets the lower level
-    only: the material behind the wall does not count. For an edge outside of it, the upper level counts in full.
+    The cylinder has no upper end. Both levels of the cell that contains the point count by their shares of its area: a
+    second pass along the same wall is then in air. An edge inside an earlier cut, as at the end of each layer of a
+    slot, meets the lower level only: the material behind the wall does not count. For an edge outside of an earlier
+    cut, the upper level counts in full.
 
     :param nearest: (n, K) index in the flat map of the cell that contains each point on the cylinder.
     :param position: (n, 3) of the tip [m].
@@ -237,6 +242,7 @@ def _cylinder_contact(stock: Stock, nearest: NDArray[np.int32], position: Floats
         *(values.reshape(-1).take(nearest) for values in (stock.high, stock.low, stock.share, stock.floor))
     )
     share, tip = levels.share, position[:, 2:]
+    # all points on the cylinder have the same lower end
     bottom = np.maximum(levels.floor - tip, turn.low[turn.side.start])
     top = np.maximum(levels.high - tip, bottom)
     # twice the moment: the integral of z dz is half the difference of squares
@@ -256,8 +262,8 @@ def _sides_of_earlier_cut(
     """Return at which points (n, K) the cylinder is inside of an earlier cut, and at which (n, K) it is outside.
 
     It is inside where it covers no more of a cell than was cut of it, else outside: cut areas of one cell are assumed
-    nested. Either is returned only if it holds over `_WALL_CELLS` cells to both sides: near a crossing of wall and
-    edge both are False, and the share of the cell that is cut is right on average.
+    nested. A point is inside only if no point within `_WALL_CELLS` cells along the rim is outside, and the other way
+    round. Near a crossing of wall and edge both are False: there the share of the cell that is cut is right on average.
 
     :param nearest: (n, K) index in the flat map of the cell that contains each point on the cylinder.
     :param position: (n, 3) of the tip [m].
@@ -277,7 +283,9 @@ def _sides_of_earlier_cut(
     is_cut = ~is_partly_cut & (high <= mean_mid_level)
     is_outside = (coverage > share + _ROUNDING) & (coverage < 1.0) & ~is_cut
     is_inside = is_partly_cut & (coverage <= share + _ROUNDING) & (coverage > 0.0) | is_cut
+    # number of sample points in `_WALL_CELLS` cells along the rim
     reach = int(np.ceil(_WALL_CELLS * stock.cell / (float(turn.width[turn.side.start]) * float(radius))))
+    # a point is inside without an outside mark nearby, and outside without an inside mark nearby
     return _has_no_mark_near(is_outside, reach), _has_no_mark_near(is_inside, reach)
 
 
@@ -300,7 +308,7 @@ def _surface_levels(
     """Return the level of the surface at points between four cells, and the share of these cells that is material.
 
     Cells more than `_WALL` cell widths below a point are beyond a wall, or out of the stock: they do not count for the
-    level, and as not covered.
+    level, and their share of material is 0.
 
     :param corners: cells around the points; `pieces` selects k of the points.
     :param z: (n, k) heights of these points [m].
@@ -308,25 +316,26 @@ def _surface_levels(
     :param is_near_floor: whether points may be below the material.
     :returns: levels (n, k) [m], and shares 0 … 1 (n, k); None where all are 1.
     """
-    rises = _surface_rises(stock, corners, pieces)
+    rises = _surface_rises(stock, corners, pieces)  # empty for a level surface
     lowest_level = z - np.float32(_WALL * stock.cell)
-    levels, planes, weights, is_covered = [], [], [weight[:, pieces] for weight in corners.weight], True
+    levels, planes, weights, is_all_material = [], [], [weight[:, pieces] for weight in corners.weight], True
     for k, cell in enumerate(corners.cell):
         level, material = _corner_surface(stock, cell[:, pieces], lowest_level, has_partly_cut, is_near_floor)
         plane = level + rises[k] if rises else level
         if (material < 1).any():
-            is_covered = False
+            is_all_material = False
             weights[k] = weights[k] * material
             level, plane = (np.where(material > 0, values, np.float32(_OUTSIDE_LEVEL)) for values in (level, plane))
         levels.append(level)
         planes.append(plane)
     coverage = None
-    if not is_covered:
+    if not is_all_material:
         coverage = np.asarray((weights[0] + weights[1]) + (weights[2] + weights[3]), np.float32)
+        # the weights of cells that count add up to 1 again; 1e-6: no division by zero
         scale = np.asarray(1 / np.maximum(coverage, np.float32(1e-6)), np.float32)
         weights = [weight * scale for weight in weights]
     if rises:
-        return between_cells(levels, planes, weights), coverage
+        return surface_between_cells(levels, planes, weights), coverage
     products = [weight * level for weight, level in zip(weights, levels, strict=True)]
     return np.asarray((products[0] + products[1]) + (products[2] + products[3])), coverage
 
@@ -336,10 +345,11 @@ def _corner_surface(
 ) -> tuple[Floats, Bools | Floats]:
     """Return the level of the surface in cells (n, k) [m], and the share (n, k) of each cell that is material.
 
-    Two levels of one surface are averaged; a lower one beyond a wall leaves the cell covered in part.
+    The two levels of a partly cut cell are averaged if they are of one surface. A lower level beyond a wall does not
+    count: its share of the cell is then no material.
 
-    :param cell_index: (n, k) in the flat map.
-    :param lowest_level: (n, k) [m]; levels below are beyond a wall.
+    :param cell_index: (n, k) index of each cell in the flat map.
+    :param lowest_level: (n, k) [m]: levels below it are beyond a wall.
     :param has_partly_cut: whether any of the cells is at two levels.
     :param is_near_floor: whether points may be below the material.
     """
@@ -365,6 +375,8 @@ def _surface_rises(stock: Stock, corners: Corners, pieces: slice) -> list[Floats
     """
     # one int32 holds both slopes of a cell (int16), so that one look-up gets both
     slope_pairs = stock.slope.reshape(-1, 2).view(np.int32)[:, 0]
+    # the weights of the two right cells add up to the place of the point between left and right, those of the two upper
+    # cells to its place between lower and upper
     x_share, y_share = (
         (corners.weight[1] + corners.weight[3])[:, pieces],
         (corners.weight[2] + corners.weight[3])[:, pieces],
@@ -372,12 +384,12 @@ def _surface_rises(stock: Stock, corners: Corners, pieces: slice) -> list[Floats
     corner_pairs = [slope_pairs.take(cell[:, pieces]) for cell in corners.cell]
     if not any(pair.any() for pair in corner_pairs):
         return []
-    unit = np.float32(SLOPE * stock.cell)
+    rise_unit = np.float32(SLOPE * stock.cell)
     rises = []
     # cell k is the right one of two in x if bit 0 of k is set, the upper one in y if bit 1 is
     for k, pair in enumerate(corner_pairs):
         slope = pair[..., None].view(np.int16)
-        rises.append(unit * (slope[..., 0] * (x_share - (k & 1)) + slope[..., 1] * (y_share - (k >> 1))))
+        rises.append(rise_unit * (slope[..., 0] * (x_share - (k & 1)) + slope[..., 1] * (y_share - (k >> 1))))
     return rises
 
 
@@ -385,7 +397,7 @@ _LEVEL_SINE = 1e-3
 """Sine of the angle to the level below which a cut is level."""
 _THRUST_SHARE = 0.5 / 1.3
 """Feed forces of drills differ from the computed one by this share at most, either way: by chisel edge and thinning."""
-BY_CELLS = 0.2
+CELL_ERROR_SHARE = 0.2
 """Standard deviation of a force by the cells of the map, as a share of it, times √n: n is the area of the front of the
 tool in material in cells. The RMS error of balls against exact fronts is 0.06 to 0.12 of 1/√n, for n from 4 to 590,
 cells of 0.15 to 0.4 mm, depths of 0.1 to 1 mm; some surfaces have more (`python -m tests.benchmarks.fronts`)."""
@@ -393,7 +405,7 @@ _WALL = 3.0
 """Cells that are lower than a point by this many widths are beyond a wall: the slopes of a map are no steeper, see
 `stock`."""
 _OUTSIDE_LEVEL = 1e3
-"""Level of cells that do not count [m]."""
+"""Level of cells that do not count [m]: their weight is 0, and they are never the lowest plane."""
 _ONE_THREAD = 200_000
 """Number of products below which OpenBLAS uses one thread (its limit is 2^18)."""
 
@@ -404,13 +416,14 @@ class Loads(Struct, frozen=True, eq=False):
     :param wrench: (n, 6) mean force [N] and moment about the tip [N·m] on the tool, in the axes above.
     :param deviation: (n, 6) its standard deviation by the covariance of the material, by the unknown rubbing of the end
         face and thrust of the chisel edge of a drill, and by the cells of the map.
-    :param by_cells: (n,) the share of the force that the last one is; 0 for drills, whose hole has no open side.
+    :param cell_error_share: (n,) standard deviation of the force by the cells of the map, as a share of the force; 0
+        for drills, whose hole has no open side.
     :param removal: (n,) volume removed in one turn by one tooth [m³].
     """
 
     wrench: Array
     deviation: Array
-    by_cells: Array
+    cell_error_share: Array
     removal: Array
 
 
@@ -433,12 +446,13 @@ class Chips(Struct, frozen=True, eq=False):
         and along all of it on a path that descends as steeply as the ring.
 
         :param middle: (n, P) thickness in the middle of pieces [m], < 0 where they move away from the material.
-        :param change: (n, Q) thickness at an end of pieces of the round, less that in the middle [m].
+        :param change: (n, Q) thickness at an end of each of the Q pieces on the round, less that in its middle [m].
         """
         share = np.asarray(middle > 0.0, np.float32)
         thickness = np.maximum(middle, 0.0)
         change = np.maximum(np.abs(change), np.float32(_NO_CHIP))
         round_middle = middle[:, turn.round]
+        # linear from middle − change to middle + change: the share with a positive thickness, and its mean there
         share[:, turn.round] = np.clip(0.5 + 0.5 * round_middle / change, 0.0, 1.0)
         thickness[:, turn.round] = np.maximum(thickness[:, turn.round], 0.5 * (round_middle + change))
         thickness *= share > 0.0
@@ -446,13 +460,15 @@ class Chips(Struct, frozen=True, eq=False):
 
 
 def chips(turn: Turn, feed: Floats, descent: Floats) -> Chips:
-    """Return the chips of a tool that feeds by `feed` (n,) along x and by `descent` (n,) down in a tooth pitch [m].
+    """Return the chips of a tool at n stations.
 
-    The thickness is the component of this travel along the normal of the edge.
+    The thickness is the component of the travel along the normal of the edge.
+
+    :param feed: (n,) travel along x from one tooth to the next [m], and `descent` (n,) travel down [m].
     """
-    middle = feed[:, None] * turn.front
-    middle += descent[:, None] * turn.axial
-    tangent = turn.tangent[turn.round]  # its z is up, the travel is down
+    middle = feed[:, None] * turn.normal_x
+    middle += descent[:, None] * turn.normal_down
+    tangent = turn.tangent[turn.round]  # half the change of the normal along each piece; its z is up, the travel down
     return Chips.of(turn, middle, feed[:, None] * tangent[:, 0] - descent[:, None] * tangent[:, 2])
 
 
@@ -462,37 +478,40 @@ def mean_loads(turn: Turn, engagement: EngagedEdge, chip: Chips, descent_sine: F
     The rubbing of the end face counts by the sine of the descent: published coefficients of level cuts contain it, and
     on a plunge it acts in full. Between these, the share that rubs is unknown: uniform from that sine to 1.
 
-    :param chip: from `chips`.
+    :param engagement: lengths of edge in material.
+    :param chip: chips of the pieces of edge, from `chips`.
     :param descent_sine: (n,) sine of the angle by which the feed goes down, 0 … 1.
     :param cell: width of a cell of the map [m]; or (n,) the width that a cell has on the surface of the tool.
     """
     rubbing = engagement.length * chip.share
-    cutting = rubbing * turn.law.chip(chip.thickness)
+    cutting = rubbing * turn.law.chip_factor(chip.thickness)
     arc_length = (turn.radius * turn.width.astype(np.float32))[:, None]  # of each sample point of the turn [m]
     area = product_in_blocks(rubbing, arc_length)[:, 0].astype(float)
     removal = product_in_blocks(rubbing * chip.thickness, arc_length)[:, 0]
     uncertain_edge = np.where(descent_sine > _LEVEL_SINE, 1.0 - descent_sine, 0.0)[:, None] * rubbing[:, turn.bottom]
     rubbing[:, turn.bottom] *= descent_sine[:, None]
-    wrench = (product_in_blocks(cutting, turn.cut) + product_in_blocks(rubbing, turn.rub)).astype(float)
+    wrench = (product_in_blocks(cutting, turn.cut_wrench) + product_in_blocks(rubbing, turn.rub_wrench)).astype(float)
     side_chip = chip.thickness[:, turn.side]
-    force_moment = product_in_blocks(engagement.moment * turn.law.chip(side_chip), turn.cut[turn.side, :2])
-    force_moment += product_in_blocks(engagement.moment * (side_chip > 0.0), turn.rub[turn.side, :2])
+    force_moment = product_in_blocks(
+        engagement.moment * turn.law.chip_factor(side_chip), turn.cut_wrench[turn.side, :2]
+    )
+    force_moment += product_in_blocks(engagement.moment * (side_chip > 0.0), turn.rub_wrench[turn.side, :2])
     _add_moment_of_height(wrench, force_moment)
     # uniform from none of it to all: the variance is a third of the square of half the range
-    variance = np.square(product_in_blocks(uncertain_edge, turn.rub[turn.bottom]).astype(float)) / 3.0
+    variance = np.square(product_in_blocks(uncertain_edge, turn.rub_wrench[turn.bottom]).astype(float)) / 3.0
     if turn.drill:
         variance[:, 2] += np.square(_THRUST_SHARE * wrench[:, 2]) / 3.0
     if turn.law.covariance is not None:
         unit_wrench = _unit_wrenches(turn, engagement, (cutting, rubbing), side_chip)
         variance += np.einsum("kni,kl,lni->ni", unit_wrench, np.array(turn.law.covariance), unit_wrench)
     # a drill has no open side: the cells of the map add no error
-    by_cells = np.minimum(
-        BY_CELLS * turn.sampling * cell / np.sqrt(np.maximum(area, 1e-12)), 0.0 if turn.drill else 1.0
+    cell_error_share = np.minimum(
+        CELL_ERROR_SHARE * turn.sampling * cell / np.sqrt(np.maximum(area, 1e-12)), 0.0 if turn.drill else 1.0
     )
     # the error may have any direction: each of three components has a third of the variance
     for components in (slice(0, 3), slice(3, 6)):
-        variance[:, components] += (np.square(by_cells * norm(wrench[:, components])) / 3.0)[:, None]
-    return Loads(wrench, np.sqrt(np.maximum(variance, 0.0)), by_cells, np.asarray(removal, dtype=float))
+        variance[:, components] += (np.square(cell_error_share * norm(wrench[:, components])) / 3.0)[:, None]
+    return Loads(wrench, np.sqrt(np.maximum(variance, 0.0)), cell_error_share, np.asarray(removal, dtype=float))
 
 
 def _add_moment_of_height(wrench: Array, force_moment: Floats) -> None:
@@ -507,11 +526,11 @@ def _add_moment_of_height(wrench: Array, force_moment: Floats) -> None:
 def _unit_wrenches(turn: Turn, engagement: EngagedEdge, edges: tuple[Floats, Floats], side_chip: Floats) -> Array:
     """Return the mean wrench (6, n, 6) for 1 of each coefficient: Ktc, Krc, Kac [N/m²], Kte, Kre, Kae [N/m].
 
-    :param edges: (n, P) engaged lengths times chip [m²], and lengths that rub [m].
+    :param edges: (n, P) engaged lengths times chip [m²], and (n, P) lengths that rub [m].
     :param side_chip: (n, C) thickness of the chips on the cylinder [m].
     """
     wrench = np.zeros((6, len(side_chip), 6))
-    sides = turn.law.chip(side_chip), np.asarray(side_chip > 0.0, np.float32)
+    sides = turn.law.chip_factor(side_chip), np.asarray(side_chip > 0.0, np.float32)
     for kind, (edge, side) in enumerate(zip(edges, sides, strict=True)):  # 0: cutting, 1: edge coefficients
         for axis, unit in enumerate(turn.unit_wrench):  # tangential, radial, axial
             coefficient_wrench = wrench[3 * kind + axis]

@@ -22,12 +22,12 @@ from postproc.machining.override import override_issues, slow_turn_issues
 from postproc.machining.process import Process, box_corners
 from postproc.machining.profiles import Stations, smooth_steps, thin_out
 from postproc.machining.remaining import Ceiling, Guard, StockInTime
-from postproc.machining.resolution import ENOUGH, ThinPasses, factors, thin_passes
+from postproc.machining.resolution import FINE_ENOUGH_SHARE, ThinPasses, cell_divisors, thin_passes
 from postproc.machining.setups import Setup, divide_by_cells, setups
 from postproc.machining.stock import Stock
 from postproc.machining.sweep import Cuts, Sweep
 from postproc.machining.tool_path import (
-    TURNS,
+    AXIS_TOLERANCE,
     Directions,
     Shift,
     StraightSegments,
@@ -35,12 +35,12 @@ from postproc.machining.tool_path import (
     ToolStates,
     home_base,
     refuse_unread_cuts,
-    shared_cutters,
+    shared_cutter_issues,
     stock_base_issues,
     straight_segments,
     tapping_motions,
     tool_states,
-    unread_cuts,
+    unread_cut_issues,
 )
 from postproc.program import PTP, Bools, Ints, Program, distinct
 from postproc.toolpath import Segments, tip_speeds
@@ -155,13 +155,16 @@ def estimate(
 ) -> ProcessForces:
     """Return the cutting forces of a program.
 
+    Tools that turn while they cut are swept with maps up to `_LARGEST_TILT` from their axis. If one leaves material
+    above itself, the program is swept again with `_SECOND_TILT`; if that fails too, the first error is raised.
+
     :param path: geometry of its motions.
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
-    :param stock: mesh of the stock, instead of that of the process.
-    :param base_axes: give wrenches in `$BASE` axes, but where FEED axes turn along a motion.
-    :param shift: displacement of the tip, see `Shift`.
-    :param guard: parts of the tool that must stay clear of the stock: where they, or cutters in rapid moves, do not,
-        is an error.
+    :param stock: mesh of the stock, instead of the stock of the process; None: the process has the stock.
+    :param base_axes: return wrenches in `$BASE` axes, except on motions along which FEED axes turn; else in FEED axes.
+    :param shift: displacement of the tip, see `Shift`; None: no displacement.
+    :param guard: parts of the tool that must stay clear of the stock. Where they do not, or cutters touch it in rapid
+        moves, the result has an error. None: nothing is compared.
     :param progress: called with the number of straight segments done, and their total number.
     :raises ProgramError: a routine that cuts is not followed.
     :raises ForceError: missing data in the process, unusable stock, no contact at all, the spindle is off while the
@@ -229,14 +232,14 @@ class _Task(NamedTuple):
             self.program, self.path, self.tools, frame, cell, shift=self.shift, directions=self.directions
         )
 
-    def sweep(self, material: Stock, frame: Array, by_cells: Array) -> Sweep:
+    def sweep(self, material: Stock, frame: Array, cell_error_sums: Array) -> Sweep:
         """Return the sweep of a map of the stock, before any motion.
 
         :param material: the map, which is cut in place; `frame` (4, 4) of it in the `$BASE` of the stock.
-        :param by_cells: (M, 2) sums that the sweep increases in place, see `Sweep`.
+        :param cell_error_sums: (M, 2) sums that the sweep increases in place, see `Sweep`.
         """
         program, count = self.program, len(self.program.motions)
-        leans = ~self.directions.is_within(frame[:3, 2], TURNS)
+        leans = ~self.directions.is_within(frame[:3, 2], AXIS_TOLERANCE)
         return Sweep(
             stock=material,
             process=self.process,
@@ -245,7 +248,7 @@ class _Task(NamedTuple):
             law=self.law,
             poses=ToolPoses(program, self.path, frame, self.axis, leans),
             swing=np.full(count, np.nan) if program.swivel is None else program.swivel.rate,
-            by_cells=by_cells,
+            cell_error_sums=cell_error_sums,
             is_deflected=self.shift is not None,
             guard=self.guard,
             ceiling=None if self.guard is None else Ceiling(material),
@@ -280,7 +283,7 @@ class _SweptSetups(NamedTuple):
     :param removed_volume: [m³].
     :param issues: warnings about maps of the stock that hold more than the stock.
     :param is_compared: (M,) motions on which the parts of the tool were compared while the stock was swept.
-    :param by_cells: (M, 2) sums over the stations of each motion [N²], see `Sweep`.
+    :param cell_error_sums: (M, 2) sums over the stations of each motion [N²], see `Sweep`.
     """
 
     sweeps: list[Sweep]
@@ -290,7 +293,7 @@ class _SweptSetups(NamedTuple):
     removed_volume: float
     issues: list[Issue]
     is_compared: Bools
-    by_cells: Array
+    cell_error_sums: Array
 
     @property
     def collisions(self) -> dict[int, float]:
@@ -304,7 +307,9 @@ class _SweptSetups(NamedTuple):
 
 
 def _forces_up_to_tilt(task: _Task, max_tilt: float) -> ProcessForces:
-    """Return the cutting forces of a program, see `estimate`: with finer cells where a first sweep needs them.
+    """Return the cutting forces of a program, see `estimate`.
+
+    If the process states no width of cells, a second sweep has finer cells where the contact of the first one is thin.
 
     :param max_tilt: largest angle between a tool that turns while it cuts and the direction of a map [rad].
     :raises ForceError: see `estimate`.
@@ -312,7 +317,7 @@ def _forces_up_to_tilt(task: _Task, max_tilt: float) -> ProcessForces:
     coarse = _swept_program(task, max_tilt, {})
     cell_factors: dict[int, int] = {}
     if task.process.stock.resolution_mm is None:
-        cell_factors = factors(coarse.thin_passes, coarse.swept_setups.stock.high.size)
+        cell_factors = cell_divisors(coarse.thin_passes, coarse.swept_setups.stock.high.size)
     return _process_forces(task, _swept_program(task, max_tilt, cell_factors) if cell_factors else coarse)
 
 
@@ -335,7 +340,7 @@ class _SweptProgram(NamedTuple):
 
 
 def _swept_program(task: _Task, max_tilt: float, cell_factors: dict[int, int]) -> _SweptProgram:
-    """Sweep the tools of a program through its stock, and refuse what has no known force.
+    """Sweep the tools of a program through its stock, and refuse cuts whose force cannot be computed.
 
     :param max_tilt: largest angle between a tool that turns while it cuts and the direction of a map [rad].
     :param cell_factors: row of a motion → number by which the width of cells is divided from there on.
@@ -343,7 +348,7 @@ def _swept_program(task: _Task, max_tilt: float, cell_factors: dict[int, int]) -
     """
     program, process = task.program, task.process
     if task.guard is not None:
-        task.guard.close.clear()  # an earlier sweep may have recorded distances
+        task.guard.close_distances.clear()  # an earlier sweep may have recorded distances
     ordered_setups = divide_by_cells(setups(program, task.directions, max_tilt), cell_factors, task.directions.cuts)
     frame, cell = ordered_setups[0].frame, process.stock.cell
     material, stock_issues = _stock_map(process, frame, cell / ordered_setups[0].factor, task.stock)
@@ -352,14 +357,14 @@ def _swept_program(task: _Task, max_tilt: float, cell_factors: dict[int, int]) -
     _check_spindle_speed(program, segments, task.tools)
     swept_setups = _swept_setups(task, ordered_setups, material, segments)
     _refuse_unknown_forces(program, swept_setups.sweeps)
-    if not any(sweep.contact for sweep in swept_setups.sweeps):
+    if not any(sweep.has_contact for sweep in swept_setups.sweeps):
         raise _no_contact_error(segments, bounds, process, task.stock)
     if program.branches:
         segments_of_map = segments if len(ordered_setups) == 1 else None
         is_near = _motions_near_stock(program, segments_of_map, bounds, process.largest_radius)
         check_branches(program, _engaged_motions(swept_setups.cuts), is_near)
     _refuse_stopped_spindle(program, swept_setups.stopped_motions)
-    passes = thin_passes(program, task.tools, swept_setups.by_cells)
+    passes = thin_passes(program, task.tools, swept_setups.cell_error_sums)
     return _SweptProgram(ordered_setups, segments, bounds, stock_issues, swept_setups, passes)
 
 
@@ -398,8 +403,8 @@ def _program_issues(task: _Task, swept_program: _SweptProgram) -> list[Issue]:
         *stock_base_issues(program),
         *(_beside_stock_issues(program, segments, bounds, process.largest_radius) if has_one_map else []),
         *swept_setups.issues,
-        *unread_cuts(program),
-        *shared_cutters(program, tools, engaged_motions),
+        *unread_cut_issues(program),
+        *shared_cutter_issues(program, tools, engaged_motions),
         *_scale_issues(segments, bounds),
         *_cut_issues(program, task.law, swept_setups.cuts, tools, process),
         *_coarse_contact_warnings(program, tools, swept_program.thin_passes, swept_program.setups, process.stock.cell),
@@ -441,7 +446,7 @@ def _swept_setups(
     program, count = task.program, len(task.program.motions)
     start_volume, removed_volume, segment_count = material.volume(), 0.0, 0
     sweeps, cuts_of_setups, knots, issues = list[Sweep](), list[Cuts](), list[Knots](), list[Issue]()
-    is_compared, by_cells = np.zeros(count, dtype=bool), np.zeros((count, 2))
+    is_compared, cell_error_sums = np.zeros(count, dtype=bool), np.zeros((count, 2))
     for number, setup in enumerate(ordered_setups):
         setup_segments = segments
         if number:
@@ -453,7 +458,7 @@ def _swept_setups(
             setup_segments = task.segments(setup.frame, material.cell)
         setup_segments = setup_segments.of(setup.motions)
         is_compared[setup_segments.motion[~setup_segments.leans]] = True
-        sweep = task.sweep(material, setup.frame, by_cells)
+        sweep = task.sweep(material, setup.frame, cell_error_sums)
         progress = _progress_of_part(task.progress, segment_count, len(segments.motion))
         cuts = _without_taps(_needed_stations(sweep, setup_segments, progress), program, task.tools)
         segment_count += len(setup_segments.motion)
@@ -469,7 +474,7 @@ def _swept_setups(
         removed_volume=removed_volume + start_volume - material.volume(),
         issues=issues,
         is_compared=is_compared,
-        by_cells=by_cells,
+        cell_error_sums=cell_error_sums,
     )
 
 
@@ -480,15 +485,15 @@ def _refuse_unknown_forces(program: Program, sweeps: list[Sweep]) -> None:
         material above themselves than `_OVERHANG_SHARE` of their cuts.
     """
     name, lines = program.documents[0].name, program.motions.line
-    unpaced = set[int]().union(*(sweep.unpaced for sweep in sweeps))
-    if unpaced:
+    unpaced_motions = set[int]().union(*(sweep.unpaced_motions for sweep in sweeps))
+    if unpaced_motions:
         problem = "the tool turns in material while its tip rests, at a speed that the program does not state"
         advice = "Move the tip with the turn, turn outside of the material, or give a force by [operations]."
-        raise ForceError(problem, file=name, line=int(lines[min(unpaced)]), advice=advice)
+        raise ForceError(problem, file=name, line=int(lines[min(unpaced_motions)]), advice=advice)
     overhang = {motion: volume for sweep in sweeps for motion, volume in sweep.overhang.items()}
     share = sum(overhang.values()) / max(sum(sweep.tilted_volume for sweep in sweeps), 1e-18)
     if share > _OVERHANG_SHARE:
-        worst = max(overhang, key=lambda motion: (overhang[motion], -motion))
+        worst = max(overhang, key=lambda motion: (overhang[motion], -motion))  # of equal ones the first
         problem = (
             f"the tool leaves material above itself, as in an undercut: {overhang[worst] * MM_PER_M**3:.3g} mm³ here, "
             f"{100 * share:.0f} % of all that tools cut as they turn. The stock is a map with one height at each place"
@@ -534,6 +539,7 @@ def _needed_stations(sweep: Sweep, segments: StraightSegments, progress: Callabl
         pending_count += len(new_cuts.t)
         if pending_count > _BATCH:
             cuts = Cuts.join(pending_cuts)
+            # stations are in the order of motions: those of the last motion, which may continue, are at the end
             complete_count = int(np.searchsorted(cuts.motion, cuts.motion[-1], side="left"))
             partial_cuts, cuts = cuts.take(slice(complete_count, None)), cuts.take(slice(None, complete_count))
             thin_cuts.append(cuts.take(thin_out(cuts.motion, cuts.wrench)))
@@ -646,7 +652,9 @@ def _placed_mesh(path: Path, pose: Array) -> _StockMesh:
 
 
 def _hidden_cut_issues(gain: float, removed_volume: float, remaining_volume: float) -> list[Issue]:
-    """Warn if earlier cuts overhang seen along the new direction of the tool, so that they count as material again.
+    """Return a warning if earlier cuts overhang along the new direction of the tool: they count as material again.
+
+    The limit of the gain is the lower of two: a share of the old map, and a share of what was cut (at least the noise).
 
     :param gain: volume of the new map beyond that of the old one [m³].
     :param removed_volume: volume that was removed before [m³].
@@ -664,7 +672,10 @@ def _hidden_cut_issues(gain: float, removed_volume: float, remaining_volume: flo
 
 
 def _hollow_stock_issues(map_volume: float, volume: float) -> list[Issue]:
-    """Warn if the map of a stock has more material than the stock: volumes `map_volume` and `volume` [m³]."""
+    """Return a warning if the map of a stock has more material than the stock.
+
+    :param map_volume: volume of the map, and `volume` of the stock [m³].
+    """
     hollow_share = map_volume / max(volume, 1e-18) - 1.0
     if hollow_share <= _HOLLOW_SHARE:
         return []
@@ -771,7 +782,8 @@ def _drill_thrust_notes(lines: Ints, cuts: Cuts, is_drilling: Bools) -> Iterator
 def _deep_cut_warnings(lines: Ints, cuts: Cuts, limit: Array) -> Iterator[Issue]:
     """Yield a warning for depths of cut that no cutter reaches: the stock has another position or unit.
 
-    :param lines: (M,) lines of the motions; `limit` (N,) largest usual depth at each station [m].
+    :param lines: (M,) lines of the motions.
+    :param limit: (N,) largest usual depth at each station [m]; infinite: there is none.
     """
     deep_rows = np.flatnonzero(cuts.depth > limit)
     if len(deep_rows):
@@ -811,12 +823,12 @@ def _coarse_contact_warnings(
     for number in sorted({thin_pass.tool for thin_pass in passes}):
         worst = max((thin_pass for thin_pass in passes if thin_pass.tool == number), key=lambda item: item.share)
         factor = next(setup.factor for setup in ordered_setups if setup.motions[worst.first])
-        finer = cell / factor * MM_PER_M * ENOUGH / worst.share
+        needed_cell_mm = cell / factor * MM_PER_M * FINE_ENOUGH_SHARE / worst.share
         key, line = tools.keys[number], int(program.motions.line[worst.first])
         message = (
             f"the contact of [tools.{key}] is few cells of the stock wide from here on: the standard deviation of its "
-            f"forces by that is {100 * worst.share:.0f} % RMS. Give [stock] resolution_mm = {finer:.2g} for "
-            f"{100 * ENOUGH:.0f} %, or no resolution_mm"
+            f"forces by that is {100 * worst.share:.0f} % RMS. Give [stock] resolution_mm = {needed_cell_mm:.2g} for "
+            f"{100 * FINE_ENOUGH_SHARE:.0f} %, or no resolution_mm"
         )
         yield Issue("warning", "coarse-stock", message, line, subject=key)
 
@@ -824,7 +836,7 @@ def _coarse_contact_warnings(
 def _cutter_mismatch_issues(
     program: Program, tools: ToolStates, process: Process, guard: Guard | None
 ) -> Iterator[Issue]:
-    """Yield an error if the cutter of [collision] has another diameter than the tools of the process."""
+    """Yield an error if the cutter of [collision] has another diameter than a tool that cuts; none without a guard."""
     if guard is None or guard.cutter is None:
         return
     tool_keys = [tools.keys[n] for n in distinct(tools.tool[~program.motions.rapid]).tolist()]
@@ -853,9 +865,11 @@ def _collision_issues(program: Program, depth_of_motion: dict[int, float], guard
     if guard is None:
         return
     for part in guard.parts:
-        distance_of_motion = {motion: distance for (name, motion), distance in guard.close.items() if name == part.name}
+        distance_of_motion = {
+            motion: distance for (name, motion), distance in guard.close_distances.items() if name == part.name
+        }
         if distance_of_motion:
-            yield _part_collision(program, part.name, distance_of_motion, guard.need)
+            yield _part_collision(program, part.name, distance_of_motion, guard.min_distance)
 
 
 def _rapid_collision(program: Program, depth_of_motion: dict[int, float], *, has_guard: bool) -> Issue:
@@ -877,18 +891,19 @@ def _rapid_collision(program: Program, depth_of_motion: dict[int, float], *, has
     return replace(m.issue("error", "rapid-in-material", message, motion), count=len(lines))
 
 
-def _part_collision(program: Program, name: str, distance_of_motion: dict[int, float], need: float) -> Issue:
+def _part_collision(program: Program, name: str, distance_of_motion: dict[int, float], min_distance: float) -> Issue:
     """Return the error for a part of the tool that comes too close to the stock.
 
-    :param distance_of_motion: motions on which it does, and its smallest distance [m]; 0: it touches.
-    :param need: smallest allowed distance [m].
+    :param name: name of the part.
+    :param distance_of_motion: row of a motion → smallest distance of the part from the stock [m]; 0: it touches.
+    :param min_distance: smallest allowed distance [m].
     """
     m = program.motions
     worst = min(distance_of_motion, key=lambda motion: (distance_of_motion[motion], motion))
     distance = distance_of_motion[worst] * MM_PER_M
     contact_text = "touches the stock" if distance == 0.0 else f"comes within {distance:.2g} mm of the stock"
     message = (
-        f"collision: {name} {contact_text} that is left here; [collision] asks for {need * MM_PER_M:g} mm. "
+        f"collision: {name} {contact_text} that is left here; [collision] asks for {min_distance * MM_PER_M:g} mm. "
         "Use a longer tool, cut here first, or correct the holder in the cell"
     )
     lines = tuple(distinct(m.line[np.array(sorted(distance_of_motion))]).tolist())
@@ -897,7 +912,12 @@ def _part_collision(program: Program, name: str, distance_of_motion: dict[int, f
 
 
 def _rapid_advice(program: Program, motion: Ints) -> str:
-    """Return advice on rapid motions `motion` (n,) through material: the first move begins at [start] of the cell."""
+    """Return advice on rapid motions through material.
+
+    The first motion of a G-code program begins at [start] of the cell, which the advice then names.
+
+    :param motion: (n,) rows of these motions, ascending.
+    """
     first = int(motion[0])
     if first == 0 and program.motions.kind[0] == PTP and not program.keeps_text:
         return (
@@ -910,7 +930,7 @@ def _rapid_advice(program: Program, motion: Ints) -> str:
 
 
 def _tool_length_advice(program: Program, motion: int) -> str:
-    """Return the advice on a rapid motion that begins with a longer tool, whose tip is lower from the start."""
+    """Return the advice on a rapid motion that begins with a longer tool than the last; empty if it does not."""
     tool = program.motions.tool
     reach = norm(program.tools[:, :3, 3])
     extra_length = reach[tool[motion]] - reach[tool[motion - 1]] if motion else 0.0
@@ -938,9 +958,9 @@ def _power_warnings(cuts: Cuts, lines: Ints, limit: float | None) -> list[Issue]
 
 
 def _mill_drilling_issues(program: Program, cuts: Cuts, is_drill: Bools) -> list[Issue]:
-    """Return a warning if drilling cycles use a milling tool.
+    """Return a warning if drilling cycles of G-code use a milling tool.
 
-    A cycle is one line of G-code that makes rapid moves and cuts along the spindle; robot programs have none.
+    A cycle is one line that makes rapid moves and cuts along the spindle. Robot programs have none: no warning.
 
     :param is_drill: (N,) True at stations of a drill.
     """
@@ -959,7 +979,7 @@ def _mill_drilling_issues(program: Program, cuts: Cuts, is_drill: Bools) -> list
 
 
 def _scale_issues(segments: StraightSegments, bounds: tuple[float, ...]) -> list[Issue]:
-    """Return a warning if the path is many times as large as the stock: one of them may be in inches.
+    """Return a warning if the path is many times as large as the stock in X and in Y: one of them may be in inches.
 
     :param segments: of all motions, in the frame of the map.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
@@ -979,21 +999,22 @@ def _scale_issues(segments: StraightSegments, bounds: tuple[float, ...]) -> list
 def _beside_stock_issues(
     program: Program, segments: StraightSegments, bounds: tuple[float, ...], margin: float
 ) -> list[Issue]:
-    """Return a warning if cuts of a CAM program are next to the stock: runs of them between two rapid moves.
+    """Return a warning if a run of cuts between two rapid moves of a CAM program is nowhere near the stock.
 
-    There is none for robot programs, where moves at feed may also position.
+    Robot programs get none: their moves at feed may also position.
 
     :param segments: of all motions, in the frame of the map of the stock.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
-    :param margin: radius of the widest tool [m]: a run shorter than twice of it is not taken for a cut of a part.
+    :param margin: radius of the widest tool [m]: a run shorter than twice this radius does not count.
     """
     m = program.motions
     if program.keeps_text:
         return []
-    is_near = near_stock(segments, (*bounds[:4], np.inf), margin, len(m))
+    is_near = near_stock(segments, (*bounds[:4], np.inf), margin, len(m))  # at any height
     length = np.bincount(segments.motion, norm((segments.end - segments.begin)[:, :2]), minlength=len(m))
     cut_motions = np.flatnonzero(~m.rapid)
-    run = np.cumsum(np.diff(cut_motions, prepend=-2) > 1) - 1  # number of the run of each cutting motion
+    # number of the run of each cutting motion; −2 before the first motion begins the first run
+    run = np.cumsum(np.diff(cut_motions, prepend=-2) > 1) - 1
     count = int(run[-1]) + 1 if len(run) else 0
     is_beside = (np.bincount(run, is_near[cut_motions], count) == 0.0) & (
         np.bincount(run, length[cut_motions], count) > 2.0 * margin
@@ -1017,7 +1038,7 @@ def _no_contact_error(
 
     :param segments: of all motions, in the frame of the map.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
-    :param stock: mesh of the stock, instead of that of the process.
+    :param stock: path of the mesh of the stock, for the message; None: the path of the process.
     """
     x_low, x_high, y_low, y_high, top = (MM_PER_M * value for value in bounds)
     cutting = segments.cutting

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from postproc import files
 from postproc.errors import ForceError, choices
-from postproc.frames import Array
+from postproc.frames import M_PER_MM, Array
 from postproc.machining import reading_checks
 from postproc.machining.material import MaterialTable, law, six_numbers
 from postproc.machining.process import Process, ToolTable
@@ -38,7 +38,7 @@ _LEAST_SCATTER = 1e-3
 """Least scatter of readings that do not state theirs, as a share of their RMS. Assumed: the linearity of dynamometers
 is 0.1 to 0.5 % of their range."""
 _AT_LEAST_ZERO = (0, 1, 3, 4)
-"""Coefficients, by place, that process.toml does not take below 0."""
+"""Indices in `NAMES` of the coefficients that process.toml does not take below 0."""
 _PER_MM2 = 1e6
 """N/m² of one N/mm²."""
 _MOST_SIGMA = 200.0
@@ -48,12 +48,15 @@ _LEAST_SIGMA = 2.0
 
 
 class CutReadings(Struct, frozen=True, eq=False):
-    """Measured cuts. mm, N, W.
+    """Measured cuts.
 
     :param mode: (n,) "slot", "up" or "down".
-    :param depth: (n,) axial depth; width: (n,) radial width; rpm: (n,); feed: (n,) [mm/min].
-    :param force: (n, 3) mean force on the tool, FEED axes; NaN = not measured.
-    :param power: (n,) mean power of the cut; NaN = not measured.
+    :param depth: (n,) axial depth of cut [mm].
+    :param width: (n,) radial width of cut [mm]; not used for slots.
+    :param rpm: (n,) spindle speed [1/min].
+    :param feed: (n,) [mm/min].
+    :param force: (n, 3) mean force on the tool, FEED axes [N]; NaN = not measured.
+    :param power: (n,) mean power of the cut [W]; NaN = not measured.
     :param sigma: (n,) standard deviation of one force [N]; NaN = unknown.
     :param line: (n,) line of the file.
     """
@@ -72,20 +75,20 @@ class CutReadings(Struct, frozen=True, eq=False):
 class IdentifiedMaterial(Struct, frozen=True, eq=False):
     """Cutting coefficients from readings.
 
-    :param value: (6,) in the order of `NAMES`; half: (6,) half widths of the 95 % intervals.
+    :param value: (6,) in the order of `NAMES`; `half_width` (6,) of their 95 % intervals.
     :param covariance: (6, 6).
     :param identified: (6,) False for values taken from the process because no reading depends on them.
     :param predictor: (m, 6) and measured: (m,) linear equations of the readings, sigma: (m,) their standard deviations.
     :param reading: (m,) row of the reading, component: (m,) 0…2 for Fx…Fz, 3 for the power.
     :param residual: RMS of the residuals of the forces [N].
-    :param left_out: RMS error of the forces at each feed per tooth, by coefficients from the other feeds, as a share
-        of their RMS; NaN where too few feeds are left.
+    :param cross_validation_error: RMS error of the forces at each feed per tooth, by coefficients from the other feeds,
+        as a share of their RMS; NaN where too few feeds are left.
     :param sigma_percent: standard deviation of forces computed with these coefficients.
     :param warnings: limits of the coefficients, for the user.
     """
 
     value: Array
-    half: Array
+    half_width: Array
     covariance: Array
     identified: Bools
     predictor: Array
@@ -94,13 +97,13 @@ class IdentifiedMaterial(Struct, frozen=True, eq=False):
     reading: Ints
     component: Ints
     residual: float
-    left_out: float
+    cross_validation_error: float
     sigma_percent: float
     warnings: tuple[str, ...]
 
 
 def read(path: Path) -> CutReadings:
-    """Read measured cuts: mode, ap_mm, ae_mm, rpm, feed_mm_per_min, Fx, Fy, Fz, sigma_N, power_W.
+    """Read measured cuts from a CSV file with the columns of `_REQUIRED_COLUMNS` and any of `_OPTIONAL_COLUMNS`.
 
     :raises ForceError: a column is missing or unknown, a mode is unknown, a value is out of range.
     """
@@ -115,7 +118,7 @@ def read(path: Path) -> CutReadings:
         problem = advice = None
         if mode not in _MODES:
             problem, advice = f"unknown mode {mode!r}", choices(mode, _MODES, "Valid modes")
-        elif mode != "slot" and not column["ae_mm"][k] > 0.0:
+        elif mode != "slot" and not column["ae_mm"][k] > 0.0:  # NaN: an empty field
             problem, advice = f"mode {mode} without ae_mm", "Give the radial width of cut."
         elif min(column[name][k] for name in ("ap_mm", "rpm", "feed_mm_per_min")) <= 0.0:
             problem = "ap_mm, rpm and feed_mm_per_min must be larger than 0"
@@ -133,9 +136,8 @@ def read(path: Path) -> CutReadings:
 def tool_of(process: Process, name: str | None) -> tuple[str, ToolTable]:
     """Return key and entry of the tool used in the measurement.
 
-    :param name: its number or name in [tools]; None: the only one.
-
-    :raises ForceError: the process has no such tool, or several and none is named, or it is not flat.
+    :param name: number or name of the tool in [tools]; None: [tools.default], or the only tool.
+    :raises ForceError: the process has no such tool, or several and none is named, or the tool is not flat.
     """
     entry = process.tool(name)
     if entry is None:
@@ -143,18 +145,19 @@ def tool_of(process: Process, name: str | None) -> tuple[str, ToolTable]:
         raise ForceError(
             "the measured tool is not given", file=process.path, advice=f"Give --tool; found: {tool_names}."
         )
-    if entry[1].shape != "flat":
+    key, tool = entry
+    if tool.shape != "flat":
         advice = "Measure with a flat tool: only there is the mean force linear in the six coefficients."
-        raise ForceError(f"[tools.{entry[0]}] is a {entry[1].shape} tool", file=process.path, advice=advice)
-    return entry
+        raise ForceError(f"[tools.{key}] is a {tool.shape} tool", file=process.path, advice=advice)
+    return key, tool
 
 
 def equations(readings: CutReadings, tool: ToolTable) -> Array:
     """Return the derivatives of Fx, Fy, Fz [N] and the power [W] of readings by the coefficients: (n, 4, 6).
 
-    They are the antiderivatives of the force of a tooth over its angle, at the angle where it leaves the material less
-    those where it enters (Altintas, "Manufacturing Automation", 2nd ed., 2012, Eq. (2.31)); with M4 Fy has the other
-    sign. Coefficients are in the order of `NAMES`.
+    Each is the antiderivative of the force of a tooth over its angle, at the angle where the tooth leaves the material
+    minus at the angle where it enters (Altintas, "Manufacturing Automation", 2nd ed., 2012, Eq. (2.31)). With M4, Fy
+    has the opposite sign. Coefficients are in the order of `NAMES`.
     """
     radius, teeth = 0.5 * tool.diameter_mm, tool.flutes
     width = np.where(np.array(readings.mode) == "slot", 2.0 * radius, np.minimum(readings.width, 2.0 * radius))
@@ -163,12 +166,12 @@ def equations(readings: CutReadings, tool: ToolTable) -> Array:
     start_angle, end_angle = np.where(is_down, np.pi - arc, 0.0), np.where(is_down, np.pi, arc)
     chip_thickness = readings.feed / (readings.rpm * teeth)
     derivatives = np.zeros((len(chip_thickness), 4, 6))
-    per_mm = teeth * readings.depth / (2.0 * np.pi)
+    edge_length = teeth * readings.depth / (2.0 * np.pi)  # in the depth of cut, per radian of the turn [mm]
     # indices: reading (Fx, Fy, Fz, power), then coefficient (Ktc, Krc, Kac, Kte, Kre, Kae)
     for phi, sign in ((end_angle, 1.0), (start_angle, -1.0)):
         cos2, angle_term = np.cos(2.0 * phi), 2.0 * phi - np.sin(2.0 * phi)
         sine, cosine = np.sin(phi), np.cos(phi)
-        cut_factor, edge_factor = sign * per_mm * chip_thickness, sign * per_mm
+        cut_factor, edge_factor = sign * edge_length * chip_thickness, sign * edge_length
         derivatives[:, 0, 0] += cut_factor * cos2 / 4.0
         derivatives[:, 0, 1] -= cut_factor * angle_term / 4.0
         derivatives[:, 0, 3] -= edge_factor * sine
@@ -179,7 +182,7 @@ def equations(readings: CutReadings, tool: ToolTable) -> Array:
         derivatives[:, 1, 4] -= edge_factor * sine
         derivatives[:, 2, 2] -= cut_factor * cosine
         derivatives[:, 2, 5] += edge_factor * phi
-        edge_speed = radius * 1e-3 * readings.rpm * (2.0 * np.pi / 60.0)  # [m/s]
+        edge_speed = radius * M_PER_MM * readings.rpm * (2.0 * np.pi / 60.0)  # [m/s]
         derivatives[:, 3, 0] -= cut_factor * cosine * edge_speed
         derivatives[:, 3, 3] += edge_factor * phi * edge_speed
     if tool.spindle == "M4":
@@ -191,9 +194,11 @@ class _Equations(NamedTuple):
     """Linear equations of the m values that were measured.
 
     :param predictor: (m, 6) derivatives of the readings by the coefficients.
-    :param readout: (m,) measured values [N], of the power [W].
-    :param sigma: (m,) their standard deviations [N], [W]; of readings without, in proportion to them.
-    :param reading: (m,) row of the reading; component: (m,) 0…2 for Fx…Fz, 3 for the power.
+    :param readout: (m,) measured values: forces [N], powers [W].
+    :param sigma: (m,) their standard deviations [N], [W]: as stated, else relative to that of a force, see
+        `_linear_equations`.
+    :param reading: (m,) row of the reading.
+    :param component: (m,) 0, 1, 2 for Fx, Fy, Fz, and 3 for the power.
     :param has_sigma: whether all readings state their standard deviation.
     """
 
@@ -208,10 +213,10 @@ class _Equations(NamedTuple):
 def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None, file: str) -> IdentifiedMaterial:
     """Identify the coefficients by weighted least squares.
 
-    :param prior: material of the process: the values of coefficients that no reading depends on.
-    :param file: of the readings, for messages.
-    :raises ForceError: the readings cannot separate coefficients, or there are too few; the message names which. Or
-        signs, axes or units are wrong.
+    :param prior: material of the process: it gives the coefficients that no reading depends on; None: there is none.
+    :param file: name of the file of the readings, for messages.
+    :raises ForceError: the readings cannot separate coefficients (the message names them), there are too few readings,
+        or signs, axes or units are wrong.
     """
     chip = readings.feed / (readings.rpm * tool.flutes)
     reading_checks.check_feeds(chip, tool.diameter_mm, file)
@@ -233,7 +238,7 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     force_error = fit.error[system.component < 3]
     return IdentifiedMaterial(
         value=fit.value,
-        half=half_width,
+        half_width=half_width,
         covariance=fit.covariance,
         identified=is_excited,
         predictor=system.predictor,
@@ -242,12 +247,12 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
         reading=system.reading,
         component=system.component,
         residual=float(np.sqrt(np.mean(force_error**2))) if len(force_error) else float("nan"),
-        left_out=_cross_validation_error(
+        cross_validation_error=_cross_validation_error(
             system.predictor[:, is_excited],
             fitted_part=system.readout - system.predictor @ prior_coefficients.value,
             readout=system.readout,
             sigma=system.sigma,
-            chip=np.round(chip[system.reading], 6),
+            chip=np.round(chip[system.reading], 6),  # equal feeds per tooth are equal numbers
         ),
         sigma_percent=max(_LEAST_SIGMA, _percent_of_readout(system, fit.covariance, fit.error, file)),
         warnings=tuple(warnings),
@@ -269,11 +274,13 @@ class _CoefficientFit(NamedTuple):
 
 
 def _fit_with_prior(system: _Equations, prior: _PriorCoefficients, is_excited: Bools, freedom: int) -> _CoefficientFit:
-    """Return the coefficients by weighted least squares; those that must not be negative are at least 0.
+    """Return the coefficients by weighted least squares; tangential and radial ones are at least 0.
 
-    :param is_excited: (6,) True for coefficients that readings depend on; the others are those of `prior`.
-    :param freedom: number of readings beyond that of fitted coefficients.
+    :param prior: the coefficients that no reading depends on.
+    :param is_excited: (6,) True for coefficients that readings depend on.
+    :param freedom: number of readings minus number of fitted coefficients.
     """
+    # the part of the readings that the fitted coefficients must explain
     matrix, fitted_part = system.predictor[:, is_excited], system.readout - system.predictor @ prior.value
     fitted_value, spread = _fit(matrix, fitted_part, system.sigma)
     error = matrix @ fitted_value - fitted_part
@@ -306,8 +313,8 @@ def _degrees_of_freedom(system: _Equations, is_excited: Bools, file: str) -> int
 def _wide_interval_warnings(estimate: Array, half_width: Array, is_excited: Bools) -> list[str]:
     """Return a warning for each coefficient whose 95 % interval is wider than itself.
 
-    :param estimate: (6,) coefficients, `half_width` (6,) of their intervals; `is_excited` (6,) whether readings depend
-        on them.
+    :param estimate: (6,) coefficients, and `half_width` (6,) of their intervals.
+    :param is_excited: (6,) True for coefficients that readings depend on: the others get no warning.
     """
     return [
         f"{NAMES[k]} is known to ±{half_width[k]:.2g} only ({estimate[k]:.3g}): measure more feeds, or deeper cuts"
@@ -374,8 +381,8 @@ def _tangential_coefficient(prior: MaterialTable | None, file: str) -> float | N
 def _linear_equations(readings: CutReadings, tool: ToolTable, file: str) -> _Equations:
     """Return the equations of all forces and powers that were measured.
 
-    Without a stated `sigma_N`, forces have the standard deviation 1 N. A power has that of a force, times the ratio of
-    their derivatives by Ktc and Kte.
+    Without a stated `sigma_N`, forces have the standard deviation 1 N. The standard deviation of a power is that of a
+    force, times the ratio of the derivatives of power and Fy by Ktc and Kte.
 
     :raises ForceError: there are none.
     """
@@ -386,6 +393,7 @@ def _linear_equations(readings: CutReadings, tool: ToolTable, file: str) -> _Equ
         raise ForceError("no force and no power in any row", file=file, advice="Fill in Fx, Fy, Fz or power_W.")
     has_sigma = np.isfinite(readings.sigma)
     sigma = np.where(has_sigma, readings.sigma, 1.0)[reading]
+    # derivatives of the power (row 3) and of Fy (row 1) by Ktc and Kte (columns 0 and 3)
     power_size, force_size = (np.linalg.norm(derivatives[:, component, [0, 3]], axis=1) for component in (3, 1))
     watt_per_newton = power_size / np.maximum(force_size, 1e-12)
     sigma = np.where(component == 3, sigma * watt_per_newton[reading], sigma)
@@ -396,12 +404,13 @@ def _linear_equations(readings: CutReadings, tool: ToolTable, file: str) -> _Equ
 def _scaled_spread(spread: Array, error: Array, system: _Equations, freedom: int) -> tuple[Array, list[str]]:
     """Return the covariance (k, k) of coefficients, scaled by the scatter of the readings, and warnings about it.
 
-    Standard deviations that readings state are trusted unless they scatter more. Where the scatter is estimated, the
-    interval is that of Student's t, so that 1.96 standard deviations of the result are its 95 %.
+    If all readings state their standard deviations and scatter no more than these, the covariance remains. Else it is
+    scaled by the observed scatter and widened to the interval of Student's t: then 1.96 standard deviations of the
+    result still are the half width of a 95 % interval.
 
     :param spread: (k, k) covariance if the readings scatter as `system.sigma` says.
-    :param error: (m,) residuals [N], [W].
-    :param freedom: number of readings beyond that of coefficients.
+    :param error: (m,) residuals of forces [N] and powers [W].
+    :param freedom: number of readings minus number of coefficients.
     """
     warnings: list[str] = []
     scale = float(np.sum((error / system.sigma) ** 2)) / freedom
@@ -427,14 +436,14 @@ def _scaled_spread(spread: Array, error: Array, system: _Equations, freedom: int
 
 
 def _percent_of_readout(system: _Equations, covariance: Array, error: Array, file: str) -> float:
-    """Return the RMS deviation of readings from their model, in % of their RMS.
+    """Return the RMS deviation of readings from their model, in % of the RMS of the readings.
 
     It combines the residuals with the uncertainty of the coefficients.
 
     :param covariance: (6, 6) of the coefficients.
-    :param error: (m,) residuals [N], [W].
-    :param file: name of the readings, for the message.
-    :raises ForceError: it is above `_MOST_SIGMA`, the largest `sigma_percent` of a process.
+    :param error: (m,) residuals of forces [N] and powers [W].
+    :param file: name of the file of the readings, for the message.
+    :raises ForceError: the deviation is above `_MOST_SIGMA`, the largest `sigma_percent` of a process.
     """
     variance = np.einsum("mi,ij,mj->m", system.predictor, covariance, system.predictor) + error**2
     rms_readout = float(np.sqrt(np.sum((system.readout / system.sigma) ** 2)))
@@ -495,7 +504,7 @@ def _check_separable(chip: Array, predictor: Array, sigma: Array, is_excited: Bo
     :param is_excited: (6,) True for coefficients that readings depend on.
     :raises ForceError: a combination is not identifiable; the message names the coefficients.
     """
-    names = [name for name, has_readings in zip(NAMES, is_excited, strict=True) if has_readings]
+    names = [name for name, has_readings in zip(NAMES, is_excited, strict=True) if has_readings]  # columns of `matrix`
     if chip.max() < _LEAST_RANGE * chip.min():
         raise ForceError(
             f"one feed per tooth ({chip.mean():.3g} mm): edge and cut ({', '.join(names)}) cannot be separated",
@@ -520,8 +529,8 @@ class _PriorCoefficients(NamedTuple):
     """Coefficients that are taken from the process, in the order of `NAMES`.
 
     :param value: (6,) their values; 0 for coefficients that readings depend on.
-    :param sigma: (6,) their standard deviations; 0 likewise.
-    :param warnings: which ones they are.
+    :param sigma: (6,) their standard deviations; 0 for coefficients that readings depend on.
+    :param warnings: a warning that names these coefficients; empty if there are none.
     """
 
     value: Array
@@ -530,9 +539,9 @@ class _PriorCoefficients(NamedTuple):
 
 
 def _prior_coefficients(prior: MaterialTable | None, is_excited: Bools, file: str) -> _PriorCoefficients:
-    """Return the values from the process for coefficients without readings.
+    """Return the coefficients that no reading depends on, with the values of the process.
 
-    :param prior: material of the process; None: it has none.
+    :param prior: material of the process; None: the process has no material.
     :param is_excited: (6,) True for coefficients that readings depend on.
     :param file: name of the readings, for messages.
     :raises ForceError: no reading depends on some coefficients, and the process has no linear material.
@@ -565,7 +574,7 @@ def as_toml(material: IdentifiedMaterial, tool: ToolTable, name: str) -> bytes:
     )
     if np.isfinite(material.residual):
         table["residual_N"] = float(f"{round(material.residual, 6):.4g}")
-    table["ci95"] = {name: float(f"{v:.4g}") for name, v in zip(NAMES, material.half, strict=True)}
+    table["ci95"] = {name: float(f"{v:.4g}") for name, v in zip(NAMES, material.half_width, strict=True)}
     deviation = np.sqrt(np.diag(material.covariance))
     significant = np.where(
         np.abs(material.covariance) > _LEAST_CORRELATION * np.outer(deviation, deviation), material.covariance, 0.0
@@ -587,6 +596,7 @@ def proposal(process: Process, key: str, tool: ToolTable) -> tuple[bytes, bytes]
     rpm = tool.rpm or float(np.floor(min(12_000.0, 150_000.0 / (np.pi * tool.diameter_mm)) / 100.0) * 100.0)
     box = process.stock.box
     x_min, y_min, z_max = (0.0, 0.0, 0.0) if box is None else (box.X[0], box.Y[0], box.Z[1])
+    # in a box: from one diameter before it to a fifth of one behind it, at most 60 mm of slot
     length = 60.0 if box is None else min(60.0 + tool.diameter_mm, box.X[1] - box.X[0] + 1.2 * tool.diameter_mm)
     lines = [
         "(Test cuts for `postproc identify forces`: five feeds in a slot. Measure the mean force of each, after entry)",
@@ -595,7 +605,7 @@ def proposal(process: Process, key: str, tool: ToolTable) -> tuple[bytes, bytes]
     rows = ["mode,ap_mm,ae_mm,rpm,feed_mm_per_min,Fx,Fy,Fz,sigma_N"]
     for k, chip in enumerate(feeds.tolist()):
         feed = chip * rpm * tool.flutes
-        y = y_min + (1.5 * k + 1.0) * tool.diameter_mm
+        y = y_min + (1.5 * k + 1.0) * tool.diameter_mm  # half a diameter of material between slots
         lines += [
             f"(slot {k + 1}: {chip:.3f} mm per tooth)", f"G0 X{x_min - tool.diameter_mm:.3f} Y{y:.3f}",
             f"G0 Z{z_max + 2:.3f}", f"G1 Z{z_max - depth:.3f} F1000",

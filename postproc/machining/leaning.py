@@ -17,7 +17,7 @@ from postproc.machining.tool import Cutter
 from postproc.program import Ints
 
 _FLUSH = 2e-5
-"""Ends of tools that are less [m] below a surface touch it only: levels are single precision, cuts end there."""
+"""Ends of tools that are less deep below a surface [m] only touch it: levels are single precision, cuts end there."""
 _FEWEST_ANGLES, _MOST_ANGLES = 12, 48
 """Number of points around the tool; between those limits they are a cell apart (assumed)."""
 _POSES_AT_ONCE = 128
@@ -46,8 +46,8 @@ def _largest_depth(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> flo
     pose, ring_radius, height = _rings(stock, cutter, tip, axis, radius)
     if not len(pose):
         return 0.0
-    angles = int(np.clip(np.ceil(2.0 * np.pi * radius / stock.cell), _FEWEST_ANGLES, _MOST_ANGLES))
-    angle = np.arange(angles) * (2.0 * np.pi / angles)
+    angle_count = int(np.clip(np.ceil(2.0 * np.pi * radius / stock.cell), _FEWEST_ANGLES, _MOST_ANGLES))
+    angle = np.arange(angle_count) * (2.0 * np.pi / angle_count)
     first_direction, second_direction = _perpendicular_directions(axis)
     radial = (
         np.cos(angle)[:, None] * first_direction[pose][:, None]
@@ -84,7 +84,7 @@ def _rings(stock: Stock, cutter: Cutter, tip: Array, axis: Array, radius: float)
     """Return circles about the axis, on the surface of the tool and near the stock.
 
     :param tip: (n, 3) positions of the tip [m], and `axis` (n, 3) unit directions to the spindle, frame of the map.
-    :param radius: of the tool as it is compared [m].
+    :param radius: radius of the tool less a cell of the map [m].
     """
     x_low, x_high, y_low, y_high = stock.bounds
     low = np.array([x_low, y_low, float(stock.floor.min())]) - radius
@@ -105,7 +105,7 @@ def _rings(stock: Stock, cutter: Cutter, tip: Array, axis: Array, radius: float)
 
 
 def _perpendicular_directions(direction: Array) -> tuple[Array, Array]:
-    """Return two unit vectors (n, 3) each, square to unit vectors `direction` (n, 3) and to each other."""
+    """Return two unit vectors (n, 3) for each of n unit vectors `direction` (n, 3): square to it and to each other."""
     # x, or y where the direction is near x: a cross product with a parallel axis would be zero
     axis = np.where(np.abs(direction[:, :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     first_direction = np.cross(direction, axis)

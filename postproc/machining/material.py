@@ -112,13 +112,13 @@ class CuttingLaw(msgspec.Struct, frozen=True):
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Ktc, Krc, Kac [N/mm²], Kte, Kre, Kae [N/mm], mc, σ [%]; empty where the axial force is unknown."""
+        """Ktc, Krc, Kac [N/mm²], Kte, Kre, Kae [N/mm], mc, σ [%]; empty if the axial force is unknown."""
         if self.unknown_axial:
             return ()
         cutting, edge = (k / _PER_MM2 for k in self.cutting), (k / _PER_MM for k in self.edge)
         return (*cutting, *edge, self.exponent, 100.0 * self.sigma)
 
-    def chip(self, thickness: Floats) -> Floats:
+    def chip_factor(self, thickness: Floats) -> Floats:
         """Return the factors h · (h / 1 mm)^(−mc) [m] of the cutting coefficients for chip thicknesses h (…) [m].
 
         They are 0 for a thickness below 0, which is no chip.
@@ -175,10 +175,10 @@ def _interval_probability(lower: float, upper: float, sigma: float) -> float:
     return 0.5 * (math.erf(upper / (math.sqrt(2.0) * sigma)) - math.erf(lower / (math.sqrt(2.0) * sigma)))
 
 
-_SOFTEST = 1.0
+_LEAST_TANGENTIAL = 1.0
 """Tangential coefficient [N/mm²] below which no solid is milled: foam has a few N/mm² (assumed)."""
-_AXIAL = 0.7
-"""RMS of the missing axial force: measured values in slots are 40 to 90 % of the force across the feed."""
+_UNKNOWN_AXIAL_SHARE = 0.7
+"""RMS of an unknown axial force as a share of the force across the feed: measured values in slots are 0.4 to 0.9."""
 
 
 def table() -> dict[str, Entry]:
@@ -190,7 +190,7 @@ def six_numbers(material: MaterialTable, file: str) -> tuple[NDArray[np.float64]
     """Return Ktc, Krc, Kac [N/mm²], Kte, Kre, Kae [N/mm] of a linear material and their relative standard deviation.
 
     :returns: array (6,) and deviation; None for a Kienzle material.
-    :raises ForceError: an unknown name, or no coefficients at all.
+    :raises ForceError: the material has no cutting law, see `law`.
     """
     cutting_law = law(material, file)
     if cutting_law.exponent:
@@ -202,8 +202,9 @@ def six_numbers(material: MaterialTable, file: str) -> tuple[NDArray[np.float64]
 def law(material: MaterialTable, file: str) -> CuttingLaw:
     """Return the cutting law of `[material]`.
 
-    :param file: path of the process file, for messages, and as the folder of a material file that it names.
-    :raises ForceError: an unknown name, no coefficients at all, or both linear ones and those of Kienzle.
+    :param file: path of the process file, for messages; a material file that it names is relative to its folder.
+    :raises ForceError: an unknown name, no coefficients at all, both linear and Kienzle's, or an unusable material
+        file.
     """
     materials, covariance = table(), None
     if material.file is not None:
@@ -228,7 +229,7 @@ def law(material: MaterialTable, file: str) -> CuttingLaw:
         sigma=_sigma_percent(material, entry) / 100.0,
         name=material.name or "given in [material]",
         warning=entry.warning if isinstance(entry, Entry) else _unit_warning(entry),
-        unknown_axial=0.0 if cutting[2] or edge[2] else _AXIAL,
+        unknown_axial=0.0 if cutting[2] or edge[2] else _UNKNOWN_AXIAL_SHARE,
         covariance=covariance,
     )
 
@@ -249,7 +250,10 @@ def _named_entry(material: MaterialTable, materials: Mapping[str, MaterialTable]
 
 
 def _sigma_percent(material: MaterialTable, entry: MaterialTable) -> float:
-    """Return the standard deviation of the forces [%]: that of `material` if stated, else that of `entry` with wear."""
+    """Return the standard deviation of the forces [%].
+
+    It is that of `material` if stated. Else it is that of `entry`, or the default, with the spread by wear added.
+    """
     if material.sigma_percent is not None:
         return material.sigma_percent
     percent = _SIGMA_PERCENT if entry.sigma_percent is None else entry.sigma_percent
@@ -264,7 +268,7 @@ def _material_of_file(
     The covariance is None if the file states none, or if the process states `sigma_percent` instead.
 
     :param path: of the material file; `process_file` of the process, for messages.
-    :raises ForceError: the process has values too, or the file is no material file.
+    :raises ForceError: the process has values too, or the file is no material file, or its covariance is invalid.
     """
     if material.name or material.Ktc_N_per_mm2 or material.kc11_N_per_mm2:
         raise ForceError("[material] file together with values", file=process_file, advice="Give one of them.")
@@ -278,13 +282,13 @@ def _material_of_file(
 
 
 def _unit_warning(material: MaterialTable) -> str | None:
-    """Return a warning for a cutting coefficient that is probably in kN/mm²; None: it is usual."""
+    """Return a warning for a cutting coefficient that is probably in kN/mm²; None if its size is usual."""
     coefficients = {"Ktc_N_per_mm2": material.Ktc_N_per_mm2, "kc11_N_per_mm2": material.kc11_N_per_mm2}
     for key, value in coefficients.items():
-        if value and value < _SOFTEST:
+        if value and value < _LEAST_TANGENTIAL:
             return (
-                f"[material] {key} = {value:g}: below {_SOFTEST:g} N/mm² it is that of no solid material that one "
-                "mills. Is it in kN/mm²? Give it in N/mm²."
+                f"[material] {key} = {value:g}: below {_LEAST_TANGENTIAL:g} N/mm² it is that of no solid material that "
+                "one mills. Is it in kN/mm²? Give it in N/mm²."
             )
     return None
 

@@ -22,7 +22,7 @@ _TIME = re.compile(r"^[ \t]*TIME_BLOCK[ \t]+END[ \t]*=", re.IGNORECASE | re.MULT
 """Statement of KRL that gives motions of a spline block the time that they take, instead of a feed."""
 _TURN_SPEEDS = {"krl": "$VEL.ORI1 or $VEL.ORI2", "rapid": "v_ori"}
 """What limits how fast the tool turns, by dialect."""
-_FULL = 100.0
+_FULL_OVERRIDE = 100.0
 """Override with which the robot moves as the program states [%]."""
 
 
@@ -57,10 +57,11 @@ def override_issues(program: Program) -> Iterator[Issue]:
 def slow_turn_issues(program: Program, programmed_feed: Array, cuts: Ints) -> Iterator[Issue]:
     """Yield a note where the tool turns on cuts as fast as the program lets it, which slows its tip.
 
-    :param program: with the speeds of the tip for feeds; `programmed_feed` (M,) [m/s].
-    :param cuts: (n,) motions that cut.
+    :param program: its feeds are the speeds of the tip; `programmed_feed` (M,) are the feeds that it states [m/s].
+    :param cuts: (n,) rows of motions that cut.
     """
     share = program.motions.feed[cuts] / programmed_feed[cuts]
+    # sorted, so that the slowest comes first, and cut off after those that are slower than programmed
     rows = cuts[np.argsort(share, kind="stable")[: np.count_nonzero(share < 1.0)]]
     if len(rows):
         feed, tip_speed = (column[rows[0]] * MM_PER_MIN for column in (programmed_feed, program.motions.feed))
@@ -74,6 +75,6 @@ def slow_turn_issues(program: Program, programmed_feed: Array, cuts: Ints) -> It
 def _is_full_override(text: str) -> bool:
     """Return whether the text of an override is 100 %; False for a variable, whose value is not known."""
     try:
-        return float(text) == _FULL
+        return float(text) == _FULL_OVERRIDE
     except ValueError:
         return False

@@ -115,13 +115,16 @@ class Process(ProcessFile, frozen=True):
         return law(self.material, self.path)
 
     def key_of(self, name: str) -> str | None:
-        """Return the key in [tools] of a tool by its number or name, without regard to case; None: it has no entry."""
+        """Return the key in [tools] of a tool by its number or name, in any case; None if it has no entry."""
         return next((key for key in self.tools if key.upper() == name.upper()), None)
 
     def tool(self, name: str | None) -> tuple[str, ToolTable] | None:
-        """Return the key and the entry of a tool: its own in [tools], else [tools.default]; None without either.
+        """Return the key and the entry of a tool: the one of its name in [tools], else [tools.default].
 
-        :param name: number or name of the tool; None: unknown, which is the only tool of a file with one.
+        None if there is neither.
+
+        :param name: number or name of the tool; None: unknown. Then the only tool of a file is returned if it has no
+            default.
         """
         key = None if name is None else self.key_of(name)
         if key is not None:
@@ -159,7 +162,8 @@ def load(path: str | Path, *, tools_only: bool = False) -> Process:
     """Read and check a process file.
 
     :param tools_only: accept a file without [material] and [operations].
-    :raises ForceError: it cannot be read, has unknown keys, wrong types or values out of range.
+    :raises ForceError: the file cannot be read, has unknown keys, wrong types, values out of range, or states no
+        forces.
     """
     path = Path(path)
     content = files.read_toml(path, ProcessFile, ForceError, _EXAMPLE)

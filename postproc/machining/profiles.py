@@ -3,7 +3,7 @@
 Stations that such a profile does not need are omitted (`thin_out`). At the start of a motion the force changes within
 half the feed per tooth (`smooth_steps`): the mean force is the mean over the tooth pitch, and after a change of
 engagement the next tooth cuts the new chip. The force drops to zero at once when the tool is retracted. A force CSV has
-one profile for all moves of a line (`one_move_a_line`).
+one profile for all moves of a line (`knots_by_line`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from postproc.forces import Knots
 from postproc.forces.sources import BASE, FEED
 from postproc.frames import Array, norm
 from postproc.machining.tilted import local_axes
-from postproc.machining.tool_path import TURNS, ToolPoses, home_base
+from postproc.machining.tool_path import AXIS_TOLERANCE, ToolPoses, home_base
 from postproc.program import CIRC, LIN, Bools, Ints, Program, constant
 from postproc.toolpath import Segments, tangent
 
@@ -83,13 +83,13 @@ def _needed_rows(halves: Array) -> Iterator[int]:
 
 
 class Stations(NamedTuple):
-    """N places of cutting motions in order, and the wrenches there.
+    """N places on cutting motions in order, and the wrenches at them.
 
-    FEED axes; on moves along the spindle `tilted.local_axes`.
+    Wrenches are in FEED axes; on moves along the spindle in the axes of `tilted.local_axes`.
 
     :param motion: (N,) row of `Motions`, and `t` (N,) place on it in [0, 1].
     :param wrench: (N, 6) [N, N·m].
-    :param deviation: (N, 6) standard deviations of it that are independent from station to station.
+    :param deviation: (N, 6) standard deviations of the wrench that are independent from station to station.
     """
 
     motion: Ints
@@ -109,18 +109,19 @@ def smooth_steps(
 ) -> Knots:
     """Return the knots of wrenches that are continuous from motion to motion.
 
-    At the start of a motion the force changes linearly from that at the end of the motion before, or from zero after a
-    rapid one. At the end of the motion the force acts in full.
+    At the start of a motion the force changes linearly from the force at the end of the motion before, or from zero
+    after a rapid motion. At the end of the motion the force acts in full.
 
     :param poses: the tool on the path, in the frame of the map of the stock.
     :param rise: (M,) length over which the force changes at the start of a motion [m].
-    :param sigma: standard deviation as a share of the wrench, which may be one common factor of all wrenches.
+    :param sigma: standard deviation of one unknown factor of all wrenches, as a share of them.
     :param axial_sigma: standard deviation of the axial force as a share of the force across the axis; 0 if axial
         coefficients are known.
-    :param base_axes: return wrenches in `$BASE`, except on arcs; else in FEED, except on moves along the spindle.
+    :param base_axes: True: return wrenches in `$BASE` axes, except where FEED axes turn along a motion. False: in FEED
+        axes, except on moves along the spindle, whose wrenches are in `$BASE` axes.
     """
     program, path = poses.program, poses.path
-    first = np.flatnonzero(np.diff(stations.motion, prepend=-1))
+    first = np.flatnonzero(np.diff(stations.motion, prepend=-1))  # first station of each motion
     has_one_station = np.diff(first, append=len(stations.motion)) == 1
     motions, places, values, independent_deviation = _continuous_stations(poses, stations, first, rise)
     axial_deviation = axial_sigma * norm(values[:, :2])
@@ -129,17 +130,17 @@ def smooth_steps(
     count = np.diff(np.flatnonzero(np.diff(motions, prepend=-1)), append=len(motions))
     is_constant = np.repeat(has_one_station, count)
     ends_axially = is_axial[np.repeat(np.cumsum(count) - 1, count)]
-    turns_axes = (program.motions.kind[motions] == CIRC) | (path.turn[motions] > TURNS)
+    turns_axes = (program.motions.kind[motions] == CIRC) | (path.turn[motions] > AXIS_TOLERANCE)
     # stations are thinned where the wrench is linear in FEED axes: where these turn, it is not linear in $BASE
-    in_base = (ends_axially & ~(is_constant & turns_axes)) | (~turns_axes & base_axes)
-    to_base = _map_axes_in_base(program, motions[in_base], poses.frame) @ axes[in_base]
-    values[in_base] = _rotated_wrenches(to_base, values[in_base])
-    independent_deviation[in_base] = _rotated_deviations(to_base, independent_deviation[in_base])
+    is_in_base = (ends_axially & ~(is_constant & turns_axes)) | (~turns_axes & base_axes)
+    to_base = _map_axes_in_base(program, motions[is_in_base], poses.frame) @ axes[is_in_base]
+    values[is_in_base] = _rotated_wrenches(to_base, values[is_in_base])
+    independent_deviation[is_in_base] = _rotated_deviations(to_base, independent_deviation[is_in_base])
     deviation = np.hypot(np.abs(values) * sigma, independent_deviation)
     # on moves along the spindle in $BASE axes: z of $BASE is taken for the axis of the tool
     deviation[:, 2] = np.hypot(deviation[:, 2], axial_deviation)
     factor = constant(sigma, len(motions))
-    return Knots.along(motions, places, values, np.where(in_base, BASE, FEED), deviation, factor)
+    return Knots.along(motions, places, values, np.where(is_in_base, BASE, FEED), deviation, factor)
 
 
 def _continuous_stations(poses: ToolPoses, stations: Stations, first: Ints, rise: Array) -> Stations:
@@ -154,12 +155,12 @@ def _continuous_stations(poses: ToolPoses, stations: Stations, first: Ints, rise
     start_wrench, start_deviation = _start_wrenches(poses, first, stations)
     reach = np.minimum(1.0, rise[cut_motions] / np.maximum(length, 1e-9))  # no division by zero
     wrench_at_rise = _wrenches_at(motion, t, wrench, cut_motions, reach)
-    reach[_begins_with_last_force(start_wrench, wrench_at_rise, wrench, first)] = 1.0
+    reach[_begins_with_last_force(start_wrench, wrench_at_rise, wrench, first)] = 1.0  # no rise is needed
     row, places = _knot_places(length > rise[cut_motions], reach, first, t)
     place_motions = cut_motions[row]
     wrench_at_places = _wrenches_at(motion, t, wrench, place_motions, places)
     deviation_at_places = _wrenches_at(motion, t, deviation, place_motions, places)
-    begins = np.flatnonzero(np.diff(row, prepend=-1))
+    begins = np.flatnonzero(np.diff(row, prepend=-1))  # first knot of each motion
     wrench_at_places[begins], deviation_at_places[begins] = start_wrench, start_deviation
     return Stations(place_motions, places, wrench_at_places, deviation_at_places)
 
@@ -167,16 +168,16 @@ def _continuous_stations(poses: ToolPoses, stations: Stations, first: Ints, rise
 def _start_wrenches(poses: ToolPoses, first: Ints, stations: Stations) -> tuple[Array, Array]:
     """Return the wrenches at the starts of cutting motions, and their standard deviations, (k, 6) each, in FEED axes.
 
-    They are those at the end of the motion before, in the axes at the start; zero after a rapid motion.
+    They are the wrenches at the end of the motion before, in the axes at the start; zero after a rapid motion.
 
     :param first: (k,) first station of each cutting motion.
     """
     motion, _, wrench, deviation = stations
-    last, cut_motions = np.append(first[1:], len(motion)) - 1, motion[first]
+    last, cut_motions = np.append(first[1:], len(motion)) - 1, motion[first]  # last station of each motion
     end_axes = _feed_axes(poses, cut_motions, np.ones(len(cut_motions)))[0]
     end_wrench = _rotated_wrenches(end_axes, wrench[last])  # in the axes of the map
     end_deviation = _rotated_deviations(end_axes, deviation[last])
-    follows = np.flatnonzero(np.diff(cut_motions, prepend=-2) == 1)
+    follows = np.flatnonzero(np.diff(cut_motions, prepend=-2) == 1)  # motions directly after another cutting motion
     start_wrench, start_deviation = np.zeros((len(cut_motions), 6)), np.zeros((len(cut_motions), 6))
     start_axes = np.swapaxes(_feed_axes(poses, cut_motions[follows], np.zeros(len(follows)))[0], 1, 2)
     start_wrench[follows] = _rotated_wrenches(start_axes, end_wrench[follows - 1])
@@ -191,13 +192,14 @@ def _knot_places(is_long: Bools, reach: Array, first: Ints, t: Array) -> tuple[I
     whose rise takes all of it has the first and the last only, unless it is long and begins with the force before it.
 
     :param is_long: (k,) True for motions longer than their rise.
-    :param reach: (k,) place where the rise ends on a motion, 0 … 1; also 1 if it begins with the force at the end of
-        the motion before, so that there is no rise.
+    :param reach: (k,) place where the rise ends on a motion, 0 … 1; also 1 if there is no rise, because the motion
+        begins with the force at the end of the motion before.
     :param first: (k,) row of the first station of each motion; `t` (n,) places of all stations.
     """
     rows = np.arange(len(first))
     count = np.diff(first, append=len(t))
     row = np.repeat(rows, count)
+    # stations between the end of the rise and the end of the motion; 1e-9: not at the end of the rise itself
     is_inner = (t > np.where(reach < 1.0, reach, 0.0)[row] + 1e-9) & (t < 1.0) & ~(count == 1)[row]
     is_inner &= ((reach < 1.0) | is_long)[row]
     rise_rows = np.flatnonzero(reach < 1.0)
@@ -226,7 +228,7 @@ def _wrenches_at(motion: Ints, t: Array, wrench: Array, place_motion: Ints, plac
     :param motion: (n,) motion of each station, `t` (n,) place on it, `wrench` (n, 6).
     :param place_motion: (k,) motion of each place, and `places` (k,) on it in [0, 1].
     """
-    # half of t keeps the end of a motion before the start of the next in one sorted key
+    # motion + t / 2 is a sorted key of the stations in which the end of a motion is before the start of the next one
     next_station = np.searchsorted(motion + 0.5 * t, place_motion + 0.5 * places)
     first_rows = np.searchsorted(motion, place_motion, side="left")
     last_rows = np.searchsorted(motion, place_motion, side="right") - 1
@@ -271,7 +273,7 @@ def _rotated_wrenches(rotation: Array, wrench: Array) -> Array:
 def _rotated_deviations(rotation: Array, deviation: Array) -> Array:
     """Return standard deviations (n, 6) of wrenches in other axes; their components are taken for independent.
 
-    :param rotation: (n, 3, 3) from the present axes to the other ones.
+    :param rotation: (n, 3, 3) matrices by which vectors in the present axes are multiplied.
     :param deviation: (n, 6) standard deviations of the components in the present axes [N, N·m].
     """
     return np.asarray(np.sqrt(_rotated_wrenches(rotation * rotation, deviation * deviation)))
@@ -299,8 +301,8 @@ class _Profile(NamedTuple):
     frame: Ints
 
 
-def one_move_a_line(program: Program, path: Segments, axis: str, knots: Knots) -> Knots:
-    """Return the knots of one representative cutting move for each line: a force CSV has one force profile a line.
+def knots_by_line(program: Program, path: Segments, axis: str, knots: Knots) -> Knots:
+    """Return the knots of one representative cutting move of each line: a force CSV has one force profile for a line.
 
     A line makes several moves if it is executed several times, or if it calls a routine of another file: these must
     have the same force along them. For a drilling cycle, the hole or peck with the largest force represents all.
@@ -313,6 +315,7 @@ def one_move_a_line(program: Program, path: Segments, axis: str, knots: Knots) -
     is_kept = np.ones(len(knots), dtype=np.bool_)
     cutting = np.flatnonzero(~m.rapid)
     cutting = cutting[np.argsort(m.line[cutting], kind="stable")]
+    # cutting motions are sorted by line: `begin` is the first motion of each line, `count` the number of its motions
     _, begin, count = np.unique(m.line[cutting], return_index=True, return_counts=True)
     texts = program.documents[0].text.splitlines()
     force_square = np.einsum("ni,ni->n", knots.wrench[:, :3], knots.wrench[:, :3])
@@ -332,7 +335,7 @@ def one_move_a_line(program: Program, path: Segments, axis: str, knots: Knots) -
                 raise _profile_conflict_error(program, moves[[0, different_moves[0]]], len(moves), text)
             largest_squares = [force_square[a:b].max(initial=-1.0) for a, b in zip(begins, ends, strict=True)]
             kept_move = int(np.argmax(largest_squares))
-        for k in np.flatnonzero(has_force).tolist():
+        for k in np.flatnonzero(has_force).tolist():  # knots of the other moves are left out
             is_kept[begins[k] : ends[k]] = k == kept_move
     return knots.take(is_kept)
 
@@ -350,7 +353,10 @@ def _profile(knots: Knots, first: int, end: int) -> _Profile:
 
 
 def _are_equal(first: _Profile, second: _Profile) -> bool:
-    """Return whether the forces along two moves, linear between their places, are equal within `_SAME_FORCE`."""
+    """Return whether the forces along two moves, linear between their places, are equal within `_SAME_FORCE`.
+
+    Two moves without force are equal in any axes.
+    """
     if np.abs(first.values).max() <= _SAME_FORCE and np.abs(second.values).max() <= _SAME_FORCE:
         return True
     is_constant = np.isnan(first.t[0])

@@ -16,7 +16,7 @@ from postproc.errors import ForceError
 from postproc.frames import Array
 
 _POSITIVE = {0: "Ktc", 1: "Krc", 3: "Kte", 4: "Kre"}
-"""Coefficients that are positive in every material, by place; axial ones may pull the material out."""
+"""Index and name of the coefficients that are positive in every material; axial ones may pull the material out."""
 _ARRANGEMENTS = {
     (False, 1, -1): (
         "the sign of Fy looks wrong",
@@ -42,26 +42,26 @@ _ARRANGEMENTS = {
     ),
 }
 """Cause and remedy by arrangement: whether Fx and Fy are exchanged, then the signs of the new Fx and Fy."""
-_SIGMAS = 3.0
+_SIGMA_LIMIT = 3.0
 """Standard deviations within which a coefficient may be negative: of five feeds with 5 % noise none is refused then."""
-_MOST_RADIAL = 2.0
+_MOST_RADIAL_RATIO = 2.0
 """Krc over Ktc, the largest `radial_ratio` of a process. Metals have up to 0.6 in the table, CFRP 1."""
-_SAME_FIT = 1.5
-"""Ratio of residuals up to which two arrangements fit alike: in slots two of them do (assumed)."""
-_FAR_BETTER = 5.0
+_EQUAL_FIT_RATIO = 1.5
+"""Ratio of residuals up to which two arrangements fit equally well, as in slots (assumed)."""
+_BETTER_FIT_RATIO = 5.0
 """Ratio of residuals from which another arrangement is the right one (assumed)."""
 _LEAST_CHIP = 1e-4
 """Largest feed per tooth over the diameter below which it is in another unit. Shops mill with 0.001 to 0.1; of m/min a
 thousandth is left (assumed)."""
-_LARGEST = (2e4, 2e3)
+_LARGEST_COEFFICIENTS = (2e4, 2e3)
 """Coefficients beyond any material [N/mm²], [N/mm] (assumed): hardened steel and nickel alloys are a fifth of that, and
 worn tools in titanium have some hundred N/mm at the edge."""
-_SOFTEST, _SOFT = 1.0, 10.0
-"""Ktc [N/mm²] below which only light foam is, and below which foam and steel in kN both are (assumed)."""
+_LEAST_TANGENTIAL, _LIKELY_KILONEWTON = 1.0, 10.0
+"""Ktc [N/mm²] below which a material is only light foam, and below which it is foam or steel in kN (assumed)."""
 _SMALL_FORCE = 3.0
 """Mean force [N] below which few dynamometers measure, and kN are likelier (assumed)."""
-_KILONEWTON = 1e-3 / np.sqrt(10.0), 1e-3 * np.sqrt(10.0)
-"""Ratios of Ktc to that of the process' material around a thousandth, with materials that differ by the factor 3."""
+_KILONEWTON_RATIOS = 1e-3 / np.sqrt(10.0), 1e-3 * np.sqrt(10.0)
+"""Limits of the ratio of Ktc to that of the process' material if forces are in kN: 0.001, divided and times √10."""
 _SAME_MATERIAL = 5.0
 """Ratio of Ktc to that of the process' material up to which they agree (assumed)."""
 
@@ -91,7 +91,7 @@ def check_feeds(chip: Array, diameter: float, file: str) -> None:
     """Refuse feeds in another unit than mm/min.
 
     :param chip: (n,) feeds per tooth [mm]; `diameter` of the tool [mm].
-    :raises ForceError: even the largest is none that one mills with.
+    :raises ForceError: even the largest is too small for milling.
     """
     if chip.max() < _LEAST_CHIP * diameter:
         raise ForceError(
@@ -105,8 +105,8 @@ def check_signs(force: Array, fit_of: FitOf, file: str) -> list[str]:
     """Refuse forces that give coefficients of no material, or that fit far better with Fx and Fy in other axes.
 
     :param force: (n, 3) as read [N]; NaN = not measured.
-    :param fit_of: fits the coefficients to forces.
-    :returns: a warning if Krc is larger than Ktc.
+    :param fit_of: returns the coefficients that fit forces (n, 3); None if forces do not determine them.
+    :returns: a warning if Krc is larger than Ktc; empty if not, or if the forces do not determine the coefficients.
     :raises ForceError: Ktc is not positive, Krc, Kte or Kre is negative beyond its error, or Krc beyond twice Ktc; or
         another arrangement of Fx and Fy fits far better. The message names the likely arrangement.
     """
@@ -114,7 +114,7 @@ def check_signs(force: Array, fit_of: FitOf, file: str) -> list[str]:
     if fit is None:
         return []
     candidates = _plausible_arrangements(force, fit_of)
-    if not _is_plausible(fit) or any(fit.residual > _FAR_BETTER * item.residual for item in candidates.values()):
+    if not _is_plausible(fit) or any(fit.residual > _BETTER_FIT_RATIO * item.residual for item in candidates.values()):
         raise _arrangement_error(fit, candidates, file)
     value = fit.value
     if value[_KRC] - 1.96 * fit.sigma[_KRC] <= value[_KTC]:
@@ -129,6 +129,7 @@ def _plausible_arrangements(force: Array, fit_of: FitOf) -> dict[_Arrangement, F
     """Return the arrangements of Fx and Fy that give coefficients which a material may have, with their fits.
 
     :param force: (n, 3) as read [N].
+    :param fit_of: returns the coefficients that fit forces; None if forces do not determine them.
     """
     fits = {}
     for arrangement in _ARRANGEMENTS:
@@ -157,7 +158,7 @@ def _arrangement_error(fit: Fit, candidates: Mapping[_Arrangement, Fit], file: s
     def rank(arrangement: _Arrangement) -> tuple[bool, bool]:
         """Return a sort key: arrangements that fit about best come first, of these those with Krc ≤ Ktc."""
         value, _, residual = candidates[arrangement]
-        return residual > _SAME_FIT * smallest_residual, bool(value[_KRC] > value[_KTC])
+        return residual > _EQUAL_FIT_RATIO * smallest_residual, bool(value[_KRC] > value[_KTC])
 
     likely_arrangement = min(candidates, key=rank)
     cause, advice = _ARRANGEMENTS[likely_arrangement]
@@ -178,8 +179,8 @@ def _is_plausible(fit: Fit) -> bool:
     value, sigma, _ = fit
     return (
         value[_KTC] > 0.0
-        and all(value[k] > -_SIGMAS * sigma[k] for k in _POSITIVE)
-        and value[_KRC] - _SIGMAS * sigma[_KRC] <= _MOST_RADIAL * value[_KTC]
+        and all(value[k] > -_SIGMA_LIMIT * sigma[k] for k in _POSITIVE)
+        and value[_KRC] - _SIGMA_LIMIT * sigma[_KRC] <= _MOST_RADIAL_RATIO * value[_KTC]
     )
 
 
@@ -190,21 +191,23 @@ def check_sizes(value: Array, force: Array, prior_tangential: float | None, file
     :param force: (n, 3) as read [N]; NaN = not measured.
     :param prior_tangential: Ktc or kc1.1 of the process' material [N/mm²]; None: it states none.
     :returns: warnings.
-    :raises ForceError: they are too large, or too small.
+    :raises ForceError: a coefficient is too large, or the forces are in kN by their size and Ktc.
     """
     tangential = float(value[_KTC])
-    for size, limit, unit in ((value[:3], _LARGEST[0], "N/mm²"), (value[3:], _LARGEST[1], "N/mm")):
-        if np.abs(size).max() > limit:
+    # first the three coefficients of the cut, then those of the edge
+    for values, limit, unit in zip((value[:3], value[3:]), _LARGEST_COEFFICIENTS, ("N/mm²", "N/mm"), strict=True):
+        if np.abs(values).max() > limit:
             raise ForceError(
-                f"the readings give a coefficient of {np.abs(size).max():.2g} {unit}: no material has that",
+                f"the readings give a coefficient of {np.abs(values).max():.2g} {unit}: no material has that",
                 file=file,
                 advice="Give forces in N, ap_mm and ae_mm in mm, feed_mm_per_min in mm/min.",
             )
     ratio = None if prior_tangential is None else tangential / prior_tangential
     largest_force = float(np.nanmax(np.abs(force), initial=0.0)) if np.isfinite(force).any() else np.inf
     agrees_with_prior = ratio is not None and 1.0 / _SAME_MATERIAL < ratio < _SAME_MATERIAL
-    is_small = largest_force < _SMALL_FORCE and tangential < _SOFT and not agrees_with_prior
-    if is_small and (tangential < _SOFTEST or (ratio is not None and _KILONEWTON[0] < ratio < _KILONEWTON[1])):
+    is_small = largest_force < _SMALL_FORCE and tangential < _LIKELY_KILONEWTON and not agrees_with_prior
+    least_ratio, largest_ratio = _KILONEWTON_RATIOS
+    if is_small and (tangential < _LEAST_TANGENTIAL or (ratio is not None and least_ratio < ratio < largest_ratio)):
         raise ForceError(
             f"the largest force is {largest_force:.2g} N, Ktc {tangential:.2g} N/mm²: the forces look like kN",
             file=file,

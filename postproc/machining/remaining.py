@@ -30,19 +30,19 @@ _HALF_DIAGONAL = 0.7072
 _FLUSH_DEPTH = 1e-6
 """Bodies that reach into material by less [m] are flush with it (assumed)."""
 _DISTANCE_ERROR = 5e-5
-"""To which the distance of a part that is too close is found [m]."""
+"""Error of the distance of a part that is too close [m]."""
 _MOST_HITS = 20
 """Motions on which a part of the tool is too close, after which it is not compared any more."""
-_LEVELS = 0.5
+_LEVEL_STEP_SHARE = 0.5
 """Levels of a mesh are rounded up to multiples of this share of a coarse cell (assumed)."""
 
 
 class Part(Struct, frozen=True):
     """A cylinder of the tool that does not cut.
 
-    :param name: in messages.
+    :param name: name in messages.
     :param radius: [m].
-    :param height: of its lower end above the tip [m].
+    :param height: height of its lower end above the tip [m].
     """
 
     name: str
@@ -51,11 +51,11 @@ class Part(Struct, frozen=True):
 
 
 def touches(stock: Stock, body: Cutter, begin: Array, end: Array) -> Bools:
-    """Return on which segments (L,) a body along z reaches into material; it extends upwards without limit.
+    """Return True for segments (L,) on which a body along z reaches into material; it extends upwards without limit.
 
     A cell counts as a whole, up to its higher level, if the body covers any of it.
 
-    :param body: its end has the shape of a cutter.
+    :param body: shape of the body, whose lower end has the form of a cutter.
     :param begin: (L, 3) lower end of the body where a segment begins, and `end` (L, 3) where it ends, frame of the map
         [m].
     """
@@ -80,7 +80,7 @@ def touches(stock: Stock, body: Cutter, begin: Array, end: Array) -> Bools:
 class Ceiling:
     """Upper bound of the stock in coarse cells, and the motions after which it is lower.
 
-    :ivar stock: its map, which is changed in place.
+    :ivar stock: map of the stock, which the sweep changes in place.
     :ivar cell: width of a coarse cell [m].
     """
 
@@ -94,9 +94,9 @@ class Ceiling:
         self._changes: list[tuple[int, Ints, Floats]] = []  # motion, flat indices of cells and their new levels
 
     def _highest_material(self, rows: slice, columns: slice) -> Floats:
-        """Return the highest material of coarse cells (ny, nx) [m]; −inf without any.
+        """Return the highest level of material of coarse cells (ny, nx) [m]; −inf for cells without material.
 
-        :param rows: of fine cells, and `columns`: both begin at the edge of a coarse cell.
+        :param rows: rows of the map, and `columns`: columns; both begin at the edge of a coarse cell.
         """
         high, floor = self.stock.high[rows, columns], self.stock.floor[rows, columns]
         high = np.where(high > floor, high, -np.inf)
@@ -112,12 +112,19 @@ class Ceiling:
         last = np.clip(np.floor((high[:2] - origin) / self.cell).astype(int) + 1, 0, size)
         return slice(int(first[1]), int(last[1])), slice(int(first[0]), int(last[0]))
 
-    def top(self, low: Array, high: Array) -> float:
-        """Return the highest material between two corners `low` and `high` (3,) of a box [m]; −inf without any."""
+    def highest_level(self, low: Array, high: Array) -> float:
+        """Return the highest level of material in a box seen along z [m]; −inf without material.
+
+        :param low: (3,) and `high` (3,): lower and upper corner of the box [m].
+        """
         return float(self._level[self._window(low, high)].max(initial=-np.inf))
 
-    def sink(self, low: Array, high: Array, motion: int) -> None:
-        """Note that material in the box from `low` to `high` (3,) [m] was removed by the end of a motion."""
+    def record_removal(self, low: Array, high: Array, motion: int) -> None:
+        """Lower the bound after material in a box was removed from the map, and record the change.
+
+        :param low: (3,) and `high` (3,): lower and upper corner of the box [m].
+        :param motion: row of the motion at whose end the material is removed.
+        """
         rows, columns = self._window(low, high)
         old_level = self._level[rows, columns]
         if not old_level.size:
@@ -132,11 +139,11 @@ class Ceiling:
             self._changes.append((motion, index, new_level[row, column]))
             self._level[rows, columns] = new_level
 
-    def heights_before(self, motion: int) -> Floats:
-        """Return the highest material (ny, nx) of the coarse cells when a motion begins [m]."""
+    def levels_before(self, motion: int) -> Floats:
+        """Return the highest levels (ny, nx) of material of the coarse cells when a motion begins [m]."""
         level = self._start_level.copy()
         flat_level = level.reshape(-1)
-        for end_motion, index, lower_level in self._changes:
+        for end_motion, index, lower_level in self._changes:  # in the order of motions
             if end_motion >= motion:
                 break
             flat_level[index] = lower_level
@@ -147,10 +154,10 @@ class Ceiling:
 
         Levels are rounded up, so that cells of about one level make one box.
         """
-        level = self.heights_before(motion).astype(float)
+        level = self.levels_before(motion).astype(float)
         solid = np.isfinite(level)
-        step, top = _LEVELS * self.cell, float(level.max(initial=-np.inf))
-        level[solid] = top - step * np.floor((top - level[solid]) / step + 1e-9)
+        step, top = _LEVEL_STEP_SHARE * self.cell, float(level.max(initial=-np.inf))
+        level[solid] = top - step * np.floor((top - level[solid]) / step + 1e-9)  # 1e-9: rounding
         first_column, end_column, first_row, end_row, box_top = np.array(_boxes(level), dtype=float).reshape(-1, 5).T
         bottom = np.full(len(box_top), float(self.stock.floor.min()))
         x, y = self.stock.x, self.stock.y
@@ -164,7 +171,9 @@ class Ceiling:
 class StockInTime(Struct, frozen=True, eq=False):
     """The stock of a program over time, as an upper bound. Implements `forces.StockInTime`.
 
-    :param first: first motion of each set-up, ascending; `frame` of its map in the robot root (4, 4); its `ceiling`.
+    :param first: first motion of each set-up, ascending.
+    :param frame: frame (4, 4) of the map of each set-up in the robot root.
+    :param ceiling: upper bound of the stock of each set-up.
     :param is_compared: (M,) motions on which the parts of the tool along its axis were compared with the stock.
     :param removes_material: (M,) motions that remove material.
     """
@@ -177,11 +186,12 @@ class StockInTime(Struct, frozen=True, eq=False):
 
     @property
     def accuracy(self) -> float:
-        """Largest distance by which the bound exceeds the stock, across and along the tool [m]."""
+        """Largest width of a coarse cell [m]: the bound exceeds the stock by no more, across and along the tool."""
         return float(max(ceiling.cell for ceiling in self.ceiling))
 
     def mesh(self, motion: int) -> tuple[Array, NDArray[np.int64]]:
         """Return boxes that hold all material when a motion begins: vertices (V, 3) in the root [m], faces (F, 3)."""
+        # the last set-up whose first motion is not after this one; motions before the first set-up belong to it
         setup = int(np.searchsorted(self.first[1:], motion, side="right"))
         vertices, faces = self.ceiling[setup].mesh(motion)
         frame = self.frame[setup]
@@ -197,7 +207,7 @@ _FACES = np.array([
 
 
 class _Box(NamedTuple):
-    """A rectangle of cells with one level [m]; the ends of columns and rows are exclusive."""
+    """A rectangle of cells with the same level [m]; the ends of columns and rows are exclusive."""
 
     first_column: int
     end_column: int
@@ -249,21 +259,22 @@ class _SweptVolume(NamedTuple):
 class Guard(Struct, eq=False):
     """Parts of the tool that must stay clear of the stock.
 
-    :ivar parts: that do not cut, from the cutter upwards.
-    :ivar need: smallest allowed distance [m]; 0: they must not touch.
-    :ivar cutter: diameter with which arm and obstacles are compared [m]; None: there is none.
-    :ivar close: for parts and motions that come closer, the smallest distance [m]; 0 where they touch.
+    :ivar parts: parts that do not cut, from the cutter upwards.
+    :ivar min_distance: smallest allowed distance [m]; 0: they must not touch.
+    :ivar cutter: diameter of the cutter with which arm and obstacles are compared [m]; None: there is none.
+    :ivar close_distances: (name of a part, row of a motion) → smallest distance [m], if it is below `min_distance`; 0:
+        they touch.
     """
 
     parts: Sequence[Part]
-    need: float
+    min_distance: float
     cutter: float | None = None
-    close: dict[tuple[str, int], float] = field(default_factory=dict)
+    close_distances: dict[tuple[str, int], float] = field(default_factory=dict)
 
     def check(
         self, ceiling: Ceiling, segments: StraightSegments, rows: slice, cutter: Cutter, *, removes: bool
     ) -> None:
-        """Record in `close` the parts that are closer to the stock than allowed on some segments.
+        """Record in `close_distances` the parts that are closer to the stock than allowed on some segments.
 
         Quick tests come first: against the upper bound of the stock, against the volume that the cutter sweeps, and of
         the whole path at once. Only parts that fail all of them are compared piece by piece.
@@ -275,31 +286,37 @@ class Guard(Struct, eq=False):
         begin, end = segments.begin[rows], segments.end[rows]
         low, high = np.minimum(begin, end).min(axis=0), np.maximum(begin, end).max(axis=0)
         for part in self.parts:
-            reach, cell = part.radius + self.need + ceiling.cell, ceiling.stock.cell
-            if ceiling.top(low - reach, high + reach) <= low[2] + part.height - self.need:
+            # the material near the path is below the part; the cutter has removed it; enough motions are recorded
+            reach, cell = part.radius + self.min_distance + ceiling.cell, ceiling.stock.cell
+            if ceiling.highest_level(low - reach, high + reach) <= low[2] + part.height - self.min_distance:
                 continue
-            if self._is_in_sweep(part, cutter, cell) or sum(name == part.name for name, _ in self.close) >= _MOST_HITS:
+            if (
+                self._is_in_sweep(part, cutter, cell)
+                or sum(name == part.name for name, _ in self.close_distances) >= _MOST_HITS
+            ):
                 continue
-            if touches(ceiling.stock, *self._swept_volume(part, begin, end, self.need)).any():
+            if touches(ceiling.stock, *self._swept_volume(part, begin, end, self.min_distance)).any():
                 self._compare_pieces(part, ceiling.stock, segments, rows, cutter, removes=removes)
 
     def _is_in_sweep(self, part: Part, cutter: Cutter, cell: float) -> bool:
         """Return whether a part, with its clearance, is inside the volume that the cutter sweeps.
 
-        :param cell: width of a cell [m]: walls are located no better.
+        :param cell: width of a cell [m]: the part must be two cells inside of the cutter, as walls are located no
+            better.
         """
-        reach = part.radius + self.need
+        reach = part.radius + self.min_distance
         if reach > cutter.radius - 2.0 * cell:
             return False
-        return part.height - self.need >= float(cutter.height(np.array([reach]))[0])
+        return part.height - self.min_distance >= float(cutter.height(np.array([reach]))[0])
 
-    def _swept_volume(self, part: Part, begin: Array, end: Array, need: float) -> _SweptVolume:
-        """Return all points within `need` [m] of a part as a body along z, and its path.
+    def _swept_volume(self, part: Part, begin: Array, end: Array, clearance: float) -> _SweptVolume:
+        """Return all points within a clearance of a part as a body along z, and its path.
 
+        :param clearance: [m], which also is the radius of the rounded lower edge of the body.
         :param begin: (L, 3) positions of the tip where segments begin, and `end` (L, 3) where they end [m].
         """
-        offset = np.array([0.0, 0.0, part.height - need])  # from the tip to the lower end
-        return _SweptVolume(Cutter(part.radius + need, need, 1), begin + offset, end + offset)
+        offset = np.array([0.0, 0.0, part.height - clearance])  # from the tip to the lower end
+        return _SweptVolume(Cutter(part.radius + clearance, clearance, 1), begin + offset, end + offset)
 
     def _compare_pieces(
         self, part: Part, stock: Stock, segments: StraightSegments, rows: slice, cutter: Cutter, *, removes: bool
@@ -313,19 +330,19 @@ class Guard(Struct, eq=False):
         :param rows: of the segments that are compared; `removes`: whether they remove material.
         """
         begin, end, motion = segments.begin[rows], segments.end[rows], segments.motion[rows]
-        reach = max(part.radius + self.need, cutter.radius) + 3.0 * stock.cell
+        reach = max(part.radius + self.min_distance, cutter.radius) + 3.0 * stock.cell
         remaining_stock = _copied_part(
             stock, np.minimum(begin, end).min(axis=0) - reach, np.maximum(begin, end).max(axis=0) + reach
         )
         if segments.continues[rows.start]:
-            remove(remaining_stock, cutter, begin[:1], begin[:1])
-        step = max(stock.cell, 0.5 * (part.height - self.need))
+            remove(remaining_stock, cutter, begin[:1], begin[:1])  # the cutter at rest where they begin
+        step = max(stock.cell, 0.5 * (part.height - self.min_distance))
         for start, stop, row_motion in zip(begin, end, motion.tolist(), strict=True):
             if not removes:
                 self._record_distance(part, remaining_stock, row_motion, (start[None], stop[None]))
                 continue
             for piece_begin, piece_end in _segment_pieces(start, stop, step):
-                if touches(remaining_stock, *self._swept_volume(part, piece_begin, piece_end, self.need))[0]:
+                if touches(remaining_stock, *self._swept_volume(part, piece_begin, piece_end, self.min_distance))[0]:
                     for short_piece in _segment_pieces(piece_begin[0], piece_end[0], stock.cell):
                         self._record_distance(part, remaining_stock, row_motion, short_piece)
                         remove(remaining_stock, cutter, *short_piece)
@@ -335,7 +352,7 @@ class Guard(Struct, eq=False):
     def _record_distance(self, part: Part, stock: Stock, motion: int, segment: tuple[Array, Array]) -> None:
         """Record the distance of a part from the stock on a segment, if it is below the allowed one.
 
-        The smallest distance of each part on each motion is kept, in `close`.
+        The smallest distance of each part on each motion is kept, in `close_distances`.
 
         :param motion: row of `Motions`; `segment`: positions of the tip at both ends, (1, 3) each [m].
         """
@@ -346,15 +363,15 @@ class Guard(Struct, eq=False):
             return bool(touches(stock, *self._swept_volume(part, *segment, clearance))[0])
 
         # bisection: the part with a larger clearance touches wherever that with a smaller one does
-        low, high = 0.0, self.close.get(key, self.need)
+        low, high = 0.0, self.close_distances.get(key, self.min_distance)
         if not has_contact(high):
             return
         if has_contact(low):
-            high = low
+            high = low  # the part itself touches: its distance is 0
         while high - low > _DISTANCE_ERROR:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if has_contact(middle) else (middle, high)
-        self.close[key] = high
+        self.close_distances[key] = high
 
 
 def _segment_pieces(begin: Array, end: Array, step: float) -> Iterator[tuple[Array, Array]]:
@@ -366,7 +383,7 @@ def _segment_pieces(begin: Array, end: Array, step: float) -> Iterator[tuple[Arr
 
 
 def _copied_part(stock: Stock, low: Array, high: Array) -> Stock:
-    """Return a copy of the map between two corners `low` and `high` (3,) of a box [m]."""
+    """Return a copy of the part of the map between the corners `low` (3,) and `high` (3,) of a box [m]."""
     origin = np.array([stock.x, stock.y])
     first_cell = np.floor((low[:2] - origin) / stock.cell).astype(int).clip(0)
     end_cell = np.ceil((high[:2] - origin) / stock.cell).astype(int).clip(0) + 1

@@ -16,12 +16,12 @@ from postproc.machining.tool_path import ToolStates
 from postproc.operations import operations
 from postproc.program import Program
 
-ENOUGH = 0.05
+FINE_ENOUGH_SHARE = 0.05
 """Standard deviation of forces by the cells of the map that is enough, as a share of them,"""
-COARSE = 0.055
+TOO_COARSE_SHARE = 0.055
 """and beyond which cells are too wide."""
-_MOST_FINE = 12_000_000
-"""Cells of a map that is made finer."""
+_MOST_FINE_CELLS = 12_000_000
+"""Largest number of cells of a map that is made finer."""
 
 
 class ThinPasses(Struct, frozen=True):
@@ -37,28 +37,30 @@ class ThinPasses(Struct, frozen=True):
     share: float
 
 
-def thin_passes(program: Program, tools: ToolStates, by_cells: Array) -> list[ThinPasses]:
-    """Return for each operation the first pass from which on finer cells are needed, in order; none without need.
+def thin_passes(program: Program, tools: ToolStates, cell_error_sums: Array) -> list[ThinPasses]:
+    """Return the passes that need finer cells: for each operation and tool the first one, if any, in order.
 
-    A pass is a run of cutting motions between two rapid ones.
+    From that pass to the end of the operation the map has finer cells. A pass is a run of cutting motions between two
+    rapid ones.
 
-    :param by_cells: (M, 2) for each motion, sums over its stations of squares of the standard deviation by the cells
-        of the map, and of the force [N²].
+    :param cell_error_sums: (M, 2) for each motion, sums over its stations of squares of the standard deviation by the
+        cells of the map, and of the force [N²].
     """
     cuts = ~program.motions.rapid
     pass_begins = np.flatnonzero(np.diff(cuts.astype(np.int8), prepend=0) > 0)
     if not len(pass_begins):
         return []
-    sums = np.add.reduceat(by_cells, pass_begins, axis=0)
+    sums = np.add.reduceat(cell_error_sums, pass_begins, axis=0)
     operation_begins = [operation.first for operation in operations(program, at_retracts=True)]
     changes = np.flatnonzero(np.diff(tools.tool[pass_begins])) + 1
+    # blocks of passes end where an operation begins or the tool changes; a motion in a pass counts for the next pass
     blocks = np.unique([0, *np.searchsorted(pass_begins, operation_begins), *changes, len(pass_begins)]).tolist()
     passes = []
     for begin, end in pairwise(blocks):
-        pass_share = _rms_shares(sums[begin:end])
+        pass_share = _rms_shares(sums[begin:end])  # of each pass of the block
         # a finer map is used from a pass to the end of the block: that part as a whole must need it
         share_to_end = _rms_shares(np.cumsum(sums[begin:end][::-1], axis=0)[::-1])
-        is_thin = np.flatnonzero((pass_share > COARSE) & (share_to_end > COARSE))
+        is_thin = np.flatnonzero((pass_share > TOO_COARSE_SHARE) & (share_to_end > TOO_COARSE_SHARE))
         if len(is_thin):
             row = int(is_thin[0])
             first = int(pass_begins[begin + row])
@@ -72,14 +74,16 @@ def _rms_shares(sums: Array) -> Array:
     return np.asarray(np.sqrt(sums[:, 0] / np.maximum(sums[:, 1], 1e-300)))
 
 
-def factors(passes: list[ThinPasses], cells: int) -> dict[int, int]:
+def cell_divisors(passes: list[ThinPasses], cell_count: int) -> dict[int, int]:
     """Return row of a motion → whole number, at least 2, by which the width of cells must be divided from there on.
 
-    :param cells: number of cells of the map; divided maps have at most `_MOST_FINE`.
+    :param passes: passes whose contact is few cells wide.
+    :param cell_count: number of cells of the map; divided maps have at most `_MOST_FINE_CELLS`.
     """
-    max_factor = int(np.sqrt(_MOST_FINE / cells))
+    max_factor = int(np.sqrt(_MOST_FINE_CELLS / cell_count))
     # the deviation falls with the width of a cell; a tenth more than enough is accepted
     factor_of_motion = {
-        thin_pass.first: min(int(np.ceil(thin_pass.share / ENOUGH - 0.1)), max_factor) for thin_pass in passes
+        thin_pass.first: min(int(np.ceil(thin_pass.share / FINE_ENOUGH_SHARE - 0.1)), max_factor)
+        for thin_pass in passes
     }
     return {first: factor for first, factor in factor_of_motion.items() if factor > 1}

@@ -7,7 +7,7 @@ from msgspec import Struct
 
 from postproc.errors import ForceError
 from postproc.frames import Array
-from postproc.machining.tool_path import TURNS, Directions
+from postproc.machining.tool_path import AXIS_TOLERANCE, Directions
 from postproc.program import Bools, Program
 
 _CONE_STEPS = 60
@@ -18,8 +18,8 @@ class Setup(Struct, frozen=True, eq=False):
     """Motions with one map of the stock.
 
     :param frame: (4, 4) frame of the map in the `$BASE` of the stock (`home_base`): z from the tip to the spindle.
-    :param motions: (M,) True for those motions.
-    :param factor: by which the cells of the map are divided.
+    :param motions: (M,) True for the motions of the set-up.
+    :param factor: number by which the width of the cells of the map is divided.
     """
 
     frame: Array
@@ -41,13 +41,14 @@ def setups(program: Program, directions: Directions, max_tilt: float) -> list[Se
     cuts = directions.cuts
     if not cuts.any():
         raise ForceError("no cutting move in this program", file=program.documents[0].name)
+    # begin and end (exclusive) of each run of cutting motions
     ranges_of_cuts = np.flatnonzero(np.diff(cuts.astype(np.int8), prepend=0, append=0)).reshape(-1, 2).tolist()
     map_directions: list[Array] = []
     starts: list[int] = []
     for begin, end in ranges_of_cuts:
         first_direction = directions.end[begin]
-        if (directions.of_range(begin, end) @ first_direction > np.cos(TURNS)).all():
-            if not map_directions or first_direction @ map_directions[-1] < np.cos(TURNS):
+        if (directions.of_range(begin, end) @ first_direction > np.cos(AXIS_TOLERANCE)).all():
+            if not map_directions or first_direction @ map_directions[-1] < np.cos(AXIS_TOLERANCE):
                 map_directions.append(first_direction)
                 starts.append(begin)
             continue
@@ -59,14 +60,15 @@ def setups(program: Program, directions: Directions, max_tilt: float) -> list[Se
                 map_directions.append(_cone_axis(program, directions, row, max_tilt))
                 starts.append(row)
             begin = row
+    # set-ups begin at `starts`, which ascend; motions before the first start belong to the first set-up
     setup_number = np.searchsorted(starts[1:], np.arange(len(cuts)), side="right")
     return [Setup(_frame(direction), np.asarray(setup_number == k)) for k, direction in enumerate(map_directions)]
 
 
 def _first_row_outside(directions: Directions, begin: int, end: int, map_direction: Array, max_tilt: float) -> int:
-    """Return the first cutting motion from row `begin` on that leaves a cone about a direction; `end` if none does.
+    """Return the first motion from row `begin` on whose tool leaves a cone about a direction; `end` if none does.
 
-    :param end: row after the last motion.
+    :param end: row after the last motion of a run of cuts.
     :param map_direction: (3,) unit axis of the cone, and `max_tilt` its half angle [rad].
     """
     row = begin
@@ -111,6 +113,7 @@ def _cone_axis(program: Program, directions: Directions, begin: int, max_tilt: f
         for step in range(_CONE_STEPS):
             cone_axis /= max(float(np.linalg.norm(cone_axis)), 1e-12)
             farthest_axis = tool_axes[int(np.argmin(tool_axes @ cone_axis))]
+            # the step towards the farthest point is 1 / (number of the step + 1)
             cone_axis = cone_axis + (farthest_axis - cone_axis) / (step + 2)
         cone_axis /= max(float(np.linalg.norm(cone_axis)), 1e-12)
         if float((tool_axes @ cone_axis).min()) > np.cos(max_tilt):
@@ -128,7 +131,7 @@ def _frame(direction: Array) -> Array:
     Its origin is that of `$BASE`; for z of `$BASE` the frame is `$BASE` itself.
     """
     frame = np.eye(4)
-    if direction[2] < 1.0 - 1e-9:
+    if direction[2] < 1.0 - 1e-9:  # else it is z of $BASE, but for rounding
         # a coordinate axis that is not near the direction: the cross product must not vanish
         x = np.array([1.0, 0.0, 0.0]) if abs(direction[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
         y = np.cross(direction, x)

@@ -33,11 +33,13 @@ _MAX_COMMENTS = 3
 def operation_knots(program: Program, process: Process) -> Knots:
     """Return the force of each cutting motion that an entry of [operations] names.
 
-    An entry is named like a comment of the program, with which the operation begins (before or after its tool change);
-    like a tool, T3; or like the N word of the block in which it begins, N120. It holds until the next operation that
-    begins at a tool change or retract, whatever its name is, see `postproc.operations`; or until
-    ``finish operation: NAME`` of its own name. Comments between cutting motions end nothing, whatever they say.
-    Comments and blocks take precedence over tools. A note lists comments after which a force goes on.
+    An entry has one of three names. Comment: the text with which the operation begins, before or after its tool change.
+    Tool: T3. Block: the N word of the block in which the operation begins, N120. Comments and blocks take precedence
+    over tools.
+
+    The force ends at the next operation that begins at a tool change or retract, see `postproc.operations`, or at a
+    comment ``finish operation: NAME`` with the name of the entry. Other comments between cutting motions do not end
+    it; a note lists those that could be names of operations.
 
     :raises ForceError: an entry matches nothing in the program; the message lists the operations found.
     :raises ProgramError: a routine that cuts is not followed.
@@ -56,13 +58,14 @@ def operation_knots(program: Program, process: Process) -> Knots:
 
 
 def _entries_of_motions(program: Program, process: Process) -> tuple[Ints, Ints]:
-    """Return the entry of [operations] of each motion (M,), and that of a comment or block alone, without tools (M,).
+    """Return the entry of [operations] of each motion (M,), and the entry (M,) that a comment or block names for it.
 
-    Entries are numbered in the order of the file; −1: none.
+    Entries are numbered in the order of the file; −1: none. The first result is the second, else the entry of the tool.
 
     :raises ForceError: an entry matches nothing in the program.
     """
     names, program_operations = list(process.operations), operations(program, at_retracts=True)
+    # T number, digits of an N word, or text of a comment → number of its entry
     tools = {int(match[1]): k for k, name in enumerate(names) if (match := _TOOL.fullmatch(name.strip()))}
     blocks = {match[1]: k for k, name in enumerate(names) if (match := _BLOCK.fullmatch(name.strip()))}
     titles = {_normal_text(name): k for k, name in enumerate(names) if k not in {*tools.values(), *blocks.values()}}
@@ -79,15 +82,15 @@ def _entries_of_motions(program: Program, process: Process) -> tuple[Ints, Ints]
 
 
 _CHANGE_RANK, _OPERATION_RANK, _COMMENT_RANK, _N_WORD_RANK = range(4)
-"""Ranks of marks of one row: a tool change or an end, an operation, a comment that names an entry, an N word."""
+"""Ranks of marks at one motion, lowest first: tool change or end, operation, comment that names an entry, N word."""
 
 
 class _Mark(NamedTuple):
-    """A begin or end of the force of an entry of [operations].
+    """The motion at which the force of an entry of [operations] begins, or at which forces end.
 
-    :param row: first motion.
-    :param rank: among marks of one row, the highest counts.
-    :param entry: number of the entry that begins; −1: none, the force of an entry ends.
+    :param row: row of the first motion with this force, or without a force.
+    :param rank: among marks of one row, the mark with the highest rank counts.
+    :param entry: number of the entry whose force begins; −1: forces end.
     """
 
     row: int
@@ -98,7 +101,7 @@ class _Mark(NamedTuple):
 def _named_marks(
     program: Program, program_operations: tuple[Operation, ...], titles: dict[str, int], blocks: dict[str, int]
 ) -> list[_Mark]:
-    """Return the begins and ends of entries that a comment or an N word names.
+    """Return the marks of entries that a comment or an N word names: of operations, of comments and of blocks.
 
     :param titles: normal text of a comment → number of its entry.
     :param blocks: digits of an N word → number of its entry.
@@ -111,16 +114,19 @@ def _named_marks(
 
 
 def _comment_marks(program: Program, titles: dict[str, int]) -> Iterator[_Mark]:
-    """Yield the begins of entries that a comment names, and their ends by tool changes and finishing comments.
+    """Yield the marks where an entry that a comment names begins, and where tool changes and finishing comments end it.
+
+    The first tool change after the comment belongs to the operation that the comment names. A later change to another
+    tool ends the entry, and so does any change after a cut.
 
     :param titles: normal text of a comment → number of its entry.
     """
-    cuts = _cut_counts(program)
+    cut_count = _cut_counts(program)
     entry_row, running_entry = 0, -1  # row and entry of the last comment that names one
     new_tool: float | None = None  # number of the tool that was changed to since then
-    for event in _add_tool_changes(program):
+    for event in _events_with_tool_changes(program):
         if event.kind == "tool_change":
-            if cuts[event.before] > cuts[entry_row] or new_tool not in (None, event.value):
+            if cut_count[event.before] > cut_count[entry_row] or new_tool not in (None, event.value):
                 # a change at the motion of the comment that named the entry ends what this comment began
                 ends_comment = running_entry >= 0 and entry_row == event.before
                 yield _Mark(event.before, _COMMENT_RANK if ends_comment else _CHANGE_RANK, -1)
@@ -137,7 +143,7 @@ def _comment_marks(program: Program, titles: dict[str, int]) -> Iterator[_Mark]:
 
 
 def _block_marks(program: Program, blocks: dict[str, int]) -> Iterator[_Mark]:
-    """Yield the begins of entries that an N word names: at each motion by which the program reaches its line.
+    """Yield the marks where an entry that an N word names begins: at each motion by which the program reaches its line.
 
     :param blocks: digits of an N word → number of its entry.
     """
@@ -145,15 +151,16 @@ def _block_marks(program: Program, blocks: dict[str, int]) -> Iterator[_Mark]:
     for number, text in enumerate(program.documents[0].text.splitlines() if blocks else (), start=1):
         match = _N_WORD.match(text)
         if match is not None and match[1] in blocks:
+            # motions of this line or a later one that follow a motion of an earlier line
             begins = (line >= number) & (np.concatenate([[0], line[:-1]]) < number)
             for row in np.flatnonzero(begins).tolist():
                 yield _Mark(row, _N_WORD_RANK, blocks[match[1]])
 
 
-def _add_tool_changes(program: Program) -> list[Event]:
-    """Return the events of a program, with a tool change at each change of `$TOOL` if it has no others.
+def _events_with_tool_changes(program: Program) -> list[Event]:
+    """Return the events of a program, with a tool change at each change of `$TOOL` if the program has no tool changes.
 
-    Such programs are those in KRL, and G-code with G43 but without M6.
+    Programs without tool changes are those in KRL, and G-code with G43 but without M6.
     """
     m, events = program.motions, list(program.events)
     if any(event.kind == "tool_change" for event in events):
@@ -164,23 +171,23 @@ def _add_tool_changes(program: Program) -> list[Event]:
 
 
 def _cut_counts(program: Program) -> Ints:
-    """Return the number of cutting motions before each motion, and of all (M + 1,)."""
+    """Return the numbers of cutting motions (M + 1,) before each motion, and of all motions."""
     return np.concatenate([[0], np.cumsum(~program.motions.rapid)])
 
 
 def _ignored_comment_issues(program: Program, named_entry: Ints, names: list[str]) -> Iterator[Issue]:
     """Yield a note for each entry whose force continues after comments that could be names of operations.
 
-    Such comments are alone on their line and after a retract, but `postproc.operations` takes them for remarks, like
-    "pass 2"; or they are between two cutting motions.
+    Such a comment is alone on its line after a retract, but `postproc.operations` takes it for a remark, like "pass 2".
+    Or it is between two cutting motions.
 
-    :param named_entry: (M,) entry of each motion that a comment or a block names, −1: none.
-    :param names: of the entries, in their order.
+    :param named_entry: (M,) entry that a comment or a block names for each motion, −1: none.
+    :param names: names of the entries, in their order.
     """
     cutting = np.flatnonzero(~program.motions.rapid)
-    cuts, comments_by_entry = _cut_counts(program), dict[int, list[Event]]()
+    cut_count, comments_by_entry = _cut_counts(program), dict[int, list[Event]]()
     for comment in ignored_comments(program):
-        next_cut = int(cuts[comment.before])
+        next_cut = int(cut_count[comment.before])  # index in `cutting` of the first cut after the comment
         if 0 < next_cut < len(cutting):
             last_entry, next_entry = named_entry[cutting[next_cut - 1]], named_entry[cutting[next_cut]]
             if last_entry == next_entry >= 0:
@@ -200,7 +207,7 @@ def _ignored_comment_issues(program: Program, named_entry: Ints, names: list[str
 def _last_entry(marks: list[_Mark], count: int) -> Ints:
     """Return the entry (count,) of the last mark at or before each motion, −1 before the first mark.
 
-    :param marks: of those with the same row, the one with the highest rank counts; with the same rank, the last one.
+    :param marks: in any order. Of marks at the same motion the highest rank counts; of equal ranks, the last mark.
     :param count: number of motions.
     """
     before_all = _Mark(-1, _CHANGE_RANK, -1)
@@ -212,7 +219,10 @@ def _last_entry(marks: list[_Mark], count: int) -> Ints:
 def _unmatched_error(
     program: Program, process: Process, name: str, program_operations: tuple[Operation, ...]
 ) -> ForceError:
-    """Return the error for the entry `name` that matches nothing in the program, with the most similar name of it."""
+    """Return the error for the entry `name` that matches nothing in the program.
+
+    It suggests the most similar operation or comment of the program, and lists its operations.
+    """
     file = program.documents[0].name
     operation_names = list(dict.fromkeys(operation.name for operation in program_operations))
     comments = [title(event.text) for event in program.events if event.kind == "comment" and event.text.strip()]
@@ -264,7 +274,8 @@ class ProcessSource:
 
     Implements `forces.ForceSource`. The stock is swept once for a program.
 
-    :ivar process: the process; process_forces: the last result, None before the first and without [material].
+    :ivar process: the process.
+    :ivar process_forces: the last computed forces; None before the first call of `along`, and without [material].
     """
 
     def __init__(

@@ -23,14 +23,14 @@ from postproc.machining.tool import Cutter
 from postproc.program import Bools, Ints
 
 _BORDER = 2
-"""Cells of air around the stock."""
+"""Number of cells of air around the stock."""
 _MOST_CELLS = 60_000_000
-"""A map of as many cells takes 240 MB."""
+"""Largest number of cells of a map: their upper levels take 240 MB."""
 SLOPE = 1e-4
 """Unit of slopes in the map,"""
-_STEEPEST = 3.0
+_STEEPEST_SLOPE = 3.0
 """and the steepest one: walls are located by the levels of their cells."""
-_STEP = 0.25
+_SLOPE_STEP = 0.25
 """Distance from the middle of a cell of the two levels from which its slope is computed, in cells (assumed)."""
 _SUBDIVISION = 4
 """Number of columns and of rows into which a cell is divided to find the share of it that a mesh covers (assumed)."""
@@ -50,15 +50,16 @@ class MapBounds(NamedTuple):
 class Stock(Struct, frozen=True, eq=False):
     """Material between `floor` and the levels of its cells. Metres, in the frame of the map: z along the tool.
 
-    :param x: edge of the first column; y: of the first row.
+    :param x: smallest x of the map, the edge of the first column.
+    :param y: smallest y of the map, the edge of the first row.
     :param cell: width of a cell.
     :param high: (ny, nx) upper level; the map is changed in place as material is removed.
     :param low: (ny, nx) lower level; counts only where `share` is not 0.
-    :param share: (ny, nx) part of the cell's area that is at the lower level, 0 … 1.
-    :param slope: (ny, nx, 2) of the surface along x and y in the middle of the cell, in units of `SLOPE`; 0 where it is
-        level or not known.
+    :param share: (ny, nx) share of the area of each cell that is at the lower level, 0 … 1.
+    :param slope: (ny, nx, 2) slope of the surface along x and y in the middle of the cell, in units of `SLOPE`; 0 where
+        the surface is level or its slope is not known.
     :param floor: (ny, nx) lower side of the material; it never changes.
-    :param ground: the largest value of `floor`.
+    :param ground: just above the largest value of `floor`, which is rounded to single precision.
     """
 
     x: float
@@ -72,7 +73,7 @@ class Stock(Struct, frozen=True, eq=False):
     ground: float
 
     def thickness(self) -> Array:
-        """Return the mean thickness of material in each cell (ny, nx) [m]."""
+        """Return the mean thickness of material in each cell (ny, nx) [m]; both levels count by their shares."""
         high = np.maximum(self.high - self.floor, 0.0)
         low = np.maximum(np.minimum(self.low, self.high) - self.floor, 0.0)
         return np.asarray(high + self.share * (low - high), dtype=float)
@@ -95,22 +96,25 @@ class Stock(Struct, frozen=True, eq=False):
 
 
 def refine(stock: Stock, factor: int) -> Stock:
-    """Return a map with cells that are narrower by a whole factor.
+    """Return a map whose cells are narrower by a whole factor.
 
-    Surfaces with slopes are interpolated; the cells in a partly cut one inherit its two levels and their shares.
+    Surfaces with slopes are interpolated. A partly cut cell is divided into cells with the same two levels and shares.
     """
 
     def divided(values: NDArray[Any]) -> NDArray[Any]:
         """Return values of cells (ny, nx, …) repeated for the narrower cells in each."""
         return np.repeat(np.repeat(values, factor, axis=0), factor, axis=1)
 
-    shift = ((np.arange(factor) + 0.5) / factor - 0.5).tolist()
+    # middles of narrow cells from the middle of the wide cell, in wide cells
+    offset = ((np.arange(factor) + 0.5) / factor - 0.5).tolist()
     has_slope = ((stock.share == 0.0) & (stock.high > stock.floor))[..., None]
     slope = np.where(has_slope, stock.slope, np.int16(0)).astype(np.int16)
     rise = slope.astype(np.float32) * np.float32(SLOPE * stock.cell)
     high = divided(stock.high)
     for row, column in np.ndindex(factor, factor):
-        high[row::factor, column::factor] = _surface_at(stock.high, rise, has_slope[..., 0], shift[row], shift[column])
+        high[row::factor, column::factor] = _surface_at(
+            stock.high, rise, has_slope[..., 0], offset[row], offset[column]
+        )
     low, share, floor = (divided(values) for values in (stock.low, stock.share, stock.floor))
     return Stock(stock.x, stock.y, stock.cell / factor, high, low, share, divided(slope), floor, stock.ground)
 
@@ -119,9 +123,9 @@ def _surface_at(high: Floats, rise: Floats, has_slope: Bools, y_shift: float, x_
     """Return the level of the surface (ny, nx) [m] in each cell, at the same distance from its middle.
 
     :param high: (ny, nx) upper levels of the cells [m].
-    :param rise: (ny, nx, 2) of the surface along x and y, over a cell [m].
-    :param has_slope: (ny, nx) cells whose surface has one level and a slope; the surface of a cell next to others is
-        taken for level.
+    :param rise: (ny, nx, 2) rise of the surface along x and y, over a cell [m].
+    :param has_slope: (ny, nx) True for cells whose surface has one level and a slope. The surface of a cell next to a
+        cell without one is taken for level.
     :param y_shift: distance from the middles along y, and `x_shift` along x, in cells from −0.5 to 0.5.
     """
     x_side, y_side = 1 if x_shift >= 0.0 else -1, 1 if y_shift >= 0.0 else -1
@@ -139,12 +143,13 @@ def _surface_at(high: Floats, rise: Floats, has_slope: Bools, y_shift: float, x_
         levels.append(padded_high[window])
         plane_rise = np.float32(x_shift - column_step) * slope[..., 0] + np.float32(y_shift - row_step) * slope[..., 1]
         planes.append(np.asarray(levels[-1] + plane_rise, dtype=np.float32))
+        # bilinear: the nearer the neighbour, the larger its weight
         share = (distance[0] if row_step else 1.0 - distance[0]) * (distance[1] if column_step else 1.0 - distance[1])
         weights.append(np.full(shape, share, dtype=np.float32))
-    return np.where(has_all_slopes, between_cells(levels, planes, weights), high)
+    return np.where(has_all_slopes, surface_between_cells(levels, planes, weights), high)
 
 
-def between_cells(levels: list[Floats], planes: list[Floats], weights: list[Floats]) -> Floats:
+def surface_between_cells(levels: list[Floats], planes: list[Floats], weights: list[Floats]) -> Floats:
     """Return the level of the surface at points between four cells [m], in the shape of the parameters.
 
     The mean of interpolated levels and interpolated tangent planes is exact on a paraboloid. Where all four planes are
@@ -164,7 +169,7 @@ def between_cells(levels: list[Floats], planes: list[Floats], weights: list[Floa
     return np.asarray(np.where(lowest_plane > mean_level, lowest_plane, smooth_level))
 
 
-def level_slopes(high: Floats) -> NDArray[np.int16]:
+def zero_slopes(high: Floats) -> NDArray[np.int16]:
     """Return the slopes along x and y (ny, nx, 2) of a level surface: zeros; `high` (ny, nx) gives the size."""
     return np.zeros((*high.shape, 2), dtype=np.int16)
 
@@ -189,8 +194,8 @@ def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> _MapExten
 
     :param lower: (3,) and `upper` (3,): corners of a box around the stock, frame of the map [m].
     :param cell: width of a cell [m].
-    :param file: of the process or of the mesh, for the message.
-    :raises ForceError: it would be too large.
+    :param file: path of the process or of the mesh, for the message.
+    :raises ForceError: the map would have more than `_MOST_CELLS` cells.
     """
     # 1e-6: a box of a whole number of cells needs no further one for rounding
     count = np.ceil((upper[:2] - lower[:2]) / cell - 1e-6).astype(int) + 2 * _BORDER
@@ -206,7 +211,8 @@ def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> _MapExten
 def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> Stock:
     """Return the map of a box from corner `lower` (3,) to `upper` (3,) [m], with cells of width `cell` [m].
 
-    :raises ForceError: it would have too many cells.
+    :param file: path of the process or of the mesh, for the message.
+    :raises ForceError: the map would have too many cells.
     """
     x, y, nx, ny = _map_extent(lower, upper, cell, file)
     covered_shares = []  # of the columns in x, of the rows in y
@@ -218,7 +224,8 @@ def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> St
     floor = np.full((ny, nx), lower[2], dtype=np.float32)
     high = np.where(coverage > 0.0, upper[2], lower[2]).astype(np.float32)
     share = np.where(coverage > 0.0, 1.0 - coverage, 0.0).astype(np.float32)
-    return Stock(x, y, cell, high, floor.copy(), share, level_slopes(high), floor, float(lower[2]) + 1e-6)
+    ground = float(lower[2]) + 1e-6  # above `floor`, whose values are rounded to single precision
+    return Stock(x, y, cell, high, floor.copy(), share, zero_slopes(high), floor, ground)
 
 
 def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str = "stock") -> Stock:
@@ -227,9 +234,10 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
     Each cell is divided into `_SUBDIVISION` × `_SUBDIVISION` squares, to find the share of it that the mesh covers and
     the mean heights.
 
-    :param vertices: (V, 3) [m], in the frame of the map; faces: (F, 3).
+    :param vertices: (V, 3) [m], in the frame of the map; `faces` (F, 3).
     :param cell: width of a cell [m].
-    :raises ForceError: it would have too many cells.
+    :param file: path of the process or of the mesh, for the message.
+    :raises ForceError: the map would have too many cells.
     """
     x, y, nx, ny = _map_extent(vertices.min(axis=0), vertices.max(axis=0), cell, file)
     high, low, share = (np.zeros((ny, nx), dtype=np.float32) for _ in range(3))
@@ -253,16 +261,17 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
         high[map_rows], floor[map_rows] = np.where(count > 0, mean, np.nan), np.where(count > 0, mean_floor, np.nan)
         share[map_rows] = np.where(count > 0, 1.0 - count / _SUBDIVISION**2, 0.0)
     is_empty = np.isnan(high)
-    ground = float(np.nanmin(floor)) if not is_empty.all() else 0.0
-    high[is_empty] = floor[is_empty] = ground
+    lowest_floor = float(np.nanmin(floor)) if not is_empty.all() else 0.0
+    high[is_empty] = floor[is_empty] = lowest_floor  # no thickness
     low[:] = floor
-    return Stock(x, y, cell, high, low, share, level_slopes(high), floor, float(floor.max()) + 1e-6)
+    ground = float(floor.max()) + 1e-6
+    return Stock(x, y, cell, high, low, share, zero_slopes(high), floor, ground)
 
 
 def _surfaces_of_columns(
     vertices: Array, faces: NDArray[np.int64], origin: tuple[float, float], step: float, count: tuple[int, int]
 ) -> tuple[Array, Array]:
-    """Return the highest and the lowest height of a mesh over a grid, (ny, nx) each [m]; −inf, inf if none.
+    """Return the highest and the lowest height of a mesh over a grid, (ny, nx) each [m]; −inf and inf beside the mesh.
 
     :param vertices: (V, 3) of the mesh [m], in the frame of the map; `faces` (F, 3).
     :param origin: corner of the grid x, y [m]; its points are in the middles of squares of a width `step` [m].
@@ -281,7 +290,7 @@ def _surfaces_of_columns(
         # barycentric coordinates v, w of the point in the triangle seen from above
         v = (dx * ac[triangle, 1] - dy * ac[triangle, 0]) / area[triangle]
         w = (ab[triangle, 0] * dy - ab[triangle, 1] * dx) / area[triangle]
-        is_inside = (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)
+        is_inside = (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)  # edges count: 1e-9 is rounding
         index, triangle = index[is_inside], triangle[is_inside]
         z = corner[triangle, 0, 2] + v[is_inside] * ab[triangle, 2] + w[is_inside] * ac[triangle, 2]
         np.maximum.at(upper, index, z)
@@ -297,9 +306,9 @@ def _points_in_boxes(
     :param corner: (F, 3, 3) corners of triangles [m].
     :param origin: corner of the grid x, y [m]; its points are in the middles of squares of a width `step` [m].
     :param count: number of points along x and y.
-    :returns: indices of points (n,), row by row of the grid, and rows of triangles (n,).
+    :returns: indices of points (n,), counted row by row of the grid, and rows of triangles in `corner` (n,).
     """
-    first_index, index_count = [], []
+    first_index, index_count = [], []  # columns (axis 0) and rows (axis 1) of the points in the box of each triangle
     for axis in range(2):
         low, high = corner[:, :, axis].min(axis=1), corner[:, :, axis].max(axis=1)
         begin = np.clip(np.ceil((low - origin[axis]) / step - 0.5 - 1e-9), 0, count[axis]).astype(np.int64)
@@ -355,7 +364,8 @@ def mesh_of(stock: Stock, most_cells: int = 250_000) -> tuple[Array, NDArray[np.
 def _coarse_columns(stock: Stock, factor: int) -> tuple[Array, Array]:
     """Return the lower sides and the thicknesses of material in blocks of factor × factor cells, (ny, nx) each [m].
 
-    The lower side is the mean over cells with material, the thickness that over all, so that volumes are kept.
+    The lower side is the mean over the cells with material. The thickness is the mean over all cells of the block, so
+    that the volume remains.
     """
     thickness, floor = stock.thickness(), stock.floor.astype(float)
     rows, columns = (-(-size // factor) for size in thickness.shape)  # rounded up
@@ -399,9 +409,9 @@ def _quads_of_cells(is_filled: Bools) -> NDArray[np.int64]:
 
 
 def _separate_diagonal_cells(is_filled: Bools) -> None:
-    """Empty one of two filled cells that touch at a corner only.
+    """Empty one of two filled cells that touch at a corner only, until there are no more such pairs.
 
-    They would share an edge of four faces: such a mesh is not closed.
+    The two cells would share an edge that four faces have in common: such a mesh is not closed.
 
     :param is_filled: (ny, nx) True for filled cells; changed in place.
     """
@@ -421,8 +431,8 @@ def as_trimesh(vertices: Array, faces: NDArray[np.int64]) -> Any:
     return trimesh.Trimesh(vertices * 1e3, faces, process=False)
 
 
-_HALVINGS = 18
-"""Golden sections: an interval of 10 mm becomes 2 µm."""
+_GOLDEN_SECTIONS = 18
+"""Number of golden sections: an interval of 10 mm becomes 2 µm."""
 _WHOLE_SHARE = np.float32(0.999)
 """A cell that is cut over at least this share of its area counts as fully cut (assumed)."""
 _EQUAL_LEVEL = np.float32(1e-6)
@@ -434,10 +444,13 @@ MOST_CELLS_AT_ONCE = 200_000
 class Footprint(Struct, frozen=True, eq=False):
     """Cells under some segments, one row for each cell and segment.
 
-    :param cell: (n,) index in the flat map of cells that the tool covers fully; level: (n,) its lower side there [m].
+    :param cell: (n,) index in the flat map of cells that the tool covers fully.
+    :param level: (n,) lower side of the tool in these cells [m].
     :param segment: (n,) row of the segment in `path`.
-    :param rim: (r,) cells that its cylinder covers partly; coverage: (r,) the share; rim_level: (r,) [m].
-    :param path: tool and segments, from (L, 3) and to (L, 3); None: what they leave has no known slope.
+    :param rim: (r,) index in the flat map of cells that the cylinder of the tool covers partly.
+    :param coverage: (r,) share of these cells that it covers, 0 … 1.
+    :param rim_level: (r,) lower side of the tool in these cells [m].
+    :param path: tool, and begins (L, 3) and ends (L, 3) of segments [m]; None: the surface has no known slope.
     """
 
     cell: Ints
@@ -450,7 +463,7 @@ class Footprint(Struct, frozen=True, eq=False):
 
     @classmethod
     def empty(cls) -> Footprint:
-        """Return no cells."""
+        """Return a footprint without cells."""
         cells, levels = np.zeros(0, dtype=np.int64), np.zeros(0, np.float32)
         return cls(cells, levels, np.zeros(0, np.int32), cells, levels, levels, None)
 
@@ -464,24 +477,30 @@ class Footprint(Struct, frozen=True, eq=False):
             np.concatenate([part.coverage for part in parts]), np.concatenate([part.rim_level for part in parts]), path,
         )  # fmt: skip
 
-    def of(self, cells: Bools, rims: Bools) -> Footprint:
-        """Return the cells that are True in `cells` (n,), and those of the rim that are True in `rims` (r,)."""
+    def selected(self, cells: Bools, rims: Bools) -> Footprint:
+        """Return the footprint of selected cells only.
+
+        :param cells: (n,) True for the selected cells that the tool covers fully, and `rims` (r,) for those of the rim.
+        """
         return Footprint(
             self.cell[cells], self.level[cells], self.segment[cells], self.rim[rims], self.coverage[rims],
             self.rim_level[rims], self.path,
         )  # fmt: skip
 
-    def outside(self, cover: Footprint) -> Footprint:
-        """Return the cells that the footprint `cover` does not cover as deep, and the rim that it does not cover."""
+    def not_covered_by(self, cover: Footprint) -> Footprint:
+        """Return the cells that another footprint does not cover, or covers less deep.
+
+        :param cover: the other footprint. Cells of the rim remain only if they are not in it at all.
+        """
         if not len(cover.cell):
-            return self.of(np.ones(len(self.cell), dtype=bool), ~np.isin(self.rim, cover.rim))
+            return self.selected(np.ones(len(self.cell), dtype=bool), ~np.isin(self.rim, cover.rim))
         order = np.lexsort((cover.level, cover.cell))  # the lowest level of each cell comes first
         cell, level = cover.cell[order], cover.level[order]
-        row = np.minimum(np.searchsorted(cell, self.cell), len(cell) - 1)
+        row = np.minimum(np.searchsorted(cell, self.cell), len(cell) - 1)  # first row of each cell in the sorted cover
         is_covered = (cell[row] == self.cell) & (level[row] <= self.level + _EQUAL_LEVEL)
-        return self.of(~is_covered, ~(np.isin(self.rim, cell) | np.isin(self.rim, cover.rim)))
+        return self.selected(~is_covered, ~(np.isin(self.rim, cell) | np.isin(self.rim, cover.rim)))
 
-    def around(self, stock: Stock, point: Array, radius: float) -> Footprint:
+    def outside_circle(self, stock: Stock, point: Array, radius: float) -> Footprint:
         """Return the footprint without cells whose middles are within a circle, seen along z; all of the rim remains.
 
         :param stock: map of the cells.
@@ -489,16 +508,16 @@ class Footprint(Struct, frozen=True, eq=False):
         """
         row, column = np.divmod(self.cell, stock.high.shape[1])
         x, y = stock.x + (column + 0.5) * stock.cell - point[0], stock.y + (row + 0.5) * stock.cell - point[1]
-        return self.of(np.hypot(x, y) >= radius, np.ones(len(self.rim), dtype=bool))
+        return self.selected(np.hypot(x, y) >= radius, np.ones(len(self.rim), dtype=bool))
 
 
 def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, heading: Array | None = None) -> Footprint:
     """Remove the volume that a tool along z sweeps as its tip moves along L segments.
 
-    The segments make one surface: where several cover a part of one cell, the one that covers most of it counts.
+    The segments make one surface: where several cover a part of one cell, the segment that covers most of it counts.
 
     :param begin: (L, 3) positions of the tip where segments begin, and `end` (L, 3) where they end [m].
-    :param heading: (3,) direction in which the tool goes on. The material under its front at the last position is then
+    :param heading: (3,) direction in which the tool moves on. The material under its front at the last position is then
         kept, as the front must meet uncut material next, not cells that it has partly cut. None: all is removed.
     :returns: the cells whose material is kept, to be removed later by `cut`.
     """
@@ -507,10 +526,10 @@ def remove(stock: Stock, cutter: Cutter, begin: Array, end: Array, heading: Arra
     if heading is None:
         cut(stock, footprint)
         return Footprint.empty()
-    is_front = _is_ahead(stock, cutter, footprint.cell, end[-1], heading, rim=False)
-    is_front_rim = _is_ahead(stock, cutter, footprint.rim, end[-1], heading, rim=True)
-    cut(stock, footprint.of(~is_front, ~is_front_rim))
-    return footprint.of(is_front, is_front_rim)
+    is_front = _is_under_front(stock, cutter, footprint.cell, end[-1], heading, rim=False)
+    is_front_rim = _is_under_front(stock, cutter, footprint.rim, end[-1], heading, rim=True)
+    cut(stock, footprint.selected(~is_front, ~is_front_rim))
+    return footprint.selected(is_front, is_front_rim)
 
 
 def cut(stock: Stock, footprint: Footprint) -> None:
@@ -519,7 +538,7 @@ def cut(stock: Stock, footprint: Footprint) -> None:
     deeper_rows = np.flatnonzero(footprint.level < high[footprint.cell])
     cell, level = footprint.cell[deeper_rows], footprint.level[deeper_rows]
     np.minimum.at(high, cell, level)
-    is_lowest = level <= high[cell]
+    is_lowest = level <= high[cell]  # of several rows of one cell, those that set its new level
     stock.slope.reshape(-1, 2)[cell[is_lowest]] = _slopes(stock, footprint, deeper_rows[is_lowest])
     if len(footprint.rim):
         _cut_in_part(stock, *_largest_coverage(footprint.rim, footprint.coverage, footprint.rim_level))
@@ -528,9 +547,10 @@ def cut(stock: Stock, footprint: Footprint) -> None:
 def _slopes(stock: Stock, footprint: Footprint, rows: Ints) -> NDArray[np.int16]:
     """Return the slopes along x and y (k, 2), in units of `SLOPE`, of the surface that a tool leaves in some cells.
 
-    By the difference of levels on both sides of the middle of each cell.
+    They are computed from the levels of the tool on both sides of the middle of each cell. They are 0 if the footprint
+    has no path, or if a flat tool moves on level segments.
 
-    :param rows: (k,) of the cells of the footprint.
+    :param rows: (k,) rows of the cells in the footprint.
     """
     slopes = np.zeros((len(rows), 2), dtype=np.int16)
     if footprint.path is None or not len(rows):
@@ -542,21 +562,21 @@ def _slopes(stock: Stock, footprint: Footprint, rows: Ints) -> NDArray[np.int16]
         return slopes
     row, column = (index[:, None, None] for index in np.divmod(footprint.cell[rows], stock.high.shape[1]))
     x, y = cell_middles(stock, begin, row, column)
-    step = np.float32(_STEP * stock.cell)
+    step = np.float32(_SLOPE_STEP * stock.cell)
     for axis, (x_step, y_step) in enumerate(((step, 0.0 * step), (0.0 * step, step))):
         _, lower_level = tool_levels(cutter, begin, end, x - x_step, y - y_step)
         _, upper_level = tool_levels(cutter, begin, end, x + x_step, y + y_step)
         slope = (upper_level - lower_level)[:, 0, 0] / (2.0 * step)
-        slopes[:, axis] = np.clip(slope, -_STEEPEST, _STEEPEST) / SLOPE
+        slopes[:, axis] = np.clip(slope, -_STEEPEST_SLOPE, _STEEPEST_SLOPE) / SLOPE
     return slopes
 
 
-def _is_ahead(stock: Stock, cutter: Cutter, cell: Ints, point: Array, direction: Array, *, rim: bool) -> Bools:
+def _is_under_front(stock: Stock, cutter: Cutter, cell: Ints, point: Array, direction: Array, *, rim: bool) -> Bools:
     """Return True for cells (n,) under the front of a tool: there its surface moves outwards, into the material.
 
     :param cell: (n,) index in the flat map.
-    :param point: (3,) position of the tip [m]; direction: (3,) unit direction of its travel.
-    :param rim: the cells are those that the cylinder covers in part; else those under the end of the tool.
+    :param point: (3,) position of the tip [m]; `direction` (3,) unit direction of its travel.
+    :param rim: True: the cells are those that the cylinder covers in part; False: those under the end of the tool.
     """
     row, column = np.divmod(cell, stock.high.shape[1])
     x = stock.x + (column + 0.5) * stock.cell - point[0]
@@ -566,7 +586,7 @@ def _is_ahead(stock: Stock, cutter: Cutter, cell: Ints, point: Array, direction:
         return np.asarray(advance > 0.0)
     distance = np.hypot(x, y)
     corner_distance = np.maximum(distance - (cutter.radius - cutter.corner), 0.0)
-    # it moves outwards where its normal (outwards and down, times the radius of the corner) is along the travel
+    # the surface moves outwards where its outward normal, times the radius of the corner, has a part along the travel
     radial_normal = corner_distance / np.maximum(distance, 1e-12)
     axial_normal = np.sqrt(np.maximum(cutter.corner**2 - corner_distance**2, 0.0)) if cutter.corner > 0.0 else 1.0
     return np.asarray(
@@ -574,7 +594,7 @@ def _is_ahead(stock: Stock, cutter: Cutter, cell: Ints, point: Array, direction:
     )
 
 
-def depth_of(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
+def depth_of_cut(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
     """Return the largest depth of cut [m] as the tip moves from `begin` (L, 3) to `end` (L, 3) [m].
 
     Only cells that the tool covers fully count: walls are not located better than that.
@@ -600,7 +620,7 @@ def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> Itera
 class SegmentWindows(NamedTuple):
     """Rectangular windows of a map around k segments, all of one size.
 
-    :param rows: (k,) of the segments.
+    :param rows: (k,) rows of the segments.
     :param corner: (k, 2) column and row of the first cell of each window.
     :param size: (2,) number of columns and of rows of all windows.
     """
@@ -617,7 +637,7 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[Se
     limited. Segments without a cell of the map in their window are omitted.
 
     :param reach: distance of the edge of a window from the segment [m].
-    :param begin: (L, 3) and `end` (L, 3) of segments [m].
+    :param begin: (L, 3) begins of segments [m], and `end` (L, 3) their ends.
     """
     cell = stock.cell
     origin = np.array([stock.x, stock.y])
@@ -636,14 +656,14 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[Se
         rows = rows[: max(1, MOST_CELLS_AT_ONCE // int(size[rows[-1]]))]
         done_count += len(rows)
         window = np.minimum(count[rows].max(axis=0), map_size)
-        corner = np.minimum(first[rows], map_size - window)
+        corner = np.minimum(first[rows], map_size - window)  # windows at the upper edges move inwards
         yield SegmentWindows(rows, corner, window)
 
 
 def _footprint(stock: Stock, cutter: Cutter, begin: Array, end: Array, batch: SegmentWindows) -> Footprint | None:
     """Return the cells under some segments; None if none of their windows has material above the tip.
 
-    :param begin: (L, 3) and `end` (L, 3) of all segments [m].
+    :param begin: (L, 3) begins of all segments [m], and `end` (L, 3) their ends.
     :param batch: the segments that count, and the windows of the map around them.
     """
     cell, path = stock.cell, (cutter, begin, end)
@@ -682,8 +702,8 @@ class WindowCells(NamedTuple):
     """The cells in k windows of w columns and h rows.
 
     :param cell: (k, h, w) index in the flat map.
-    :param row: (k, h, 1) of the map.
-    :param column: (k, 1, w) of the map.
+    :param row: (k, h, 1) rows of the map.
+    :param column: (k, 1, w) columns of the map.
     """
 
     cell: Ints
@@ -706,8 +726,9 @@ def cell_middles(stock: Stock, begin: Array, row: Ints, column: Ints) -> tuple[F
     """Return x (k, 1, w) and y (k, h, 1) of the middles of cells, relative to the starts of segments [m].
 
     :param begin: (k, 3) starts of segments [m].
-    :param row: (k, h, 1) and `column` (k, 1, w) of the cells.
+    :param row: (k, h, 1) rows of the cells in the map, and `column` (k, 1, w) their columns.
     """
+    # each start of a segment from the middle of the first cell of the map
     origin = (begin[:, :2] - (stock.x, stock.y) - 0.5 * stock.cell)[:, :, None, None]
     return (column * stock.cell - origin[:, 0]).astype(np.float32), (row * stock.cell - origin[:, 1]).astype(np.float32)
 
@@ -719,7 +740,7 @@ def tool_levels(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats
     z + slope·t, plus the height of its lower side at the distance of the cell from the axis: convex in t.
 
     :param begin: (L, 3) positions of the tip where segments begin, and `end` (L, 3) where they end [m].
-    :param px: x and `py` y of the cells of each segment from its start [m]; together they have the shape (L, h, w).
+    :param px: x of the cells from the start of each segment [m], and `py` their y: broadcast to the shape (L, h, w).
     """
     chord = end - begin
     travel_length = np.hypot(chord[:, 0], chord[:, 1])
@@ -751,25 +772,26 @@ def tool_levels(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats
 
 
 def _lowest_position(
-    cutter: Cutter, travel: Floats, square: Floats, half: Floats, length: Floats, slope: Floats
+    cutter: Cutter, travel: Floats, square: Floats, half_chord: Floats, length: Floats, slope: Floats
 ) -> Floats:
     """Return the length t (L, h, w) along the segment at which a bull-nose tool is lowest above each cell [m].
 
     By golden section between the places where the cell is at the rim of the tool; the height is convex there.
 
     :param travel: (L, h, w) length along the segment of the point nearest to the cell [m]; `square` the square of the
-        distance of the cell from the line of the segment [m²]; `half` half the chord of the tool over the cell [m].
+        distance of the cell from the line of the segment [m²]; `half_chord` half the chord of the tool over the cell
+        [m].
     :param length: (L, 1, 1) of the segments, seen from above [m]; `slope` (L, 1, 1) of their rise.
     """
-    a = np.minimum(np.maximum(travel - half, 0.0), length).astype(float)
-    b = np.minimum(np.maximum(travel + half, 0.0), length).astype(float)
+    a = np.minimum(np.maximum(travel - half_chord, 0.0), length).astype(float)
+    b = np.minimum(np.maximum(travel + half_chord, 0.0), length).astype(float)
     ratio = 0.5 * (math.sqrt(5.0) - 1.0)
 
     def height(t: Array) -> Array:
         """Return the height of the tool above the cells [m] at lengths t [m], less that of the tip at t = 0."""
         return np.asarray(slope * t + cutter.height(np.sqrt(square + (travel - t) ** 2)))
 
-    for _ in range(_HALVINGS):
+    for _ in range(_GOLDEN_SECTIONS):
         first, second = b - ratio * (b - a), a + ratio * (b - a)
         is_left_lower = height(first) < height(second)
         a, b = np.where(is_left_lower, a, first), np.where(is_left_lower, second, b)
@@ -809,7 +831,7 @@ def _cut_in_part(stock: Stock, cell: Ints, coverage: Floats, level: Floats) -> N
     flat_high, flat_low, flat_share = (values.reshape(-1) for values in (stock.high, stock.low, stock.share))
     high, low, share = flat_high[cell], flat_low[cell], flat_share[cell]
     is_cut = level < high
-    low = np.where(share > 0.0, np.minimum(low, high), high)
+    low = np.where(share > 0.0, np.minimum(low, high), high)  # a cell without a share has one level
     overlap = np.minimum(share, coverage)
     union = np.maximum(share, coverage)
     # level of the part of the union that only one of the cuts covers

@@ -22,7 +22,7 @@ from postproc.machining.leaning import depth_inside
 from postproc.machining.material import CuttingLaw, Floats
 from postproc.machining.process import Process
 from postproc.machining.remaining import Ceiling, Guard
-from postproc.machining.stock import Footprint, Stock, cut, depth_of, remove
+from postproc.machining.stock import Footprint, Stock, cut, depth_of_cut, remove
 from postproc.machining.tilted import TiltedPath
 from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, Turn, edge, slice_cylinder, take_pieces
 from postproc.machining.tool_path import StraightSegments, ToolPoses, ToolStates
@@ -45,13 +45,13 @@ _SLICE_STEP = 4
 """Edges of tools that lean are divided up to multiples of this many cells,"""
 _TILT_KEY = -1
 """and kept under this number instead of a slope."""
-_AXIS_COSINE = np.cos(np.radians(3.0))
+_SAME_AXIS_COSINE = np.cos(np.radians(3.0))
 """Tools that turn while they cut are processed together while their axis turns by less (assumed)."""
-_ON_LINE = 1e-6
+_LINE_TOLERANCE = 1e-6
 """Directions that differ by less count as one straight line (assumed)."""
 _ENGAGED_SHARE = 0.05
 """Share of an edge in material below which it does not count for angles and width of engagement."""
-_SAGITTA = 1e-3
+_CHORD_DEVIATION = 1e-3
 """The path of a tool that leans leaves its chords by less [m] (assumed)."""
 _FEWEST_PLACES = 4
 """Smallest number of places on such a chord where the tool is compared with the stock (assumed)."""
@@ -66,11 +66,11 @@ class Cuts(Columns, frozen=True, eq=False):
     :param t: (N,) position on it in [0, 1].
     :param wrench: (N, 6) mean force and moment about the tip on the tool. FEED axes; on moves along the spindle the
         axes of the map.
-    :param deviation: (N, 6) standard deviations of it by covariance, rubbing and cells, see `cutting.Loads`.
+    :param deviation: (N, 6) standard deviations of the wrench, see `cutting.Loads`.
     :param is_axial: (N,) True on moves along the spindle.
     :param torque: (N,) mean torque of the spindle [N·m].
-    :param power: (N,) [W].
-    :param enter: (N,) and leave: (N,) smallest and largest angle in material [rad]; NaN in air.
+    :param power: (N,) mean power of the spindle [W].
+    :param enter: (N,) smallest angle of the turn in material [rad], and `leave` (N,) largest angle; NaN in air.
     :param depth: (N,) axial depth of cut [m]; of drills the depth of the tip below the surface around the hole.
     :param width: (N,) radial width of cut [m].
     :param rate: (N,) volume removed per time [m³/s].
@@ -91,7 +91,7 @@ class Cuts(Columns, frozen=True, eq=False):
 
     @classmethod
     def empty(cls) -> Cuts:
-        """Return no stations."""
+        """Return cuts without stations."""
         empty = np.zeros(0)
         six = np.zeros((0, 6))
         return cls(empty.astype(np.int64), empty, six, six, empty.astype(bool), *[empty] * 7)
@@ -103,18 +103,18 @@ class Sweep(Struct, eq=False):
     :ivar feed: (M,) speed of the tip on each motion [m/s].
     :ivar law: forces of the material per length of cutting edge and chip.
     :ivar poses: the tool anywhere on the path.
-    :ivar swing: (M,) how fast motions turn the tool that do not move its tip [rad/s]; NaN: not known.
-    :ivar is_deflected: the tip is displaced: on rapid moves it still springs back, and contact there is no collision.
+    :ivar swing: (M,) angular speed of the tool on motions that do not move its tip [rad/s]; NaN: not known.
+    :ivar is_deflected: the tip is displaced. On rapid moves it still springs back: their contact is no collision.
     :ivar guard: parts of the tool that must stay clear of the stock; None: they are not compared.
     :ivar ceiling: with a guard, the stock over time.
-    :ivar collisions: rapid motions through material, and how deep [m]; none if `is_deflected`.
+    :ivar collisions: row of a rapid motion through material → its depth [m]; empty if `is_deflected`.
     :ivar stopped_motions: cutting motions through material with the spindle off.
-    :ivar contact: whether any cutting move engaged material.
-    :ivar by_cells: (M, 2) for each motion sums, over its stations, of the squares of the standard deviation of the
-        force by the cells of the map, and of the force [N²].
-    :ivar overhang: for motions of tools that lean, volume above the tool that a map cannot keep [m³].
-    :ivar tilted_volume: that they remove [m³].
-    :ivar unpaced: motions through material that only turn the tool, at a speed that is not known.
+    :ivar has_contact: whether any cutting move engaged material.
+    :ivar cell_error_sums: (M, 2) for each motion sums, over its stations, of the squares of the standard deviation of
+        the force by the cells of the map, and of the force [N²].
+    :ivar overhang: row of a motion of a tool that leans → volume above the tool that a map cannot keep [m³].
+    :ivar tilted_volume: volume that tools that lean remove [m³].
+    :ivar unpaced_motions: motions through material that only turn the tool, at a speed that is not known.
     :ivar top: height of the highest material at the start [m].
     """
 
@@ -125,16 +125,16 @@ class Sweep(Struct, eq=False):
     law: CuttingLaw
     poses: ToolPoses
     swing: Array
-    by_cells: Array
+    cell_error_sums: Array
     is_deflected: bool = False
     guard: Guard | None = None
     ceiling: Ceiling | None = None
     collisions: dict[int, float] = field(default_factory=dict)
     stopped_motions: set[int] = field(default_factory=set)
-    contact: bool = False
+    has_contact: bool = False
     overhang: dict[int, float] = field(default_factory=dict)
     tilted_volume: float = 0.0
-    unpaced: set[int] = field(default_factory=set)
+    unpaced_motions: set[int] = field(default_factory=set)
     top: float = -np.inf
     _cutters: dict[int, Cutter] = field(default_factory=dict)
     _edges: dict[int, Edge] = field(default_factory=dict)
@@ -145,7 +145,7 @@ class Sweep(Struct, eq=False):
 
         Contacts without a cut, collisions and volumes are recorded in the attributes.
 
-        :param progress: called with the number of segments done; None: nothing is.
+        :param progress: called with the number of segments done; None: not called.
         """
         self.top = self.stock.top
         may_touch = self._can_touch(segments, self.top)
@@ -180,27 +180,31 @@ class Sweep(Struct, eq=False):
                 cut(self.stock, uncut_front)
                 uncut_front = front = Footprint.empty()
                 self._record_contact(segments, begin, end, cutter)
+            # of the middle of the end face, whose material need not be kept; 0 for a tool that leans
             face_radius = 0.0 if leans else cutter.radius - cutter.corner - self.stock.cell
             self._cut_passed_front(uncut_front, front, segments.end[end - 1], face_radius)
             uncut_front = front
             if self.ceiling is not None:
-                self.ceiling.sink(*_extent(segments, begin, end, cutter), int(segments.motion[end - 1]))
+                self.ceiling.record_removal(*_extent(segments, begin, end, cutter), int(segments.motion[end - 1]))
 
     def _cut_passed_front(self, last_front: Footprint, front: Footprint, tip: Array, face_radius: float) -> None:
         """Remove the material that was kept under the front of the tool, where the tool has passed.
 
-        What is still under the front stays whole: on circles smaller than the tool the next groups meet it again. The
-        middle of an end face does not: it needs no more material than the descent of one group.
+        Cells that are still under the front are not cut: on circles smaller than the tool the next groups meet them
+        again. Cells under the middle of an end face are cut: it needs no more material than the descent of one group.
 
-        :param last_front: cells that the group of segments before kept, `front` those that this one keeps.
+        :param last_front: cells that the last group of segments kept, `front` cells that this group keeps.
         :param tip: (3,) position of the tip at the end of this group [m].
-        :param face_radius: of the end face of a tool along z, less a cell [m]; 0: the tool leans.
+        :param face_radius: radius of the end face of a tool along z, less a cell [m]; 0: the tool leans.
         """
-        kept_front = front.around(self.stock, tip, face_radius)
-        cut(self.stock, last_front.outside(kept_front))
+        kept_front = front.outside_circle(self.stock, tip, face_radius)
+        cut(self.stock, last_front.not_covered_by(kept_front))
 
     def _check_holder(self, segments: StraightSegments, begin: int, end: int) -> None:
-        """Compare the parts of the tool that do not cut with the stock before segments `begin` to `end` cut it."""
+        """Compare the parts of the tool that do not cut with the stock before segments cut it, if there is a guard.
+
+        :param begin: first segment, and `end` the one after the last.
+        """
         if self.guard is not None and self.ceiling is not None:
             cutter = self._cutter(int(self.tools.tool[segments.motion[begin]]))
             cuts = bool(segments.cutting[begin])
@@ -213,12 +217,12 @@ class Sweep(Struct, eq=False):
         """
         start, stop = segments.begin[begin:end], segments.end[begin:end]
         is_reported = segments.cutting[begin] or not self.is_deflected
-        if not is_reported or depth_of(self.stock, cutter, start, stop) <= _LEAST_DEPTH:
+        if not is_reported or depth_of_cut(self.stock, cutter, start, stop) <= _LEAST_DEPTH:
             remove(self.stock, cutter, start, stop)
             return
         for k, motion in enumerate(segments.motion[begin:end].tolist()):
             row = slice(k, k + 1)
-            depth = depth_of(self.stock, cutter, start[row], stop[row])
+            depth = depth_of_cut(self.stock, cutter, start[row], stop[row])
             if depth > _LEAST_DEPTH and segments.cutting[begin]:
                 self.stopped_motions.add(motion)
             elif depth > _LEAST_DEPTH:
@@ -236,12 +240,12 @@ class Sweep(Struct, eq=False):
             row = begin + k
             t = segments.first[row] + (segments.last[row] - segments.first[row]) * np.linspace(0.0, 1.0, pieces + 1)
             motion = int(segments.motion[row])
-            depth = depth_inside(self.stock, cutter, *self.poses.at(np.full(len(t), motion), t))
+            depth = depth_inside(self.stock, cutter, *self.poses.tips_and_axes(np.full(len(t), motion), t))
             if depth > 0.0:
                 self.collisions[motion] = max(depth, self.collisions.get(motion, 0.0))
 
     def _can_touch(self, segments: StraightSegments, top: float) -> Bools:
-        """Return which segments (L,) can touch the stock at all; a tool that leans may do so beside its tip.
+        """Return True for segments (L,) that can touch the stock at all; a tool that leans may touch it beside its tip.
 
         :param top: height of the highest material [m].
         """
@@ -252,7 +256,7 @@ class Sweep(Struct, eq=False):
         low, high = np.minimum(segments.begin, segments.end), np.maximum(segments.begin, segments.end)
         may_touch = (low[:, 2] < top) & (high[:, 0] + reach > x_low) & (low[:, 0] - reach < x_high)
         may_touch &= (high[:, 1] + reach > y_low) & (low[:, 1] - reach < y_high)
-        may_touch[segments.leans] = (low[:, 2] - reach - _SAGITTA < top)[segments.leans]
+        may_touch[segments.leans] = (low[:, 2] - reach - _CHORD_DEVIATION < top)[segments.leans]
         return np.asarray(may_touch)
 
     def _groups(self, segments: StraightSegments, may_touch: Bools) -> Iterator[tuple[int, int]]:
@@ -272,18 +276,18 @@ class Sweep(Struct, eq=False):
         axes = self._tilted_axes(segments, may_touch)
         largest_lengths = {number: _GROUP_LENGTH * self._cutter(number).radius for number in set(tool)}
 
-        def turns(begin: int, segment: int) -> bool:
+        def turns_too_far(begin: int, segment: int) -> bool:
             """Return whether path or tool turn too far from one segment to another."""
             if min(_dot(leave[begin], leave[segment]), _dot(leave[begin], arrive[segment])) < _STRAIGHT_COSINE:
                 return True
-            return segment in axes and _dot(axes[begin], axes[segment]) < _AXIS_COSINE
+            return segment in axes and _dot(axes[begin], axes[segment]) < _SAME_AXIS_COSINE
 
         begin, group_length = 0, length[0]
         for segment in range(1, len(tool)):
             if (
                 not joins_previous[segment]
                 or group_length > largest_lengths[tool[begin]]
-                or (may_cut[segment] and turns(begin, segment))
+                or (may_cut[segment] and turns_too_far(begin, segment))
             ):
                 yield begin, segment
                 begin, group_length = segment, 0.0
@@ -291,7 +295,10 @@ class Sweep(Struct, eq=False):
         yield begin, len(tool)
 
     def _joins_previous(self, segments: StraightSegments, may_touch: Bools) -> Bools:
-        """Return which segments (L,) may be processed together with the segment before them: they are of one kind.
+        """Return True for segments (L,) that are of one kind with the segment before, so that a group may have both.
+
+        Their tool, spindle and feed are the same. Cuts of a tool along z also must both descend, or both not, and both
+        be along the spindle, or both not.
 
         :param may_touch: (L,) segments that can touch the stock.
         """
@@ -324,14 +331,14 @@ class Sweep(Struct, eq=False):
         return remove(self.stock, cutter, segments.begin[run_begins], segments.end[run_ends], heading)
 
     def _tilted_axes(self, segments: StraightSegments, may_touch: Bools) -> dict[int, list[float]]:
-        """Return the unit axis (3) of the tool at the end of cuts on which it leans or turns, by segment.
+        """Return segment → unit axis (3) of the tool at its end, for cuts on which the tool leans or turns.
 
-        :param may_touch: (L,) segments that can touch the stock; others are left out.
+        :param may_touch: (L,) True for segments that can touch the stock; the others are left out.
         """
         rows = np.flatnonzero(segments.leans & segments.cutting & may_touch)
         if not len(rows):
             return {}
-        _, axes = self.poses.at(segments.motion[rows], segments.last[rows])
+        _, axes = self.poses.tips_and_axes(segments.motion[rows], segments.last[rows])
         return dict(zip(rows.tolist(), axes.tolist(), strict=True))
 
     def _air_stations(self, segments: StraightSegments, begin: int, end: int) -> Cuts:
@@ -371,7 +378,9 @@ class Sweep(Struct, eq=False):
             yield self._cuts_at(turn, number, position[rows], heading[rows], motion[rows], t[rows])
 
     def _turn_points(self, number: int, position: Array, heading: Array) -> Turn:
-        """Return the sample points of the edge that can be in material at some positions; each set is made once.
+        """Return the sample points of the edge that can be in material at some positions.
+
+        Equal sets of points are made once. The end face is left out if the tool does not descend.
 
         :param number: of the tool, as an index in `ToolStates.keys`.
         :param position: (n, 3) of the tip [m], `heading` (n, 3) unit directions of travel, frame of the map.
@@ -379,6 +388,7 @@ class Sweep(Struct, eq=False):
         cutter, pieces = self._cutter(number), self._edge(number)
         is_descent = bool((heading[:, 2] < -1e-6).any())
         surface_level = self._highest_level(position, cutter.radius)
+        # pieces are in order upwards: those that begin below the highest material
         piece_count = int(np.searchsorted(pieces.low, surface_level - float(position[:, 2].min()), side="left"))
         has_end_face = is_descent and bool((pieces.part == BOTTOM).any())
         piece_count = max(piece_count, 1)
@@ -387,7 +397,7 @@ class Sweep(Struct, eq=False):
         if key not in self._turns:
             is_used = (np.arange(len(pieces.low)) < piece_count) & (has_end_face | (pieces.part != BOTTOM))
             if not is_used.any():
-                is_used[-1] = True
+                is_used[-1] = True  # a turn has at least one piece
             kept_edge = take_pieces(pieces, is_used)
             step = self.stock.cell * (_RIM_SPACING if (kept_edge.part == SIDE).all() else 1.0)
             self._turns[key] = Turn.of(kept_edge, cutter, self.law, step, min(slope_steps / _SLOPE_STEPS, 1.0))
@@ -424,11 +434,12 @@ class Sweep(Struct, eq=False):
         return self._cuts_of_loads(turn, (motion, t, is_axial), loads, engagement.length * chip.share, hole_depth)
 
     def _hole_depth(self, position: Array, radius: float) -> float:
-        """Return the depth of the hole that a drill cuts [m]: all stations get it, as thinning keeps few of them.
+        """Return the depth of the hole that a drill cuts [m]; all stations have it, as few of them are kept later.
 
         :param position: (n, 3) of the tip at stations in the middle of equal steps [m].
         """
         heights = position[:, 2]
+        # the hole ends half a step below the last station
         half_step = 0.5 * abs(float(heights[-1] - heights[0])) / max(1, len(heights) - 1)
         return max(self._highest_level(position, radius) - (float(heights.min()) - half_step), 0.0)
 
@@ -440,11 +451,14 @@ class Sweep(Struct, eq=False):
         cuts: Floats,
         hole_depth: float,
     ) -> Cuts:
-        """Return engagement and loads at n stations, and add to `by_cells` what the cells add to their deviation.
+        """Return engagement and loads at n stations of cutting motions.
+
+        Set `has_contact` if an edge cuts, and add the errors by the cells of the map to `cell_error_sums`. Wrenches of
+        tools that turn left (M4) are mirrored in place.
 
         :param stations: motions (n,), places t (n,) on them, and whether (n,) they are along the spindle.
         :param cuts: (n, P) length of edge that cuts [m].
-        :param hole_depth: depth of the hole of a drill [m].
+        :param hole_depth: depth of the hole of a drill [m]; not used for other tools.
         """
         motion, t, is_axial = stations
         wrench, rpm, hand = loads.wrench, self.tools.rpm[motion], self.tools.hand[motion]
@@ -452,9 +466,9 @@ class Sweep(Struct, eq=False):
         if not cuts.any():
             no_angle, zero = np.full(len(t), np.nan), np.zeros(len(t))
             return Cuts(motion, t, wrench, loads.deviation, is_axial, zero, zero, no_angle, no_angle, zero, zero, zero)
-        self.contact = True
+        self.has_contact = True
         square = np.square(norm(wrench[:, :3]))
-        np.add.at(self.by_cells, motion, np.stack([loads.by_cells**2 * square, square], axis=1))
+        np.add.at(self.cell_error_sums, motion, np.stack([loads.cell_error_share**2 * square, square], axis=1))
         enter, leave, depth, width = _engagement_sizes(turn, cuts)
         if turn.drill:
             depth = np.where(cuts.any(axis=1), hole_depth, 0.0)
@@ -470,8 +484,8 @@ class Sweep(Struct, eq=False):
         """Return the cutting edge in material at n stations.
 
         :param position: (n, 3) of the tip [m], frame of the map.
-        :param axes: x and y (n,) of the unit direction of the feed, and hand of the tool (n,), ±1.
-        :param descent: (n,) descent in a tooth pitch [m].
+        :param axes: x (n,) and y (n,) of the unit direction of the feed, and hand (n,) of the tool, see `ToolStates`.
+        :param descent: (n,) descent from one tooth to the next [m].
         """
         ux, uy, hand = (component.astype(np.float32)[:, None] for component in axes)
         feed_offset = np.sin(turn.phi).astype(np.float32) * turn.radius
@@ -487,6 +501,7 @@ class Sweep(Struct, eq=False):
         :param top: height of the highest material near the path [m].
         """
         cutter, step = self._cutter(number), self.stock.cell
+        # length of the cylinder that can be below the material, in slices; few different lengths share their points
         height = (top - float(path.tip[:, 2].min()) + cutter.radius) / float(path.axis[:, 2].min())
         count = max(1, int(np.ceil(height / step / _SLICE_STEP))) * _SLICE_STEP
         key = (number, True, count, _TILT_KEY)
@@ -500,7 +515,7 @@ class Sweep(Struct, eq=False):
             part = path.take(slice(start, start + chunk))
             rpm, hand = self.tools.rpm[part.motion], self.tools.hand[part.motion]
             loads, cuts, is_axial = tilted.loads(self.stock, turn, part, 60.0 / (rpm * cutter.teeth), hand)
-            self.unpaced.update(part.motion[cuts.any(axis=1) & np.isnan(part.pace)].tolist())
+            self.unpaced_motions.update(part.motion[cuts.any(axis=1) & np.isnan(part.pace)].tolist())
             yield self._cuts_of_loads(turn, (part.motion, part.t, is_axial), loads, cuts, np.nan)
 
     def _tilted_path(
@@ -512,19 +527,19 @@ class Sweep(Struct, eq=False):
         """
         rows = slice(begin, end)
         motion = segments.motion[rows]
-        axes = [self.poses.at(motion, t[rows])[1] for t in (segments.first, segments.last)]
+        axes = [self.poses.tips_and_axes(motion, t[rows])[1] for t in (segments.first, segments.last)]
         path = TiltedPath.of(
             segments.take(rows), axes[0], axes[1], cutter, self.stock.cell, feed=self.feed, swing=self.swing
         )
         height = max(self.top - float(path.tip[:, 2].min()) + cutter.radius, 0.0)
-        steepest = float(path.axis[:, 2].min())
-        reach = height * float(np.sqrt(1.0 - steepest**2)) / steepest
+        cosine = float(path.axis[:, 2].min())  # of the largest tilt
+        reach = height * float(np.sqrt(1.0 - cosine**2)) / cosine  # how far the tool leans aside up to that height
         return path, max(self._highest_level(path.tip, cutter.radius + reach), float(path.tip[:, 2].min()))
 
     def _tilted_sweep(self, path: TiltedPath, cutter: Cutter, top: float, *, goes_on: bool) -> Footprint:
         """Remove the material that a tool that leans or turns sweeps, and return the cells under its front.
 
-        :param top: height of the highest material near [m].
+        :param top: height of the highest material near the path [m].
         :param goes_on: the tool moves on from the end of the path; else all material is removed, and no cells are
             returned.
         """
@@ -563,12 +578,12 @@ def _straight_runs(segments: StraightSegments, begin: int, end: int) -> Ints:
     """Return the first segment of each straight run (k,) among the segments from `begin` to `end` (exclusive)."""
     direction = segments.end[begin:end] - segments.begin[begin:end]
     direction /= np.linalg.norm(direction, axis=1)[:, None]
-    has_bend = np.abs(np.diff(direction, axis=0)).max(axis=1, initial=0.0) > _ON_LINE
+    has_bend = np.abs(np.diff(direction, axis=0)).max(axis=1, initial=0.0) > _LINE_TOLERANCE
     return np.concatenate([[begin], np.flatnonzero(has_bend) + begin + 1])
 
 
 def _dot(a: list[float], b: list[float]) -> float:
-    """Return the dot product of two vectors of three numbers, which in numpy takes longer than all else in a loop."""
+    """Return the dot product of two vectors of three numbers; numpy is slower for vectors as short."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -592,15 +607,18 @@ def _engagement_sizes(turn: Turn, cuts: Floats) -> _EngagementSizes:
 
     :param cuts: (n, P) length of edge that cuts at the points of a turn [m].
     """
+    # on the cylinder the length has no limit: points count relative to the longest contact of the station
     is_engaged = cuts > _ENGAGED_SHARE * np.where(np.isfinite(turn.rise), turn.length, 0.0)
     is_engaged[:, turn.side] &= cuts[:, turn.side] > _ENGAGED_SHARE * cuts[:, turn.side].max(
         axis=1, keepdims=True, initial=0.0
     )
     has_contact = is_engaged.any(axis=1)
     half_width = 0.5 * turn.width
-    outer_radius = turn.radius + np.where(turn.axial > 0.0, 0.5 * turn.length * turn.axial, 0.0)
-    # pieces of a round corner are taken for straight: their outer ends must not be outside of the cylinder
+    outer_radius = turn.radius + np.where(turn.normal_down > 0.0, 0.5 * turn.length * turn.normal_down, 0.0)
+    # pieces of a round corner are taken for straight: their outer ends must not be outside of the cylinder, if there is
+    # one
     outer_radius = np.minimum(outer_radius, turn.radius[turn.side].max(initial=0.0) or np.inf)
+    # across the feed, at both ends and in the middle of the angle of each point
     lateral = outer_radius * np.cos([turn.phi - half_width, turn.phi, turn.phi + half_width])
 
     def extent(low: Array, high: Array) -> tuple[Array, Array]:
@@ -611,5 +629,5 @@ def _engagement_sizes(turn: Turn, cuts: Floats) -> _EngagementSizes:
         np.where(has_contact, angle, np.nan) for angle in extent(turn.phi - half_width, turn.phi + half_width)
     )
     right, left = extent(lateral.min(axis=0), lateral.max(axis=0))
-    depth = cutting.product_in_blocks(cuts, turn.tall).max(axis=1) if turn.side.start > 0 else cuts.max(axis=1)
+    depth = cutting.product_in_blocks(cuts, turn.height_share).max(axis=1) if turn.side.start > 0 else cuts.max(axis=1)
     return _EngagementSizes(enter, leave, depth.astype(float), np.where(has_contact, left - right, 0.0))

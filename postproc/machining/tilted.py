@@ -27,29 +27,29 @@ from postproc.machining.tool_path import StraightSegments
 from postproc.program import Bools, Ints
 from postproc.toolpath import even_places
 
-_HALVINGS = 28
+_SEARCH_STEPS = 28
 """Steps of the search for the lower side of a rounded corner: it is found to 10⁻⁸ of the size of the tool."""
 _RIDGE_HEIGHT = 1e-6
 """Ridges between two poses of a tool are at most this high [m] (assumed)."""
 _REST_LENGTH = 1e-9
 """Moves of the tip that are shorter [m] only turn the tool (assumed)."""
-_PARALLEL = 1e-7
-"""Square of the sine of a tilt that is not told from 0 (assumed)."""
+_LEAST_SQUARE_SINE = 1e-7
+"""Square of the sine of the smallest tilt: a smaller tilt counts as this one, without a division by zero (assumed)."""
 _FLUSH_DEPTH = 2e-6
-"""An end face that is less [m] below the surface is flush with it (assumed)."""
-_STEEPEST = 2.0
+"""An end face less deep below the surface [m] is flush with it (assumed)."""
+_MOST_LEVEL_CELLS = 2.0
 """Levels around a point of the edge count up to this many cells above and below it: surfaces that are less steep are
 interpolated, and steeper walls are located between two cells."""
 
 
 def local_axes(travel: Array, axis: Array) -> tuple[Array, Bools]:
-    """Return the axes (n, 3, 3) of the edge of a tool as columns, and (n,) True where the travel gives no x.
+    """Return the axes (n, 3, 3) of the edge of a tool as columns, and True (n,) for moves that give no x.
 
-    z is the direction from the tip to the spindle, x the component of the travel square to it, y = z × x. On moves
-    along the spindle, and without travel, x is that of the map as far as it is square to z.
+    z is the direction from the tip to the spindle, x the component of the travel square to z, and y = z × x. A move
+    along the spindle, or without travel, gives no x: then x is the component of the x of the map square to z.
 
-    :param travel: (n, 3) unit directions, or zero; axis: (n, 3) unit directions of the tool; both in the frame of the
-        map.
+    :param travel: (n, 3) unit directions of travel, or zero, in the frame of the map.
+    :param axis: (n, 3) unit directions from the tip to the spindle, in the frame of the map.
     """
     component = travel - np.einsum("ni,ni->n", travel, axis)[:, None] * axis
     is_axial = norm(component) < 1e-3
@@ -61,11 +61,11 @@ def local_axes(travel: Array, axis: Array) -> tuple[Array, Bools]:
 class TiltedPath(Columns, frozen=True, eq=False):
     """S short straight pieces of the path of a tool that leans or turns, in the frame of the map [m].
 
-    :param motion: (S,) row of `Motions`, and t: (S,) place on it of the middle of the piece.
-    :param tip: (S, 3) of the tool there, axis: (S, 3) unit direction to the spindle, heading: (S, 3) that of travel, or
-        zero.
-    :param begin: (S, 3) position of the tip where the piece begins, begin_axis: (S, 3) axis there; end, end_axis:
-        where it ends.
+    :param motion: (S,) row of `Motions`, and `t` (S,) place of the middle of the piece on it.
+    :param tip: (S, 3) position of the tip in the middle, and `axis` (S, 3) unit direction to the spindle there.
+    :param heading: (S, 3) unit direction of travel in the middle, or zero.
+    :param begin: (S, 3) position of the tip where the piece begins, and `begin_axis` (S, 3) axis there.
+    :param end: (S, 3) position of the tip where the piece ends, and `end_axis` (S, 3) axis there.
     :param pace: (S,) speed of the tip [m/s]; NaN for a tool that only turns, at a speed that is not known.
     :param swing: (S, 3) change of the axis with time [1/s].
     """
@@ -94,29 +94,32 @@ class TiltedPath(Columns, frozen=True, eq=False):
         feed: Array,
         swing: Array,
     ) -> TiltedPath:
-        """Divide segments (L) so that neither a cell nor the ridges between two poses of the tool are passed over.
+        """Return the pieces of L segments.
 
-        :param begin_axis: (L, 3) axes of the tool where segments begin, end_axis: (L, 3) where they end.
+        No piece is longer than a cell, or so long that ridges between its poses are higher than `_RIDGE_HEIGHT`.
+
+        :param begin_axis: (L, 3) axes of the tool where segments begin, and `end_axis` (L, 3) where they end.
         :param cell: width of a cell [m].
-        :param feed: (M,) speed of motions [m/s]; swing: (M,) how fast they turn a tool whose tip rests [rad/s], NaN:
-            not known.
+        :param feed: (M,) speed of the tip on motions [m/s].
+        :param swing: (M,) angular speed of a tool whose tip rests [rad/s]; NaN: not known.
         """
         length, turn = norm(segments.end - segments.begin), norm(end_axis - begin_axis)
         rounding = cutter.corner if cutter.corner > 0.0 else cutter.radius
+        # a ridge between two places of a round of this radius has the height step² / (8 radius)
         step = min(cell, math.sqrt(8.0 * rounding * _RIDGE_HEIGHT))
         count = np.maximum(1, np.ceil((length + cutter.radius * turn) / step - 1e-6)).astype(np.int64)
         piece, share = even_places(np.arange(len(count)), count, "middle")
         half_share = 0.5 / count[piece]
 
-        def interpolated(first: Array, last: Array, at: Array) -> Array:
-            """Return values (S, …) between those at the begin and the end of segments (L, …), at shares (S,)."""
-            return np.asarray(first[piece] + at[:, None] * (last - first)[piece])
+        def interpolated(first: Array, last: Array, place: Array) -> Array:
+            """Return values (S, …) at places (S,), 0 … 1, between `first` and `last` (L, …) of the ends of segments."""
+            return np.asarray(first[piece] + place[:, None] * (last - first)[piece])
 
         speed, time = _speeds_and_times(length, turn, feed[segments.motion], swing[segments.motion])
         # begin, middle and end of each piece
-        shares = share - half_share, share, share + half_share
-        axes = [_unit(interpolated(begin_axis, end_axis, at)) for at in shares]
-        tips = [interpolated(segments.begin, segments.end, at) for at in shares]
+        places = share - half_share, share, share + half_share
+        axes = [_unit(interpolated(begin_axis, end_axis, place)) for place in places]
+        tips = [interpolated(segments.begin, segments.end, place) for place in places]
         rate = (end_axis - begin_axis) / np.maximum(time, 1e-12)[:, None]
         return cls(
             motion=segments.motion[piece],
@@ -134,7 +137,7 @@ class TiltedPath(Columns, frozen=True, eq=False):
 
     @property
     def poses(self) -> tuple[Array, Array]:
-        """Positions of the tip (S + 1, 3) and axes (S + 1, 3) from the start to the end."""
+        """Positions of the tip (S + 1, 3) [m] and axes (S + 1, 3) from the start to the end of the path."""
         return np.concatenate([self.begin, self.end[-1:]]), np.concatenate([self.begin_axis, self.end_axis[-1:]])
 
 
@@ -144,14 +147,17 @@ def _unit(vectors: Array) -> Array:
 
 
 def _speeds_and_times(length: Array, turn: Array, feed: Array, swing: Array) -> tuple[Array, Array]:
-    """Return the speed of the tip on segments (L,) [m/s], NaN where it rests at an unknown swing, and their times [s].
+    """Return the speeds of the tip on segments (L,) [m/s], and the times of segments (L,) [s].
 
-    :param length: (L,) of the path of the tip [m], and `turn` (L,) change of the axis [rad].
-    :param feed: (L,) [m/s]; `swing` (L,) how fast a tool whose tip rests turns [rad/s], NaN: not known.
+    Where the tip rests, its speed is 0; NaN if its angular speed is not known.
+
+    :param length: (L,) length of the path of the tip [m], and `turn` (L,) change of the axis [rad].
+    :param feed: (L,) [m/s].
+    :param swing: (L,) angular speed of a tool whose tip rests [rad/s]; NaN: not known.
     """
     is_at_rest = length < _REST_LENGTH
     speed = np.where(is_at_rest, np.where(np.isnan(swing), np.nan, 0.0), feed)
-    time_at_rest = turn / np.where(swing > 0.0, swing, 1.0)  # of an unknown swing any: its pace is NaN
+    time_at_rest = turn / np.where(swing > 0.0, swing, 1.0)  # of an unknown swing any time: the speed is NaN
     return speed, np.where(is_at_rest, time_at_rest, length / np.maximum(speed, 1e-12))
 
 
@@ -168,10 +174,10 @@ class TiltedLoads(NamedTuple):
     is_axial: Bools
 
 
-def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) -> TiltedLoads:
+def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth_time: Array, hand: Ints) -> TiltedLoads:
     """Return the mean loads of a tool that leans or turns at the S stations of a path.
 
-    :param tooth: (S,) time from one tooth to the next [s].
+    :param tooth_time: (S,) time from one tooth to the next [s].
     :param hand: (S,) 1 for M3, −1 for M4.
     """
     axes, is_axial = local_axes(path.heading, path.axis)
@@ -179,7 +185,7 @@ def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth: Array, hand: Ints) 
     edge_axes[:, :, 1] *= hand[:, None]  # M4 mirrors the turn of the edge
     edge_points = _edge_points(turn)
     point = path.tip.astype(np.float32)[:, None] + np.einsum("nik,kp->npi", edge_axes.astype(np.float32), edge_points)
-    chip = _tilted_chips(turn, path, edge_axes, edge_points, tooth)
+    chip = _tilted_chips(turn, path, edge_axes, edge_points, tooth_time)
     engagement = tilted_cut_edge(stock, turn, point, edge_axes)
     descent_sine = np.maximum(-np.einsum("ni,ni->n", path.heading, path.axis), 0.0).astype(np.float32)
     # a cell of the map is cell² / cos(tilt) on a surface square to the tool: a square as large has this width
@@ -194,17 +200,19 @@ def _edge_points(turn: Turn) -> Floats:
     return np.stack([x, y, turn.low + 0.5 * rise]).astype(np.float32)
 
 
-def _tilted_chips(turn: Turn, path: TiltedPath, edge_axes: Array, edge_points: Floats, tooth: Array) -> Chips:
+def _tilted_chips(turn: Turn, path: TiltedPath, edge_axes: Array, edge_points: Floats, tooth_time: Array) -> Chips:
     """Return the chips of a tool that leans or turns: its edge moves by travel and turn from one tooth to the next.
+
+    The thickness of a chip is the component of this movement along the normal of the edge.
 
     :param edge_axes: (S, 3, 3) axes of the edge as columns, frame of the map; mirrored for M4.
     :param edge_points: (3, P) middles of the pieces of edge in these axes, from the tip [m].
-    :param tooth: (S,) time from one tooth to the next [s].
+    :param tooth_time: (S,) time from one tooth to the next [s].
     """
-    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.axial**2, 0.0))
-    normal = np.stack([turn.front, sine_of_kappa * np.cos(turn.phi), -turn.axial]).astype(np.float32)
-    travel = np.nan_to_num(path.pace * tooth)[:, None] * np.einsum("nik,ni->nk", edge_axes, path.heading)
-    axis_step = tooth[:, None] * np.einsum("nik,ni->nk", edge_axes, path.swing)
+    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.normal_down**2, 0.0))  # the normal points down by cos κ
+    normal = np.stack([turn.normal_x, sine_of_kappa * np.cos(turn.phi), -turn.normal_down]).astype(np.float32)
+    travel = np.nan_to_num(path.pace * tooth_time)[:, None] * np.einsum("nik,ni->nk", edge_axes, path.heading)
+    axis_step = tooth_time[:, None] * np.einsum("nik,ni->nk", edge_axes, path.swing)
     travel_row, axis_step_row = travel.astype(np.float32), axis_step[:, :2].astype(np.float32)
     # a point r of a tool with axis a, at height h = a·r, moves by e h − a (e·r) where the axis changes by e
     middle, change = (
@@ -218,8 +226,8 @@ class SweptCells(Struct, frozen=True, eq=False):
     """Cells that a tool sweeps.
 
     :param footprint: the cells that it covers, with its lowest level.
-    :param front: those under its front where the motion ends: it moves into their material next.
-    :param depth: largest depth of material in cells under it [m].
+    :param front: cells under its front where the motion ends: it moves into their material next.
+    :param depth: largest depth of material in cells under the tool [m].
     :param overhang: volume above the tool, away from its front, that a map cannot keep [m³].
     :param removal: volume that is removed, away from its front and with the overhang [m³].
     """
@@ -234,9 +242,9 @@ class SweptCells(Struct, frozen=True, eq=False):
 def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> SweptCells:
     """Return the cells under a tool that moves from pose to pose, without removing their material.
 
-    :param tip: (n, 3) positions of the tip [m], and axis: (n, 3) unit directions to the spindle, frame of the map,
-        close together, n > 1.
-    :param top: height of the highest material near [m].
+    :param tip: (n, 3) positions of the tip [m] in n > 1 poses close together, frame of the map.
+    :param axis: (n, 3) unit directions to the spindle.
+    :param top: height of the highest material near the path [m].
     """
     parts = list(_cells_by_move(stock, cutter, tip, axis, top))
     if not parts:
@@ -255,7 +263,11 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
     segment = np.zeros(len(cell), dtype=np.int32)  # not used: slopes of turned surfaces are not kept
     footprint = replace(Footprint.empty(), cell=cell, level=level.astype(np.float32), segment=segment)
     return SweptCells(
-        footprint.of(~is_front, no_rim), footprint.of(is_front, no_rim), float(depth.max(initial=0.0)), overhang, volume
+        footprint.selected(~is_front, no_rim),
+        footprint.selected(is_front, no_rim),
+        float(depth.max(initial=0.0)),
+        overhang,
+        volume,
     )
 
 
@@ -284,7 +296,7 @@ def _cells_by_move(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: f
         material = stock.high.reshape(-1)[index]
         is_cut, is_last = low < material, rows == len(tip) - 2
         is_front = sinks & is_last[:, None, None]
-        if is_last.any():  # where a tool leans back, and at its rim, what it enters next is not below it
+        if is_last.any():  # where a tool leans back, and at its rim, the material that it enters next is not below it
             points = x[is_last], y[is_last], material[is_last]
             is_front[is_last] |= _is_outward_side(cutter, tip, axis, rows[is_last], points, stock.cell)
         yield _CoveredCells(index[is_cut], low[is_cut], high[is_cut], is_front[is_cut])
@@ -310,13 +322,15 @@ def _is_outward_side(
     end_axis, axis_change, tip_change = (
         [vectors[:, k, None, None] for k in range(3)] for vectors in (axis[rows + 1], turn, shift)
     )
+    # components of the point along the axis, and along the change of the axis
     along, lean = (sum(p * u for p, u in zip(place, vector, strict=True)) for vector in (end_axis, axis_change))
-    to_side = [p - along * u for p, u in zip(place, end_axis, strict=True)]
+    to_side = [p - along * u for p, u in zip(place, end_axis, strict=True)]  # square to the axis
     # velocity of the point of the tool: that of the tip, and ω × r with the change of the axis, ω × axis
     outwards = sum(
         normal * (tip_step + along * axis_step - u * lean)
         for normal, tip_step, axis_step, u in zip(to_side, tip_change, axis_change, end_axis, strict=True)
     )
+    # by how much the rounded corner is inside of the cylinder at the height of the point
     rounding = cutter.corner - np.sqrt(cutter.corner**2 - np.clip(cutter.corner - along, 0.0, cutter.corner) ** 2)
     distance = np.sqrt(sum(n * n for n in to_side))
     return np.asarray((distance > cutter.radius - rounding - margin) & (outwards > 0.0))
@@ -325,9 +339,9 @@ def _is_outward_side(
 class _Levels(NamedTuple):
     """Levels of a tool over cells in L moves from one pose to the next.
 
-    :param low: (L, h, w) the lowest one [m]; infinite where the tool does not come.
-    :param sinks: (L, h, w) True where it still sinks at the end of the move.
-    :param high: (L, h, w) the highest level of its upper side [m]; minus infinite where the tool does not come.
+    :param low: (L, h, w) lowest level of its lower side [m]; infinite where the tool does not come.
+    :param sinks: (L, h, w) True where its lower side still sinks at the end of the move.
+    :param high: (L, h, w) highest level of its upper side [m]; minus infinite where the tool does not come.
     """
 
     low: Array
@@ -343,11 +357,11 @@ def _lowest_levels(cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array
 
     :param tip: (n, 3) positions of the tip [m], and `axis` (n, 3) unit directions to the spindle at the poses.
     :param rows: (L,) first pose of each move.
-    :param x: (L, h, w) and y: positions of cells from the tip at that pose [m].
+    :param x: (L, h, w) x of cells from the tip at that pose [m], and `y` (L, h, w) their y.
     """
     shift = tip[rows + 1] - tip[rows]
     turn = axis[rows + 1] - axis[rows]
-    sides = []
+    sides = []  # in the first pose of each move, then in the last
     for pose in (rows, rows + 1):
         displacement = (pose != rows)[:, None] * shift
         px, py = x - displacement[:, 0, None, None], y - displacement[:, 1, None, None]
@@ -357,10 +371,10 @@ def _lowest_levels(cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array
     level = np.minimum(low_a, low_b)
     has_minimum = np.isfinite(low_a) & np.isfinite(low_b) & (slope_a < 0.0) & (slope_b > 0.0)
     a, b, sa, sb = low_a[has_minimum], low_b[has_minimum], slope_a[has_minimum], slope_b[has_minimum]
-    if cutter.corner == 0.0:  # two planes that meet at the rim
+    if cutter.corner == 0.0:  # two planes that meet at the rim, where a + sa s = b − sb (1 − s)
         share = np.clip((b - sb - a) / (sa - sb), 0.0, 1.0)
         bottom = a + sa * share
-    else:  # a smooth curve: its slope is linear
+    else:  # a smooth curve: its slope sa + (sb − sa) s is linear, and the minimum the mean of two from both ends
         share = sa / (sa - sb)
         bottom = 0.5 * (a + 0.5 * sa * share + b - 0.5 * sb * (1.0 - share))
     level[has_minimum] = np.minimum(bottom, level[has_minimum])
@@ -368,11 +382,11 @@ def _lowest_levels(cutter: Cutter, tip: Array, axis: Array, rows: Ints, x: Array
 
 
 class _Sides(NamedTuple):
-    """Where a tool is on vertical lines, in one pose.
+    """The lower and the upper side of a tool on vertical lines, in one pose.
 
-    :param low: (L, h, w) its lower side, as height above the tip [m]; infinite where the line misses the tool.
-    :param high: (L, h, w) its upper side [m]; minus infinite there.
-    :param slope: (L, h, w) rate at which the lower side rises, per move [m]; 0 there.
+    :param low: (L, h, w) height of its lower side above the tip [m]; infinite where the line misses the tool.
+    :param high: (L, h, w) height of its upper side above the tip [m]; minus infinite where the line misses the tool.
+    :param slope: (L, h, w) rate at which the lower side rises, per move [m]; 0 where the line misses the tool.
     """
 
     low: Array
@@ -384,18 +398,19 @@ def _lower_and_upper_sides(cutter: Cutter, axis: Array, x: Array, y: Array, shif
     """Return the lower and the upper side of a tool on vertical lines.
 
     :param axis: (L, 3) unit directions to the spindle.
-    :param x: (L, h, w) and y: (L, h, w) of the lines from the tip [m].
-    :param shift: (L, 3) displacement of the tip in a move, and turn: (L, 3) change of the axis in it.
+    :param x: (L, h, w) x of the lines from the tip [m], and `y` (L, h, w) their y.
+    :param shift: (L, 3) displacement of the tip in a move [m], and `turn` (L, 3) change of the axis in it.
     """
     ax, ay, az = (axis[:, k, None, None] for k in range(3))
     axial = x * ax + y * ay  # of the point at the height of the tip, along the axis
-    sine = np.maximum(1.0 - az * az, _PARALLEL)
-    # a line of points (x, y, z) is in the cylinder where the square of its distance from the axis is below radius²: a
-    # quadratic equation in z
-    root = axial * axial * az * az - sine * (x * x + y * y - axial * axial - cutter.radius**2)
+    square_sine = np.maximum(1.0 - az * az, _LEAST_SQUARE_SINE)
+    # a point (x, y, z) is in the cylinder if x² + y² + z² − (axial + az z)² < radius²: a quadratic equation in z, with
+    # the coefficients sin² of the tilt, −2 axial az and x² + y² − axial² − radius²
+    root = axial * axial * az * az - square_sine * (x * x + y * y - axial * axial - cutter.radius**2)
     is_met = root > 0.0
     half_root = np.sqrt(np.where(is_met, root, 0.0))
-    low, high = (axial * az - half_root) / sine, (axial * az + half_root) / sine  # the cylinder, without ends
+    # of the cylinder, without ends
+    low, high = (axial * az - half_root) / square_sine, (axial * az + half_root) / square_sine
     low = np.maximum(low, -axial / az)  # above the plane of the tip
     is_met &= low < high
     flat_radius, corner = cutter.radius - cutter.corner, cutter.corner
@@ -424,13 +439,13 @@ def _slope_of_lower_side(
 ) -> Array:
     """Return the rate (L, h, w) [m] per move at which points of the lower side of a tool rise.
 
-    The surface moves along its normal as fast as the tool does there; on a vertical line it rises as fast as that over
-    the z of the normal.
+    At a point with the normal n and the velocity v of the tool, the side rises by n·v / n_z on a vertical line. The
+    velocity is v = shift + h turn − axis (r·turn), for a point r at the height h along the axis.
 
     :param axis: (L, 3) unit directions to the spindle.
     :param point: x, y, z (L, h, w) of the points from the tip [m].
     :param axial: (L, h, w) component along the axis of the points at the height of the tip [m].
-    :param shift: (L, 3) displacement of the tip in a move [m], and turn: (L, 3) change of the axis in it.
+    :param shift: (L, 3) displacement of the tip in a move [m], and `turn` (L, 3) change of the axis in it.
     """
     x, y, low = point
     ax, ay, az = (axis[:, k, None, None] for k in range(3))
@@ -460,10 +475,14 @@ def _slope_of_lower_side(
 def _ball_side(
     radius: float, axis: Array, point: tuple[Array, Array], axial: Array, chords: _Chords
 ) -> tuple[Array, Bools]:
-    """Return the lower side of a ball-nose tool (L, h, w) [m], and where there is one: of the ball, or of the cylinder.
+    """Return the lower side of a ball-nose tool (L, h, w) [m], and True (L, h, w) for lines that meet the tool.
 
-    :param radius: of the tool [m]; axis: (L, 3) unit directions to the spindle.
-    :param point: x and y (L, h, w) of vertical lines from the tip [m]; axial: (L, h, w) their component along the axis.
+    It is the lower side of the ball or of the cylinder; 0 on lines that miss the tool.
+
+    :param radius: radius of the tool [m].
+    :param axis: (L, 3) unit directions to the spindle.
+    :param point: x and y (L, h, w) of vertical lines from the tip [m].
+    :param axial: (L, h, w) component of these points along the axis [m].
     """
     ax, ay, az = (axis[:, k, None, None] for k in range(3))
     # the centre of the ball is one radius along the axis from the tip
@@ -478,10 +497,11 @@ def _ball_side(
 
 
 def _corner_side(cutter: Cutter, axial: Array, az: Array, square: Array, chords: _Chords) -> tuple[Array, Bools]:
-    """Return the lower side of a tool with a rounded corner (L, h, w) [m], and where there is one.
+    """Return the lower side of a tool with a rounded corner (L, h, w) [m], and True (L, h, w) for lines that meet it.
 
-    The tool is inside of a flat one, whose lower side is `chords.low`. The distance from its surface is convex along a
-    line: a golden section finds the innermost place, bisection the lower side below it.
+    The lower side is 0 on lines that miss the cylinder. The tool is inside of a flat tool, whose lower side is
+    `chords.low`. The distance from its surface is convex along a line: a golden section finds the innermost place,
+    bisection the lower side below it.
 
     :param axial: (L, h, w) component along the axis of the points of lines at the height of the tip [m]; `az` (L, 1, 1)
         z of the axis; `square` (L, h, w) squares of the horizontal distances from the tip [m²].
@@ -490,10 +510,10 @@ def _corner_side(cutter: Cutter, axial: Array, az: Array, square: Array, chords:
     rows = np.flatnonzero(is_met)  # lines that miss the tool need no search
     lines = [np.broadcast_to(part, is_met.shape).ravel()[rows] for part in (axial, az, square)]
     begin = chords.low.ravel()[rows]
-    # four radii further along the axis a line is past the corner
+    # four radii further along the axis, a line is above the corner
     a, b = begin, np.minimum(chords.high.ravel()[rows], begin + 4.0 * cutter.radius / lines[1])
     ratio = 0.5 * (math.sqrt(5.0) - 1.0)
-    for _ in range(_HALVINGS):  # the innermost place on the line
+    for _ in range(_SEARCH_STEPS):  # the innermost place on the line
         first, second = b - ratio * (b - a), a + ratio * (b - a)
         is_left_closer = _surface_distances(cutter, first, *lines) < _surface_distances(cutter, second, *lines)
         a, b = np.where(is_left_closer, a, first), np.where(is_left_closer, second, b)
@@ -502,7 +522,7 @@ def _corner_side(cutter: Cutter, axial: Array, az: Array, square: Array, chords:
     is_met.ravel()[rows] = has_inside
     lines = [part[has_inside] for part in lines]
     a, b = begin[has_inside], inner[has_inside]
-    for _ in range(_HALVINGS):
+    for _ in range(_SEARCH_STEPS):
         middle = 0.5 * (a + b)
         is_inside = _surface_distances(cutter, middle, *lines) < 0.0
         a, b = np.where(is_inside, a, middle), np.where(is_inside, middle, b)
@@ -511,7 +531,7 @@ def _corner_side(cutter: Cutter, axial: Array, az: Array, square: Array, chords:
 
 
 def _surface_distances(cutter: Cutter, z: Array, axial: Array, az: Array, square: Array) -> Array:
-    """Return the distances (n,) [m] from the surface of a tool with a rounded corner, < 0 inside: convex along a line.
+    """Return the distances (n,) [m] of points from the surface of a tool with a rounded corner, < 0 inside.
 
     :param z: (n,) heights on vertical lines above the tip [m].
     :param axial: (n,) component along the axis of the points of the lines at the height of the tip [m], `az` (n,) z of
@@ -532,11 +552,11 @@ def tilted_cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> Enga
 
     :param turn: without pieces on a cylinder.
     :param point: (n, P, 3) middles of the pieces of edge, frame of the map [m].
-    :param axes: (n, 3, 3) of the tool as columns, see `local_axes`.
+    :param axes: (n, 3, 3) axes of the edge as columns, see `local_axes`; mirrored for M4.
     """
     x, y, z = (point[..., k].astype(np.float32) for k in range(3))
     corners = nearby_cells(stock, x, y)
-    steepest = np.float32(_STEEPEST * stock.cell)
+    steepest = np.float32(_MOST_LEVEL_CELLS * stock.cell)
     high, low, share, floor = (values.reshape(-1) for values in (stock.high, stock.low, stock.share, stock.floor))
     depth = np.zeros_like(x)
     for cell, weight in zip(corners.cell, corners.weight, strict=True):
@@ -549,7 +569,7 @@ def tilted_cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> Enga
         depth += weight * level
     depth[:, turn.bottom] -= np.float32(_FLUSH_DEPTH)
     extent = _vertical_extents(turn, axes)
-    share_in_material = np.clip(0.5 + depth / extent, 0.0, 1.0)
+    share_in_material = np.clip(0.5 + depth / extent, 0.0, 1.0)  # half of a piece whose middle is on the surface
     if float(z.min()) < stock.ground:  # below its floor a cell has no material
         share_in_material *= z > floor.take(corners.cell[0])
     return EngagedEdge(share_in_material * turn.length, np.zeros((len(x), 0), dtype=np.float32))
@@ -558,10 +578,10 @@ def tilted_cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> Enga
 def _vertical_extents(turn: Turn, axes: Array) -> Floats:
     """Return the extents of pieces of edge (n, P) along z of the map [m], at least 0.1 µm.
 
-    :param axes: (n, 3, 3) of the tool as columns, see `local_axes`.
+    :param axes: (n, 3, 3) axes of the edge as columns, see `local_axes`; mirrored for M4.
     """
     up = axes[:, 2].astype(np.float32)  # z of the map in the axes of the tool
     sine, cosine = np.sin(turn.phi).astype(np.float32), np.cos(turn.phi).astype(np.float32)
-    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.axial**2, 0.0)).astype(np.float32)
-    radial = turn.axial * (up[:, :1] * sine + up[:, 1:2] * cosine)  # along the edge, outwards and up
+    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.normal_down**2, 0.0)).astype(np.float32)
+    radial = turn.normal_down * (up[:, :1] * sine + up[:, 1:2] * cosine)  # along the edge, outwards and up
     return np.asarray(np.maximum(turn.length * np.abs(radial + sine_of_kappa * up[:, 2:]), np.float32(1e-7)))

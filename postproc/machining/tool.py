@@ -26,7 +26,7 @@ _MOST_SLICES = 160
 class Cutter(Struct, frozen=True):
     """A milling cutter: a cylinder with a rounded corner.
 
-    :param radius: [m].
+    :param radius: radius of the cylinder [m].
     :param corner: radius of the corner [m]: 0 for a flat tool, `radius` for a ball.
     :param teeth: number of teeth.
     :param drill: True for a drill: it cuts with its end only.
@@ -39,15 +39,15 @@ class Cutter(Struct, frozen=True):
 
     @property
     def shape(self) -> str:
-        """The shape of its end: "flat", "ball" or "bull"."""
+        """The shape of the end of the tool: "flat", "ball" or "bull"."""
         if self.corner == 0.0:
             return "flat"
         return "ball" if self.corner >= self.radius * (1.0 - 1e-9) else "bull"
 
     def height(self, distance: Array) -> Array:
-        """Return the heights of its lower side above the tip [m], in the shape of `distance`.
+        """Return the heights of the lower side of the tool above its tip [m], in the shape of `distance`.
 
-        :param distance: distances from its axis [m], at most the radius.
+        :param distance: distances from the axis of the tool [m]; beyond the radius the height is that at the radius.
         """
         if self.corner == 0.0:
             return np.zeros_like(distance)
@@ -80,18 +80,25 @@ class Edge(Struct, frozen=True, eq=False):
 def edge(cutter: Cutter, step: float) -> Edge:
     """Return the edge of a cutter in pieces about `step` [m] long: of the end face, of the corner, of the cylinder.
 
-    The cylinder is one piece, without an upper end; a drill has none.
+    The cylinder is one piece without an upper end. A drill has no cylinder: it cuts with its end only.
     """
-    edges = []
+    part_edges = []
     if cutter.radius > cutter.corner:
-        edges.append(_face_edge(cutter, step))
+        part_edges.append(_face_edge(cutter, step))
     if cutter.corner > 0.0:
-        edges.append(_corner_edge(cutter, step))
+        part_edges.append(_corner_edge(cutter, step))
     if not cutter.drill:
-        columns = cutter.radius, cutter.corner, np.inf, 1.0, 0.5 * np.pi, 0.0
-        edges.append(Edge(np.array([SIDE]), *(np.array([value]) for value in columns)))
-    part = np.concatenate([edge.part for edge in edges]).astype(np.int64)
-    return Edge(part, *(np.concatenate([getattr(edge, name) for edge in edges]) for name in _COLUMNS))
+        side = {
+            "radius": cutter.radius,
+            "low": cutter.corner,
+            "rise": np.inf,
+            "length": 1.0,
+            "kappa": 0.5 * np.pi,
+            "bend": 0.0,
+        }
+        part_edges.append(Edge(part=np.array([SIDE]), **{name: np.array([value]) for name, value in side.items()}))
+    part = np.concatenate([part_edge.part for part_edge in part_edges]).astype(np.int64)
+    return Edge(part, *(np.concatenate([getattr(part_edge, name) for part_edge in part_edges]) for name in _COLUMNS))
 
 
 def _face_edge(cutter: Cutter, step: float) -> Edge:
@@ -100,7 +107,15 @@ def _face_edge(cutter: Cutter, step: float) -> Edge:
     rings = max(_RINGS, min(_MOST_SLICES, int(np.ceil(flat_radius / step))))
     width, zero = flat_radius / rings, np.zeros(rings)
     radius = np.asarray((np.arange(rings) + 0.5) * width, dtype=float)
-    return Edge(np.full(rings, BOTTOM), radius, zero, zero, np.full(rings, width), zero, zero)
+    return Edge(
+        part=np.full(rings, BOTTOM),
+        radius=radius,
+        low=zero,
+        rise=zero,
+        length=np.full(rings, width),
+        kappa=zero,
+        bend=zero,
+    )
 
 
 def _corner_edge(cutter: Cutter, step: float) -> Edge:
@@ -113,14 +128,22 @@ def _corner_edge(cutter: Cutter, step: float) -> Edge:
     radius = cutter.radius - corner + corner * np.sin(middle)
     bend = np.full(slices, 0.5 * np.pi / slices)
     length = np.full(slices, corner * 0.5 * np.pi / slices)
-    return Edge(np.full(slices, CORNER), radius, heights[:-1], np.diff(heights), length, middle, bend)
+    return Edge(
+        part=np.full(slices, CORNER),
+        radius=radius,
+        low=heights[:-1],
+        rise=np.diff(heights),
+        length=length,
+        kappa=middle,
+        bend=bend,
+    )
 
 
 def slice_cylinder(edge: Edge, step: float, height: float) -> Edge:
     """Return an edge whose cylinder is divided into pieces of about `step` [m], up to `height` above the tip [m].
 
     The new pieces have the part `CORNER`, with a normal square to the axis: on a tool that leans, each of them is
-    compared with the stock by itself.
+    compared with the stock by itself. An edge without a cylinder, that of a drill, is returned as it is.
     """
     is_side = edge.part == SIDE
     if not is_side.any():
@@ -157,9 +180,9 @@ _SAMPLING = {"ball": 1.0, "flat": 1.7, "bull": 5.1}
 exact fronts on random surfaces with cells of 0.25 mm. The contact of a bull-nose tool is a strip along its corner."""
 _LEAST_POINTS, _LEAST_RIM_POINTS = 8, 24
 """Minimum number of sample points in half a turn: on a circle, and on the rim (assumed)."""
-_NO_COSINE = 1e-12
+_LEAST_COSINE = 1e-12
 """Cosines below this are 0: that of 90° is 6e-17 in floating point."""
-_NO_CHIP = 1e-9
+_LEAST_CHIP_SHARE = 1e-9
 """Chips below this share of the feed per tooth are none (assumed)."""
 
 
@@ -168,19 +191,22 @@ class Turn(Struct, frozen=True, eq=False):
 
     Points are about as far apart on small circles as on the rim; points of one kind of edge are contiguous.
 
-    :param sampling: error by the cells of the map, relative to that of a ball.
-    :param phi: (P,) angles [rad], the middles of parts of the turn that are `width` (P,) wide.
-    :param radius: (P,) distance from the axis [m]; low: (P,) height of the lower end of the piece of edge above the
-        tip [m]; rise: (P,) its height [m], 0 on the end face, infinite on the cylinder; length: (P,) along it [m].
-    :param bottom: slice of the points on the end face, and round, side: of the corner and of the cylinder.
-    :param front: (P,) and axial: components of the normal along x and −z.
-    :param tangent: (P, 3) half of what the normal changes by along the piece of edge, outwards and up; 0 but on rounds.
-    :param cut: (P, 6) wrench about the tip per engaged length and per chip [N/m², N/m]; on the cylinder without the
-        moment due to the height of the force.
-    :param rub: (P, 6) the same per engaged length alone [N/m, N].
-    :param unit_wrench: (3, P, 6) the same for a tangential, radial and axial coefficient of 1; (0, P, 6) without a
-        covariance.
-    :param tall: (P, A) height of the edge over its length for each of A angles of the turn that the point covers, or 0.
+    :param sampling: error of forces by the cells of the map, relative to that of a ball.
+    :param phi: (P,) angle of the turn [rad]: the middle of a part of the turn that is `width` (P,) [rad] wide.
+    :param radius: (P,) distance from the axis [m].
+    :param low: (P,) height of the lower end of the piece of edge above the tip [m].
+    :param rise: (P,) height of the piece of edge [m]; 0 on the end face, infinite on the cylinder.
+    :param length: (P,) length of the piece of edge [m]; 1 on the cylinder.
+    :param bottom: slice of the points on the end face, `round` of those on the corner, `side` on the cylinder.
+    :param normal_x: (P,) component of the normal of the edge along x, and `normal_down` (P,) along −z.
+    :param tangent: (P, 3) half of the change of the normal along the piece of edge, outwards and up; 0 where straight.
+    :param cut_wrench: (P, 6) wrench about the tip per engaged length and per chip thickness [N/m², N/m]; on the
+        cylinder without the moment due to the height of the force.
+    :param rub_wrench: (P, 6) wrench about the tip per engaged length, of the edge forces [N/m, N].
+    :param unit_wrench: (3, P, 6) wrench for a tangential, radial and axial coefficient of 1; (0, P, 6) if the
+        coefficients have no covariance.
+    :param height_share: (P, A) for each of A equal angles of the turn that the point covers, height over length of the
+        piece of edge; 0 for angles that it does not cover.
     """
 
     law: CuttingLaw
@@ -196,13 +222,13 @@ class Turn(Struct, frozen=True, eq=False):
     bottom: slice
     round: slice
     side: slice
-    front: Floats
-    axial: Floats
+    normal_x: Floats
+    normal_down: Floats
     tangent: Floats
-    cut: Floats
-    rub: Floats
+    cut_wrench: Floats
+    rub_wrench: Floats
     unit_wrench: Floats
-    tall: Floats
+    height_share: Floats
 
     @classmethod
     def of(cls, edge: Edge, cutter: Cutter, law: CuttingLaw, step: float, descent: float | None) -> Turn:
@@ -216,9 +242,10 @@ class Turn(Struct, frozen=True, eq=False):
         is_used = _can_have_chip(edge, row, angle, descent)
         row, angle, width = row[is_used], angle[is_used], width[is_used]
         directions, part, rise = _EdgeDirections.of(edge, row, angle), edge.part[row], edge.rise[row]
+        # the moment of the height of forces on the cylinder is added later, as it depends on the contact
         z = np.where(part == CORNER, edge.low[row] + 0.5 * np.where(np.isfinite(rise), rise, 0.0), 0.0)
         point = np.stack([edge.radius[row] * np.sin(angle), edge.radius[row] * np.cos(angle), z], axis=-1)
-        share = (cutter.teeth * width / (2.0 * np.pi))[:, None]
+        share = (cutter.teeth * width / (2.0 * np.pi))[:, None]  # mean number of teeth in the part of the turn
 
         def wrench(coefficients: Sequence[float]) -> Floats:
             """Return the wrench (P, 6) for a tangential, a radial and an axial coefficient [N/m² or N/m]."""
@@ -245,13 +272,13 @@ class Turn(Struct, frozen=True, eq=False):
             bottom=slice(first, second),
             round=slice(second, third),
             side=slice(third, end),
-            front=_as_single(directions.normal[:, 0]),
-            axial=_as_single(-directions.normal[:, 2]),
+            normal_x=_as_single(directions.normal[:, 0]),
+            normal_down=_as_single(-directions.normal[:, 2]),
             tangent=_as_single(0.5 * edge.bend[row][:, None] * directions.axial),
-            cut=wrench(law.cutting),
-            rub=wrench(law.edge),
+            cut_wrench=wrench(law.cutting),
+            rub_wrench=wrench(law.edge),
             unit_wrench=unit_wrench,
-            tall=_as_single(_covered_parts(angle, width, 2 * half_count) * height_of_length),
+            height_share=_as_single(_covered_parts(angle, width, 2 * half_count) * height_of_length),
         )
 
 
@@ -263,8 +290,9 @@ def _as_single(column: Array) -> Floats:
 class _EdgeDirections(NamedTuple):
     """Unit directions (P, 3) at sample points, in the axes of `postproc.machining.cutting`.
 
-    :param normal: of the cut surface, into the material; `tangential`: of the tangential force on the tool, against the
-        motion of the tooth; `axial`: along the edge, outwards and up.
+    :param normal: normal of the cut surface, into the material.
+    :param tangential: direction of the tangential force on the tool, against the motion of the tooth.
+    :param axial: direction along the edge, outwards and up.
     """
 
     normal: Array
@@ -273,7 +301,10 @@ class _EdgeDirections(NamedTuple):
 
     @classmethod
     def of(cls, edge: Edge, row: Ints, angle: Array) -> _EdgeDirections:
-        """Return the directions at pieces of edge `row` (P,) and angles of the turn (P,) [rad]."""
+        """Return the directions at sample points.
+
+        :param row: (P,) pieces of edge, and `angle` (P,) angles of the turn [rad].
+        """
         sine, cosine, zero = np.sin(angle), np.cos(angle), np.zeros(len(row))
         sin_kappa, cos_kappa = _sine_and_cosine_of_kappa(edge, row)
         return cls(
@@ -296,16 +327,16 @@ def _half_turn_count(cutter: Cutter, step: float) -> int:
 
     It is a multiple of the number of teeth, so that a tooth pitch has a whole number of points.
     """
-    least_count = -(-_LEAST_RIM_POINTS // cutter.teeth)
+    least_count = -(-_LEAST_RIM_POINTS // cutter.teeth)  # of a tooth pitch, rounded up
     return cutter.teeth * max(int(np.ceil(np.pi * cutter.radius / step / cutter.teeth)), least_count)
 
 
 class _TurnPoints(NamedTuple):
     """The P sample points of a turn of an edge.
 
-    :param piece: (P,) piece of the edge.
+    :param piece: (P,) row of the piece of edge.
     :param phi: (P,) angle of the turn [rad].
-    :param width: (P,) width of the angle that a point stands for [rad].
+    :param width: (P,) width of the part of the turn whose middle is the point [rad].
     """
 
     piece: Ints
@@ -316,8 +347,8 @@ class _TurnPoints(NamedTuple):
 def _points_of_turn(edge: Edge, cutter: Cutter, half_count: int) -> _TurnPoints:
     """Return the sample points of a turn.
 
-    A piece on the rim has 2 · `half_count` points. One on a smaller circle has fewer by a power of 2, so that points
-    are about as far apart there.
+    A piece on the rim has 2 · `half_count` points. A piece on a smaller circle has this number divided by a power of 2,
+    so that its points are about as far apart as those on the rim, but at least `_LEAST_POINTS` in half a turn.
     """
     piece, phi, width = [], [], []
     for piece_number, radius in enumerate(edge.radius.tolist()):
@@ -336,9 +367,9 @@ def _points_of_turn(edge: Edge, cutter: Cutter, half_count: int) -> _TurnPoints:
 
 
 def _can_have_chip(edge: Edge, row: Ints, angle: Array, descent: float | None) -> Bools:
-    """Return True for sample points (P,) that can have a chip; for all if none can, or without a `descent`.
+    """Return True for sample points (P,) that can have a chip; for all points if none can, or if the feed is not known.
 
-    :param row: (P,) pieces of edge, and `angle` (P,) angles of the turn [rad].
+    :param row: (P,) rows of the pieces of edge, and `angle` (P,) angles of the turn [rad].
     :param descent: sine of the steepest downward angle of the feed; None: not known.
     """
     all_points = np.ones(len(row), dtype=bool)
@@ -350,22 +381,23 @@ def _can_have_chip(edge: Edge, row: Ints, angle: Array, descent: float | None) -
     chip_in_middle = sin_kappa * sine * level + cos_kappa * descent
     chip_per_kappa = cos_kappa * sine * level - sin_kappa * descent
     largest_chip = chip_in_middle + 0.5 * edge.bend[row] * np.abs(chip_per_kappa)  # at one end of the piece
-    can_have_chip = largest_chip > _NO_CHIP
+    can_have_chip = largest_chip > _LEAST_CHIP_SHARE
     return can_have_chip if can_have_chip.any() else all_points
 
 
 def _sine_and_cosine_of_kappa(edge: Edge, row: Ints) -> tuple[Array, Array]:
-    """Return sine and cosine (P,) of kappa of pieces of edge `row` (P,)."""
+    """Return the sine (P,) and the cosine (P,) of `Edge.kappa` of the pieces of edge `row` (P,)."""
     cosine = np.cos(edge.kappa)[row]
-    return np.sin(edge.kappa)[row], np.where(np.abs(cosine) < _NO_COSINE, 0.0, cosine)
+    return np.sin(edge.kappa)[row], np.where(np.abs(cosine) < _LEAST_COSINE, 0.0, cosine)
 
 
-def _covered_parts(phi: Array, width: Array, number: int) -> Floats:
-    """Return 1 for the equal parts of a turn whose middle an interval of angles covers, else 0: (P, number).
+def _covered_parts(phi: Array, width: Array, part_count: int) -> Floats:
+    """Return 1 for equal parts of a turn whose middles are in an interval of angles, 0 for the others: (P, part_count).
 
     :param phi: (P,) centres of the intervals [rad], and `width` (P,) their widths [rad].
-    :param number: of equal parts of the turn.
+    :param part_count: number of equal parts of the turn.
     """
-    middle = (np.arange(number) + 0.5) * (2.0 * np.pi / number)
-    distance = np.abs((middle - phi[:, None] + np.pi) % (2.0 * np.pi) - np.pi)  # of angles, over the turn
-    return np.asarray(distance < 0.5 * width[:, None] - 1e-9, dtype=np.float32)
+    middle = (np.arange(part_count) + 0.5) * (2.0 * np.pi / part_count)
+    # differences are from −π to π, also over the start of the turn
+    distance = np.abs((middle - phi[:, None] + np.pi) % (2.0 * np.pi) - np.pi)
+    return np.asarray(distance < 0.5 * width[:, None], dtype=np.float32)

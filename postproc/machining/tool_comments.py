@@ -23,6 +23,7 @@ _NUMBER = r"(\d+[ -]\d+/\d+|\d+/\d+|\d+(?:\.\d*)?|\.\d+)"
 """A decimal number, or a fraction of an inch: ``1/2``, ``1-1/4``."""
 _UNIT = r"""\s*(mm\b|inch(?:es)?\b|in\b|")?"""
 _TOOL = re.compile(r"(?:\btool\s*(?:no\.?|number|#)?|\bT)\s*[-=:#]?\s*(\d{1,4})\b\s*-?", re.IGNORECASE)
+# its group 2, the unit, is empty, as in the other forms of a diameter
 _APT = re.compile(r"CUTTER/\s*([\d.]+)()(?:\s*,\s*([\d.]+))?", re.IGNORECASE)
 _DIAMETERS = (
     _APT,
@@ -60,11 +61,11 @@ _LINES_TO_CHANGE = 8
 class CommentedTool(Struct, frozen=True):
     """A cutter of a program, as its comments state it.
 
-    :param shape: None: not stated, or one that a process cannot describe.
+    :param shape: shape of the cutter; None: not stated, or a shape that a process cannot describe.
     :param diameter_mm: None: not stated.
-    :param corner_radius_mm: of a bull tool; 0: none.
-    :param flutes: None: not stated.
-    :param text: the comment; empty: none.
+    :param corner_radius_mm: corner radius of a bull tool; 0 for other shapes.
+    :param flutes: number of teeth; None: not stated.
+    :param text: the comment; empty: there is none.
     """
 
     shape: Shape | None = None
@@ -86,8 +87,9 @@ def commented_tools(
 ) -> Mapping[int, CommentedTool]:
     """Return T number → cutter that the comments describe.
 
-    The first comment that states a diameter counts. A comment without a T number belongs to the tool change that
-    follows it within `_LINES_TO_CHANGE` lines.
+    The first comment on a tool that states a diameter counts; without any, the last comment that states a shape. A
+    comment without a T number belongs to the first tool change within `_LINES_TO_CHANGE` lines after it. Comments that
+    state neither a diameter nor a shape do not count.
 
     :param changes: (line, T number) of tool changes, in order.
     :param inches: lengths without a unit are inches.
@@ -125,6 +127,7 @@ def cutter_of(text: str, *, inches: bool) -> CommentedTool:
     """Return the cutter that a text describes.
 
     :param inches: lengths without a unit are inches.
+    :returns: shape, diameter and number of teeth are None if the text does not state them.
 
     >>> cutter_of("D=16. CR=0. - ZMIN=-5. - flat end mill", inches=False)
     CommentedTool(shape='flat', diameter_mm=16.0, corner_radius_mm=0.0, flutes=None, text='')
@@ -134,12 +137,13 @@ def cutter_of(text: str, *, inches: bool) -> CommentedTool:
     if (apt := _APT.search(text)) is not None:
         corner = float(apt[3] or 0.0) * (MM_PER_INCH if inches else 1.0)
     shape = next((shape for form, shape in _SHAPES if form.search(text)), None)
+    # the point angle of a drill and a taper of 0° are no tapered shape
     if _OTHER_SHAPES.search((_POINT if shape == "drill" else _STRAIGHT).sub("", text)):
         shape = None
     elif diameter is not None and corner and shape in (None, "flat", "bull"):
         shape = "ball" if 2.0 * corner >= diameter else "bull"
     flutes = next((int(count) for match in _FLUTES.finditer(text) for count in match.groups() if count), None)
-    if not diameter:
+    if not diameter:  # 0 is no diameter
         diameter = None
     return CommentedTool(shape, diameter, corner if shape == "bull" else 0.0, flutes or None)
 
@@ -154,14 +158,18 @@ def _length_mm(match: re.Match[str], inches: bool) -> float:
 
 
 def _mm_per_unit(unit: str | None, *, inches: bool) -> float:
-    """Return the length of a unit of a comment [mm]; any unit but mm is an inch, as is none if `inches`."""
+    """Return the length of a unit of a comment [mm]: 1 for mm, an inch for any other unit.
+
+    :param unit: None or empty: not stated.
+    :param inches: a length without a unit is in inches; else it is in mm.
+    """
     if unit:
         return 1.0 if unit.lower() == "mm" else MM_PER_INCH
     return MM_PER_INCH if inches else 1.0
 
 
 def _number_value(text: str) -> float:
-    """Return the value of a number; 0 of one that is none, such as 1/0.
+    """Return the value of a number or fraction; 0 for a fraction with the denominator 0.
 
     >>> _number_value("12.7"), _number_value("3/8"), _number_value("1-1/4")
     (12.7, 0.375, 1.25)
@@ -180,9 +188,10 @@ _SIDES = re.compile(
 
 
 def stock_size(comments: Iterable[Comment], *, inches: bool) -> tuple[float, float, float] | None:
-    """Return the lengths of the stock along X, Y, Z [mm] that comments state; None: they do not.
+    """Return the lengths of the stock along X, Y, Z [mm] that comments state; None if they state none.
 
-    Either in one comment, "stock 100 x 80 x 20 mm", or X =, Y =, Z = at most two lines after "material size".
+    There are two forms: "stock 100 x 80 x 20 mm" in one comment; or "material size", and X =, Y =, Z = in one comment
+    at most two lines after it.
 
     :param inches: lengths without a unit are inches.
     """

@@ -40,7 +40,8 @@ class ToolStates(Struct, frozen=True, eq=False):
 def tool_states(program: Program, process: Process) -> ToolStates:
     """Return tool and spindle speed on each motion.
 
-    The key of its cutter is the number of T … M6; in KRL it is n of `TOOL_DATA[n]`, in RAPID the name of the tooldata.
+    The key of a cutter in [tools] is the number of T … M6 in G-code, n of `TOOL_DATA[n]` in KRL, and the name of the
+    tooldata in RAPID. A program without spindle speeds has those of [tools].
 
     :raises ForceError: a tool that cuts is not in [tools], or it takes [tools.default] while another key is a name that
         the program does not have.
@@ -68,17 +69,21 @@ def tool_states(program: Program, process: Process) -> ToolStates:
 
 
 def cutter_entries(program: Program, process: Process) -> Ints:
-    """Return the entry of [tools] of the cutter of each motion (M,), by its row in the process; −1: it has none.
+    """Return the row in [tools] of the process of the cutter of each motion (M,); −1: it has no entry.
 
-    :raises ForceError: several names of a tool of a robot program have an entry.
+    :raises ForceError: it is not known which of several tools with one frame cuts, see `_stated_key`.
     """
     tool, names = _program_tools(program, process)
     keys = tuple(process.tools)
     rows = np.full(len(names), -1)
     for index, name in enumerate(names):
         entry = process.tool(name)
-        if entry is not None and (name is not None or not is_name(entry[0])):  # a name is that of one tool only
-            rows[index] = keys.index(entry[0])
+        if entry is None:
+            continue
+        key, _ = entry
+        # a tool without a name may have the only entry of the process, unless its key is the name of another tool
+        if name is not None or not is_name(key):
+            rows[index] = keys.index(key)
     return rows[tool]
 
 
@@ -92,29 +97,34 @@ def _tool_numbers(program: Program) -> Ints:
 
 
 def tapping_motions(program: Program, tools: ToolStates) -> Ints:
-    """Return the motions (n,) that cut a thread: at feed, with a reversed spindle on the motion at feed after them."""
+    """Return the motions (n,) that cut a thread: at feed, and the next motion is at feed with a reversed spindle."""
     is_cut = ~np.asarray(program.motions.rapid)
     return np.flatnonzero((tools.hand[1:] != tools.hand[:-1]) & is_cut[1:] & is_cut[:-1])
 
 
 def _program_tools(program: Program, process: Process) -> tuple[Ints, list[str | None]]:
-    """Return the tool of each motion (M,), and the number or name of each tool; None: it has none, or no entry.
+    """Return the index of the tool of each motion (M,), and the number or name of each tool.
 
-    :raises ForceError: several names of a tool of a robot program have an entry.
+    The name is None for a tool without a number, and for a tool of a robot program without an entry in [tools].
+
+    :raises ForceError: it is not known which of several tools with one frame cuts, see `_stated_key`.
     """
     if program.tool_keys:
         return program.motions.tool, [_stated_key(program, process, row) for row in range(len(program.tools))]
     number = _tool_numbers(program)
     numbers = distinct(number)
+    # T0 and −1 (before the first tool change) name no tool, unless [tools] has an entry 0
     names = [str(value) if value > 0 or str(value) in process.tools else None for value in numbers.tolist()]
     return np.searchsorted(numbers, number), names
 
 
 def _stated_key(program: Program, process: Process, row: int) -> str | None:
-    """Return the number or name of a tool of a robot program that has an entry in [tools], None without one.
+    """Return the number or name of a tool of a robot program that has an entry in [tools]; None if none has.
 
-    :param row: of `Program.tools`, whose frame several `TOOL_DATA[n]` or tooldata may have.
-    :raises ForceError: several of them have an entry; or one has, by its name, which is that of one tool only.
+    Several `TOOL_DATA[n]` or tooldata may have the same frame: then the program does not state which of them cuts.
+
+    :param row: row of `Program.tools`, the frames.
+    :raises ForceError: several tools with this frame have an entry; or a tooldata has one, and others have its frame.
     """
     names = [name for name in program.tool_keys[row] if process.key_of(name) is not None]
     is_by_name = bool(names) and is_name(names[0])
@@ -129,9 +139,10 @@ def _stated_key(program: Program, process: Process, row: int) -> str | None:
 
 
 def _refuse_missing_tools(program: Program, process: Process, number: Ints, lacks_tool: Bools) -> None:
-    """Raise for the tools of cutting motions that the process file lacks.
+    """Raise the error for cutting motions whose tools the process file lacks.
 
-    :param number: (M,) T number of each motion; `lacks_tool` (M,) cuts whose tool has no entry.
+    :param number: (M,) T number of each motion.
+    :param lacks_tool: (M,) True for cuts whose tool has no entry.
     :raises ForceError: always, one error for each tool.
     """
     tool = program.motions.tool if program.tool_keys else number
@@ -143,8 +154,8 @@ def _refuse_missing_tools(program: Program, process: Process, number: Ints, lack
 def _missing_tool_error(program: Program, process: Process, motion: int, number: int) -> ForceError:
     """Return the error for a tool that the process file lacks.
 
-    :param motion: row of its first cut.
-    :param number: its T number; 0 or −1: none.
+    :param motion: row of the first cut of the tool.
+    :param number: T number of the tool; 0 or −1: the program states none.
     """
     names = program.tool_keys[program.motions.tool[motion]] if program.tool_keys else ()
     tool_list = ", ".join(f"[tools.{key}]" for key in process.tools) or "none"
@@ -165,10 +176,10 @@ def _missing_tool_error(program: Program, process: Process, motion: int, number:
 
 
 def _refuse_unknown_names(program: Program, process: Process, number: Ints) -> None:
-    """Refuse names in [tools] that a program does not have: a tool that is cut by [tools.default] may be meant.
+    """Refuse names in [tools] that a program does not have: they may mean a tool that takes [tools.default].
 
-    :param number: (M,) T numbers.
-    :raises ForceError: there are some, one error for each.
+    :param number: (M,) T number of each motion.
+    :raises ForceError: [tools] has such names, one error for each.
     """
     names = list(dict.fromkeys(name for row in program.tool_keys for name in row))
     names = names or [str(value) for value in distinct(number).tolist() if value > 0]
@@ -191,42 +202,46 @@ _SAME_TIP = 1e-4
 cutters that are alike to a tenth of a millimetre are rare, and one that was measured twice is not."""
 
 
-def shared_cutters(program: Program, tools: ToolStates, engaged_motions: Ints) -> Iterator[Issue]:
+def shared_cutter_issues(program: Program, tools: ToolStates, engaged_motions: Ints) -> Iterator[Issue]:
     """Yield a warning for each entry of [tools] that cuts with several tools of a robot program.
 
-    :param engaged_motions: (n,) motions that touch material, in order: a LIN may also position.
+    :param engaged_motions: (n,) motions that touch material, in order; other motions at feed may only position.
     """
     m = program.motions
     tool, frame = tools.tool[engaged_motions], m.tool[engaged_motions]
     if not program.keeps_text:
         return
-    for place in distinct(tool).tolist():
-        rows = distinct(frame[tool == place])
+    for entry in distinct(tool).tolist():
+        rows = distinct(frame[tool == entry])
         tips = program.tools[rows, :3, 3]
         tip_distance = norm(tips - tips[0])
         if len(rows) < 2 or tip_distance.max() <= _SAME_TIP:
             continue
-        pair = [int(rows[0]), int(rows[int(np.argmax(tip_distance))])]
-        motion = [int(engaged_motions[np.argmax((frame == row) & (tool == place))]) for row in pair]
+        # the first tool, and the one whose tip is farthest from its tip
+        tool_rows = [int(rows[0]), int(rows[int(np.argmax(tip_distance))])]
+        first_motions = [int(engaged_motions[np.argmax((frame == row) & (tool == entry))]) for row in tool_rows]
         names = [
             f"{_tool_name(program, row)} (line {m.line[row_motion]})"
-            for row, row_motion in zip(pair, motion, strict=True)
+            for row, row_motion in zip(tool_rows, first_motions, strict=True)
         ]
-        keys = [key for row in pair for key in (program.tool_keys[row] if program.tool_keys else ())]
-        new_keys = [key for key in dict.fromkeys(keys) if key.upper() != tools.keys[place].upper()]
+        keys = [key for row in tool_rows for key in (program.tool_keys[row] if program.tool_keys else ())]
+        new_keys = [key for key in dict.fromkeys(keys) if key.upper() != tools.keys[entry].upper()]
         advice = f"Give {' and '.join(f'[tools.{key}]' for key in new_keys)}"
         if not new_keys:
             data = "tooldata of its own" if program.dialect == "rapid" else "TOOL_DATA[n] of its own"
             advice = f"Give each {data} in the program, and its table in [tools]"
         message = (
             f"{' and '.join(names)}, whose tips are {tip_distance.max() * MM_PER_M:.4g} mm apart, both cut as "
-            f"[tools.{tools.keys[place]}]: are they one cutter? {advice} if they are not."
+            f"[tools.{tools.keys[entry]}]: are they one cutter? {advice} if they are not."
         )
-        yield Issue("warning", "one-cutter", message, int(m.line[motion[1]]), subject=tools.keys[place])
+        yield Issue("warning", "one-cutter", message, int(m.line[first_motions[1]]), subject=tools.keys[entry])
 
 
 def _tool_name(program: Program, row: int) -> str:
-    """Return the name of a tool of a robot program, `row` of `Program.tools`, as the program states it."""
+    """Return the name of a tool of a robot program as the program states it; "the tool" if it is not known.
+
+    :param row: row of `Program.tools`.
+    """
     keys = program.tool_keys[row] if program.tool_keys else ()
     if len(keys) != 1:
         return "the tool"
@@ -240,13 +255,13 @@ _RAPID = re.compile(r"\s*S?PTP", re.IGNORECASE)
 def refuse_unread_cuts(program: Program) -> None:
     """Refuse a program that calls routines whose cuts were not read: these would remain uncorrected under force.
 
-    :raises ProgramError: there is one; the error names the cause.
+    :raises ProgramError: a called routine was not read; the error names the cause.
     """
     if program.unfollowed:
         raise combined_error(call.error for call in program.unfollowed)
 
 
-def unread_cuts(program: Program) -> list[Issue]:
+def unread_cut_issues(program: Program) -> list[Issue]:
     """Return a warning if cutting motions were not read: the stock keeps the material that they remove."""
     lines = [
         f"{statement.file}, line {statement.line}"
@@ -271,7 +286,7 @@ _CHORD_ANGLE = np.radians(8.0)
 _RAPID_ROTATION = np.radians(2.0)
 """Rapid moves that turn the tool are divided into pieces on which no axis turns by more than this: their chords leave
 the path by half a millimetre at most (an arc of 2° with a radius of 3 m)."""
-TURNS = np.radians(0.5)
+AXIS_TOLERANCE = np.radians(0.5)
 """A tool whose axis differs by less from that of the map is taken for one along it."""
 _CUT_ROTATION = np.radians(1.0)
 """Cuts that turn the tool are divided into pieces on which it turns by this angle at most (assumed)."""
@@ -287,12 +302,12 @@ class StraightSegments(Columns, frozen=True, eq=False):
     """L straight segments in order; [m], frame of the map (z from the tip to the spindle).
 
     :param motion: (L,) row of `Motions`.
-    :param first: (L,) and last: (L,) positions t on that motion where the segment begins and ends.
-    :param begin: (L, 3) and end: (L, 3) positions of the tip.
-    :param leave: (L, 3) and arrive: (L, 3) unit directions of travel there.
+    :param first: (L,) place on the motion where the segment begins, 0 … 1, and `last` (L,) place where it ends.
+    :param begin: (L, 3) position of the tip where the segment begins, and `end` (L, 3) where it ends.
+    :param leave: (L, 3) unit direction of travel where the segment begins, and `arrive` (L, 3) where it ends.
     :param cutting: (L,) False for rapid moves.
-    :param continues: (L,) True if the segment begins at the end of the one before, with the same tool.
-    :param leans: (L,) True where the tool is not along z of the map, or turns: chords of its path.
+    :param continues: (L,) True if the segment begins at the end of the segment before, with the same tool.
+    :param leans: (L,) True where the tool is not along z of the map, or turns: segments are chords of its path.
     """
 
     motion: Ints
@@ -310,15 +325,17 @@ class StraightSegments(Columns, frozen=True, eq=False):
         """Return the segments of selected motions (M,); at gaps in the selection `continues` is False."""
         rows = np.flatnonzero(motions[self.motion])
         segments = self.take(rows)
+        # rows are consecutive where nothing was left out; −2: the first segment continues none
         return replace(segments, continues=segments.continues & (np.diff(rows, prepend=-2) == 1))
 
 
 class Shift(Struct, frozen=True, eq=False):
     """Displacement of the deflected tip along the path.
 
-    :param motion: (n,) rows of `Motions`, and t: (n,) places on them, in order.
-    :param offset: (n, 3) displacement [m] in the axes of the robot root: from motion to motion `$BASE` may change.
-    :param root: (nb, 3, 3) axes of each `$BASE` in the root; base: (M,) that of each motion.
+    :param motion: (n,) rows of `Motions`, and `t` (n,) places on them, in order.
+    :param offset: (n, 3) displacement [m] in the axes of the robot root, as `$BASE` may change between motions.
+    :param root: (nb, 3, 3) axes of each `$BASE` in the root.
+    :param base: (M,) row in `root` of the `$BASE` of each motion.
     """
 
     motion: Ints
@@ -329,17 +346,20 @@ class Shift(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, program: Program, motion: Ints, t: Array, offset: Array) -> Shift:
-        """Return displacements that are given in the `$BASE` of their motions.
+        """Return the displacement from values in the `$BASE` of motions.
 
-        :param motion: (n,) rows of `Motions`, and `t` (n,) places on them, in order; `offset` (n, 3) there [m].
+        :param motion: (n,) rows of `Motions`, and `t` (n,) places on them, in order.
+        :param offset: (n, 3) displacements at these places in the `$BASE` of the motions [m].
         """
         root, base = program.bases[:, :3, :3], program.motions.base
         return cls(motion, t, np.einsum("nij,nj->ni", root[base[motion]], offset), root, base)
 
-    def at(self, motion: Ints, t: Array) -> Array:
-        """Return displacements (k, 3) at places (motion, t), (k,) each, in the `$BASE` of the motions [m].
+    def displacements(self, motion: Ints, t: Array) -> Array:
+        """Return the displacements (k, 3) at places on motions, in the `$BASE` of the motions [m].
 
-        Linear between the places that are given, also across ends of motions.
+        They are linear between the places with known displacement, also across ends of motions.
+
+        :param motion: (k,) rows of `Motions`, and `t` (k,) places on them.
         """
         # motion + t is one key in the order of the path; the end of a motion stays before the start of the next
         key, given_key = motion + _END_OF_MOTION * t, self.motion + _END_OF_MOTION * self.t
@@ -357,27 +377,30 @@ def straight_segments(
     shift: Shift | None = None,
     directions: Directions | None = None,
 ) -> StraightSegments:
-    """Divide the motions of a program into straight segments.
+    """Return the straight segments of the motions of a program.
+
+    Motions without a cutter have none, and neither have motions without length, unless the tool leans or turns.
 
     :param frame: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.
     :param cell: width of a cell [m].
-    :param shift: displacement of the tip; segments are also divided where it is given. None: no displacement.
-    :param directions: of the tool; None: along z of the map.
+    :param shift: displacement of the tip; segments are also divided at its places. None: no displacement.
+    :param directions: directions of the tool; None: it is along z of the map.
     """
     m = program.motions
     is_leaning = _is_leaning(program, path, frame, directions)
     count = _segment_counts(program, path, is_leaning, cell)
     motions = np.arange(len(m))
-    (motion, first), last = even_places(motions, count, "start"), even_places(motions, count)[1]
+    motion, first = even_places(motions, count, "start")
+    _, last = even_places(motions, count, "end")
     if shift is not None:
         motion, first, last = _divided_at_shift(motion, first, last, shift)
     begin = path.begin(motion)
-    is_inner = first > 0.0
+    is_inner = first > 0.0  # segments that begin within their motion
     begin[is_inner] = positions(program, path, motion[is_inner], first[is_inner])
     end = positions(program, path, motion, last)
     leave, arrive = _travel_directions(program, path, _DividedSegments(motion, first, last), end - begin)
     if shift is not None:
-        begin, end = begin + shift.at(motion, first), end + shift.at(motion, last)
+        begin, end = begin + shift.displacements(motion, first), end + shift.displacements(motion, last)
     begin, end, leave, arrive = _to_map(program, motion, frame, (begin, end), (leave, arrive))
     continues = np.zeros(len(motion), dtype=bool)
     continues[1:] = (norm(begin[1:] - end[:-1]) < 1e-6) & (tools.tool[motion[1:]] == tools.tool[motion[:-1]])
@@ -393,8 +416,9 @@ def _travel_directions(
 ) -> tuple[Array, Array]:
     """Return the unit directions of travel (L, 3) where segments begin, and (L, 3) where they end.
 
-    They are along the chord, and along the tangent on arcs; zero where a segment has no length.
+    They are along the chord, on arcs along the tangent; zero for a straight segment without length.
 
+    :param segments: motions and places of the segments.
     :param chord: (L, 3) from the begin to the end of each segment [m].
     """
     motion, first, last = segments
@@ -418,6 +442,7 @@ def _segment_counts(program: Program, path: Segments, is_leaning: Bools, cell: f
     count = np.ones(len(m), dtype=np.int64)
     arcs = path.arcs
     radius = norm(arcs.radial)
+    # a chord over this angle deviates by radius · angle² / 8 from its arc
     angle = np.minimum(_CHORD_ANGLE, np.sqrt(8.0 * _CHORD_ERROR * cell / np.maximum(radius, cell)))
     count[arcs.motion] = np.maximum(1, np.ceil(arcs.sweep / angle)).astype(np.int64)
     rotation = path.turn.astype(float)
@@ -435,8 +460,10 @@ def _segment_counts(program: Program, path: Segments, is_leaning: Bools, cell: f
 class Directions(Struct, frozen=True, eq=False):
     """Directions from tip to spindle along the motions of a program, in the `$BASE` of the stock, see `home_base`.
 
-    :param end: (M, 3) at the end of each motion; cuts: (M,) False for rapid ones.
-    :param turning: (k,) motions on which the tool frame turns by more than `TURNS`; inner: (4, k, 3) at places on them.
+    :param end: (M, 3) direction at the end of each motion.
+    :param cuts: (M,) False for rapid motions.
+    :param turning: (k,) motions on which the tool frame turns by more than `AXIS_TOLERANCE`.
+    :param inner: (4, k, 3) directions on these motions, at the places `_PLACES_ON_MOTION`.
     """
 
     end: Array
@@ -448,10 +475,11 @@ class Directions(Struct, frozen=True, eq=False):
     def of(cls, program: Program, path: Segments, axis: str) -> Directions:
         """Return the directions of a program.
 
-        :param axis: axis of the tool frame that points from the spindle to the tip.
+        :param path: geometry of its motions.
+        :param axis: axis of the tool frame that points from the spindle to the tip, a key of `_SPINDLE`.
         """
         m, column = program.motions, _SPINDLE[axis][0]
-        turning = np.flatnonzero((path.turn > TURNS) & (m.kind != PTP))
+        turning = np.flatnonzero((path.turn > AXIS_TOLERANCE) & (m.kind != PTP))
         inner = np.zeros((len(_PLACES_ON_MOTION), len(turning), 3))
         for k, t in enumerate(_PLACES_ON_MOTION):
             pose = toolpath.at(program, path, turning, np.full(len(turning), t)).pose[:]
@@ -462,39 +490,41 @@ class Directions(Struct, frozen=True, eq=False):
     def of_range(self, begin: int, end: int) -> Array:
         """Return all unit directions (n, 3) of the tool on the cutting motions from row `begin` to `end` (exclusive).
 
-        First those at the ends of motions, then those inside motions on which the tool turns.
+        The directions at the ends of motions come first, then those inside motions on which the tool turns.
         """
         first, last = np.searchsorted(self.turning, [begin, end]).tolist()
         inner = self.inner[:, first:last][:, self.cuts[self.turning[first:last]]]
         return np.concatenate([self.end[begin:end][self.cuts[begin:end]], inner.reshape(-1, 3)])
 
     def is_within(self, direction: Array, angle: float) -> Bools:
-        """Return on which motions (M,) the tool is within an angle [rad] of a direction (3,) everywhere."""
+        """Return True for motions (M,) on which the tool is within an angle [rad] of a direction (3,) everywhere."""
         is_within = self.end @ direction > np.cos(angle)
         is_within[self.turning] &= (self.inner @ direction > np.cos(angle)).all(axis=0)
         return np.asarray(is_within)
 
 
 def _is_leaning(program: Program, path: Segments, frame: Array, directions: Directions | None) -> Bools:
-    """Return the motions (M,) on which the tool turns or leans from z of the map; a PTP if its path is known.
+    """Return True for motions (M,) on which the tool turns or leans from z of the map.
+
+    A PTP counts as one of them if its path is known, as it may turn the tool anywhere.
 
     :param frame: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.
-    :param directions: of the tool; None: along z of the map, but for rapid motions that turn it.
+    :param directions: directions of the tool; None: along z of the map, except on rapid motions that turn it.
     """
     m = program.motions
-    leans = m.rapid & (path.turn > TURNS)
+    leans = m.rapid & (path.turn > AXIS_TOLERANCE)
     if directions is not None:
-        leans |= ~directions.is_within(frame[:3, 2], TURNS)
+        leans |= ~directions.is_within(frame[:3, 2], AXIS_TOLERANCE)
     return np.asarray(np.where(m.kind == PTP, path.joint_moves is not None, leans))
 
 
 class ToolPoses(Struct, frozen=True, eq=False):
-    """The tool anywhere on the motions of a program, in the frame of the map.
+    """The poses of the tool on the motions of a program, in the frame of the map.
 
     :param program: the program, and `path` the geometry of its motions.
     :param frame: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.
-    :param axis: axis of the tool frame that points from the spindle to the tip.
-    :param leans: (M,) motions on which the tool is not along z of the map.
+    :param axis: axis of the tool frame that points from the spindle to the tip, a key of `_SPINDLE`.
+    :param leans: (M,) True for motions on which the tool is not along z of the map.
     """
 
     program: Program
@@ -504,19 +534,26 @@ class ToolPoses(Struct, frozen=True, eq=False):
     leans: Bools
 
     def spindle_directions(self, motion: Ints, t: Array) -> Array:
-        """Return unit directions from tip to spindle (n, 3) at places (motion, t): z of the map unless it leans."""
+        """Return the unit directions (n, 3) from tip to spindle at places on motions; z of the map if upright.
+
+        :param motion: (n,) rows of `Motions`, and `t` (n,) places on them.
+        """
         direction = np.tile([0.0, 0.0, 1.0], (len(motion), 1))
         leaning_rows = np.flatnonzero(self.leans[motion])
         if len(leaning_rows):
-            direction[leaning_rows] = self.at(motion[leaning_rows], t[leaning_rows])[1]
+            _, direction[leaning_rows] = self.tips_and_axes(motion[leaning_rows], t[leaning_rows])
         return direction
 
-    def at(self, motion: Ints, t: Array) -> tuple[Array, Array]:
-        """Return tip (n, 3) [m] and unit direction from tip to spindle (n, 3) at places (motion, t)."""
+    def tips_and_axes(self, motion: Ints, t: Array) -> tuple[Array, Array]:
+        """Return the tips (n, 3) [m] and the unit directions (n, 3) from tip to spindle at places on motions.
+
+        :param motion: (n,) rows of `Motions`, and `t` (n,) places on them.
+        """
         inner = np.maximum(t, _NO_LENGTH)  # the start of a motion: `toolpath.at` has places in (0, 1]
         pose = toolpath.at(self.program, self.path, motion, inner).pose[:]
         column, sign = _SPINDLE[self.axis]
         tip, direction = pose[:, :3, 3], sign * pose[:, :3, column]
+        # `_to_map` takes two points and two directions of segments: here both are the same
         tip, _, direction, _ = _to_map(self.program, motion, self.frame, (tip, tip), (direction, direction))
         return tip, direction
 
@@ -524,7 +561,7 @@ class ToolPoses(Struct, frozen=True, eq=False):
 class _DividedSegments(NamedTuple):
     """Segments of motions, or parts of them between places of a displacement, in order.
 
-    :param motion: (k,) of each part.
+    :param motion: (k,) row of `Motions` of each part.
     :param first: (k,) place on the motion where it begins, in [0, 1].
     :param last: (k,) place where it ends.
     """
@@ -537,7 +574,8 @@ class _DividedSegments(NamedTuple):
 def _divided_at_shift(motion: Ints, first: Array, last: Array, shift: Shift) -> _DividedSegments:
     """Return segments divided at the places of a displacement.
 
-    :param motion: (L,) of the segments, in order; `first` (L,) and `last` (L,) places where they begin and end.
+    :param motion: (L,) motions of the segments, in order.
+    :param first: (L,) places where they begin, and `last` (L,) where they end.
     :param shift: displacement of the tip, given at places on the path.
     """
     # motion + t is one sorted key of all places
@@ -572,7 +610,8 @@ def _to_map(
 
     :param motion: (L,) rows of `Motions`.
     :param frame: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.
-    :param points: each (L, 3) in the `$BASE` of the motion [m], and `directions` likewise.
+    :param points: two points (L, 3) of each segment, in the `$BASE` of its motion [m].
+    :param directions: two directions (L, 3) of each segment, in the `$BASE` of its motion.
     """
     base = program.motions.base[motion]
     vectors = [vector.copy() for vector in (*points, *directions)]
@@ -587,18 +626,18 @@ def _to_map(
 
 
 _SPINDLE = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
-"""Column of the tool frame, and its sign, that points from the tip to the spindle, by the axis of the tool."""
+"""Axis of the tool frame that points to the tip → its column, and the sign with which it points to the spindle."""
 
 
 _POSITIONING_SHARE = 0.1
-"""A frame with less than this share of the length of moves at feed only positions (assumed)."""
+"""Moves at feed in a frame only position if their length is below this share of all moves at feed (assumed)."""
 
 
 def home_base(program: Program) -> int:
     """Return the row of `Program.bases` in which the stock is given.
 
-    It is that of the first cutting motion. In a robot program, where each LIN counts as one, also one that positions,
-    it is that with the greatest length of moves at feed.
+    G-code: the `$BASE` of the first cutting motion. Robot programs: the one with the greatest length of moves at feed,
+    as the first LIN may only position; of equal lengths that of the first cutting motion.
     """
     m = program.motions
     first = int(m.base[np.argmax(~m.rapid)])
@@ -612,14 +651,15 @@ def _length_by_base(program: Program) -> Array:
     """Return the length of moves at feed in each `$BASE` (nb,) [m]; arcs as chords, without moves between frames."""
     m = program.motions
     chord = norm(np.diff(m.target.position, axis=0, prepend=0.0))
+    # −1 before the first motion: it has no known begin, and does not count
     is_within = ~m.rapid & (np.diff(m.base, prepend=-1) == 0)
     return np.asarray(np.bincount(m.base[is_within], chord[is_within], minlength=len(program.bases)))
 
 
 def stock_base_issues(program: Program) -> Iterator[Issue]:
-    """Yield an issue that names the `$BASE` of the stock, if a robot program moves at feed in several.
+    """Yield an issue that names the `$BASE` of the stock, if a robot program moves at feed in several frames.
 
-    It is a warning unless all other frames only position, or the frame is [base] of the cell.
+    It is a note if the moves in all other frames only position, or if the frame is [base] of the cell; else a warning.
     """
     m = program.motions
     bases = distinct(m.base[~m.rapid])
@@ -630,7 +670,7 @@ def stock_base_issues(program: Program) -> Iterator[Issue]:
             f"the program moves at feed in {len(bases)} frames $BASE: the stock stands in that of this line, in which "
             "most of the way is. If the stock is given in another one, the forces are wrong"
         )
-        is_of_cell = home == 0 and program.dialect == "krl"  # its row 0 is [base]
+        is_of_cell = home == 0 and program.dialect == "krl"  # row 0 of the bases of a KRL program is [base]
         is_certain = is_of_cell or length.sum() - length[home] < _POSITIONING_SHARE * length.sum()
         level: Level = "info" if is_certain else "warning"
         yield Issue(level, "stock-base", message, int(m.line[rows[0]]), count=len(rows))
@@ -640,7 +680,7 @@ def _towards_spindle(program: Program, axis: str, motion: Ints, column: Array) -
     """Return directions from tip to spindle (n, 3) in the `$BASE` of the stock, see `home_base`.
 
     :param motion: (n,) rows of `Motions`.
-    :param column: (n, 3) the axis of the tool frame next to the spindle, in the `$BASE` of those motions.
+    :param column: (n, 3) axis of the tool frame along the spindle, in the `$BASE` of these motions.
     """
     direction, base = _SPINDLE[axis][1] * column, program.motions.base[motion]
     home = program.bases[home_base(program)]

@@ -27,7 +27,7 @@ class Bodies:
         force, moment = robot_in_cell.tip_compliance(program.tools[0])
         wrench = np.abs(samples.forces.at(samples.sample)).max(axis=0, initial=0.0)
         deflection = force * float(np.linalg.norm(wrench[:3])) + moment * float(np.linalg.norm(wrench[3:]))
-        self.need = need_mm * M_PER_MM + _ALLOWANCE * deflection
+        self.min_distance = need_mm * M_PER_MM + _ALLOWANCE * deflection
         self.chain = robot_in_cell.robot.nominal
         self.tool = program.motions.tool[samples.sample.motion]
         self.solids = {
@@ -72,7 +72,11 @@ class Bodies:
                 path = q[begin] + np.concatenate([np.zeros((1, 6)), np.cumsum(steps, axis=0)])
                 part_shift = None if shift is None else shift[part]
                 is_hit[part] = hits(
-                    solids_by_tool[int(tool[begin])], path, self.need, part_shift, between_samples=between_samples
+                    solids_by_tool[int(tool[begin])],
+                    path,
+                    self.min_distance,
+                    part_shift,
+                    between_samples=between_samples,
                 )
         return is_hit
 
@@ -95,7 +99,7 @@ class Bodies:
         for tool, solids in self.solids.items():
             of_tool = tools == tool
             if of_tool.any() and solids.move_base(base_motion).is_closer(
-                link_frames(self.chain, q[of_tool], shift[of_tool]), self.need
+                link_frames(self.chain, q[of_tool], shift[of_tool]), self.min_distance
             ):
                 return True
         return False

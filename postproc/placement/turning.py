@@ -408,7 +408,7 @@ def _closest_bodies(samples: PathSamples, whole: TurnMap, row: int, columns: Int
     distance_text = (
         f"{clearance.distance[k] * MM_PER_M:.2g} mm from" if clearance.distance[k] > 0.0 else "in contact with"
     )
-    return f"{first_body} {distance_text} {second_body} at best, and {bodies.need * MM_PER_M:.2g} mm are needed"
+    return f"{first_body} {distance_text} {second_body} at best, and {bodies.min_distance * MM_PER_M:.2g} mm are needed"
 
 
 def bin_turns(turn: Turn) -> Array:

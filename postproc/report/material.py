@@ -19,12 +19,12 @@ def as_text(material: IdentifiedMaterial) -> str:
     lines = [
         f"{name} {value:.4g} ± {half:.2g} {unit}{'' if is_identified else ' (not measured)'}"
         for name, value, half, unit, is_identified in zip(
-            NAMES, material.value, material.half, _UNITS, material.identified, strict=True
+            NAMES, material.value, material.half_width, _UNITS, material.identified, strict=True
         )
     ]
     if np.isfinite(material.residual):
         lines.append(f"residual {_residual_text(material)} N RMS")
-    if np.isfinite(material.left_out):
+    if np.isfinite(material.cross_validation_error):
         lines.append(f"error by leaving one feed out: {_left_out_text(material)} %")
     lines.append(f"forces computed with them: sigma {material.sigma_percent:.2g} %")
     return "\n".join(lines)
@@ -37,7 +37,7 @@ def _residual_text(material: IdentifiedMaterial) -> str:
 
 def _left_out_text(material: IdentifiedMaterial) -> str:
     """Return the error of a feed left out [%] as text, without rounding errors of exact readings."""
-    return f"{round(100 * material.left_out, 6):.2g}"
+    return f"{round(100 * material.cross_validation_error, 6):.2g}"
 
 
 def material_page(material: IdentifiedMaterial, readings: CutReadings, name: str) -> bytes:
@@ -46,7 +46,7 @@ def material_page(material: IdentifiedMaterial, readings: CutReadings, name: str
     :param name: of the file of readings.
     """
     tiles = [Tile("Residual, RMS", _residual_text(material), "N")] if np.isfinite(material.residual) else []
-    if np.isfinite(material.left_out):
+    if np.isfinite(material.cross_validation_error):
         tiles.append(Tile("Error by leaving one feed out", _left_out_text(material), "%"))
     tiles.append(Tile("Sigma of computed forces", f"{material.sigma_percent:.2g}", "%"))
     sections = [Section("numbers", "How well it fits", (Tiles(tuple(tiles)),))]
@@ -66,7 +66,7 @@ def _coefficient_table(material: IdentifiedMaterial) -> Table:
     rows = tuple(
         Row((coefficient, f"{value:.4g}", f"{half:.2g}", unit, "readings" if is_identified else "process"))
         for coefficient, value, half, unit, is_identified in zip(
-            NAMES, material.value, material.half, _UNITS, material.identified, strict=True
+            NAMES, material.value, material.half_width, _UNITS, material.identified, strict=True
         )
     )
     head = ("coefficient", "value", "± 95 %", "unit", "from")

@@ -68,7 +68,7 @@ def forces_csv(program: Program, knots: Knots) -> Iterator[bytes]:
 
     `t` is empty for a ramped knot, the only knot of its motion.
 
-    :param knots: of one motion for each line of the program, see `machining.one_move_a_line`.
+    :param knots: of one motion for each line of the program, see `machining.knots_by_line`.
     """
     yield (",".join(COLUMNS) + "\n").encode()
     lines, t = program.motions.line[knots.motion], np.where(knots.ramped, np.nan, knots.t)

@@ -207,7 +207,7 @@ def test_of_two_footprints_the_first_keeps_what_the_second_does_not_cover_as_dee
         second = replace(second, cell=second.cell[:0], level=second.level[:0], segment=second.segment[:0])
     # some levels a little above and below those of the other footprint
     first.level[:] += rng.choice([-2e-6, -5e-7, 0.0, 5e-7, 2e-6], len(first.cell)).astype(np.float32)
-    remaining = first.outside(second)
+    remaining = first.not_covered_by(second)
     kept = []
     for k, (cell, level) in enumerate(zip(first.cell, first.level, strict=True)):
         others = [float(lv) for c, lv in zip(second.cell, second.level, strict=True) if c == cell]
@@ -228,7 +228,7 @@ def test_cells_within_a_circle_are_left_out_and_rims_are_not(radius):
     given = footprint(rng)
     given = replace(given, cell=rng.integers(0, SHAPE[0] * SHAPE[1], 40))
     point = np.array([X + 9e-3, Y + 7e-3, 0.0])
-    left = given.around(stock, point, radius)
+    left = given.outside_circle(stock, point, radius)
     kept = [
         k for k, cell in enumerate(given.cell.tolist())
         if math.hypot(X + (cell % SHAPE[1] + 0.5) * CELL - point[0], Y + (cell // SHAPE[1] + 0.5) * CELL - point[1])

@@ -168,7 +168,7 @@ def test_published_power_constants_are_inside_the_deviation_of_the_materials(nam
     """kW per cm³/s are 1000 N/mm²; the deviation is that with wear, as forces have it without a sigma of the user."""
     law = material.law(material.MaterialTable(name=name), "process.toml")
     for feed, factor in FEED_FACTOR.items():
-        cut = float(law.chip(np.float32(feed * 1e-3))) * law.cutting[0] + law.edge[0]
+        cut = float(law.chip_factor(np.float32(feed * 1e-3))) * law.cutting[0] + law.edge[0]
         specific = cut / (feed * 1e-3)
         assert abs(1e9 * POWER[name] * factor - specific) < 1.96 * law.sigma * specific
 

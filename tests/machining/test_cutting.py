@@ -129,10 +129,10 @@ def test_products_in_pieces_are_products():
 
 def test_the_law_of_the_chip_is_that_of_kienzle():
     chip = np.array([0.0, 1e-6, 5e-5, 1e-3, 2e-3, -1e-5], dtype=np.float32)
-    found = KIENZLE.cutting[0] * KIENZLE.chip(chip).astype(float)
+    found = KIENZLE.cutting[0] * KIENZLE.chip_factor(chip).astype(float)
     expected = [0.0, *(900e6 * (h * 1e3) ** -0.25 * h for h in (1e-6, 5e-5, 1e-3, 2e-3)), 0.0]
     np.testing.assert_allclose(found, expected, rtol=1e-5)
-    np.testing.assert_allclose(LINEAR.chip(chip), np.maximum(chip, 0.0))
+    np.testing.assert_allclose(LINEAR.chip_factor(chip), np.maximum(chip, 0.0))
 
 
 def test_the_edge_is_as_long_as_the_profile_and_as_high():
@@ -196,9 +196,9 @@ def test_unit_wrenches_are_those_of_a_law_with_one_coefficient(axis, is_drill):
     unit = tuple(float(k == axis) for k in range(3))
     made_law = CuttingLaw(cutting=unit, edge=unit, exponent=0.0, sigma=0.0, name="", covariance=covariance)
     turn = Turn.of(edge(cutter, 5e-4), cutter, made_law, 5e-4, 0.4)
-    np.testing.assert_array_equal(turn.unit_wrench[axis], turn.cut)
+    np.testing.assert_array_equal(turn.unit_wrench[axis], turn.cut_wrench)
     assert turn.unit_wrench.shape == (3, len(turn.phi), 6)
-    assert np.abs(turn.cut).any() == (axis != 1 or not is_drill)
+    assert np.abs(turn.cut_wrench).any() == (axis != 1 or not is_drill)
 
 
 @pytest.mark.parametrize("descent", [0.0, 0.2, 0.7, -0.3])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from postproc.machining import cutting
-from postproc.machining.stock import Stock, between_cells
+from postproc.machining.stock import Stock, surface_between_cells
 
 CELL_SIZE = 1e-3
 X, Y = 0.1, 0.2
@@ -112,7 +112,7 @@ def test_a_paraboloid_between_cells_is_exact():
         np.array([surface(a, b) + (0.6 * a + 0.2) * (x - a) + (-0.4 * b + 0.5) * (y - b)], np.float32) for a, b in cells
     ]
     weights = [np.array([(x if a else 1 - x) * (y if b else 1 - y)], np.float32) for a, b in cells]
-    assert float(between_cells(levels, planes, weights)[0]) == pytest.approx(surface(x, y), abs=1e-6)
+    assert float(surface_between_cells(levels, planes, weights)[0]) == pytest.approx(surface(x, y), abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ def test_chips_are_the_mean_of_the_part_of_a_piece_that_moves_into_the_material(
 
 def test_the_chip_is_the_travel_along_the_normal():
     turn = SimpleNamespace(
-        round=slice(1, 2), front=np.array([0.6, 0.8], np.float32), axial=np.array([0.8, 0.6], np.float32),
+        round=slice(1, 2), normal_x=np.array([0.6, 0.8], np.float32), normal_down=np.array([0.8, 0.6], np.float32),
         tangent=np.array([[0, 0, 0], [0.1, 7.0, 0.2]], np.float32),
     )  # fmt: skip
     chip = cutting.chips(turn, np.array([2.0], np.float32), np.array([1.0], np.float32))
@@ -222,7 +222,7 @@ def test_loads_are_sums_over_the_points_of_a_turn(drill, covariance, cell):
         law=law, drill=drill, sampling=1.5,
         radius=np.array([1, 2, 3, 3], np.float32), width=np.array([0.1, 0.2, 0.3, 0.4]),
         bottom=slice(0, 1), round=slice(1, 2), side=slice(2, 4),
-        cut=rng.normal(size=(4, 6)).astype(np.float32), rub=rng.normal(size=(4, 6)).astype(np.float32),
+        cut_wrench=rng.normal(size=(4, 6)).astype(np.float32), rub_wrench=rng.normal(size=(4, 6)).astype(np.float32),
         unit_wrench=rng.normal(size=(3, 4, 6)).astype(np.float32),
     )  # fmt: skip
     length, moment = rng.uniform(0.1, 1, (3, 4)).astype(np.float32), rng.uniform(0.1, 1, (3, 2)).astype(np.float32)
@@ -247,12 +247,12 @@ def test_loads_are_sums_over_the_points_of_a_turn(drill, covariance, cell):
 
     for n in range(3):
         arc = turn.radius * turn.width
-        wrench, edge = total(n, turn.cut, turn.rub), length[n] * share[n]
+        wrench, edge = total(n, turn.cut_wrench, turn.rub_wrench), length[n] * share[n]
         np.testing.assert_allclose(loads.wrench[n], wrench, rtol=2e-5, atol=1e-6)
         assert loads.removal[n] == pytest.approx(float(edge @ (thickness[n] * arc)), rel=1e-5)
         by_cells = 0.0 if drill else min(1.0, 0.2 * 1.5 * cell / np.sqrt(float(edge @ arc)))
-        assert loads.by_cells[n] == pytest.approx(by_cells, rel=1e-5)
-        unknown = (1 - sine[n] if sine[n] > 0 else 0.0) * edge[0] * turn.rub[0]
+        assert loads.cell_error_share[n] == pytest.approx(by_cells, rel=1e-5)
+        unknown = (1 - sine[n] if sine[n] > 0 else 0.0) * edge[0] * turn.rub_wrench[0]
         square = unknown**2 / 3
         if drill:
             square[2] += (0.5 / 1.3 * wrench[2]) ** 2 / 3

@@ -96,9 +96,9 @@ def test_without_noise_the_coefficients_are_found(cuts):
     np.testing.assert_allclose(found.value, TRUE, rtol=2e-3, atol=0.02)
     assert found.residual < 0.2
     if cuts is not SIDES:
-        assert found.left_out < 2e-3
+        assert found.cross_validation_error < 2e-3
     else:  # without one of two feeds the other cannot separate edge and cut
-        assert np.isnan(found.left_out)
+        assert np.isnan(found.cross_validation_error)
 
 
 def test_exact_readings_do_not_give_intervals_of_nothing():
@@ -106,7 +106,7 @@ def test_exact_readings_do_not_give_intervals_of_nothing():
     exact = [(mode, width, chip, predicted(TRUE, mode, width, chip), 0.0) for mode, width, chip, *_ in [*SLOTS, *SIDES]]
     found = identified(exact, sigma=None)
     assert any("scatter less than any sensor" in text for text in found.warnings)
-    assert (found.half > 1e-4 * np.abs(TRUE)).all()
+    assert (found.half_width > 1e-4 * np.abs(TRUE)).all()
     table = tomllib.loads(identification.as_toml(found, IDENTIFIED_TOOL, "measured.csv").decode())["material"]
     assert np.diag(table["covariance"]).min() > 1e-9
     size = np.sqrt(np.diag(table["covariance"]))
@@ -122,8 +122,8 @@ def test_published_slots_are_fitted_and_a_feed_left_out_is_predicted():
     found = identification.identify(of_published(), ToolTable(diameter_mm=25, flutes=2), None, "published.csv")
     np.testing.assert_allclose(found.value, (959, 251, 146, 15.8, 19.4, 18.2), rtol=0.005)
     off = left_out_of_lines()
-    assert found.left_out == pytest.approx(np.sqrt(np.sum(off**2) / np.sum(PUBLISHED**2)), rel=1e-3)
-    assert found.left_out < 0.1
+    assert found.cross_validation_error == pytest.approx(np.sqrt(np.sum(off**2) / np.sum(PUBLISHED**2)), rel=1e-3)
+    assert found.cross_validation_error < 0.1
 
 
 def test_narrow_intervals_need_no_warning():
@@ -155,7 +155,7 @@ def test_intervals_hold_95_times_of_100(sigma):
     rng, inside = np.random.default_rng(2), []
     for _ in range(300):
         found = identified(SLOTS, rng, sigma=sigma)
-        inside.append(np.abs(found.value - TRUE) <= found.half)
+        inside.append(np.abs(found.value - TRUE) <= found.half_width)
     assert 0.93 < np.mean(inside) < 0.985
 
 
@@ -192,7 +192,7 @@ def test_m4_mirrors_the_force_across():
 def test_readings_worse_than_stated_widen_the_intervals():
     rng = np.random.default_rng(1)
     wide, narrow = identified(SLOTS, rng, noise=15.0), identified(SLOTS, rng)
-    assert (wide.half > 1.5 * narrow.half).all()
+    assert (wide.half_width > 1.5 * narrow.half_width).all()
     assert any("times as much as sigma_N" in text for text in wide.warnings)
 
 

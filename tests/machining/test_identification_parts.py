@@ -255,10 +255,10 @@ def test_the_file_of_a_material_has_rounded_numbers_and_no_correlations_of_round
     covariance[0, 1] = covariance[1, 0] = 2.0
     covariance[0, 2] = covariance[2, 0] = 1.9e-9
     material = IdentifiedMaterial(
-        value=np.array([800.12345678, 200.0, 100.0, 20.0, 10.0, 1.0]), half=np.array([1.234567, 2, 3, 4, 5, 6.0]),
+        value=np.array([800.12345678, 200.0, 100.0, 20.0, 10.0, 1.0]), half_width=np.array([1.234567, 2, 3, 4, 5, 6.0]),
         covariance=covariance, identified=np.ones(6, dtype=bool), predictor=np.zeros((0, 6)), measured=np.zeros(0),
         sigma=np.zeros(0), reading=np.array([0, 0, 1, 4]), component=np.zeros(0, dtype=int), residual=1.23456789,
-        left_out=0.1, sigma_percent=2.34567, warnings=(),
+        cross_validation_error=0.1, sigma_percent=2.34567, warnings=(),
     )  # fmt: skip
     text = identification.as_toml(material, ToolTable(diameter_mm=12.5, flutes=3), "cuts.csv").decode()
     for line in (

@@ -29,7 +29,7 @@ def made_stock(seed=1, x=0.013, y=-0.024, floor=-0.02):
     floors = np.full(SIZE, floor, dtype=np.float32)
     empty = rng.random(SIZE) < 0.1
     high[empty] = floors[empty]
-    return Stock(x, y, CELL_SIZE, high, low, share, stocks.level_slopes(high), floors, floor)
+    return Stock(x, y, CELL_SIZE, high, low, share, stocks.zero_slopes(high), floors, floor)
 
 
 def middles(stock):
@@ -132,7 +132,7 @@ def test_cells_that_the_tool_covers_are_cut_to_its_lowest_level(shape):
     stock = replace(made_stock(3), share=np.zeros(SIZE, dtype=np.float32))
     before = stock.high.copy()
     begin, end = segments(5, 4)
-    depth = stocks.depth_of(stock, cutter, begin, end)
+    depth = stocks.depth_of_cut(stock, cutter, begin, end)
     stocks.remove(stock, cutter, begin, end)
     x, y = middles(stock)
     deepest = 0.0
@@ -216,7 +216,7 @@ def test_the_front_of_a_tool_is_where_its_surface_moves_outwards(shape, slope):
     x, y = (values.ravel() for values in middles(stock))
     distance = np.hypot(x - point[0], y - point[1])
     near = distance < cutter.radius - 0.2 * CELL_SIZE
-    found = stocks._is_ahead(stock, cutter, index, point, travel, rim=False)
+    found = stocks._is_under_front(stock, cutter, index, point, travel, rim=False)
     step = 1e-6 * travel
     after = np.hypot(x - point[0] - step[0], y - point[1] - step[1])
     falls = step[2] + cutter.height(after) - cutter.height(distance)
@@ -231,7 +231,7 @@ def test_the_front_of_a_tool_is_where_its_surface_moves_outwards(shape, slope):
     else:
         expected = falls < 0.0
     np.testing.assert_array_equal(found[near], expected[near])
-    rim = stocks._is_ahead(stock, cutter, index, point, travel, rim=True)
+    rim = stocks._is_under_front(stock, cutter, index, point, travel, rim=True)
     np.testing.assert_array_equal(rim, along > 0.0)
 
 
@@ -384,22 +384,22 @@ def test_the_coarse_stock_is_the_highest_material_and_sinks_where_it_is_removed(
         return out
 
     first = highest()
-    np.testing.assert_array_equal(ceiling.heights_before(0), first)
+    np.testing.assert_array_equal(ceiling.levels_before(0), first)
     x0, y0 = stock.x, stock.y
     low, high = np.array([x0 + 0.0061, y0 + 0.0031, -1.0]), np.array([x0 + 0.0119, y0 + 0.0089, 1.0])
-    assert ceiling.top(low, high) == first[1:3, 2:4].max()
+    assert ceiling.highest_level(low, high) == first[1:3, 2:4].max()
     beside = np.array([1.0, 0.0, 0.0])
-    assert ceiling.top(low + beside, high + beside) == -np.inf
+    assert ceiling.highest_level(low + beside, high + beside) == -np.inf
     stock.high[3:9, 6:12] -= np.float32(0.003)
-    ceiling.sink(low, high, 4)
+    ceiling.record_removal(low, high, 4)
     second = highest()
     stock.high[0:3, 0:3] = stock.floor[0:3, 0:3]
-    ceiling.sink(np.array([x0, y0, 0.0]), np.array([x0 + 0.0029, y0 + 0.0029, 0.0]), 7)
+    ceiling.record_removal(np.array([x0, y0, 0.0]), np.array([x0 + 0.0029, y0 + 0.0029, 0.0]), 7)
     third = highest()
     assert third[0, 0] == -np.inf
     for motion, expected in ((4, first), (5, second), (7, second), (8, third)):
-        np.testing.assert_array_equal(ceiling.heights_before(motion), expected)
-    assert ceiling.top(low, high) == second[1:3, 2:4].max()
+        np.testing.assert_array_equal(ceiling.levels_before(motion), expected)
+    assert ceiling.highest_level(low, high) == second[1:3, 2:4].max()
     vertices, faces = ceiling.mesh(8)
     top = vertices[:, 2].max()
     assert top == pytest.approx(third.max())

@@ -68,10 +68,10 @@ def test_kienzle_numbers_are_shares_of_the_tangential_one():
     assert six_numbers(MaterialTable(kc11_N_per_mm2=1500.0, mc=0.25), "p") is None
     thickness = np.array([-1e-4, 0.0, 5e-5, 1e-3, 2e-3], dtype=np.float32)
     expected = [0.0, 0.0, 5e-5 * 0.05**-0.25, 1e-3, 2e-3 * 2.0**-0.25]
-    np.testing.assert_allclose(found.chip(thickness), expected, rtol=1e-5)
-    assert found.chip(thickness).dtype == np.float32
+    np.testing.assert_allclose(found.chip_factor(thickness), expected, rtol=1e-5)
+    assert found.chip_factor(thickness).dtype == np.float32
     linear = CuttingLaw((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), 0.0, 0.1, "x")
-    np.testing.assert_allclose(linear.chip(thickness), np.maximum(thickness, 0.0))
+    np.testing.assert_allclose(linear.chip_factor(thickness), np.maximum(thickness, 0.0))
 
 
 def test_what_is_not_stated_of_a_material_is_zero_but_for_a_radial_force_of_three_tenths():

@@ -379,8 +379,8 @@ def test_the_front_of_a_tool_is_where_its_surface_moves_outwards(shape, slope):
     direction = np.array([0.6 * along, 0.8 * along, slope])
     rows, columns = stock.high.shape
     cell = np.arange(rows * columns)
-    found = stocks._is_ahead(stock, Cutter(radius, corner, 2), cell, point, direction, rim=False)
-    at_rim = stocks._is_ahead(stock, Cutter(radius, corner, 2), cell, point, direction, rim=True)
+    found = stocks._is_under_front(stock, Cutter(radius, corner, 2), cell, point, direction, rim=False)
+    at_rim = stocks._is_under_front(stock, Cutter(radius, corner, 2), cell, point, direction, rim=True)
     for k in cell.tolist():
         x = stock.x + 1e-3 * (k % columns + 0.5) - point[0]
         y = stock.y + 1e-3 * (k // columns + 0.5) - point[1]
@@ -411,10 +411,10 @@ def test_the_depth_of_a_cut_is_that_of_cells_that_the_tool_covers_fully():
         np.array([[0.02, 0.02, -3e-3], [0.05, 0.02, 1e-3]]),
     )
     for first, last in ((begin, end), (end, begin)):
-        assert stocks.depth_of(stock, Cutter(5e-3, 0.0, 2), first, last) == pytest.approx(3e-3, abs=1e-6)
-        assert stocks.depth_of(stock, Cutter(5e-3, 0.0, 2), first[1:], last[1:]) == 0.0
+        assert stocks.depth_of_cut(stock, Cutter(5e-3, 0.0, 2), first, last) == pytest.approx(3e-3, abs=1e-6)
+        assert stocks.depth_of_cut(stock, Cutter(5e-3, 0.0, 2), first[1:], last[1:]) == 0.0
     deep = np.array([[0.03, 0.02, -0.05]])
-    assert stocks.depth_of(stock, Cutter(5e-3, 0.0, 2), deep, deep + np.array([0.01, 0, 0])) == pytest.approx(
+    assert stocks.depth_of_cut(stock, Cutter(5e-3, 0.0, 2), deep, deep + np.array([0.01, 0, 0])) == pytest.approx(
         0.02, abs=1e-6
     )
 

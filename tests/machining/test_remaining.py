@@ -77,7 +77,7 @@ def test_a_shank_beside_a_wall_is_as_far_as_drawn(tmp_path, wide):
     text = gcode("G0 X-30 Y-10 Z5", "G1 Z-10 F2400", "X90", "Y0", "X-30")
     _, found, guard = swept(tmp_path, text, [("shank", wide, 6.0)], need=9.0)
     expected = min(max(10.0 - 0.5 * wide, 0.0), 6.0)  # the floor is 6 mm below it
-    least = 1e3 * min(guard.close.values())
+    least = 1e3 * min(guard.close_distances.values())
     assert expected - 2.5 * CELL_MM <= least <= expected + 0.05
     (issue,) = collisions(found)
     assert f"within {least:.2g} mm" in issue.message or least == 0.0
@@ -87,7 +87,7 @@ def test_a_holder_above_the_top_is_as_far_as_drawn(tmp_path):
     """6 mm above the tip, 4 below the top: 2 mm are left. They are held if 1.9 are asked for."""
     text = gcode("G0 X-30 Y30 Z5", "G1 Z-4 F2400", "X90")
     _, found, guard = swept(tmp_path, text, [("holder", 60, 6.0)], need=3.0)
-    assert 1e3 * min(guard.close.values()) == pytest.approx(2.0, abs=0.05)
+    assert 1e3 * min(guard.close_distances.values()) == pytest.approx(2.0, abs=0.05)
     assert (
         "holder comes within 2 mm of the stock that is left here; [collision] asks for 3 mm"
         in collisions(found)[0].message
@@ -101,7 +101,7 @@ def test_a_shank_in_its_own_hole_is_free_and_a_wider_one_is_not(tmp_path):
     text = gcode("G0 X30 Y30 Z5", "G1 Z-30 F600", "G0 Z5")
     for wide, expected in ((18, False), (30, True)):
         _, found, guard = swept(tmp_path, text, [("shank", wide, 15.0)])
-        assert bool(guard.close) == expected
+        assert bool(guard.close_distances) == expected
         assert len(collisions(found)) == expected
     (issue,) = collisions(found)
     assert issue.level == "error"
@@ -121,7 +121,7 @@ def test_the_holder_is_compared_with_what_is_left_at_that_time(tmp_path):
     program, found, guard = swept(tmp_path, gcode(start, *deep), holder, need=1.0)
     (issue,) = collisions(found)
     assert issue.subject == "holder, stock"
-    assert program.motions.line[min(motion for _, motion in guard.close)] == 7
+    assert program.motions.line[min(motion for _, motion in guard.close_distances)] == 7
 
 
 def test_a_rapid_through_stock_is_refused_until_it_was_cut(tmp_path):
@@ -148,8 +148,8 @@ def test_the_coarse_stock_is_never_below_the_map_and_follows_it(tmp_path):
         text = gcode(*blocks[:count])
         part, left, _ = swept(tmp_path, text, []) if count > 2 else (None, None, None)
         own = Ceiling(left.stock)
-        level = over.ceiling[0].heights_before(len(part.motions))
-        before = np.where(np.isfinite(own.heights_before(0)), own.heights_before(0), -np.inf)
+        level = over.ceiling[0].levels_before(len(part.motions))
+        before = np.where(np.isfinite(own.levels_before(0)), own.levels_before(0), -np.inf)
         assert (level >= before).all()
         assert (level == before).mean() > 0.9  # the front of a cut is removed with the next motion
     assert over.is_compared.all() or (~over.is_compared).sum() <= 1
@@ -259,11 +259,11 @@ def test_the_distance_of_a_part_above_the_stock_is_recorded_if_it_is_below_the_n
 
     record(gap)
     if closest is None:
-        assert guard.close == {}
+        assert guard.close_distances == {}
         return
-    assert guard.close[("holder", 7)] == pytest.approx(1e-3 * closest, abs=6e-5)
+    assert guard.close_distances[("holder", 7)] == pytest.approx(1e-3 * closest, abs=6e-5)
     record(gap + 0.2)
-    assert guard.close[("holder", 7)] == pytest.approx(1e-3 * closest, abs=6e-5)
+    assert guard.close_distances[("holder", 7)] == pytest.approx(1e-3 * closest, abs=6e-5)
     record(gap - 0.2)
-    assert guard.close[("holder", 7)] == pytest.approx(1e-3 * max(closest - 0.2, 0.0), abs=6e-5)
-    assert list(guard.close) == [("holder", 7)]
+    assert guard.close_distances[("holder", 7)] == pytest.approx(1e-3 * max(closest - 0.2, 0.0), abs=6e-5)
+    assert list(guard.close_distances) == [("holder", 7)]

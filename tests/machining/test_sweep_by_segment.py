@@ -52,13 +52,13 @@ def swept(seed=0):
     )  # fmt: skip
     axes = np.cumsum(rng.normal(0.0, 0.02, (41, 3)), axis=0) + np.array([0.0, 0.0, 1.0])
     poses = SimpleNamespace(
-        at=lambda motion, t: (
+        tips_and_axes=lambda motion, t: (
             None,
             np.array([unit(axes[k] + share * (axes[k + 1] - axes[k])) for k, share in zip(motion, t, strict=True)]),
         )
     )
     columns = dict.fromkeys(("process", "law", "feed", "swing"))
-    made = Sweep(stock=made_stock(), tools=tools, by_cells=np.zeros((40, 2)), poses=poses, **columns)
+    made = Sweep(stock=made_stock(), tools=tools, cell_error_sums=np.zeros((40, 2)), poses=poses, **columns)
     made._cutters.update({number: Cutter(radius, 0.0, 2) for number, radius in enumerate(RADII)})
     return made, axes
 

@@ -35,7 +35,7 @@ def made_sweep(cutters, cell=CELL, **columns):
     )  # fmt: skip
     given = {
         "stock": stocks.from_box(*BOX, cell), "tools": tools, "law": LAW, "feed": np.full(count, 0.02),
-        "swing": np.full(count, 1.0), "by_cells": np.zeros((count, 2)), "poses": None,
+        "swing": np.full(count, 1.0), "cell_error_sums": np.zeros((count, 2)), "poses": None,
         "process": SimpleNamespace(cutter=lambda key: cutters[int(key)]),
     }  # fmt: skip
     return Sweep(**(given | columns))
@@ -244,15 +244,15 @@ def test_loads_become_cuts_with_torque_power_and_the_error_by_cells(monkeypatch)
         assert getattr(cuts, name).tolist() == [first, first + 1, first + 2]
     force = (wrench[:, :3] ** 2).sum(axis=1)
     np.testing.assert_allclose(
-        made.by_cells, [[0.01 * force[0], force[0]], [0.04 * force[1] + 0.09 * force[2], force[1] + force[2]]]
+        made.cell_error_sums, [[0.01 * force[0], force[0]], [0.04 * force[1] + 0.09 * force[2], force[1] + force[2]]]
     )
-    assert made.contact
+    assert made.has_contact
     hole = made._cuts_of_loads(SimpleNamespace(drill=True, teeth=2), stations, loads, length, 7.0)
     assert hole.depth.tolist() == [7.0, 0.0, 7.0]
-    made.contact, before = False, made.by_cells.copy()
+    made.has_contact, before = False, made.cell_error_sums.copy()
     air = made._cuts_of_loads(turn, stations, loads, 0.0 * length, 7.0)
-    assert not made.contact
-    np.testing.assert_array_equal(made.by_cells, before)
+    assert not made.has_contact
+    np.testing.assert_array_equal(made.cell_error_sums, before)
     for name in ("torque", "power", "depth", "width", "rate"):
         assert not getattr(air, name).any()
     assert np.isnan(air.enter).all()
@@ -293,7 +293,7 @@ def test_rapid_moves_that_turn_the_tool_are_compared_at_places_a_cell_apart(monk
     made = made_sweep([CUTTERS["flat"], CUTTERS["ball"]])
     made.tools.tool = np.array([0, 0, 0, 1, 1])
     seen = []
-    made.poses = SimpleNamespace(at=lambda motion, t: (motion, t))
+    made.poses = SimpleNamespace(tips_and_axes=lambda motion, t: (motion, t))
     depths = iter([2e-3, 3e-3, 1e-3, 0.0])
 
     def depth_inside(stock, cutter, motion, t):
@@ -362,7 +362,9 @@ def test_the_surface_near_a_tool_that_leans_is_looked_for_as_far_as_its_side_rea
     made.top = 0.006
     made.stock.high[20, 40] = 0.006  # 40.5 - 2 mm along x
     lean = 30.0
-    made.poses = SimpleNamespace(at=lambda motion, t: (None, np.tile(direction(lean, 0.0), (len(motion), 1))))
+    made.poses = SimpleNamespace(
+        tips_and_axes=lambda motion, t: (None, np.tile(direction(lean, 0.0), (len(motion), 1)))
+    )
 
     def found(x, z):
         given = segments_of([[x - 1e-4, 0.0185, z]], [[x + 1e-4, 0.0185, z]], [0], leans=True)
@@ -403,7 +405,7 @@ def test_edges_of_tools_that_lean_reach_the_surface_in_steps_of_four_cells(monke
         assert upper / (4 * CELL) == pytest.approx(round(upper / (4 * CELL)))
         assert tooth.tolist() == [pytest.approx(60.0 / (3000 * 2))]
         assert hand.tolist() == [-1]
-    assert made.unpaced == {1}
+    assert made.unpaced_motions == {1}
     assert math.isnan(pieces[-1][-1])
     assert len({id(turn) for turn, _, _ in seen}) == len(made._turns) == 3 - (seen[0][0] is seen[1][0])
 

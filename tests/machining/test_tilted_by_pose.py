@@ -149,9 +149,9 @@ def test_the_extent_of_a_piece_of_edge_is_that_along_z_of_the_map(shape):
     rng = np.random.default_rng(2)
     axes = np.linalg.qr(rng.normal(size=(4, 3, 3)))[0]
     extent = tilted._vertical_extents(turn, axes)
-    sine_of_kappa = np.sqrt(1.0 - turn.axial.astype(float) ** 2)
+    sine_of_kappa = np.sqrt(1.0 - turn.normal_down.astype(float) ** 2)
     for n in range(4):
-        along = np.stack([turn.axial * np.sin(turn.phi), turn.axial * np.cos(turn.phi), sine_of_kappa])
+        along = np.stack([turn.normal_down * np.sin(turn.phi), turn.normal_down * np.cos(turn.phi), sine_of_kappa])
         rise = np.abs(axes[n, 2] @ along) * turn.length
         np.testing.assert_allclose(extent[n], np.maximum(rise, 1e-7), rtol=2e-3, atol=1e-8)
 
@@ -189,7 +189,7 @@ def test_the_chip_of_a_turning_tool_is_the_motion_of_the_edge_along_its_normal(m
     x /= np.linalg.norm(x)
     frame = np.column_stack([x, hand * np.cross(axis, x), axis])
     np.testing.assert_allclose(axes[0], frame, atol=1e-12)
-    kappa = np.arccos(np.clip(turn.axial.astype(float), -1.0, 1.0))
+    kappa = np.arccos(np.clip(turn.normal_down.astype(float), -1.0, 1.0))
     rise = np.where(np.isfinite(turn.rise), turn.rise, 0.0)
     local = np.column_stack([
         turn.radius * np.sin(turn.phi), turn.radius * np.cos(turn.phi), turn.low + 0.5 * rise

@@ -93,7 +93,7 @@ def test_a_displacement_keeps_its_direction_where_the_base_changes():
     assert len(set(base.tolist())) > 1
     shift = Shift.of(made, motion, np.ones(len(motion)), offset)
     for t in (0.0, 0.4, 1.0):
-        found = shift.at(motion, np.full(len(motion), t))
+        found = shift.displacements(motion, np.full(len(motion), t))
         for k, own in enumerate(found):
             np.testing.assert_allclose(BASES[base[k], :3, :3] @ own, along, atol=1e-15)
 

@@ -103,10 +103,10 @@ def test_a_tool_that_turns_where_it_rests_needs_a_speed(tmp_path):
     turns = found.knots.wrench[program.motions.line[found.knots.motion] == 7]
     assert np.isfinite(turns).all()
     assert np.abs(turns).max() > 1.0
-    unpaced = replace(program, swivel=replace(program.swivel, rate=np.full(len(program.motions), np.nan)))
-    path = toolpath.segments(unpaced, RobotInCell.of(ROBOT, FIVE).start_flange)
+    unpaced_motions = replace(program, swivel=replace(program.swivel, rate=np.full(len(program.motions), np.nan)))
+    path = toolpath.segments(unpaced_motions, RobotInCell.of(ROBOT, FIVE).start_flange)
     with pytest.raises(ForceError, match=r"part.nc:7: the tool turns in material while its tip rests"):
-        machining.estimate(unpaced, path, machining.load(tmp_path / "process.toml"), "+Z")
+        machining.estimate(unpaced_motions, path, machining.load(tmp_path / "process.toml"), "+Z")
 
 
 def test_a_move_that_turns_the_tool_by_more_than_a_map_can_show_is_refused(tmp_path):

@@ -136,7 +136,7 @@ def test_a_cutter_of_another_diameter_is_an_error_of_the_tools_that_cut():
 
 def test_what_touches_the_stock_without_cutting_is_an_error_of_each_part():
     guard = Guard([Part("shank", 0.01, 0.02), Part("holder", 0.03, 0.05), Part("spindle", 0.1, 0.2)], 0.002)
-    guard.close = {("holder", 4): 0.0012, ("shank", 2): 0.0, ("holder", 1): 0.0012, ("holder", 3): 0.0015}
+    guard.close_distances = {("holder", 4): 0.0012, ("shank", 2): 0.0, ("holder", 1): 0.0012, ("holder", 3): 0.0015}
     issues = list(estimate._collision_issues(MADE, {6: 0.003, 0: 0.003}, guard))
     assert [issue.subject for issue in issues] == ["cutter, stock", "shank, stock", "holder, stock"]
     cutter, shank, holder = issues
@@ -451,12 +451,12 @@ def swept(**fields):
     tools = SimpleNamespace(rpm=np.full(7, 6000.0), hand=np.array([1, 1, 1, -1, 1, 1, 1]), tool=np.zeros(7, dtype=int))
     columns = dict.fromkeys(("process", "law", "poses", "feed", "swing"))
     stock = SimpleNamespace(cell=0.01)
-    return Sweep(stock=stock, tools=tools, by_cells=np.zeros((7, 2)), **(columns | fields))
+    return Sweep(stock=stock, tools=tools, cell_error_sums=np.zeros((7, 2)), **(columns | fields))
 
 
 def test_the_deepest_place_of_turning_rapid_moves_through_material_is_kept(monkeypatch):
     """A segment is looked at about every cell, and at some places at least."""
-    sweep_ = swept(poses=SimpleNamespace(at=lambda motion, t: (motion, t)))
+    sweep_ = swept(poses=SimpleNamespace(tips_and_axes=lambda motion, t: (motion, t)))
     seen = []
     depths = iter([0.002, 0.003, 0.001, 0.0])
 
@@ -484,7 +484,7 @@ def test_stations_in_air_have_no_angles_and_no_size_of_cut():
     loads = SimpleNamespace(wrench=np.ones((2, 6)), deviation=np.full((2, 6), 0.1))
     stations = np.array([2, 3]), np.array([0.1, 0.2]), np.array([False, True])
     found = sweep_._cuts_of_loads(None, stations, loads, np.zeros((2, 4)), 0.5)
-    assert not sweep_.contact
+    assert not sweep_.has_contact
     for name in ("torque", "power", "depth", "width", "rate"):
         assert getattr(found, name).tolist() == [0.0, 0.0]
     assert np.isnan(found.enter).all()
@@ -498,7 +498,7 @@ def test_the_depth_of_a_hole_is_that_of_a_drill_and_power_is_torque_times_speed(
     monkeypatch.setattr(sweep_module, "_engagement_sizes", lambda turn, given: sizes)
     wrench = np.array([[3.0, 4.0, 0.0, 0.0, 0.0, 2.0], [0.0, 0.0, 12.0, 0.0, 0.0, -2.0]])
     loads = SimpleNamespace(
-        wrench=wrench, deviation=np.zeros((2, 6)), by_cells=np.array([0.1, 0.2]), removal=np.array([1e-9, 2e-9])
+        wrench=wrench, deviation=np.zeros((2, 6)), cell_error_share=np.array([0.1, 0.2]), removal=np.array([1e-9, 2e-9])
     )
     stations = np.array([2, 3]), np.array([0.1, 0.2]), np.array([False, True])
     for is_drill in (False, True):
@@ -506,13 +506,13 @@ def test_the_depth_of_a_hole_is_that_of_a_drill_and_power_is_torque_times_speed(
         turn = SimpleNamespace(drill=is_drill, teeth=3)
         given = replace_wrench(loads)
         found = sweep_._cuts_of_loads(turn, stations, given, np.array([[1.0, 0.0], [0.0, 0.0]]), 0.05)
-        assert sweep_.contact
+        assert sweep_.has_contact
         assert found.depth.tolist() == ([0.05, 0.0] if is_drill else [0.5, 0.6])
         assert (found.enter[0], found.leave[1], found.width[0]) == (0.1, 0.4, 0.7)
         assert found.torque.tolist() == [2.0, -2.0]
         np.testing.assert_allclose(found.power, [400 * np.pi, -400 * np.pi])
         np.testing.assert_allclose(found.rate, [3e-7, 6e-7])
-        np.testing.assert_allclose(sweep_.by_cells[[2, 3]], [[0.01 * 25, 25], [0.04 * 144, 144]])
+        np.testing.assert_allclose(sweep_.cell_error_sums[[2, 3]], [[0.01 * 25, 25], [0.04 * 144, 144]])
 
 
 def replace_wrench(loads):

@@ -45,7 +45,7 @@ def test_bodies_need_twice_what_the_largest_forces_deflect_in_addition(compared)
     samples, bodies = compared
     force, moment = samples.robot_in_cell.tip_compliance(samples.program.tools[0])
     deflection = force * np.sqrt(110.0**2 + 250.0**2 + 130.0**2) + moment * 2.0
-    assert bodies.need == pytest.approx(0.012 + 2.0 * deflection, rel=1e-9)
+    assert bodies.min_distance == pytest.approx(0.012 + 2.0 * deflection, rel=1e-9)
 
 
 class Recorder:
@@ -113,7 +113,7 @@ def test_poses_are_compared_with_the_bodies_of_their_tool(compared, monkeypatch,
             return self
 
         def is_closer(self, frames, need):
-            assert need == bodies.need
+            assert need == bodies.min_distance
             np.testing.assert_allclose(
                 frames, placed.link_frames(bodies.chain, q[tool == self.number], shift[tool == self.number])
             )
