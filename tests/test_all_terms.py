@@ -189,7 +189,7 @@ def test_what_the_tool_moves_with_each_parameter_is_that_by_differences_of_the_o
     reach = state.spring_jacobian()
     for name in [*all_names(model), "size"]:
         parameter = robot.CompensatorSize() if name == "size" else parameters.parameter_of_name(name)
-        found = balance.twist_by_parameter(state, reach, parameter, x0)
+        found = balance.twists_by_parameters(state, reach, [parameter], x0)[..., 0]
         step = step_of(name)
         expected = np.array([arm.by_parameter(name, step, q[n], FAR_OFFSET_TOOL, wrench[n]) for n in range(len(q))])
         for rows in (slice(0, 3), slice(3, 6)):
@@ -569,7 +569,7 @@ def test_a_parameter_that_the_robot_does_not_have_is_an_error():
     )
     for lacks, name in ((replace(state, robot=replace(model, compensator=None)), "K_c"), (state, "A4.X")):
         with pytest.raises(ModelError, match="which the model does not have"):
-            balance.twist_by_parameter(lacks, state.spring_jacobian(), parameters.parameter_of_name(name), x)
+            balance.twists_by_parameters(lacks, state.spring_jacobian(), [parameters.parameter_of_name(name)], x)
 
 
 @pytest.mark.parametrize("compliance", [20.0, 30.0, 40.0])

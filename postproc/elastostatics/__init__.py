@@ -22,6 +22,7 @@ from postproc.elastostatics.equilibrium import (
     largest_compliance,
     linear_compliance,
     linear_deflection,
+    loaded_pose,
     loaded_tip,
     tangent_compliance,
 )
@@ -61,6 +62,7 @@ __all__ = [
     "largest_length",
     "linear_compliance",
     "linear_deflection",
+    "loaded_pose",
     "loaded_tip",
     "position_bound",
     "reversals",

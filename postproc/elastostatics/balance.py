@@ -8,6 +8,9 @@ start from here. Arrays of this module are (nv, n), the sample index last; `coor
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import cached_property
+
 import numpy as np
 from msgspec import Struct
 
@@ -139,7 +142,7 @@ class Balance(Struct, frozen=True, eq=False):
         I − C·H is the derivative of θ − c(τ(θ)): C = c′(τ), H = ∂(JᵀF)/∂x − ∂²U_g/∂x² − U_c″. Rigid springs (C = 0)
         need no special case, as they would in K − H. Compliances that change over the workspace add −∂c/∂x at fixed τ.
         """
-        jacobian = np.moveaxis(self.jacobian, -1, 0)
+        jacobian = self.jacobian.transpose(2, 0, 1)
         tangent = self._residual_slopes(jacobian)
         # J·A⁻¹ = (A⁻ᵀ·Jᵀ)ᵀ
         return np.swapaxes(np.linalg.solve(np.swapaxes(tangent, 1, 2), np.swapaxes(jacobian, 1, 2)), 1, 2)
@@ -252,31 +255,39 @@ def compensator_factor(robot: RobotModel, x: Array, slope: Array) -> Array:
     return np.asarray(1.0 + slope[row] * robot.compensator.stiffness_about_joint(x[row]))
 
 
-def twist_by_parameter(state: Balance, spring_jacobian: Array, parameter: Parameter, q: Array) -> Array:
-    """Return the twist (n, 6) [m, rad] of the tool per unit of a parameter, at fixed joint angles.
+def twists_by_parameters(state: Balance, spring_jacobian: Array, parameters: Sequence[Parameter], q: Array) -> Array:
+    """Return the twists (n, 6, P) [m, rad] of the tool per unit of each parameter, at fixed joint angles.
 
     :param state: in equilibrium.
     :param spring_jacobian: (n, 6, nv) of the state, `Balance.spring_jacobian`.
     :param q: (nv, n) coordinates at rest.
-    :raises ModelError: the robot does not have the parameter.
+    :raises ModelError: the robot does not have one of the parameters.
     """
-    if isinstance(parameter, Spring):
-        return _twist_by_spring(state, spring_jacobian, parameter)
     robot = state.robot
-    loaded_torque = static_torque_by_parameter(robot, parameter, state.x)
-    if robot.subtract_reference:
-        unloaded_torque = static_torque_by_parameter(robot, parameter, q)  # the preload changes too
-        shift = (
-            -state.deflection_by(loaded_torque - unloaded_torque)
-            - compliance_by_preload(robot, state.torque, state.preload) * unloaded_torque
-        )
-    else:
-        shift = state.lost_motion_compliance * loaded_torque - state.deflection_by(loaded_torque)
-    return np.asarray(np.einsum("nik,kn->ni", spring_jacobian, shift))
+    twist = np.empty((len(spring_jacobian), 6, len(parameters)))
+    static_columns = []
+    for column, parameter in enumerate(parameters):
+        if isinstance(parameter, Spring):
+            twist[:, :, column] = _twist_by_spring(state, spring_jacobian, parameter)
+        else:
+            static_columns.append(column)
+    if not static_columns:
+        return twist
+    loaded, unloaded = StaticTorqueSlopes(robot, state.x), StaticTorqueSlopes(robot, q)
+    by_preload = compliance_by_preload(robot, state.torque, state.preload)
+    for column in static_columns:
+        loaded_torque = loaded.by(parameters[column])
+        if robot.subtract_reference:
+            unloaded_torque = unloaded.by(parameters[column])  # the preload changes too
+            shift = -state.deflection_by(loaded_torque - unloaded_torque) - by_preload * unloaded_torque
+        else:
+            shift = state.lost_motion_compliance * loaded_torque - state.deflection_by(loaded_torque)
+        twist[:, :, column] = np.einsum("nik,kn->ni", spring_jacobian, shift)
+    return twist
 
 
 def _twist_by_spring(state: Balance, spring_jacobian: Array, parameter: Spring) -> Array:
-    """Return the twist (n, 6) [m, rad] of the tool per unit of the parameter of a spring; see `twist_by_parameter`."""
+    """Return the twist (n, 6) [m, rad] of the tool per unit of a parameter of a spring; see `twists_by_parameters`."""
     robot = state.robot
     torque = state.torque if parameter.with_rest_torque else state.load_part
     factor = parameter.factor(state.x[list(robot.actuated)])
@@ -287,19 +298,31 @@ def _twist_by_spring(state: Balance, spring_jacobian: Array, parameter: Spring) 
     return twist
 
 
-def static_torque_by_parameter(robot: RobotModel, parameter: Parameter, x: Array) -> Array:
-    """Return ∂(∇U_g + U_c′)/∂p (nv, n) at coordinates x (nv, n): derivative by a link mass or a compensator parameter.
+class StaticTorqueSlopes:
+    """Derivatives of the static torque ∇U_g + U_c′ at coordinates x (nv, n) by link masses and the compensator."""
 
-    :raises ModelError: the robot does not have the parameter, or it is of another kind.
-    """
-    row = robot.row(parameter)
-    if isinstance(parameter, LinkMass):
-        return kinematics.posture(robot.unit_mass_chain, x, weigh=True).weight(row)
-    if not isinstance(parameter, CompensatorTorque) or robot.compensator is None:
-        raise ModelError(f"{parameter.name} is no parameter of {robot.name}")
-    slope = np.zeros_like(x)
-    slope[row] = parameter.effect(robot.compensator, x[row])[0]
-    return slope
+    def __init__(self, robot: RobotModel, x: Array) -> None:
+        self._robot, self._x = robot, x
+
+    @cached_property
+    def _unit_masses(self) -> Posture:
+        """Posture of the chain whose links have unit masses."""
+        return kinematics.posture(self._robot.unit_mass_chain, self._x, weigh=True)
+
+    def by(self, parameter: Parameter) -> Array:
+        """Return the derivative (nv, n) by a link mass or a parameter of the compensator.
+
+        :raises ModelError: the robot does not have the parameter, or it is of another kind.
+        """
+        robot = self._robot
+        row = robot.row(parameter)
+        if isinstance(parameter, LinkMass):
+            return self._unit_masses.weight(row)
+        if not isinstance(parameter, CompensatorTorque) or robot.compensator is None:
+            raise ModelError(f"{parameter.name} is no parameter of {robot.name}")
+        slope = np.zeros_like(self._x)
+        slope[row] = parameter.effect(robot.compensator, self._x[row])[0]
+        return slope
 
 
 def compliance_by_preload(robot: RobotModel, torque: Array, preload: Array) -> Array:

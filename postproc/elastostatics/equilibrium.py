@@ -32,7 +32,7 @@ from postproc.elastostatics.balance import (
     preload,
     spring_deflection,
     static_torque,
-    twist_by_parameter,
+    twists_by_parameters,
     undeflected_balance,
 )
 from postproc.errors import NotConvergedError
@@ -104,8 +104,18 @@ def deflect(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Deflecti
     """
     x0 = elastic_coordinates(robot, q.T)
     theta, _ = solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T)
-    pose, unloaded_pose = (kinematics.tcp(robot.loaded, x.T, tool)[0] for x in (x0 + theta, x0))
+    pose, unloaded_pose = (kinematics.tool_pose(robot.loaded, x.T, tool) for x in (x0 + theta, x0))
     return Deflection(theta.T, pose, unloaded_pose)
+
+
+def loaded_pose(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:
+    """Return the pose (N, 4, 4) of the loaded tool in the root [m]; parameters as of `deflect`.
+
+    :raises NotConvergedError: the load is too large for the springs, or the numbers are not finite.
+    """
+    x0 = elastic_coordinates(robot, q.T)
+    theta, _ = solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T)
+    return kinematics.tool_pose(robot.loaded, (x0 + theta).T, tool)
 
 
 def loaded_tip(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> Array:
@@ -133,11 +143,7 @@ def deflection_by_parameter(
     deflection, x0 = deflect(robot, q, tool, wrench), elastic_coordinates(robot, q.T)
     x, tools = x0 + deflection.theta.T, kinematics.components(tool)
     state = Balance.at(robot, x, balanced_torque(robot, x0), tools, wrench.T)
-    jacobian = state.spring_jacobian()
-    twist = np.empty((len(q), 6, len(parameters)))
-    for column, parameter in enumerate(parameters):
-        twist[:, :, column] = twist_by_parameter(state, jacobian, parameter, x0)
-    return deflection, twist
+    return deflection, twists_by_parameters(state, state.spring_jacobian(), parameters, x0)
 
 
 def solve_equilibrium(

@@ -13,12 +13,12 @@ from postproc import kinematics
 from postproc.chunks import Columns, chunks
 from postproc.elastostatics.balance import (
     A2,
+    StaticTorqueSlopes,
     compensator_factor,
     compliance_by_preload,
     coordinates,
     spring_deflection,
     static_torque,
-    static_torque_by_parameter,
 )
 from postproc.elastostatics.equilibrium import linear_compliance
 from postproc.elastostatics.reversals import flank_covariance
@@ -336,13 +336,14 @@ def _linear_sensitivity(
     """Return ∂(position of the TCP)/∂(linear value) (N, 3, P) of parameters [m per SI unit]."""
     state = _first_order(robot, q, tool, wrench)
     by_preload = compliance_by_preload(robot, state.torque, state.preload)
+    static_slopes = StaticTorqueSlopes(robot, state.x)
     second = robot.actuated[A2]
     columns = []
     for parameter in parameters:
         if isinstance(parameter, Spring):
             columns.append(_displacement_by_spring(robot, state, parameter))
             continue
-        shift = -by_preload * static_torque_by_parameter(robot, parameter, state.x)
+        shift = -by_preload * static_slopes.by(parameter)
         if isinstance(parameter, CompensatorTorque) and robot.compensator is not None:
             _, stiffness = parameter.effect(robot.compensator, state.x[second])
             shift[second] -= state.slope[second] * state.theta[second] * stiffness

@@ -31,6 +31,7 @@ nothing: a better one shows more of what the model lacks, of the same robot.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from typing import NamedTuple
 
 import numpy as np
@@ -188,8 +189,14 @@ def unmodelled_error(error: Array, covariance: Array, median: float, weight: Arr
     chance = np.exp(log_density - log_density.max())
     chance /= chance.sum()
     length = np.geomspace(delta[0], 4.0 * delta[-1], 2000)
-    cumulative = gammainc(1.5, 0.5 * (length[:, None] / delta) ** 2) @ chance  # χ² of three degrees of freedom
-    return float(np.interp(0.95, cumulative, length))
+
+    def share_below(size: float) -> float:
+        """Return the share of unmodelled errors shorter than a length: χ² of three degrees of freedom."""
+        return float(gammainc(1.5, 0.5 * (size / delta) ** 2) @ chance)
+
+    upper = max(1, bisect_left(length, 0.95, hi=len(length) - 1, key=share_below))
+    bracket = length[upper - 1 : upper + 1]
+    return float(np.interp(0.95, [share_below(size) for size in bracket], bracket))
 
 
 def levels(load: Array) -> Ints:

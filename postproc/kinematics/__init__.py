@@ -2,7 +2,7 @@
 
 from postproc.kinematics.closed_form import ClosedForm, closed_form, status_of
 from postproc.kinematics.components import components, matrices, twist_between
-from postproc.kinematics.forward import Posture, gravity_torque, posture, tcp
+from postproc.kinematics.forward import Posture, gravity_torque, posture, tcp, tool_pose
 from postproc.kinematics.hessian import gravity_stiffness, load_stiffness, require_pinocchio
 from postproc.kinematics.inverse import (
     ByWrist,
@@ -37,6 +37,7 @@ __all__ = [
     "smallest_singular_value",
     "status_of",
     "tcp",
+    "tool_pose",
     "turn_of",
     "twist_between",
 ]

@@ -23,13 +23,13 @@ def components(pose: Array) -> Array:
         pose = pose[None]
     elif pose.strides[0] == 0:
         pose = pose[:1]
-    return np.ascontiguousarray(np.moveaxis(pose[:, :3], 0, -1))
+    return np.ascontiguousarray(pose[:, :3].transpose(1, 2, 0))
 
 
 def matrices(pose: Array) -> Array:
     """Return poses (3, 4, n) as (n, 4, 4)."""
     matrix = np.zeros((pose.shape[-1], 4, 4))
-    matrix[:, :3] = np.moveaxis(pose, -1, 0)
+    matrix[:, :3] = pose.transpose(2, 0, 1)
     matrix[:, 3, 3] = 1.0
     return matrix
 
@@ -45,6 +45,17 @@ def combination(columns: Sequence[Array], factors: Array) -> Array:
         if constant == 0.0:
             continue
         term = column if constant == 1.0 else column * factor
+        total = term if total is None else total + term
+    return np.zeros((len(columns[0]), 1)) if total is None else total
+
+
+def constant_combination(columns: Sequence[Array], factors: Sequence[float]) -> Array:
+    """Return Σ columns[k]·factors[k] (m, n) of columns (m, n) or (m, 1); factors of 0 or 1 cost nothing."""
+    total: Array | None = None
+    for column, factor in zip(columns, factors, strict=True):
+        if factor == 0.0:
+            continue
+        term = column if factor == 1.0 else column * factor
         total = term if total is None else total + term
     return np.zeros((len(columns[0]), 1)) if total is None else total
 

@@ -7,6 +7,7 @@ Z, which adds to the angle of the joint. It is made from the model once, and tes
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -14,7 +15,8 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.frames import Array, sine_and_cosine
-from postproc.kinematics.components import combination, components, cross, matrices, product
+from postproc.kinematics.components import combination, components, constant_combination, cross, matrices, product
+from postproc.program import Ints
 from postproc.robot import Chain
 
 GRAVITY = 9.81
@@ -22,24 +24,27 @@ GRAVITY = 9.81
 _ZERO = 1e-15
 """A sine or cosine below this is zero: a right angle that a file gives by sixteen digits."""
 
+_FEW = 1024
+"""Samples up to which sines and cosines of all joints are computed at once; those of more do not fit the cache."""
+
 
 class _Step(Struct, frozen=True, eq=False):
     """From one joint's frame to the next: moved by `offset`, tilted about X, then the joint, which is about Z.
 
-    :param offset: (3, 1) [m].
-    :param tilt: (2, 2, 1) rows: the new Y and Z by the old ones.
+    :param offset: X, Y, Z [m].
+    :param tilt: rows: the new Y and Z by the old ones.
     :param turn: constant added to the joint's angle [rad].
     :param turns: whether the joint turns; else it slides.
     :param mass: of the link that the joint carries [kg].
-    :param centre: (3, 1) its centre of mass in the joint's frame [m].
+    :param centre: X, Y, Z of its centre of mass in the joint's frame [m].
     """
 
-    offset: Array
-    tilt: Array
+    offset: tuple[float, ...]
+    tilt: tuple[tuple[float, ...], ...]
     turn: float
     turns: bool
     mass: float
-    centre: Array
+    centre: tuple[float, ...]
 
 
 class _Steps(NamedTuple):
@@ -48,11 +53,29 @@ class _Steps(NamedTuple):
     :param first_turn: (3, 3, 1) turn about Z of the root before the first step.
     :param joints: the nv joints.
     :param flange: (3, 4, 1) in the frame of the last joint [m].
+    :param turning: rows of the joints that turn.
+    :param turn: (nv, 1) constants added to their angles; the angles of joints that slide [rad].
+    :param fixed: sine and cosine (nv, 1) of these constants.
     """
 
     first_turn: Array
     joints: tuple[_Step, ...]
     flange: Array
+    turning: Ints
+    turn: Array
+    fixed: tuple[Array, Array]
+
+    def sines_and_cosines(self, q: Array) -> Iterator[tuple[Array, Array]]:
+        """Yield sine and cosine, (n,) or (1,), of the angle of each joint at coordinates q (nv, n) [rad, m]."""
+        known = {}
+        if q.shape[1] <= _FEW:
+            rows = self.turning
+            known = dict(zip(rows.tolist(), zip(*sine_and_cosine(q[rows] + self.turn[rows]), strict=True), strict=True))
+        for row, step in enumerate(self.joints):
+            if not step.turns:
+                yield self.fixed[0][row], self.fixed[1][row]
+            else:
+                yield known.get(row) or sine_and_cosine(q[row] + step.turn)
 
 
 class Posture(Struct, frozen=True, eq=False):
@@ -124,23 +147,25 @@ def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = 
     :param tool: (3, 4, n) or (3, 4, 1) in the flange frame [m]; the flange itself by default.
     :param weigh: whether to compute the moments of the links' masses, which `Posture.weight` needs.
     """
-    first_turn, steps, end = _steps(chain)
-    end = end if tool is None else product([*np.moveaxis(end, 1, 0)], tool)
+    whole = _steps(chain)
+    first_turn, steps, end = whole.first_turn, whole.joints, whole.flange
+    end = end if tool is None else product([*end.swapaxes(0, 1)], tool)
     frame, origin = [*np.moveaxis(first_turn, 1, 0)], np.zeros((3, 1))
     axes, origins, moments = [], [], []
-    for step, coordinate in zip(steps, q, strict=True):
-        origin = origin + combination(frame, step.offset)
+    for step, coordinate, (sine, cosine) in zip(steps, q, whole.sines_and_cosines(q), strict=True):
+        if any(step.offset):
+            origin = origin + constant_combination(frame, step.offset)
         x, y, z = frame
-        y, z = (combination((y, z), factors) for factors in step.tilt)
+        y, z = [constant_combination((y, z), factors) for factors in step.tilt]
         axes.append(z)
         origins.append(origin)
-        angle = coordinate + step.turn if step.turns else np.full(1, step.turn)
         if not step.turns:
             origin = origin + z * coordinate
-        sine, cosine = sine_and_cosine(angle)
         frame = [x * cosine + y * sine, y * cosine - x * sine, z]
         if weigh:
-            moments.append(step.mass * (origin[:2] + combination([column[:2] for column in frame], step.centre)))
+            moments.append(
+                step.mass * (origin[:2] + constant_combination([column[:2] for column in frame], step.centre))
+            )
     return Posture(steps, axes, origins, [*frame, origin], end, moments)
 
 
@@ -153,7 +178,12 @@ def tcp(chain: Chain, q: Array, tool: Array) -> tuple[Array, Array]:
     :returns: pose in the root frame (N, 4, 4) [m]; Jacobian (N, 6, nv), rows: position [m], rotation [rad], root axes.
     """
     state = posture(chain, by_coordinate(q), components(tool))
-    return matrices(state.pose), np.moveaxis(state.jacobian(), -1, 0)
+    return matrices(state.pose), state.jacobian().transpose(2, 0, 1)
+
+
+def tool_pose(chain: Chain, q: Array, tool: Array) -> Array:
+    """Return the pose (N, 4, 4) of the tool frame in the root [m]; parameters as of `tcp`."""
+    return matrices(posture(chain, by_coordinate(q), components(tool)).pose)
 
 
 def gravity_torque(chain: Chain, q: Array) -> Array:
@@ -173,7 +203,8 @@ def _steps(chain: Chain) -> _Steps:
     With A_i any rotation that carries Z to the axis of joint i, what is between two joints is a rotation
     A_iᵀ·R·A_(i+1) = Rz(a)·Rx(b)·Rz(c): a adds to the angle of the joint before, c to that of the joint behind.
     """
-    upright = [np.eye(3), *map(_upright_rotation, chain.axis)]  # A_i, of the root first
+    rotations = {axis: _upright_rotation(np.frombuffer(axis)) for axis in {axis.tobytes() for axis in chain.axis}}
+    upright = [np.eye(3), *(rotations[axis.tobytes()] for axis in chain.axis)]  # A_i, of the root first
     steps: list[_Step] = []
     next_a = 0.0
     for joint in reversed(range(chain.nv)):  # the next joint's a is needed
@@ -184,19 +215,23 @@ def _steps(chain: Chain) -> _Steps:
         tilt_and_turn = _about_z(-a) @ rotation  # Rx(b)·Rz(c)
         cosine, sine = tilt_and_turn[2, 2], -tilt_and_turn[1, 2]  # of b
         step = _Step(
-            offset=clean(_about_z(-a) @ (parent_axes.T @ chain.placement[joint, :3, 3]))[:, None],
-            tilt=clean(np.array([[cosine, sine], [-sine, cosine]]))[..., None],
+            offset=tuple(clean(_about_z(-a) @ (parent_axes.T @ chain.placement[joint, :3, 3])).tolist()),
+            tilt=tuple(map(tuple, clean(np.array([[cosine, sine], [-sine, cosine]])).tolist())),
             turn=float(np.arctan2(-tilt_and_turn[0, 1], tilt_and_turn[0, 0])) + next_a,
             turns=bool(chain.turns[joint]),
             mass=float(chain.mass[joint]),
-            centre=clean(_about_z(-next_a) @ joint_axes.T @ chain.centre[joint])[:, None],
+            centre=tuple(clean(_about_z(-next_a) @ joint_axes.T @ chain.centre[joint]).tolist()),
         )
         steps.insert(0, step)
         next_a = a
+    turn = np.array([[step.turn] for step in steps])
     return _Steps(
         first_turn=clean(_about_z(next_a))[..., None],
         joints=tuple(steps),
         flange=clean(upright[-1].T @ chain.flange[:3])[..., None],
+        turning=np.flatnonzero(chain.turns),
+        turn=turn,
+        fixed=sine_and_cosine(turn),
     )
 
 

@@ -212,7 +212,7 @@ class States(Columns, frozen=True, eq=False):
         :raises NotConvergedError: the springs have no equilibrium.
         """
         wrench = scale * self.wrench + self.weight_wrench
-        displacement = twist_between(self.pose, elastostatics.deflect(robot, self.q, self.tool, wrench).pose)
+        displacement = twist_between(self.pose, elastostatics.loaded_pose(robot, self.q, self.tool, wrench))
         if (spring := robot_in_cell.tool_spring) is not None:
             displacement = displacement + spring.deflection(self.pose[:, :3, :3], wrench)
         return displacement
@@ -236,16 +236,16 @@ class States(Columns, frozen=True, eq=False):
         twist_at_step = self.twist(robot_in_cell, robot, scale + _SCALE_STEP)
         return TwistSlopes(twist, by_parameter, (twist_at_step - twist) / _SCALE_STEP)
 
-    def twist_by_lift(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float) -> Array:
+    def twist_by_lift(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float, twist: Array) -> Array:
         """Return the derivative (n, 6) of the twist by the lift of the program over the block [1, rad/m].
 
         By a difference of equilibria.
 
         :param scale: of the forces.
+        :param twist: (n, 6) under these forces, from `twist`.
         """
         higher_states = replace(self, wrench=self.wrench + LIFT_STEP * self.by_lift)
-        change = higher_states.twist(robot_in_cell, robot, scale) - self.twist(robot_in_cell, robot, scale)
-        return np.asarray(change / LIFT_STEP)
+        return np.asarray((higher_states.twist(robot_in_cell, robot, scale) - twist) / LIFT_STEP)
 
 
 def at_nominal_height(q: Array, tool: Array, pose: Array, wrench: Array, weight_wrench: Array | None = None) -> States:

@@ -443,7 +443,7 @@ def _information(
     slopes = np.einsum("nk,nkp->np", by_twist, by_parameter) @ prior.by_file * prior.sigma[:-1]
     deflection = np.linalg.norm(by_scale[:, :3], axis=1).reshape(-1, count)
     by_force = prior.sigma[-1] * np.einsum("nk,nk->n", by_twist, by_scale)
-    by_lift = np.einsum("nk,nk->n", by_twist, states.twist_by_lift(robot_in_cell, prior.robot, 1.0))
+    by_lift = np.einsum("nk,nk->n", by_twist, states.twist_by_lift(robot_in_cell, prior.robot, 1.0, twist))
     direction = points.normal + by_lift[:, None] * np.array([0.0, 0.0, 1.0])
     position = np.concatenate([_POSITION[0] * direction, _POSITION[1] * np.cross(points.arm, direction)], axis=1)
     # unknowns scaled to unit standard deviation: parameters, force, cutter radius, position of the part, lift

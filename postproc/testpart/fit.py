@@ -220,7 +220,7 @@ class _Estimate(Struct, frozen=True, eq=False):
     :param outliers: points left out.
     :param free: (p + 1,) what is fitted.
     :param states: where the points are made, under the forces of the round before.
-    :param z: (p,), `scale` and `gamma`: the solution, with `local` there.
+    :param z: (p,), `scale` and `gamma`: the solution, with `local` there; None where it is not known yet.
     """
 
     readings: Readings
@@ -262,7 +262,8 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
     local = linearise(prior, readings, states, robot_in_cell, z=no_change, scale=1.0)
     _check_size(readings, local)
     exchanged_pair = swapped_features(prior, readings, local)
-    estimate = _Estimate(readings, np.arange(len(readings.probed)), (), np.diag(whole) > 0.0, states, no_change, 1.0)
+    rows, free = np.arange(len(readings.probed)), np.diag(whole) > 0.0
+    estimate = end = _Estimate(readings, rows, (), free, states, no_change, 1.0, local=local)
     max_outliers = int(_MOST_OUTLIERS * len(readings.probed))
     prior_prediction: _PriorPrediction | None = None
     change = np.inf
@@ -278,17 +279,18 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
         if prior_prediction is None:  # the tool of the prior model deflects by nearly as much
             prior_local = linearise(prior, estimate.readings, states, robot_in_cell, z=no_change, scale=1.0)
             prior_prediction = _PriorPrediction(prior_local, estimate.rows)
-        value = linearise(prior, estimate.readings, states, robot_in_cell, z=z, scale=scale).value
-        change = float(np.sqrt(np.mean((value - local.value) ** 2)))
-        estimate = replace(estimate, states=states)
+        next_local = linearise(prior, estimate.readings, states, robot_in_cell, z=z, scale=scale)
+        change = float(np.sqrt(np.mean((next_local.value - local.value) ** 2)))
+        end = replace(estimate, states=states)
         if change < _CONVERGENCE_RMS:
             break
+        estimate = replace(end, local=next_local)
     if not change < _LARGEST_RESIDUAL or prior_prediction is None:
         raise MeasurementError(
             "the fit of the test part does not settle", file=readings.probed.file, advice="Check the deviations."
         )
-    prior_linear = prior_prediction.of(estimate.rows)
-    return _fit_at_end(prior, estimate, prior_linear, exchanged_pair), estimate.outliers
+    prior_linear = prior_prediction.of(end.rows)
+    return _fit_at_end(prior, end, prior_linear, exchanged_pair), end.outliers
 
 
 def _local(estimate: _Estimate) -> LinearPrediction:
@@ -307,6 +309,7 @@ def _solve(prior: Prior, robot_in_cell: RobotInCell, estimate: _Estimate) -> _Es
         z=estimate.z,
         scale=estimate.scale,
         free=estimate.free,
+        local=estimate.local,
     )
     return replace(estimate, local=local, z=z, scale=scale, gamma=gamma)
 
@@ -328,6 +331,7 @@ def _remove_outlier(estimate: _Estimate, whole: Array, max_outliers: int) -> _Es
         readings=estimate.readings.take(kept_rows),
         rows=estimate.rows[kept_rows],
         states=estimate.states.take(kept_rows),
+        local=_local(estimate).take(kept_rows),
     )
 
 
@@ -343,7 +347,7 @@ def _hold_parameters(estimate: _Estimate, whole: Array) -> _Estimate | None:
     if not is_held.any():
         return None
     free = estimate.free & ~is_held
-    return replace(estimate, free=free, z=np.where(free[:-1], estimate.z, 0.0))
+    return replace(estimate, free=free, z=np.where(free[:-1], estimate.z, 0.0), local=None)
 
 
 def _lifts(estimate: _Estimate, whole: Array) -> tuple[Lift, ...]:

@@ -64,7 +64,7 @@ def linearise(
     value, weight = readings.surfaces.deviation(twist)
     slopes = np.einsum("nk,nkp->np", weight, by_parameter) @ prior.by_file
     slopes = np.column_stack([slopes, np.einsum("nk,nk->n", weight, by_scale)])
-    by_lift = np.einsum("nk,nk->n", weight, states.twist_by_lift(robot_in_cell, robot, scale))
+    by_lift = np.einsum("nk,nk->n", weight, states.twist_by_lift(robot_in_cell, robot, scale, twist))
     deflection = scale * np.linalg.norm(by_scale[:, :3], axis=1)
     displacement = np.where(readings.probed.mass > 0.0, np.abs(value), deflection)
     return LinearPrediction(value - by_lift * states.lift, slopes, by_lift, displacement)
@@ -106,7 +106,15 @@ class Solution(NamedTuple):
 
 
 def solve(
-    prior: Prior, readings: Readings, states: States, robot_in_cell: RobotInCell, *, z: Array, scale: float, free: Bools
+    prior: Prior,
+    readings: Readings,
+    states: States,
+    robot_in_cell: RobotInCell,
+    *,
+    z: Array,
+    scale: float,
+    free: Bools,
+    local: LinearPrediction | None = None,
 ) -> Solution:
     """Return the most probable unknowns for fixed forces.
 
@@ -116,11 +124,13 @@ def solve(
     :param z: (p,) change of the parameters from the prior to begin with, units of files.
     :param scale: factor of the forces to begin with.
     :param free: (p + 1,) True for parameters, and the scale, that may change.
+    :param local: linear model at z and the scale to begin with, if it is known.
     """
     prior_covariance = prior.covariance
     gamma = 0.0
-    for _ in range(_ROUNDS):
+    if local is None:
         local = linearise(prior, readings, states, robot_in_cell, z=z, scale=scale)
+    for _ in range(_ROUNDS):
         last_solution = np.append(z, scale - 1.0)
         target = readings.probed.deviation - local.value + local.slopes @ last_solution
         gamma = unmodelled_share(readings, local, prior_covariance, target)
@@ -128,9 +138,11 @@ def solve(
         covariance = local.slopes @ prior_covariance @ local.slopes.T + noise
         solution = free * (prior_covariance @ local.slopes.T @ np.linalg.solve(covariance, target))
         z, scale = solution[:-1], max(1.0 + float(solution[-1]), MIN_SHARE)
-        if float(np.abs(local.slopes @ (solution - last_solution)).max()) < _STEP_TOLERANCE:
+        step = float(np.abs(local.slopes @ (solution - last_solution)).max())
+        local = linearise(prior, readings, states, robot_in_cell, z=z, scale=scale)
+        if step < _STEP_TOLERANCE:
             break
-    return Solution(linearise(prior, readings, states, robot_in_cell, z=z, scale=scale), z, scale, gamma)
+    return Solution(local, z, scale, gamma)
 
 
 def unmodelled_share(readings: Readings, local: LinearPrediction, whole: Array, target: Array) -> float:

@@ -18,6 +18,8 @@ from tests.oracle.arm import Arm, abc
 from tests.oracle.whole_arm import twist
 
 ANGLES = 90
+PHI = (np.arange(ANGLES) + 0.5) * math.pi / ANGLES
+SIN, COS = np.sin(PHI), np.cos(PHI)
 STEP = 1.0
 """Distance of the places along the path that are solved [mm]."""
 
@@ -37,6 +39,7 @@ class Machine:
         self.turn = abc(0, 0, 0, redundancy)[:3, :3] @ abc(0, 0, 0, 0, 0, 180)[:3, :3]
         self.k, self.radius, self.teeth = k, radius, teeth
         self.tcp, self.loaded, self.bare = arm.loads(self.tool)
+        self.at_rest, self.theta = None, None
 
     def joints(self, point, near):
         pose = np.eye(4)
@@ -47,17 +50,20 @@ class Machine:
         """Displacement of the tool (mm, rad) under a force on its tip, both in axes of the part: θ = law(torque(θ))."""
         arm, rotation = self.arm, self.base[:3, :3]
         wrench = np.concatenate([rotation @ force, np.zeros(3)])
-        x0 = arm.held_by_motors(q)
-        rest = self.bare(x0)
+        if self.at_rest is None or self.at_rest[0] is not q:
+            x0 = arm.held_by_motors(q)
+            self.at_rest = q, x0, self.bare(x0), self.tcp(x0)[0]
+        _, x0, rest, unloaded_pose = self.at_rest
         felt = -rest if arm.in_gears else 0.0 * rest
-        theta = np.zeros(len(x0))
+        theta = np.zeros(len(x0)) if self.theta is None else self.theta  # that of the place before is near
         for _ in range(20):
             before = theta
             torque = self.tcp(x0 + theta)[1].T @ wrench - self.loaded(x0 + theta) + rest
             theta = arm.law(x0 + theta, torque, felt, torque)
             if np.abs(theta - before).max() < 1e-9:
                 break
-        moved = twist(self.tcp(x0)[0], self.tcp(x0 + theta)[0])
+        self.theta = theta
+        moved = twist(unloaded_pose, self.tcp(x0 + theta)[0])
         return rotation.T @ moved[:3] * 1e3, rotation.T @ moved[3:]
 
     def cut(self, text, rng=None, path_error=0.0):
@@ -95,6 +101,7 @@ class Machine:
             return one[1] + share * (other[1] - one[1])
 
         centres, tilts, joined = [], [], []
+        path = Left(self.top)
         moved, turned, last = np.zeros(3), np.zeros(3), None
         for begin, end, chip in moves:
             length = np.linalg.norm(end - begin)
@@ -106,31 +113,32 @@ class Machine:
             for share in np.arange(count + 1) / count:
                 place = begin + share * (end - begin)
                 q = joints(place)
-                path = Left.of(np.array(centres).reshape(-1, 3), np.array(joined[: len(centres)], dtype=bool), self.top)
+                near = path.ahead(place + moved, along[:2] / level, self.radius) if level > 0.0 else None
                 for _ in range(12):
                     force = np.zeros(3)
-                    if level > 0.0:
-                        force = self.force(path, place + moved, along[:2] / level, chip * level)
+                    if near is not None:
+                        force = self.force(near, place + moved, along[:2] / level, chip * level)
                     again, turned = self.deflected(q, force)
                     settled = np.abs(again - moved).max() < 2e-5
                     moved = again
                     if settled:
                         break
+                if joined[len(centres)]:
+                    path.add(centres[-1], place + moved)
                 centres.append(place + moved)
                 tilts.append(turned)
             last = end
         return np.array(centres), np.array(tilts), np.array(joined)
 
-    def force(self, path, centre, unit, chip):
-        """Mean force on the tool in a turn, axes of the part."""
+    def force(self, near, centre, unit, chip):
+        """Mean force on the tool in a turn, axes of the part. `near`: material left near a place, see `Left.ahead`."""
         ktc, kte, krc, kre, kac, kae = self.k
-        phi = (np.arange(ANGLES) + 0.5) * math.pi / ANGLES
         left = np.array([-unit[1], unit[0]])
-        outward = np.sin(phi)[:, None] * unit + np.cos(phi)[:, None] * left
-        level = path.ahead(centre, unit, self.radius).height(centre[:2] + self.radius * outward, self.radius)
+        outward = SIN[:, None] * unit + COS[:, None] * left
+        level = near(centre[:2] + self.radius * outward)
         edge = np.maximum(level - centre[2], 0.0) * self.teeth / (2.0 * ANGLES)
-        h = chip * np.sin(phi)
-        moves = np.cos(phi)[:, None] * unit - np.sin(phi)[:, None] * left
+        h = chip * SIN
+        moves = COS[:, None] * unit - SIN[:, None] * left
         plane = -((ktc * h + kte) * edge)[:, None] * moves - ((krc * h + kre) * edge)[:, None] * outward
         return np.array([*plane.sum(axis=0), ((kac * h + kae) * edge).sum()])
 
@@ -177,31 +185,36 @@ class Machine:
 class Left:
     """Material left by a path: where the tool has not been, the top of the block."""
 
-    def __init__(self, begin, end, top):
-        self.begin, self.end, self.top = begin, end, top
+    def __init__(self, top):
+        self.top = top
+        self.rows, self.count = np.zeros((64, 6)), 0
 
-    @classmethod
-    def of(cls, centres, joined, top):
-        rows = np.flatnonzero(joined)
-        rows = rows[rows > 0]
-        return cls(centres[rows - 1], centres[rows], top)
+    def add(self, begin, end):
+        """Let the tool move from one place to another."""
+        if self.count == len(self.rows):
+            self.rows = np.concatenate([self.rows, np.zeros_like(self.rows)])
+        self.rows[self.count] = *begin, *end
+        self.count += 1
 
-    def ahead(self, centre, unit, radius):
-        """What of it can touch the front half of the tool at a place."""
-        away = self.begin[:, :2] - centre[:2]
-        near = np.linalg.norm(away, axis=1) < 2.0 * radius + 2.0 * STEP
+    def ahead(self, centre, unit, radius, slack=1e-6):
+        """Heights at points (n, 2) of what can touch the front half of a tool that is within 0.5 mm of a place."""
+        rows = self.rows[: self.count]
+        away = rows[:, :2] - centre[:2]
+        near = np.einsum("ki,ki->k", away, away) < (2.0 * radius + 2.0 * STEP) ** 2
         near &= away @ unit > -0.5 * radius - STEP
-        return Left(self.begin[near], self.end[near], self.top)
+        x, y, z, x_end, y_end, z_end = rows[near].T.copy()
+        along_x, along_y, along_z = x_end - x, y_end - y, z_end - z
+        square = np.maximum(along_x**2 + along_y**2, 1e-24)
 
-    def height(self, points, radius, slack=1e-6):
-        out = self.top[0] + points @ self.top[1:]
-        if not len(self.begin):
-            return out
-        chord = (self.end - self.begin)[:, :2]
-        length = np.maximum(np.linalg.norm(chord, axis=1), 1e-12)
-        off = points[:, None] - self.begin[:, :2]
-        share = np.clip(np.einsum("nki,ki->nk", off, chord) / length**2, 0.0, 1.0)
-        away = off - share[..., None] * chord
-        inside = np.einsum("nki,nki->nk", away, away) < (radius - slack) ** 2
-        tip = self.begin[:, 2] + share * (self.end - self.begin)[:, 2]
-        return np.minimum(out, np.where(inside, tip, np.inf).min(axis=1))
+        def height(points):
+            out = self.top[0] + points @ self.top[1:]
+            if not len(x):
+                return out
+            off_x, off_y = points[:, :1] - x, points[:, 1:] - y
+            share = np.clip((off_x * along_x + off_y * along_y) / square, 0.0, 1.0)
+            off_x -= share * along_x
+            off_y -= share * along_y
+            inside = off_x * off_x + off_y * off_y < (radius - slack) ** 2
+            return np.minimum(out, np.where(inside, z + share * along_z, np.inf).min(axis=1))
+
+        return height

@@ -136,7 +136,7 @@ def test_a_prediction_has_the_derivatives_of_its_surfaces(monkeypatch):
 
     states = SimpleNamespace(
         derivatives=derivatives, lift=lift,
-        twist_by_lift=lambda place, robot, scale: by_lift if (place, robot, scale) == ("cell", "robot", 1.2) else None,
+        twist_by_lift=lambda *given: by_lift if given == ("cell", "robot", 1.2, twist) else None,
     )  # fmt: skip
     prior = SimpleNamespace(robot_with_change=lambda z: "robot" if z == "z" else None, order="order", by_file=by_file)
     found = linear.linearise(prior, read, states, "cell", z="z", scale=1.2)
@@ -299,7 +299,7 @@ def test_parameters_that_stay_as_uncertain_as_before_are_held_but_not_the_forces
         assert found is None
         return
     assert (found.free.tolist(), found.z.tolist()) == ([False, True, True], [0.0, -0.4])
-    assert fitting._hold_parameters(found, whole) is None
+    assert fitting._hold_parameters(replace(found, local=start.local), whole) is None
 
 
 def test_the_likeness_of_deviations_is_a_cosine_in_units_of_their_noise():

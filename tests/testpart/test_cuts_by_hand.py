@@ -207,7 +207,7 @@ class LinearStates(SimpleNamespace):
     def derivatives(self, place, robot, order, scale):
         return self.deflection, self.by_parameter, self.by_scale
 
-    def twist_by_lift(self, place, robot, scale):
+    def twist_by_lift(self, place, robot, scale, twist):
         return self.by_height
 
 
