@@ -232,7 +232,9 @@ def test_those_that_may_correct_one_file_in_common_are_one_line():
         found: dict[Path, list[Job]] = {}
         for job in find_jobs([f"{name}.src" for name in names], **keywords):
             found.setdefault(job.output, []).append(job)
-        groups = [line for jobs in found.values() for line in output_plan.sequences(jobs, cell.load("cell.toml"))]
+        groups = [
+            line for jobs in found.values() for line in output_plan.groups_in_sequence(jobs, cell.load("cell.toml"))
+        ]
         return sorted(" ".join(sorted(job.program.stem for job in line)) for line in groups)
 
     assert lines("five", "four", "one", "six", "two") == ["five six", "four", "one two"]

@@ -28,7 +28,7 @@ _FRAME_LENGTHS = (3, 6)
 
 
 def numbers(text: str) -> Numbers:
-    """Return numbers with commas between.
+    """Return the numbers of a text that are separated by commas or semicolons; none of an empty text.
 
     :raises InputError: a word is no number.
     """
@@ -40,9 +40,10 @@ def numbers(text: str) -> Numbers:
 
 
 def _finite(values: Numbers, text: str) -> Numbers:
-    """Return the numbers if all are finite.
+    """Check that numbers are finite, and return them.
 
-    :raises InputError: one of them is not finite.
+    :param text: the text of the numbers, for the message.
+    :raises InputError: a number is not finite.
     """
     if not all(map(math.isfinite, values)):
         raise InputError(f"{text!r}: give finite numbers")
@@ -50,9 +51,9 @@ def _finite(values: Numbers, text: str) -> Numbers:
 
 
 def number(text: str) -> float:
-    """Return one finite number.
+    """Return the finite number in a text.
 
-    :raises InputError: the text is none.
+    :raises InputError: the text is no finite number.
     """
     try:
         value = float(text)
@@ -64,17 +65,19 @@ def number(text: str) -> float:
 
 
 def frame(text: str) -> Numbers | int:
-    """Return X, Y, Z[, A, B, C], or the number of a frame of the controller.
+    """Return the numbers of a frame, X, Y, Z[, A, B, C], or the number of a frame of the controller.
 
-    :raises InputError: the text is neither.
+    A single whole number is the number of a frame. The count of numbers is not checked.
+
+    :raises InputError: a word is no number.
     """
     return int(text) if text.strip().isdecimal() else numbers(text)
 
 
 def full_frame(text: str) -> Numbers | int:
-    """Return a frame as `frame` does; three numbers or six.
+    """Return a frame as `frame` does, with three or six finite numbers.
 
-    :raises InputError: the text is none.
+    :raises InputError: the text has another form.
     """
     value = frame(text)
     if not isinstance(value, int) and len(value) not in _FRAME_LENGTHS:
@@ -83,9 +86,9 @@ def full_frame(text: str) -> Numbers | int:
 
 
 def stated_frame(text: str) -> Numbers:
-    """Return X, Y, Z or X, Y, Z, A, B, C: a number of a frame is no answer to what that frame is.
+    """Return X, Y, Z or X, Y, Z, A, B, C of a frame; the number of a frame of the controller is refused.
 
-    :raises InputError: the text is none.
+    :raises InputError: the text has another form.
     """
     value = full_frame(text)
     if isinstance(value, int):
@@ -108,10 +111,10 @@ def numbered_frames(texts: Sequence[str]) -> dict[int, Numbers]:
 
 
 def _add_frame(frames: dict[Any, Numbers], key: Any, value: Numbers, name: str) -> None:
-    """Add a frame; refuse a second, different one.
+    """Add a frame to `frames`; an equal frame may be given twice.
 
-    :param frames: gets the frame; `key`: its number or code; `name`: for messages.
-    :raises InputError: there is a different one.
+    :param key: number or code of the frame; `name`: its name for messages.
+    :raises InputError: `frames` has a different frame under this key.
     """
     if (first_value := frames.setdefault(key, value)) != value:
         first, second = (",".join(f"{word:g}" for word in words) for words in (first_value, value))
@@ -167,9 +170,9 @@ def m_codes(texts: Sequence[str]) -> list[str]:
 
 
 def line(text: str) -> str:
-    """Return a line of the robot's language in which brackets and strings are closed.
+    """Check a line of the robot's language, and return it.
 
-    :raises InputError: they are not, or the line moves the robot.
+    :raises InputError: a bracket or string is not closed, or the line moves the robot.
     """
     if fault := lines_fault([text]) or motion_fault([text]):
         raise InputError(fault)
@@ -177,7 +180,7 @@ def line(text: str) -> str:
 
 
 def switch(text: str) -> tuple[list[str], list[str]]:
-    """Return the lines that switch on, and those that switch off, from the text "ON|OFF"; none for "hand".
+    """Return the lines that switch on, and the lines that switch off, from the text "ON|OFF"; no lines for "hand".
 
     :raises InputError: the text has another form.
     """
@@ -202,7 +205,9 @@ def tolerance(text: str) -> float | None:
 
 
 def payload(text: str) -> Numbers | None:
-    """Return mass [kg] and centre X, Y, Z in the flange frame [mm] (zero if not given); None for an empty answer.
+    """Return mass [kg] and centre X, Y, Z in the flange frame [mm] of a payload; None for an empty answer.
+
+    With the mass alone, the centre is zero.
 
     :raises InputError: the text has another form, or the mass is not above zero.
     """
@@ -217,9 +222,9 @@ def payload(text: str) -> Numbers | None:
 
 
 def robot(text: str) -> str:
-    """Return the name of a robot model, or the path of a model folder, that exists.
+    """Check that a robot model exists, and return its text: name of a shipped robot, or path of a model folder.
 
-    :raises InputError: there is none.
+    :raises InputError: there is no such model.
     """
     try:
         find(text)
@@ -229,15 +234,17 @@ def robot(text: str) -> str:
 
 
 def one_of(*values: str) -> Any:
-    """Return a function that returns a text without blanks around it, which must be one of some words.
+    """Return a function that checks that a text is one of some words, and returns it without blanks around it.
 
-    :raises InputError: by the function: the text is none of them.
+    The returned function raises `InputError` for another text.
+
+    :param values: the words.
     """
 
     def parse(text: str) -> str:
-        """Return an answer.
+        """Return the word of a text.
 
-        :raises InputError: it is none of the values.
+        :raises InputError: the text is none of the words.
         """
         word = text.strip()
         if word not in values:
@@ -248,7 +255,7 @@ def one_of(*values: str) -> Any:
 
 
 def place(text: str) -> Numbers:
-    """Return X, Y, Z [mm].
+    """Return X, Y, Z [mm] of a point.
 
     :raises InputError: the text has another form.
     """
@@ -259,7 +266,7 @@ def place(text: str) -> Numbers:
 
 
 def points(texts: Sequence[str]) -> dict[str, Numbers]:
-    """Return points in $BASE by rotary axis from texts such as ``A=0,0,-120``.
+    """Return points in $BASE [mm] by rotary axis from texts such as ``A=0,0,-120``.
 
     :raises InputError: a text has another form, or an axis is given twice.
     """
@@ -273,9 +280,9 @@ def points(texts: Sequence[str]) -> dict[str, Numbers]:
 
 
 def material(text: str) -> str:
-    """Return the name of a material of the table.
+    """Return the name of a material without blanks around it.
 
-    :raises InputError: it is not in the table.
+    :raises InputError: the name is not in the table of materials.
     """
     name = text.strip()
     names = list(table())
@@ -298,7 +305,7 @@ _SHAPES = ("flat", "ball", "bull", "drill")
 def cutter(text: str) -> CutterShape:
     """Return a cutter from ``flat,12``, ``ball,6``, ``bull,12,1`` (diameter, corner radius) or ``drill,8``.
 
-    :raises InputError: the text has another form, or its lengths are not those of a cutter.
+    :raises InputError: the text has another form, a length is not above zero, or the corner radius exceeds the radius.
     """
     words = text.replace(",", " ").split()
     advice = (
@@ -315,7 +322,7 @@ def cutter(text: str) -> CutterShape:
 def flutes(text: str) -> int:
     """Return a number of cutting edges, 1 to 100.
 
-    :raises InputError: it is none.
+    :raises InputError: the text is no such number.
     """
     word = text.strip()
     if not word.isdecimal() or not 1 <= int(word) <= 100:
@@ -326,7 +333,7 @@ def flutes(text: str) -> int:
 def speed(text: str) -> float:
     """Return a spindle speed above 0 [1/min].
 
-    :raises InputError: it is none.
+    :raises InputError: the text is no number above 0.
     """
     if not (value := number(text)) > 0.0:
         raise InputError(f"{text!r}: give the spindle speed in 1/min, such as 12000")
@@ -337,7 +344,7 @@ _SPAN = re.compile(r"\s*([XYZ])\s*=\s*([-+.\deE]+)\s*:\s*([-+.\deE]+)\s*", re.IG
 
 
 def stock(text: str) -> StockTable:
-    """Return a stock from ``X=0:100,Y=0:80,Z=-20:0`` ($BASE, mm), or the path of a mesh that exists.
+    """Return a stock: a box from ``X=0:100,Y=0:80,Z=-20:0`` ($BASE, mm), or a mesh from the path of a file.
 
     :raises InputError: the text is neither.
     """
@@ -355,14 +362,14 @@ def stock(text: str) -> StockTable:
 
 
 def box_text(box: Box) -> str:
-    """Return a box as `stock` takes it."""
+    """Return a box as the text that `stock` reads."""
     return ",".join(f"{axis}={getattr(box, axis)[0]:g}:{getattr(box, axis)[1]:g}" for axis in _AXES)
 
 
 def rotary_axes(text: str) -> list[str]:
-    """Return one or two letters, from the part outwards, of ``CB`` or ``C,B``.
+    """Return the letters of one or two rotary axes, from the part outwards, from ``CB`` or ``C,B``.
 
-    :raises InputError: the text is no such letters.
+    :raises InputError: the text has other letters, a letter twice, or more than two.
     """
     letters = [letter for letter in text.upper() if letter.isalpha()]
     if not 1 <= len(letters) <= 2 or len(set(letters)) != len(letters) or set(letters) - set("ABC"):
@@ -373,8 +380,9 @@ def rotary_axes(text: str) -> list[str]:
 def rotary(axes: Sequence[str], kind: str, points: Mapping[str, Numbers]) -> Rotary:
     """Return the rotary axes of a cell.
 
+    :param axes: letters from the part outwards; A, B, C turn about X, Y, Z.
     :param kind: ``"tcp"`` or ``"indexed"``.
-    :param points: of indexed axes: letter → a point of the axis in $BASE [mm]; A, B, C turn about X, Y, Z.
+    :param points: letter of each indexed axis → a point of the axis in $BASE [mm]; other axes have none.
     """
     directions = {letter: tuple(float(letter == name) for name in "ABC") for letter in axes}
     places = {letter: IndexedAxis(points[letter], directions[letter]) for letter in axes if letter in points}  # type: ignore[arg-type]

@@ -19,10 +19,11 @@ from postproc.jobs.watching import QUIET, FileStamp, Signature
 
 
 class Arrivals:
-    """What is known of the programs of a folder.
+    """State of the programs of a folder, from scan to scan.
 
+    :param folder: the folder of the programs.
     :param output: folder of the results, with the process files.
-    :param cell: cell file of all programs; nothing is ready before it is there.
+    :param cell: cell file of all programs; no program is ready before it exists.
     """
 
     def __init__(self, folder: Path, output: Path, cell: Path) -> None:
@@ -30,20 +31,21 @@ class Arrivals:
         self._last_changes: dict[Path, tuple[Signature, float]] = {}
         """Signature of the inputs of each program, and monotonic time of the scan that first had it [s]."""
         self._finished: dict[Path, Signature] = {}
-        """Signature of the inputs with which each program was converted."""
+        """Signature of the inputs with which each program was last converted, or passed to `finish`."""
         self._program_files: dict[Path, Signature] = {}
-        """Of each program, before a command began to work on it."""
+        """Signature of the files of each program at the last scan; while a command works on it, before the command."""
         self._busy: set[Path] = set()
         """Programs that a command worked on at the last scan."""
 
     def ready(self, time_s: float, busy: Collection[str] = ()) -> list[Path]:
-        """Return the programs whose inputs differ from those last converted, and are unchanged for `QUIET` s; sorted.
+        """Return the programs that are ready to be converted, sorted.
 
-        A program that others of the folder call is left to them.
+        Their inputs differ from the inputs of the last conversion, and have not changed for `QUIET` s. They have forces
+        and can be read. Programs that others of the folder call are left out: they are converted with their callers.
 
         :param time_s: monotonic time [s].
-        :param busy: names of programs that a command works on, which may write a process file or the cell: their inputs
-            count as finished when it has ended, unless the program itself has changed meanwhile.
+        :param busy: names of programs that a command works on. It may write a process file or the cell. When it has
+            ended, the inputs of these programs count as converted, unless a program itself has changed meanwhile.
         """
         if not self.cell.is_file():
             return []
@@ -64,9 +66,11 @@ class Arrivals:
         return self._main_programs(ready_paths) if ready_paths else []
 
     def _end_command(self, path: Path, program_files: Signature, signature: Signature) -> None:
-        """Note that no command works on a program; if one did, its inputs are finished unless the program changed.
+        """Record that no command works on a program.
 
-        :param program_files: signature of the program itself, and signature: of all its inputs.
+        If a command did so at the last scan, the inputs count as converted, unless the program itself has changed.
+
+        :param program_files: signature of the program itself; `signature`: signature of all its inputs.
         """
         if path in self._busy:
             self._busy.remove(path)
@@ -75,9 +79,11 @@ class Arrivals:
         self._program_files[path] = program_files
 
     def _is_quiet(self, path: Path, signature: Signature, time_s: float) -> bool:
-        """Return whether the inputs of a program are not finished and unchanged for `QUIET` s; note when they change.
+        """Return whether the inputs of a program are not converted yet, and have not changed for `QUIET` s.
 
-        :param signature: of all its inputs, and time_s: monotonic time [s].
+        The time of a change is recorded.
+
+        :param signature: signature of all its inputs; `time_s`: monotonic time [s].
         """
         if self._finished.get(path) == signature:
             return False
@@ -88,11 +94,14 @@ class Arrivals:
         return time_s - change_time >= QUIET
 
     def finish(self, path: Path) -> None:
-        """Note that the conversion of a ready program has begun or is not needed; it is ready again when it changes."""
+        """Record that a ready program is being converted or need not be; it is ready again when its inputs change."""
         self._finished[path] = self._last_changes[path][0]
 
     def _forget(self, paths: Collection[Path]) -> None:
-        """Forget programs that are no longer in the folder."""
+        """Remove the state of programs that are not in the folder any more.
+
+        :param paths: the programs of the folder.
+        """
         for path in self._program_files.keys() - set(paths):
             self._program_files.pop(path)
             self._last_changes.pop(path, None)
@@ -100,7 +109,7 @@ class Arrivals:
             self._busy.discard(path)
 
     def _programs(self) -> list[Path]:
-        """Return the programs of the folder, sorted; hidden and temporary files are none."""
+        """Return the programs of the folder, sorted; hidden and temporary files and names not in UTF-8 are left out."""
         extensions = registry.extensions()
         return sorted(
             path
@@ -112,7 +121,7 @@ class Arrivals:
         )
 
     def _setup_files(self) -> list[Path]:
-        """Return the files that all programs are converted with, as far as they can be read."""
+        """Return the files of cell and robot; the cell file alone if the cell is unusable."""
         try:
             cell = cells.load(self.cell)
             return [*inputs.cell_inputs(self.cell, cell), *inputs.robot_inputs(cell)]
@@ -120,7 +129,7 @@ class Arrivals:
             return [self.cell]
 
     def _force_files(self, path: Path) -> list[Path]:
-        """Return the files that give the forces of a program; empty: it has no process file."""
+        """Return the process file of a program and the files that it names; empty: the program has no process file."""
         process = process_of(path, self.output)
         return [] if process is None else inputs.force_inputs(process)
 
@@ -129,7 +138,10 @@ class Arrivals:
         return process_of(path, self.output) is not None or states_forces(path)
 
     def _main_programs(self, paths: list[Path]) -> list[Path]:
-        """Return programs without those that others call; where that is unknown, without all that may be called."""
+        """Return programs without those that others of the folder call.
+
+        If a program of the folder cannot be read, that is not known: then all of a dialect with calls are left out.
+        """
         try:
             jobs = find_jobs([str(self.folder)], output=self.output)
         except PostprocError:  # one of the others cannot be read yet
@@ -139,7 +151,7 @@ class Arrivals:
 
 
 def _program_files(path: Path) -> list[Path]:
-    """Return the files of a program: its own, and such as the ``.dat`` of a ``.src``."""
+    """Return the files of a program: its own, and companions such as the ``.dat`` of a ``.src``."""
     return [path, *registry.dialect_of_file(path).companions(path)]
 
 
@@ -149,7 +161,7 @@ def _signature(paths: Collection[Path]) -> Signature:
 
 
 def _stamp(path: Path) -> FileStamp:
-    """Return name, size and time of change of a file, which may be missing."""
+    """Return name, size and time of change of a file; size −1 if it is missing."""
     try:
         return FileStamp.of(path)
     except OSError:
@@ -166,7 +178,10 @@ def _is_readable(path: Path) -> bool:
 
 
 def stamps(folders: Mapping[Path, Collection[str]]) -> Signature:
-    """Return names, sizes and times of the files of folders that have some endings, sorted."""
+    """Return names, sizes and times of files in folders, sorted within each folder.
+
+    :param folders: folder → endings of the names of its files; a folder that does not exist has no files.
+    """
     paths = (
         path
         for folder, endings in folders.items()

@@ -34,15 +34,15 @@ _FRAME_TABLE = re.compile(r"(?:tools|base_data|tool_data)\.[0-9]{1,4}|work_offse
 
 
 def frame_tables(text: str) -> tuple[str, ...]:
-    """Return the names of tables of frames in a text with commas between; others are left out."""
+    """Return the names of tables of frames, such as ``"tools.2"``, in a text with commas; other words are left out."""
     return tuple(word for word in text.split(",") if _FRAME_TABLE.fullmatch(word))
 
 
 def fields_of(path: Path, frames: Sequence[str] = ()) -> list[FormField]:
-    """Return the fields of a cell file: of its tables, and of frames by number or code.
+    """Return the fields for numbers of a cell file: of `TABLES`, and of its frames by number or code.
 
-    :param frames: tables of frames that the file need not have yet, such as ``"tools.2"``.
-    :raises CellError: it cannot be read.
+    :param frames: further tables of frames, such as ``"tools.2"``, which the file need not have yet.
+    :raises CellError: the file cannot be read.
     """
     document = parse(files.read_text(path, CellError), str(path), CellError)
     stated_tables = ((name, document.get(name, {})) for name in FRAMES)
@@ -65,7 +65,8 @@ def table_help(table: str) -> str:
 def missing_frames(path: Path, needs: ProgramNeeds) -> tuple[str, ...]:
     """Return the tables of frames that a program needs and a cell lacks, such as ``"base_data.3"``.
 
-    Frames by number that a `config_dat` of the cell may have are left out, and all of a cell that is unusable.
+    Frames by number are left out if the cell has a `config_dat`, which may have them. Of an unusable cell none is
+    returned.
     """
     try:
         cell = cells.load(path)
@@ -79,9 +80,9 @@ def missing_frames(path: Path, needs: ProgramNeeds) -> tuple[str, ...]:
 
 
 def kept_frames(path: Path, tools: Sequence[int]) -> str:
-    """Return robot and frames of a cell in words.
+    """Return robot, `$BASE` and `$TOOL` of a cell as a line of text; the error text if the cell is unusable.
 
-    :param tools: numbers of the tools of a program.
+    :param tools: numbers of the tools of a program; only these of [tools] are named.
     """
     try:
         cell = cells.load(path)
@@ -93,11 +94,11 @@ def kept_frames(path: Path, tools: Sequence[int]) -> str:
         frames |= {f"$TOOL of T{number}": cell.tools[str(number)] for number in tools if str(number) in cell.tools}
     else:
         frames[f"$TOOL{f' of T{tools[0]}' if len(tools) == 1 else ''}"] = cell.tool
-    words = [f"{name} {_in_words(frame)}" for name, frame in frames.items()]
+    words = [f"{name} {_frame_text(frame)}" for name, frame in frames.items()]
     return ", ".join([robot.title, *words])
 
 
-def _in_words(frame: cells.Frame) -> str:
+def _frame_text(frame: cells.Frame) -> str:
     """Return a frame as text [mm, deg]; angles that are all 0 are left out."""
     angles = (frame.A, frame.B, frame.C)
     values = (frame.X, frame.Y, frame.Z, *(angles if any(angles) else ()))
@@ -123,9 +124,9 @@ def edit(path: Path, texts: Mapping[str, str], frames: Sequence[str] = ()) -> bo
 
 
 def robot_of(path: Path, model: Path) -> tuple[str, bool]:
-    """Return the robot that a cell file names, and whether it is the one of a model folder.
+    """Return the robot that a cell file names, and whether a model folder is its model.
 
-    Of a cell that is unusable they are an empty text and False.
+    If the cell is unusable, an empty text and False are returned.
 
     :param model: the model folder.
     """
@@ -146,8 +147,9 @@ def feed_rule(path: Path) -> str:
 
 
 def set_feed_rule(path: Path, rule: str) -> bool:
-    """Write `[output] feed` into a cell file; return whether it was another one.
+    """Write `[output] feed` into a cell file; return whether the text has changed.
 
+    :param rule: ``"program"`` or ``"hold"``.
     :raises InputError: the cell would be unusable, or there is no such rule.
     """
     old_text = files.read_text(path, CellError)
@@ -160,7 +162,7 @@ def set_feed_rule(path: Path, rule: str) -> bool:
 
 
 def choose_start(path: Path) -> bool:
-    """Write [start] joints with the tip above the origin of `$BASE` into a cell file; return whether it had others.
+    """Write [start] joints with the tip above the origin of `$BASE` into a cell file; return whether the text changed.
 
     :raises InputError: no such joints are within reach, or the cell is unusable.
     """
@@ -184,7 +186,7 @@ def choose_start(path: Path) -> bool:
 
 
 def use_model(path: Path, model: Path) -> bool:
-    """Write a model folder into a cell file as its robot; return whether it was another one.
+    """Write a model folder into a cell file as its robot; return whether the text has changed.
 
     :raises InputError: the cell or the model would be unusable.
     """
@@ -192,7 +194,7 @@ def use_model(path: Path, model: Path) -> bool:
 
 
 def set_robot(path: Path, robot: str) -> bool:
-    """Write the robot of a cell file; return whether it was another one.
+    """Write the robot into a cell file; return whether the text has changed.
 
     :param robot: name of a shipped robot, or the path of a model folder as the cell states it.
     :raises InputError: the cell or the model would be unusable.
@@ -205,9 +207,9 @@ def set_robot(path: Path, robot: str) -> bool:
         return False
 
     def check(trial_path: Path) -> None:
-        """Read a cell file and its robot.
+        """Check that a cell file and its robot can be read.
 
-        :raises PostprocError: one of them is unusable.
+        :raises PostprocError: the cell or the robot is unusable.
         """
         cell = cells.load(trial_path)
         load_robot(cell.robot, cell.folder)

@@ -19,12 +19,12 @@ _EXAMPLE = (0.0, -90.0, 100.0, 0.0, 80.0, 0.0)
 class CellPicture(Struct, frozen=True, eq=False):
     """A robot and its frames, in the robot root [mm].
 
-    :param title: of the robot.
-    :param arm: (8, 3) root, joints A1…A6, flange.
+    :param title: name of the robot.
+    :param arm: (8, 3) points of the arm: root, joints A1…A6, flange.
     :param tip: (3,) tip of the tool.
-    :param base: (3,) origin of `$BASE`, `base_axes`: (3, 3) its X, Y, Z, one a row.
-    :param is_start: whether the posture is [start] of the cell; else an example.
-    :param warning: the tip starts below the height to which programs retract; empty: it does not.
+    :param base: (3,) origin of `$BASE`; `base_axes`: (3, 3) unit vectors of its X, Y, Z, one a row.
+    :param is_start: True if the posture is [start] of the cell, False if it is an example.
+    :param warning: a warning if the tip starts below the height to which programs retract; else empty.
     """
 
     title: str
@@ -45,7 +45,7 @@ def cell_picture(path: Path) -> CellPicture:
     robot = load_robot(cell.robot, cell.folder)
     angles = np.array(_EXAMPLE) * RAD_PER_DEG if cell.start is None else cell.start_joints
     joints, flange = robot.nominal.joint_frames(angles[None])
-    arm = np.vstack([np.zeros(3), joints[0, :6, :3, 3], flange[0, :3, 3]]) * MM_PER_M
+    arm = np.vstack([np.zeros(3), joints[0, :6, :3, 3], flange[0, :3, 3]]) * MM_PER_M  # origins of the joint frames
     clearance = cell.machine.clearance_Z
     warnings = () if cell.start is None or clearance is None else low_start(cell, robot, clearance)
     tool, base = flange[0] @ cell.tool.pose(), cell.base.pose()

@@ -121,9 +121,11 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
 
 
 def _use_stated_tolerance(cell: Cell, request: CompareRequest, second_program: Program) -> Cell:
-    """Return the cell with the tolerance that the second program states: it was written to that one.
+    """Return the cell with the tolerance that the second program states, because it was written to that tolerance.
 
-    :raises InputError: that is no length.
+    A program that states none leaves the cell as it is.
+
+    :raises InputError: the stated tolerance is no length above zero.
     """
     origin = _origin(second_program)
     text = origin.options.get("tolerance_mm")
@@ -132,7 +134,7 @@ def _use_stated_tolerance(cell: Cell, request: CompareRequest, second_program: P
     try:
         tolerance = float(text)
         if not 0.0 < tolerance < math.inf:
-            raise ValueError  # noqa: TRY301
+            raise ValueError  # noqa: TRY301 - like a text that is no number
     except ValueError:
         problem, advice = f"its line of origin states tolerance_mm={text}", "Convert the program again."
         raise InputError(problem, file=str(request.corrected), line=origin.line, advice=advice) from None
@@ -142,10 +144,10 @@ def _use_stated_tolerance(cell: Cell, request: CompareRequest, second_program: P
 def _ask_for_forces(request: CompareRequest, origin: provenance.Provenance) -> None:
     """Refuse to compare without forces if the force file of the second program is next to one of the programs.
 
-    Without it, a target and one that was inserted next to it cannot be told apart: offsets would be wrong.
+    Without forces, a target cannot be distinguished from an inserted target next to it, and offsets would be wrong.
 
-    :param origin: that the second program states.
-    :raises InputError: the file is there.
+    :param origin: origin that the second program states.
+    :raises InputError: a file with the checksum of the stated forces is in the folder of one of the programs.
     """
     endings = {*extensions(), PROCESS}
     for folder in dict.fromkeys((request.nominal.parent, request.corrected.parent)):
@@ -159,8 +161,9 @@ def _ask_for_forces(request: CompareRequest, origin: provenance.Provenance) -> N
 def _stated_ends(path: Path) -> Bools | None:
     """Return which Cartesian targets (n,) of a written program end a motion of the program that it was made from.
 
-    Its list of targets, next to it, states the place of each on its motion. It counts if the report of the conversion
-    lists both files as they are.
+    Its list of targets, `PROGRAM.targets.csv`, states the position t of each on its motion, 1 at the end. It is only
+    used if the report of the conversion lists program and list with the checksums that they have now. None: there is no
+    such list.
     """
     table, record = (path.with_name(f"{path.stem}{suffix}") for suffix in (".targets.csv", ".report.json"))
     names = path.name, table.name
@@ -173,7 +176,7 @@ def _stated_ends(path: Path) -> Bools | None:
 def _refuse_part(path: Path, program: Program) -> None:
     """Refuse a file that is only a part of a divided program, or one of its modules.
 
-    :raises InputError: it is one.
+    :raises InputError: the file is such a part or module.
     """
     origin = _origin(program)
     if "module" in origin.options:
@@ -192,9 +195,9 @@ def _refuse_part(path: Path, program: Program) -> None:
 
 
 def _refuse_corrected_program(path: Path, program: Program) -> None:
-    """Refuse a nominal program that postproc corrected, or that calls one: its targets are corrected already.
+    """Refuse a nominal program that postproc corrected, or that calls a corrected program.
 
-    :raises InputError: it is one.
+    :raises InputError: it is such a program: its targets are corrected poses.
     """
     writer = registry.dialect_of_name(program.dialect).writer
     if writer is None:
@@ -213,15 +216,16 @@ def _refuse_corrected_program(path: Path, program: Program) -> None:
 
 
 def _origin(program: Program) -> provenance.Provenance:
-    """Return what a program states of its origin; of a format that postproc does not write, nothing."""
+    """Return what a program states of its origin; the state "none" for a format that postproc does not write."""
     writer = registry.dialect_of_name(program.dialect).writer
     return provenance.Provenance("none") if writer is None else writer.origin(program.documents)
 
 
 def _origin_of_second(request: CompareRequest, cell: Cell, nominal: Program, second_program: Program) -> ProgramOrigin:
-    """Return the stated origin of the second program, and which of its inputs agree with those of the request.
+    """Return the origin that the second program states, and which of its inputs agree with the inputs of the request.
 
-    Forces that are not given are not compared.
+    Forces that are not given are not compared. A program that states no checksums has no inputs to compare. If the
+    nominal program was itself written by postproc, the checksums that both state for program and forces are compared.
     """
     origin, nominal_origin = _origin(second_program), _origin(nominal)
     if not origin.sums:

@@ -54,13 +54,13 @@ def options_of(settings: Settings) -> dict[str, str]:
 def mark_origin(
     result: Result, job: Job, settings: Settings, cell: Cell, own_names: Mapping[str, str] | None = None
 ) -> Result:
-    """Return a result whose program states its origin in a comment line; `output_line` follows the inserted lines.
+    """Return a result whose program states its origin in a comment line; `output_line` counts the inserted lines.
 
-    A program that is unchanged to the byte gets no such line.
+    A program that is unchanged to the byte gets no such line, and a result without documents is returned as it is.
 
-    :param own_names: names of copies of subprograms → names as they were read.
+    :param own_names: new names of copies of subprograms → names as they were read; None: there are no copies.
     """
-    if not result.documents or _contents(result.documents) == _contents(result.program.documents):
+    if not result.documents or _file_contents(result.documents) == _file_contents(result.program.documents):
         return result
     mode: Literal["corrected", "nominal"] = "nominal" if settings.mode == "nominal" else "corrected"
     origin = origin_of(result.program.documents, settings.cell, cell, job.forces, mode)
@@ -69,18 +69,22 @@ def mark_origin(
         return _mark_modules(result, job, origin)
     documents, first_shifted_line = job.writer.mark(_mark_subprograms(result, job, origin, own_names or {}), origin)
     line = result.output_line
+    # lines from `first_shifted_line` on have moved down by the inserted line; 0: no line has moved
     return replace(
         result, documents=documents, output_line=line + (line >= first_shifted_line) if first_shifted_line else line
     )
 
 
-def _contents(documents: Sequence[Document]) -> list[tuple[bytes, str, str]]:
-    """Return byte-order mark, encoding and text of each file: two programs are equal if these are."""
+def _file_contents(documents: Sequence[Document]) -> list[tuple[bytes, str, str]]:
+    """Return byte-order mark, encoding and text of each file; programs with equal ones are equal to the byte."""
     return [(document.bom, document.encoding, document.text) for document in documents]
 
 
 def _mark_modules(result: Result, job: Job, origin: provenance.Origin) -> Result:
-    """Return a result whose modules each state their origin, their number from 1, and how many modules there are."""
+    """Return a result whose modules state their origin, their number from 1, and the number of modules.
+
+    `Result.modules` has the index of the first target of each module.
+    """
     documents, line, count = list[Document](), result.output_line.copy(), len(result.modules)
     for number, (document, first_target) in enumerate(zip(result.documents, result.modules, strict=True), start=1):
         options = {**origin.options, "module": str(number), "modules": str(count)}
@@ -89,10 +93,10 @@ def _mark_modules(result: Result, job: Job, origin: provenance.Origin) -> Result
     return replace(result, documents=tuple(documents), output_line=line)
 
 
-def subprograms(result: Result, job: Job, own_names: Mapping[str, str]) -> list[str]:
+def subprogram_file_names(result: Result, job: Job, own_names: Mapping[str, str]) -> list[str]:
     """Return the names of the written files that contain only subprograms, not the program of the job itself.
 
-    :param own_names: names of copies of subprograms → names as they were read.
+    :param own_names: new names of copies of subprograms → names as they were read.
     """
     job_files = {path.name for path in job.reads()}
     called_files = {document.name for document in result.program.documents} - job_files
@@ -104,15 +108,15 @@ def subprograms(result: Result, job: Job, own_names: Mapping[str, str]) -> list[
 def _mark_subprograms(
     result: Result, job: Job, origin: provenance.Origin, own_names: Mapping[str, str]
 ) -> list[Document]:
-    """Return the files of a program; subprograms that differ from what was read get a line of origin of their own.
+    """Return the files of a program, with a line of origin in each file of a subprogram that differs from its source.
 
     That line does not name the calling program, so that two programs that call one subprogram can share its file.
 
-    :param own_names: names of copies of subprograms → names as they were read.
+    :param own_names: new names of copies of subprograms → names as they were read.
     """
     documents_as_read = {document.name: document for document in result.program.documents}
     output_documents = {document.name: document for document in result.documents}
-    for name in subprograms(result, job, own_names):
+    for name in subprogram_file_names(result, job, own_names):
         if Path(name).suffix.lower() != job.writer.extension:
             continue  # a .dat is marked with its .src
         stem = Path(name).stem.lower()
@@ -129,10 +133,11 @@ def _mark_subprograms(
 def origin_of(
     source: Sequence[Document], path: Path, cell: Cell, forces: Path | None, mode: Literal["corrected", "nominal"]
 ) -> provenance.Origin:
-    """Return the provenance of a program that is made from a source now.
+    """Return the provenance of a program that is made from the present inputs: version, mode, checksums.
 
-    :param path: cell file, `cell` its content.
-    :param forces: CSV file or process.toml, or None.
+    :param source: files of the program as they were read.
+    :param path: cell file; `cell`: its content.
+    :param forces: CSV file or process.toml; None: there are no forces, and their checksum is "-".
     """
     return provenance.Origin(
         version=VERSION,
@@ -144,8 +149,11 @@ def origin_of(
     )
 
 
-def _inputs(origin: provenance.Origin, program: Program, output: Path) -> Inputs:
-    """Return the inputs of a result, as its report in the folder `output` states them."""
+def _report_inputs(origin: provenance.Origin, program: Program, output: Path) -> Inputs:
+    """Return the inputs of a result as its report in the folder `output` states them.
+
+    Names of files are relative to this folder. Without needed files their checksum is "-".
+    """
     needed_files = [Path(file.path) for file in program.needed]
     return Inputs(
         program=origin.source,
@@ -160,10 +168,9 @@ def _inputs(origin: provenance.Origin, program: Program, output: Path) -> Inputs
 
 
 def _check_unchanged(origin: provenance.Origin, summary: Summary) -> None:
-    """Check that cell, robot model and forces are still those that were there before the conversion.
+    """Check that cell, robot model and forces have not changed during the conversion.
 
-    :param origin: sums of the files before the conversion; `summary` states those after it.
-
+    :param origin: checksums before the conversion; `summary`: states the checksums after it.
     :raises InputError: a file was changed meanwhile.
     """
     inputs = summary.inputs
@@ -172,10 +179,10 @@ def _check_unchanged(origin: provenance.Origin, summary: Summary) -> None:
         raise InputError(problem, file=summary.program, advice="Convert it again.")
 
 
-def _record(origin: provenance.Origin, path: Path, cell: Cell) -> Record:
-    """Return the record for the head of the report: title, customer, sums of the inputs, date of today.
+def _report_record(origin: provenance.Origin, path: Path, cell: Cell) -> Record:
+    """Return the record for the head of the report: title, customer, checksums of the inputs, date of today.
 
-    :param path: cell file, `cell` its content.
+    :param path: cell file; `cell`: its content.
     """
     sums = {"program": origin.source, "cell": origin.cell, "robot model": origin.model, "forces": origin.forces}
     return Record(cell.report.title, cell.report.customer, path.name, sums, today())
@@ -192,14 +199,14 @@ def convert(
 ) -> Outcome:
     """Convert or predict one program and stage its files (`Outcome.staged_files`).
 
-    Whatever goes wrong with this program is its outcome and no exception, a fault of postproc included. A subprogram
-    that the user did not name, and that cannot be read alone, is skipped: programs that call it convert it.
+    An error of any kind becomes the outcome of this program, not an exception; a fault of postproc too. A subprogram
+    that the user did not name, and that cannot be read alone, is skipped: the programs that call it convert it.
 
-    :param progress: of sweeps of the stock, see `process_forces.read`.
+    :param progress: called during sweeps of the stock, see `process_forces.read`; None: not reported.
     :raises KeyboardInterrupt: nothing was staged.
     """
     job = task.job
-    is_computed = False  # whether only the staging of the files can fail, so that those of an earlier run stay
+    is_computed = False  # True: only the staging of the files can fail, and the files of an earlier run stay
     try:
         check_utf8(job.program)
         name = None if job.keeps_text else job.stem
@@ -234,7 +241,7 @@ def force_source(path: Path | None, cell: Cell) -> ForceSource | None:
     """
     if path is None or path.suffix.lower() != PROCESS:
         return None if path is None else forces.read(path)
-    from postproc.jobs import process_forces  # loads the models of cutting
+    from postproc.jobs import process_forces  # late: it loads the models of cutting
 
     return process_forces.read(path, cell)
 
@@ -242,7 +249,9 @@ def force_source(path: Path | None, cell: Cell) -> ForceSource | None:
 def programs_under_force(
     programs: Sequence[str], force_path: Path | None, robot: RobotModel, cell: Cell
 ) -> Iterator[tuple[Path, Program, ForceSource | None]]:
-    """Yield path, program and source of forces of each program; subprograms that others call are parts of these.
+    """Yield path, program and source of forces of each program.
+
+    Subprograms that other programs call are left out: they are read as parts of these.
 
     :param programs: files, folders, patterns.
     :param force_path: CSV file of forces, a folder of such files, or process.toml they are computed from.
@@ -262,10 +271,12 @@ def convert_program(
     program: Program,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Result, ProcessForces | None]:
-    """Return the result of one program before anything is written, and the forces that its process computes, or None.
+    """Return the result of one program before anything is written, and the forces that its process computes.
 
-    :param program: of the job, as `read_with_start` returns it with the cell.
-    :param progress: of sweeps of the stock, see `process_forces.read`.
+    The forces are None without a process, and if the program cannot be corrected for another reason.
+
+    :param program: program of the job, as `read_with_start` returns it with the cell.
+    :param progress: called during sweeps of the stock, see `process_forces.read`; None: not reported.
     :raises PostprocError: forces are unusable, or the program cannot be corrected.
     """
     mode, linearize = settings.mode, settings.linearize_arcs
@@ -281,7 +292,7 @@ def convert_program(
         )
     if job.forces is None and job.process is None:
         result = replace(result, issues=tuple(_name_force_file(issue, job) for issue in result.issues))
-    return _rename(result, job, settings), computed_forces
+    return _under_job_name(result, job, settings), computed_forces
 
 
 def _convert_with_process(
@@ -294,14 +305,15 @@ def _convert_with_process(
     process: Path,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Result, ProcessForces | None]:
-    """Return the result of a program under the forces of its process, and these forces; None: they were not computed.
+    """Return the result of a program under the forces of its process, and these forces.
 
-    They are not if the program cannot be corrected for another reason. Parameters as of `convert_program`.
+    "predict" cuts with the deflected tool; "convert" holds the tolerance by the feeds if the cell says so. The forces
+    are None if they were not computed, because the program cannot be corrected for another reason.
 
-    :param process: process.toml.
+    :param process: process.toml; other parameters: see `convert_program`.
     :raises PostprocError: the process is unusable, or the program cannot be corrected.
     """
-    from postproc.jobs import process_forces  # loads the models of cutting
+    from postproc.jobs import process_forces  # late: it loads the models of cutting
 
     linearize, source = settings.linearize_arcs, process_forces.read(process, cell, progress)
     if settings.mode == "predict":
@@ -317,8 +329,12 @@ def _convert_with_process(
     return result, source.process_forces
 
 
-def _rename(result: Result, job: Job, settings: Settings) -> Result:
-    """Return a result under the name of its job, with a note if the controller does not accept the program's name."""
+def _under_job_name(result: Result, job: Job, settings: Settings) -> Result:
+    """Return a result under the name of its job.
+
+    A robot program whose text is kept is renamed if the job has a name. A new program already has a valid name: a note
+    is added if the controller does not accept the name of its source.
+    """
     if job.keeps_text and job.name is not None:
         result = replace(result, documents=job.writer.rename(result.documents, job.name))
     fault = job.writer.fault_of(job.program.stem)
@@ -330,10 +346,10 @@ def _rename(result: Result, job: Job, settings: Settings) -> Result:
 
 
 def check_held_feed(cell: Cell, *, process: bool) -> None:
-    """Refuse a cell that asks for held feeds without what they need.
+    """Check that the inputs for held feeds are there: a tolerance of the part, and a process.
 
     :param process: whether the forces come from a process.
-    :raises InputError: no tolerance of the part, or no process.
+    :raises InputError: one of them is missing.
     """
     if cell.part_tolerance is None:
         advice = "Give tolerance_mm in [part] of the cell, or --part-tolerance."
@@ -344,7 +360,7 @@ def check_held_feed(cell: Cell, *, process: bool) -> None:
 
 
 def _name_force_file(issue: Issue, job: Job) -> Issue:
-    """Return the issue; if it says that forces are missing, with a hint at the force file next to the program."""
+    """Return an issue; one that says that forces are missing names the force file next to the program, if it exists."""
     force_file = job.program.with_name(f"{job.program.stem}.forces.csv")
     if issue.kind != "no-force" or not force_file.is_file():
         return issue
@@ -356,10 +372,10 @@ def _name_force_file(issue: Issue, job: Job) -> Issue:
 class _ProgramOutput(Struct, frozen=True, eq=False):
     """Output of a program, before it is written.
 
-    :param summary: content of `report.json`, but for its list of files.
-    :param listed_files: the files that it lists, known when all contents are written.
+    :param summary: content of `report.json` without its list of files.
+    :param listed_files: the list of files of `report.json`; it is filled when `contents` are written.
     :param contents: file name → content.
-    :param copied_files: names of files that the program needs and that are as they were read.
+    :param copied_files: names of files that the program needs and that are written as they were read.
     :param shared_files: names of files that other programs may need too.
     :param read: files that were read.
     """
@@ -379,9 +395,9 @@ def _output_of(
     marked_output: _MarkedResult,
     process: ProcessForces | None,
 ) -> _ProgramOutput:
-    """Return the files to write for a result.
+    """Return the files to write for a result: programs, tables, report and pictures.
 
-    :param process: forces that the process computes; None: there is no process.
+    :param process: forces that the process computes; None: there is no process, or they were not computed.
     :raises InputError: the mesh of the part is unusable.
     """
     result, needed_files = marked_output.result, marked_output.result.program.needed
@@ -393,7 +409,7 @@ def _output_of(
     summary = replace(
         report.summary(result, tolerance, cell.part_tolerance, surface),
         copied=_motionless_copies(marked_output) or None,
-        inputs=_inputs(origin, result.program, job.output),
+        inputs=_report_inputs(origin, result.program, job.output),
     )
     report_name = job.report(settings.mode)
     stem = report_name.removesuffix("report.json")
@@ -402,7 +418,7 @@ def _output_of(
     contents |= _tables_of(result, stem)
     if surface is not None:
         contents |= _surface_files(surface, cell.tolerance, stem)
-    record = _record(origin, settings.cell, cell)
+    record = _report_record(origin, settings.cell, cell)
     contents[f"{stem}report.html"] = report.page(
         result,
         tolerance,
@@ -413,13 +429,13 @@ def _output_of(
         record=record,
     )
     if process is not None:
-        from postproc.jobs import process_forces
+        from postproc.jobs import process_forces  # late: it loads the models of cutting
 
         contents[f"{stem}stock.glb"] = process_forces.stock(process)
     file_entries: list[files.FileEntry] = []
 
     def rendered(entries: list[files.FileEntry]) -> bytes:
-        """Return the report with the list of files, and keep that list."""
+        """Return the content of `report.json` with a list of files, and add the list to `file_entries`."""
         file_entries.extend(entries)
         return files.json_bytes(replace(summary, files=entries))
 
@@ -435,13 +451,16 @@ def _output_of(
 
 
 def _motionless_copies(marked_output: _MarkedResult) -> list[str]:
-    """Return the names of the files that are written as they were read, and in which nothing moves the robot."""
+    """Return the names of the files that are written as they were read, and that have no motions."""
     motionless_names = {Path(file.path).name for file in marked_output.result.program.needed if not file.moves}
     return [name for name in marked_output.copies if name in motionless_names]
 
 
 def _judged_tolerance(settings: Settings, cell: Cell) -> float | None:
-    """Return the tolerance of the path [m] by which a report judges; None: a program as it is was to hold none."""
+    """Return the tolerance of the path [m] by which a report judges.
+
+    None: the program is not corrected, and the user gave no tolerance, so there is none to hold.
+    """
     if settings.mode != "convert" and settings.tolerance_mm is None:
         return None
     return cell.output.tolerance_mm * M_PER_MM
@@ -450,9 +469,9 @@ def _judged_tolerance(settings: Settings, cell: Cell) -> float | None:
 def _surface_files(surface: Surface, tolerance: float, stem: str) -> dict[str, bytes | Iterable[bytes]]:
     """Return the files of a surface: file name → content.
 
-    :param tolerance: of the path [m], for the colours; `stem`: see `_tables_of`.
+    :param tolerance: tolerance of the path [m], for the colours; `stem`: see `_tables_of`.
     """
-    from postproc.report.surface import glb, ply  # imported with the surface only
+    from postproc.report.surface import glb, ply  # late: only reports of surfaces need it
 
     return {f"{stem}surface.{ending}": encode(surface, tolerance) for ending, encode in (("ply", ply), ("glb", glb))}
 
@@ -474,7 +493,8 @@ def surface_of(result: Result, part: Path, process: Path | None, mesh_frame: Arr
     """Return the deviations along the surface of a part.
 
     :param part: mesh in mm (STL, PLY, OBJ …).
-    :param process: process.toml whose [tools] say the shapes; None: the nearest place of the path counts.
+    :param process: process.toml whose [tools] state the shapes of the cutters; None: shapes are not known, and the
+        deviation of a point is that of the nearest sample of the path.
     :param mesh_frame: (4, 4) frame of the mesh in the robot root [m]; None: it is in the `$BASE` of the program.
     :raises InputError: the mesh or the process is unusable, or its frame is not stated and there are several `$BASE`.
     """
@@ -485,7 +505,7 @@ def surface_of(result: Result, part: Path, process: Path | None, mesh_frame: Arr
             file=str(part),
             advice="State the frame of the mesh in the robot root in the cell: [part] with X, Y, Z, A, B, C.",
         )
-    from postproc.report.surface import surface  # trees of points are imported with it
+    from postproc.report.surface import surface  # late: it imports trees of points
 
     cutters: dict[int, Cutter] | None = None
     tool_of_target: Ints | None = None
@@ -507,7 +527,7 @@ def surface_of(result: Result, part: Path, process: Path | None, mesh_frame: Arr
 class _MarkedResult(NamedTuple):
     """A result with its line of origin and the files of its subprograms.
 
-    :param result: with the documents as they are written.
+    :param result: the result with its documents as they are written.
     :param subprogram_files: names of the files that contain only subprograms.
     :param copies: files that are written as they were read: name → content.
     """
@@ -520,8 +540,8 @@ class _MarkedResult(NamedTuple):
 def _add_subprograms(task: Task, settings: Settings, cell: Cell, robot: RobotModel, result: Result) -> _MarkedResult:
     """Return a result with its line of origin, and with subprograms that do not clash with those of other programs.
 
-    A subprogram that was written differently for another program is renamed. Each renaming may cause new clashes, so
-    this is repeated until there are none.
+    A subprogram that was written differently for another program is written under another name. Each renaming may
+    cause new clashes, so this is repeated until there are none.
 
     :raises InputError: see `output_plan.copy_subprograms`.
     """
@@ -529,7 +549,7 @@ def _add_subprograms(task: Task, settings: Settings, cell: Cell, robot: RobotMod
     own_names: dict[str, str] = {}
     while True:
         marked_result = mark_origin(result, job, settings, cell, own_names)
-        subprogram_files = subprograms(result, job, own_names)
+        subprogram_files = subprogram_file_names(result, job, own_names)
         if not marked_result.documents or settings.mode == "predict":
             return _MarkedResult(marked_result, subprogram_files, {})
         names = [document.name for document in marked_result.documents]
@@ -549,7 +569,9 @@ def _add_subprograms(task: Task, settings: Settings, cell: Cell, robot: RobotMod
 def _issues_of_copies(
     issues: Sequence[Issue], new_names: Mapping[str, str], conflicts: Mapping[str, str]
 ) -> tuple[Issue, ...]:
-    """Return the issues of a program whose subprograms were renamed: with a note for each copy that is its own.
+    """Return the issues of a program after subprograms were renamed, with a note for each renamed one.
+
+    Issues that a renamed file is shared with other programs are left out.
 
     :param new_names: new file name → old file name.
     :param conflicts: file name → program for which it was written differently.
@@ -563,10 +585,10 @@ def _issues_of_copies(
 
 
 def _check_same_motions(result: Result, new_documents: Sequence[Document], robot: RobotModel, cell: Cell) -> None:
-    """Check that a program moves as before after subprograms were renamed in it, by reading both versions.
+    """Check, by reading both versions, that a program moves as before after subprograms were renamed in it.
 
-    :param result: with the documents before.
-    :raises InputError: it does not, or the renamed program cannot be read.
+    :param result: the result with the documents before the renaming; `new_documents`: the documents after it.
+    :raises InputError: motions or numbers differ, or the renamed program cannot be read.
     """
     name, dialect = result.program.name, result.program.dialect
     try:
@@ -594,9 +616,10 @@ def _check_same_motions(result: Result, new_documents: Sequence[Document], robot
 
 
 def failure(job: Job, cause: Exception) -> Outcome:
-    """Return the outcome of a program that an exception ended.
+    """Return the outcome of a program whose conversion an exception ended.
 
-    A fault of postproc itself has a traceback; faults of inputs, of memory and of files have their message alone.
+    Errors of inputs, lack of memory and errors of the system give a message. Any other exception is a fault of
+    postproc: its outcome has the traceback too.
     """
     program = str(job.program)
     if isinstance(cause, PostprocError):

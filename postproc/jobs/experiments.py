@@ -20,7 +20,7 @@ _GLOBS = ("*.toml", "*/*.toml", "*/*/*.toml")
 class Readings(Struct, frozen=True):
     """An experiment and the files next to it.
 
-    :param experiment: its TOML file.
+    :param experiment: TOML file of the experiment.
     :param files: CSV files of readings, sorted; measurements.csv is the first.
     :param compensators: TOML files of `identify compensator`.
     """
@@ -33,9 +33,9 @@ class Readings(Struct, frozen=True):
 class ModelFolder(Struct, frozen=True):
     """A model folder of `identify`.
 
-    :param verdict: whether it may be used, in a line; empty: only geometry was identified.
-    :param refused: it may not be used.
-    :param warnings: for the user.
+    :param verdict: a line that says whether the model may be used; empty: only geometry was identified.
+    :param refused: whether the verdict is that it must not be used.
+    :param warnings: warnings for the user.
     """
 
     folder: Path
@@ -52,21 +52,24 @@ class _IdentificationVerdict(Struct, frozen=True):
 
 
 def readings_of(folder: Path) -> list[Readings]:
-    """Return the experiments of a folder and of two levels of folders in it, sorted."""
+    """Return the experiments of a folder and of two levels of folders in it, sorted by path.
+
+    An experiment is a TOML file whose name contains "experiment". Hidden files and folders are left out.
+    """
     paths = sorted(path for pattern in _GLOBS for path in folder.glob(pattern) if EXPERIMENT in path.stem.lower())
     return [_readings(path) for path in paths if not _is_hidden(path.relative_to(folder)) and path.is_file()]
 
 
 def _is_hidden(path: Path) -> bool:
-    """Return whether a name in a path begins with a full stop."""
+    """Return whether a file or a folder of a relative path is hidden: its name begins with a full stop."""
     return any(part.startswith(".") for part in path.parts)
 
 
 def _readings(experiment: Path) -> Readings:
-    """Return the files of readings next to an experiment, and those of its compensator."""
+    """Return an experiment with the files of readings and the compensator files in its folder."""
     folder = experiment.parent
     files = [path for path in sorted(folder.glob("*.csv")) if set(_header(path)) >= _COLUMNS]
-    files.sort(key=lambda path: path.stem.lower() != "measurements")
+    files.sort(key=lambda path: path.stem.lower() != "measurements")  # measurements.csv first, the others as sorted
     compensators = [path for path in sorted(folder.glob("*.toml")) if "compensator" in path.stem.lower()]
     return Readings(experiment, tuple(files), tuple(compensators))
 
@@ -82,7 +85,7 @@ def _header(path: Path) -> Iterator[str]:
 
 
 def model_of(folder: Path) -> ModelFolder | None:
-    """Return the model of a folder; None: there is none that `identify` has written."""
+    """Return the model of a folder; None if `identify` has not written one there, or its record cannot be read."""
     try:
         content = msgspec.json.decode((folder / record.NAME).read_bytes(), type=_IdentificationVerdict)
     except (OSError, ValueError):

@@ -19,21 +19,22 @@ from postproc.errors import InputError, PostprocError
 from postproc.jobs.first_steps import schema_file
 
 Kind = Literal["number", "count", "choice", "text", "span", "flag"]
-"""What a field takes: a number, a whole number, a word of a list, a text, two numbers "0, 100", or "true"."""
+"""Kind of the text of a field: a number, a whole number, a word of a list, a text, two numbers "0, 100", or "true"."""
 _LARGEST_INTEGER = 1e15
 """Whole numbers below are exact as floats, and are written as such."""
 _KINDS: dict[str, Kind] = {"number": "number", "integer": "count", "string": "text", "boolean": "flag"}
 
 
 class FormField(Struct, frozen=True):
-    """A key of a file.
+    """A key of a file as a field of a form.
 
-    :param table: its table, such as ``"tools.1"``.
-    :param text: its value; empty: not stated.
+    :param table: name of the table of the key, such as ``"tools.1"``.
+    :param kind: see `Kind`.
+    :param text: value in the file as text; empty: the file does not state it.
     :param least: smallest value; `most`: largest value; None: no limit.
-    :param choices: words to choose from; empty: any.
-    :param help: what it is.
-    :param is_required: the table is unusable without it.
+    :param choices: words to choose from; empty: any text.
+    :param help: description of the key.
+    :param is_required: whether the table is unusable without the key.
     """
 
     table: str
@@ -48,15 +49,16 @@ class FormField(Struct, frozen=True):
 
     @property
     def name(self) -> str:
-        """Return the name of the field in forms and messages: table and key, such as ``"tools.1.diameter_mm"``."""
+        """Name of the field in forms and messages: table and key, such as ``"tools.1.diameter_mm"``."""
         return f"{self.table}.{self.key}"
 
 
 class TableSchema(Struct, frozen=True):
-    """What a schema says of a table: what it states, and its keys.
+    """The schema of a table.
 
+    :param help: description of the table.
     :param keys: key → its part of the schema.
-    :param required: keys that it must have.
+    :param required: keys that the table must have.
     """
 
     help: str
@@ -66,7 +68,7 @@ class TableSchema(Struct, frozen=True):
 
 @cache
 def table_schema(schema: str, table: str) -> TableSchema:
-    """Return the schema of a table of a file.
+    """Return the schema of a table of a file, by following its name and references from the top of the schema.
 
     :param schema: ``"cell"`` or ``"process"``.
     :param table: such as ``"base"``, ``"tools.1"``, ``"stock.box"``.
@@ -85,7 +87,8 @@ def table_schema(schema: str, table: str) -> TableSchema:
 def parse(text: str, file: str, error: type[InputError]) -> Any:
     """Return the document of a TOML text.
 
-    :raises InputError: it is no TOML; of the type `error`.
+    :param file: name of the file for messages; `error`: type of the error to raise.
+    :raises InputError: the text is no TOML; of the type `error`.
     """
     try:
         return tomlkit.parse(text)
@@ -94,9 +97,12 @@ def parse(text: str, file: str, error: type[InputError]) -> Any:
 
 
 def fields_of_table(document: Any, schema: str, table: str, *kinds: Kind) -> Iterator[FormField]:
-    """Yield the fields of a table, which the document may lack.
+    """Yield the fields of a table; they are empty if the document lacks the table.
 
-    :param kinds: of fields that are wanted; none: all.
+    No field is yielded if the name of the table has another kind of value, nor for keys that `_field` leaves out.
+
+    :param schema: see `table_schema`.
+    :param kinds: kinds of fields to yield; none given: all.
     """
     content = _table(document, table)
     if content is None:
@@ -109,7 +115,7 @@ def fields_of_table(document: Any, schema: str, table: str, *kinds: Kind) -> Ite
 
 
 def _table(document: Any, table: str) -> Any:
-    """Return the content of a table; empty: it is not there; None: there is something else."""
+    """Return the content of a table; empty if the document lacks it; None if its name has another kind of value."""
     content: Any = document
     for key in table.split("."):
         content = content.get(key, {})
@@ -119,9 +125,10 @@ def _table(document: Any, table: str) -> Any:
 
 
 def _field(table: str, key: str, part: Mapping[str, Any], value: Any, *, is_required: bool) -> FormField | None:
-    """Return the field of a key; None: it has no form that a line can take.
+    """Return the field of a key; None for a key whose value does not fit in a line of text, such as a table.
 
-    :param part: schema of the key; `value`: its value in the file, or None.
+    :param part: schema of the key; `value`: its value in the file, None: the file does not state it.
+    :param is_required: see `FormField`.
     """
     options = [part, *part.get("anyOf", ())]
     described_kind = next((kind for kind in options if kind.get("type") in _KINDS or "enum" in kind), None)
@@ -129,13 +136,13 @@ def _field(table: str, key: str, part: Mapping[str, Any], value: Any, *, is_requ
     if described_kind is None and pair is None:
         return None
     limits = (described_kind or pair["prefixItems"][0]) if pair is not None else described_kind
-    assert limits is not None
+    assert limits is not None  # one of them was found above
     kind: Kind = "span" if pair is not None else "choice" if "enum" in limits else _KINDS[limits["type"]]
     return FormField(
         table,
         key,
         kind,
-        _text(value),
+        _field_text(value),
         limits.get("minimum", limits.get("exclusiveMinimum")),
         limits.get("maximum", limits.get("exclusiveMaximum")),
         tuple(limits.get("enum", ())),
@@ -144,8 +151,8 @@ def _field(table: str, key: str, part: Mapping[str, Any], value: Any, *, is_requ
     )
 
 
-def _text(value: Any) -> str:
-    """Return a value of a TOML file as the text of a form field."""
+def _field_text(value: Any) -> str:
+    """Return a value of a TOML file as the text of a form field; an empty text for None and false."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -154,11 +161,13 @@ def _text(value: Any) -> str:
 
 
 def edit_text(text: str, document: Any, fields: Sequence[FormField], texts: Mapping[str, str]) -> str:
-    """Return the text of a document with other values; comments and unchanged values are kept to the byte.
+    """Return the text of a document after values of its fields are changed.
 
-    :param text: returned if nothing differs.
-    :param texts: by the name of the field; empty: the key is removed.
-    :raises InputError: a text is no number, or a value is missing.
+    The document is changed too. Comments and unchanged values are kept to the byte.
+
+    :param text: text of the document, which is returned if no value differs.
+    :param fields: fields of the document; `texts`: new texts by the name of the field. An empty text removes the key.
+    :raises InputError: a text is no number, or a required value is missing in a table that has values.
     """
     is_edited = False
     for field in fields:
@@ -169,23 +178,23 @@ def edit_text(text: str, document: Any, fields: Sequence[FormField], texts: Mapp
             continue
         is_edited = True
         if value_text:
-            _ensured_table(document, field.table)[field.key] = _value(field, value_text)
+            _ensured_table(document, field.table)[field.key] = _parsed_value(field, value_text)
         else:
             _remove(document, field)
     return tomlkit.dumps(document) if is_edited else text
 
 
 def _has_values(table: str, fields: Sequence[FormField], texts: Mapping[str, str]) -> bool:
-    """Return whether a field of a table has a text, as posted or else as in the file."""
+    """Return whether a field of a table has a text: the new text if there is one, else the text in the file."""
     return any(texts.get(field.name, field.text).strip() for field in fields if field.table == table)
 
 
 def _ensured_table(document: Any, table: str) -> Any:
-    """Return a table of a document; one that is not there is added."""
+    """Return a table of a document, which is added if the document lacks it."""
     content = document
     for key in table.split("."):
         if key not in content:
-            # a table in parts, [a.1] [b] [a.2], has sections of its own like one without keys of its own
+            # a section [a.b] goes into the document, a table in several parts or a table that has only sections
             is_section = isinstance(content, (Container, OutOfOrderTableProxy)) or content.is_super_table()
             content[key] = tomlkit.table() if is_section else tomlkit.inline_table()
         content = content[key]
@@ -193,7 +202,7 @@ def _ensured_table(document: Any, table: str) -> Any:
 
 
 def _remove(document: Any, field: FormField) -> None:
-    """Remove a key, and a table in braces that is empty without it."""
+    """Remove the key of a field; if its table is within another table and empty then, remove the table too."""
     content = _table(document, field.table)
     content.remove(field.key)
     parent, _, key = field.table.rpartition(".")
@@ -201,25 +210,26 @@ def _remove(document: Any, field: FormField) -> None:
         _table(document, parent).remove(key)
 
 
-def _value(field: FormField, text: str) -> Any:
-    """Parse the text of a form field.
+def _parsed_value(field: FormField, text: str) -> Any:
+    """Return the value that the text of a form field states, by the kind of the field.
 
-    :raises InputError: it is no number.
+    :raises InputError: a number is expected, and the text is none.
     """
     if field.kind == "span":
         words = [word.strip() for word in text.split(",")]
         if len(words) != 2 or not all(words):
             raise InputError(f"{field.name} = {text!r}: two numbers are needed", advice="Give both, such as 0 and 100.")
-        return [_number(field.name, word) for word in words]
+        return [_parsed_number(field.name, word) for word in words]
     if field.kind in ("number", "count"):
-        return _number(field.name, text)
+        return _parsed_number(field.name, text)
     return text == "true" if field.kind == "flag" else text
 
 
-def _number(name: str, text: str) -> float | int:
-    """Return the number in a text, also with a decimal comma; whole ones as int.
+def _parsed_number(name: str, text: str) -> float | int:
+    """Return the number in a text, also with a decimal comma; a whole number as int.
 
-    :raises InputError: it is none.
+    :param name: name of the field, for messages.
+    :raises InputError: the text is no finite number.
     """
     try:
         value = float(text.replace(",", "."))
@@ -231,12 +241,14 @@ def _number(name: str, text: str) -> float | int:
 
 
 def changes_of_user(fields: Sequence[FormField], texts: Mapping[str, str], shown: Mapping[str, str]) -> dict[str, str]:
-    """Return the values that a user changed in a form; edits of the file by others meanwhile are kept.
+    """Return the texts that a user changed in a form, by the name of the field.
 
-    :param fields: those of the file now.
-    :param texts: posted, by the name of the field.
-    :param shown: what the form showed when it was opened; a field that is not in it counts as changed.
-    :raises InputError: somebody else has changed one of these values to another one.
+    Other values keep what others have written into the file since the form was opened.
+
+    :param fields: fields of the file as it is now.
+    :param texts: texts that the user posted, by the name of the field.
+    :param shown: texts that the form showed when it was opened; a field that is not in it counts as changed.
+    :raises InputError: a value that the user changed was also changed in the file, to something else.
     """
     changes = {name: text for name, text in texts.items() if text.strip() != shown.get(name)}
     for field in fields:
@@ -251,10 +263,10 @@ def changes_of_user(fields: Sequence[FormField], texts: Mapping[str, str], shown
 
 
 def write_valid(path: Path, text: str, check: Callable[[Path], object]) -> None:
-    """Write a file that is usable; nothing is written if it is not.
+    """Write a text into a file if it is usable; else nothing is written.
 
-    :param check: reads a file of this text, in the same folder.
-    :raises InputError: it is unusable.
+    :param check: reads a trial file with this text, in the same folder, and raises `PostprocError` if it is unusable.
+    :raises InputError: the text is unusable.
     """
     trial_path = path.with_name(f".{path.name}.edited.toml")
     try:

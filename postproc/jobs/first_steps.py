@@ -39,12 +39,12 @@ from postproc.robot.urdf import Geometry, geometries
 def copy_samples(folder: Path, *, overwrite: bool = False) -> list[Path]:
     """Write the samples into a folder.
 
-    :param overwrite: replace files that are there and differ.
-    :returns: what was written.
-    :raises InputError: files are there that differ.
+    :param overwrite: replace existing files that differ.
+    :returns: paths of the written files.
+    :raises InputError: files exist that differ, and `overwrite` is False.
     """
     root = shipped_samples()
-    contents = {path.relative_to(root): path.read_bytes() for path in _files(root)}
+    contents = {path.relative_to(root): path.read_bytes() for path in _sample_files(root)}
     conflicts = [folder / name for name, content in contents.items() if _differs(folder / name, content)]
     if conflicts and not overwrite:
         raise InputError(
@@ -70,11 +70,11 @@ SCHEMAS = ("cell", "process", "model", "experiment")
 
 
 def schema_file(name: str) -> Path:
-    """Return the JSON Schema of a file, one of `SCHEMAS`: editors complete and check the file by it."""
+    """Return the path of the JSON Schema of a kind of file, one of `SCHEMAS`, by which editors check it."""
     return Path(__file__).parent.parent / "schemas" / f"{name}.schema.json"
 
 
-def _files(root: Path) -> Iterator[Path]:
+def _sample_files(root: Path) -> Iterator[Path]:
     """Yield the files of a folder and its subfolders, sorted, without compiled Python."""
     for path in sorted(root.rglob("*")):
         if path.is_file() and "__pycache__" not in path.parts:
@@ -82,13 +82,13 @@ def _files(root: Path) -> Iterator[Path]:
 
 
 def _differs(path: Path, content: bytes) -> bool:
-    """Return whether a path exists and is no file with this content."""
+    """Return whether a path exists, and is not a file with this content."""
     return path.exists() and not (path.is_file() and path.read_bytes() == content)
 
 
 CLEARANCE_MM = 200.0
 """Z of `$BASE` to which programs retract unless something else is given: usual CAM set-ups are below it [mm]."""
-LARGEST_MM = 1e6
+LARGEST_LENGTH_MM = 1e6
 """Lengths beyond a kilometre are a mistake in the unit."""
 _ZERO = (0.0,) * 6
 
@@ -149,14 +149,15 @@ class CellRequest(Struct, frozen=True, kw_only=True):
 def check_new(output: Path, *, overwrite: bool) -> None:
     """Check that a cell file may be written.
 
-    :raises InputError: it is there already.
+    :param overwrite: an existing file may be replaced.
+    :raises InputError: the file exists, and `overwrite` is False.
     """
     if output.exists() and not overwrite:
         raise InputError("this file is there", file=str(output), advice="Name another, or give --overwrite.")
 
 
 def write_cell(request: CellRequest) -> tuple[str, ...]:
-    """Write a cell file, and read it back.
+    """Write a cell file after its text was read as a cell.
 
     :returns: warnings for the user.
     :raises InputError: the file exists, or a value is invalid.
@@ -174,14 +175,16 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
         *remarks,
         *low_start(cell, robot, request.clearance),
     )
-    text = _text(request, cell, robot, turn=turn, config=config, tools=tools)
+    text = _cell_text(request, cell, robot, turn=turn, config=config, tools=tools)
     _check_text(text, request.output)
     files.write_whole(folder, {request.output.name: text.encode()})
     return remarks
 
 
 def _cell_of(request: CellRequest, robot: RobotModel) -> Cell:
-    """Return the cell of a request: robot, frames, and the start, which is above the part if none is stated.
+    """Return the cell of a request: robot, frames and start.
+
+    A start that the request does not state is above the part; if that is out of reach, it is `USUAL_START`.
 
     :raises InputError: a value is invalid.
     """
@@ -189,12 +192,12 @@ def _cell_of(request: CellRequest, robot: RobotModel) -> Cell:
     robot_path = request.robot if is_shipped else relative_path(request.output.parent, Path(request.robot))
     start = USUAL_START if request.start is None else _six_values("start joints", request.start, 6)
     _check_joint_limits(start, robot)
-    if request.part_tolerance is not None and not 0.0 < request.part_tolerance <= LARGEST_MM:
+    if request.part_tolerance is not None and not 0.0 < request.part_tolerance <= LARGEST_LENGTH_MM:
         raise OptionError(f"part tolerance {request.part_tolerance:g} mm", advice="Give a length above 0.")
-    if not abs(request.clearance) <= LARGEST_MM:
+    if not abs(request.clearance) <= LARGEST_LENGTH_MM:
         raise OptionError(f"clearance {request.clearance:g} mm", advice="Give a Z of $BASE.")
-    base = _frame("BASE_DATA", request.base, request, robot)
-    tool = _frame("TOOL_DATA", request.tool, request, robot)
+    base = _six_frame_values("BASE_DATA", request.base, request, robot)
+    tool = _six_frame_values("TOOL_DATA", request.tool, request, robot)
     tool_frame = Tool(**dict(zip("XYZABC", tool, strict=True)), axis=request.axis)
     cell = Cell(robot=robot_path, base=Frame(*base), tool=tool_frame, start=msgspec.convert({"joints": start}, Start))
     if request.start is not None:
@@ -208,7 +211,7 @@ def _cell_of(request: CellRequest, robot: RobotModel) -> Cell:
 def _check_joint_limits(start: Numbers, robot: RobotModel) -> None:
     """Check that start joints (6,) [deg] are within the limits of a robot.
 
-    :raises OptionError: one of them is not.
+    :raises OptionError: a joint is beyond its limits.
     """
     is_outside = (np.radians(start) < robot.lower) | (np.radians(start) > robot.upper)
     if is_outside.any():
@@ -218,9 +221,11 @@ def _check_joint_limits(start: Numbers, robot: RobotModel) -> None:
 
 
 def _check_text(text: str, output: Path) -> None:
-    """Read a cell from a temporary file in its folder before it replaces a file: its paths are relative to the folder.
+    """Check the text of a cell by reading it from a temporary file.
 
-    :raises CellError: it cannot be used.
+    The file is in the folder of `output`, because paths in the cell are relative to the folder.
+
+    :raises CellError: the cell is unusable; the message names `output`.
     """
     trial = output.with_name(f".{output.name}.new")
     files.write_whole(trial.parent, {trial.name: text.encode()})
@@ -233,7 +238,7 @@ def _check_text(text: str, output: Path) -> None:
 
 
 def relative_path(folder: Path, path: Path) -> str:
-    """Return a path relative to a folder; the path itself if there is none, as between two drives of Windows."""
+    """Return a path relative to a folder, with ``/``; an absolute path on another drive of Windows."""
     try:
         return Path(relpath(path, folder)).as_posix()
     except ValueError:
@@ -243,6 +248,7 @@ def relative_path(folder: Path, path: Path) -> str:
 def usual_base(robot: str) -> Numbers:
     """Return a place for a part that a robot reaches well: X, Y, Z in the root [mm].
 
+    :param robot: name of a shipped robot, or path of a model folder.
     :raises ModelError: there is no such robot.
     """
     # X offsets of the axes A2 to A5 from the axes before them
@@ -254,7 +260,8 @@ def usual_base(robot: str) -> Numbers:
 def _six_values(title: str, values: Numbers, min_count: int) -> Numbers:
     """Return values filled up to six by zeros.
 
-    :raises OptionError: too few, too many, or not finite.
+    :param title: name of the values, for messages; `min_count`: least number of values.
+    :raises OptionError: there are too few values or more than six, or a value is not finite.
     """
     if not np.isfinite(values).all():
         raise OptionError(f"{title}: {', '.join(f'{value:g}' for value in values)}", advice="Give finite numbers.")
@@ -265,12 +272,12 @@ def _six_values(title: str, values: Numbers, min_count: int) -> Numbers:
     return (*values, *_ZERO[len(values) :])
 
 
-def _frame(array: str, value: Numbers | int, request: CellRequest, robot: RobotModel) -> Numbers:
+def _six_frame_values(array: str, value: Numbers | int, request: CellRequest, robot: RobotModel) -> Numbers:
     """Return X, Y, Z, A, B, C of a frame [mm, deg].
 
     :param array: ``"BASE_DATA"`` or ``"TOOL_DATA"``.
-    :param value: the numbers themselves, or the index of the frame in `$config.dat`.
-    :raises OptionError: a number without a `$config.dat`, or a wrong count of numbers.
+    :param value: the numbers themselves, or the index of the frame in the `$config.dat` of the request.
+    :raises OptionError: an index without a `$config.dat`, or a wrong count of numbers.
     """
     if not isinstance(value, int):
         return _six_values("$BASE" if array == "BASE_DATA" else "$TOOL", value, 3)
@@ -278,14 +285,14 @@ def _frame(array: str, value: Numbers | int, request: CellRequest, robot: RobotM
         raise OptionError(
             f"{array}[{value}] is in no file", advice="Name it with --config-dat, or give X,Y,Z[,A,B,C] instead."
         )
-    return _frame_of(request.config_dat, array, value, robot)
+    return _controller_frame(request.config_dat, array, value, robot)
 
 
-def _frame_of(config: Path, array: str, number: int, robot: RobotModel) -> Numbers:
+def _controller_frame(config: Path, array: str, number: int, robot: RobotModel) -> Numbers:
     """Return X, Y, Z, A, B, C [mm, deg] of a frame in a `$config.dat`, by reading a small KRL program that uses it.
 
-    :param config: the file; `array`: ``"BASE_DATA"`` or ``"TOOL_DATA"``.
-    :raises InputError: the file has no frame of that number.
+    :param config: the file; `array`: ``"BASE_DATA"`` or ``"TOOL_DATA"``; `number`: index of the frame in it.
+    :raises InputError: the file has no frame of that number, or cannot be read.
     """
     variable = "$BASE" if array == "BASE_DATA" else "$TOOL"
     unused_variable = "$TOOL" if variable == "$BASE" else "$BASE"
@@ -308,7 +315,7 @@ def _frame_of(config: Path, array: str, number: int, robot: RobotModel) -> Numbe
         document = decode("ASK.SRC", "\r\n".join(lines).encode())
         program = correction.read([document], robot, cell, "ASK", "krl")
     except ProgramError as cause:
-        if cause.file != "ASK.SRC":
+        if cause.file != "ASK.SRC":  # the `$config.dat` itself has the fault
             raise
         raise InputError(f"no {array}[{number}]", file=str(config), advice="Give a number that it has.") from None
     motions = program.motions
@@ -338,15 +345,16 @@ def _base_warnings(cell: Cell) -> Iterator[str]:
 
 
 def _turn_of_tool(cell: Cell, robot: RobotModel) -> tuple[float, tuple[str, ...]]:
-    """Return the constant turn of the tool about its axis [deg], a quarter turn, and problems for the user.
+    """Return the constant turn of the tool about its axis [deg], one of `QUARTER_TURNS`, and warnings for the user.
 
-    It is the one with the smallest changes of A4 and A6 from the start to the tool upright on the origin of `$BASE`.
+    From the start to the tool upright on the origin of `$BASE`, A4 and A6 change least with this turn. If the origin is
+    out of reach with each of them, the turn is 0, and a warning says so.
     """
     start = cell.start_joints
     wrist_changes = []
     for turn in QUARTER_TURNS:
         joints = upright_joints(cell, robot, turn, 0.0)
-        changes = np.abs((joints - start + np.pi) % (2.0 * np.pi) - np.pi)
+        changes = np.abs((joints - start + np.pi) % (2.0 * np.pi) - np.pi)  # the shorter way round
         wrist_changes.append(float(changes[[3, 5]].max()) if np.isfinite(changes).all() else np.inf)
     best = int(np.argmin(wrist_changes))
     if np.isfinite(wrist_changes[best]):
@@ -354,7 +362,7 @@ def _turn_of_tool(cell: Cell, robot: RobotModel) -> tuple[float, tuple[str, ...]
     return 0.0, ("out of reach: the origin of $BASE, with the tool upright on it. Check [base], [tool] and [start].",)
 
 
-_LINES = {
+_EXAMPLE_LINES = {
     "krl": """\
 # spindle_on = ["$ANOUT[1]={S}/24000.0", "$OUT[1]=TRUE"]    # KRL for M3; {S}: speed in rpm
 # spindle_off = ["$OUT[1]=FALSE"]
@@ -370,7 +378,7 @@ _LINES = {
 _TOOL_BY_HAND = {"krl": ["; tool {T} by hand", "HALT"], "rapid": ["! tool {T} by hand", "Stop;"]}
 
 
-def _text(
+def _cell_text(
     request: CellRequest,
     cell: Cell,
     robot: RobotModel,
@@ -381,12 +389,12 @@ def _text(
 ) -> str:
     """Return the text of a new cell file, with comments.
 
-    :param cell: robot, frames and start.
+    :param cell: robot, frames and start; the request has the other values.
     :param turn: constant turn of the tool about its axis [deg].
-    :param config: path of `$config.dat`, or None.
-    :param tools: `$TOOL` by T number; empty: that of the cell holds for all.
+    :param config: path of `$config.dat` relative to the cell; None: there is none.
+    :param tools: T number → `$TOOL`; empty: [tool] holds for all tools.
     """
-    language = robot.language if robot.language in _LINES else "krl"
+    language = robot.language if robot.language in _EXAMPLE_LINES else "krl"
     return f"""\
 #:schema {schema_file("cell").as_uri()}
 # Cell file of postproc: mm, degrees, N. docs/reference describes every key; what follows # is optional.
@@ -395,38 +403,38 @@ frames = "controller"            # it measured [base] and [tool] with this arm; 
 {_config_line(config)}
 
 [base]                           # $BASE in the robot root: where the part lies
-{_keys(cell.base)}
+{_frame_lines(cell.base)}
 
 [tool]                           # $TOOL: the tool tip in the flange frame
-{_keys(cell.tool)}
+{_frame_lines(cell.tool)}
 axis = "{cell.tool.axis}"                      # axis of the tool frame that points from the spindle to the tip
 
 [start]
-joints = [{", ".join(map(_number, cell.start_angles))}]    # A1 to A6 where programs start: fixes the branch of the arm
+joints = [{", ".join(map(_decimal, cell.start_angles))}]    # A1 to A6 where programs start: fixes the branch of the arm
 
 [output]
 tolerance_mm = 0.01              # what the predicted path may leave the nominal one by
 max_correction_mm = 8.0          # a larger correction is an error
 
-{_part(request.part_tolerance)}
+{_part_table(request.part_tolerance)}
 
-{_gcode(request, turn, language)}
+{_gcode_table(request, turn, language)}
 
 [machine]                        # G28, G30 and G53, by which most CAM systems retract
-clearance_Z = {_number(request.clearance)}              # Z of $BASE to which they retract: above part and clamps
-{_home(request.home)}
-{_tools(tools)}
-{_work_offsets(request.work_offsets)}
-{_numbered_frames("base_data", request.base_data)}{_numbered_frames("tool_data", request.tool_data)}\
-{_rotary(request.rotary)}
-{_m_codes(request.m_codes)}
+clearance_Z = {_decimal(request.clearance)}              # Z of $BASE to which they retract: above part and clamps
+{_home_line(request.home)}
+{_tool_tables(tools)}
+{_work_offset_tables(request.work_offsets)}
+{_numbered_frame_tables("base_data", request.base_data)}{_numbered_frame_tables("tool_data", request.tool_data)}\
+{_rotary_table(request.rotary)}
+{_m_code_table(request.m_codes)}
 
-{_payload(request.payload)}
+{_payload_table(request.payload)}
 """
 
 
 def _config_line(config: str | None) -> str:
-    """Return the key of a `$config.dat`; a comment where there is none."""
+    """Return the line of a `$config.dat` (path as the cell states it); a comment with an example if it is None."""
     return (
         '# config_dat = "$config.dat"    # KRL: a $config.dat of the controller, for BASE_DATA and TOOL_DATA'
         if config is None
@@ -434,11 +442,11 @@ def _config_line(config: str | None) -> str:
     )
 
 
-def _gcode(request: CellRequest, turn: float, language: str) -> str:
+def _gcode_table(request: CellRequest, turn: float, language: str) -> str:
     """Return the table that says how G-code becomes a program of the robot.
 
     :param turn: constant turn of the tool about its axis [deg].
-    :param language: of the lines that it shows, ``"krl"`` or ``"rapid"``.
+    :param language: language of its lines and examples, ``"krl"`` or ``"rapid"``.
     """
     change = {BY_HAND: _TOOL_BY_HAND[language], NO_LINES: []}.get(request.tool_change, [request.tool_change])
     change_line = f"tool_change = [{', '.join(map(toml_string, change))}]"
@@ -451,21 +459,25 @@ def _gcode(request: CellRequest, turn: float, language: str) -> str:
 [gcode]                          # how G-code becomes {language.upper()}
 radius_offsets = {toml_string(request.radius_offsets)}        # "wear": D holds wear, the path is of the tool centre
 {dwell_line}
-redundancy_deg = {_number(turn)}             # turn of the tool about its axis: so that A4 and A6 stay near their start
+redundancy_deg = {_decimal(turn)}             # turn of the tool about its axis: so that A4 and A6 stay near their start
 rapid_m_per_s = 0.5              # speed of G0
 approximation_mm = 0.5           # $APO.CDIS, or the zone; 0: exact stops
 corner_tolerance_mm = 0.05       # a corner that approximation would round by more is an exact stop
 {change_line}    # M6; {{T}}: number of the tool
-{_switching("spindle", request.spindle, language)}
-{_switching("coolant", request.coolant, language)}"""
+{_switching_lines("spindle", request.spindle, language)}
+{_switching_lines("coolant", request.coolant, language)}"""
 
 
-def _switching(
+def _switching_lines(
     device: Literal["spindle", "coolant"], lines: tuple[Sequence[str], Sequence[str]] | None, language: str
 ) -> str:
-    """Return the keys for switching spindle or coolant; a comment with examples where nobody says the lines."""
+    """Return the keys for switching spindle or coolant.
+
+    :param lines: lines that switch it on and off; both empty: it is switched by hand; None: the lines are not stated,
+        and comments with examples are returned.
+    """
     if lines is None:
-        return "\n".join(line for line in _LINES[language].splitlines() if line.startswith(f"# {device}"))
+        return "\n".join(line for line in _EXAMPLE_LINES[language].splitlines() if line.startswith(f"# {device}"))
     by_hand = "" if any(lines) else "    # by hand"
     keys = zip(("on", "off"), lines, strict=True)
     return "\n".join(
@@ -473,18 +485,18 @@ def _switching(
     )
 
 
-def _part(tolerance: float | None) -> str:
-    """Return the table of the part; a comment where no tolerance is given."""
+def _part_table(tolerance: float | None) -> str:
+    """Return the table of the part with its tolerance [mm]; a comment with an example if it is None."""
     comment = "# error allowed on the part (95 %)"
     if tolerance is None:
         return f"# [part]\n# tolerance_mm = 0.5             {comment}: the verdict judges by it"
-    return f"[part]\ntolerance_mm = {_number(tolerance)}               {comment}"
+    return f"[part]\ntolerance_mm = {_decimal(tolerance)}               {comment}"
 
 
-def _tools(tools: Mapping[int, Frame]) -> str:
+def _tool_tables(tools: Mapping[int, Frame]) -> str:
     """Return the tables of tools, or an example of one."""
     if tools:
-        tables = "\n".join(f"\n[tools.{number}]\n{_keys(frame)}" for number, frame in tools.items())
+        tables = "\n".join(f"\n[tools.{number}]\n{_frame_lines(frame)}" for number, frame in tools.items())
         return f"\n# $TOOL after T1 M6 and so on{tables}\n"
     return """
 # [tools.1]                      # $TOOL after T1 M6; without [tools] the [tool] above holds for all
@@ -492,10 +504,10 @@ def _tools(tools: Mapping[int, Frame]) -> str:
 """
 
 
-def _work_offsets(frame_values: Mapping[str, Numbers]) -> str:
+def _work_offset_tables(frame_values: Mapping[str, Numbers]) -> str:
     """Return the tables of work offsets, or an example of one."""
     frames = {code: Frame(*_six_values(code, words, 3)) for code, words in frame_values.items()}
-    tables = "\n".join(f"\n[work_offsets.{_table_key(code)}]\n{_keys(frame)}" for code, frame in frames.items())
+    tables = "\n".join(f"\n[work_offsets.{_table_key(code)}]\n{_frame_lines(frame)}" for code, frame in frames.items())
     if tables:
         return f"# frames in $BASE after G55 and so on; G54 is $BASE itself{tables}"
     return """\
@@ -503,47 +515,47 @@ def _work_offsets(frame_values: Mapping[str, Numbers]) -> str:
 # X = 0.0"""
 
 
-def _numbered_frames(table: Literal["base_data", "tool_data"], values: Mapping[int, Numbers]) -> str:
-    """Return the tables of frames that KRL programs name by number; empty where there are none."""
+def _numbered_frame_tables(table: Literal["base_data", "tool_data"], values: Mapping[int, Numbers]) -> str:
+    """Return the tables of frames that KRL programs name by number; an empty text if there are none."""
     frames = {number: Frame(*_six_values(f"{table.upper()}[{number}]", words, 3)) for number, words in values.items()}
     return "".join(
-        f"\n{f'[{table}.{number}]':<33}# {table.upper()}[{number}] of KRL programs\n{_keys(frame)}\n"
+        f"\n{f'[{table}.{number}]':<33}# {table.upper()}[{number}] of KRL programs\n{_frame_lines(frame)}\n"
         for number, frame in frames.items()
     )
 
 
-def _payload(values: Numbers | None) -> str:
-    """Return the table of the payload; a comment where none is stated."""
+def _payload_table(values: Numbers | None) -> str:
+    """Return the table of the payload: mass [kg] and centre X, Y, Z [mm]; a comment with an example if it is None."""
     head = "[payload]                      # carried in addition to the state that the robot model was calibrated in"
     if values is None:
         return f"# {head}\n# mass_kg = 0.0"
-    mass, *centre = map(_number, values)
+    mass, *centre = map(_decimal, values)
     axes = (f"{axis} = {value}" for axis, value in zip("XYZ", centre, strict=True))
     return "\n".join([head, f"mass_kg = {mass}", *axes])
 
 
-def _home(home: Numbers | None) -> str:
-    """Return the line of the home place in `$BASE` [mm], or a comment with an example."""
+def _home_line(home: Numbers | None) -> str:
+    """Return the line of the home position in `$BASE` [mm]; a comment with an example if it is None."""
     if home is None:
         example = "# home = [0, -90, 90, 0, 0, 0]   # A1 to A6: G28 and G30 go there"
         return f"{example}; without it the tool stays above its place"
-    return f"home = [{', '.join(map(_number, home))}]    # X, Y, Z before the first move, and after G28 and G53"
+    return f"home = [{', '.join(map(_decimal, home))}]    # X, Y, Z before the first move, and after G28 and G53"
 
 
-def _rotary(rotary: Rotary | None) -> str:
-    """Return the table of rotary axes; empty where there are none."""
+def _rotary_table(rotary: Rotary | None) -> str:
+    """Return the table of rotary axes; an empty text if there are none."""
     if rotary is None:
         return ""
     lines = ["", "[rotary]                         # rotary axes from the part outwards; A, B, C turn about X, Y, Z"]
     lines += [f"axes = [{', '.join(map(toml_string, rotary.axes))}]", f"kind = {toml_string(rotary.kind or '')}"]
     for letter, axis in zip(rotary.axes, rotary.places, strict=True):
         if axis is not None:
-            point, direction = (", ".join(map(_number, values)) for values in (axis.point, axis.direction))
+            point, direction = (", ".join(map(_decimal, values)) for values in (axis.point, axis.direction))
             lines.append(f"{letter} = {{ point = [{point}], direction = [{direction}] }}    # in $BASE, mm")
     return "\n".join(lines) + "\n"
 
 
-def _m_codes(codes: Mapping[str, Sequence[str]]) -> str:
+def _m_code_table(codes: Mapping[str, Sequence[str]]) -> str:
     """Return the table of M codes, or an example of one."""
     if codes:
         lines = "\n".join(f"{code} = [{', '.join(map(toml_string, texts))}]" for code, texts in codes.items())
@@ -553,9 +565,9 @@ def _m_codes(codes: Mapping[str, Sequence[str]]) -> str:
 # M31 = []"""
 
 
-def _keys(frame: Frame) -> str:
+def _frame_lines(frame: Frame) -> str:
     """Return the lines ``X = …`` to ``C = …`` of a frame [mm, deg]."""
-    return "\n".join(f"{key} = {_number(getattr(frame, key))}" for key in "XYZABC")
+    return "\n".join(f"{key} = {_decimal(getattr(frame, key))}" for key in "XYZABC")
 
 
 def _table_key(name: str) -> str:
@@ -568,23 +580,23 @@ def toml_string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def _number(value: float) -> str:
-    """Return a number as text with ten significant digits at most; −0 is 0."""
+def _decimal(value: float) -> str:
+    """Return a number as text with ten significant digits at most; −0 becomes 0."""
     return repr(without_negative_zero(float(f"{value:.10g}")))
 
 
 _NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
 _COMMENT = "Written by `postproc robots add`. Units are in the names; assumed = true: not known of this robot."
-_TRIANGLES = 1000
+_MOST_TRIANGLES = 1000
 """Triangles of a link that pages draw."""
 
 
 class AddedRobot(Struct, frozen=True):
     """A model folder that was written.
 
-    :param title: of the robot.
+    :param title: name of the robot.
     :param folder: model folder.
-    :param notes: what the user should know of it.
+    :param notes: notes on the model for the user.
     """
 
     title: str
@@ -597,12 +609,12 @@ def add_robot(
 ) -> AddedRobot:
     """Make a model folder from the URDF of a KUKA arm.
 
-    :param urdf: as ROS-Industrial writes them.
-    :param name: of the robot and its folder; None = the name in the URDF.
-    :param output: folder to write; None = one of that name in the working folder.
+    :param urdf: URDF file in the form of ROS-Industrial.
+    :param name: name of the robot and its folder; None: the name in the URDF.
+    :param output: folder to write; None: a folder of that name in the working folder.
     :param overwrite: replace an existing model.
     :raises ModelError: the arm cannot be used.
-    :raises InputError: a model exists already, or the name cannot be a folder's.
+    :raises InputError: the folder has a model already, or the name is not valid or that of a shipped robot.
     """
     text = read_text(urdf, ModelError)
     arm = adopt(text, urdf.name, name)
@@ -614,11 +626,11 @@ def add_robot(
     if robot_name in robots.shipped_models():
         raise OptionError(f"a shipped robot is called {robot_name}", advice="Give another --name.")
     folder = output or Path(robot_name)
-    meshes, notes = _meshes(geometries(text, urdf.name), urdf, arm)
+    meshes, notes = _link_meshes(geometries(text, urdf.name), urdf, arm)
     contents: dict[str, bytes | Iterable[bytes]] = {
         "model.toml": toml(arm.content, _COMMENT),
-        "robot.urdf": arm.urdf({key: _file(*key) for key in meshes}),
-        **{_file(*key): surface.stl() for key, surface in meshes.items()},
+        "robot.urdf": arm.urdf({key: _mesh_file_name(*key) for key in meshes}),
+        **{_mesh_file_name(*key): surface.stl() for key, surface in meshes.items()},
     }
     protect([urdf], folder, contents)
     conflicts = [folder / file for file in contents if (folder / file).exists()]
@@ -628,12 +640,12 @@ def add_robot(
             file=str(conflicts[0]),
             advice="Choose another -o, or --overwrite.",
         )
-    kinematics.closed_form(robots.assemble(robot_name, arm.content, arm.chain))
+    kinematics.closed_form(robots.assemble(robot_name, arm.content, arm.chain))  # raises for an unusable arm
     write_whole(folder, contents)
     return AddedRobot(arm.content.name, folder, (*arm.notes, *notes))
 
 
-def _file(carrier: int, kind: str) -> str:
+def _mesh_file_name(carrier: int, kind: str) -> str:
     """Return the file name of the mesh of a link.
 
     :param carrier: index of the joint that moves the link, −1 for the base.
@@ -643,8 +655,8 @@ def _file(carrier: int, kind: str) -> str:
     return f"{name}.stl" if kind == "visual" else f"{name}_collision.stl"
 
 
-_READERS = {"no reader of .dae is installed": "pip install pycollada gives one"}
-"""What helps where a mesh cannot be read."""
+_READER_ADVICE = {"no reader of .dae is installed": "pip install pycollada gives one"}
+"""End of the reason why a mesh cannot be read → advice."""
 _MOST_NAMES = 8
 """Names that a note lists; the others are counted."""
 
@@ -652,7 +664,9 @@ _MOST_NAMES = 8
 def _shape_notes(problems: Sequence[str]) -> Iterator[str]:
     """Yield a note for each reason why shapes are left out, with their files.
 
-    :param problems: ``FILE: reason``.
+    Reasons that differ only after a semicolon count as one.
+
+    :param problems: texts ``FILE: reason``.
     """
     files_of_fault: dict[str, dict[str, str]] = {}
     for problem in problems:
@@ -660,22 +674,29 @@ def _shape_notes(problems: Sequence[str]) -> Iterator[str]:
         files_of_fault.setdefault(reason.partition(";")[0], {})[file] = reason
     for fault, reason_of_file in files_of_fault.items():
         names, reason = list(reason_of_file), next(iter(reason_of_file.values()))
-        advice = next((f" ({text})" for end, text in _READERS.items() if fault.endswith(end)), "")
+        advice = next((f" ({text})" for end, text in _READER_ADVICE.items() if fault.endswith(end)), "")
         subject = "a shape is" if len(names) == 1 else f"{len(names)} shapes are"
         yield f"{subject} left out: {first_of(names, _MOST_NAMES)}: {reason}{advice}"
 
 
 class _LinkMeshes(NamedTuple):
-    """Shapes by the joint that moves the link (−1: base) and "visual" or "collision", and notes for the user."""
+    """Shapes of links.
+
+    :param shapes: (index of the joint that moves the link, −1 for the base; "visual" or "collision") → shape.
+    :param notes: notes for the user.
+    """
 
     shapes: dict[tuple[int, str], LinkShape]
     notes: list[str]
 
 
-def _meshes(geometry: Sequence[Geometry], urdf: Path, arm: AdoptedModel) -> _LinkMeshes:
-    """Return the shapes of the links in the frames of the model: those that are drawn, simplified, and solids.
+def _link_meshes(geometry: Sequence[Geometry], urdf: Path, arm: AdoptedModel) -> _LinkMeshes:
+    """Return the shapes of the links in the frames of the model: simplified drawings and solids.
 
-    A link without <collision> gets the convex hull of its drawing, one without <visual> is drawn by its solid.
+    A link without <collision> gets the convex hull of its drawing as its solid. A link without <visual> is drawn by its
+    solid.
+
+    :param geometry: shapes that the URDF names; `urdf`: its file.
     """
     if not geometry:
         return _LinkMeshes({}, ["the URDF names no shapes: pages draw the arm as solids of revolution"])
@@ -690,7 +711,7 @@ def _meshes(geometry: Sequence[Geometry], urdf: Path, arm: AdoptedModel) -> _Lin
     solid_carriers = {shape.carrier for shape in solids}
     all_solids = solids + [shape.hull() for shape in visuals if shape.carrier not in solid_carriers]
     drawings = visuals + [shape for shape in solids if shape.carrier not in drawn_carriers]
-    simplified = [shapes.simplify(shape, _TRIANGLES) for shape in drawings]
+    simplified = [shapes.simplify(shape, _MOST_TRIANGLES) for shape in drawings]
     link_shapes = [shape for shape, _ in simplified]
     notes = [*_shape_notes(problems + solid_problems)]
     if link_shapes:
@@ -709,6 +730,6 @@ def _size_note(link_shapes: Sequence[LinkShape], drawings: Sequence[LinkShape], 
     """
     count, old_count = (sum(len(shape.faces) for shape in group) for group in (link_shapes, drawings))
     points = sum(len(shape.points) for shape in link_shapes)
-    size = 16 * (count + points)  # three numbers of 4 bytes each, in base64
+    size = 16 * (count + points)  # three numbers of 4 bytes are 16 characters in base64
     change_text = "" if count == old_count else f" of {old_count}, corners moved by at most {largest_mm:.2g} mm"
     return f"shapes of {len(link_shapes)} links: {count} triangles{change_text}; {size / 1000:.0f} kB in a page"

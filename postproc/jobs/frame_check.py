@@ -65,7 +65,11 @@ _RANK_TOLERANCE = 1e-6
 
 
 class TouchedPoints(Struct, frozen=True, eq=False):
-    """Touched points: names (n), points in `$BASE` (n, 3) [m], joint angles (n, 6) [rad]."""
+    """Touched points.
+
+    :param name: (n) names of the points; `point`: (n, 3) points in `$BASE` [m].
+    :param joints: (n, 6) joint angles at which the tip touches them [rad].
+    """
 
     name: list[str]
     point: Array
@@ -75,18 +79,17 @@ class TouchedPoints(Struct, frozen=True, eq=False):
 class FrameCheck(Struct, frozen=True, eq=False):
     """Result of a check.
 
-    :param suspect: the frame that is off; ``"undecided"``: `$TOOL` and `$BASE` explain the points equally well;
-        ``"unturned"``: no error shows, but the tool was not turned; ``"one-axis"``: it was turned about one axis only;
-        ``"contradiction"``: neither frame does.
-    :param distances: (n,) distance of each touched point from where it is expected [m].
-    :param distances_left: (n,) the same after the errors of the frames [m].
+    :param suspect: the frame that is off. ``"undecided"``: `$TOOL` and `$BASE` explain the points equally well.
+        ``"unturned"``: no error shows, but the tool was not turned. ``"one-axis"``: no error shows, but the tool was
+        turned about one axis only. ``"contradiction"``: errors of the frames do not explain the points.
+    :param distances: (n,) distance of each touched point from its expected place [m].
+    :param distances_left: (n,) this distance after the errors of the frames are subtracted [m].
     :param tool: (3,) error of `$TOOL` in the axes of the flange [m], with half widths of 95 % intervals (3,); or None.
     :param base: (3,) displacement of the points by `$BASE` in the root [m], and its half widths; or None.
     :param turn: (3,) rotation of `$BASE` [rad], root axes, and its half widths; or None.
     :param new_frames: frames that agree with the points, by table of the cell: X, Y, Z, A, B, C [mm, deg].
-    :param hidden_error: largest error of `$TOOL` that may hide behind one of `$BASE` (95 %) [m], if both frames agree;
-        else None.
-    :param arm: where the tip was taken to be: by the geometry of the controller, or by the robot model at rest.
+    :param hidden_error: largest error of `$TOOL` (95 %) [m] that an error of `$BASE` may cancel; None: a frame is off.
+    :param arm: geometry that gives the tip: that of the controller, or the robot model without load.
     """
 
     suspect: Suspect
@@ -104,7 +107,7 @@ class FrameCheck(Struct, frozen=True, eq=False):
 def read_touches(path: Path) -> TouchedPoints:
     """Read touched points: point, X, Y, Z in `$BASE` [mm], A1 … A6 [deg].
 
-    :raises InputError: it cannot be read, has fewer than three points, or all are on a line.
+    :raises InputError: the file cannot be read, has fewer than three points, or all points are on a line.
     """
     numbers, texts, _ = read_csv(path, ["point", "X", "Y", "Z", *JOINTS], [], InputError, text_columns=("point",))
     if len(texts["point"]) < _MIN_POINTS:
@@ -114,6 +117,7 @@ def read_touches(path: Path) -> TouchedPoints:
         )
         raise InputError(f"{len(texts['point'])} points", file=str(path), advice=advice)
     point = np.stack([numbers[axis] for axis in "XYZ"], axis=1) * M_PER_MM
+    # second singular value / √n: RMS distance of the points from their best line, in the plane of the points
     spread = np.linalg.svd(point - point.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(point))
     if spread < _LEAST_SPREAD:
         advice = f"Touch points that are {2 * _LEAST_SPREAD * MM_PER_M:g} mm and more off the line through the others."
@@ -124,7 +128,7 @@ def read_touches(path: Path) -> TouchedPoints:
 
 
 def check_frames(path: Path, cell_file: Path, sigma_mm: float) -> FrameCheck:
-    """Return which frame of a cell is off.
+    """Return which frame of a cell is off, by touched points.
 
     :param path: touched points, see `read_touches`.
     :param sigma_mm: standard deviation of a coordinate of a touch, with the accuracy of the robot.
@@ -136,7 +140,8 @@ def check_frames(path: Path, cell_file: Path, sigma_mm: float) -> FrameCheck:
     flange = kinematics.tcp(robot.nominal, touches.joints, np.eye(4))[0]
     tool, base = cell.tool.pose(), cell.base.pose()
     if cell.frames == "model":
-        tip = RobotInCell.of(robot, cell).tip(touches.joints, tool, np.zeros((len(touches.joints), 6)))
+        no_load = np.zeros((len(touches.joints), 6))
+        tip = RobotInCell.of(robot, cell).tip(touches.joints, tool, no_load)
     else:
         tip = (flange @ tool)[:, :3, 3]
     nominal_point = touches.point @ base[:3, :3].T + base[:3, 3]
@@ -148,8 +153,10 @@ def check_frames(path: Path, cell_file: Path, sigma_mm: float) -> FrameCheck:
 def _frames_by_points(check: FrameCheck, tool: Array, base: Array, centre: Array) -> Iterator[tuple[str, Array]]:
     """Yield the frames that agree with the points: table of the cell, and X, Y, Z, A, B, C (6,) [mm, deg].
 
-    :param tool: (4, 4) `$TOOL` of the cell, `base`: (4, 4) its `$BASE` [m].
-    :param centre: (3,) of the points in the root [m].
+    Only frames with an error are yielded. `$BASE` turns about the centre of the points.
+
+    :param tool: (4, 4) `$TOOL` of the cell; `base`: (4, 4) its `$BASE` [m].
+    :param centre: (3,) centre of the points in the root [m].
     """
     if check.tool is not None:
         pose = tool.copy()
@@ -166,15 +173,15 @@ def judge(touches: TouchedPoints, flange: Array, nominal_point: Array, tip: Arra
     """Return the simplest explanation of touched points: no error, `$TOOL`, `$BASE` or both, by a χ² test.
 
     :param flange: (n, 3, 3) orientation of the flange in the root.
-    :param nominal_point: (n, 3) where the points are by `$BASE` [m], root.
-    :param tip: (n, 3) where the tip is by joint angles and `$TOOL` [m], root.
+    :param nominal_point: (n, 3) points in the root by `$BASE` of the cell [m].
+    :param tip: (n, 3) tip in the root by joint angles and `$TOOL` [m].
     :param sigma: standard deviation of a coordinate [m].
     """
     residual = (tip - nominal_point).ravel()
     lever_arm = nominal_point - nominal_point.mean(axis=0)
     tool_columns = flange.reshape(-1, 3)
     shift_columns = np.tile(np.eye(3), (len(lever_arm), 1))
-    turn_columns = np.concatenate([-_cross(vector) for vector in lever_arm])
+    turn_columns = np.concatenate([-_cross_matrix(vector) for vector in lever_arm])
     matrices = {
         "none": np.zeros((len(residual), 0)),
         "tool": tool_columns,
@@ -186,22 +193,23 @@ def judge(touches: TouchedPoints, flange: Array, nominal_point: Array, tip: Arra
     visible_length = _smallest_residual(tool_columns, matrices["base"])
     if suspect == "none" and visible_length < _LEAST_VISIBLE:
         suspect = "unturned" if angle_between(flange[:1], flange).max() < _LEAST_TURN else "one-axis"
-    # the frames whose errors are stated; of two that explain the points equally well both are
+    # hypotheses whose errors are stated: two if they explain the points equally well
     frames = {"tool": ("tool",), "base": ("base",), "both": ("both",), "undecided": ("tool", "base")}.get(suspect, ())
-    parts: dict[str, Any] = {}
+    errors: dict[str, Any] = {}
     for name in frames:
-        parts |= _parts(name, matrices[name], residual, sigma)
+        errors |= _frame_errors(name, matrices[name], residual, sigma)
     if suspect == "none":
-        parts["hidden_error"] = _INTERVAL_FACTOR * sigma / visible_length
+        errors["hidden_error"] = _INTERVAL_FACTOR * sigma / visible_length
     best_hypothesis = frames[0] if frames else "both" if suspect == "contradiction" else "none"
     distances, distances_left = (norm(values.reshape(-1, 3)) for values in (residual, residual_left[best_hypothesis]))
-    return FrameCheck(suspect, touches, distances, distances_left, **parts)
+    return FrameCheck(suspect, touches, distances, distances_left, **errors)
 
 
 def _residual_left(matrix: Array, residual: Array) -> Array:
-    """Return the residuals (3 n,) [m] that the best errors of a hypothesis leave.
+    """Return the residuals (3 n,) [m] that remain after the best-fitting errors of a hypothesis are subtracted.
 
-    :param matrix: (3 n, k) residuals by unit errors; without columns there is no error.
+    :param matrix: (3 n, k) residuals by unit errors; no columns: the hypothesis has no error.
+    :param residual: (3 n,) touched minus expected points [m].
     """
     if not matrix.shape[1]:
         return residual
@@ -209,10 +217,13 @@ def _residual_left(matrix: Array, residual: Array) -> Array:
 
 
 def _simplest_suspect(matrices: Mapping[str, Array], residual_left: Mapping[str, Array], sigma: float) -> Suspect:
-    """Return the first hypothesis that the residuals do not contradict by a χ² test, the simplest being first.
+    """Return the simplest hypothesis that the residuals do not contradict by a χ² test.
 
-    :param matrices: name of each hypothesis → (3 n, k) residuals by unit errors.
-    :param residual_left: (3 n,) [m] by hypothesis; `sigma`: standard deviation of a coordinate [m].
+    "undecided": `$TOOL` and `$BASE` each explain the points. "contradiction": no hypothesis does.
+
+    :param matrices: name of each hypothesis, the simplest first → (3 n, k) residuals by unit errors.
+    :param residual_left: hypothesis → residuals (3 n,) that it leaves [m].
+    :param sigma: standard deviation of a coordinate [m].
     """
     plausible_suspects: list[Suspect] = []
     for name, matrix in matrices.items():
@@ -227,36 +238,41 @@ def _simplest_suspect(matrices: Mapping[str, Array], residual_left: Mapping[str,
     return "undecided" if is_undecided else plausible_suspects[0]
 
 
-def _smallest_residual(of_tool: Array, of_base: Array) -> float:
+def _smallest_residual(tool_columns: Array, base_columns: Array) -> float:
     """Return the smallest norm of the residuals that a unit error of `$TOOL` leaves after the best fit of `$BASE`.
 
-    Errors of `$TOOL` in that direction are the hardest to see.
+    Errors of `$TOOL` in the direction of this smallest norm are the hardest to see. It is the smallest singular value
+    of the residuals of `$TOOL` without their components along the residuals of `$BASE`.
 
-    :param of_tool: (3 n, 3) residuals by unit errors of `$TOOL`, `of_base` (3 n, 6) likewise of `$BASE`.
+    :param tool_columns: (3 n, 3) residuals by unit errors of `$TOOL`.
+    :param base_columns: (3 n, 6) residuals by unit errors of `$BASE`.
     """
-    columns, singular_values, _ = np.linalg.svd(of_base, full_matrices=False)
-    columns = columns[:, singular_values > _RANK_TOLERANCE * singular_values[0]]
-    return float(np.linalg.svd(of_tool - columns @ (columns.T @ of_tool), compute_uv=False)[-1])
+    base_directions, singular_values, _ = np.linalg.svd(base_columns, full_matrices=False)
+    base_directions = base_directions[:, singular_values > _RANK_TOLERANCE * singular_values[0]]
+    remaining_columns = tool_columns - base_directions @ (base_directions.T @ tool_columns)
+    return float(np.linalg.svd(remaining_columns, compute_uv=False)[-1])
 
 
-def _parts(name: str, matrix: Array, residual: Array, sigma: float) -> dict[str, Any]:
+def _frame_errors(name: str, matrix: Array, residual: Array, sigma: float) -> dict[str, Any]:
     """Return the least-squares errors of the suspected frames: field of `FrameCheck` → errors (3,), half widths (3,).
 
     The half widths are those of 95 % intervals. Lengths are in m, the rotation in rad.
 
-    :param name: suspect, ``"tool"``, ``"base"`` or ``"both"``.
-    :param matrix: (3 n, 3 k) residuals by unit errors; `residual` (3 n,) [m]; `sigma` of a coordinate [m].
+    :param name: hypothesis, ``"tool"``, ``"base"`` or ``"both"``.
+    :param matrix: (3 n, 3 k) residuals by unit errors; `residual`: (3 n,) touched minus expected points [m].
+    :param sigma: standard deviation of a coordinate [m].
     """
     values = np.linalg.lstsq(matrix, residual, rcond=_RANK_TOLERANCE)[0]
     half_widths = (
         _INTERVAL_FACTOR * sigma * np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix, rcond=_RANK_TOLERANCE**2)))
     )
+    # three columns of the matrix belong to each field, in this order
     fields = {"tool": ["tool"], "base": ["base", "turn"], "both": ["tool", "base", "turn"]}[name]
     return {field: (values[3 * k : 3 * k + 3], half_widths[3 * k : 3 * k + 3]) for k, field in enumerate(fields)}
 
 
-def _cross(vector: Array) -> Array:
-    """Return the matrix of vector × …"""
+def _cross_matrix(vector: Array) -> Array:
+    """Return the matrix (3, 3) that maps x to vector × x."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
@@ -281,8 +297,11 @@ _HEADLINES: dict[Suspect, str] = {
 }
 
 
-def _lengths(error: Array, half_widths: Array) -> str:
-    """Return by how much `$TOOL` is too long or too short along X, Y, Z; error and half widths (3,) [m]."""
+def _tool_error_text(error: Array, half_widths: Array) -> str:
+    """Return the text that says by how much `$TOOL` is too long or too short along X, Y, Z of the flange.
+
+    :param error: (3,) [m]; `half_widths`: (3,) of its 95 % intervals [m].
+    """
     return ", ".join(
         f"{axis} {_error_meaning(value)} {abs(value):z.2f} ± {width:.2f} mm"
         for axis, value, width in zip("XYZ", error * MM_PER_M, half_widths * MM_PER_M, strict=True)
@@ -290,27 +309,30 @@ def _lengths(error: Array, half_widths: Array) -> str:
 
 
 def _error_meaning(value: float) -> str:
-    """Return what the sign of an error [mm] means; an error of zero as printed has none."""
+    """Return what the sign of an error [mm] means; "off by" for an error that is printed as zero."""
     return "off by" if abs(value) < _PRINTED_ZERO else "too long by" if value > 0.0 else "too short by"
 
 
 def as_text(check: FrameCheck, sigma_mm: float) -> str:
-    """Return the result for a terminal."""
+    """Return the result as lines of text for a terminal.
+
+    :param sigma_mm: standard deviation of a coordinate of a touch, as given to `check_frames`.
+    """
     lines = [_HEADLINES[check.suspect]]
     if check.hidden_error is not None:
         length = f"{check.hidden_error * MM_PER_M:.2g} mm"
         lines.append(f"  errors of $TOOL up to {length} (95 %) that $BASE makes up for would not show")
     if check.tool is not None:
-        lines.append(f"  $TOOL, along the axes of the flange: {_lengths(*check.tool)} (95 %)")
-    for name, part, factor, unit in (
+        lines.append(f"  $TOOL, along the axes of the flange: {_tool_error_text(*check.tool)} (95 %)")
+    for description, error, factor, unit in (
         ("the points are displaced by X, Y, Z of the root", check.base, MM_PER_M, "mm"),
         ("and turned about X, Y, Z of the root by", check.turn, DEG_PER_RAD, "°"),
     ):
-        if part is not None:
+        if error is not None:
             values = ", ".join(
-                f"{value:z.2f} ± {half:.2f}" for value, half in zip(part[0] * factor, part[1] * factor, strict=True)
+                f"{value:z.2f} ± {half:.2f}" for value, half in zip(error[0] * factor, error[1] * factor, strict=True)
             )
-            lines.append(f"  {name}: {values} {unit} (95 %)")
+            lines.append(f"  {description}: {values} {unit} (95 %)")
     for table, frame in check.new_frames.items():
         keys = ", ".join(f"{key} = {value:z.3f}" for key, value in zip("XYZABC", frame, strict=True))
         lines.append(f"  [{table}] that agrees: {keys}")

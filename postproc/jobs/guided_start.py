@@ -40,7 +40,7 @@ from postproc.machining.tool_comments import CommentedTool
 from postproc.program import tool_text
 
 _ABOVE_MM = 50.0
-"""Retract this much above the highest cutting move unless something else is said [mm] (assumed)."""
+"""Offered height of retracts above the highest cutting move [mm] (assumed)."""
 _CELL_COUNT = 500.0
 """The map of the stock has at most this many cells across, between the limits of `_RESOLUTIONS` [mm] (assumed)."""
 _RESOLUTIONS = (0.25, 1.0)
@@ -48,6 +48,7 @@ _RESOLUTIONS = (0.25, 1.0)
 _USUAL_TOOL = "0,0,350"
 """X, Y, Z of a tool tip in the flange frame that is offered [mm] (assumed)."""
 MACHINE_QUESTION = "m_code."
+"""Beginning of the keys of questions on M codes."""
 
 
 class Question(Struct, frozen=True):
@@ -55,10 +56,10 @@ class Question(Struct, frozen=True):
 
     :param key: name of the answer, such as ``"robot"``, ``"cutter.3"``.
     :param text: the question.
-    :param option: the option that answers it, with an example.
-    :param parse: text → value; raises `InputError` with what to write instead.
-    :param default: text that is offered; None: there is none.
-    :param optional: without a terminal the default is taken.
+    :param option: the command-line option that answers it, with an example.
+    :param parse: function from the text of an answer to its value; raises `InputError` with what to write instead.
+    :param default: text that is offered; None: no text is offered.
+    :param optional: whether the default is taken without a terminal.
     :param hint: a line before the question; empty: none.
     """
 
@@ -72,27 +73,31 @@ class Question(Struct, frozen=True):
 
 
 class Answers(Struct):
-    """Answers so far: values by key, and the keys of those that were offered and taken as they are."""
+    """Answers so far.
+
+    :ivar values: key of a question → value of its answer.
+    :ivar offered_keys: keys of questions whose offered text was taken as it is.
+    """
 
     values: dict[str, Any] = field(default_factory=dict)
     offered_keys: set[str] = field(default_factory=set)
 
     def put(self, question: Question, text: str, *, is_stated: bool = True) -> None:
-        """Take a text as answer.
+        """Add the answer to a question.
 
-        :param is_stated: the user gave it; False: it may be the text that was offered.
-        :raises InputError: it is none.
+        :param is_stated: True if the user gave the text; False if it may be the text that was offered.
+        :raises InputError: the text is no valid answer.
         """
         self.values[question.key] = question.parse(text)
         if not is_stated and text == question.default:
             self.offered_keys.add(question.key)
 
     def by_number(self, name: str) -> dict[int, Any]:
-        """Return the values of ``name.N`` by N."""
+        """Return the answers with keys ``name.N``: N → value."""
         return {int(key.partition(".")[2]): value for key, value in self.values.items() if key.startswith(f"{name}.")}
 
     def by_code(self, name: str) -> dict[str, Any]:
-        """Return the values of ``name.CODE`` by the code."""
+        """Return the answers with keys ``name.CODE``: CODE → value."""
         return {key.partition(".")[2]: value for key, value in self.values.items() if key.startswith(f"{name}.")}
 
 
@@ -104,10 +109,10 @@ def next_question(
     cell: bool = True,
     process: bool = True,
 ) -> Question | None:
-    """Return the first question that is neither answered nor skipped; None: all are.
+    """Return the first question that is neither answered nor skipped; None if there is none.
 
-    :param cell: ask for the cell.
-    :param process: ask for the process, if the program states no forces.
+    :param cell: whether to ask for the cell.
+    :param process: whether to ask for the process; a program that states its forces needs none.
     """
     questions = [*(_cell_questions(needs, answers) if cell else ())]
     if process and not needs.has_forces:
@@ -116,7 +121,7 @@ def next_question(
 
 
 def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:
-    """Yield the questions whose answers make the cell."""
+    """Yield the questions whose answers make the cell, in the order in which they are asked."""
     yield Question(
         "robot",
         "Robot, or the path of a model folder",
@@ -149,7 +154,10 @@ def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]
 
 
 def _frame_questions(needs: ProgramNeeds, base: str | None) -> Iterator[Question]:
-    """Yield the questions on frames that the program names by number; `base`: an example of a place for a part."""
+    """Yield the questions on frames that the program names by number.
+
+    :param base: place of a part that is offered, ``X,Y,Z`` [mm]; None: no place is offered.
+    """
     for frame in needs.frames:
         name, _, number = frame.partition(".")
         place, example = ("robot root", base) if name == "base_data" else ("flange frame", _USUAL_TOOL)
@@ -159,7 +167,7 @@ def _frame_questions(needs: ProgramNeeds, base: str | None) -> Iterator[Question
 
 
 def _tool_questions(needs: ProgramNeeds) -> Iterator[Question]:
-    """Yield the questions on `$TOOL`: of each tool if the program changes tools, else of one."""
+    """Yield the questions on `$TOOL`: one for each tool if the program changes tools, else a single one."""
     if not needs.changes_tools:
         text = "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]"
         yield Question("tool", text, "--tool X,Y,Z", parse.full_frame, _USUAL_TOOL)
@@ -167,7 +175,7 @@ def _tool_questions(needs: ProgramNeeds) -> Iterator[Question]:
     for number in needs.tools:
         yield Question(
             f"tool.{number}",
-            f"$TOOL of T{number}{_remark(needs, str(number))}, tip in the flange frame: X,Y,Z[,A,B,C]",
+            f"$TOOL of T{number}{_comment_text(needs, str(number))}, tip in the flange frame: X,Y,Z[,A,B,C]",
             f"--tools {number}=X,Y,Z",
             parse.full_frame,
             _USUAL_TOOL,
@@ -175,7 +183,7 @@ def _tool_questions(needs: ProgramNeeds) -> Iterator[Question]:
 
 
 def _machine_questions(needs: ProgramNeeds) -> Iterator[Question]:
-    """Yield the questions on retraction, tool changer, spindle and coolant."""
+    """Yield the questions on retraction, tool changer, spindle and coolant that the program raises."""
     if not needs.is_of_robot:
         height = CLEARANCE_MM if needs.span is None else max(CLEARANCE_MM, round(needs.span[1][2] + _ABOVE_MM, -1))
         text = "Z of $BASE to which programs retract (G28, G30, G53)"
@@ -190,13 +198,16 @@ def _machine_questions(needs: ProgramNeeds) -> Iterator[Question]:
 
 
 def _usual_base(answers: Answers) -> str | None:
-    """Return a place that the chosen robot reaches well, as ``X,Y,Z`` [mm]; None: no robot was chosen yet."""
+    """Return a place that the chosen robot reaches well, as ``X,Y,Z`` [mm]; None if no robot was chosen yet."""
     robot = answers.values.get("robot")
     return None if robot is None else ",".join(f"{value:g}" for value in usual_base(robot))
 
 
-def _remark(needs: ProgramNeeds, key: str) -> str:
-    """Return what comments say of a tool, in brackets."""
+def _comment_text(needs: ProgramNeeds, key: str) -> str:
+    """Return what comments of the program say of a tool, in brackets after a blank; empty if they say nothing.
+
+    :param key: key of the tool in [tools] of a process.
+    """
     comment = needs.cutter(key).text
     return f" ({comment})" if comment else ""
 
@@ -227,7 +238,7 @@ def _rotary_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Questio
 
 
 def _setting_questions(needs: ProgramNeeds) -> Iterator[Question]:
-    """Yield the questions on settings of the control that the programs rely on."""
+    """Yield the questions on settings of the control that the program relies on (`ProgramNeeds.settings`)."""
     if "home" in needs.settings:
         text = "Where X, Y, Z are before the first move and after G28, G53, in $BASE: X,Y,Z"
         yield Question("home", text, "--home X,Y,Z", parse.place)
@@ -240,7 +251,7 @@ def _setting_questions(needs: ProgramNeeds) -> Iterator[Question]:
 
 
 def _process_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:
-    """Yield the questions on material, tools and stock."""
+    """Yield the questions on material, tools and stock, whose answers make the process."""
     yield Question("material", "Material", "--material NAME", parse.material, hint=f"Materials: {', '.join(table())}")
     for key in needs.cutter_keys:
         name, prefix = "the tool", ""
@@ -249,7 +260,8 @@ def _process_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Questi
         comment = needs.cutter(key)
         yield Question(
             f"cutter.{key}",
-            f"Cutter of {name}{_remark(needs, key)}: shape and diameter, such as flat,12; bull,12,1; ball,6; drill,8",
+            f"Cutter of {name}{_comment_text(needs, key)}: shape and diameter, such as flat,12; bull,12,1; ball,6; "
+            "drill,8",
             f"--cutter {prefix}flat,12",
             parse.cutter,
             _cutter_text(comment),
@@ -280,7 +292,7 @@ def _process_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Questi
 
 
 def _cutter_text(comment: CommentedTool) -> str | None:
-    """Return a cutter as `answers.cutter` takes it; None: comments leave something open."""
+    """Return a cutter as the text that `answers.cutter` reads; None if comments do not state shape and diameter."""
     if comment.shape is None or comment.diameter_mm is None:
         return None
     corner = f",{comment.corner_radius_mm:g}" if comment.shape == "bull" else ""
@@ -288,16 +300,16 @@ def _cutter_text(comment: CommentedTool) -> str | None:
 
 
 def _stock_guess(needs: ProgramNeeds, answers: Answers) -> Box | None:
-    """Return the stock that comments or the cutting moves suggest, `$BASE` [mm]; None: nothing is cut."""
+    """Return the stock that comments or the cutting moves suggest, in `$BASE` [mm]; None if nothing is cut."""
     diameters = {key: shape.diameter_mm for key, shape in answers.by_code("cutter").items()}
     return needs.stock_box(diameters)
 
 
 class StartFiles(Struct, frozen=True):
-    """Files of a start.
+    """Files that `postproc start` has written or found.
 
-    :param cell: the cell file; `process`: the process file, None: the program states its forces.
-    :param remarks: what the user should look at.
+    :param cell: the cell file; `process`: the process file, None: no process is needed.
+    :param remarks: remarks on values that the user should check.
     """
 
     cell: Path
@@ -306,13 +318,15 @@ class StartFiles(Struct, frozen=True):
 
 
 def cell_request(output: Path, answers: Answers, **fields: Any) -> CellRequest:
-    """Return the request for the cell that the answers describe; what has no answer gets its default.
+    """Return the request for the cell that the answers describe; values without an answer get their default.
 
-    :param fields: further fields of the request, such as ``axis``.
+    :param output: cell file to write.
+    :param fields: further fields of the request, such as ``axis``; they replace answers.
     """
     values = answers.values
     tools, bases = answers.by_number("tool"), answers.by_number("base_data")
     first_tools: dict[int, Numbers] = {**tools, **(tool_data := answers.by_number("tool_data"))}
+    # [tool] and [base] of the cell are required: without an answer they are the first numbered frame
     request: dict[str, Any] = {
         "tool": values["tool"] if "tool" in values else next(iter(first_tools.values())),
         "tools": tools,
@@ -334,7 +348,7 @@ def cell_request(output: Path, answers: Answers, **fields: Any) -> CellRequest:
 def write_process(path: Path, needs: ProgramNeeds, answers: Answers) -> tuple[str, ...]:
     """Write a process file with comments, and read it back.
 
-    :returns: what the user should look at.
+    :returns: remarks on values that the user should check.
     :raises InputError: it cannot be written, or a value is invalid.
     """
     stock: StockTable = answers.values["stock"]
@@ -356,7 +370,10 @@ def write_process(path: Path, needs: ProgramNeeds, answers: Answers) -> tuple[st
 
 
 def process_head(needs: ProgramNeeds, material: str | None) -> Iterator[str]:
-    """Yield the first lines of a process file; without a material its name is left out."""
+    """Yield the first lines of a process file, up to its material.
+
+    :param material: name of the material; None: the line is left out.
+    """
     yield f"#:schema {schema_file('process').as_uri()}"
     yield f"# Process of {needs.file.name} for postproc: mm, 1/min. docs/reference/forces.md describes every key."
     yield "[material]"
@@ -365,7 +382,10 @@ def process_head(needs: ProgramNeeds, material: str | None) -> Iterator[str]:
 
 
 def tool_head(key: str, needs: ProgramNeeds) -> str:
-    """Return the first line of the table of a tool, with what comments of the program say of it."""
+    """Return the first line of the table of a tool in a process file, with comments of the program on the tool.
+
+    :param key: key of the tool in [tools].
+    """
     comment = needs.cutter(key).text
     remark = f"    # {' '.join(comment.split())}" if comment.isprintable() and comment else ""
     return f"[tools.{key if key.isascii() else toml_string(key)}]{remark}"
@@ -384,10 +404,10 @@ def _tool_lines(key: str, shape: CutterShape, needs: ProgramNeeds, answers: Answ
 
 
 def stock_lines(folder: Path, stock: StockTable, *, is_assumed: bool) -> Iterator[str]:
-    """Yield the lines of `[stock]`.
+    """Yield the lines of `[stock]` in a process file.
 
-    :param folder: of the process file.
-    :param is_assumed: nobody has stated it.
+    :param folder: folder of the process file, from which the path of a mesh is relative.
+    :param is_assumed: whether the stock was guessed from the program; a line says so.
     """
     yield "[stock]                          # before this program"
     if is_assumed:
@@ -405,8 +425,8 @@ class AnswerFile(Struct, forbid_unknown_fields=True):
     """Content of NAME.answers.toml.
 
     :param program: SHA-256 of the program that the answers are for.
-    :param answers: texts by key.
-    :param written: SHA-256 by name of the files that were made of them.
+    :param answers: key of the question → text of the answer.
+    :param written: name of each file made from the answers → SHA-256.
     """
 
     program: str = ""
@@ -414,12 +434,12 @@ class AnswerFile(Struct, forbid_unknown_fields=True):
     written: dict[str, str] = field(default_factory=dict)
 
 
-_OF_THE_TEXT = ("cutter.", "flutes.", "rpm.", "stock", "home")
-"""Answers that hold for one text of a program only."""
+_TEXT_DEPENDENT_KEYS = ("cutter.", "flutes.", "rpm.", "stock", "home")
+"""Beginnings of the keys of answers that may be wrong for another text of the program."""
 
 
 def load_answers(path: Path, program: Path) -> AnswerFile:
-    """Read the answers of an earlier start; empty where there are none.
+    """Return the answers of an earlier start; without answers if the file does not exist.
 
     Answers that depend on the text of the program are left out if it has changed since.
 
@@ -429,7 +449,9 @@ def load_answers(path: Path, program: Path) -> AnswerFile:
         return AnswerFile(program=sum_of(program))
     content = files.read_toml(path, AnswerFile, InputError)
     if content.program != sum_of(program):
-        content.answers = {key: text for key, text in content.answers.items() if not key.startswith(_OF_THE_TEXT)}
+        content.answers = {
+            key: text for key, text in content.answers.items() if not key.startswith(_TEXT_DEPENDENT_KEYS)
+        }
         content.program = sum_of(program)
     return content
 
@@ -442,12 +464,12 @@ def save_answers(path: Path, content: AnswerFile) -> None:
 
 
 def sum_of(path: Path) -> str:
-    """Return the SHA-256 of a file; empty where there is none."""
+    """Return the SHA-256 of a file; an empty text if it does not exist."""
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
 
 
 def is_edited(path: Path, content: AnswerFile) -> bool:
-    """Return whether a file is there that is not the one that was made of the answers."""
+    """Return whether a file exists and differs from what was written from the answers."""
     return path.exists() and content.written.get(path.name) != sum_of(path)
 
 
@@ -462,11 +484,12 @@ def write_files(
     keep_process: bool,
     **fields: Any,
 ) -> StartFiles:
-    """Write cell and process of the answers.
+    """Write cell file and process file from the answers.
 
-    :param answer_file: gets the sums of the files.
-    :param process: None: none is needed.
-    :param keep_cell: use the cell file as it is; `keep_process`: likewise.
+    :param answer_file: the checksums of the written files are added to it.
+    :param cell: cell file to write.
+    :param process: process file to write; None: no process is needed.
+    :param keep_cell: leave the cell file as it is; `keep_process`: leave the process file as it is.
     :param fields: further fields of `CellRequest`.
     """
     remarks: tuple[str, ...] = ()
@@ -480,7 +503,12 @@ def write_files(
 
 
 def merge_needs(programs: list[ProgramNeeds]) -> ProgramNeeds:
-    """Return what several programs need together, for one cell."""
+    """Return what several programs need together, for one cell and one process.
+
+    File and dialect are those of the first program that is not a robot program, else of the first. Lists are joined.
+    Forces and speeds count as stated only if all programs state them. The cutter of a number is that of the first
+    program with it.
+    """
     first = next((program for program in programs if not program.is_of_robot), programs[0])
     spans = [program.span for program in programs if program.span is not None]
     span: Any = None
@@ -506,7 +534,9 @@ def merge_needs(programs: list[ProgramNeeds]) -> ProgramNeeds:
 
 
 def problems_of(program: Path, cell: Path, to: str | None) -> list[str]:
-    """Convert a program without a process into a folder that is removed again; return what stops it.
+    """Return the problems that stop the conversion of a program without a process; empty if it can be converted.
+
+    It is converted into a temporary folder.
 
     :param to: language to write; None: that of the program, or KRL.
     """

@@ -28,7 +28,7 @@ from postproc.report.identification import page
 
 
 class ElastostaticsRequest(Choices, frozen=True, kw_only=True):
-    """What compliances are identified from, how, and where the model folder is written.
+    """Inputs, choices and output folder of an identification of compliances.
 
     :param measurements: CSV file of readings, unloaded and loaded.
     :param experiment: experiment.toml.
@@ -77,7 +77,7 @@ def identify_geometry(
 ) -> IdentifiedFolder:
     """Calibrate the geometry from readings without load, and write the model folder with its report.
 
-    :param model: folder of the model whose springs predict the sag; the robot of the experiment by default.
+    :param model: folder of the model whose springs predict the sag; None: that of the robot of the experiment.
     :param overwrite: replace files that postproc did not write.
     :raises PostprocError: the readings are unusable, or the folder must not be replaced.
     """
@@ -88,16 +88,19 @@ def identify_geometry(
 
 
 def _check_packages(experiment: Path) -> None:
-    """Raise an error before any work if the experiment needs a package that is not installed."""
+    """Check, before any work, that the packages which the robot of an experiment needs are installed.
+
+    :raises PostprocError: Pinocchio is missing, or the experiment or the robot model cannot be read.
+    """
     robot = load_robot(read_experiment(experiment).robot, experiment.parent)
     if robot.has_weight:
         require_pinocchio(robot.title)
 
 
 class Work(Struct, frozen=True, kw_only=True):
-    """A job that a model is validated for.
+    """Programs that a model is validated for.
 
-    :param cell: of the programs.
+    :param cell: cell file of the programs.
     :param programs: files, folders, patterns.
     :param forces: CSV file of cutting forces, a folder of such files, or process.toml they are computed from.
     """
@@ -112,7 +115,7 @@ def validate_model(
 ) -> tuple[Validation, str]:
     """Return the comparison of a model with readings that it was not identified from, and its table as text.
 
-    :param work: job for which it is stated how much of it the readings cover.
+    :param work: programs for which the result states how much of their load the readings cover; None: it does not.
     :raises PostprocError: the files are unusable.
     """
     if (robot := load_robot(str(model), Path())).has_weight:

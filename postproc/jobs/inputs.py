@@ -17,7 +17,7 @@ _PACKAGE = Path(__file__).parent.parent
 
 
 def cell_inputs(path: Path, cell: Cell) -> list[Path]:
-    """Return a cell file and the files that it names, but for those of the robot."""
+    """Return a cell file and the files that it names, without those of the robot."""
     names = [cell.config_dat, *cell.rapid.modules]
     if cell.collision is not None:
         names += [table.mesh for table in cell.collision.holder] + [table.mesh for table in cell.collision.obstacles]
@@ -27,17 +27,20 @@ def cell_inputs(path: Path, cell: Cell) -> list[Path]:
 def robot_inputs(cell: Cell) -> list[Path]:
     """Return the files of the robot model of a cell.
 
-    :raises ModelError: there is none.
+    :raises ModelError: there is no such model.
     """
     folder = robots.find(cell.robot, Path(cell.folder))
     return [folder / name for name in _MODEL]
 
 
 def force_inputs(path: Path) -> list[Path]:
-    """Return a file of forces and, of a process, the files of its stock and material."""
+    """Return a file of forces; of a process.toml, the files of stock and material that it names too.
+
+    A process.toml that cannot be read is returned alone.
+    """
     if path.suffix.lower() != PROCESS:
         return [path]
-    from postproc.machining import process  # what a cutter does is imported with it
+    from postproc.machining import process  # late: it imports the models of cutting
 
     try:
         process_file = process.load(path)
@@ -48,15 +51,15 @@ def force_inputs(path: Path) -> list[Path]:
 
 
 def sum_of(paths: list[Path]) -> str:
-    """Return the SHA-256 of files, one behind the other; without those that are not there.
+    """Return the SHA-256 of the contents of files one after the other; missing files are left out.
 
-    :raises OSError: one cannot be read.
+    :raises OSError: a file cannot be read.
     """
     return provenance.digest(path.read_bytes() for path in paths if path.is_file())
 
 
 def relative_name(path: Path, folder: Path) -> str:
-    """Return a path relative to a folder with ``/`` between; absolute where it is on another drive."""
+    """Return a path relative to a folder, with ``/``; an absolute path on another drive of Windows."""
     try:
         return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
     except ValueError:
@@ -64,7 +67,7 @@ def relative_name(path: Path, folder: Path) -> str:
 
 
 def code_sum(package: Path = _PACKAGE) -> str:
-    """Return the SHA-256 of the modules of the package, its tables, and the shipped robot models: names and contents.
+    """Return the SHA-256 of names and contents of the modules and tables of the package and the shipped robot models.
 
     Two machines with the same sum convert by the same code.
     """
@@ -72,7 +75,7 @@ def code_sum(package: Path = _PACKAGE) -> str:
 
 
 def _contents(package: Path) -> Iterator[bytes]:
-    """Yield names and contents of the package's code and of the shipped robot models."""
+    """Yield name and content, in turn, of each module and table of the package and each file of the robot models."""
     for name, path in sorted((path.relative_to(package).as_posix(), path) for path in package.rglob("*")):
         if path.suffix in (".py", ".toml") and not name.startswith("robot_models/"):
             yield name.encode()

@@ -1,11 +1,11 @@
 """The plan of a run: files that it will write, files of earlier runs that it retires, and the order of programs.
 
-`OutputPlan` is made before work begins, from the list of programs and from the reports in the output folders. It alone
-knows the files of several programs, and puts files in their places. Programs are converted into folders of their own
-(`files.stage`), in any process and on any machine. A `Task` hands a program to its process together with the files of
-other programs; `needed_copies`, `differing_files` and `copy_subprograms` decide from the task alone. The plan decides
-what the staged files replace, and when. Its process has locked the output folders from the plan to the last replacement
-(`files.lock`).
+`OutputPlan` is made before work begins, from the list of programs and from the reports in the output folders. Only the
+plan has the files of several programs, and only the plan moves files to their final names. Programs are converted
+into folders of their own (`files.stage`), in any process and on any machine. A `Task` hands a program to its process
+together with the files of other programs; `needed_copies`, `differing_files` and `copy_subprograms` decide from the
+task alone. The plan decides what the staged files replace, and when. Its process has locked the output folders from the
+plan to the last replacement (`files.lock`).
 
 Programs may call one subprogram. Its corrected file is shared by the programs for which it is equal. For another
 program it is written under a name of its own, and that program calls this copy.
@@ -44,11 +44,11 @@ COPIED_KEY = "copied"
 class Record(Struct, frozen=True):
     """The files that were written for a program, as its report lists them.
 
-    :param program: its name.
-    :param at: the folder that contains them: the output folder, or a staging folder in it.
-    :param files: name → SHA-256.
-    :param copied: names of those that were written as they were read.
-    :param is_renewed: whether this run will convert the program again.
+    :param program: name of the program.
+    :param at: the folder that contains the files: the output folder, or a staging folder in it.
+    :param files: name of each file → SHA-256.
+    :param copied: names of the files that were written as they were read.
+    :param is_renewed: whether this run will still convert the program again.
     """
 
     program: str
@@ -62,8 +62,8 @@ class Task(Struct, frozen=True):
     """A job, and the files of other programs in its output folder when it begins.
 
     :param job: the job.
-    :param names: names of the other programs that the run writes there, lower case.
-    :param records: files of other programs there.
+    :param names: names of the other programs that the run writes into the folder, lower case, without extension.
+    :param records: files of other programs in the folder; empty if the program cannot share files with them.
     :param used_names: names that a copy of a subprogram must not have, lower case, without extension.
     """
 
@@ -76,10 +76,10 @@ class Task(Struct, frozen=True):
 def needed_copies(task: Task, needed_files: Sequence[NeededFile], names: Collection[str]) -> dict[str, bytes]:
     """Return the unchanged files that are written with a program because it needs them: name → content.
 
-    A file that is a program of this run itself is omitted. So is one that was corrected for another program from the
-    same source: its routines without motions are unchanged.
+    A file that is a program of this run itself is omitted, and a file that is in the output folder already. So is a
+    file without motions that was written for another program from the same source: its routines are unchanged.
 
-    :param names: names of the other files of the program.
+    :param needed_files: files that the program needs; `names`: names of its other files.
     """
     job, names_in_use = task.job, {name.lower() for name in names}
     copies: dict[str, bytes] = {}
@@ -89,8 +89,9 @@ def needed_copies(task: Task, needed_files: Sequence[NeededFile], names: Collect
             continue
         if path.parent.resolve() == job.output.resolve():
             continue
-        group = [Path(sibling.path) for sibling in needed_files if Path(sibling.path).stem.lower() == path.stem.lower()]
-        if needed_file.moves or not _has_same_sources(task, group):
+        # such as the .src and the .dat of one name
+        same_stem = [Path(file.path) for file in needed_files if Path(file.path).stem.lower() == path.stem.lower()]
+        if needed_file.moves or not _has_same_sources(task, same_stem):
             copies[path.name] = path.read_bytes()
     return copies
 
@@ -98,9 +99,9 @@ def needed_copies(task: Task, needed_files: Sequence[NeededFile], names: Collect
 def needed_warnings(
     task: Task, needed_files: Sequence[NeededFile], copies: Collection[str], contents: Mapping[str, bytes]
 ) -> Iterator[Issue]:
-    """Yield warnings of files that a program needs: those with uncorrected motions, and those that are not written.
+    """Yield warnings of needed files that are written unchanged although they have motions, or that are not written.
 
-    :param copies: names of the files that are written unchanged.
+    :param needed_files: files that the program needs; `copies`: names of those that are written unchanged.
     :param contents: all files that are written: name → content.
     """
     job = task.job
@@ -113,7 +114,7 @@ def needed_warnings(
             )
             yield Issue("warning", "uncorrected-file", message, subject=path.name)
         is_in_folder = path.stem.lower() in task.names or (job.output / path.name).exists()
-        if needed_file.program and not is_in_folder and _mentions(needed_file.variables, contents):
+        if needed_file.program and not is_in_folder and _names_any(needed_file.variables, contents):
             names = ", ".join(needed_file.variables) or "variables"
             message = (
                 f"{path.name}, from which {job.stem} takes {names}, is not written: it belongs to "
@@ -123,19 +124,24 @@ def needed_warnings(
             yield Issue("warning", "data-not-written", message, subject=path.name)
 
 
-def _mentions(names: Sequence[str], contents: Mapping[str, bytes]) -> bool:
-    """Return whether one of these names occurs in the contents, case ignored; True if no name is given."""
+def _names_any(names: Sequence[str], contents: Mapping[str, bytes]) -> bool:
+    """Return whether one of some names occurs in the contents, case ignored; True if no name is given.
+
+    :param contents: file name → content.
+    """
     all_text = b"\n".join(contents.values()).upper()
     return not names or any(name.upper().encode() in all_text for name in names)
 
 
 def _has_same_sources(task: Task, paths: Sequence[Path]) -> bool:
-    """Return whether intact files of these names were written for other programs from the same sources.
+    """Return whether files of these names were written for other programs from these sources, and are intact.
+
+    Their line of origin states the checksum of the source. False if a file is missing or cannot be read.
 
     :param paths: source files of one stem, such as `.src` and `.dat`.
     """
     writer = task.job.writer
-    paths = sorted(paths, key=lambda path: path.suffix.lower() != writer.extension)
+    paths = sorted(paths, key=lambda path: path.suffix.lower() != writer.extension)  # the .src first
     contents: list[bytes] = []
     for path in paths:
         record = next((record for record in task.records if path.name in record.files), None)
@@ -162,8 +168,8 @@ def differing_files(
 ) -> dict[str, str]:
     """Return the files that differ from those written for another program: name → that program.
 
-    Programs that the run will convert again do not count. Nor do those for which the same source was only copied: the
-    routines without motions are equal in the corrected file.
+    Programs that the run will convert again do not count. Nor does a file that was only copied for the other program
+    from the same source: its routines without motions are equal in the corrected file.
 
     :param texts: files of the program, of its subprograms, and unchanged copies: name → content.
     :param subprograms: names of the files of subprograms; `copies`: names of the unchanged copies.
@@ -199,18 +205,20 @@ def copy_subprograms(
     subprograms: Sequence[str],
     copies: Mapping[str, bytes],
 ) -> tuple[tuple[Document, ...], dict[str, str]]:
-    """Return the files of a program that calls subprograms under names of their own, where others need them different.
+    """Return the files of a program after subprograms that another program needs different were renamed.
 
-    :param documents: files of the program and of its subprograms; `subprograms`: names of the latter.
-    :param program_of_file: see `differing_files`.
+    The calls of the renamed subprograms are changed, too.
+
+    :param documents: files of the program and of its subprograms; `subprograms`: names of the files of subprograms.
+    :param program_of_file: files to rename, see `differing_files`.
     :param copies: unchanged files: name → content.
-    :returns: the files, and the new name of each copied file → its name in the source.
-    :raises InputError: a subprogram cannot have another name.
+    :returns: the files, and new name of each renamed file → its name in `documents`.
+    :raises InputError: a file that differs is not only a subprogram, or cannot have another name.
     """
-    job, kind = task.job, registry.dialect_of_name(task.job.dialect)
-    if isinstance(kind, Calling) and set(program_of_file) <= set(subprograms):
+    job, dialect = task.job, registry.dialect_of_name(task.job.dialect)
+    if isinstance(dialect, Calling) and set(program_of_file) <= set(subprograms):
         stems = sorted({PurePath(name).stem for name in program_of_file})
-        renamed_files = kind.copy_subprograms(documents, [*copies.values()], stems, job.stem, set(task.used_names))
+        renamed_files = dialect.copy_subprograms(documents, [*copies.values()], stems, job.stem, set(task.used_names))
         if renamed_files is not None:
             return renamed_files
     name, owner = next(iter(program_of_file.items()))
@@ -223,22 +231,26 @@ def copy_subprograms(
     )
 
 
-def sequences(jobs: Sequence[Job], cell: Cell) -> list[list[Job]]:
-    """Return jobs in groups; those of a group may correct one file in common, and are converted one after the other.
+def groups_in_sequence(jobs: Sequence[Job], cell: Cell) -> list[list[Job]]:
+    """Return jobs in groups. The jobs of a group may correct a file in common, and are converted in sequence.
 
-    :param jobs: of one output folder. If KRL programs come from different folders, they are one group.
+    A job that shares no file is a group of its own.
+
+    :param jobs: jobs of one output folder. Programs with calls from different folders are one group for each dialect.
+    :param cell: the cell, which states where called programs are looked for.
     """
-    kinds: dict[str, list[Job]] = {}
+    jobs_by_dialect: dict[str, list[Job]] = {}
     for job in jobs:
-        kinds.setdefault(job.dialect, []).append(job)
+        jobs_by_dialect.setdefault(job.dialect, []).append(job)
     group_of: dict[Path, list[Job]] = {job.program: [job] for job in jobs}
-    for dialect, jobs_of_dialect in kinds.items():
-        kind = registry.dialect_of_name(dialect)
-        if len(jobs_of_dialect) == 1 or not isinstance(kind, Calling):
+    for name, jobs_of_dialect in jobs_by_dialect.items():
+        dialect = registry.dialect_of_name(name)
+        if len(jobs_of_dialect) == 1 or not isinstance(dialect, Calling):
             continue
         paths = [job.program for job in jobs_of_dialect]
         is_one_folder = len({path.parent.resolve() for path in paths}) == 1
-        corrected_files = kind.moving(paths, cell) if is_one_folder else {path: {paths[0]} for path in paths}
+        # from different folders it is not known which files they share: one file for all joins them to one group
+        corrected_files = dialect.moving(paths, cell) if is_one_folder else {path: {paths[0]} for path in paths}
         first_job_of_file: dict[Path, Job] = {}
         for job in jobs_of_dialect:
             for path in corrected_files[job.program]:
@@ -254,8 +266,8 @@ class _PendingOutput(Struct, frozen=True, eq=False):
     """A converted program whose files are not in their places yet.
 
     :param obsolete: names of files of an earlier run that are removed.
-    :param partners: reports of programs of this run whose earlier results need a file that is replaced. Their results
-        are replaced, or set aside, together with these.
+    :param partners: names of the reports of programs of this run whose earlier results need a file that this program
+        replaces. The results of these programs are replaced, or renamed, together with the files of this program.
     """
 
     task: Task
@@ -267,10 +279,10 @@ class _PendingOutput(Struct, frozen=True, eq=False):
 class OutputPlan:
     """The files that a run writes, in all its output folders.
 
-    :param jobs: programs; those that others call are written with their callers.
-    :param settings: of the run.
-    :raises InputError: two programs would be written to one file (names that differ in case are one), an input would
-        be overwritten, or a file that postproc did not write or that another program calls.
+    :param jobs: programs; a program with callers is written with these, and has no outputs of its own.
+    :param settings: settings of the run.
+    :raises InputError: two programs would be written to one file (case of names is ignored), or a file would be
+        overwritten that is an input, that postproc did not write, or that another program calls.
     """
 
     def __init__(self, jobs: Sequence[Job], settings: Settings) -> None:
@@ -286,28 +298,35 @@ class OutputPlan:
         self._complete: list[_PendingOutput] = []
 
     def divide(self, cell: Cell) -> None:
-        """Let programs that may correct one file in common wait for each other; all else stays in the order of jobs.
+        """Group programs that may correct a file in common, so that they wait for each other; keep the order of jobs.
 
-        :param cell: says where called programs are looked for.
+        A prediction writes no programs, so it needs no groups.
+
+        :param cell: the cell, which states where called programs are looked for.
         """
         if self._mode == "predict":
             return
         order = {job.program: number for number, job in enumerate(self.jobs)}
-        groups = [group for folder in self._folders.values() for group in sequences(folder.jobs, cell)]
+        groups = [group for folder in self._folders.values() for group in groups_in_sequence(folder.jobs, cell)]
         sorted_groups = [sorted(group, key=lambda job: order[job.program]) for group in groups]
         self._waiting = deque(sorted(sorted_groups, key=lambda group: order[group[0].program]))
 
     def ready(self) -> Iterable[Task]:
-        """Yield tasks that may begin now; others wait until those before them are `accept`."""
+        """Yield the tasks that may begin now, and remove them from those that wait.
+
+        The next program of a group waits until the outcome of the program before it is passed to `accept`.
+        """
         while self._waiting:
             job, *waiting_jobs = self._waiting.popleft()
             self._later[job.program] = deque(waiting_jobs)
             yield self._folders[job.output].task(job)
 
     def accept(self, task: Task, outcome: Outcome) -> list[Outcome]:
-        """Accept the outcome of a task; put files in their places as soon as those that belong together are complete.
+        """Accept the outcome of a task; move files to their places as soon as all that belong together are complete.
 
-        :returns: final outcomes of this task, and of tasks that waited for it.
+        A task that fails keeps no files: its earlier results are renamed, see `_retire_results`.
+
+        :returns: final outcomes of this task, and of programs whose files waited for it; empty while its files wait.
         """
         waiting_jobs = self._later.pop(task.job.program)
         if waiting_jobs:
@@ -329,7 +348,7 @@ class OutputPlan:
         return final
 
     def _check(self, cell: Path) -> None:
-        """Refuse clashes that are known from the names.
+        """Check the names of the files that the jobs will write.
 
         :param cell: cell file, an input of all programs.
         :raises InputError: see the class.
@@ -354,9 +373,10 @@ class OutputPlan:
             refuse(foreign_files + [path for folder in self.overviews for path in foreign_single(folder / OVERVIEW)])
 
     def _refuse_called_names(self, job: Job, names: Iterable[str]) -> None:
-        """Refuse to replace files that a program of an earlier run calls: it would call another program.
+        """Check that files to be replaced are not called by a program of an earlier run, which would move differently.
 
-        :raises InputError: names the first of them, and that program.
+        :param names: names of files that the job writes.
+        :raises InputError: a file is called by such a program, which the message names.
         """
         for path in (job.output / name for name in names):
             owner = self._folders[job.output].dependent_record(job, path)
@@ -369,12 +389,13 @@ class OutputPlan:
                 )
 
     def _complete_program(self, task: Task, outcome: Outcome) -> _PendingOutput:
-        """Return a converted program with the files that it retires.
+        """Return a converted program with the earlier files that it removes, and its partners.
 
-        :raises InputError: its files must not replace those in their places.
+        :param outcome: outcome with staged files and summary.
+        :raises InputError: a staged file must not replace the file in its place.
         """
         job, mode, folder = task.job, self._mode, self._folders[task.job.output]
-        assert outcome.staged_files is not None
+        assert outcome.staged_files is not None  # the caller has checked it
         assert outcome.summary is not None
         names = outcome.staged_files.names
         protect([*job.reads(), *map(Path, outcome.read)], job.output, names)
@@ -383,6 +404,7 @@ class OutputPlan:
         _refuse_names_of_parts(task, unplanned_names)
         self._refuse_called_names(job, [name for name in unplanned_names if name not in outcome.shared_files])
         sums = {entry.name: entry.sha256 for entry in outcome.summary.files or ()}
+        # shared files that exist with another content
         changed_names = [
             name for name in outcome.shared_files if _file_digest(job.output / name) not in ("", sums[name])
         ]
@@ -404,18 +426,21 @@ class OutputPlan:
         return _PendingOutput(task, outcome, tuple(obsolete), partners)
 
     def _take_groups(self) -> list[list[_PendingOutput]]:
-        """Remove and return groups of programs whose files belong together and are all complete."""
+        """Return the groups of programs whose files belong together and are all complete; remove them from `_complete`.
+
+        Groups with a partner that is still to be converted stay.
+        """
         waiting, ready, incomplete = self._complete, [], []
         while waiting:
             group = [waiting[0]]
-            for program in group:  # the list grows in the loop, until no program has another partner
+            for program in group:  # the list grows in the loop until no program has a further partner
                 group += [
                     candidate
                     for candidate in waiting
                     if candidate not in group and self._share_files(program, candidate)
                 ]
             waiting = [program for program in waiting if program not in group]
-            if any(self._folders[program.task.job.output].waits(program.partners) for program in group):
+            if any(self._folders[program.task.job.output].has_pending(program.partners) for program in group):
                 incomplete += group
             else:
                 ready.append(group)
@@ -430,7 +455,12 @@ class OutputPlan:
         return report_b in program_a.partners or report_a in program_b.partners
 
     def _replace_files(self, group: Sequence[_PendingOutput]) -> list[Outcome]:
-        """Move the staged files of programs to their places together; return the outcomes."""
+        """Move the staged files of programs to their places together; return the outcomes.
+
+        If a file cannot be moved, all programs of the group fail, and their earlier files stay.
+
+        :param group: programs of one output folder.
+        """
         folder = group[0].task.job.output
         staged_files = [member.outcome.staged_files for member in group if member.outcome.staged_files is not None]
         names = {name for member in staged_files for name in member.names}
@@ -455,15 +485,25 @@ class OutputPlan:
         ]
 
     def _foreign_files(self, job: Job, names: Iterable[str]) -> list[Path]:
-        """Return the files of these names that exist and that postproc did not write, or that were changed since."""
+        """Return the files of these names that exist, and that postproc did not write or that were changed afterwards.
+
+        Unchanged copies for other programs and intact programs of an earlier run are not among them.
+        """
         folder = self._folders[job.output]
         foreign_files = [
             path for path in foreign(job.output, names, job.report(self._mode)) if not folder.is_needed_copy(job, path)
         ]
-        return [path for path in foreign_files if path.name not in _intact(job, self._mode)] if foreign_files else []
+        return (
+            [path for path in foreign_files if path.name not in _intact_program_files(job, self._mode)]
+            if foreign_files
+            else []
+        )
 
     def _failure(self, job: Job, outcome: Outcome) -> Outcome:
-        """Return the outcome of a program that was not written, with a sentence on its earlier results."""
+        """Return the outcome of a program that was not written, with a sentence on its earlier results.
+
+        Earlier results are renamed unless the outcome keeps them. A skipped subprogram is returned as it is.
+        """
         if outcome.is_skipped:
             return outcome
         return replace(
@@ -472,15 +512,19 @@ class OutputPlan:
         )
 
     def _retire_results(self, job: Job) -> str:
-        """Rename the earlier results of a program that failed now, so they are not mistaken for new ones.
+        """Rename the earlier results of a program that failed in this run to NAME.old, because they look like new ones.
 
-        :returns: a sentence for the user; empty if there was nothing.
+        Files that another program needs too are not renamed. Nothing is renamed if a result was changed by somebody
+        else, if a result is an input of the job, or if a file is locked.
+
+        :returns: a sentence for the user that says which files were renamed, or that earlier results are still there;
+            empty if there are no results of this program alone.
         """
         mode, folder = self._mode, self._folders[job.output]
         names = _existing_names(job, _run_files(job, mode))
         owners = {name: folder.owners(job, name) for name in names}
         own_names = [name for name in names if not owners[name]]
-        changed_files = self._foreign_files(job, own_names)
+        changed_files = self._foreign_files(job, own_names)  # not by postproc, or edited
         changed_files += [
             path
             for name, other_owners in owners.items()
@@ -490,8 +534,8 @@ class OutputPlan:
         ]
         if not own_names:
             return ""
-        input_keys = {_key(path) for path in job.reads()}
-        if changed_files or any(_key(job.output / name) in input_keys for name in own_names):
+        input_keys = {_path_key(path) for path in job.reads()}
+        if changed_files or any(_path_key(job.output / name) in input_keys for name in own_names):
             return leftover_note([job], mode)
         try:
             for path in (job.output / name for name in own_names):
@@ -503,13 +547,15 @@ class OutputPlan:
 
 
 class _Folder:
-    """An output folder: its records before the run, and those that the run has added."""
+    """An output folder: its records before the run, and the records that the run has added."""
 
     def __init__(self, path: Path, mode: Mode) -> None:
         self.jobs: list[Job] = []
         self._path, self._mode = path, mode
         self._pending: set[str] = set()
-        self._new: dict[str, Record] = {}
+        """Names of the reports of programs that are still to be converted."""
+        self._new_records: dict[str, Record] = {}
+        """Name of the report of each program that the run has converted → its files."""
 
     def add(self, job: Job) -> None:
         """Add a job of the run."""
@@ -523,7 +569,7 @@ class _Folder:
 
     @cached_property
     def _earlier_records(self) -> dict[str, Record]:
-        """The records in the folder, by the names of their reports, with the files that still exist."""
+        """Name of each report in the folder → its record before the run, with the files that still exist."""
         records: dict[str, Record] = {}
         file_names = {path.name for path in self._path.glob("*")}
         for path in sorted(self._path.glob("*.report.json")):
@@ -533,11 +579,14 @@ class _Folder:
         return records
 
     def _records(self) -> dict[str, Record]:
-        """The records after all complete programs are in their places."""
-        return self._earlier_records | self._new
+        """Return earlier and new records by the names of their reports; a new record replaces an earlier one."""
+        return self._earlier_records | self._new_records
 
     def task(self, job: Job) -> Task:
-        """Return the task of a job, with the other records if the program may share files with them."""
+        """Return the task of a job, with the records of other programs if it may share files with them.
+
+        Reports, tables and pictures are left out of these records, because no programs share them.
+        """
         names = self._names - {job.stem.lower()}
         if self._mode == "predict" or not _may_share(job):
             return Task(job, names)
@@ -557,38 +606,39 @@ class _Folder:
         return Task(job, names, tuple(record for record in records if record.files), frozenset(stems_in_use))
 
     def _job_files(self, job: Job) -> Mapping[str, str]:
-        """Return the files that an earlier run wrote for a job, with their sums."""
+        """Return the files that an earlier run wrote for a job: name → SHA-256."""
         record = self._earlier_records.get(job.report(self._mode))
         return {} if record is None else record.files
 
     def record_conversion(self, job: Job) -> None:
-        """Record that a job was converted, or failed."""
+        """Record that a job is not pending any more: it was converted, or it failed."""
         self._pending.discard(job.report(self._mode))
 
     def record_files(self, job: Job, outcome: Outcome) -> None:
-        """Record the files of a converted program."""
-        assert outcome.staged_files is not None
+        """Record the staged files of a converted program."""
+        assert outcome.staged_files is not None  # the caller has checked it
         assert outcome.summary is not None
         sums = {entry.name: entry.sha256 for entry in outcome.summary.files or ()}
         copies = frozenset(outcome.summary.copied or ())
-        self._new[job.report(self._mode)] = Record(job.stem, outcome.staged_files.path / "new", sums, copies)
+        self._new_records[job.report(self._mode)] = Record(job.stem, outcome.staged_files.path / "new", sums, copies)
 
     def record_placement(self, job: Job) -> None:
-        """Record that the files of a converted program are in their places."""
+        """Record that the files of a converted program are in the output folder now."""
         report = job.report(self._mode)
-        self._new[report] = replace(self._new[report], at=self._path)
+        self._new_records[report] = replace(self._new_records[report], at=self._path)
 
-    def waits(self, reports: Iterable[str]) -> bool:
-        """Return whether one of these programs is still to be converted.
+    def has_pending(self, reports: Iterable[str]) -> bool:
+        """Return whether one of some programs is still to be converted.
 
-        :param reports: names of their reports, which identify them.
+        :param reports: names of the reports of these programs.
         """
         return not self._pending.isdisjoint(reports)
 
     def programs_needing(self, names: Sequence[str]) -> frozenset[str]:
-        """Return the programs still to be converted whose earlier results contain one of these files.
+        """Return the programs still to be converted whose earlier results contain one of some files.
 
-        :returns: names of their reports.
+        :param names: names of the files.
+        :returns: names of the reports of these programs.
         """
         return frozenset(
             report
@@ -597,7 +647,10 @@ class _Folder:
         )
 
     def owners(self, job: Job, name: str, *, only_pending: bool = False) -> list[Record]:
-        """Return the records of other programs that list a file; optionally of those still to be converted."""
+        """Return the records of other programs than that of a job that list a file.
+
+        :param only_pending: only records of programs that are still to be converted.
+        """
         own_report = job.report(self._mode)
         return [
             record
@@ -606,14 +659,18 @@ class _Folder:
         ]
 
     def is_from_other_program(self, job: Job, path: Path, *, only_pending: bool = False) -> bool:
-        """Return whether a file is intact as written for another program."""
+        """Return whether a file is as it was written for another program than that of a job.
+
+        :param only_pending: see `owners`.
+        """
         owners = self.owners(job, path.name, only_pending=only_pending)
         return bool(owners) and _file_digest(path) in {record.files[path.name] for record in owners}
 
     def dependent_record(self, job: Job, path: Path) -> Record | None:
-        """Return the record of a program of an earlier run that needs a file of the output folder as it is, or None.
+        """Return the record of a program, not to be converted again, that needs a file of the output folder as it is.
 
-        None also for a file that is the source of this job: its routines without motions stay the same.
+        None: no program needs it. None also if an earlier run wrote the file for this job too, or if it is a copy of a
+        source of this job, whose routines without motions stay equal.
         """
         pending = self.owners(job, path.name, only_pending=True)
         records = [record for record in self.owners(job, path.name) if record not in pending]
@@ -627,7 +684,7 @@ class _Folder:
         return next((record for record in records if record.files[path.name] == file_digest), None)
 
     def is_needed_copy(self, job: Job, path: Path) -> bool:
-        """Return whether a file is an intact, unchanged copy that another program needs."""
+        """Return whether a file is a copy for another program, written as it was read and not changed afterwards."""
         return any(
             path.name in record.copied and record.files[path.name] == _file_digest(path)
             for record in self.owners(job, path.name)
@@ -635,10 +692,10 @@ class _Folder:
 
 
 def _refuse_names_of_parts(task: Task, names: Iterable[str]) -> None:
-    """Refuse files that may be parts of another program that this run divides.
+    """Check that files cannot be parts of another program of the run, which may be divided.
 
-    :param names: files that the program of the task writes in addition to those that are planned.
-    :raises InputError: one of them may be such a part.
+    :param names: names of files that the program of the task writes in addition to the planned ones.
+    :raises InputError: a file may be such a part.
     """
     for name in names:
         divided_program = next((program for program in task.names if _is_part_name(name, program)), None)
@@ -651,46 +708,48 @@ def _refuse_names_of_parts(task: Task, names: Iterable[str]) -> None:
 
 
 def _obsolete_names(job: Job, mode: Mode, new_names: Iterable[str]) -> list[str]:
-    """Return the files of an earlier run of a job that this run does not replace, and that are no inputs of it."""
+    """Return the names of files of an earlier run of a job that this run does not write and does not read."""
     lower_names = {name.lower() for name in new_names}
-    inputs = {_key(path) for path in job.reads()}
+    inputs = {_path_key(path) for path in job.reads()}
     return [
         name
         for name in _existing_names(job, recorded_files(job.output / job.report(mode)))
-        if name.lower() not in lower_names and PurePath(name).name == name and _key(job.output / name) not in inputs
+        if name.lower() not in lower_names
+        and PurePath(name).name == name
+        and _path_key(job.output / name) not in inputs
     ]
 
 
 def protect(inputs: Iterable[Path], folder: Path, names: Iterable[str]) -> None:
-    """Refuse outputs that would overwrite an input; case of names is ignored.
+    """Check that no output would overwrite an input; case of names is ignored.
 
     :param inputs: files that are read.
     :param folder: folder that is written into.
     :param names: names of the files to be written.
-    :raises InputError: one of them is an input.
+    :raises InputError: an output is an input.
     """
-    read = {_key(path) for path in inputs}
+    read = {_path_key(path) for path in inputs}
     for path in (folder / name for name in names):
-        if _key(path) in read:
+        if _path_key(path) in read:
             advice = "Nothing was written. Choose another place with -o."
             raise InputError("this input would be overwritten", file=str(path), advice=advice)
 
 
 def leftover_note(jobs: Iterable[Job], mode: Mode) -> str:
     """Return a sentence on programs of earlier runs in the output folders; empty if there are none."""
-    programs = [job.output / name for job in jobs for name in _programs(job, mode)]
+    programs = [job.output / name for job in jobs for name in _earlier_programs(job, mode)]
     return f"There before, not of this run: {path_list(programs)}." if programs else ""
 
 
-def _programs(job: Job, mode: Mode) -> list[str]:
-    """Return the names of earlier programs of a job that exist: the main file, or its modules."""
+def _earlier_programs(job: Job, mode: Mode) -> list[str]:
+    """Return the names of existing programs of an earlier run of a job: the main file; without one, the modules."""
     digests = recorded_files(job.output / job.report(mode))
     modules = [name for name in digests if name.endswith(job.writer.extension)]
     return _existing_names(job, job.mains(mode)) or _existing_names(job, modules)
 
 
 def _overviews(jobs: Sequence[Job]) -> list[Path]:
-    """Return the folders that get an overview: those with several programs, or with an overview already."""
+    """Return the folders that get an overview: folders with several programs, or with an overview already."""
     count: dict[Path, int] = {}
     for job in jobs:
         count[job.output] = count.get(job.output, 0) + 1
@@ -703,11 +762,14 @@ def _has_overview(folder: Path) -> bool:
 
 
 def _may_share(job: Job) -> bool:
-    """Return whether a program may call or need files of other programs."""
+    """Return whether a program may call or need files of other programs: its folder has further files.
+
+    Only programs with calls whose text is kept can do so.
+    """
     if not (job.keeps_text and isinstance(registry.dialect_of_name(job.dialect), Calling)):
         return False
-    own_files = {_key(path) for path in job.reads()}
-    return any(_key(path) not in own_files for path in job.program.parent.glob("*") if path.is_file())
+    own_files = {_path_key(path) for path in job.reads()}
+    return any(_path_key(path) not in own_files for path in job.program.parent.glob("*") if path.is_file())
 
 
 def _is_part_name(name: str, program_stem: str) -> bool:
@@ -721,18 +783,21 @@ def _is_part_name(name: str, program_stem: str) -> bool:
 
 
 def _existing_names(job: Job, names: Iterable[str]) -> list[str]:
-    """Return those of the names that exist in the output folder of a job."""
+    """Return the names that exist in the output folder of a job."""
     return [name for name in names if (job.output / name).exists()]
 
 
 def _run_files(job: Job, mode: Mode) -> list[str]:
-    """Return the names of files that this run may write, and of those that an earlier run has written."""
+    """Return the names of files that this run may write for a job, and that an earlier run has written for it."""
     planned_names = job.writes(mode)
     return list(dict.fromkeys([*job.mains(mode), *planned_names, *recorded_files(job.output / job.report(mode))]))
 
 
-def _intact(job: Job, mode: Mode) -> list[str]:
-    """Return the program files of an earlier run if their line of origin shows them unchanged; else an empty list."""
+def _intact_program_files(job: Job, mode: Mode) -> list[str]:
+    """Return the names of the program files of an earlier run that are unchanged, by their line of origin.
+
+    The list is empty in a prediction, and if there is no program, or it cannot be read or was changed.
+    """
     program = next((job.output / name for name in _existing_names(job, job.mains(mode))), None)
     if mode == "predict" or program is None or not program.is_file():
         return []
@@ -744,24 +809,24 @@ def _intact(job: Job, mode: Mode) -> list[str]:
 
 
 def shared_name_problem(first: Job, second: Job) -> str:
-    """Return the error of two programs that `same_names` yields, without a full stop."""
+    """Return the message that two programs would be written under one name, without a full stop."""
     return f"{first.program} and {second.program} would both be written as {second.output / second.stem}.*"
 
 
 def same_names(jobs: Iterable[Job]) -> Iterator[tuple[Job, Job]]:
-    """Yield the first job of a name of output files, and each other one that would write files of that name.
+    """Yield pairs of jobs that would write files of one name: the first job with this name, and each later one.
 
     Names are compared without case: controllers and Windows do not tell it apart.
     """
     first_jobs: dict[tuple[str, str], Job] = {}
     for job in jobs:
-        first = first_jobs.setdefault((_key(job.output), job.stem.lower()), job)
+        first = first_jobs.setdefault((_path_key(job.output), job.stem.lower()), job)
         if first is not job:
             yield first, job
 
 
-def _key(path: Path) -> str:
-    """Return a text that is equal for paths to one file, also where file names differ in case only."""
+def _path_key(path: Path) -> str:
+    """Return a text that is equal for all paths of one file; case of names is ignored."""
     return str(files.resolve(path)).lower()
 
 
@@ -774,7 +839,7 @@ def _file_digest(path: Path) -> str:
 
 
 def _backup_path(path: Path) -> Path:
-    """Return a path that does not exist yet for an old file: ``.old`` appended, or ``.old2``, ``.old3`` …"""
+    """Return a path that does not exist yet: the path with ``.old`` appended, or ``.old2``, ``.old3`` …"""
     number = 2
     target = path.with_name(f"{path.name}.old")
     while target.exists():

@@ -30,8 +30,8 @@ from postproc.under_load import RobotInCell
 
 FILES = _TABLE, _PAGE, _BASE, _RECORD = ("place.csv", "place.html", "place.toml", "place.json")
 """Files of a search: all places, the report, `[base]` of the best place if there is one, and the record."""
-_DEFAULT_REACH = {"X": 400.0, "Y": 400.0, "Z": 200.0, "A": 45.0}
-"""Without a region the place may change by this [mm, deg]."""
+_DEFAULT_HALF_WIDTHS = {"X": 400.0, "Y": 400.0, "Z": 200.0, "A": 45.0}
+"""Without a region the place may change by this in both directions [mm, deg]."""
 _LARGEST_COORDINATE = 1e5
 """Largest bound of a region [mm, deg] (assumed)."""
 _BOUNDS = re.compile(r"\s*(\w+)\s*=\s*([-+.\deE]+)\s*:\s*([-+.\deE]+)\s*")
@@ -66,7 +66,9 @@ class PlaceFiles(Struct, frozen=True, eq=False):
 
 
 def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | None = None) -> PlaceFiles:
-    """Look for the best place of the part and write the result, whole or not at all.
+    """Look for the best place of the part and write the result: all files or none.
+
+    :param progress: called with the number of places done, and of all places; None: not reported.
 
     :raises PostprocError: an input is unusable, a program has a `$BASE` of its own, or an output must not be written.
     """
@@ -77,7 +79,7 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     protect([*inputs, request.cell, *filter(None, (request.forces, request.process))], request.output, FILES)
     if not request.overwrite:
         refuse(foreign(request.output, FILES, FILES[-1]))
-    # a conversion chooses the start anew at each place; the samples all have the one that is chosen here
+    # a conversion chooses a new start at each place; the samples all have the start that is chosen here
     assess = partial(_assessment, request, cell, robot)
     started_cell, start_message = _cell_with_start(request, cell, robot)
     sampled_programs = _samples(request, started_cell, robot)
@@ -104,9 +106,11 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
 
 
 def _write(output: Path, search: Search, cell: Cell, content: report.PlaceSummary) -> tuple[Path, ...]:
-    """Write the files of a search into a folder; return their paths. Without a best place, an earlier one is removed.
+    """Write the files of a search into a folder; return their paths.
 
-    :param cell: of the search, with [start].
+    Without a best place, the `[base]` file of an earlier search is removed, unless somebody has changed it.
+
+    :param cell: cell of the search, with [start].
     """
     contents: dict[str, bytes | Iterable[bytes]] = {
         _TABLE: report.places_csv(search),
@@ -124,9 +128,9 @@ def _write(output: Path, search: Search, cell: Cell, content: report.PlaceSummar
 
 
 def _clearance(request: PlaceRequest, cell: Cell) -> float | None:
-    """Return the distance to keep [mm]; None: the cell has no bodies.
+    """Return the distance of the bodies of [collision] to keep [mm]; None: the cell has no such bodies.
 
-    :raises InputError: a distance is asked for, and the cell has no bodies.
+    :raises InputError: the request states a distance, and the cell has no bodies.
     """
     if cell.collision is not None:
         return cell.collision.clearance_mm if request.clearance_mm is None else request.clearance_mm
@@ -137,14 +141,15 @@ def _clearance(request: PlaceRequest, cell: Cell) -> float | None:
 
 
 def region_of(text: str | None, cell: Cell) -> Region:
-    """Return the region that a text names; axes that it omits have the cell's values.
+    """Return the region of a text; axes that it omits stay at the values of the cell.
 
-    :raises OptionError: it cannot be read.
+    :param text: bounds as in `PlaceRequest`; None: `_DEFAULT_HALF_WIDTHS` around the place of the cell.
+    :raises OptionError: the text cannot be read, or names E1 without a linear axis in the cell.
     """
     cell_value = {"X": cell.base.X, "Y": cell.base.Y, "Z": cell.base.Z, "A": cell.base.A, "E1": 0.0}
     low, high = dict(cell_value), dict(cell_value)
     if text is None:
-        for axis, half_width in _DEFAULT_REACH.items():
+        for axis, half_width in _DEFAULT_HALF_WIDTHS.items():
             low[axis], high[axis] = cell_value[axis] - half_width, cell_value[axis] + half_width
     stated_axes = set[str]()
     for part in () if text is None else text.split(","):
@@ -167,9 +172,9 @@ class _AxisBounds(NamedTuple):
 
 
 def _bounds(part: str) -> _AxisBounds:
-    """Return the bounds that one part of --region states, ``AXIS=LOW:HIGH``.
+    """Return the bounds of one axis in --region, ``AXIS=LOW:HIGH``.
 
-    :raises OptionError: it has another form, or the bounds are exchanged or too large.
+    :raises OptionError: the text has another form, or the bounds are exchanged or too large.
     """
     match = _BOUNDS.fullmatch(part)
     advice = f"Write --region X=1200:2000,Y=-600:600,A=-90:90, the smaller number first; axes: {', '.join(AXES)}."
@@ -190,9 +195,11 @@ def _bounds(part: str) -> _AxisBounds:
 
 
 def _cell_with_start(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tuple[Cell, str | None]:
-    """Return a cell with [start]: its own, or the one chosen for the first program; and a sentence on the choice.
+    """Return a cell with [start], and a sentence on the choice of the start.
 
-    :returns: the cell, and the sentence; None: the cell has its own.
+    A cell without [start] gets the start that is chosen for the first program. A cell with [start] is returned as it
+    is, with None in place of the sentence.
+
     :raises PostprocError: the program cannot be read, or no start can be chosen.
     """
     if cell.start is not None:
@@ -203,9 +210,10 @@ def _cell_with_start(request: PlaceRequest, cell: Cell, robot: RobotModel) -> tu
 
 
 def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: JudgedPlace) -> Assessment:
-    """Return deflection, error and chance with the part at a place, each that of the worst program.
+    """Return deflection, expected errors and chance with the part at a place, each of the worst program.
 
-    The programs are converted as by `postproc convert`; the first that fails makes the place unusable.
+    The programs are converted as by `postproc convert`. If one fails, the place is unusable, and the assessment has the
+    problem alone. The chance is that the correction makes the part better, see `report.summary`.
     """
     cell = _cell_at(cell, place)
     settings = Settings(cell=request.cell)
@@ -238,7 +246,7 @@ def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: Jud
 
 
 def _worst(errors_mm: Sequence[float | None]) -> float | None:
-    """Return the largest of the errors of programs [mm] in metres; None if one is not known, or there is none."""
+    """Return the largest of the errors of programs [mm] in metres; None if an error is None, or if there are none."""
     known_errors = [error for error in errors_mm if error is not None]
     return max(known_errors) * M_PER_MM if known_errors and len(known_errors) == len(errors_mm) else None
 
@@ -246,8 +254,8 @@ def _worst(errors_mm: Sequence[float | None]) -> float | None:
 def _cell_at(cell: Cell, place: JudgedPlace) -> Cell:
     """Return the cell with the part at a place.
 
-    A robot that the linear axis E1 moves by some distance sees the part moved back by that distance. The obstacles of
-    the cell would have to move too, so collisions are not checked then.
+    If the linear axis E1 moves the robot by some distance, the part moves back by it in the robot root. The obstacles
+    of the cell would have to move too, so collisions are not checked then.
     """
     x, y, z, a, e1 = place.place
     if not e1:
@@ -259,7 +267,7 @@ def _cell_at(cell: Cell, place: JudgedPlace) -> Cell:
 
 
 def _moved_cell(cell: Cell, base: Frame) -> Cell:
-    """Return the cell with another `[base]`, and with it the frames by number that are the same frame."""
+    """Return the cell with another `[base]`; frames by number that equal its `[base]` are replaced too."""
     moved_frames = dict.fromkeys(region.numbers_of_base(cell), base)
     return msgspec.structs.replace(cell, base=base, base_data=cell.base_data | moved_frames)
 
@@ -267,9 +275,10 @@ def _moved_cell(cell: Cell, base: Frame) -> Cell:
 class _SampledPrograms(NamedTuple):
     """Programs of a search.
 
-    :param samples: of their paths.
-    :param paths: their files.
-    :param frame_numbers: numbers of the frames of the controller that move with them.
+    :param samples: samples of the path of each program.
+    :param paths: file of each program.
+    :param frame_numbers: numbers of the frames of the controller that a program uses and that equal `[base]`: they must
+        move with it.
     """
 
     samples: Sequence[PathSamples]
@@ -281,7 +290,7 @@ def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> _SampledPr
     """Read the programs, and return samples of their paths.
 
     A robot program is read a second time, with `[base]` and all frames equal to it shifted, each by another length. The
-    shift that is found in its `$BASE` shows which of these frames it uses.
+    shift of `$BASE` in the program that is read shows which of these frames it uses.
 
     :raises InputError: a program has frames of its own, so that moving $BASE would not move it.
     """
@@ -309,7 +318,7 @@ def _samples(request: PlaceRequest, cell: Cell, robot: RobotModel) -> _SampledPr
 
 
 def _shifted_program(path: Path, robot: RobotModel, shifted_cell: Cell) -> Program:
-    """Return a robot program as it is read with other frames.
+    """Return a robot program as it is read with shifted frames.
 
     :raises InputError: a file of the program states one of these frames too.
     """

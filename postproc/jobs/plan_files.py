@@ -33,15 +33,15 @@ _SAME_ARM = 1e-6
 
 
 class PlanRequest(Struct, frozen=True, kw_only=True):
-    """What a plan is made from, and where it is written. See `plan.Options` for the numbers.
+    """Inputs and output of a plan of measurements. See `plan.Options` for the numbers.
 
-    :param experiment: how it is measured: experiment.toml with [rig].
-    :param cell: of the programs.
-    :param programs: what will be milled: files, folders, patterns; or none and `poses`.
+    :param experiment: experiment.toml with [rig], which states how measurements are taken.
+    :param cell: cell file of the programs.
+    :param programs: programs that will be milled: files, folders, patterns; empty with `poses`.
     :param output: CSV file to write; `.src`, `.html` and `.json` are written next to it.
     :param forces: CSV file of cutting forces, or a folder of such files.
-    :param poses: CSV file of test poses.
-    :param measured: readings so far.
+    :param poses: CSV file of test poses; None: they are those of the programs.
+    :param measured: CSV file of readings so far; None: there are none.
     :param margin: distance to keep from joint limits [deg].
     :param overwrite: replace files that postproc did not write.
     """
@@ -63,7 +63,7 @@ class PlanRequest(Struct, frozen=True, kw_only=True):
     overwrite: bool = False
 
     def options(self) -> Options:
-        """Return the numbers of the plan."""
+        """Return the options of the search for a plan."""
         return Options(self.configurations, self.q2_levels, self.seed, self.grouped, self.test_poses, self.repeats)
 
     def reads(self) -> list[Path]:
@@ -84,11 +84,11 @@ class PlanFiles(Struct, frozen=True, eq=False):
 
 
 def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFiles:
-    """Plan measurements and write the plan, whole or not at all.
+    """Plan measurements and write the plan: all files or none.
 
     Ctrl-C ends the search; the best plan so far is written.
 
-    :param progress: called with step and share done.
+    :param progress: called with the name of the step and the share done; None: not reported.
     :raises PostprocError: an input is unusable, no pose can be measured, or an output must not be written.
     """
     setup = read_experiment(request.experiment)
@@ -127,7 +127,7 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
 
 
 class CompensatorRequest(Struct, frozen=True, kw_only=True):
-    """What a plan of the compensator's readings is made from, and where it is written.
+    """Inputs and output of a plan of readings of the gravity compensator. See `CompensatorOptions` for the numbers.
 
     :param experiment: experiment.toml: robot and sigma_mm.
     :param output: CSV file to write, to be filled in with readings; `.json` next to it.
@@ -156,7 +156,7 @@ class CompensatorPlanFiles(Struct, frozen=True, eq=False):
 
 
 def make_compensator_plan(request: CompensatorRequest) -> CompensatorPlanFiles:
-    """Plan the readings that determine L, a_x, a_y and write the plan, whole or not at all.
+    """Plan the readings that determine the compensator's geometry L, a_x, a_y, and write the plan: all files or none.
 
     :raises PostprocError: an input is unusable, or an output must not be written.
     """
@@ -178,17 +178,21 @@ def make_compensator_plan(request: CompensatorRequest) -> CompensatorPlanFiles:
 
 
 def _test_poses(request: PlanRequest, robot: RobotModel, cell: Cell) -> TestPoses:
-    """Return the poses and loads in which the plan shall be accurate: of a file, or of cutting motions."""
+    """Return the poses and loads for which the identified model must be accurate.
+
+    They are from the file `poses` of the request, or else from the cutting motions of its programs.
+    """
     if request.poses is not None:
         return milling.from_file(request.poses, robot, cell)
     return milling.join(cutting_states(request.programs, request.forces, robot, cell))
 
 
 def cutting_states(programs: Sequence[str], force_path: Path | None, robot: RobotModel, cell: Cell) -> list[TestPoses]:
-    """Return poses and forces all along the cutting moves of each program.
+    """Return poses and forces along the cutting moves of each program, as test poses.
 
-    :param programs: files, folders, patterns; subprograms that others call count with them.
-    :param force_path: CSV file of forces, a folder of such files, or process.toml they are computed from.
+    :param programs: files, folders, patterns; subprograms that others call are read as parts of these.
+    :param force_path: CSV file of forces, a folder of such files, or process.toml that computes them; None: the
+        programs state their forces in comments.
     :raises PostprocError: a program or its forces cannot be read or followed, or none of its moves carries a force.
     """
     return [
@@ -198,7 +202,9 @@ def cutting_states(programs: Sequence[str], force_path: Path | None, robot: Robo
 
 
 def check_same_arm(measured_robot: RobotModel, milling_robot: RobotModel) -> None:
-    """Refuse models of different arms; different models (priors, identified ones) of one arm are valid.
+    """Check that two models are of one arm, by placements and axes of their joints; their compliances may differ.
+
+    :param measured_robot: robot of the experiment; `milling_robot`: robot of the cell.
 
     :raises InputError: the arms differ.
     """

@@ -1,4 +1,4 @@
-"""What to probe of a test part, as a list, and whether a file is one of its probing."""
+"""List of the points to probe on a test part, and check of a file with probed points."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class ProbingList(Struct, frozen=True):
 
 
 def probing_list(path: Path) -> ProbingList:
-    """Return the content of a probing file; empty: it is not there.
+    """Return the content of a probing file, without comments; an empty list if the file does not exist.
 
-    :raises InputError: it cannot be read.
+    :raises InputError: the file cannot be read.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -41,9 +41,9 @@ def probing_list(path: Path) -> ProbingList:
 
 
 def check_probed(path: Path) -> None:
-    """Check that a file is a table of probed points.
+    """Check that a file is a table of probed points, see `is_probed`.
 
-    :raises InputError: it is not.
+    :raises InputError: the file is no such table.
     """
     if not is_probed(path):
         raise InputError("this is no probing file", advice="Fill in the column deviation_mm of probing.csv, as CSV.")

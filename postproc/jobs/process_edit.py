@@ -1,6 +1,6 @@
 """Tools, material, stock and spindle of a process file as fields; a program without one gets a draft of it.
 
-The file is what counts. The draft has what the comments of the program state, and is not written before it is usable.
+A draft has the values that comments of the program state. It is not written before it is usable.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ class ProcessTable(Struct, frozen=True):
     """A table of a process file.
 
     :param name: such as ``"tools.1"``.
-    :param help: what it is.
-    :param comment: what the program says of this tool; empty: nothing.
-    :param is_new: the file does not have it: its values are those of the comment.
+    :param help: description of the table.
+    :param fields: its keys as fields of a form.
+    :param comment: comments of the program on this tool; empty: there are none.
+    :param is_new: whether the file lacks the table, so that its values are those of the comments.
     """
 
     name: str
@@ -41,14 +42,14 @@ class ProcessTable(Struct, frozen=True):
 
 
 def process_tables(path: Path, needs: ProgramNeeds) -> list[ProcessTable]:
-    """Return the tables of a process file, and those that its program needs in addition.
+    """Return the tables of a process file: material, tools, stock, spindle. Tools that the program needs are added.
 
-    :param path: may be missing.
-    :raises ForceError: it cannot be read.
+    :param path: the file; if it does not exist, the tables are those of a draft.
+    :raises ForceError: the file cannot be read.
     """
     text = _text_of(path, needs)
     document, new_tools = _document(text, path, needs)
-    tables = [_table(document, "material", "material")]
+    tables = [_table(document, "material")]
     for key in document.get("tools", {}):
         comment = needs.cutter(key).text
         is_new = not path.is_file() or key in new_tools
@@ -59,10 +60,13 @@ def process_tables(path: Path, needs: ProgramNeeds) -> list[ProcessTable]:
     return tables
 
 
-def _table(document: Any, name: str, *choices_of: str) -> ProcessTable:
-    """Return a table of the process file as form fields; `choices_of`: its name is one of the materials."""
+def _table(document: Any, name: str) -> ProcessTable:
+    """Return a table of a process file as fields of a form; the name of the material is a choice among all materials.
+
+    :param name: name of the table, such as ``"stock.box"``.
+    """
     fields = tuple(fields_of_table(document, "process", name))
-    if choices_of:
+    if name == "material":
         names = tuple(material_table())
         fields = tuple(
             replace(field, kind="choice", choices=names) if field.key == "name" else field for field in fields
@@ -73,8 +77,8 @@ def _table(document: Any, name: str, *choices_of: str) -> ProcessTable:
 def edit_process(path: Path, needs: ProgramNeeds, texts: Mapping[str, str]) -> bool:
     """Write values into a process file, checked as `convert` checks it; return whether anything has changed.
 
-    A file that is not there is made. Only what differs is touched: comments and all else stay. Nothing is written if
-    the process would be unusable.
+    A missing file is made from a draft. Comments and unchanged values stay as they are. Nothing is written if the
+    process would be unusable.
 
     :param texts: values by the name of the field; empty: the key is removed.
     :raises InputError: a value is missing or wrong.
@@ -85,7 +89,7 @@ def edit_process(path: Path, needs: ProgramNeeds, texts: Mapping[str, str]) -> b
     new_text = edit_text(old_text, document, fields, texts)
     if path.is_file() and new_text == old_text and not new_tools:
         return False
-    if new_tools and new_text == old_text:
+    if new_tools and new_text == old_text:  # no value has changed, but the tools that the file lacks are added
         new_text = document.as_string()
     path.parent.mkdir(parents=True, exist_ok=True)
     write_valid(path, new_text, _check_process)
@@ -99,11 +103,11 @@ def _check_process(path: Path) -> None:
     """
     process = load_process(path)
     if process.material is not None or not process.operations:
-        process.law()
+        process.law()  # raises if the material has no law; operations state their forces themselves
 
 
 def _text_of(path: Path, needs: ProgramNeeds) -> str:
-    """Return the text of a process file, or that of a draft."""
+    """Return the text of a process file; if it does not exist, a draft from comments and moves of its program."""
     if path.is_file():
         return files.read_text(path, ForceError)
     lines = list(process_head(needs, None))
@@ -116,7 +120,7 @@ def _text_of(path: Path, needs: ProgramNeeds) -> str:
 
 
 def _drafted_tool(key: str, needs: ProgramNeeds) -> list[str]:
-    """Return the table of a tool as far as the program states it."""
+    """Return the lines of the table of a tool, with the keys whose values comments of the program state."""
     tool = needs.cutter(key)
     lines = [tool_head(key, needs)]
     lines += [f'shape = "{tool.shape}"'] if tool.shape is not None else []
@@ -127,7 +131,13 @@ def _drafted_tool(key: str, needs: ProgramNeeds) -> list[str]:
 
 
 def _document(text: str, path: Path, needs: ProgramNeeds) -> tuple[Any, frozenset[str]]:
-    """Return the document of a process file with the tools that its program needs, and which of them it lacked."""
+    """Return the document of a process file with the tools that its program needs, and the keys of added tools.
+
+    No tool is added to a file with operations, with a tool for all numbers, or with any tool for a program without
+    tool numbers.
+
+    :param text: text of the file or draft; `path`: the file, for messages.
+    """
     document = parse(text, str(path), ForceError)
     tools = document.get("tools", {})
     if DEFAULT in tools or (needs.cutter_keys == (DEFAULT,) and tools):

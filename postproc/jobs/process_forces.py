@@ -44,20 +44,20 @@ from postproc.report.material import material_page
 from postproc.robot import RobotModel
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell, segments_in_cell
 
-_TRIALS = 10
-"""Largest number of trials between the programmed feeds and the least ones (assumed)."""
-_AIM = 0.997
-"""Trials are this share of the feed at which the tolerance would be reached, so that most hold it at once."""
-_CLOSE = 0.01
-"""A feed that could be higher by this share at most is high enough (assumed)."""
-_BACKSTEP = 0.99
+_MOST_TRIALS = 10
+"""Largest number of trials at feeds between the programmed feeds and the least feeds (assumed)."""
+_TRIAL_SHARE = 0.997
+"""Trials are at this share of the feed at which the tolerance would be reached: most then hold it at once."""
+_LARGEST_RESERVE_SHARE = 0.01
+"""A feed is final if it could be higher by this share at most (assumed)."""
+_BACKSTEP_SHARE = 0.99
 """Share of its feed that a motion gets if it exceeds the tolerance at a feed at which it did not before."""
-_FEED_FLOOR = 1e-3
+_ZERO_FEED_SHARE = 1e-3
 """Share of the programmed feed at which the errors are taken for those without feed."""
 _SMALLEST_SLOPE = 1e-12
-"""Slope of the error over the feed [s] that is used instead of none, or of a falling one, as a divisor."""
-_STEP = 1e-6
-"""Feeds are multiples of this [m/s]: that is what programs print."""
+"""Least slope of the error over the feed [s], for a division: the slope may be zero or negative."""
+_FEED_STEP = 1e-6
+"""Feeds are multiples of this [m/s], the last digit that programs print."""
 
 Trial = Callable[[Program], Result]
 _MESHES = (".stl", ".glb", ".ply", ".obj")
@@ -68,15 +68,16 @@ def hold_tolerance(
 ) -> Result:
     """Return the result with the highest feeds, at most the programmed ones, that hold the tolerance of the part.
 
-    A motion that the least feed does not hold keeps its feed, or gets the least one: `[output] unheld` of the cell.
+    A motion that exceeds the tolerance even at the least feed keeps its programmed feed or gets the least feed, as
+    `[output] unheld` of the cell says. If a trial fails, its result is returned.
 
     :param length: (M,) length of the motions [m].
-    :param tip_speed: (M,) at the programmed feeds, see `toolpath.tip_speeds` [m/s].
+    :param tip_speed: (M,) speeds of the tip at the programmed feeds [m/s], see `toolpath.tip_speeds`.
     :param exponent: mc of the material: chip forces grow with feed^(1 − mc).
     :param trial: converts the program with the feeds of its motions.
     :raises InputError: the model states no uncertainty, so that no error is expected.
     """
-    m, min_feed = program.motions, cell.output.min_feed_mm_per_min / MM_PER_MIN
+    motions, min_feed = program.motions, cell.output.min_feed_mm_per_min / MM_PER_MIN
     result = trial(program)
     if result.failed:
         return result
@@ -88,34 +89,36 @@ def hold_tolerance(
     search = _Search(
         program, tip_speed, cell.part_tolerance, min_feed, 1.0 - exponent, error, uses_min_feed=uses_min_feed
     )
-    floor_error = np.full(len(m), np.nan)
-    if search.open.any():
-        result = trial(search.program(search.min_feeds))
-        if not result.failed and (unheld := search.start(_largest_by_motion(result))).any():
-            result = trial(search.program(np.maximum(_FEED_FLOOR * m.feed, _STEP)))
+    floor_error = np.full(len(motions), np.nan)  # errors without feed; NaN: not computed
+    if search.is_open.any():
+        result = trial(search.program_at(search.min_feeds))
+        if not result.failed and (unheld := search.take_least_feed_errors(_largest_by_motion(result))).any():
+            result = trial(search.program_at(np.maximum(_ZERO_FEED_SHARE * motions.feed, _FEED_STEP)))
             floor_error[unheld] = _largest_by_motion(result)[unheld]
-            search.give_up(unheld)
-        for _ in range(_TRIALS):
+            search.settle(unheld)
+        for _ in range(_MOST_TRIALS):
             if result.failed:
                 return result
-            result = trial(search.program(search.trial_feeds()))
+            result = trial(search.program_at(search.trial_feeds()))
             if search.take_errors(_largest_by_motion(result)):
                 break
         else:
-            result = trial(search.program(search.low))
+            result = trial(search.program_at(search.low))
     error = _largest_by_motion(result)
     feed = result.program.motions.feed
-    held_feed = HeldFeed(cell.part_tolerance, min_feed, cell.output.unheld, m.feed, feed, length, error, floor_error)
+    held_feed = HeldFeed(
+        cell.part_tolerance, min_feed, cell.output.unheld, motions.feed, feed, length, error, floor_error
+    )
     return replace(result, held_feed=held_feed)
 
 
 def _with_feed(program: Program, feed: Array) -> Program:
-    """Return a program as read with lower feeds (M,) [m/s]; it keeps those that its text states."""
+    """Return a program with lower feeds (M,) [m/s]; `feed_as_read` keeps the feeds that its text states."""
     return replace(program, motions=replace(program.motions, feed=feed), feed_as_read=program.motions.feed)
 
 
-_CAPPINGS = 4
-"""Largest number of conversions at feeds that the one before has lowered (assumed)."""
+_MOST_CAPPINGS = 4
+"""Largest number of conversions at feeds that the conversion before has lowered (assumed)."""
 _CAPPED = "feed-capped"
 """Kind of the issue that names moves at feed in which a joint would turn too fast."""
 
@@ -132,13 +135,13 @@ def at_written_feed(
 ) -> Result:
     """Correct a program, or write it as it is, under the forces of the feeds that are written.
 
-    With ``[limits] feed = "cap"`` moves are slowed to what the joints can do: their chips are thinner than those of the
-    program, and the forces are computed again.
+    With ``[limits] feed = "cap"`` moves are slowed to the speed limits of the joints. Their chips are then thinner than
+    programmed, and the forces are computed again. The issues of the last slowed moves are kept.
 
-    :param source: forces of the process.
+    :param source: source of the forces of the process; other parameters: see `correction.process`.
     """
     result = correction.process(program, robot, cell, source, mode, linearize_arcs=linearize_arcs, to=to)
-    for _ in range(_CAPPINGS):
+    for _ in range(_MOST_CAPPINGS):
         capped_feeds = tuple(issue for issue in result.issues if issue.kind == _CAPPED)
         if not capped_feeds or result.failed:
             break
@@ -152,11 +155,11 @@ def at_written_feed(
 class _Search:
     """Bounds of the feed of each motion, by false position.
 
-    :ivar open: (M,) motions whose feed may be lowered.
+    :ivar is_open: (M,) motions whose feed may be lowered.
     :ivar feed: (M,) feeds of the last trial [m/s].
     :ivar low: (M,) highest feed known to hold the tolerance [m/s]; `high`: (M,) lowest feed known to exceed it.
-    :ivar error_low, error_high: (M,) errors [m] at these feeds; halved towards the limit by the Illinois method.
-    :ivar was_good: (M,) motions whose last trial raised `low`; `was_bad`: (M,) whose last trial lowered `high`.
+    :ivar error_low, error_high: (M,) errors [m] at `low` and `high`; halved towards the limit by the Illinois method.
+    :ivar was_raised: (M,) motions whose last trial raised `low`; `was_lowered`: (M,) whose last trial lowered `high`.
     :ivar power: 1 − mc: chip forces grow with feed^power.
     """
 
@@ -173,120 +176,129 @@ class _Search:
     ) -> None:
         """Begin with the programmed feeds.
 
-        :param tip_speed: (M,) at the programmed feeds [m/s]: higher feeds are no faster.
-        :param tolerance: of the part [m]; `min_feed`: least feed [m/s]; `power`: chip forces grow with feed^power.
+        :param tip_speed: (M,) speeds of the tip at the programmed feeds [m/s]; higher feeds have no effect.
+        :param tolerance: tolerance of the part [m]; `min_feed`: least feed [m/s].
+        :param power: chip forces grow with feed^power.
         :param error: (M,) expected errors at the programmed feeds [m].
-        :param uses_min_feed: motions that no feed holds get the least one; else they keep theirs.
+        :param uses_min_feed: motions that exceed the tolerance at each feed get the least feed; else they keep the
+            programmed feed.
         """
-        m = program.motions
-        self.nominal_program, self.power, self.feed = program, power, m.feed
+        motions = program.motions
+        self.nominal_program, self.power, self.feed = program, power, motions.feed
         self.limit, self.uses_min_feed = tolerance, uses_min_feed
         self.high, self.error_high = tip_speed.copy(), error
-        self.min_feeds = np.minimum(tip_speed, np.ceil(min_feed / _STEP) * _STEP)
-        self.low, self.error_low = self.min_feeds.copy(), np.zeros(len(m))
-        self.was_good, self.was_bad = np.zeros(len(m), dtype=bool), np.zeros(len(m), dtype=bool)
-        self.open: Bools = np.asarray(~m.rapid & (error > tolerance) & (self.low < self.high))
+        self.min_feeds = np.minimum(tip_speed, np.ceil(min_feed / _FEED_STEP) * _FEED_STEP)
+        self.low, self.error_low = self.min_feeds.copy(), np.zeros(len(motions))
+        self.was_raised, self.was_lowered = np.zeros(len(motions), dtype=bool), np.zeros(len(motions), dtype=bool)
+        self.is_open: Bools = np.asarray(~motions.rapid & (error > tolerance) & (self.low < self.high))
 
-    def program(self, feed: Array) -> Program:
-        """Return the program with other feeds (M,) for open motions."""
-        self.feed = np.where(self.open, feed, self.nominal_program.motions.feed)
+    def program_at(self, feed: Array) -> Program:
+        """Return the program with feeds (M,) [m/s] for open motions; `feed` is set to the feeds of all motions."""
+        self.feed = np.where(self.is_open, feed, self.nominal_program.motions.feed)
         return _with_feed(self.nominal_program, self.feed)
 
-    def start(self, error: Array) -> Bools:
-        """Take the errors (M,) at the least feeds.
+    def take_least_feed_errors(self, error: Array) -> Bools:
+        """Set `error_low` to the errors (M,) [m] at the least feeds.
 
-        :returns: (M,) True where they exceed the tolerance.
+        :returns: (M,) open motions that exceed the tolerance even at the least feed.
         """
         self.error_low = error.copy()
-        return np.asarray(self.open & (error > self.limit))
+        return np.asarray(self.is_open & (error > self.limit))
 
-    def give_up(self, unheld: Bools) -> None:
-        """Settle the feed of motions (M,) that no feed holds."""
+    def settle(self, unheld: Bools) -> None:
+        """Fix the feed of motions (M,) that exceed the tolerance at each feed, see `uses_min_feed`.
+
+        With the least feed both bounds become equal; else the motion is no longer open.
+        """
         if self.uses_min_feed:
             self.high[unheld] = self.low[unheld] = self.min_feeds[unheld]
         else:
-            self.open = self.open & ~unheld
+            self.is_open = self.is_open & ~unheld
 
     def trial_feeds(self) -> Array:
-        """Return the feeds (M,) of the next trial [m/s], by false position in feed^power, as multiples of `_STEP`."""
+        """Return the feeds (M,) of the next trial [m/s], multiples of `_FEED_STEP`, by false position in feed^power."""
         low, high = self.low**self.power, self.high**self.power
         gap = self.error_high - self.error_low
         share = np.clip((self.limit - self.error_low) / np.where(gap > 0.0, gap, 1.0), 0.0, 1.0)
-        feed = (low + share * (high - low)) ** (1.0 / self.power) * np.where(self.low < self.high, _AIM, 1.0)
-        # a feed that is a multiple of the step but for rounding stays one
-        return np.asarray(np.clip(np.floor(feed / _STEP + 1e-6) * _STEP, self.low, self.high))
+        feed = (low + share * (high - low)) ** (1.0 / self.power) * np.where(self.low < self.high, _TRIAL_SHARE, 1.0)
+        # 1e-6: a feed that is a multiple of the step but for rounding is not lowered by a step
+        return np.asarray(np.clip(np.floor(feed / _FEED_STEP + 1e-6) * _FEED_STEP, self.low, self.high))
 
     def take_errors(self, error: Array) -> bool:
         """Narrow the bounds of the feeds by the errors (M,) [m] of the last trial.
 
-        :returns: whether the feeds of the trial are final: all hold the tolerance and are within `_CLOSE` of the
-            highest feeds that do.
+        :returns: whether the feeds of the trial are final: all hold the tolerance, and could be higher by the share
+            `_LARGEST_RESERVE_SHARE` at most.
         """
         is_fixed = self.low >= self.high
         is_within = error <= self.limit
-        is_raised, is_lowered = self.open & ~is_fixed & is_within, self.open & ~is_fixed & ~is_within
+        is_raised, is_lowered = self.is_open & ~is_fixed & is_within, self.is_open & ~is_fixed & ~is_within
         reserve = np.minimum(self._reserve(error), self.high - self.feed)
-        is_final = is_fixed | (is_raised & (reserve <= _CLOSE * self.feed))
-        # Illinois method: where one bound moves twice in turn, the error at the other one counts half
-        repeats_good, repeats_bad = is_raised & self.was_good, is_lowered & self.was_bad
+        is_final = is_fixed | (is_raised & (reserve <= _LARGEST_RESERVE_SHARE * self.feed))
+        # Illinois method: where a bound moves twice in turn, the distance of the other error from the limit is halved
+        repeats_good, repeats_bad = is_raised & self.was_raised, is_lowered & self.was_lowered
         self.error_high[repeats_good] = 0.5 * (self.limit + self.error_high[repeats_good])
         self.error_low[repeats_bad] = 0.5 * (self.limit + self.error_low[repeats_bad])
-        is_stuck = is_lowered & (self.feed <= self.low)  # the error depends on the motions before, too
+        # a feed that held the tolerance now exceeds it, because errors depend on the motions before too
+        is_stuck = is_lowered & (self.feed <= self.low)
         unheld = is_stuck & (self.feed <= self.min_feeds)
         self.low[is_raised], self.error_low[is_raised] = self.feed[is_raised], error[is_raised]
-        self.low[is_stuck] = np.maximum(self.min_feeds, _BACKSTEP * self.low)[is_stuck]
+        self.low[is_stuck] = np.maximum(self.min_feeds, _BACKSTEP_SHARE * self.low)[is_stuck]
         self.high[is_lowered], self.error_high[is_lowered] = self.feed[is_lowered], error[is_lowered]
-        self.was_good, self.was_bad = is_raised, is_lowered
-        self.give_up(unheld)
-        return bool(np.all(~self.open | is_final)) and not (unheld.any() and not self.uses_min_feed)
+        self.was_raised, self.was_lowered = is_raised, is_lowered
+        self.settle(unheld)
+        return bool(np.all(~self.is_open | is_final)) and not (unheld.any() and not self.uses_min_feed)
 
     def _reserve(self, error: Array) -> Array:
-        """Return by how much the feed (M,) could be higher [m/s], by the smaller of the slopes below and above it.
+        """Return by how much the feed (M,) could be higher [m/s]: (limit − error) / slope of the error over the feed.
 
-        Where the error bends upwards the slope above is too large, where it bends downwards the one below.
+        The slope is that of the secant to `low` or to `high`, whichever is smaller: the reserve is rather too large.
+
+        :param error: (M,) errors at the present feeds [m].
         """
-        upper_slope = (self.error_high - error) / np.maximum(self.high - self.feed, _STEP)
-        lower_slope = (error - self.error_low) / np.maximum(self.feed - self.low, _STEP)
+        upper_slope = (self.error_high - error) / np.maximum(self.high - self.feed, _FEED_STEP)
+        lower_slope = (error - self.error_low) / np.maximum(self.feed - self.low, _FEED_STEP)
         lower_slope = np.where(self.feed > self.low, lower_slope, np.inf)
         slope = np.minimum(upper_slope, lower_slope)
         return np.asarray((self.limit - error) / np.maximum(slope, _SMALLEST_SLOPE))
 
 
 def _largest_by_motion(result: Result) -> Array:
-    """Return the largest expected error (M,) [m] of each motion; 0 without a target or a cut."""
+    """Return the largest expected error (M,) [m] of each motion; 0 for a motion without targets, or without a cut."""
     largest_error = np.zeros(len(result.program.motions))
     if result.expected is not None:
         np.maximum.at(largest_error, result.motion, result.expected)
     return largest_error
 
 
-_ROUNDS = 8
+_MOST_ROUNDS = 8
 """Largest number of sweeps with a displaced tip (assumed)."""
-_FIRST = 0.9
-"""Share of the deflection on the nominal path that is tried first: the tool that deflects cuts less."""
-_LARGEST = 0.8
-"""Largest share of the last change of the deflection that is taken back: it oscillates by no more, but at walls."""
+_FIRST_OFFSET_SHARE = 0.9
+"""Share of the deflection on the nominal path as the first displacement: a deflected tool cuts less."""
+_LARGEST_OVERSHOOT = 0.8
+"""Largest share of the last change of the deflection that counts as overshoot (assumed)."""
 _CONVERGENCE = 2e-6
-"""Force and deflection agree when the deflection is known to this [m] RMS along the cutting path,"""
-_SHARE = 0.05
-"""or to this share of it;"""
-_CONTACT = 0.05
-"""after two rounds without this share of the path, where it differs most: where a drill meets the bottom of the last
-peck, its thrust pushes it back out of contact, and no deflection agrees with its force."""
+"""Force and deflection agree if the next change of the deflection is below this [m] (RMS along the cutting path),"""
+_CONVERGENCE_SHARE = 0.05
+"""or below this share of the deflection (RMS)."""
+_LOST_CONTACT_SHARE = 0.05
+"""After two rounds, this share of the path with the largest residuals is left out: where a drill meets the bottom of
+the last peck, its thrust pushes it back out of contact, and no deflection agrees with its force."""
 
 
 def read(path: Path, cell: Cell, progress: Callable[[int, int], None] | None = None) -> ProcessSource:
     """Return the source of forces of a process.
 
-    :param progress: called with the segments of the path done, and their number, in each sweep of the stock.
-    :raises ForceError: it is unusable.
+    :param progress: called in each sweep of the stock with the number of segments done, and of all segments; None: not
+        reported.
+    :raises ForceError: the process is unusable.
     """
     guard = None if cell.collision is None else partial(_guard, cell.collision)
     return ProcessSource(machining.load(path), cell.tool.axis, guard=guard, progress=progress)
 
 
 def _guard(table: Collision) -> Guard:
-    """Return what must stay clear of the stock: the cylinders of the tool above the cutter.
+    """Return the bodies that must stay clear of the stock: the cylinders of the tool that do not cut.
 
     :param table: `[collision]` of the cell.
     """
@@ -304,9 +316,10 @@ def stock(process: ProcessForces) -> bytes:
 def _real_cut_message(
     nominal_wrench: Runs, real_wrench: Runs, nominal: ProcessSource, real: ProcessSource, rounds: int
 ) -> str:
-    """Return the sentence that compares forces and removed material of the deflected tool with the nominal ones.
+    """Return the sentence that compares largest force and removed volume of the deflected tool with the nominal values.
 
     :param nominal_wrench: (n, 6) on the nominal path; `real_wrench`: (m, 6) of the deflected tool [N, N·m].
+    :param nominal: source of the forces on the nominal path; `real`: source of the forces of the deflected tool.
     :param rounds: number of rounds of the iteration.
     """
     nominal_force, real_force = (
@@ -331,8 +344,8 @@ def predict_in_material(
     The deflection of the tool leaves material or removes more; force and remaining stock are those of this cut. A round
     is one sweep of the stock and the loaded equilibrium at the samples of the nominal path.
 
-    :returns: the result, and the source of forces of the deflected tool; the given one where force and deflection
-        cannot be iterated.
+    :returns: the result, and the source of forces of the deflected tool. If the program cannot be followed under load,
+        or the source has no swept stock, they are those of the nominal engagement.
     """
     try:
         motions = MotionsUnderLoad.of(program, RobotInCell.of(robot, cell), source)
@@ -356,9 +369,9 @@ def predict_in_material(
 class _RealCut(NamedTuple):
     """Cut of the deflected tool.
 
-    :param source: its forces.
+    :param source: source of the forces of the cut.
     :param rounds: number of sweeps with a displaced tip.
-    :param is_settled: True if force and deflection agree.
+    :param is_settled: whether force and deflection agree.
     """
 
     source: ProcessSource
@@ -367,18 +380,21 @@ class _RealCut(NamedTuple):
 
 
 def _real_cut(path: PathUnderLoad, source: ProcessSource, deviation: Array) -> _RealCut:
-    """Return the cut whose forces deflect the tool by as much as it was displaced for the cut, or the last one tried.
+    """Return the cut whose forces deflect the tool by as much as the tip was displaced for the cut.
+
+    After `_MOST_ROUNDS` rounds without agreement, the last cut is returned, with `is_settled` False.
 
     :param path: N samples of the nominal path, under the forces of the nominal engagement.
-    :param source: these forces.
-    :param deviation: (N, 3) of the tip under them, `$BASE` [m].
+    :param source: source of the forces of the nominal engagement.
+    :param deviation: (N, 3) deviation of the tip under these forces, `$BASE` [m].
     """
     motions, sample = path.motions, path.sample
     spindle, ramp = motions.robot_in_cell.spindle, motions.robot_in_cell.ramp
     weight = _weights(path)
     cut, rounds, is_settled = source, 0, False
-    residual, offset, last_shift = deviation, _FIRST * deviation, _FIRST * deviation
-    while not is_settled and rounds < _ROUNDS:
+    residual, offset, last_shift = deviation, _FIRST_OFFSET_SHARE * deviation, _FIRST_OFFSET_SHARE * deviation
+    # offset: displacement of the tip for the cut; residual: deviation less offset, zero if they agree
+    while not is_settled and rounds < _MOST_ROUNDS:
         rounds += 1
         cut = source.shift_tip(Shift.of(path.program, sample.motion, sample.t, offset))
         path_forces = forces.assign(path.program, motions.segments, cut, spindle, ramp)
@@ -386,7 +402,7 @@ def _real_cut(path: PathUnderLoad, source: ProcessSource, deviation: Array) -> _
         deviation = deviation + change
         residual, last_residual = deviation - offset, residual
         shift = residual - _overshoot(residual, residual - last_residual, weight) * change
-        limit = max(_CONVERGENCE, _SHARE * _rms(deviation, weight))
+        limit = max(_CONVERGENCE, _CONVERGENCE_SHARE * _rms(deviation, weight))
         is_settled = _next_change(change, last_shift, shift, weight) < limit
         if rounds > 1 and not is_settled:
             is_settled = _next_change(change, last_shift, shift, _contact_weights(weight, residual)) < limit
@@ -396,7 +412,9 @@ def _real_cut(path: PathUnderLoad, source: ProcessSource, deviation: Array) -> _
 
 def _deviation(path: PathUnderLoad) -> Array:
     """Return the deviation (N, 3) [m] of the uncorrected tip from the N samples of a path, `$BASE` axes."""
-    theta = np.broadcast_to(0.0, (len(path), path.robot_in_cell.robot.actual.nv))
+    theta = np.broadcast_to(
+        0.0, (len(path), path.robot_in_cell.robot.actual.nv)
+    )  # first guess of the joint deflections
     return correction.uncorrected_deviations(path, np.arange(len(path)), theta)[0]
 
 
@@ -406,7 +424,7 @@ def _weights(path: PathUnderLoad) -> Array:
     Samples are dense where forces change, so means over the path need these weights.
     """
     sample, motions = path.sample, path.program.motions
-    is_continued = np.ones(len(sample), dtype=bool)
+    is_continued = np.ones(len(sample), dtype=bool)  # forces are continuous between samples
     return toolpath.cut_lengths(motions, path.motions.segments.length, sample.motion, sample.t, is_continued)
 
 
@@ -433,22 +451,25 @@ def convert_with_held_feed(
 def _overshoot(residual: Array, change: Array, weight: Array) -> float:
     """Return the share of the last change of the deflection that overshoots the fixed point of force and deflection.
 
-    Anderson's acceleration of a fixed point with one step of memory (Walker and Ni, SIAM J. Numer. Anal. 49, 2011).
+    It is Σ w r·c / Σ w c·c, between 0 and `_LARGEST_OVERSHOOT`, with residual r, change c and weight w: Anderson's
+    acceleration of a fixed point with one step of memory (Walker and Ni, SIAM J. Numer. Anal. 49, 2011).
 
-    :param residual: (n, 3) deflection less that assumed for the cut; change: (n, 3) of it in this round.
-    :param weight: (n,) of the places.
+    :param residual: (n, 3) deflection less the displacement of the tip for the cut [m].
+    :param change: (n, 3) change of the residual in this round [m].
+    :param weight: (n,) weights of the samples.
     """
     squared_change = float(weight @ np.sum(change * change, axis=1))
     share = float(weight @ np.sum(residual * change, axis=1)) / squared_change if squared_change > 0.0 else 0.0
-    return float(np.clip(share, 0.0, _LARGEST))
+    return float(np.clip(share, 0.0, _LARGEST_OVERSHOOT))
 
 
 def _next_change(change: Array, shift: Array, next_shift: Array, weight: Array) -> float:
     """Return an estimate [m] of the change of the deflection in the next round.
 
-    :param change: (n, 3) change of the deflection in this round, when the cut was displaced by `shift` (n, 3) more.
-    :param next_shift: (n, 3) by how much it is displaced next.
-    :param weight: (n,) of the samples in the mean.
+    :param change: (n, 3) change of the deflection in this round [m].
+    :param shift: (n, 3) change of the displacement of the cut in this round [m].
+    :param next_shift: (n, 3) change of the displacement in the next round [m].
+    :param weight: (n,) weights of the samples.
     """
     # the deflection follows a displacement of the cut as it did in this round, but does not grow beyond it
     rate = _rms(change, weight) / max(_rms(shift, weight), _CONVERGENCE)
@@ -456,24 +477,24 @@ def _next_change(change: Array, shift: Array, next_shift: Array, weight: Array) 
 
 
 def _contact_weights(weight: Array, residual: Array) -> Array:
-    """Return the weights without the samples of the largest residuals, which have no weight then.
+    """Return the weights (n,), set to zero for the samples with the largest residuals.
 
-    Samples are left out as long as their weights together are no more than the share `_CONTACT` of all: these are the
-    places where the tool loses contact, whose force agrees with no deflection.
+    Together these samples have the share `_LOST_CONTACT_SHARE` of all weights at most. The tool loses contact there,
+    and no deflection agrees with its force.
 
     :param weight: (n,) length of path [m] that each sample represents.
-    :param residual: (n, 3) deflection less that assumed for the cut [m].
+    :param residual: (n, 3) deflection less the displacement of the tip for the cut [m].
     """
     largest_first = np.argsort(-norm(residual))
     cumulated_weight = np.cumsum(weight[largest_first])
-    left_out_count = np.searchsorted(cumulated_weight, _CONTACT * weight.sum(), side="right")
+    left_out_count = np.searchsorted(cumulated_weight, _LOST_CONTACT_SHARE * weight.sum(), side="right")
     contact_weight = weight.copy()
     contact_weight[largest_first[:left_out_count]] = 0.0
     return contact_weight
 
 
 def _rms(vectors: Array, weight: Array) -> float:
-    """Return the weighted root mean square of the lengths of vectors (n, 3)."""
+    """Return the weighted root mean square of the lengths of vectors (n, 3); 0 if all weights (n,) are zero."""
     total = float(weight.sum())
     return float(np.sqrt(weight @ np.einsum("ni,ni->n", vectors, vectors) / total)) if total > 0.0 else 0.0
 
@@ -481,12 +502,12 @@ def _rms(vectors: Array, weight: Array) -> float:
 class ForcesRequest(Struct, frozen=True, kw_only=True):
     """Inputs and output files of `postproc forces`.
 
-    :param program: file.
-    :param process: process.toml.
+    :param program: program file; `cell`: cell file; `process`: process.toml.
     :param output: CSV file to write; a JSON file of the same name is written next to it.
-    :param stock: mesh, instead of the stock of the process.
-    :param stock_out: file for the remaining stock.
-    :param base_axes: wrenches in `$BASE` axes, not FEED.
+    :param stock: mesh of the stock before the program; None: the stock of the process.
+    :param stock_out: mesh file to write for the remaining stock; None: it is not written.
+    :param base_axes: write wrenches in `$BASE` axes; else in FEED axes.
+    :param dialect: name of the format of the program; None: by the extension.
     """
 
     program: Path
@@ -501,7 +522,7 @@ class ForcesRequest(Struct, frozen=True, kw_only=True):
 
 
 class ForcesFiles(Struct, frozen=True, eq=False):
-    """Forces as they were written: the summary, what the user should know, and the files."""
+    """Forces as they were written: their summary, issues for the user, and the files."""
 
     summary: process_forces.ForcesSummary
     issues: tuple[Issue, ...]
@@ -509,7 +530,9 @@ class ForcesFiles(Struct, frozen=True, eq=False):
 
 
 def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | None = None) -> ForcesFiles:
-    """Compute the forces of a program and write them, whole or not at all.
+    """Compute the forces of a program and write them: all files or none.
+
+    :param progress: see `read`.
 
     :raises PostprocError: an input is unusable, or an output must not be written.
     """
@@ -519,7 +542,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     program, cell = read_with_start(request.program, robot, cell, request.dialect)
     robot_in_cell = RobotInCell.of(robot, cell)
     path = segments_in_cell(program, robot_in_cell)
-    folder, names = _names(request)
+    folder, names = _output_names(request)
     protect(filter(None, (request.program, request.cell, request.process, request.stock)), folder, names)
     if not request.overwrite:
         refuse(foreign(folder, names, names[-1]))
@@ -550,10 +573,10 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     return ForcesFiles(content, issues, tuple(write_whole(folder, record)))
 
 
-def _names(request: ForcesRequest) -> tuple[Path, list[str]]:
-    """Return the output folder and the names of the files to write.
+def _output_names(request: ForcesRequest) -> tuple[Path, list[str]]:
+    """Return the output folder and the names of the files to write: table, remaining stock if any, and JSON.
 
-    :raises InputError: two folders, or an unknown kind of mesh.
+    :raises InputError: table and stock are in different folders, or the stock is of an unknown kind of mesh.
     """
     folder, names = request.output.parent, [request.output.name]
     if request.stock_out is not None:
@@ -569,7 +592,10 @@ def _names(request: ForcesRequest) -> tuple[Path, list[str]]:
 
 
 def _knots(program: Program, process: Process, forces: ProcessForces | None) -> Knots:
-    """Return the forces of all moves; those of operations take precedence."""
+    """Return the forces of all moves: stated forces of operations, and computed forces for other moves.
+
+    :param forces: computed forces; None: the process has no material, and only operations state forces.
+    """
     if forces is None:
         return machining.operation_knots(program, process)
     return machining.operation_knots(program, process).or_fallback(forces.knots) if process.operations else forces.knots
@@ -582,7 +608,8 @@ def identify_forces(
 
     :param readings_path: CSV file of readings.
     :param process: process.toml with the tool.
-    :param tool: number or name of the tool; None: the only one.
+    :param output: TOML file to write.
+    :param tool: number or name of the tool; None: the process has a single tool.
     :raises PostprocError: the readings are unusable, or the file must not be replaced.
     :returns: the coefficients, and the written files.
     """
@@ -602,8 +629,10 @@ def identify_forces(
 
 
 def propose_cuts(process: Path, output: Path, tool: str | None, *, overwrite: bool = False) -> list[Path]:
-    """Write test cuts as G-code, and the CSV file to fill in next to it.
+    """Write test cuts as G-code, and the CSV file for their readings next to it; return the written files.
 
+    :param process: process.toml with the tool; `output`: G-code file to write.
+    :param tool: number or name of the tool; None: the process has a single tool.
     :raises PostprocError: the process has no such tool, or a file must not be replaced.
     """
     process_file = machining.load(process, tools_only=True)

@@ -33,44 +33,44 @@ from postproc.robot import RobotModel
 _ROBOT, _RAPID_ROBOT = "kuka_kr270", "abb_irb6700_200_260"
 """Robot of the trial readings: what a CAM program means does not depend on it."""
 _START = (0.0, -90.0, 100.0, 0.0, 80.0, 0.0)
-"""Clear of singular poses; what a program needs does not depend on it."""
+"""Start joints [deg], clear of singular poses; the needs of a program do not depend on them."""
 _CLEARANCE_MM = 200.0
-"""What a program needs does not depend on this height."""
+"""Height of retracts in trial readings [mm]; the needs of a program do not depend on it."""
 _SIDE_MM = 5.0
-"""A stock that nobody states is taken this much larger on each side than what the tools sweep [mm] (assumed)."""
+"""A stock without a stated size is larger than what the tools sweep by this on each side [mm] (assumed)."""
 
 
 _ARC_STEP = np.radians(3.0)
-"""Points on arcs: the widest ones are missed by a third of a thousandth of the radius."""
-_UPRIGHT = float(np.cos(np.radians(30.0)))
-"""A tool that is tilted by more cuts on its way up (assumed)."""
-_LOW_M = 1e-4
-"""A rapid move that ends this much below the highest cut is beside the stock [m] (assumed)."""
+"""Largest angle between points on arcs [rad]: the extremes of an arc are missed by 0.034 % of its radius."""
+_LEAST_UPRIGHT_COSINE = float(np.cos(np.radians(30.0)))
+"""Cosine of the largest tilt at which a tool that goes up does not cut (assumed)."""
+_LEAST_DEPTH_M = 1e-4
+"""A rapid move that ends below the highest cut by more than this is beside the stock [m] (assumed)."""
 
 
 class ProgramNeeds(Struct, frozen=True):
-    """What a program needs, and what it states itself.
+    """Needs of a program, and values that it states itself.
 
     :param file: path of the program.
     :param dialect: name of its format.
     :param tools: T numbers of its tool changes, in order of first use.
-    :param robot_tools: n of each `TOOL_DATA[n]` (KRL), or name of each tooldata (RAPID), that cuts in a robot program,
-        where there are several.
-    :param cutters: T number → cutter as comments describe it; 0 for a program without tool numbers.
+    :param robot_tools: tools that cut in a robot program, if there are several: n of `TOOL_DATA[n]` (KRL), or name of
+        the tooldata (RAPID).
+    :param cutters: T number → cutter as comments describe it; number 0 in a program without tool numbers.
     :param work_offsets: codes of work offsets other than G54.
     :param frames: tables of the cell for frames of the controller that it names by number, such as ``"base_data.3"``.
     :param m_codes: M codes of the machine.
     :param rotary: letters of its rotary axes.
-    :param tip_controlled: it switches tool-centre-point control on.
+    :param tip_controlled: whether it switches tool-centre-point control on.
     :param switches: what it switches on: ``"spindle"``, ``"coolant"``.
     :param settings: settings that the reader needs: ``"home"``, ``"radius_offsets"``, ``"dwell_unit"``.
-    :param has_forces: it states its cutting forces in comments.
-    :param has_speeds: it states spindle speeds.
+    :param has_forces: whether it states its cutting forces in comments.
+    :param has_speeds: whether it states spindle speeds.
     :param span: smallest and largest X, Y, Z of its cutting moves in `$BASE` with all work offsets at zero [mm]; None:
         it could not be read, does not cut, or turns axes without tool-centre-point control.
     :param low_rapids: X, Y of rapid moves that end below the top of its cuts [mm]: no stock is there at first.
     :param stock_mm: lengths of the stock along X, Y, Z that comments state [mm].
-    :param refusal: why it cannot be converted, whatever is answered; empty: it can be read.
+    :param refusal: why it cannot be converted with any answer; empty: it can be read.
     """
 
     file: Path
@@ -94,7 +94,7 @@ class ProgramNeeds(Struct, frozen=True):
 
     @property
     def is_of_robot(self) -> bool:
-        """Whether it is a program of a robot already: it moves and retracts as it states."""
+        """Whether it is a robot program, which states itself how it moves and retracts."""
         return registry.dialect_of_name(self.dialect).writer is not None
 
     @property
@@ -104,7 +104,7 @@ class ProgramNeeds(Struct, frozen=True):
 
     @property
     def cutter_keys(self) -> tuple[str, ...]:
-        """Keys in [tools] of a process of the cutters of the program."""
+        """Keys in [tools] of a process for the cutters of the program; `DEFAULT` if it names no tools."""
         return tuple(str(number) if number else DEFAULT for number in self.tools) or self.robot_tools or (DEFAULT,)
 
     @property
@@ -113,7 +113,8 @@ class ProgramNeeds(Struct, frozen=True):
         return self.tools[0] if len(self.tools) == 1 else None
 
     def cutter(self, key: str) -> CommentedTool:
-        """Return what comments say of the cutter with a key in [tools] of a process."""
+        """Return the cutter with a key in [tools] of a process as comments describe it; empty if they do not."""
+        # −1: a key that is no number, which no comment describes
         number = 0 if key == DEFAULT else int(key) if key.isdecimal() else -1
         return self.cutters.get(number, CommentedTool())
 
@@ -146,7 +147,7 @@ class ProgramNeeds(Struct, frozen=True):
 
 
 def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
-    """Return the settings that a program needs from a cell.
+    """Return the needs of a program.
 
     :param dialect: name of its format; None: by the extension.
     :raises ProgramError: the file cannot be read.
@@ -184,21 +185,22 @@ def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
 
 
 def _add_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
-    """Return the needs with tools, forces, speeds and extents of the program that was read."""
+    """Return the needs with tools, forces, speeds and extents of the program as it was read."""
     motions = program.motions
     tools = needs.tools or tuple(
         dict.fromkeys(int(event.value) for event in program.events if event.kind == "tool_change")
     )
     cutting_tools = distinct(motions.tool[~np.asarray(motions.rapid)]).tolist() if program.tool_keys else []
     cutter_keys = dict.fromkeys(key for row in cutting_tools for key in program.tool_keys[row])
-    robot_tools = sorted(cutter_keys, key=lambda key: int(key) if key.isdecimal() else 0)
+    robot_tools = sorted(cutter_keys, key=lambda key: int(key) if key.isdecimal() else 0)  # names keep their order
     return replace(
         needs,
         tools=tools,
         robot_tools=tuple(robot_tools) if len(robot_tools) > 1 else (),
         has_forces=bool(program.notes),
         has_speeds=any(event.kind in ("spindle_on", "spindle_ccw") and event.value > 0.0 for event in program.events),
-        span=None if needs.rotary and not needs.tip_controlled else _span(program),  # it may be that of machine axes
+        # without tool-centre-point control X, Y, Z may be machine axes, not the tip in the part
+        span=None if needs.rotary and not needs.tip_controlled else _span(program),
         low_rapids=_low_rapids(program),
     )
 
@@ -206,7 +208,8 @@ def _add_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
 def _low_rapids(program: Program) -> tuple[tuple[float, float], ...]:
     """Return X, Y of rapid moves that end below the highest cutting target, each once to 1 mm.
 
-    Moves to a place where a cut ended before are left out, such as those into a hole between two pecks.
+    Points are in the order of the moves. Moves to a place where a cut ended before are left out, such as moves into a
+    hole between two pecks.
     """
     motions = program.motions
     ends = motions.target.position
@@ -214,9 +217,9 @@ def _low_rapids(program: Program) -> tuple[tuple[float, float], ...]:
     if rapid.all():
         return ()
     places = [tuple(place) for place in np.round(ends[:, :2] * MM_PER_M).tolist()]
-    cutting = _cutting(program)
+    cutting = _cutting_motions(program)
     top = ends[cutting, 2].max() if len(cutting) else 0.0
-    is_low = rapid & (ends[:, 2] < max(0.0, top) - _LOW_M)
+    is_low = rapid & (ends[:, 2] < max(0.0, top) - _LEAST_DEPTH_M)  # the stock reaches up to Z 0 at least
     cut_places: set[tuple[float, ...]] = set()
     points: dict[tuple[float, float], None] = {}
     for place, is_rapid, ends_low in zip(places, rapid.tolist(), is_low.tolist(), strict=True):
@@ -228,7 +231,9 @@ def _low_rapids(program: Program) -> tuple[tuple[float, float], ...]:
 
 
 def _exclude_points(low: Array, high: Array, points: Sequence[tuple[float, float]], margin: float) -> None:
-    """Move the nearest side of a box inwards, in place, so far that a tool at these points does not touch it.
+    """Move sides of a box inwards, in place, so that a tool at some points does not touch it.
+
+    Each point moves the side that is nearest to it.
 
     Points more than two margins inside are taken to be in material that was cut before, and move no side.
 
@@ -246,19 +251,21 @@ def _exclude_points(low: Array, high: Array, points: Sequence[tuple[float, float
                 high[axis] = (x, y)[axis] - margin
 
 
-def _cutting(program: Program) -> Ints:
+def _cutting_motions(program: Program) -> Ints:
     """Return the indices of the motions that cut, sorted.
 
-    They are not rapid and no retract at feed of an upright tool. If comments state forces, they are under a force.
+    A motion cuts if it is not rapid and no retract of an upright tool at feed. If comments state forces, it must also
+    be under a force.
     """
     is_cutting = ~np.asarray(program.motions.rapid)
     target: Array = program.motions.target[:]
     columns = [0, 2] if program.keeps_text else [2]  # the axis of the tool: a robot program does not say which it is
-    is_upright = (np.abs(target[:, 2, columns]) > _UPRIGHT).any(axis=1)
+    is_upright = (np.abs(target[:, 2, columns]) > _LEAST_UPRIGHT_COSINE).any(axis=1)
     is_cutting &= ~(toolpath.retract_motions(target[:, :3, 3], np.array([0.0, 0.0, 1.0])) & is_upright)
     if program.notes:
         begins = np.array([note.before for note in program.notes])
         is_loaded = np.array([False, *(any(note.wrench) for note in program.notes)])
+        # number of notes up to each motion: its last note holds, and before the first there is no force
         is_cutting &= is_loaded[np.searchsorted(begins, np.arange(len(is_cutting)), side="right")]
     return np.flatnonzero(is_cutting)
 
@@ -266,11 +273,10 @@ def _cutting(program: Program) -> Ints:
 def _span(program: Program) -> tuple[tuple[float, float, float], tuple[float, float, float]] | None:
     """Return the corners (smallest X, Y, Z; largest X, Y, Z) of the box of cutting moves in `$BASE` [mm].
 
-    None: the program does not cut.
-
-    The start of a move counts with its X and Y only: a plunge starts above the material.
+    The start of a move counts with its X and Y only: a plunge starts above the material. None: the program does not
+    cut.
     """
-    cutting = _cutting(program)
+    cutting = _cutting_motions(program)
     if not len(cutting):
         return None
     targets: Array = program.motions.target.position
@@ -285,35 +291,34 @@ def _span(program: Program) -> tuple[tuple[float, float, float], tuple[float, fl
 def _arc_points(program: Program, cutting: Ints) -> Array:
     """Return points (n, 3) [m], `$BASE`, on the arcs of cutting motions, at most `_ARC_STEP` apart.
 
-    Their ends do not show how far they reach: a full circle ends where it begins.
+    The end of an arc does not show its extent: a full circle ends where it begins.
 
     :param cutting: indices of the cutting motions.
     """
     arcs = cutting[program.motions.kind[cutting] == CIRC]
     parts = np.ceil(program.motions.sweep[arcs] / _ARC_STEP).astype(np.int64)
     motion, t = toolpath.even_places(arcs, parts)
-    # any start of the robot: a move precedes the first arc
+    # the start pose of the robot is not used: a move precedes the first arc
     path = toolpath.segments(program, np.eye(4))
     return np.asarray(toolpath.at(program, path, motion, t).pose.position)
 
 
 _DWELL_UNITS = ("ms", "s")
-"""Answers for the trial, the usual one first: a number fits one unit or both."""
+"""Units of dwells that are tried, in this order: a number fits one unit or both."""
 _ROTARY_KINDS = ("tcp", "indexed")
-"""What X, Y, Z may be in the trial: with indexed axes the reader takes cycles too."""
+"""Kinds of rotary axes that are tried, in this order: with indexed axes the reader accepts cycles too."""
 _WITHOUT_HOME: Mapping[str, Any] = {"radius_offsets": "wear"}
 _ASSUMED_ANSWERS: Mapping[str, Any] = {"home": [0.0, 0.0, _CLEARANCE_MM], **_WITHOUT_HOME}
-"""Other settings that only some programs need, and an answer for the trial.
-
-With a home place no tilted tool retracts."""
+"""Settings that only some programs need → answer in trial readings. A retract with a tilted tool is refused if the cell
+has a home position, so `_WITHOUT_HOME` is tried too."""
 
 
 class _TrialOutcome(NamedTuple):
     """Outcome of trial readings.
 
-    :ivar program: as it is read; None: it is refused.
-    :ivar refusal: why; empty: it can be read, or frames of the controller are missing.
-    :ivar settings: settings without which it is refused.
+    :ivar program: the program as it is read; None: it cannot be read.
+    :ivar refusal: why it cannot be read; empty: it can be read, or frames of the controller are missing.
+    :ivar settings: settings without which it cannot be read.
     """
 
     program: Program | None
@@ -322,9 +327,10 @@ class _TrialOutcome(NamedTuple):
 
 
 class _Trial:
-    """Trial readings of a program with cells that lack one setting or the other, to see which ones it needs.
+    """Trial readings of a program with cells that lack some settings, to find the settings that it needs.
 
-    :param name: of the program; `dialect`: of its format.
+    :param documents: files of the program; `dialect`: name of its format.
+    :param name: name of the program; `survey`: what its text shows.
     """
 
     def __init__(self, documents: Sequence[Document], dialect: str, name: str, survey: Survey) -> None:
@@ -335,7 +341,10 @@ class _Trial:
         self.frames = reader.numbered_frames(documents) if isinstance(reader, WithNumberedFrames) else ()
 
     def outcome(self) -> _TrialOutcome:
-        """Return the program as it is read with the first answers that are not refused, and the settings it needs."""
+        """Return the program as it is read with the first answers that it accepts, and the settings that it needs.
+
+        Of a program that accepts none, the shortest refusal is returned.
+        """
         if registry.dialect_of_name(self.dialect).writer is not None:
             return self._read_robot_program()
         answers, refusals = dict(_ASSUMED_ANSWERS), []
@@ -351,26 +360,31 @@ class _Trial:
             return _TrialOutcome(None, min(refusals, key=len))  # the shorter text: another unit adds faults of its own
         settings = [
             setting
-            for setting in answers
+            for setting in answers  # needed if the program is refused without it
             if self._read({key: value for key, value in answers.items() if key != setting}, kind)[0] is None
         ]
         return _TrialOutcome(program, settings=tuple(settings))
 
     def needed_frames(self) -> tuple[str, ...]:
-        """Return the frames by number without which the program, which can be read with all, is refused."""
+        """Return the frames by number that the program needs: without one of them it is refused.
+
+        The program must be readable with all frames.
+        """
         return tuple(frame for frame in self.frames if self._read({}, frames={*self.frames} - {frame})[0] is None)
 
     def _read_robot_program(self) -> _TrialOutcome:
-        """Return a robot program as `outcome` does, never with a reason.
+        """Return a robot program as `outcome` does, without settings and without a refusal.
 
-        It may be unreadable here only because frames of the controller are missing, so that is no refusal.
+        It may be unreadable here only because frames of the controller are missing, which is no refusal.
         """
         return _TrialOutcome(self._read({})[0])
 
     def _read(
         self, answers: Mapping[str, Any], kind: str = _ROTARY_KINDS[0], frames: Collection[str] | None = None
     ) -> tuple[Program | None, str]:
-        """Return the program as it is read with some answers, or None, and the reason of a refusal, else empty.
+        """Return the program as it is read with some answers, and an empty text; if it is refused, None and the reason.
+
+        :param answers: settings by name, as in `_ASSUMED_ANSWERS`.
 
         :param kind: meaning of X, Y, Z with rotary axes, one of `_ROTARY_KINDS`.
         :param frames: frames by number that the cell states; None: all that the program names.
@@ -409,5 +423,5 @@ class _Trial:
 
 
 def _numbers(frames: Collection[str], table: str) -> Iterator[str]:
-    """Return an iterator of the numbers in names such as ``"base_data.3"`` that belong to a table of the cell."""
+    """Return an iterator over the numbers of frames in a table of the cell: ``3`` of ``"base_data.3"``."""
     return (number for name, _, number in (frame.partition(".") for frame in frames) if name == table)

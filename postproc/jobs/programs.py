@@ -32,14 +32,14 @@ PROCESS = ".toml"
 class Job(Struct, frozen=True):
     """One program to work on.
 
-    :param program: its file.
+    :param program: file of the program.
     :param dialect: name of the format to read it in.
     :param output: folder to write into.
-    :param forces: CSV file with its forces, or process.toml from which they are computed, or None.
-    :param name: of the written program and of its other files; None = that of the file.
-    :param to: name of the format to write it in; None = its own if that is written, else KRL.
-    :param named: whether the user named the file, and not only its folder or a pattern.
-    :param callers: programs of the same run that call it, which is then corrected with them and not by itself.
+    :param forces: CSV file with its forces, or process.toml from which they are computed; None: neither.
+    :param name: name of the written program and its other files; None: the name of `program`.
+    :param to: name of the format to write; None: `dialect` if postproc writes it, else KRL.
+    :param named: True if the user named the file itself; False if only its folder or a pattern.
+    :param callers: programs of the run that call this program; it is then corrected with them, not by itself.
     """
 
     program: Path
@@ -53,17 +53,17 @@ class Job(Struct, frozen=True):
 
     @property
     def keeps_text(self) -> bool:
-        """Whether the program is written as it was but for its numbers, see `Program.keeps_text`."""
+        """Whether the program is written with its own text and other numbers, see `Program.keeps_text`."""
         return registry.written_in(self.dialect, self.to)[0] == self.dialect
 
     @property
     def stem(self) -> str:
-        """Return the name of the written files, without extension."""
+        """Name of the written files, without extension."""
         return self.program.stem if self.name is None else self.name
 
     @property
     def process(self) -> Path | None:
-        """The process.toml from which its forces are computed."""
+        """The process.toml from which its forces are computed; None: they are not computed."""
         return self.forces if self.forces is not None and self.forces.suffix.lower() == PROCESS else None
 
     def reads(self) -> list[Path]:
@@ -93,9 +93,9 @@ class Job(Struct, frozen=True):
         return [f"{self.stem}{self.writer.extension}", *reports]
 
     def mains(self, mode: Mode) -> list[str]:
-        """Return the names that the main file may have, the likelier first."""
-        first = Path(self.writes(mode)[0])
-        return [first.name, *([f"{first.stem}Main{first.suffix}"] if mode != "predict" else [])]
+        """Return the names that the main file may have: its planned name, and NAMEMain if the program is divided."""
+        main_file = Path(self.writes(mode)[0])
+        return [main_file.name, *([f"{main_file.stem}Main{main_file.suffix}"] if mode != "predict" else [])]
 
     @property
     def writer(self) -> Writer:
@@ -104,14 +104,14 @@ class Job(Struct, frozen=True):
 
 
 def is_utf8(name: str) -> bool:
-    """Return whether the name of a file is text, as Python decoded it: other bytes are surrogates."""
+    """Return whether the name of a file is valid UTF-8; Python decodes invalid bytes to surrogates."""
     return not any("\ud800" <= letter <= "\udfff" for letter in name)
 
 
 def check_utf8(path: Path) -> None:
-    """Check that the name of a program is text.
+    """Check that the name of a program is valid UTF-8.
 
-    :raises InputError: it is not.
+    :raises InputError: it is not valid.
     """
     if not is_utf8(path.name):
         raise InputError("its name is not UTF-8", file=str(path), advice="Rename the file.")
@@ -128,18 +128,19 @@ def find_jobs(
 ) -> list[Job]:
     """Return a job for each program that files, folders and glob patterns name: sorted, each once.
 
-    A file that others of them call, and that is not named itself, is theirs (`Job.callers`).
+    A program that other programs call, and that the user did not name itself, has `Job.callers`.
 
-    :param inputs: of a folder, the files with a known extension are taken; of a pattern too, unless `dialect` says how
-        to read whatever it matches.
-    :param dialect: how to read all of them; None = by the extension.
-    :param forces: CSV file (for one program), process.toml (for all), or a folder that holds NAME.csv or
-        NAME.forces.csv for each.
-    :param output: folder to write into; None = a folder `corrected` next to each program.
-    :param name: of the written program, for one program; None = that of the file, made valid where it is a new one.
-    :param to: dialect to write in; None = that of the program if it is written, else KRL.
-    :raises InputError: an input names nothing or no known kind of program, it cannot be written in that dialect, the
-        name cannot be given, or that of a file that is named itself is not UTF-8.
+    :param inputs: files, folders, patterns. Of a folder or pattern, files with a known extension are taken; with a
+        `dialect`, all files that a pattern matches.
+    :param dialect: format in which all programs are read; None: by the extension.
+    :param forces: CSV file (for one program), process.toml (for all), or a folder with NAME.csv or NAME.forces.csv for
+        each program; None: programs have no file of forces.
+    :param output: folder to write into; None: a folder `corrected` next to each program.
+    :param name: name of the written program, if there is only one; None: the name of the file, changed to a valid name
+        if the program is written in another dialect.
+    :param to: dialect to write; None: that of the program if postproc writes it, else KRL.
+    :raises InputError: an input names no program of a known format, the program cannot be written in the dialect, a
+        name is given for several programs, or the name of a file that the user named is not UTF-8.
     """
     programs = _unique(path for name in inputs for path in _expand(name, dialect))
     programs = _leave_out_parts(programs, {resolve(Path(name)) for name in inputs}, dialect)
@@ -153,16 +154,16 @@ def find_jobs(
         if str(path) in inputs:
             check_utf8(path)
         folder = path.parent / "corrected" if output is None else output
-        read_as = dialect or registry.dialect_of_file(path).name
-        written_as, writer = registry.written_in(read_as, to)
-        valid_name = writer.valid_name(path.stem) if name is None and written_as != read_as else name
+        read_dialect = dialect or registry.dialect_of_file(path).name
+        written_dialect, writer = registry.written_in(read_dialect, to)
+        output_name = writer.valid_name(path.stem) if name is None and written_dialect != read_dialect else name
         jobs.append(
             Job(
                 program=path,
-                dialect=read_as,
+                dialect=read_dialect,
                 output=folder,
                 forces=file_of_program.get(path),
-                name=valid_name,
+                name=output_name,
                 to=to,
                 named=str(path) in inputs,
                 callers=tuple(callers.get(path, ())),
@@ -172,7 +173,7 @@ def find_jobs(
 
 
 def read_documents(path: Path, dialect: str) -> list[Document]:
-    """Read the files of a program: the main file, and its companions, such as the `.dat` of KRL.
+    """Return the files of a program as they are read: the main file, and its companions, such as the `.dat` of KRL.
 
     :param dialect: name of its format.
     :raises ProgramError: a file cannot be read, is empty or binary.
@@ -182,9 +183,10 @@ def read_documents(path: Path, dialect: str) -> list[Document]:
 
 
 def _expand(name: str, dialect: str | None) -> Iterator[Path]:
-    """Yield the programs of a folder, a pattern or a file name.
+    """Yield the programs of a folder, a pattern or a file name, sorted. A file name is yielded as it is.
 
-    :raises InputError: there are none.
+    :param dialect: see `find_jobs`.
+    :raises InputError: the folder or pattern has no programs.
     """
     path = Path(name)
     extensions = registry.extensions() if path.is_dir() or glob.has_magic(name) else {}
@@ -204,7 +206,10 @@ def _expand(name: str, dialect: str | None) -> Iterator[Path]:
 
 
 def _leave_out_parts(programs: list[Path], input_paths: set[Path], dialect: str | None) -> list[Path]:
-    """Return programs without the files that others of them call as parts, unless these are named one by one."""
+    """Return programs without the companion files of other programs, such as a ``.dat``, unless the user named them.
+
+    :param input_paths: files that the user named; `dialect`: see `find_jobs`.
+    """
     parts = set()
     for path in programs if len(programs) > 1 else ():
         name = dialect or (registry.dialect_of_file(path).name if path.suffix else None)
@@ -214,9 +219,12 @@ def _leave_out_parts(programs: list[Path], input_paths: set[Path], dialect: str 
 
 
 def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | None) -> dict[Path, list[Path]]:
-    """Return the programs that others call and that the user did not name: program → its callers.
+    """Return the callers of programs that other programs call: program → its callers.
 
-    Only programs of one folder and one format can call each other here.
+    Only programs of one folder and one format are searched for calls of each other.
+
+    :param unnamed: programs that the user did not name; only they are returned.
+    :param programs: all programs; `dialect`: see `find_jobs`.
     """
     folders: dict[tuple[Path, str], list[Path]] = {}
     for path in programs if len(programs) > 1 else ():
@@ -230,7 +238,7 @@ def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | N
 
 
 def _unique(paths: Iterable[Path]) -> list[Path]:
-    """Return paths without those that lead to the same file as an earlier one."""
+    """Return paths without those that lead to the file of an earlier path."""
     by_location: dict[Path, Path] = {}
     for path in paths:
         by_location.setdefault(resolve(path), path)
@@ -238,10 +246,11 @@ def _unique(paths: Iterable[Path]) -> list[Path]:
 
 
 def _force_files(programs: Sequence[Path], forces: Path | None) -> dict[Path, Path | None]:
-    """Return the force file of each program; None: it has none.
+    """Return the force file of each program; None: the program has none.
 
-    :param forces: one file for all programs, or a folder with a file for each.
-    :raises ForceError: a table of forces for several programs, or a folder without a file for any of them.
+    :param forces: a file for all programs, or a folder with a file for each program; None: no program has one.
+    :raises ForceError: a table of forces is given for several programs, the folder has no file for any program, or
+        several for one.
     """
     if forces is None:
         return dict.fromkeys(programs)
@@ -278,8 +287,8 @@ def force_files(folder: Path) -> dict[str, list[Path]]:
 def force_file(program: Path, files: Mapping[str, Sequence[Path]]) -> Path | None:
     """Return the force file of a program; None if there is none.
 
-    :param files: see `force_files`.
-    :raises ForceError: there are several.
+    :param files: name of each program → its force files, see `force_files`.
+    :raises ForceError: the program has several.
     """
     candidates = [file for file in files.get(program.stem.lower(), ()) if resolve(file) != resolve(program)]
     if len(candidates) > 1:
@@ -292,14 +301,15 @@ def force_file(program: Path, files: Mapping[str, Sequence[Path]]) -> Path | Non
 
 
 def process_of(program: Path, output: Path, common: Path | None = None) -> Path | None:
-    """Return the process file of a program; None: there is none.
+    """Return the process file of a program; None if it has none.
 
-    It is NAME.process.toml in the folder of the results, else the one for all programs, else process.toml in the folder
-    of the results, unless the program states its forces in comments. `watch` and the window find it so.
+    The first that exists counts: NAME.process.toml in the folder of the results, the process file `common`,
+    process.toml in the folder of the results. The last is not used for a program that states its forces in comments.
+    `watch` and the window use this rule.
 
-    :param program: its path.
+    :param program: path of the program.
     :param output: folder of the results.
-    :param common: process file that is stated for all programs.
+    :param common: process file that is stated for all programs; None: none is stated.
     """
     process_file, shared_file = output / f"{program.stem}.process.toml", output / "process.toml"
     if process_file.is_file():
@@ -315,7 +325,7 @@ _FORCE = re.compile(  # FORCE at the start of a comment: after ;, (, !, $$ or in
 
 
 def states_forces(program: Path) -> bool:
-    """Return whether the text of a program seems to have force comments."""
+    """Return whether the text of a program seems to have force comments; False if the file cannot be read."""
     try:
         comments = (match[1].decode("latin-1") for match in _FORCE.finditer(program.read_bytes()))
         return any(FORCE_COMMENT.match(comment) for comment in comments)
@@ -324,7 +334,7 @@ def states_forces(program: Path) -> bool:
 
 
 GOOD, FAILED, EXCEEDED = 0, 1, 3
-"""Exit codes of one program."""
+"""Exit codes of one program: it was converted, nothing was written, the verdict is "failed"."""
 
 
 class Settings(Struct, frozen=True):
@@ -332,12 +342,13 @@ class Settings(Struct, frozen=True):
 
     :param cell: cell file.
     :param mode: see `correction.process`.
-    :param tolerance_mm: replaces that of the cell; if the written program exceeds it, the exit code says so.
-    :param part_tolerance_mm: what the part may be off, 95 %; replaces that of the cell.
-    :param lines_per_file: replaces that of the cell.
+    :param tolerance_mm: tolerance of the path; None: that of the cell. If the written program exceeds it, the exit code
+        is `EXCEEDED`.
+    :param part_tolerance_mm: allowed error of the part (95 %); None: that of the cell.
+    :param lines_per_file: largest number of lines of a written file; None: that of the cell.
     :param linearize_arcs: write arcs as lines.
     :param keep_unresolved: leave motions of KRL as they are that only the running robot knows.
-    :param part: mesh of the part, whose surface is looked at; None = none.
+    :param part: mesh of the part, for the deviations along its surface; None: they are not computed.
     :param overwrite: replace files that postproc did not write.
     """
 
@@ -353,22 +364,22 @@ class Settings(Struct, frozen=True):
 
 
 class Outcome(Struct, frozen=True):
-    """Result of the conversion of one program, also where nothing was written.
+    """Result of the conversion of one program, also if nothing was written.
 
-    :param program: its file as the user named it.
+    :param program: path of the program as the user named it.
     :param code: 0 good, 1 nothing was written, 3 the verdict is "failed", see `postproc.report.answers`.
-    :param summary: content of `report.json`; None if nothing was written, with code 0 where nothing was to be.
+    :param summary: content of `report.json`; None: nothing was written. With code 0, nothing had to be written.
     :param message: why nothing was written, if `issues` do not state it.
     :param issues: problems of the program, if it was read but not written.
     :param written_files: files written.
-    :param copied_files: those of them that it needs, and that are as they were.
-    :param earlier_remark: what became of the results of an earlier run, where there are none of this one.
-    :param traceback: of a fault of postproc.
-    :param staged_files: files that are complete and not yet in their places, see `output_plan`.
-    :param shared_files: names of those of them that other programs may need too.
+    :param copied_files: written files that the program needs, and that are as they were read.
+    :param earlier_remark: a sentence on the results of an earlier run, if this run has none.
+    :param traceback: traceback of a fault of postproc; empty: there was none.
+    :param staged_files: files that are complete and not in their places yet, see `output_plan`.
+    :param shared_files: names of staged files that other programs may need too.
     :param read: files that were read.
-    :param keeps_old_files: whether the results of an earlier run stay, although there are none of this one: the program
-        could be converted, and not written.
+    :param keeps_old_files: whether the results of an earlier run stay although this run has none: the program was
+        converted, but its files could not be written.
     """
 
     program: str
@@ -387,7 +398,7 @@ class Outcome(Struct, frozen=True):
 
     @property
     def is_skipped(self) -> bool:
-        """Whether nothing was to be written: a subprogram, which is converted with the programs that call it."""
+        """Whether nothing had to be written: the program is a subprogram, converted with the programs that call it."""
         return self.summary is None and self.code == GOOD
 
 
@@ -418,8 +429,8 @@ def apply_settings(cell: Cell, settings: Settings) -> Cell:
 def load_robot(name: str, relative_to: str | Path = ".") -> RobotModel:
     """Read a robot model.
 
-    :param name: of a shipped robot (`postproc robots` lists them), or the path of a model folder.
-    :param relative_to: folder that the path starts from: for the robot of a cell, `cell.folder`.
-    :raises ModelError: there is none, or it is unusable.
+    :param name: name of a shipped robot (`postproc robots` lists them), or path of a model folder.
+    :param relative_to: folder from which the path is relative; for the robot of a cell, `cell.folder`.
+    :raises ModelError: there is no such model, or it is unusable.
     """
     return robots.load(robots.find(name, Path(relative_to)))

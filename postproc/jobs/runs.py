@@ -22,8 +22,8 @@ from postproc.robot import RobotModel
 if TYPE_CHECKING:
     from postproc.jobs.workers import Cluster
 
-_POLL = 0.2
-"""Seconds between two looks at whether a signal came: on Windows none ends a wait."""
+_POLL_S = 0.2
+"""Time between two checks for a signal [s]: on Windows a signal does not end a wait."""
 _HEAD = b"<!-- Overview by postproc.\n-->\n"
 _REPORT = ".report.json"
 
@@ -40,7 +40,7 @@ class Workers(Protocol):
         ...
 
     def lost_outcome(self, task: Task) -> Outcome | None:
-        """Return a failure if the processes that should do a task are gone; None while it may still be done."""
+        """Return a failure if the processes for a task are gone; None while it may still be done."""
         ...
 
     def end(self) -> None:
@@ -59,16 +59,17 @@ def convert_all(
 ) -> Iterator[Outcome]:
     """Convert or predict programs; yield each outcome as soon as it is known (not in the order of the jobs).
 
-    A program that fails does not stop the others. After an interrupt (Ctrl-C) unfinished programs are dropped; what
-    is in its place is whole, and `KeyboardInterrupt` is raised when it has been yielded. Other runs into the same
-    folders wait until this one is done. At the end a folder of several programs gets an overview, `index.html`.
+    A program that fails does not stop the others. After an interrupt (Ctrl-C) unfinished programs are dropped. Finished
+    programs are complete in their places; their outcomes are yielded, then `KeyboardInterrupt` is raised. Other runs
+    into the same folders wait until this run is done. At the end a folder of several programs gets an overview,
+    `index.html`.
 
-    :param jobs: from `find_jobs`.
-    :param settings: for all of them.
-    :param workers: number of local processes; 1 = this one, which is also used if no process can be started.
-    :param cluster: cluster that is used instead.
-    :param waiting: is called with a sentence if another run has to be waited for.
-    :param progress: is called during sweeps of a stock in this process, see `process_forces.read`.
+    :param jobs: jobs from `find_jobs`.
+    :param settings: settings for all jobs.
+    :param workers: number of local processes; 1: this process, which is also used if no other can be started.
+    :param cluster: cluster that is used in place of local processes; None: there is none.
+    :param waiting: called with a sentence if another run has to be waited for; None: not reported.
+    :param progress: called during sweeps of a stock in this process, see `process_forces.read`; None: not reported.
     :raises PostprocError: the cell or the robot is unusable, an output must not be written, or there is no cluster.
     """
     with interrupts.defer(), contextlib.ExitStack() as folder_lock:
@@ -86,7 +87,7 @@ def convert_all(
         finally:
             for folder in {job.output for job in plan.jobs}:
                 files.remove_leftovers(folder)
-        if len(outcomes) == len(plan.jobs):
+        if len(outcomes) == len(plan.jobs):  # not after an interrupt
             subprogram_outcomes = [_caller_outcome(job, outcomes, settings) for job in jobs if job.callers]
             outcomes += subprogram_outcomes
             yield from subprogram_outcomes
@@ -103,17 +104,17 @@ def _outcomes(
     cluster: Cluster | None,
     progress: Callable[[int, int], None] | None,
 ) -> Iterator[Outcome]:
-    """Yield the outcomes of a plan until all is done or a signal asks for the end; parameters as of `convert_all`."""
+    """Yield the outcomes of a plan until all programs are done or a signal has come; see `convert_all`."""
     if cluster is not None:
-        from postproc.jobs.workers import ClusterWorkers  # imported where there is one, like processes
+        from postproc.jobs.workers import ClusterWorkers  # late: only runs with processes need it
 
         plan.divide(cell)
-        yield from _outcomes_of(plan, ClusterWorkers(cluster, settings), settings, cell, robot)
+        yield from _worker_outcomes(plan, ClusterWorkers(cluster, settings), settings, cell, robot)
     elif workers > 1 and len(plan.jobs) > 1:
         from postproc.jobs.workers import LocalWorkers
 
         plan.divide(cell)
-        yield from _outcomes_of(plan, LocalWorkers(min(workers, len(plan.jobs)), settings), settings, cell, robot)
+        yield from _worker_outcomes(plan, LocalWorkers(min(workers, len(plan.jobs)), settings), settings, cell, robot)
     else:
         for task in plan.ready():
             with interrupts.allow():
@@ -123,18 +124,21 @@ def _outcomes(
                 return
 
 
-def _outcomes_of(
+def _worker_outcomes(
     plan: OutputPlan, workers: Workers, settings: Settings, cell: Cell, robot: RobotModel
 ) -> Iterator[Outcome]:
     """Yield the outcomes of a plan that workers execute.
 
-    :param workers: processes that do the tasks; `settings`, `cell`, `robot`: for a task that none could do.
+    After a signal, only programs that are already converted are put in their places.
+
+    :param workers: processes that do the tasks.
+    :param settings, cell, robot: for a task for which no process could be started: it is done in this process.
     """
     results: SimpleQueue[Any] = SimpleQueue()
     running: dict[Any, Task] = {}
 
     def begin() -> None:
-        """Begin all programs that wait for no other one."""
+        """Begin the tasks of all programs that do not wait for another program."""
         for task in plan.ready():
             future = workers.begin(task)
             running[future] = task
@@ -143,9 +147,9 @@ def _outcomes_of(
     try:
         begin()
         while running:
-            is_interrupted = interrupts.is_pending()  # then only the programs converted already are put in place
+            is_interrupted = interrupts.is_pending()
             try:
-                future = results.get(not is_interrupted, _POLL)
+                future = results.get(block=not is_interrupted, timeout=_POLL_S)
             except Empty:
                 if is_interrupted:
                     return
@@ -154,7 +158,7 @@ def _outcomes_of(
                         del running[future]
                         yield from plan.accept(task, loss)
                 continue
-            if (finished_task := running.pop(future, None)) is None:
+            if (finished_task := running.pop(future, None)) is None:  # it was reported as lost before
                 continue
             outcome = workers.outcome(future, finished_task)
             if outcome is None:
@@ -168,15 +172,15 @@ def _outcomes_of(
 
 
 def _caller_outcome(job: Job, outcomes: Sequence[Outcome], settings: Settings) -> Outcome:
-    """Return the outcome of a program that others call: a sentence that says with which of them it was written.
+    """Return the outcome of a program that others call: a sentence that names the callers with which it was written.
 
-    :param outcomes: of the programs that were converted.
+    :param outcomes: outcomes of the programs that were converted.
     """
     callers = ", ".join(path.name for path in job.callers)
     file = str(job.output / job.program.name)
     partners = ", ".join(sorted(Path(outcome.program).name for outcome in outcomes if file in outcome.written_files))
     unchanged = any(file in outcome.copied_files for outcome in outcomes)
-    names = "it" if partners == callers else partners
+    names = "it" if partners == callers else partners  # "called by A: written with it"
     if settings.mode == "predict":
         result = "read with them"
     elif unchanged:
@@ -188,10 +192,10 @@ def _caller_outcome(job: Job, outcomes: Sequence[Outcome], settings: Settings) -
 
 
 def _write_overviews(folders: Sequence[Path], jobs: Sequence[Job], outcomes: Sequence[Outcome]) -> None:
-    """Write an overview into each of some folders: programs of this run and of earlier ones.
+    """Write an overview into each of some folders, with the programs of this run and of earlier runs.
 
-    :param outcomes: outcomes of the jobs, in any order.
-    :raises InputError: one cannot be written.
+    :param jobs: jobs of the run; `outcomes`: their outcomes, in any order.
+    :raises InputError: an overview cannot be written.
     """
     outcome_of_program = {outcome.program: outcome for outcome in outcomes}
     for folder in folders:
@@ -205,8 +209,9 @@ def _write_overviews(folders: Sequence[Path], jobs: Sequence[Job], outcomes: Seq
 
 
 def write_overview(folder: Path, entries: Sequence[Entry]) -> None:
-    """Write the overview of a folder: the programs that were written to it, and others.
+    """Write the overview of a folder: the programs that were written to it, and further programs.
 
+    :param entries: entries of programs that were not written.
     :raises InputError: it cannot be written.
     """
     content = files.seal(_HEAD + index_page([*entries, *reported_programs(folder)], folder.resolve().name))
@@ -219,12 +224,12 @@ def reported_programs(folder: Path) -> list[Entry]:
 
 
 def reason(outcome: Outcome) -> str:
-    """Return why a program was not written."""
+    """Return why a program was not written: its message, or its errors."""
     return outcome.message or "; ".join(issue.message for issue in outcome.issues if issue.level == "error")
 
 
 def _entry(path: Path) -> Entry | None:
-    """Return the overview entry of a report file; None if it is unreadable or that of a prediction."""
+    """Return the overview entry of a report file; None if the file is unreadable, or the report of a prediction."""
     try:
         content = msgspec.convert(json.loads(path.read_bytes()), ReportEntry)
         if content.mode == "predict":

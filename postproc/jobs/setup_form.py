@@ -13,15 +13,15 @@ from postproc.jobs.program_needs import ProgramNeeds
 from postproc.machining.process import DEFAULT
 
 CHECKED_KEY, OFFERED_KEY = "stock.checked", "stock.offered"
-"""Keys of a tick, the stock that is offered is the real one, and of the stock that the form offered."""
+"""Keys of texts that the form posts: a tick that the offered stock is right, and the stock that the form offered."""
 
 
 class Field(Struct, frozen=True):
     """A question and the text that answers it.
 
-    :param fault: why it does not; empty: it does.
-    :param is_guess: a stock is offered that nobody has stated.
-    :param is_checked: the user has changed it, or says that it is right.
+    :param fault: why the text is no answer; empty: it is one.
+    :param is_guess: whether the form offers a stock that is guessed from the program.
+    :param is_checked: False for a guessed stock that the user has neither changed nor ticked as right.
     """
 
     question: Question
@@ -38,17 +38,17 @@ class SetupForm(Struct, frozen=True):
 
     @property
     def is_complete(self) -> bool:
-        """Return whether each question has a usable answer."""
+        """Whether each question has a usable answer."""
         return not any(field.fault for field in self.fields)
 
 
 def setup_form(needs: ProgramNeeds, texts: Mapping[str, str], *, cell: bool, process: bool) -> SetupForm:
-    """Return the questions that a program raises, with the answers that there are.
+    """Return the questions that a program raises, with the answers so far.
 
-    Only optional questions have their default: nobody shall run a robot by a guessed base that was clicked away.
+    Only optional questions are filled with their default. A user must not accept a guessed `$BASE` unseen.
 
-    :param texts: answers by key of the question, and those of `CHECKED_KEY` and `OFFERED_KEY`.
-    :param cell: ask for the cell; `process`: ask for the process.
+    :param texts: key of a question → text of its answer; also `CHECKED_KEY` and `OFFERED_KEY`.
+    :param cell: whether to ask for the cell; `process`: whether to ask for the process.
     """
     answers, skipped_keys, fields = Answers(), set[str](), []
     while question := next_question(needs, answers, skipped_keys, cell=cell, process=process):
@@ -56,7 +56,7 @@ def setup_form(needs: ProgramNeeds, texts: Mapping[str, str], *, cell: bool, pro
         fault = ""
         is_guess = question.key == "stock" and question.default is not None
         if is_guess and text == texts.get(OFFERED_KEY) and not texts.get(CHECKED_KEY):
-            text = question.default or ""  # it depends on the diameters, which may be other ones now
+            text = question.default or ""  # the guess may have changed with the diameters of the cutters
         is_checked = not is_guess or text != question.default or bool(texts.get(CHECKED_KEY))
         try:
             answers.put(question, text)
@@ -68,7 +68,7 @@ def setup_form(needs: ProgramNeeds, texts: Mapping[str, str], *, cell: bool, pro
 
 
 def start_arguments(program: Path, form: SetupForm) -> list[str]:
-    """Return the arguments of the `postproc start` that does the same."""
+    """Return the arguments of `postproc start` that give the answers of a form, without a guess that is not checked."""
     arguments = ["start", program.name, "--no-open"]
     for field in form.fields:
         if not field.is_checked:

@@ -14,28 +14,30 @@ from postproc.frames import DEG_PER_RAD, MM_PER_M, RAD_PER_DEG, Array, inverse
 from postproc.robot import RobotModel
 
 USUAL_START = (0.0, -70.0, 110.0, 0.0, 50.0, 0.0)
-"""A1…A6 [deg] of the branch on which programs start unless something else is given: ahead, elbow up, A5 > 0."""
+"""A1…A6 [deg] that give the branch of the arm if no start is stated: ahead, elbow up, A5 > 0."""
 QUARTER_TURNS = (0.0, 90.0, 180.0, -90.0)
-"""Turns of the tool about its axis [deg] that are tried: how a spindle is mounted."""
+"""Turns of the tool about its axis [deg] that are tried: spindles are mounted in quarter turns."""
 _ABOVE_MM = 50.0
-"""The tip starts by this much above the height to which programs retract [mm] (assumed)."""
-_MARGIN = 10.0 * RAD_PER_DEG
-"""A chosen start is not nearer to a joint limit [rad] (assumed)."""
+"""Height of the tip at the start above the height to which programs retract [mm] (assumed)."""
+_LEAST_JOINT_MARGIN = 10.0 * RAD_PER_DEG
+"""Least distance of a chosen start from joint limits [rad] (assumed)."""
 
 
 def joints_above_part(
     cell: Cell, robot: RobotModel, clearance: float, turns: Sequence[float]
 ) -> tuple[float, ...] | None:
-    """Return A1…A6 [deg] with the tip above the origin of `$BASE`, A4 and A6 near 0; None if it is out of reach.
+    """Return A1…A6 [deg] with the tip above the origin of `$BASE`.
 
-    :param cell: its [start] gives the branch of the arm.
+    Of the turns within reach and joint limits, the one with A4 and A6 nearest to 0 is chosen. None: there is none.
+
+    :param cell: cell with [start], which gives the branch of the arm.
     :param clearance: Z of `$BASE` to which programs retract [mm]; the tip is 50 mm above it.
-    :param turns: of the tool about its axis that are tried [deg].
+    :param turns: turns of the tool about its axis to try [deg].
     """
     candidates = []
     for turn in turns:
         joints = upright_joints(cell, robot, turn, clearance + _ABOVE_MM)
-        if np.isfinite(joints).all() and (kinematics.joint_margin(robot, joints[None]) > _MARGIN).all():
+        if np.isfinite(joints).all() and (kinematics.joint_margin(robot, joints[None]) > _LEAST_JOINT_MARGIN).all():
             candidates.append(joints)
     if not candidates:
         return None
@@ -46,9 +48,9 @@ def joints_above_part(
 def upright_joints(cell: Cell, robot: RobotModel, turn: float, height: float) -> Array:
     """Return the joints (6,) [rad] with the tool upright above the origin of `$BASE`, on the branch of the start.
 
-    :param turn: of the tool about its axis [deg].
+    :param turn: turn of the tool about its axis [deg].
     :param height: Z of the tip in `$BASE` [mm].
-    :returns: NaN if it is out of reach.
+    :returns: NaN if the pose is out of reach.
     """
     inverse_kinematics = kinematics.closed_form(robot)
     pose = cell.base.pose()
@@ -61,7 +63,7 @@ def upright_joints(cell: Cell, robot: RobotModel, turn: float, height: float) ->
 
 
 def low_start(cell: Cell, robot: RobotModel, clearance: float) -> Iterator[str]:
-    """Yield a warning if the tip starts below the height to which programs retract [mm]."""
+    """Yield a warning if the tip starts below the height `clearance` to which programs retract, Z of `$BASE` [mm]."""
     tip = kinematics.tcp(robot.nominal, cell.start_joints[None], cell.tool.pose())[0][0]
     x, y, z = (inverse(cell.base.pose()) @ tip)[:3, 3] * MM_PER_M
     if z < clearance:

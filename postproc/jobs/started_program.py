@@ -1,4 +1,4 @@
-"""A program as it is read from its files, and the start of a cell that states none."""
+"""Reading of a program from its files, and choice of a start for a cell without [start]."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def read_program(
 ) -> Program:
     """Read a program file (for KRL with its `.dat`).
 
-    :param path: of the main file.
-    :param robot: with the cell, fixes where the program starts.
-    :param cell: frames and settings.
-    :param dialect: name of its format; None = by the extension.
-    :param name: of the program; None = that of the file.
-    :raises ProgramError: it is not understood; the message names the file by its path.
+    :param path: main file of the program.
+    :param robot: robot of the cell.
+    :param cell: frames, settings and start.
+    :param dialect: name of its format; None: by the extension.
+    :param name: name of the program; None: that of the file.
+    :raises ProgramError: the program is not understood; the message names the file by its path.
     """
     path = Path(path)
     dialect = dialect or registry.dialect_of_file(path).name
@@ -41,16 +41,16 @@ def read_program(
 
 
 _PROVISIONAL_START = Start((0.3257, -88.6413, 91.7269, 2.8391, 43.4173, -1.6427))
-"""A start from which a program is read until its own is known: angles that no program states."""
+"""Start from which a program is read before its own start is chosen: angles that no program states."""
 
 
 def read_with_start(
     path: str | Path, robot: RobotModel, cell: Cell, dialect: str | None = None, name: str | None = None
 ) -> tuple[Program, Cell]:
-    """Read a program as `read_program` does; a cell without [start] gets the one that is chosen for the program.
+    """Read a program as `read_program` does; a cell without [start] gets a start that is chosen for the program.
 
-    :raises ProgramError: it is not understood, or its motions depend on where it starts.
-    :returns: the program, and the cell with its start.
+    :returns: the program, with a note on a chosen start, and the cell with its start.
+    :raises ProgramError: the program is not understood, or its motions depend on where it starts.
     """
     if cell.start is not None:
         return read_program(path, robot, cell, dialect, name), cell
@@ -68,6 +68,7 @@ def read_with_start(
         and _are_equal(first_motions.target[:], motions.target[:])
         and _are_equal(first_motions.joints[:], motions.joints[:])
     )
+    # at the provisional start the program does not state where its first move goes
     if not is_same or start.joints == _PROVISIONAL_START.joints:
         raise ProgramError(
             "the first motions depend on where the program starts, and the cell has no [start]",
@@ -80,9 +81,10 @@ def read_with_start(
 def _start_in_turn(program: Program, robot: RobotModel, cell: Cell, start: ChosenStart) -> ChosenStart:
     """Return the start at the first target of a program with its tool turned about its axis as the cell asks.
 
-    Forces that the program does not state may change the turn: then the first move turns the tool.
+    If the turn depends on forces from a file, it may be another one in the conversion: the first move then turns the
+    tool.
 
-    :param start: for the tool as the program is read.
+    :param start: start for the turn of the tool as the program is read; returned if the cell chooses no turn.
     """
     robot_in_cell = RobotInCell.of(robot, replace(cell, start=Start(start.joints)))
     turned_program = placement.in_chosen_turn(program, robot_in_cell, None)
@@ -93,5 +95,5 @@ def _start_in_turn(program: Program, robot: RobotModel, cell: Cell, start: Chose
 
 
 def _are_equal(first: Array, second: Array) -> bool:
-    """Return whether numbers differ by rounding only, a nanometre or a nanoradian; NaN equals NaN."""
+    """Return whether lengths [m] or angles [rad] differ by 1e-9 at most, which is rounding; NaN equals NaN."""
     return bool(np.allclose(first, second, rtol=0.0, atol=1e-9, equal_nan=True))

@@ -46,18 +46,18 @@ from postproc.testpart.probing import ProbedSurfaces
 from postproc.testpart.readings import Readings
 from postproc.under_load import RobotInCell
 
-_CHIP = 0.006
-"""Feed per tooth by the diameter of the tool, if none is given (assumed)."""
-_SPEED = 150.0
+_CHIP_SHARE = 0.006
+"""Share of the tool diameter as feed per tooth, if no feed is given (assumed)."""
+_CUTTING_SPEED = 150.0
 """Cutting speed if the process states no rpm [m/min] (assumed)."""
 _LARGEST_RPM = 12_000.0
 """Largest spindle speed if the process states none [1/min] (assumed)."""
-_DEPTH = 0.2
-"""Depth of cut by the diameter of the tool, if none is given (assumed)."""
+_DEPTH_SHARE = 0.2
+"""Share of the tool diameter as depth of cut, if none is given (assumed)."""
 _MOST_TESTS = 200
-"""Poses of the programs that count, evenly taken (assumed)."""
-_SAME_HEIGHT = 1e-3
-"""Difference of heights that are the same as written [mm]."""
+"""Number of test poses that are taken evenly from the programs, about (assumed)."""
+_HEIGHT_TOLERANCE_MM = 1e-3
+"""Heights that differ by less are equal as written [mm]."""
 PROCESS = "testpart.process.toml"
 _TABLE, _PAGE, _RECORD = "probing.csv", "testpart.html", "testpart.json"
 """Files next to the programs: the table to fill in, the report and the record."""
@@ -68,13 +68,13 @@ class TestPartRequest(Struct, frozen=True, kw_only=True):
 
     :param placements: numbers of `[base_data]`: further placements of the block, besides `[base]` of the cell.
     :param block: ``"X=0:300,Y=0:200,Z=-40:0"`` in `$BASE`, mm; None: the box of the process.
-    :param programs: what will be milled, with `forces`; without them, this process all over the block.
-    :param count: number of features at most.
-    :param depth_mm: largest depth of cut.
-    :param feed_mm_per_min: of full cuts.
-    :param tool: number of the tool; None: the only one.
+    :param programs: programs that will be milled, with `forces`; empty: the process cuts all over the block.
+    :param count: largest number of features.
+    :param depth_mm: largest depth of cut; None: a share of the tool diameter.
+    :param feed_mm_per_min: feed of full cuts; None: by the tool diameter.
+    :param tool: number of the tool; None: the process has a single tool.
     :param sigma_mm: noise of the probe, and of the gauge.
-    :param weight_kg: of a weight that will be hung on the tool under a dial gauge; 0 for none.
+    :param weight_kg: mass of a weight that will be hung on the tool under a dial gauge; 0: there is none.
     """
 
     __test__ = False  # not a test of pytest
@@ -96,7 +96,13 @@ class TestPartRequest(Struct, frozen=True, kw_only=True):
 
 
 class TestPartFiles(Struct, frozen=True, eq=False):
-    """A test part as it was written."""
+    """A test part as it was written.
+
+    :param design: its features; `cutting`: how they are cut.
+    :param prior: model before the part is probed.
+    :param parts: the program of each placement of the block.
+    :param warnings: warnings for the user.
+    """
 
     __test__ = False
 
@@ -109,9 +115,9 @@ class TestPartFiles(Struct, frozen=True, eq=False):
 
 
 def block_of(text: str) -> Box:
-    """Return the box of ``"X=0:300,Y=0:200,Z=-40:0"``.
+    """Return the box of the text ``"X=0:300,Y=0:200,Z=-40:0"`` [mm].
 
-    :raises InputError: it is not understood.
+    :raises InputError: the text has another form, or a lower bound is not below the upper.
     """
     spans = {}
     for part in text.split(","):
@@ -120,17 +126,17 @@ def block_of(text: str) -> Box:
         try:
             spans[name.strip().upper()] = float(low), float(high)
         except ValueError:
-            spans[""] = 0.0, 0.0
+            spans[""] = 0.0, 0.0  # no name of an axis: the check below refuses it
     if set(spans) != set("XYZ") or any(not low < high for low, high in spans.values()):
         raise InputError(f"{text!r} is no block", file="--block", advice='For example "X=0:300,Y=0:200,Z=-40:0".')
     return Box(spans["X"], spans["Y"], spans["Z"])
 
 
 def flat_tool(process: Process, number: int | None) -> tuple[str, ToolTable]:
-    """Return the flat end mill of a process: key of its table, and the table.
+    """Return the flat end mill of a process: key of its table in [tools], and the table.
 
-    :param number: of the tool; None: the only one.
-    :raises ForceError: there is none of that number, it has none, or it is not flat.
+    :param number: number of the tool; None: the process has a single tool.
+    :raises ForceError: there is no such tool, it has a name in place of a number, or it is not flat.
     """
     tool = process.tool(None if number is None else str(number))
     if tool is None:
@@ -154,7 +160,9 @@ def flat_tool(process: Process, number: int | None) -> tuple[str, ToolTable]:
 
 
 def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = lambda _: None) -> TestPartFiles:
-    """Choose a test part and write it: program, KRL, table to fill in, process and page, whole or not at all.
+    """Choose a test part and write it: programs, table to fill in, process and page; all files or none.
+
+    :param progress: called with the name of each step.
 
     :raises PostprocError: an input is unusable, no feature fits, or an output must not be written.
     """
@@ -169,13 +177,13 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     _protect_files(request, placements)
     robots_in_cell = tuple(RobotInCell.of(robot, item) for item in placements.values())
     prior = _prior(robots_in_cell[0], process)
-    choice = _choose(
+    choice = _chosen_part(
         request,
         robots_in_cell,
         process,
         prior,
         cutting=_cutting(request, key, tool, box),
-        depth=(request.depth_mm or _DEPTH * tool.diameter_mm) * M_PER_MM,
+        depth=(request.depth_mm or _DEPTH_SHARE * tool.diameter_mm) * M_PER_MM,
         box=box,
         progress=progress,
     )
@@ -185,20 +193,22 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     for placement, placement_cell in placements.items():
         if len(parts[placement].feature):
             contents[placement.name] = parts[placement].text.encode()
-            contents |= _krl(request, placement.name, parts[placement].text, placement_cell)
+            contents |= _robot_program(request, placement.name, parts[placement].text, placement_cell)
     contents[_TABLE] = probing.table(parts)
-    contents[PROCESS] = _process(process, box)
+    contents[PROCESS] = _process_content(process, box)
     contents[_PAGE] = design_page(choice.design, prior, choice.cutting, parts, box, cell.robot)
-    data = _data(choice.design, prior, choice.cutting, parts) | {"warnings": list(warnings)}
+    data = _design_data(choice.design, prior, choice.cutting, parts) | {"warnings": list(warnings)}
     contents = files.add_record(contents, _RECORD, lambda entries: files.json_bytes({**data, "files": entries}))
     paths = files.write_whole(request.output, contents)
     return TestPartFiles(choice.design, prior, choice.cutting, parts, tuple(paths), warnings)
 
 
 def _protect_files(request: TestPartRequest, placements: Iterable[Placement]) -> None:
-    """Refuse to overwrite inputs, and files that postproc did not write unless the request says so.
+    """Check that no file of the test part would overwrite an input, or a file that postproc did not write.
 
-    :raises InputError: a file of the test part would be such a file.
+    The second check is left out if the request allows overwriting.
+
+    :raises InputError: such a file would be overwritten.
     """
     programs = [name for item in placements for name in (item.name, str(Path(item.name).with_suffix(".src")))]
     names = [*programs, _TABLE, PROCESS, _PAGE]
@@ -212,7 +222,7 @@ class _ChosenPart(NamedTuple):
 
     :param design: its features.
     :param cutting: how they are cut.
-    :param weight_places: (n, 3) where a weight is hung, `$BASE` [m]; none without a weight.
+    :param weight_places: (n, 3) positions of the tool for the weight, `$BASE` [m]; n is 0 without a weight.
     :param touches: (k, 3) touch-off points on the uncut top, `$BASE` [m].
     """
 
@@ -222,7 +232,7 @@ class _ChosenPart(NamedTuple):
     touches: Array
 
 
-def _choose(
+def _chosen_part(
     request: TestPartRequest,
     robots_in_cell: tuple[RobotInCell, ...],
     process: Process,
@@ -233,10 +243,10 @@ def _choose(
     box: Box,
     progress: Callable[[str], None],
 ) -> _ChosenPart:
-    """Return the features that tell most about the model, and how they are cut.
+    """Return the features whose readings determine the model best, and how they are cut.
 
     :param robots_in_cell: the robot in a cell whose `[base]` is that of the block, for each of its placements.
-    :param cutting: tool, speed and feed; the choice sets by how much features are trimmed.
+    :param cutting: tool, speed and feed; the choice adds the trim of the features.
     :param depth: largest depth of cut [m].
     :param box: the block.
     :param progress: called with the name of each step.
@@ -245,7 +255,7 @@ def _choose(
     sigma = request.sigma_mm * M_PER_MM
     progress("candidates")
     candidates, cutting = design.candidates(prior, robots_in_cell, process, cutting, depth=depth, box=box, sigma=sigma)
-    tests = _tests(request, robots_in_cell[0], process, candidates)
+    tests = _test_states(request, robots_in_cell[0], process, candidates)
     progress("choice of features")
     low, high = (np.array([span[side] for span in (box.X, box.Y, box.Z)]) * M_PER_MM for side in (0, 1))  # corners
     weight_places = features.hanging_places(low, high, cutting.top) if request.weight_kg else np.zeros((0, 3))
@@ -258,20 +268,23 @@ def _choose(
 
 
 def questions(weight_kg: float, robot: RobotModel, cutting: Cutting, flutes: int) -> tuple[str, ...]:
-    """Return warnings of a weight above the robot's rating and of feeds that no cutter has."""
+    """Return warnings for the user: of a weight above the rating of the robot, and of unusual feeds and chips.
+
+    :param flutes: number of cutting edges of the tool.
+    """
     warnings = []
     if (rating := exceeded_rating(weight_kg, robot.title, robot.name)) is not None:
         warnings.append(
             f"the weight of {weight_kg:g} kg is more than the {rating:g} kg that the robot is rated for: take a "
             "lighter one (--weight)"
         )
-    feed = cutting.feed * MM_PER_M * 60.0
+    feed = cutting.feed * MM_PER_M * 60.0  # [mm/min]
     if not SMALLEST_CUTTING_FEED <= feed <= LARGEST_CUTTING_FEED:
         warnings.append(
             f"a feed of {feed:.4g} mm/min: cutters have {SMALLEST_CUTTING_FEED:g} to {LARGEST_CUTTING_FEED:g}. "
             "Give --feed in mm/min"
         )
-    chip = feed / (cutting.rpm * flutes)
+    chip = feed / (cutting.rpm * flutes)  # feed per tooth [mm]
     if chip > THICK_CHIP * cutting.diameter * MM_PER_M:
         warnings.append(
             f"{chip:.3g} mm per tooth with a tool of {cutting.diameter * MM_PER_M:.4g} mm: check --feed, and rpm and "
@@ -281,13 +294,15 @@ def questions(weight_kg: float, robot: RobotModel, cutting: Cutting, flutes: int
 
 
 def _cutting(request: TestPartRequest, key: str, tool: ToolTable, box: Box) -> Cutting:
-    """Return tool, speed and feed of the test part: those of the request, else usual ones for the diameter.
+    """Return tool, speed and feed of the test part.
 
-    :param key: number of the tool in the process.
+    Values that neither request nor process states are assumed by the diameter of the tool.
+
+    :param key: key of the tool in the process; `box`: the block.
     """
-    usual_rpm = min(_LARGEST_RPM, MM_PER_M * _SPEED / (np.pi * tool.diameter_mm))
+    usual_rpm = min(_LARGEST_RPM, MM_PER_M * _CUTTING_SPEED / (np.pi * tool.diameter_mm))
     rpm = tool.rpm or float(np.floor(usual_rpm / 100.0) * 100.0)
-    feed = request.feed_mm_per_min or _CHIP * tool.diameter_mm * tool.flutes * rpm
+    feed = request.feed_mm_per_min or _CHIP_SHARE * tool.diameter_mm * tool.flutes * rpm
     number = int(key) if key.isdecimal() else 1
     return Cutting(tool.diameter_mm * M_PER_MM, rpm, feed * M_PER_MM / 60.0, number, box.Z[1] * M_PER_MM)
 
@@ -295,7 +310,10 @@ def _cutting(request: TestPartRequest, key: str, tool: ToolTable, box: Box) -> C
 def _programs(
     request: TestPartRequest, choice: _ChosenPart, placements: tuple[Placement, ...]
 ) -> dict[Placement, features.Program]:
-    """Return the program of each placement; numbers of features and points go on from one to the next."""
+    """Return the program of each placement.
+
+    Numbers of features, weights and touch-off points continue from one program to the next.
+    """
     parts = {}
     for number, placement in enumerate(placements):
         part_features = [choice.design.features[k] for k in np.flatnonzero(choice.design.placement == number)]
@@ -317,15 +335,15 @@ def _programs(
 
 
 def _prior(robot_in_cell: RobotInCell, process: Process) -> Prior:
-    """Return the parameters before the part is probed: those of the robot model and of the cutting law."""
+    """Return the parameters of robot model and cutting law, which are the prior of the identification."""
     law = process.law()
     return Prior.of(robot_in_cell.robot, law.sigma, law.numbers)
 
 
-def _data(
+def _design_data(
     selection: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, features.Program]
 ) -> dict[str, object]:
-    """Return the design of a test part as the data of its JSON file."""
+    """Return the design of a test part as the data of its JSON file: numbers are in the units of the keys."""
     names = [*(parameter.name for parameter in prior.parameters), "forces"]
     return {
         "placements": [
@@ -349,20 +367,25 @@ def _data(
     }
 
 
-def _tests(
+def _test_states(
     request: TestPartRequest, robot_in_cell: RobotInCell, process: Process, candidates: design.Candidates
 ) -> Tests:
-    """Return the states whose error the part should reduce: those of the programs, else of cuts in the block."""
+    """Return the states of the robot whose expected error the part shall reduce.
+
+    They are from the programs of the request, about `_MOST_TESTS` of them; without programs, from cuts in the block.
+
+    :param candidates: features among which is chosen; their cuts are those in the block.
+    """
     if not request.programs:
         return design.tests_in_block(candidates)
-    from postproc.jobs.conversion import programs_under_force  # readers of programs come with it
+    from postproc.jobs.conversion import programs_under_force  # late: it imports the readers of programs
     from postproc.plan import milling
 
     robot, cell, law = robot_in_cell.robot, robot_in_cell.cell, process.law()
     by_program = []
     for _, program, source in programs_under_force(request.programs, request.forces, robot, cell):
         states_of_program = milling.from_program(program, robot, cell, source)
-        by_program.append(replace(states_of_program, by_law=states_of_program.by_law & _is_of_law(source, law)))
+        by_program.append(replace(states_of_program, by_law=states_of_program.by_law & _computes_with_law(source, law)))
     poses = milling.join(by_program)
     rows = np.arange(0, len(poses), max(1, len(poses) // _MOST_TESTS))  # evenly
     tool = np.broadcast_to(robot_in_cell.cell.tool.pose(), (len(rows), 4, 4))
@@ -374,19 +397,20 @@ def _tests(
     return Tests(states, weight, is_scaled, poses.source + suffix)
 
 
-def _is_of_law(source: ForceSource | None, law: CuttingLaw) -> bool:
-    """Return whether a source computes forces with a cutting law."""
+def _computes_with_law(source: ForceSource | None, law: CuttingLaw) -> bool:
+    """Return whether a source computes its forces with a cutting law: not stated forces, nor another law."""
     if not isinstance(source, ProcessSource) or source.process.material is None:
         return False
     source_law = source.process.law()
     return source_law.numbers == law.numbers if law.numbers else source_law == law
 
 
-def _krl(request: TestPartRequest, name: str, text: str, cell: Cell) -> dict[str, bytes]:
-    """Return the uncorrected program in the language of the robot: file name → content.
+def _robot_program(request: TestPartRequest, name: str, text: str, cell: Cell) -> dict[str, bytes]:
+    """Return a program of the test part, uncorrected, in the language of the robot: file name → content.
 
-    :param name: of the G-code program, `text` its content.
-    :raises InputError: the robot cannot run it.
+    :param name: name of the G-code program; `text`: its content.
+    :param cell: cell of the placement.
+    :raises InputError: the robot cannot run the program.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
@@ -404,8 +428,11 @@ def _krl(request: TestPartRequest, name: str, text: str, cell: Cell) -> dict[str
         return {document.name: document.to_bytes() for document in mark_origin(result, job, settings, cell).documents}
 
 
-def _process(process: Process, box: Box) -> bytes:
-    """Return the process with the block as its stock."""
+def _process_content(process: Process, box: Box) -> bytes:
+    """Return the content of a process file with the tools and material of the process, and the block as its stock.
+
+    The path of a material file becomes absolute.
+    """
     material_table = process.material
     if material_table is not None and material_table.file is not None:
         material_table = replace(material_table, file=str((Path(process.path).parent / material_table.file).resolve()))
@@ -420,9 +447,10 @@ class PartRequest(Struct, frozen=True, kw_only=True):
 
     :param probed: probing.csv filled in.
     :param cell: the cell in which the part was cut; its robot is the prior.
-    :param process: of the part.
+    :param process: process.toml with which the part was cut.
     :param programs: testpart.nc, and the programs of further placements of the block.
-    :param sigma_mm: noise of the probe.
+    :param tool: number of the tool; None: the process has a single tool.
+    :param sigma_mm: standard deviation of the probe.
     """
 
     probed: Path
@@ -434,14 +462,23 @@ class PartRequest(Struct, frozen=True, kw_only=True):
 
 
 class PartFiles(Struct, frozen=True, eq=False):
-    """A model from a test part; `written_files` is empty if it was only compared."""
+    """A model from a test part.
+
+    :param data: the identification.
+    :param written_files: files of the model folder; empty: the part was only compared with the model.
+    """
 
     data: PartIdentification
     written_files: tuple[Path, ...]
 
 
 class _FitInput(Struct, frozen=True, eq=False):
-    """A probed part with the model to fit."""
+    """A probed part and the model to fit.
+
+    :param prior: parameters before the fit.
+    :param readings: readings of the probed points.
+    :param parts: the program of each placement, with the robot in its cell.
+    """
 
     prior: Prior
     readings: Readings
@@ -454,9 +491,9 @@ class _FitInput(Struct, frozen=True, eq=False):
 
 
 def _read_part(request: PartRequest, model: str | None = None) -> _FitInput:
-    """Read a probed part.
+    """Return a probed part as it is read, with the model to fit.
 
-    :param model: name or folder of the model, instead of that of the cell.
+    :param model: name or folder of the robot model; None: that of the cell.
     :raises PostprocError: an input is unusable.
     """
     cell = cells.load(request.cell)
@@ -469,7 +506,7 @@ def _read_part(request: PartRequest, model: str | None = None) -> _FitInput:
     for path, base in programs_of(probe_data, request.programs).items():
         placement_cell = cell_of_placement(cell, Placement("" if base < 0 else str(base)), probe_data.file)
         program, robot_in_cell = read_program(path, robot, placement_cell), RobotInCell.of(robot, placement_cell)
-        rows.append(np.flatnonzero(probe_data.base == base))
+        rows.append(np.flatnonzero(probe_data.base == base))  # probed points of this placement
         contact_surfaces = surfaces(
             program, robot_in_cell, probe_data.take(rows[-1]), 0.5 * tool.diameter_mm * M_PER_MM
         )
@@ -482,15 +519,15 @@ def _read_part(request: PartRequest, model: str | None = None) -> _FitInput:
 
 
 def _check_top(probe_data: ProbedSurfaces, process: Process) -> None:
-    """Refuse touch-off points that are not on the top of the block of the process.
+    """Check that touch-off points are on the top of the block of the process; without a block nothing is checked.
 
-    :raises MeasurementError: one is not.
+    :raises MeasurementError: a point is not on the top.
     """
     if process.stock.box is None:
         return
     top = process.stock.box.Z[1]
     for name, height in zip(probe_data.touch_off.name, probe_data.touch_off.point[:, 2].tolist(), strict=True):
-        if abs(height * MM_PER_M - top) > _SAME_HEIGHT:
+        if abs(height * MM_PER_M - top) > _HEIGHT_TOLERANCE_MM:
             raise MeasurementError(
                 f"{name} is at Z {height * MM_PER_M:g}, the top of the block in {Path(process.path).name} at Z {top:g}",
                 file=probe_data.file,
@@ -533,13 +570,15 @@ def cell_of_placement(cell: Cell, placement: Placement, source: str) -> Cell:
 
 
 def programs_of(probe_data: ProbedSurfaces, paths: tuple[Path, ...]) -> dict[Path, int]:
-    """Return the programs that made probed points, and the number of the placement of each, −1 for `[base]`.
+    """Return the programs that made probed points: path → number of its placement, −1 for `[base]`.
 
-    :param paths: the programs that are given.
-    :raises MeasurementError: a program that a row names is not given, or has two placements.
+    A table without the column of programs must be of a single program.
+
+    :param paths: the programs that the user gave.
+    :raises MeasurementError: a program that a row names is not given, or programs and placements do not match.
     """
     placement_of = dict(zip(probe_data.program, probe_data.base.tolist(), strict=True))
-    if placement_of == {"": -1}:  # a table without the columns of programs and placements
+    if placement_of == {"": -1}:  # the table lacks the columns of programs and placements
         if len(paths) == 1:
             return {paths[0]: -1}
         advice = "Give one --program, or the probing.csv with the column program."
@@ -554,9 +593,9 @@ def programs_of(probe_data: ProbedSurfaces, paths: tuple[Path, ...]) -> dict[Pat
 
 
 def compare_part(request: PartRequest, model: str | None = None) -> tuple[PartIdentification, Agreement]:
-    """Compare a model with a probed part; return the fit with its agreement, and the agreement itself.
+    """Return the fit of a model to a probed part with its agreement, and the agreement itself.
 
-    :param model: name or folder of the model, instead of that of the cell.
+    :param model: name or folder of the robot model; None: that of the cell.
     :raises PostprocError: an input is unusable.
     """
     part_data = _read_part(request, model)
@@ -568,7 +607,7 @@ def compare_part(request: PartRequest, model: str | None = None) -> tuple[PartId
 def identify_part(request: PartRequest, output: Path | None, *, overwrite: bool = False) -> PartFiles:
     """Identify a model from a probed part, and write the model folder.
 
-    :param output: model folder to write; None: only compare.
+    :param output: model folder to write; None: the model of the cell is only compared with the part.
     :raises PostprocError: an input is unusable, or the folder must not be replaced.
     """
     cell = cells.load(request.cell)

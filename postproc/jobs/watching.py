@@ -1,7 +1,7 @@
 """`postproc watch`: programs of a folder are converted as they arrive or change.
 
-The folder is scanned: what a scan finds is what counts, so that nothing is lost if a notification is, as on network
-drives. The library watchfiles, where it is installed, only shortens the time to the next scan. A program is converted
+The folder is scanned, and only scans decide, so that nothing is missed if a notification is lost, as on network drives.
+The library watchfiles, if it is installed, only shortens the time to the next scan. A program is converted
 once it has not changed for `QUIET` and can be opened. What has been converted is in a file of the output folder, with
 the sums of the contents, and of the cell and the other files that all programs are converted with: after a change of
 these all are converted again. After a crash the reports say what has been converted. The overview lists all programs,
@@ -68,23 +68,23 @@ class FileStamp(NamedTuple):
     def of(cls, path: Path) -> FileStamp:
         """Return the stamp of a file.
 
-        :raises OSError: it is not there, or cannot be reached.
+        :raises OSError: the file does not exist, or cannot be reached.
         """
         status = path.stat()
         return cls(path.name, status.st_size, status.st_mtime_ns)
 
 
 Signature = tuple[FileStamp, ...]
-"""Names, sizes and times of the files of a program: equal ones have not changed."""
+"""Names, sizes and times of the files of a program: while they are equal, the files have not changed."""
 
 
 class Entry(msgspec.Struct, frozen=True):
-    """A program that has been converted, or could not be.
+    """A program that has been converted, or could not be converted.
 
-    :param sum: of its contents.
-    :param code: exit code.
-    :param setup: sum of what all programs are converted with, see `_Watcher.setup`.
-    :param reason: why nothing was written.
+    :param sum: SHA-256 of the contents of its files.
+    :param code: exit code of the conversion.
+    :param setup: checksum of the set-up of all programs, see `_Watcher.setup`.
+    :param reason: why nothing was written; empty: the program was converted.
     """
 
     sum: str
@@ -108,8 +108,9 @@ def watch(
     :param output: folder to write into.
     :param options: further arguments of `find_jobs`: dialect, forces, to.
     :param workers: local processes.
-    :param say: is called with what the user should know: a folder that is gone, a locked file.
-    :raises InputError: the folder is not there at the beginning, or it is that of the results.
+    :param say: called with a sentence for the user, such as that a folder is missing or a file locked.
+    :param stop: event that ends the watch; None: it never ends.
+    :raises InputError: the folder does not exist at the beginning, or is the folder of the results.
     :raises PostprocError: the cell or the robot is unusable.
     """
     if not folder.is_dir():
@@ -132,7 +133,10 @@ def _outcomes(watcher: _Watcher, stop: Event) -> Iterator[tuple[Outcome, Job]]:
 
 
 def _pause(folder: Path, stop: Event) -> Callable[[], object]:
-    """Return a function that waits until something may have changed in a folder, for `SCAN` at most."""
+    """Return a function that waits until something may have changed in a folder, for `SCAN` at most.
+
+    Without the library watchfiles it always waits for `SCAN`. `stop` ends the wait.
+    """
     try:
         from watchfiles import watch as changes
     except ImportError:
@@ -146,13 +150,13 @@ def _pause(folder: Path, stop: Event) -> Callable[[], object]:
             next(changes(folder, stop_event=stop, raise_interrupt=True, **options), None)
         except (OSError, RuntimeError):  # the folder is gone, or the system has no notifications left
             stop.wait(SCAN)
-        stop.wait(max(0.0, 0.2 * SCAN - (time.monotonic() - start)))
+        stop.wait(max(0.0, 0.2 * SCAN - (time.monotonic() - start)))  # five scans per `SCAN` at most
 
     return wait
 
 
-def _status(path: Path) -> tuple[int, int]:
-    """Return size [bytes] and time of change [ns] of a file; zeros if it is not there."""
+def _file_status(path: Path) -> tuple[int, int]:
+    """Return size [bytes] and time of change [ns] of a file; zeros if it does not exist."""
     try:
         status = path.stat()
     except OSError:
@@ -161,32 +165,36 @@ def _status(path: Path) -> tuple[int, int]:
 
 
 def _files_of_process(path: Path, status: os.stat_result) -> list[Path]:
-    """Return the files that belong to a process and are there; it is read again when it has changed."""
+    """Return the process file and the files that it names, as far as they exist.
+
+    The process file is read again when its status has changed.
+    """
     return [file for file in _read_process(path, status.st_size, status.st_mtime_ns) if file.is_file()]
 
 
 @lru_cache(1024)
 def _read_process(path: Path, size: int, time_ns: int) -> tuple[Path, ...]:
-    """Return the files that belong to a process; size and time only tell the cache that the file has changed."""
+    """Return the process file and the files that it names; size and time are only keys of the cache."""
     return tuple(inputs.force_inputs(path))
 
 
 class _Watcher:
     """State of the programs of a folder.
 
-    :ivar code: sum of the code of the package.
-    :ivar setup: sum of the code, cell, robot, process, other files and options that all programs are converted with;
-        empty before they were read.
-    :ivar setup_paths: these files; `setup_status`: size and time of each at the last scan.
-    :ivar setup_since: monotonic time of their last change [s].
-    :ivar setup_read: True once `setup` was computed after their last change.
-    :ivar same_named: programs that were refused since they would be written under one name.
-    :ivar force_folder: folder of forces, None if there is none; `force_files`: what the last scan found there, see
-        `programs.force_files`; `plain_options`: arguments of `find_jobs` without the folder.
+    :ivar code: checksum of the code of the package.
+    :ivar setup: checksum of the set-up of all programs: code, options, cell, robot, process and other common files;
+        empty before the files were read.
+    :ivar setup_paths: the files of the set-up; `setup_status`: size and time of each at the last scan.
+    :ivar setup_since: monotonic time of the last change of these files [s].
+    :ivar is_setup_read: whether `setup` was computed after this change.
+    :ivar same_named: programs that were refused because they would be written under one name.
+    :ivar force_folder: folder of forces; None: there is none.
+    :ivar force_files: files in the folder of forces at the last scan, see `programs.force_files`.
+    :ivar plain_options: arguments of `find_jobs` without the folder of forces.
     :ivar last_changes: program → its signature, and the monotonic time of the last change [s].
     :ivar finished: program → signature with which it was converted, or refused.
     :ivar entries: content of the state file: name of the program → entry.
-    :ivar reported: sentences that the user has seen, and that are not said again.
+    :ivar reported: sentences that were passed to `say` and are not repeated.
     """
 
     def __init__(
@@ -212,10 +220,13 @@ class _Watcher:
         self.code, self.setup = inputs.code_sum(), ""
         self.setup_paths: list[Path] = []
         self.setup_status: tuple[tuple[int, int], ...] = ()
-        self.setup_since, self.setup_read = 0.0, False
+        self.setup_since, self.is_setup_read = 0.0, False
 
     def scan(self, time_s: float) -> list[Path]:
-        """Return the programs that are new or have changed, and are quiet and readable.
+        """Return the programs to convert: they are new or have changed, and can be read.
+
+        The files of the program and of the set-up must not have changed for `QUIET`. None is returned while a folder
+        cannot be read or the output folder cannot be written; the user is told so once.
 
         :param time_s: monotonic time [s].
         """
@@ -241,7 +252,7 @@ class _Watcher:
         return ready if is_setup_quiet and ready and self._can_write() else []
 
     def _forget_removed(self, programs: Collection[Path]) -> None:
-        """Forget programs that are no longer in the folder, and all results if the output was removed."""
+        """Remove the state of programs that are not in the folder any more; of all programs without a state file."""
         if self.entries and not (self.output / STATE).is_file():
             self.entries = {}
             self.finished.clear()
@@ -252,14 +263,14 @@ class _Watcher:
                 self._retry_same_named()
 
     def _retry_same_named(self) -> None:
-        """Forget programs that were refused because they share a name, so that the next scan tries them again."""
+        """Remove the results of programs that were refused for a shared name: the next scan tries them again."""
         for path in self.same_named:
             self.finished.pop(path, None)
             self.entries.pop(path.name, None)
         self.same_named.clear()
 
     def _can_write(self) -> bool:
-        """Return whether the output folder can be written at present."""
+        """Return whether the output folder can be written at present; if not, tell the user once."""
         waiting = f"{self.output} cannot be written at present. Waiting for it."
         try:
             self.output.mkdir(parents=True, exist_ok=True)
@@ -271,21 +282,24 @@ class _Watcher:
             return False
 
     def _is_setup_quiet(self, time_s: float) -> bool:
-        """Return whether the files that all programs are converted with are unchanged for `QUIET`; read new ones."""
-        if tuple(map(_status, self.setup_paths)) != self.setup_status or not self.setup:
+        """Return whether the files of the set-up have not changed for `QUIET` and are read; read them if they are due.
+
+        :param time_s: monotonic time [s].
+        """
+        if tuple(map(_file_status, self.setup_paths)) != self.setup_status or not self.setup:
             self.setup_paths = self._setup_paths()
-            self.setup_status = tuple(map(_status, self.setup_paths))
-            self.setup_since, self.setup_read = time_s, False
-        if self.setup_read:
+            self.setup_status = tuple(map(_file_status, self.setup_paths))
+            self.setup_since, self.is_setup_read = time_s, False
+        if self.is_setup_read:
             return True
         if self.setup and time_s - self.setup_since < QUIET:
             return False
         return self._read_setup()
 
     def _read_setup(self) -> bool:
-        """Compute `setup` from the present files; return False if one of them cannot be read now.
+        """Compute `setup` from the present files; return whether all of them could be read.
 
-        If it has changed, all programs are converted again.
+        If `setup` has changed, all programs are converted again.
         """
         option_texts = {
             **options_of(self.settings),
@@ -295,8 +309,9 @@ class _Watcher:
             contents = [path.read_bytes() for path in self.setup_paths if path.is_file()]
         except OSError:
             return False
+        # at the first reading: the set-ups of an earlier watch, from the state file
         last_setups = {self.setup} if self.setup else {entry.setup for entry in self.entries.values()}
-        self.setup_read = True
+        self.is_setup_read = True
         self.setup = provenance.digest([self.code.encode(), json.dumps(option_texts).encode(), *contents])
         if last_setups - {self.setup}:
             self.say("The cell, a file used with it, an option or postproc has changed: all are converted again.")
@@ -304,7 +319,7 @@ class _Watcher:
         return True
 
     def _setup_paths(self) -> list[Path]:
-        """Return the files that all programs are converted with, as far as they can be read."""
+        """Return the files of the set-up: cell, robot, part, common forces; of an unusable cell the cell file alone."""
         settings = self.settings
         paths = [settings.cell, *([] if settings.part is None else [settings.part])]
         try:
@@ -318,7 +333,10 @@ class _Watcher:
         return paths
 
     def convert(self, ready: Sequence[Path]) -> Iterator[tuple[Outcome, Job]]:
-        """Convert programs, and record each as soon as its files are written."""
+        """Convert programs; yield each outcome, and record it as soon as its files are written.
+
+        If an error concerns the whole run, the programs are converted one by one. At the end the overview is written.
+        """
         states = {path: (self.last_changes[path][0], self._program_digest(path)) for path in ready}
         jobs: list[Job] = []
         try:
@@ -335,13 +353,16 @@ class _Watcher:
             for path in ready:
                 if self.finished.get(path) != states[path][0]:
                     yield from self.convert([path])
-        for path in ready:  # called by others, and converted with them
+        for path in ready:  # programs without an outcome were converted with their callers
             if self.finished.get(path) != states[path][0]:
                 self._record(path, Outcome(str(path), GOOD), *states[path])
         self._write_overview()
 
     def _write_overview(self) -> None:
-        """Write the overview of the output folder, with the programs that could not be converted."""
+        """Write the overview of the output folder, with the programs that could not be converted.
+
+        If it cannot be written, or would replace a file that postproc did not write, the user is told once.
+        """
         if files.foreign_single(self.output / OVERVIEW) and not self.settings.overwrite:
             self._report_new(f"{self.output / OVERVIEW} was not written by postproc: there is no overview.")
             return
@@ -358,7 +379,10 @@ class _Watcher:
     def _convert_jobs(
         self, jobs: Sequence[Job], states: Mapping[Path, tuple[Signature, str | None]]
     ) -> Iterator[tuple[Outcome, Job]]:
-        """Convert jobs; yield each outcome, and record it with the state of the program's inputs before."""
+        """Convert jobs; yield each outcome, and record it with the state of its inputs before the conversion.
+
+        :param states: program → its signature and SHA-256 before the conversion; other programs are not recorded.
+        """
         by_name = {str(job.program): job for job in jobs}
         for outcome in convert_all(jobs, self.settings, workers=self.workers, waiting=self.say):
             job = by_name[outcome.program]
@@ -367,14 +391,14 @@ class _Watcher:
             yield outcome, job
 
     def _jobs(self, ready: Sequence[Path]) -> list[Job]:
-        """Return the jobs of programs; of one that others call, those of its callers.
+        """Return the jobs of programs; a program that others call is replaced by its callers.
 
-        :raises InputError: one of them, and another program of the folder, would be written under one name.
+        :raises InputError: one of the programs and another program of the folder would be written under one name.
         """
         options = {"output": self.output, **self.plain_options}
         try:
             all_jobs = find_jobs([str(self.folder)], **options)
-        except PostprocError:  # one of the others cannot be read yet
+        except PostprocError:  # another program of the folder cannot be read yet
             all_jobs = find_jobs([str(path) for path in ready], **options)
         programs = set(ready)
         for job in all_jobs:
@@ -387,35 +411,41 @@ class _Watcher:
         return self._find_forces(job for job in all_jobs if job.program in programs and not job.callers)
 
     def _jobs_without_forces(self, program: Path) -> list[Job]:
-        """Return the job of a program without its file of forces; an empty list if the program is unusable too."""
+        """Return the job of a program without its file of forces; an empty list if that fails too."""
         try:
             return find_jobs([str(program)], output=self.output, **self.plain_options)
         except PostprocError:
             return []
 
     def _find_forces(self, jobs: Iterable[Job]) -> list[Job]:
-        """Return jobs with their files of forces; one that has none, but should, names the file that is missing."""
+        """Return jobs with their files of forces; if the folder of forces lacks a file, the job names that file."""
         folder = self.force_folder
         if folder is not None:
             return [replace(job, forces=self._forces_of(job.program, folder)) for job in jobs]
         return [replace(job, forces=self._process_of(job.program) or job.forces) for job in jobs]
 
     def _process_of(self, program: Path) -> Path | None:
-        """Return the process file of a program; None: there is none, or other forces are stated for all."""
+        """Return the process file of a program, see `programs.process_of`.
+
+        None: it has none, or forces are stated in a table or a folder for all programs.
+        """
         common: Path | None = self.plain_options["forces"]
         is_process = common is None or common.suffix.lower() == PROCESS
         return process_of(program, self.output, common) if is_process and self.force_folder is None else None
 
     def _forces_of(self, program: Path, folder: Path) -> Path | None:
-        """Return the file with the forces of a program, which may be missing; None if its comments state them.
+        """Return the file with the forces of a program; None if its comments state them.
 
-        :raises ForceError: there are several.
+        A program without either has NAME.csv in the folder, which does not exist.
+
+        :param folder: folder of forces.
+        :raises ForceError: the program has several files of forces.
         """
         file = force_file(program, self.force_files)
         return file if file is not None or states_forces(program) else folder / f"{program.stem}.csv"
 
     def _waits_for_forces(self, path: Path) -> bool:
-        """Return whether the forces of a program have not arrived, and nothing has been written for it.
+        """Return whether a program waits for its forces: they are missing, and nothing has been written for it yet.
 
         A program that was written loses its result if its forces are removed: it is tried again, and fails.
         """
@@ -440,8 +470,11 @@ class _Watcher:
                     self._report_new(f"{path}: its name is not UTF-8. Rename the file.")
         return programs
 
-    def _reads(self, path: Path) -> list[Path]:
-        """Return the program file, the files that are read with it, and those of its forces."""
+    def _input_files(self, path: Path) -> list[Path]:
+        """Return the files that a program is read from: its own, its companions, and its files of forces.
+
+        Forces that are common to all programs belong to the set-up, and are left out.
+        """
         companions = registry.dialect_of_file(path).companions(path) if self.options.get("dialect") is None else []
         process = self._process_of(path)
         is_common = process is None or process == self.plain_options["forces"]
@@ -449,24 +482,26 @@ class _Watcher:
         return [path, *companions, *self.force_files.get(path.stem.lower(), ()), *process_files]
 
     def _signature(self, path: Path) -> Signature | None:
-        """Return names, sizes and times of the files of a program; None if one is not there any more."""
+        """Return names, sizes and times of the files of a program; None if one of them does not exist any more."""
         try:
-            return tuple(map(FileStamp.of, self._reads(path)))
+            return tuple(map(FileStamp.of, self._input_files(path)))
         except FileNotFoundError:
             return None
 
     def _program_digest(self, path: Path) -> str | None:
         """Return the SHA-256 of the files of a program; None, with a remark to the user, if one cannot be opened."""
         try:
-            return provenance.digest(file.read_bytes() for file in self._reads(path))
+            return provenance.digest(file.read_bytes() for file in self._input_files(path))
         except OSError:
             self._report_new(f"{path} cannot be opened at present, another program may be writing it. Waiting for it.")
             return None
 
     def _is_new(self, path: Path, signature: Signature) -> bool:
-        """Return whether a program differs from the version that was converted; if not, it counts as finished.
+        """Return whether a program differs from the version that was converted; if not, record it as finished.
 
-        :param signature: of the program in this scan.
+        A program that cannot be opened at present counts as not new.
+
+        :param signature: signature of the program in this scan.
         """
         digest = self._program_digest(path)
         if digest is None:
@@ -478,9 +513,10 @@ class _Watcher:
         return not is_converted
 
     def _is_written(self, path: Path) -> bool:
-        """Return whether the output folder has the program as these files and options make it.
+        """Return whether the output folder has the program as the present inputs and options make it.
 
-        The line of origin in the written program is the evidence. Only pages and tables depend on the mesh of a part.
+        The line of origin in the written program shows that. With the mesh of a part False is returned, because the
+        line of origin does not depend on it.
         """
         if self.settings.part is not None:
             return False
@@ -505,9 +541,11 @@ class _Watcher:
             return False
 
     def _record(self, path: Path, outcome: Outcome, signature: Signature, digest: str | None) -> None:
-        """Record in the state file that a program has been converted, or could not be.
+        """Record in the state file that a program has been converted, or could not be converted.
 
-        :param signature: of the program before the conversion; `digest`: of its contents then, None: not readable.
+        :param signature: signature of the program before the conversion.
+        :param digest: SHA-256 of its files before the conversion; None: they could not be read, and no entry is
+            written.
         """
         self.finished[path] = signature
         if digest is not None:
@@ -516,21 +554,21 @@ class _Watcher:
             files.write_whole(self.output, {STATE: msgspec.json.encode(self.entries)})
 
     def _read_entries(self) -> dict[str, Entry]:
-        """Return the entries of the state file; empty without a readable one."""
+        """Return the entries of the state file; none if it does not exist or cannot be read."""
         try:
             return msgspec.json.decode((self.output / STATE).read_bytes(), type=dict[str, Entry])
         except (OSError, msgspec.MsgspecError):
             return {}
 
     def _report_new(self, sentence: str) -> None:
-        """Report a sentence once."""
+        """Pass a sentence to `say`, unless it was passed before."""
         if sentence not in self.reported:
             self.reported.add(sentence)
             self.say(sentence)
 
 
 _RELOAD_S = 2
-"""A page that is looked at changes within two seconds of a run."""
+"""Time after which an open page is loaded again [s]."""
 _EMPTY_OVERVIEW = b"<!DOCTYPE html><title>postproc</title><p>No program has been converted yet."
 _SERVED_FILES = (".html", ".json", ".csv", ".glb", ".src", ".dat", ".mod")
 
@@ -538,7 +576,7 @@ _SERVED_FILES = (".html", ".json", ".csv", ".glb", ".src", ".dat", ".mod")
 def server(folder: Path, port: int) -> ThreadingHTTPServer:
     """Return a server of a folder, bound to 127.0.0.1.
 
-    :param port: 0 = any that is free.
+    :param port: number of the port; 0: any free port.
     :raises PostprocError: the port is in use.
     """
     try:
@@ -550,10 +588,16 @@ def server(folder: Path, port: int) -> ThreadingHTTPServer:
 
 
 class _Overview(SimpleHTTPRequestHandler):
-    """Files of a folder; its overview reloads itself. Names of other hosts are refused (DNS rebinding)."""
+    """Server of the files of a folder, whose overview reloads itself.
+
+    Requests under the name of another host are refused, against DNS rebinding.
+    """
 
     def do_GET(self) -> None:
-        """Send a file of the folder."""
+        """Send a file of the folder.
+
+        A missing overview is replaced by an empty page. Files in subfolders and with other extensions are not sent.
+        """
         host = (self.headers.get("Host") or "").rpartition(":")[0]
         path = self.path.partition("?")[0]
         if host not in ("127.0.0.1", "localhost"):
@@ -570,11 +614,11 @@ class _Overview(SimpleHTTPRequestHandler):
             super().do_GET()
 
     def do_HEAD(self) -> None:
-        """Refuse: browsers do not need it."""
+        """Refuse the request: browsers do not need it."""
         self.send_error(405)
 
     def end_headers(self) -> None:
-        """Let the overview reload itself, and nothing be kept."""
+        """Add headers that let the overview reload itself, and that forbid caches."""
         if self.path.partition("?")[0] in ("/", "/index.html"):
             self.send_header("Refresh", str(_RELOAD_S))
         self.send_header("Cache-Control", "no-store")

@@ -52,17 +52,17 @@ class LocalWorkers:
         self._settings = settings
         self._threads = ThreadPoolExecutor(count)
         self._free: SimpleQueue[_Process] = SimpleQueue()
-        self._all: set[_Process] = set()  # with those that work
+        self._all: set[_Process] = set()  # free and working processes
         self._lock = threading.Lock()
         self._ending = False
 
     def begin(self, task: Task) -> Future[Outcome]:
-        """Begin a task as soon as there is a free process."""
+        """Begin a task as soon as there is a free process; return its future."""
         return self._threads.submit(self._work, task)
 
     def outcome(self, future: Future[Outcome], task: Task) -> Outcome | None:
         """Return the outcome of a task that has ended; None if no process could be started for it."""
-        del task
+        del task  # an argument of `Workers.outcome` that is not needed here
         return None if isinstance(future.exception(), OSError) else future.result()
 
     def lost_outcome(self, task: Task) -> None:
@@ -91,9 +91,9 @@ class LocalWorkers:
         return outcome
 
     def _process(self) -> _Process:
-        """Return a free process or a new one.
+        """Return a free process, or a new one if none is free.
 
-        :raises OSError: the workers are ending.
+        :raises OSError: the workers are ending, or no process can be started.
         """
         with contextlib.suppress(Empty):
             return self._free.get_nowait()
@@ -106,7 +106,12 @@ class LocalWorkers:
 
 
 def work_in_process(task: Task, settings: Settings) -> Outcome:
-    """Run a task in a new process; return its outcome."""
+    """Run a task in a new process, which is ended afterwards; return its outcome.
+
+    If the process ends by itself, the outcome is a failure.
+
+    :raises OSError: no process can be started.
+    """
     process = _Process()
     try:
         return process.work(task, settings)
@@ -118,13 +123,13 @@ def work_in_process(task: Task, settings: Settings) -> Outcome:
 
 
 class _Process:
-    """A worker process.
+    """A worker process on this machine.
 
-    :raises OSError: none can be started.
+    :raises OSError: the process cannot be started.
     """
 
     def __init__(self) -> None:
-        # in a session of its own: Ctrl-C and a closed terminal reach the process that waits, and it alone decides
+        # in a session of its own: Ctrl-C and a closed terminal reach only the process that waits for it
         session_options: dict[str, Any] = {"start_new_session": True}
         if sys.platform == "win32":
             session_options = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
@@ -140,7 +145,7 @@ class _Process:
     def work(self, task: Task, settings: Settings) -> Outcome:
         """Send a task to the process, and wait for the outcome.
 
-        :raises EOFError: the process ended instead.
+        :raises EOFError: the process ended before it sent an outcome.
         """
         try:
             assert self._process.stdin is not None
@@ -167,7 +172,10 @@ class _Process:
 
 
 def _crash_outcome(task: Task, code: int) -> Outcome:
-    """Return the failure of a task whose process ended with an exit code, negative for a signal."""
+    """Return the failure of a task whose process ended.
+
+    :param code: exit code of the process, or minus the number of a signal.
+    """
     exit_text = f"signal {-code}" if code < 0 else f"exit code {code}"
     program = task.job.program
     message = f"{program}: its worker process ended ({exit_text}), perhaps for lack of memory. Use fewer --jobs."
@@ -177,11 +185,11 @@ def _crash_outcome(task: Task, code: int) -> Outcome:
 def main() -> None:
     """Run a worker: tasks from standard input, outcomes to standard output, until the other end is closed."""
     outcomes = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever else may print must not get between outcomes
+    os.dup2(2, 1)  # other output goes to standard error, not between the outcomes
     logging.captureWarnings(True)
     for name in ("SIGINT", "SIGHUP", "SIGBREAK"):
         if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)  # the process that waits decides
+            signal.signal(getattr(signal, name), signal.SIG_IGN)  # the process that started this worker ends it
     tasks: SimpleQueue[tuple[Task, Settings]] = SimpleQueue()
     threading.Thread(target=_receive, args=(tasks,), daemon=True).start()
     code = 0
@@ -216,7 +224,7 @@ def _setup(settings: Settings) -> tuple[Cell, RobotModel]:
 
 
 def _convert_task(task: Task, settings: Settings) -> Outcome:
-    """Run a task in this process; return its outcome, also if the set-up cannot be read."""
+    """Run a task in this process; return its outcome, a failure if the set-up cannot be read."""
     try:
         cell, robot = _setup(settings)
     except Exception as cause:
@@ -225,13 +233,13 @@ def _convert_task(task: Task, settings: Settings) -> Outcome:
 
 
 OtherCode = tuple[str, str]
-"""Address of a worker whose postproc is another one, and its version, empty if it has none."""
+"""Address of a worker with other code, and the version of its postproc; empty: it has no postproc."""
 PATIENCE = 10.0
-"""Seconds that are waited for the scheduler, or for a worker, before the work is given up."""
+"""Time to wait for an answer of the scheduler, or for a worker, before the work is given up [s]."""
 _SIGN_TIMEOUT = 60.0
-"""Seconds without a sign of life of a worker after which its tasks are given up."""
+"""Time without a sign of life of a worker after which its tasks are given up [s]."""
 _LOOK = 5.0
-"""Seconds between two looks at the workers (assumed)."""
+"""Time between two questions to the scheduler about its workers [s] (assumed)."""
 _ADDRESS = re.compile(r"(tcp|tls)://(\[[\da-fA-F:.]+\]|[\w.-]+):\d{1,5}")
 
 
@@ -240,10 +248,11 @@ class Cluster(Struct, frozen=True):
 
     Its workers must see the same files under the same paths, and have the same postproc.
 
-    :param address: of the scheduler, e.g. ``tcp://10.0.0.5:8786`` or ``tls://10.0.0.5:8786``.
-    :param ca: file of the authority that signed the certificates (PEM), for ``tls://``; None = of Dask's configuration.
-    :param certificate: that this process shows (PEM).
-    :param key: of the certificate (PEM).
+    :param address: address of the scheduler, such as ``tcp://10.0.0.5:8786`` or ``tls://10.0.0.5:8786``.
+    :param ca: file of the authority that signed the certificates (PEM), for ``tls://``.
+    :param certificate: file of the certificate of this process (PEM).
+    :param key: file of the key of this certificate (PEM). For files that are None, those of Dask's configuration are
+        used.
     """
 
     address: str
@@ -253,10 +262,10 @@ class Cluster(Struct, frozen=True):
 
 
 class ClusterWorkers:
-    """Workers of a Dask cluster; each task is done in a process of its own there, by workers with the same code.
+    """Workers of a Dask cluster, which do each task in a process of its own if they have the same code.
 
     :param settings: settings of all tasks.
-    :raises PostprocError: there is no Dask, no scheduler answers, or it has no workers.
+    :raises PostprocError: Dask is not installed, no scheduler answers, or it has no workers.
     """
 
     _futures: dict[Path, Any]
@@ -282,7 +291,10 @@ class ClusterWorkers:
         return future
 
     def outcome(self, future: Any, task: Task) -> Outcome:
-        """Return the outcome of a task that has ended, under the name that the user knows."""
+        """Return the outcome of a task that has ended, with the path of the program on this machine.
+
+        A task that was cancelled or could not be run, and a worker with other code, give a failure.
+        """
         self._last_answer = time.monotonic()
         program = str(task.job.program)
         if future.cancelled():
@@ -303,9 +315,9 @@ class ClusterWorkers:
         return Outcome(program, FAILED, message=message, keeps_old_files=True)
 
     def lost_outcome(self, task: Task) -> Outcome | None:
-        """Return a failure if the cluster or the worker that has the task has not responded for some time; else None.
+        """Return a failure if the cluster or the worker of a task has not responded for some time; else None.
 
-        The cluster has `PATIENCE` seconds, a worker `_SIGN_TIMEOUT`.
+        The time limit is `PATIENCE` for the cluster and `_SIGN_TIMEOUT` for a worker.
         """
         self._update_workers()
         if time.monotonic() > self._last_answer + PATIENCE:
@@ -320,15 +332,15 @@ class ClusterWorkers:
         return Outcome(str(task.job.program), FAILED, message=message, keeps_old_files=True)
 
     def _update_workers(self) -> None:
-        """Ask the scheduler which workers are alive, when it saw each last, and which tasks each has.
+        """Ask the scheduler for signs of life of the workers and for their tasks, every `_LOOK` seconds at most.
 
-        It is asked every `_LOOK` seconds at most.
+        If the scheduler does not answer, nothing is updated.
         """
         time_s = time.monotonic()
         if time_s < self._last_look + min(_LOOK, PATIENCE / 4.0) or self._client.status != "running":
             return
         self._last_look = time_s
-        with suppress(Exception):  # the scheduler is gone: then nothing is alive
+        with suppress(Exception):  # without an answer `_last_answer` stays, and `lost_outcome` gives up in time
             workers = self._client.sync(self._client.scheduler.identity, callback_timeout=PATIENCE)["workers"]
             self._last_answer = time_s if workers else self._last_answer
             for address, worker in workers.items():
@@ -340,7 +352,7 @@ class ClusterWorkers:
             }
 
     def end(self) -> None:
-        """Cancel tasks that have not begun; the cluster finishes the others, and leaves their staged files."""
+        """Cancel tasks that have not begun. The cluster finishes the others, whose staged files stay."""
         with suppress(Exception):
             self._client.cancel([future for future in self._futures.values() if not future.done()])
         self._client.close(timeout=2)
@@ -364,7 +376,7 @@ def _connect(cluster: Cluster) -> Any:
             "--scheduler needs dask.distributed, which is not installed. Install it with: pip install 'postproc[dask]'"
         ) from None
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what it has to say about a lost peer, we say
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # outcomes say that a worker or the scheduler is lost
     address = cluster.address
     if not _ADDRESS.fullmatch(address):
         raise PostprocError(f"{address} is no address of a Dask scheduler. Give tcp://HOST:PORT or tls://HOST:PORT.")
@@ -393,7 +405,7 @@ def _work_function() -> Callable[[str, bytes], Outcome | OtherCode]:
     def work(code: str, content: bytes) -> Any:
         """Return the outcome of a task on another machine; if its code differs, address and version of the worker.
 
-        postproc is imported in here, since the machine may have another version or none.
+        postproc is imported within the function, because the machine may have another version or none.
 
         :param code: checksum of the code of postproc on the machine that sends the task.
         :param content: pickled task and settings.
@@ -419,9 +431,9 @@ def _work_function() -> Callable[[str, bytes], Outcome | OtherCode]:
 
 
 def _security(cluster: Cluster) -> Any:
-    """Return the certificates of ``tls://``; None for ``tcp://``.
+    """Return Dask's object with the certificates for ``tls://``; None for ``tcp://``.
 
-    :raises PostprocError: they are missing or cannot be used.
+    :raises PostprocError: certificates are missing or cannot be used.
     """
     from distributed.security import Security
 
@@ -431,7 +443,7 @@ def _security(cluster: Cluster) -> Any:
     try:
         security = Security(require_encryption=True, **{name: str(path) for name, path in files.items() if path})
         context = security.get_connection_args("client").get("ssl_context")
-    except OSError as cause:  # ssl.SSLError too
+    except OSError as cause:  # ssl.SSLError is one, too
         raise PostprocError(f"the certificates for {cluster.address} cannot be used ({cause})") from cause
     if context is None:
         raise PostprocError(
@@ -442,7 +454,7 @@ def _security(cluster: Cluster) -> Any:
 
 
 def _absolute(task: Task) -> Task:
-    """Return a task with paths that are the same on other machines."""
+    """Return a task with absolute paths, which hold on other machines too."""
     job = task.job
     forces = None if job.forces is None else job.forces.resolve()
     job = replace(job, program=job.program.resolve(), output=job.output.resolve(), forces=forces)

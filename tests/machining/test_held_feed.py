@@ -241,7 +241,7 @@ def test_each_feed_is_that_of_bisection(tmp_path, seed):
     best = np.where((error(program.motions.feed) <= 1e-4) | unheld, program.motions.feed, low)
     cuts = np.flatnonzero(~program.motions.rapid)
     assert (held.feed[cuts] <= best[cuts] * (1 + 1e-9)).all()
-    np.testing.assert_allclose(held.feed[cuts], best[cuts], rtol=0.01)  # `_CLOSE`
+    np.testing.assert_allclose(held.feed[cuts], best[cuts], rtol=0.01)  # `_LARGEST_RESERVE_SHARE`
 
 
 def test_a_motion_that_its_turn_slows_is_lowered_from_the_speed_of_its_tip(tmp_path):
@@ -263,7 +263,7 @@ def test_a_motion_that_its_turn_slows_is_lowered_from_the_speed_of_its_tip(tmp_p
     assert is_within.any()
     assert not is_within.all()
     np.testing.assert_array_equal(held.feed[cuts[is_within]], program.motions.feed[cuts[is_within]])
-    np.testing.assert_allclose(held.feed[cuts[~is_within]], limit, rtol=0.01)  # `_CLOSE`
+    np.testing.assert_allclose(held.feed[cuts[~is_within]], limit, rtol=0.01)  # `_LARGEST_RESERVE_SHARE`
 
 
 def test_a_feed_below_the_least_stays_as_it_is(tmp_path):

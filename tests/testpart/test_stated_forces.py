@@ -128,7 +128,7 @@ def test_the_scale_is_that_of_programs_with_this_material(tmp_path, process, sou
         cell=Path("cell.toml"), process=tmp_path / "process.toml", output=tmp_path / "out",
         programs=(str(tmp_path / "job.nc"),), forces=None if is_stated else tmp_path / source,
     )  # fmt: skip
-    tests = testpart_files._tests(request, ROBOT_IN_CELL, process, None)
+    tests = testpart_files._test_states(request, ROBOT_IN_CELL, process, None)
     assert len(tests.is_scaled) == len(tests.weight) > 1
     is_same = source == "process.toml"
     assert tests.is_scaled.all() if is_same else not tests.is_scaled.any()
