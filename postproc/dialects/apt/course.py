@@ -1,4 +1,4 @@
-"""What a cutter-location file makes the machine do: moves, events and faults, in the order of the statements."""
+"""Result of executing a cutter-location file: moves, events and faults, in the order of the statements."""
 
 from __future__ import annotations
 
@@ -32,7 +32,11 @@ class Remark(NamedTuple):
 
 
 class Happening(Struct, frozen=True):
-    """An event: number of moves before it, row of its statement, and `program.Event` in short."""
+    """An event, see `program.Event`.
+
+    :param before: number of moves before it.
+    :param row: row of its statement.
+    """
 
     before: int
     row: int
@@ -42,14 +46,19 @@ class Happening(Struct, frozen=True):
 
 
 class Part(Struct, frozen=True, eq=False):
-    """Moves of one kind and feed, n in order.
+    """n consecutive moves of one kind and feed.
 
-    :param row: (n,) statements; `end` (n, 3) [mm] and `axis` (n, 3), the unit direction from tip to spindle, there.
-    :param code: `RAPID`, `LINE` or `ARC`; `feed` [mm/min].
-    :param tool: number of the tool, or None before the first.
-    :param circle: of an arc; `sweep` its angle [rad].
-    :param is_joint_motion: whether it is one; `is_exact_stop`: whether it stops at its end.
-    :param is_to_home: whether it leads to [machine] home.
+    :param row: (n,) rows of their statements.
+    :param end: (n, 3) ends of the moves [mm].
+    :param axis: (n, 3) unit direction from tip to spindle at the ends.
+    :param code: `RAPID`, `LINE` or `ARC`.
+    :param feed: feed [mm/min].
+    :param tool: number of the tool; None before the first tool.
+    :param circle: circle of an arc; None for lines.
+    :param sweep: angle of an arc [rad]; 0 for lines.
+    :param is_joint_motion: True if the robot moves by its joints, not along a path.
+    :param is_exact_stop: True if the robot stops at the end.
+    :param is_to_home: True if the move leads to [machine] home.
     """
 
     row: Ints
@@ -69,9 +78,9 @@ class Course(Struct, eq=False):
     """Result of the execution.
 
     :ivar tools: numbers of the tools, in order of their first use.
-    :ivar begins_at_start: whether the first move comes from `[start]` at feed.
-    :ivar has_units: whether the program states its units.
-    :ivar after_end: rows of statements behind the end, which are not executed.
+    :ivar begins_at_start: True if the first move begins at `[start]` and is at feed.
+    :ivar has_units: True if the program states its units.
+    :ivar after_end: rows of statements behind the end of the program, which are not executed.
     """
 
     parts: list[Part] = field(default_factory=list)

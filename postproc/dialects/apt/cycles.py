@@ -21,28 +21,32 @@ from msgspec import Struct
 from postproc.dialects.apt.statements import StatementError
 
 ADVICE = "Let the CAM system write the holes as GOTO statements."
-_READ = (
+_SUPPORTED_CYCLES = (
     f"{ADVICE} Read are DRILL, FACE and CSINK with DEPTH, a feed, CLEAR, RAPTO, RETURN, DWELL, and DEEP and BRKCHP "
     "with STEP too."
 )
-_ABOVE_CHIPS_MM = 0.254
-"""Height above the last depth from which a peck goes on, as in G73 and G83 (LinuxCNC)."""
+_PECK_CLEARANCE_MM = 0.254
+"""Height above the last depth at which the next peck begins at feed, as in G73 and G83 (LinuxCNC)."""
 _MOST_PECKS = 10_000
-"""A hole with more is a mistake in a number: at 0.1 mm a peck it would be 1 m deep."""
-_OF_FEDTO = {"RAPTO": "CLEAR", "FEDTO": "DEPTH", "RTRCTO": "RETURN", "INCR": "STEP", "SUBPECK": "STEP"}
-"""Words of cycles with FEDTO: those of the others."""
-_HEIGHTS = ("DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL", "STEP", "1STPECK")
+"""Largest number of pecks of a hole: at 0.1 mm a peck it would be 1 m deep; more is a mistake in a number."""
+_EQUIVALENT_WORDS = {"RAPTO": "CLEAR", "FEDTO": "DEPTH", "RTRCTO": "RETURN", "INCR": "STEP", "SUBPECK": "STEP"}
+"""Word of cycles with FEDTO → word of cycles with DEPTH of the same meaning."""
+_HEIGHT_WORDS = ("DEPTH", "CLEAR", "RAPTO", "RETURN", "DWELL", "STEP", "1STPECK")
 _PLAIN, _PECK_CYCLES = ("DRILL", "FACE", "CSINK"), ("DEEP", "BRKCHP")
 
 
 class Cycle(Struct, frozen=True):
-    """Heights of a cycle [mm], its feed [mm/min] and its dwell [s].
+    """A drilling cycle; heights count upwards from the top of the hole [mm].
 
-    :param depth: below the top of the hole.
-    :param clear_height: above the top, to which the tool goes in rapid; `feed_height`: at which the feed begins.
-    :param return_height: to which it returns; None: that before the hole.
-    :param step: depth of a peck, 0 = none; `first_step`: of the first one.
-    :param retracts_fully: whether each peck ends at `clear_height`.
+    :param depth: depth of the hole below its top [mm].
+    :param clear_height: height to which the tool moves in rapid above the hole.
+    :param feed_height: height at which the feed begins.
+    :param return_height: height to which the tool returns; None: the height before the hole.
+    :param feed: feed [mm/min].
+    :param dwell: dwell at the bottom [s].
+    :param step: depth of a peck [mm]; 0: no pecks.
+    :param first_step: depth of the first peck [mm].
+    :param retracts_fully: True if the tool returns to `clear_height` after each peck.
     """
 
     depth: float
@@ -56,24 +60,24 @@ class Cycle(Struct, frozen=True):
     retracts_fully: bool
 
     def pecks(self) -> Iterator[float]:
-        """Yield the heights of the bottoms of pecks above the last one [mm]."""
+        """Yield the heights of the bottoms of all pecks except the last, whose bottom is that of the hole [mm]."""
         bottom = self.feed_height - self.first_step
         while self.step > 0.0 and bottom > -self.depth:
             yield bottom
             bottom -= self.step
 
     def retracts(self, bottom: float) -> tuple[float, ...]:
-        """Return the heights [mm] of the rapids from the bottom of a peck to where the next one begins."""
-        return (*([self.clear_height] if self.retracts_fully else ()), bottom + _ABOVE_CHIPS_MM)
+        """Return the heights [mm] of the rapid moves after a peck, up to the beginning of the next peck."""
+        return (*([self.clear_height] if self.retracts_fully else ()), bottom + _PECK_CLEARANCE_MM)
 
 
 class CycleWords(Struct, frozen=True):
     """Values of a CYCLE statement.
 
     :param name: DRILL, FACE, CSINK, DEEP or BRKCHP.
-    :param heights: word of `_HEIGHTS` → its number, in the unit of the file.
-    :param rates: number and unit of the feed, or nothing.
-    :param keeps_height: whether the tool returns to the height before the hole.
+    :param heights: word of `_HEIGHT_WORDS` → its number, in the unit of the file; DWELL [s].
+    :param rates: number and unit of the feed; empty if the cycle states none.
+    :param keeps_height: True if the tool returns to the height before the hole.
     """
 
     name: str
@@ -85,12 +89,12 @@ class CycleWords(Struct, frozen=True):
         """Return the cycle of these words; lengths in mm.
 
         :param unit: length of a unit of the file [mm].
-        :param feed: [mm/min].
-        :raises StatementError: the heights contradict each other.
+        :param feed: feed of the cycle [mm/min].
+        :raises StatementError: the heights contradict each other, or the depth of a peck is not valid.
         """
         mm = {word: number * unit for word, number in self.heights.items()}
         depth, clear = mm["DEPTH"], mm["CLEAR"]
-        return_height, rapid_height = mm.get("RETURN", clear), clear - mm.get("RAPTO", 0.0)
+        return_height, rapid_height = mm.get("RETURN", clear), clear - mm.get("RAPTO", 0.0)  # RAPTO counts downwards
         step = mm.get("STEP", 0.0)
         is_ordered = depth > 0.0 and clear > 0.0 and clear >= rapid_height >= 0.0
         if not is_ordered or not (self.keeps_height or return_height >= clear):
@@ -116,7 +120,8 @@ class CycleWords(Struct, frozen=True):
 def cycle_words(words: Sequence[float | str], rates: Sequence[str]) -> CycleWords:
     """Return the values behind ``CYCLE/``.
 
-    :param rates: words that may follow a feed.
+    :param words: name of the cycle, then couplets: word, number, word, number …
+    :param rates: words that state a feed: units such as MMPM.
     :raises StatementError: a word is not known, missing or repeated.
     """
     name, *couplets = words or [""]
@@ -130,20 +135,20 @@ def cycle_words(words: Sequence[float | str], rates: Sequence[str]) -> CycleWord
     names, numbers = [str(word) for word in couplets[0::2]], couplets[1::2]
     are_couplets = len(names) == len(numbers) == len(set(names)) and all(isinstance(value, float) for value in numbers)
     values = {word: value for word, value in zip(names, numbers, strict=False) if isinstance(value, float)}
-    heights = {word: value for word, value in values.items() if word in _HEIGHTS}
-    feeds = [(value, word) for word, value in values.items() if word not in _HEIGHTS]
-    is_known = name in (*_PLAIN, *_PECK_CYCLES) and set(names) <= {*_HEIGHTS, *rates}
+    heights = {word: value for word, value in values.items() if word in _HEIGHT_WORDS}
+    feeds = [(value, word) for word, value in values.items() if word not in _HEIGHT_WORDS]
+    is_known = name in (*_PLAIN, *_PECK_CYCLES) and set(names) <= {*_HEIGHT_WORDS, *rates}
     is_complete = {"DEPTH", "CLEAR"} <= set(names) and ("STEP" in names) == (name in _PECK_CYCLES)
     if not (are_couplets and is_known and is_complete) or len(feeds) > 1:
-        raise StatementError(f"CYCLE/{name} with these values is not supported", _READ)
+        raise StatementError(f"CYCLE/{name} with these values is not supported", _SUPPORTED_CYCLES)
     feed = feeds[0] if feeds else ()
     return CycleWords(str(name), heights, feed, keeps_height or heights.get("RETURN") == 0.0)
 
 
 def _normalise_depth(couplets: Sequence[float | str]) -> tuple[list[float | str], bool]:
-    """Return a cycle with FEDTO in the words of the other cycles, and whether it returns to the height before the hole.
+    """Return a cycle with FEDTO in the words of cycles with DEPTH, and whether the tool returns to its former height.
 
-    An RTRCTO that repeats RETURN, and a CLEAR next to RAPTO and RETURN, which is a coordinate, are left out.
+    Left out are an RTRCTO that repeats RETURN, and a CLEAR with RAPTO and RETURN, which is a coordinate.
 
     :param couplets: word, value, word, value …
     """
@@ -158,5 +163,5 @@ def _normalise_depth(couplets: Sequence[float | str]) -> tuple[list[float | str]
     for word, value in pairs:
         if (word, value) != automatic:
             is_depth = word == "FEDTO" and isinstance(value, float)
-            new_couplets += [_OF_FEDTO.get(str(word), word), abs(value) if is_depth else value]  # type: ignore[arg-type]
+            new_couplets += [_EQUIVALENT_WORDS.get(str(word), word), abs(value) if is_depth else value]  # type: ignore[arg-type]
     return new_couplets, automatic in pairs

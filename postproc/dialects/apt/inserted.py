@@ -1,4 +1,4 @@
-"""Text of INSERT, which a post copies into the program of the control: a comment, or a block of the control.
+"""Text of INSERT, which a post-processor copies into the program of the control: a comment, or a block of code.
 
 A text is a comment only if no control would move by it: brackets with nothing behind them, the names of tools and
 holders that SolidWorks CAM writes, and lines that begin with a word such as TOOL, STOCK or MATERIAL and have no code.
@@ -33,11 +33,13 @@ _MEANINGS = (
         "Write the motion as GOTO, GOHOME or RETRCT.",
     ),
 )
-"""What blocks mean, the most telling word first. G10 before G1: patterns end behind the number."""
+"""Pattern of a block, its effect and advice; the first match counts, so that the clearest effects are first."""
 
 
 def inserted_comment(text: str) -> str | None:
-    """Return the comment in the text of an INSERT, in upper case, or None if it may be a code of the control.
+    """Return the comment in the text of an INSERT; None if it may be code of the control.
+
+    :param text: in upper case.
 
     >>> inserted_comment("[HOLDER=C40-M12EM2] 20MM CRB 4FL 38 LOC")
     '[HOLDER=C40-M12EM2] 20MM CRB 4FL 38 LOC'
@@ -49,13 +51,13 @@ def inserted_comment(text: str) -> str | None:
         return text.strip("(); ")
     if not _NAMES.fullmatch(code):
         return None
-    is_tap = _THREAD.search(code) is not None
+    is_tap = _THREAD.search(code) is not None  # M6 is then a thread, not a code
     codes = [match[0] for match in _CODES.finditer(code) if not (is_tap and match[2])]
     return None if codes else text
 
 
 def inserted_fault(text: str) -> tuple[str, str]:
-    """Return problem and advice for a block of a control.
+    """Return problem and advice for the text of an INSERT that is code of a control.
 
     >>> inserted_fault("G28 Z0")
     ("'G28 Z0' is for one control and moves the machine", 'Write the motion as GOTO, GOHOME or RETRCT.')

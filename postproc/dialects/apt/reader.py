@@ -48,12 +48,12 @@ from postproc.program import (
     tilt_to,
 )
 
-_SAME_MM = 1e-6
-"""Moves that are shorter [mm] are rounding: far below the last digit of a program."""
-_NO_TURN = 1e-9
-"""Change of the unit vector of the tool that is the rounding of doubles."""
-_OPPOSITE = -0.9999
-"""Tool directions with a smaller component along a reference have no shortest rotation from it (assumed)."""
+_MOVE_TOLERANCE_MM = 1e-6
+"""Shorter moves are rounding: far below the last digit of a program."""
+_TURN_TOLERANCE = 1e-9
+"""Smaller changes of the unit vector of the tool are the rounding of doubles."""
+_OPPOSITE_COSINE = -0.9999
+"""A direction whose component along a reference is smaller has no shortest rotation from the reference (assumed)."""
 _BELOW_AXES = np.diag([1.0, -1.0, -1.0])
 """Reference orientation of programs whose tool comes from below: half a turn about X."""
 
@@ -61,11 +61,13 @@ _BELOW_AXES = np.diag([1.0, -1.0, -1.0])
 def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], Array], name: str) -> Program:
     """Read a cutter-location file.
 
-    The first motion, if rapid, is `PTP`; later rapid ones are `LIN` with ``rapid``. Moves that go nowhere are left out.
+    The first motion is `PTP` if it is rapid; later rapid motions are `LIN` with ``rapid``. Moves of zero length are
+    left out.
 
     :param cell: `$BASE`, `$TOOL`, tools, `[machine]`, `[m_codes]`, speed of rapid moves, approximation distance.
     :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
-    :raises InputError: all that is wrong, together, each with file, line, text and advice.
+    :param name: name of the program.
+    :raises InputError: all errors of the file together, each with file, line, text and advice.
     """
     source = statements.split(document)
     course = execute(source, cell)
@@ -78,7 +80,7 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
     if not course.parts:
         advice = "Check that the file is the right one and complete."
         raise ProgramError("the program moves nothing", file=document.name, advice=advice)
-    numbers = {number: row for row, number in enumerate(course.tools, 1)} if cell.tools else {}
+    numbers = {number: row for row, number in enumerate(course.tools, 1)} if cell.tools else {}  # 0 is `$TOOL`
     base = cell.base.pose()
     tools = np.stack([cell.tool.pose(), *(cell.tools[f"{number:g}"].pose() for number in numbers)])
     home = None
@@ -103,20 +105,25 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
 
 
 def _error(source: Statements, row: int, problem: str, advice: str | None) -> ProgramError:
-    """Return the error of a statement, by its row, with its line and text."""
+    """Return the error of the statement `row`, with its line and text."""
     line = int(source.line[row])
     return ProgramError(problem, file=source.document.name, line=line, text=source.text(row), advice=advice)
 
 
 def _changed_system(source: Statements, line: int) -> ProgramError:
-    """Return the error for a second machining axis system."""
+    """Return the error for a second machining axis system, which begins on a line."""
     problem = "the machining axis system changes: coordinates from here on are in another system"
     advice = "Write one file for each machining axis system, and give its place as [base] of a cell."
     return ProgramError(problem, file=source.document.name, line=line, advice=advice)
 
 
 class _Comments(NamedTuple):
-    """Force comments of a file, its other comments with their 1-based lines, and errors of force comments."""
+    """Comments of a file.
+
+    :ivar notes: force comments.
+    :ivar plain_comments: 1-based line and text of all other comments.
+    :ivar faults: errors of force comments.
+    """
 
     notes: list[ForceNote]
     plain_comments: list[tuple[int, str]]
@@ -124,7 +131,10 @@ class _Comments(NamedTuple):
 
 
 def _comments(source: Statements, course: Course) -> _Comments:
-    """Return the comments up to the end of the program: those after ``$$``, and forces in PPRINT."""
+    """Return the comments up to the end of the program: comments after ``$$``, and force comments in PPRINT.
+
+    Other texts of PPRINT are left out: they are events of `course`.
+    """
     notes: list[ForceNote] = []
     plain_comments: list[tuple[int, str]] = []
     faults: list[InputError] = []
@@ -149,8 +159,13 @@ def _comments(source: Statements, course: Course) -> _Comments:
 class _Moves:
     """All moves as arrays (N, …), see `course.Part`.
 
-    :ivar row: (N,) statements; `end`: (N, 3) [mm]; `axis`: (N, 3) direction of the tool there.
-    :ivar part: (N,) index of the part; `begin`: (N, 3) where each begins [mm]; `turns`: (N,) whether the tool turns.
+    :ivar parts: the parts that they come from.
+    :ivar row: (N,) rows of their statements.
+    :ivar begin: (N, 3) beginnings of the moves [mm]; the first move has none and gets its end.
+    :ivar end: (N, 3) ends of the moves [mm].
+    :ivar axis: (N, 3) direction of the tool at the ends.
+    :ivar part: (N,) index of the part of each move.
+    :ivar turns: (N,) True if the direction of the tool changes; before the first move it is z.
     """
 
     def __init__(self, parts: Sequence[Part]) -> None:
@@ -161,12 +176,12 @@ class _Moves:
         self.end: Array = np.concatenate([no_points, *(part.end for part in parts)])
         self.axis: Array = np.concatenate([no_points, *(part.axis for part in parts)])
         self.part = np.repeat(np.arange(len(parts)), [len(part.row) for part in parts])
-        self.begin = np.concatenate([self.end[:1], self.end[:-1]])  # the first move is one wherever it begins
+        self.begin = np.concatenate([self.end[:1], self.end[:-1]])
         previous_axis = np.concatenate([[[0.0, 0.0, 1.0]], self.axis[:-1]])[: len(self.row)]
-        self.turns = norm(self.axis - previous_axis) > _NO_TURN
+        self.turns = norm(self.axis - previous_axis) > _TURN_TOLERANCE
 
     def per_move(self, name: str) -> Array:
-        """Return a property of the parts for each move (N,)."""
+        """Return the field `name` of the part of each move (N,)."""
         return np.array([getattr(part, name) for part in self.parts])[self.part]
 
 
@@ -178,19 +193,22 @@ class _Home(NamedTuple):
 
 
 def _tools(moves: _Moves, numbers: dict[float, int]) -> Ints:
-    """Return the index of the tool of each move (N,); `numbers`: index of a tool by its number."""
+    """Return the index of the tool of each move (N,); 0, which is `$TOOL`, before the first tool.
+
+    :param numbers: number of each tool of the program → its index.
+    """
     part_tools = [0 if part.tool is None else numbers.get(part.tool, 0) for part in moves.parts]
     return np.array(part_tools)[moves.part]
 
 
 def _motion_moves(moves: _Moves, numbers: dict[float, int]) -> Ints:
-    """Return the moves (M,) that are motions: the first one, and those of some length or other effect.
+    """Return the moves (M,) that are motions: the first move, and all moves that change the position or the tool.
 
-    :param numbers: index of each tool of the program, by its number.
+    :param numbers: number of each tool of the program → its index.
     """
     tool = _tools(moves, numbers)
     is_tool_change = np.diff(tool, prepend=tool[:1]) != 0
-    is_long = norm(moves.end - moves.begin) > _SAME_MM
+    is_long = norm(moves.end - moves.begin) > _MOVE_TOLERANCE_MM
     is_first = np.arange(len(tool)) == 0
     is_arc, is_joint_motion = moves.per_move("code") == ARC, moves.per_move("is_joint_motion")
     return np.flatnonzero(is_long | moves.turns | is_arc | is_joint_motion | is_tool_change | is_first)
@@ -202,8 +220,8 @@ def _motions(
     """Return the moves that are motions, in `$BASE`.
 
     :param motion_moves: (M,) moves that are motions.
-    :param numbers: index of each tool of the program, by its number.
-    :param home: None: the cell has none.
+    :param numbers: number of each tool of the program → its index.
+    :param home: home position of the cell; None without one.
     """
     code, is_joint_motion, is_to_home = (
         moves.per_move(name)[motion_moves] for name in ("code", "is_joint_motion", "is_to_home")
@@ -246,13 +264,13 @@ def _targets(moves: _Moves, motion_moves: Ints, orientation: Array) -> Array:
     """Return the poses (M, 4, 4) [m] of the tool frame in `$BASE` at the ends of motions.
 
     :param motion_moves: (M,) moves that are motions.
-    :param orientation: (3, 3) of the tool frame in the program frame where the tool comes along z.
+    :param orientation: (3, 3) orientation of the tool frame in the program frame if the tool points along z.
     """
     target = np.zeros((len(motion_moves), 4, 4))
     target[:, 3, 3] = 1.0
     reference = _reference(moves.axis)
     axis = moves.axis[motion_moves] @ reference
-    if (axis == axis[:1]).all():
+    if (axis == axis[:1]).all():  # one direction: one matrix is faster
         target[:, :3, :3] = reference @ tilt_to(axis[:1])[0] @ orientation
     else:
         target[:, :3, :3] = reference @ tilt_to(axis) @ orientation
@@ -264,7 +282,7 @@ def _arcs(parts: Sequence[Part], part: Ints, is_arc: Bools) -> ArcColumns:
     """Return the arcs of motions.
 
     :param part: (M,) index in `parts` of each motion.
-    :param is_arc: (M,) which motions are arcs.
+    :param is_arc: (M,) True for motions that are arcs.
     """
     empty = np.broadcast_to(np.nan, (len(part), 3))  # takes no memory
     if not is_arc.any():
@@ -279,16 +297,21 @@ def _arcs(parts: Sequence[Part], part: Ints, is_arc: Bools) -> ArcColumns:
 
 
 def _reference(axis: Array) -> Array:
-    """Return the orientation (3, 3) from whose z the tool is tilted to its directions `axis` (n, 3).
+    """Return the orientation (3, 3) from whose z axis the tool is tilted to its directions.
 
-    It is that of `$BASE`, unless the tool comes straight from below somewhere.
+    It is that of `$BASE`, or half a turn about X if the tool comes straight from below anywhere.
+
+    :param axis: (n, 3) directions of the tool.
     """
-    return _BELOW_AXES if (axis[:, 2] < _OPPOSITE).any() else np.eye(3)
+    return _BELOW_AXES if (axis[:, 2] < _OPPOSITE_COSINE).any() else np.eye(3)
 
 
 def _opposite_directions(moves: _Moves, source: Statements) -> list[Fault]:
-    """Return the fault of a tool that comes straight from above and straight from below, where it does the second."""
-    sides = (("above", moves.axis[:, 2] > -_OPPOSITE), ("below", moves.axis[:, 2] < _OPPOSITE))
+    """Return the fault that the tool comes straight from above and, elsewhere, straight from below; else no fault.
+
+    The fault is at the later of the two first moves.
+    """
+    sides = (("above", moves.axis[:, 2] > -_OPPOSITE_COSINE), ("below", moves.axis[:, 2] < _OPPOSITE_COSINE))
     first_moves = sorted((int(np.argmax(is_side)), side) for side, is_side in sides if is_side.any())
     if len(first_moves) < len(sides):
         return []
@@ -299,7 +322,7 @@ def _opposite_directions(moves: _Moves, source: Statements) -> list[Fault]:
 
 
 def _notes_before_motions(notes: Sequence[ForceNote], motions: Motions) -> tuple[ForceNote, ...]:
-    """Return the force notes with the index of the motion that each precedes."""
+    """Return the force notes, each with the index of the first motion behind it."""
     indices = np.searchsorted(motions.line, [note.line for note in notes]).tolist()
     return tuple(replace(note, before=index) for note, index in zip(notes, indices, strict=True))
 
@@ -307,13 +330,15 @@ def _notes_before_motions(notes: Sequence[ForceNote], motions: Motions) -> tuple
 def _events(
     course: Course, comments: Sequence[tuple[int, str]], source: Statements, motion_moves: Ints, motions: Motions
 ) -> Iterator[Event]:
-    """Yield comments and other events in order of their lines.
+    """Yield comments and other events in execution order; force comments are left out.
 
-    :param comments: line and text; `motion_moves`: (M,) moves that are motions.
+    :param comments: line and text of each comment.
+    :param motion_moves: (M,) moves that are motions.
+    :param motions: these motions.
     """
     course_events = [
         Event(
-            int(np.searchsorted(motion_moves, event.before)),
+            int(np.searchsorted(motion_moves, event.before)),  # number of motions before it
             event.kind,
             int(source.line[event.row]),
             event.value,

@@ -31,17 +31,18 @@ _SPACE = np.frombuffer(bytes(c in b" \t\r\n\x0b\x0c" for c in range(256)), dtype
 _TO_NUMBERS = bytes(_BLANK if c in b",\n" else c for c in range(256))
 LIMIT = 1e7
 """Numbers of this magnitude or more are refused as mistakes."""
-UNIT_LENGTH = 1e-3
+LENGTH_TOLERANCE = 1e-3
 """Largest difference of the length of a direction from 1: files have three decimals or more."""
 NEAR_MM = 1e-6
-"""Places closer than this are the same: a nanometre, far below the digits of files [mm]."""
+"""Points closer than this [mm] coincide: a nanometre, far below the digits of files."""
 
 
 class StatementError(Exception):
     """A statement cannot be executed.
 
-    :ivar problem: what is wrong with it; `advice`: what to do, or None.
-    :ivar row: its row; None: it is the statement that is executed.
+    :ivar problem: description of the error.
+    :ivar advice: what the user can do; None without advice.
+    :ivar row: row of the statement; None: the statement that is being executed.
     """
 
     def __init__(self, problem: str, advice: str | None, row: int | None = None) -> None:
@@ -53,8 +54,8 @@ class StatementError(Exception):
 def numbers_of(words: list[float | str], *counts: int) -> Array:
     """Return the values of a statement as numbers (n,).
 
-    :param counts: numbers of values that are valid.
-    :raises StatementError: a value is a word, or their number is not valid.
+    :param counts: valid numbers of values.
+    :raises StatementError: a value is a word, or the number of values is not valid.
     """
     if any(isinstance(value, str) for value in words) or len(words) not in counts:
         count_text = " or ".join(map(str, counts))
@@ -67,13 +68,13 @@ class Statements(Struct, frozen=True, eq=False):
 
     :param document: the file.
     :param code: statements in upper case without white space and comments; each ends with a line feed.
-    :param ends: (S + 1,) positions: statement i is ``code[ends[i]:ends[i + 1] - 1]``.
-    :param line: (S,) 1-based lines on which they begin.
-    :param others: (n,) statements that are neither empty nor plain GOTO.
-    :param points: (P,) plain GOTO statements.
-    :param numbers: (P, 6) their numbers; the last three are NaN where there are only three.
-    :param comments: 1-based line and text of the comments.
-    :param spans: where the lines of the file begin and stop.
+    :param ends: (S + 1,) offsets in `code`: statement i is ``code[ends[i]:ends[i + 1] - 1]``.
+    :param line: (S,) 1-based lines on which the statements begin.
+    :param others: (n,) rows of statements that are neither empty nor plain GOTO.
+    :param points: (P,) rows of plain GOTO statements.
+    :param numbers: (P, 6) numbers of these; the last three are NaN for a GOTO with three numbers.
+    :param comments: 1-based line and text of each comment.
+    :param spans: offsets of the beginnings and ends of the lines of the file.
     """
 
     document: Document
@@ -91,11 +92,11 @@ class Statements(Struct, frozen=True, eq=False):
         return len(self.line)
 
     def of(self, row: int) -> str:
-        """Return a statement without white space, in upper case."""
+        """Return the statement `row` without white space and comments, in upper case."""
         return self.code[self.ends[row] : self.ends[row + 1] - 1].decode("ascii")
 
     def text(self, row: int) -> str:
-        """Return the first line of a statement as it is in the file."""
+        """Return the first line of the statement `row` as it is in the file."""
         line = int(self.line[row]) - 1
         return self.document.text[self.spans[0][line] : self.spans[1][line]]
 
@@ -109,13 +110,13 @@ def split(document: Document) -> Statements:
     for begin, end in comment_spans:
         chars[begin:end] = _BLANK
     keep = ~_SPACE[chars]
-    keep[stops] = True  # each line ends with one line feed, whatever it ended with
+    keep[stops] = True  # one line feed replaces each line end
     chars[stops] = _LF
     code, line = _join_lines(np.frombuffer(chars[keep].tobytes().upper(), dtype=np.uint8))
     code_chars = np.frombuffer(code, dtype=np.uint8)
     ends = np.concatenate([[0], np.flatnonzero(code_chars == _LF) + 1])
     points, numbers = _plain_gotos(code_chars, ends)
-    is_plain_or_empty = np.diff(ends) == 1  # a line feed alone
+    is_plain_or_empty = np.diff(ends) == 1  # an empty statement is a line feed
     is_plain_or_empty[points] = True
     return Statements(
         document=document,
@@ -133,28 +134,29 @@ def split(document: Document) -> Statements:
 def _comments(text: str, starts: Ints, comment_spans: Sequence[tuple[int, int]]) -> Iterator[tuple[int, str]]:
     """Yield the 1-based line and the text behind ``$$`` of each comment.
 
-    :param starts: offsets of the lines of the file; `comment_spans`: spans of the comments.
+    :param starts: (L,) offsets of the lines of the file.
+    :param comment_spans: spans of the comments.
     """
     begins = np.array([begin for begin, _ in comment_spans], dtype=np.int64)
-    lines = np.searchsorted(starts, begins, side="right").tolist()
+    lines = np.searchsorted(starts, begins, side="right").tolist()  # number of lines that begin at or before each
     for line, (begin, end) in zip(lines, comment_spans, strict=True):
         yield line, _comment(text[begin + len("$$") : end])
 
 
 def _comment(text: str) -> str:
-    """Return a comment as one line."""
+    """Return a comment as one line; ``$`` and line ends of a continued comment become blanks."""
     return _CONTINUATION.sub(" ", text).strip() if "\n" in text or "\r" in text else text.strip()
 
 
 def _join_lines(chars: np.typing.NDArray[np.uint8]) -> tuple[bytes, Ints]:
-    """Return lines joined where they end with ``$``, and the 1-based first line of each statement.
+    """Return the text with lines joined where they end with ``$``, and the 1-based first line of each statement.
 
     :param chars: bytes of the lines, each with a line feed at its end.
     """
     ends = np.flatnonzero(chars == _LF)
     is_continued = chars[ends - 1] == _DOLLAR
-    is_continued[:1] &= ends[:1] > 0  # an empty first line: the character before its end is the last of the text
-    is_continued[-1:] = False
+    is_continued[:1] &= ends[:1] > 0  # ends - 1 is −1, the last character, if the first line is empty
+    is_continued[-1:] = False  # no line follows the last one
     if not is_continued.any():
         return chars.tobytes(), np.arange(1, len(ends) + 1)
     keep = np.ones(len(chars), dtype=np.bool_)
@@ -168,23 +170,24 @@ def _plain_gotos(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, 
 
     A GOTO is plain if only digits, signs, points and commas follow its slash and they are three or six decimal numbers.
 
-    :param chars: bytes of all statements; `ends`: (S + 1,) positions, see `Statements`.
+    :param chars: bytes of all statements.
+    :param ends: (S + 1,) offsets, see `Statements`.
     """
     rows, count = _goto_candidates(chars, ends)
-    for _ in range(2):  # once more without the statements that turn out not to be plain
+    for _ in range(2):  # a second time without the statements that are not plain
         text = _numbers_text(chars, ends, rows)
         first, last = numbers_in(text)
         length = np.diff(ends)[rows] - len(_GOTO)
         begin = np.concatenate([[0], np.cumsum(length)])
-        word_count = np.diff(np.searchsorted(first, begin))
+        word_count = np.diff(np.searchsorted(first, begin))  # numbers that begin within each statement
         is_complete = word_count == count
         if is_complete.all():
             break
-        rows, count = rows[is_complete], count[is_complete]  # a number is missing between two commas
+        rows, count = rows[is_complete], count[is_complete]  # others lack a number between two commas
     no_points = np.zeros(0, dtype=np.int64), np.zeros((0, 6))
     if not len(rows):
         return no_points
-    values = parsed_numbers(text, first, last)
+    values = parsed_numbers(text, first, last)  # None if a number is not in the fast form
     if values is None:
         try:
             values = np.array([float(word) for word in text.tobytes().split()])
@@ -193,14 +196,17 @@ def _plain_gotos(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, 
     numbers = np.full((len(rows), 6), np.nan)
     row = np.repeat(np.arange(len(rows)), count)
     numbers[row, ragged_range(count)] = values
-    large_rows = distinct(row[np.abs(values) >= LIMIT])
+    large_rows = distinct(row[np.abs(values) >= LIMIT])  # not plain: they are refused when executed
     return np.delete(rows, large_rows), np.delete(numbers, large_rows, axis=0)
 
 
 def _goto_candidates(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Ints]:
-    """Return the rows (n,) of GOTO with digits, signs, points and two or five commas alone, and 3 or 6 for each (n,).
+    """Return the GOTO statements that may be plain: rows (n,), and the numbers of values (n,), 3 or 6.
 
-    :param chars: bytes of all statements; `ends`: (S + 1,) positions, see `Statements`.
+    They have only digits, signs, points and two or five commas behind the slash.
+
+    :param chars: bytes of all statements.
+    :param ends: (S + 1,) offsets, see `Statements`.
     """
     rows = np.flatnonzero(np.diff(ends) > len(_GOTO) + 1)
     for column, letter in enumerate(_GOTO):
@@ -208,7 +214,7 @@ def _goto_candidates(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[In
     if not len(rows):
         return rows, rows
     other_character_count = _counts(~_NUMERIC[chars], ends, rows)
-    rows = rows[other_character_count == len(_GOTO)]  # no others than those of the word and the slash
+    rows = rows[other_character_count == len(_GOTO)]  # only the word and the slash
     count = _counts(chars == _COMMA, ends, rows) + 1
     has_point = (count == 3) | (count == 6)
     return rows[has_point], count[has_point]
@@ -217,10 +223,11 @@ def _goto_candidates(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[In
 def _numbers_text(chars: np.typing.NDArray[np.uint8], ends: Ints, rows: Ints) -> np.typing.NDArray[np.uint8]:
     """Return the text behind the slash of GOTO statements, one after the other, with blanks for commas and line feeds.
 
-    :param chars: bytes of all statements; `ends`: (S + 1,) positions, see `Statements`.
+    :param chars: bytes of all statements.
+    :param ends: (S + 1,) offsets, see `Statements`.
     :param rows: (n,) the GOTO statements.
     """
-    # 1 where the numbers of a statement begin and −1 where they end: the sum is 1 between them
+    # 1 where the numbers of a statement begin and −1 behind their line feed: the running sum is 1 between them
     boundary = np.zeros(len(chars) + 1, dtype=np.int8)
     boundary[ends[rows] + len(_GOTO)] = 1
     boundary[ends[rows + 1]] -= 1
@@ -229,10 +236,11 @@ def _numbers_text(chars: np.typing.NDArray[np.uint8], ends: Ints, rows: Ints) ->
 
 
 def _counts(is_counted: np.typing.NDArray[np.bool_], ends: Ints, rows: Ints) -> Ints:
-    """Return the number (n,) of counted characters in each of some statements.
+    """Return the number (n,) of counted characters in each statement of `rows`.
 
-    :param is_counted: (C,) which characters of all statements are counted.
-    :param ends: (S + 1,) positions, see `Statements`; `rows`: (n,) the statements.
+    :param is_counted: (C,) True for characters, of all statements, that are counted.
+    :param ends: (S + 1,) offsets, see `Statements`.
+    :param rows: (n,) the statements.
     """
     preceding_count = np.cumsum(np.append(0, is_counted), dtype=np.int64)
     return np.asarray(preceding_count[ends[rows + 1]] - preceding_count[ends[rows]])
@@ -242,7 +250,10 @@ _NUMBER = re.compile(r"[-+]?(?:\d{1,30}\.?\d{0,30}|\.\d{1,30})(?:[ED][-+]?\d{1,3
 
 
 def number(word: str) -> float | None:
-    """Return the value of a number, or None if the word is none or it is out of range."""
+    """Return the value of a word that is a number; None for other words, and for numbers of `LIMIT` or more.
+
+    The exponent may be D, as in Fortran.
+    """
     if not _NUMBER.fullmatch(word):
         return None
     value = float(word.replace("D", "E"))
@@ -250,7 +261,7 @@ def number(word: str) -> float | None:
 
 
 def values(words: str) -> list[float | str]:
-    """Return the values behind the slash of a statement: numbers and words.
+    """Return the values behind the slash of a statement: numbers, and all else as words.
 
     >>> values("250.,MMPM")
     [250.0, 'MMPM']

@@ -1,4 +1,4 @@
-"""What the text of a cutter-location file shows before it is read with a cell: tools, cutters, spindle, coolant."""
+"""Survey of a cutter-location file before it is read with a cell: tools, cutters, spindle, coolant."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from postproc.dialects.dialect import Survey
 from postproc.program import Document
 
 _LOAD = re.compile(r"(?:LOADTL/|LOAD/TOOL,)(\d{1,15})(?!\d)")
-"""Change of a tool; a number of more digits is a fault, which the reader states."""
+"""A tool change; the reader reports longer numbers as errors."""
 
 
 def survey(document: Document) -> Survey:
-    """Return the survey of a text. ``CUTTER/`` is a comment of its line, as it describes the tool that follows."""
+    """Return the survey of a text; ``CUTTER/…`` counts as a comment, because it describes the tool that follows."""
     statements = split(document)
     comments, changes, switches = list(statements.comments), [], set()
     inches = False

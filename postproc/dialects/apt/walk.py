@@ -44,10 +44,10 @@ from postproc.dialects.apt.cycles import Cycle, cycle_words
 from postproc.dialects.apt.inserted import inserted_comment, inserted_fault
 from postproc.dialects.apt.statements import (
     COORDINATES_ADVICE,
+    LENGTH_TOLERANCE,
     NEAR_MM,
     REFUSED,
     TEXT,
-    UNIT_LENGTH,
     WITHOUT_EFFECT,
     StatementError,
     Statements,
@@ -269,7 +269,7 @@ class _Walk:
         is_stated = ~np.isnan(length)
         if not is_stated.any():
             return np.broadcast_to(self.axis, words.shape)
-        non_unit_rows = np.flatnonzero(np.abs(length - 1.0) > UNIT_LENGTH)
+        non_unit_rows = np.flatnonzero(np.abs(length - 1.0) > LENGTH_TOLERANCE)
         if len(non_unit_rows):
             advice = "GOTO takes x, y, z, or x, y, z and the direction of the tool i, j, k."
             problem = "the last three numbers are not a direction of length 1"
@@ -404,7 +404,7 @@ class _Walk:
         :param axis: (3,) unit direction at the hole.
         :raises StatementError: it does.
         """
-        if norm(np.cross(axis, self.axis)) > UNIT_LENGTH or axis @ self.axis < 0.0:
+        if norm(np.cross(axis, self.axis)) > LENGTH_TOLERANCE or axis @ self.axis < 0.0:
             raise StatementError("the tool turns in a cycle", "Write a GOTO with the new direction before CYCLE.", row)
 
     def _add_move(self, row: int, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
@@ -497,7 +497,7 @@ class _Walk:
         :raises StatementError: the numbers are not those of points.
         """
         points = numbers_of(words, *((3, 6) if self.pending_arc is None else range(3, 301, 3)))
-        if len(points) in (3, 6) and (len(points) == 3 or abs(norm(points[3:]) - 1.0) < UNIT_LENGTH):
+        if len(points) in (3, 6) and (len(points) == 3 or abs(norm(points[3:]) - 1.0) < LENGTH_TOLERANCE):
             numbers = np.append(points, np.full(6 - len(points), np.nan))[None]
         elif self.pending_arc is not None:
             numbers = np.hstack([points.reshape(-1, 3), np.full((len(points) // 3, 3), np.nan)])
@@ -650,7 +650,7 @@ class _Walk:
         if words not in ([], ["ON"], ["OFF"]):
             raise StatementError("MULTAX is not understood", "Write MULTAX/ON or MULTAX/OFF.")
         if words == ["OFF"] and self.system_of_file is None:
-            self.is_axis_open = bool(self.axis[2] < 1.0 - UNIT_LENGTH**2)
+            self.is_axis_open = bool(self.axis[2] < 1.0 - LENGTH_TOLERANCE**2)
 
     def _read_tool_axis(self, row: int, words: list[float | str]) -> None:
         """Read a direction of the tool, a unit vector (3,).
@@ -659,7 +659,7 @@ class _Walk:
         :raises StatementError: it does not have length 1.
         """
         axis = numbers_of(words, 3)
-        if abs(norm(axis) - 1.0) > UNIT_LENGTH:
+        if abs(norm(axis) - 1.0) > LENGTH_TOLERANCE:
             raise StatementError("the direction of the tool does not have length 1", "Check i, j, k.")
         del row
         self._set_axis(axis / norm(axis))
@@ -934,13 +934,13 @@ class _Walk:
         """
         del row
         rows = numbers_of(words, 12).reshape(3, 4)
-        if np.abs(rows[:, :3] @ rows[:, :3].T - np.eye(3)).max() > UNIT_LENGTH:
+        if np.abs(rows[:, :3] @ rows[:, :3].T - np.eye(3)).max() > LENGTH_TOLERANCE:
             raise StatementError("CSYS has no axes of length 1 at right angles", "Check its twelve numbers.")
         if not self.in_fixture and not np.array_equal(rows, np.eye(3, 4)):
             advice = "Let the CAM system write all coordinates in one system (TRNTYP/WORLD)."
             raise StatementError("CSYS without TRNTYP: the system of the coordinates is not known", advice)
         axis = rows[:, 2] / norm(rows[:, 2])
-        self.is_tilted_setup = bool(axis[2] < 1.0 - UNIT_LENGTH**2)
+        self.is_tilted_setup = bool(axis[2] < 1.0 - LENGTH_TOLERANCE**2)
         self._set_axis(axis)
 
     def _read_mode(self, row: int, words: list[float | str]) -> None:

@@ -6,8 +6,8 @@ Decisions, where KUKA leaves a choice:
   no C_DIS: the advance run stops there, so that outputs switch once the robot stops, not up to three motions early.
 - With ``[gcode] motions = "SLIN"`` path motions are SLIN and SCIRC with C_SPL, which keep the programmed path at any
   speed. PTP gets no C_DIS then: spline and other motions are not approximated into each other.
-- Frames are set after these lines, and what a program called by them may have changed is set again: `$BASE`, `$TOOL`,
-  `$APO.CDIS` and speeds. A routine that changes the tool drives to the magazine with frames of its own.
+- Frames are set after these lines. If the lines call a program, all that it may have changed is set again: `$BASE`,
+  `$TOOL`, `$APO.CDIS` and speeds. A routine that changes the tool drives to the magazine with frames of its own.
 - C_DIS is also left out before a dwell, a HALT, a change of `$BASE` or `$TOOL`, a PTP, and at the end.
 """
 
@@ -36,9 +36,9 @@ from postproc.program import CIRC, PTP, Bools, Document, Ints, Program, TargetFo
 from postproc.version import VERSION
 
 _FRAME_DECIMALS = 6
-"""Of `$BASE` and `$TOOL` [mm, deg]: far below the tolerance of any correction, also at a lever of some metres."""
+"""Decimals of `$BASE` and `$TOOL` [mm, deg]: far below the tolerance of corrections, also at a lever of metres."""
 ANGLE_DECIMALS = 5
-"""Of joint angles [deg]: at a lever of 3 m, 0.3 µm."""
+"""Decimals of joint angles [deg]: at a lever of 3 m, 0.3 µm."""
 _PARAMETERS = ("&PARAM TEMPLATE = C:\\KRC\\Roboter\\Template\\vorgabe",)
 _PARAMETERS_KRC2 = (*_PARAMETERS, "&PARAM EDITMASK = *")
 _INITIALISATION = (
@@ -63,7 +63,7 @@ _WORDS = Words(
     wait="WAIT SEC 0",
 )
 _PER_M = 1e6
-"""Millionths of a metre in a metre: the unit of speeds, see `NewProgram.speeds`."""
+"""Micrometres in a metre, for the speeds of `NewProgram.path_speeds`."""
 
 
 def emit(program: Program, targets: Targets, cell: Cell, comment_forces: TargetForces | None = None) -> WrittenProgram:
@@ -72,9 +72,9 @@ def emit(program: Program, targets: Targets, cell: Cell, comment_forces: TargetF
     :param program: its motions, frames, events and name.
     :param targets: commanded poses.
     :param cell: start position, approximation, lines for events, controller.
-    :param comment_forces: forces to be written as comments, on the lines of their targets.
+    :param comment_forces: forces to be written as comments, on the lines of their targets; None: no force comments.
     :returns: one document, ``NAME.src``, CR LF.
-    :raises ProgramError: the name is not one of KRL; a move has no feed, or one that would be printed as 0.
+    :raises ProgramError: the controller refuses the name; a move has no feed, or a feed that would be printed as 0.
     :raises ValueError: a number is too large to be written.
     """
     check_name(program, "KRL", fault_of, valid_name)
@@ -82,12 +82,12 @@ def emit(program: Program, targets: Targets, cell: Cell, comment_forces: TargetF
 
 
 class Emitter:
-    """Prints all targets at once, between what `NewProgram` collects.
+    """Prints all targets in bulk, and between them the lines that `NewProgram` collects.
 
-    :param comment_forces: forces that comments state, or None.
-    :param starts: rows of targets before which the program is divided into modules: the robot stops there, and force
-        comments begin anew.
-    :ivar has_force_comment: (T,) targets behind which a comment states the force.
+    :param comment_forces: forces that comments state; None: no force comments.
+    :param starts: targets before which the program is divided into modules: the robot stops before them, and the first
+        path target of each module has a force comment.
+    :ivar has_force_comment: (T,) True for targets with a force comment on their line.
     :ivar call_rows: targets before which lines of the cell call other programs, which may change `$BASE` and `$TOOL`.
     """
 
@@ -99,7 +99,7 @@ class Emitter:
         comment_forces: TargetForces | None,
         starts: Sequence[int] = (),
     ) -> None:
-        """Collect the lines that all new programs have."""
+        """Prepare an empty program; `write` fills it."""
         self.program, self.targets, self.cell = program, targets, cell
         self.comment_forces, self.starts = comment_forces, starts
         self.new_program = NewProgram(program, targets, cell, _WORDS)
@@ -107,7 +107,7 @@ class Emitter:
         self.call_rows: list[int] = []
 
     def write(self) -> WrittenProgram:
-        """Return the written program."""
+        """Return the written program; fill `new_program`, `has_force_comment` and `call_rows`."""
         new, count = self.new_program, len(self.targets)
         new.stop_targets |= set(self.starts)
         head = [*self.header_lines(self.program.name), *self.start_lines()]
@@ -128,6 +128,7 @@ class Emitter:
                 self.comment_forces, self.targets.kind, constant(-1, count), (), np.nan
             )
             on_path = np.flatnonzero(self.targets.kind != PTP)
+            # the first path target at or behind each start, if there is one
             path_rows = np.searchsorted(on_path, np.array(self.starts, dtype=on_path.dtype))
             self.has_force_comment[on_path[path_rows[path_rows < len(on_path)]]] = True
         text, output_line = new.text_and_lines(
@@ -135,14 +136,17 @@ class Emitter:
             lambda kind, rows: without_trailing_zeros(self._motion_lines(kind, rows, distances[rows] > 0.0)),
             ["END"],
         )
-        encoding = "ascii" if text.isascii() else "cp1252"  # the same bytes, but much faster
+        encoding = (
+            "ascii" if text.isascii() else "cp1252"
+        )  # for ASCII text the bytes are the same, and encoding is much faster
         document = Document(f"{self.program.name}.src", text, encoding)
         return WrittenProgram((document,), output_line, "krl", group_issues(new.issues))
 
     def header_lines(self, name: str, *comments: str) -> list[str]:
         """Return the header and the initialisation of a module.
 
-        :param comments: further comments in it.
+        :param name: name of the module.
+        :param comments: further comments of the header, without ``;``.
         """
         controller = self.cell.output.controller
         source = _WORDS.printable(self.program.documents[0].name)
@@ -155,7 +159,7 @@ class Emitter:
         ]
 
     def start_lines(self) -> list[str]:
-        """Return the lines that set frames and approximation distance, and move to the start position."""
+        """Return the lines that set the frames and the first approximation distance, and move to the start position."""
         base, tool = self.new_program.frames_of_target(0)
         blend = self.targets.blend[self.targets.blend > 0.0]
         return [
@@ -166,7 +170,7 @@ class Emitter:
         ]
 
     def _set_frames(self, k: int) -> None:
-        """Set `$BASE` and `$TOOL` before target `k` if they change there; both if a program was called there."""
+        """Set `$BASE` and `$TOOL` before target `k` if they change there; both if a program is called before it."""
         base, tool = self.new_program.frames_of_target(k)
         old_base, old_tool = (-1, -1) if k in self.call_rows else self.new_program.frames_of_target(k - 1)
         if base != old_base:
@@ -175,7 +179,7 @@ class Emitter:
             self.new_program.lines_before[k].append(f"$TOOL={_frame_text(self.program.tools[tool])}")
 
     def _after_tool_changes(self) -> Iterator[Issue]:
-        """Yield information on tool changes after which the robot starts from where a called program leaves it."""
+        """Yield an issue for each tool change that calls a program: the path from its end is not checked."""
         for event in self.program.events:
             k = self.new_program.first_target(event)
             if event.kind != "tool_change" or k == len(self.targets):
@@ -190,12 +194,12 @@ class Emitter:
                     yield Issue("info", "after-tool-change", message, event.line, subject=call)
 
     def _follows_call(self, rows: Ints) -> Bools:
-        """Return which targets are the first ones behind a call of a program (n,).
+        """Return whether a target (n,) is the first of `rows` at or behind a call of a program.
 
-        :param rows: (n,) the targets in question, in order: those of paths, for example.
+        :param rows: (n,) targets, ascending, such as all path targets.
         """
-        first = np.searchsorted(rows, np.array(self.call_rows, dtype=np.int64))
-        return np.isin(np.arange(len(rows)), first)
+        first_indices = np.searchsorted(rows, np.array(self.call_rows, dtype=np.int64))
+        return np.isin(np.arange(len(rows)), first_indices)
 
     def _set_distances(self, distances: Array) -> None:
         """Set `$APO.CDIS` before each target where it changes, or where a called program may have changed it.
@@ -204,7 +208,8 @@ class Emitter:
         """
         blend_rows = np.flatnonzero(distances > 0.0)
         blend_distances = distances[blend_rows]
-        start_distance = self.targets.blend[self.targets.blend > 0.0][:1]  # that `start_lines` sets
+        start_distance = self.targets.blend[self.targets.blend > 0.0][:1]  # set by `start_lines`
+        # each distance against the one before it
         changes = blend_distances != np.append(start_distance, blend_distances)[: len(blend_rows)]
         for k in blend_rows[changes | self._follows_call(blend_rows)].tolist():
             self.new_program.lines_before[k].append(f"$APO.CDIS={number_text(MM_PER_M * distances[k])}")
@@ -217,12 +222,13 @@ class Emitter:
             self.new_program.lines_before[k].append(f"$VEL.CP={speed / _PER_M:.6f}")
 
     def _set_turning(self) -> None:
-        """Set `$VEL.ORI1` and `$VEL.ORI2` where the turning speed of the tool changes.
+        """Set `$VEL.ORI1` and `$VEL.ORI2` before each path target at which the rotational speed of the tool changes.
 
-        Where the program states none, they are set to the values of BAS(#INITMOV).
+        They are set again behind a called program. Where the program states no speed, they get the values of
+        BAS(#INITMOV).
         """
         path = np.flatnonzero(self.targets.kind != PTP)
-        speeds = np.nan_to_num(self.new_program.turning_speeds()[path])
+        speeds = np.nan_to_num(self.new_program.turning_speeds()[path])  # 0: not stated
         change_rows = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | (self._follows_call(path) & speeds.any()))
         for k, speed in zip(path[change_rows].tolist(), speeds[change_rows].tolist(), strict=True):
             for name in ("ORI1", "ORI2"):
@@ -231,9 +237,11 @@ class Emitter:
                 )
 
     def _motion_lines(self, kind: int, k: Ints, is_blended: Bools) -> bytes:
-        """Return the motion lines of n targets of one kind, numbers with all decimals.
+        """Return the motion lines of n targets of one kind; numbers keep their trailing zeros.
 
-        :param k: (n,) rows of the targets; `is_blended` (n,) True where the motion is approximated.
+        :param kind: `LIN`, `CIRC` or `PTP`.
+        :param k: (n,) the targets.
+        :param is_blended: (n,) True where the motion is approximated.
         """
         numbers = self.targets.pose.xyzabc(k)
         end = _aggregate_parts(numbers)  # the last part is the closing bracket
@@ -258,15 +266,15 @@ class Emitter:
 
 
 def calls_program(statements: Sequence[str]) -> bool:
-    """Return whether lines of the cell call a program."""
+    """Return whether one of some lines of KRL is a call."""
     source = Source.of(Document("cell.toml", "\n".join(statements)), 0)
     return any(isinstance(statement(source, line + 1), CallStatement) for line in range(len(source.starts)))
 
 
 def _aggregate_parts(numbers: Array) -> list[Part]:
-    """Return ``{X …,Y …}`` for n targets, in parts that are printed side by side.
+    """Return ``{X …,Y …}`` for n targets, as columns of text that are printed side by side.
 
-    :param numbers: (n, 3) or (n, 6).
+    :param numbers: (n, 3) X, Y, Z [mm], or (n, 6) with A, B, C [deg].
     """
     parts: list[Part] = []
     for name, values, decimals in zip(CARTESIAN, numbers.T, DECIMALS.tolist(), strict=False):
@@ -275,10 +283,10 @@ def _aggregate_parts(numbers: Array) -> list[Part]:
 
 
 def _bits_parts(prefix: bytes, values: Ints) -> list[Part]:
-    """Return S or T for n targets, in parts that are printed side by side.
+    """Return S or T for n targets, as columns of text that are printed side by side.
 
-    :param prefix: printed before it.
-    :param values: (n,) numbers; nothing is printed where one is negative.
+    :param prefix: text before the number.
+    :param values: (n,) numbers; neither prefix nor number is printed for a negative one.
     """
     is_stated = values >= 0
     return [text_in_rows(prefix, is_stated), Number.of(np.where(is_stated, values, np.nan), 0)]
@@ -291,25 +299,25 @@ def _frame_text(pose: Array) -> str:
 
 
 _HEADER = ("&ACCESS RVP", "&REL 1")
-_DECLARATIONS_KRC2 = ("EXT BAS (BAS_COMMAND :IN,REAL :IN )",)  # a KRC2 does not know BAS without it
+_DECLARATIONS_KRC2 = ("EXT BAS (BAS_COMMAND :IN,REAL :IN )",)  # KRC2: BAS must be declared in each program
 
 
 def head(name: str, controller: str, parameters: Sequence[str] = ()) -> list[str]:
-    """Return the lines of a program down to its DEF.
+    """Return the first lines of a program: header, DEF and, for KRC2, the declaration of BAS.
 
     :param controller: ``"KRC4"`` or ``"KRC2"``.
-    :param parameters: further lines of the header.
+    :param parameters: further lines of the header, with ``&``.
     """
     declarations = _DECLARATIONS_KRC2 if controller == "KRC2" else ()
     return [*_HEADER, *parameters, f"DEF {name}( )", *declarations]
 
 
 def axis_motion(angles: Iterable[float], decimals: int) -> str:
-    """Return the PTP to joint angles A1…A6 [deg], with so many `decimals`."""
+    """Return the PTP to joint angles A1…A6 [deg], printed with `decimals` decimals."""
     joints = ",".join(f"A{axis} {without_negative_zero(angle):.{decimals}f}" for axis, angle in enumerate(angles, 1))
     return f"PTP {{{joints}}}"
 
 
 def document(name: str, lines: Iterable[str]) -> Document:
-    """Return the file of a program: some lines, and END behind them."""
+    """Return the file of a program: the lines, then END."""
     return Document(f"{name}.src", "".join(line + LINE_END for line in (*lines, "END")), "cp1252")

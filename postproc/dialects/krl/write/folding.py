@@ -1,10 +1,10 @@
 """From the corrected execution trace of a program back to its files.
 
-A loop whose rounds are corrected alike stays a loop; otherwise its rounds are written out. A routine that is corrected
-alike in all its calls is corrected in place; where calls differ, the others get copies of it under other names.
+A loop whose rounds all have equal corrections stays a loop; otherwise its rounds are written out. A routine whose calls
+all have equal corrections is corrected in place; otherwise further calls get copies of it under new names.
 
-What is alike is decided by keys, numbers of the changes of rows: two executions of a body are written alike if the same
-of its lines have the same keys. Text is made once, of what is written.
+Corrections are compared by keys. Each new text of a row has a number; the key of a body lists its changed lines with
+these numbers. Bodies with equal keys have equal text, which is made only once.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from postproc.errors import Issue
 from postproc.program import Bools, Document, Ints
 
 _Key = tuple[tuple[int, object], ...]
-"""Changed lines of a body, each with what it becomes; empty if nothing changes."""
+"""Changed lines of a body, each with the number of its new text or the key of its part; empty without changes."""
 
 
 class FoldedProgram(Struct, frozen=True):
     """The files of a program.
 
     :ivar documents: the `.src`, then changed files of routines that it calls.
-    :ivar line: (L + 1,) line of the `.src` on which each line of the trace begins now; of lines in other files that
-        of the call.
-    :ivar is_in_main: (L + 1,) True where the line is in the `.src`.
+    :ivar line: (L + 1,) line of the `.src` on which each row of the trace (from 1) now begins; for rows in other files,
+        the line of the call.
+    :ivar is_in_main: (L + 1,) True where the row is in the `.src`.
     :ivar issues: warnings for the user.
     """
 
@@ -54,18 +54,18 @@ def fold(course: Course, main: Routine, new_rows: EditedRows) -> FoldedProgram:
     """Return the files of a program whose execution trace was corrected.
 
     :param main: the main routine of the program.
-    :param new_rows: the rows of the trace that are written anew, and their texts.
+    :param new_rows: the edited rows of the trace, and their texts.
     """
     return _Folder(course, main, new_rows).fold()
 
 
 class _Piece(NamedTuple):
-    """Lines of a file.
+    """Lines of a written file.
 
     :ivar line_count: number of lines.
-    :ivar content: texts, and rows first … last − 1 of the trace as they are written.
-    :ivar places: (n, first, last): line n of the piece, from 0, is where row `first` of the trace begins now; the rows
-        up to the one before `last` follow as they do in the corrected trace.
+    :ivar content: in order, texts, and (first, last) for the corrected rows first … last − 1 of the trace.
+    :ivar places: (n, first, last): row `first` of the trace begins on line n of the piece, from 0; rows up to last − 1
+        follow it.
     """
 
     line_count: int
@@ -77,7 +77,7 @@ class _Version(Struct, eq=False):
     """A text of a routine, and the name under which it is written.
 
     :ivar piece: its lines; None until they are made.
-    :ivar places: of all calls that read so, see `_Piece.places`.
+    :ivar places: places of the rows of all calls of this version, see `_Piece.places`.
     """
 
     name: str
@@ -88,10 +88,10 @@ class _Version(Struct, eq=False):
 class _Folder(Struct, eq=False):
     """Writes the corrected trace of a program back to its files.
 
-    :ivar edited: the rows that are written anew.
-    :ivar versions: routine → key of its changes → its text; the first one keeps the name of the routine.
-    :ivar names: names in use, once a new one has been needed.
-    :ivar outside_calls: calls of routines in other files.
+    :ivar edited: the edited rows of the trace.
+    :ivar versions: routine → key of its changes → version; the first version keeps the name of the routine.
+    :ivar names: names in use; None until a new name is needed.
+    :ivar outside_calls: calls of routines in other files than the `.src`.
     """
 
     course: Course
@@ -105,7 +105,7 @@ class _Folder(Struct, eq=False):
     _calls: dict[InlinedRoutine, _Version] = {}
 
     def fold(self) -> FoldedProgram:
-        """Return the files of the program, with the line of each row of the trace in the main file."""
+        """Return the files of the program: the main file, and other files whose text changes."""
         key = self._body_key(self.course.body)
         body = self._body_piece(self.course.body)
         self.versions[self.main][key] = _Version(self.main.name, body, [*body.places])
@@ -121,9 +121,9 @@ class _Folder(Struct, eq=False):
         return FoldedProgram(tuple(documents), line, is_in_main, tuple(self.issues))
 
     def _lines_in_main(self, file: _Piece) -> tuple[Ints, Bools]:
-        """Return the line (L + 1,) of the `.src` on which each row begins, and whether it is in that file (L + 1,).
+        """Return the line (L + 1,) of the `.src` on which each row begins, and whether the row is in it (L + 1,).
 
-        Rows of routines in other files have the line of their call. Element 0 is of no row.
+        Rows of routines in other files have the line of their call. Rows count from 1; element 0 is unused.
 
         :param file: the whole `.src`.
         """
@@ -133,17 +133,17 @@ class _Folder(Struct, eq=False):
         piece_line, first, last = np.array(file.places, dtype=np.int64).reshape(-1, 3).T
         row_count = last - first
         rows = ragged_range(row_count, first)
-        # from lines of the corrected trace to lines of the file: one number for the rows that follow each other
+        # from lines of the corrected trace to lines of the file: the difference is constant within each place
         shift = 1 + piece_line - begins[first - 1]
         line[rows] = np.repeat(shift, row_count) + begins[rows - 1]
         is_in_main[rows] = True
         for call in self.outside_calls:
-            called_lines = line[call.body.first : call.body.stop]
+            called_lines = line[call.body.first : call.body.stop]  # a view: the assignment changes `line`
             called_lines[called_lines == 0] = line[call.row]
         return line, is_in_main
 
     def _warn_users(self, source: Source) -> None:
-        """Warn of other programs in the folder that call routines of a changed file."""
+        """Add a warning if other programs of the folders call routines of a changed file."""
         name = source.document.name
         if users := self.course.other_callers.get(name, ()):
             message = (
@@ -155,7 +155,7 @@ class _Folder(Struct, eq=False):
     # --- keys --------------------------------------------------------------------------------------------------------
 
     def _body_key(self, body: Body) -> _Key:
-        """Return a key of the changes in a body; bodies with equal keys are written alike.
+        """Return the key of the changes in a body; bodies with equal keys have equal text. The result is stored.
 
         Assignments to the counter of a FOR do not count as changes.
         """
@@ -177,19 +177,21 @@ class _Folder(Struct, eq=False):
         return key
 
     def _add_changes(self, changes: list[tuple[int, object]], first: int, last: int) -> None:
-        """Append the line and the key of each changed row among rows first … last − 1 of the trace."""
+        """Append to `changes` the line and the key of each changed row among rows first … last − 1 of the trace."""
         keys = self.edited.keys[first - 1 : last - 1]
         if any(keys):
             changes += [(self._line(row), key) for row, key in enumerate(keys, first) if key]
 
     def _line(self, row: int) -> int:
-        """Return the line that a row of the trace is in its file."""
+        """Return the line of a row of the trace in its file."""
         return self.course.trace.line.item(row - 1)
 
     def _loop_key(self, loop: UnrolledLoop) -> object:
-        """Return a key of the changes in a loop: of its body if all rounds are alike, else of each round.
+        """Return the key of the changes in a loop.
 
-        A loop whose rounds differ is reported to the user.
+        - Rounds with equal changes: the key of one round. No rounds: the key of the lines of the loop.
+        - Rounds with different changes: the keys of all rounds with their counters, and the counter behind the loop.
+          Information for the user is added to `issues`.
         """
         keys = [self._body_key(body) for body in loop.bodies]
         if all(key == keys[0] for key in keys):
@@ -202,7 +204,7 @@ class _Folder(Struct, eq=False):
         return ("rounds", end, *zip(self._counter_values(loop), keys, strict=True))
 
     def _sets_counter(self, loop: UnrolledLoop) -> bool:
-        """Return whether the counter of a FOR is set behind its last round."""
+        """Return whether the trace assigns the counter of a FOR once more behind its last round."""
         return loop.step != 0 and loop.stop > loop.bodies[-1].stop
 
     def _key_of_lines(self, loop: UnrolledLoop) -> _Key:
@@ -212,7 +214,10 @@ class _Folder(Struct, eq=False):
         return tuple(changes)
 
     def _call_key(self, call: InlinedRoutine) -> object:
-        """Return a key of what changes on the line of a call: the line itself, and the name of the called version."""
+        """Return the key of the changes on the line of a call: number of its new text, and new name of the routine.
+
+        Empty if neither changes.
+        """
         version = self._version(call)
         name = "" if version.name == call.routine.name else version.name
         key = self.edited.keys[call.row - 1]
@@ -221,11 +226,12 @@ class _Folder(Struct, eq=False):
     def _version(self, call: InlinedRoutine) -> _Version:
         """Return the version of a routine that a call needs, and store it for the call.
 
-        The first version keeps the name of the routine; one with other changes is a copy with a new name.
+        The first version keeps the name of the routine; a version with other changes is a copy with a new name. If the
+        routine must not change, the first version is its unchanged text.
         """
         versions, routine = self.versions[call.routine], call.routine
         key = self._body_key(call.body)
-        if routine in self.course.unchanged_routines and not versions:  # the unchanged text keeps the name
+        if routine in self.course.unchanged_routines and not versions:
             text = routine.source.lines_text(routine.first + 1, routine.last - 1)
             versions[()] = _Version(routine.name, _Piece(line_count(text), (text,)))
         if key not in versions:
@@ -234,15 +240,15 @@ class _Folder(Struct, eq=False):
         return versions[key]
 
     def _counter_values(self, loop: UnrolledLoop) -> list[int]:
-        """Return the values of the counter of a FOR, one for each round; zeros for other loops."""
+        """Return the value of the counter of a FOR in each round; zeros for other loops."""
         return [self.course.counter_value(loop, body.first) if loop.step != 0 else 0 for body in loop.bodies]
 
     # --- bodies ------------------------------------------------------------------------------------------------------
 
     def _body_piece(self, body: Body, begin: int = 0) -> _Piece:
-        """Return the lines of a body as they are written.
+        """Return the corrected lines of a body.
 
-        :param begin: first row of the trace to write; 0: the first of the body.
+        :param begin: first row of the trace to write; 0: the first row of the body.
         """
         pieces, row = [], begin or body.first
         for part in body.parts:
@@ -256,26 +262,26 @@ class _Folder(Struct, eq=False):
         return _concatenate([*pieces, remaining_lines]) if pieces else remaining_lines
 
     def _rows_piece(self, first: int, last: int) -> _Piece:
-        """Return rows first … last − 1 of the trace as they are written."""
+        """Return the corrected rows first … last − 1 of the trace, which must be consecutive lines of a file."""
         if last <= first:
             return _Piece(0, ())
         begins = self.edited.begins
         return _Piece(int(begins[last - 1] - begins[first - 1]), ((first, last),), ((0, first, last),))
 
     def _counter_piece(self, loop: UnrolledLoop, row: int, blanks: str) -> _Piece:
-        """Return the line that sets the counter of a FOR to its value on a row of the trace.
+        """Return a new line that assigns the counter of a FOR the value that a row of the trace assigns it.
 
-        :param blanks: indentation of that line.
+        :param blanks: indentation of the line.
         """
         text = f"{blanks}{loop.counter}={self.course.counter_value(loop, row)}{_line_end(loop.opener)}"
         return _Piece(1, (text,), ((0, row, row + 1),))
 
     def _loop_piece(self, loop: UnrolledLoop) -> _Piece:
-        """Return the lines of a loop as they are written.
+        """Return the corrected lines of a loop.
 
-        It stays a loop if all rounds are corrected alike. Otherwise its rounds are written one after the other.
+        It stays a loop if all rounds have equal corrections. Otherwise its rounds are written one after the other.
         """
-        # rows that set the counter of a FOR are in no file: one before each round, and one behind the last
+        # rows that assign the counter of a FOR are in no file: one before each round, and one behind the last round
         counter_rows = int(loop.step != 0)
         if not loop.bodies:
             return self._rows_piece(loop.first, loop.stop - counter_rows)
@@ -286,11 +292,12 @@ class _Folder(Struct, eq=False):
         return _concatenate(self._unrolled_pieces(loop, keys, rounds))
 
     def _unrolled_pieces(self, loop: UnrolledLoop, keys: Sequence[_Key], rounds: Sequence[_Piece]) -> Iterator[_Piece]:
-        """Yield the lines of a loop whose rounds are written one after the other, or in groups that are alike.
+        """Yield the lines of a loop that is written out; runs of rounds with equal corrections become loops.
 
-        A loop with EXIT becomes a LOOP of one round, so that EXIT still leaves it.
+        If the loop has EXIT, a LOOP of one round is put around its rounds, so that EXIT still leaves them.
 
-        :param keys: of the changes in each round; `rounds` their lines.
+        :param keys: key of the changes in each round.
+        :param rounds: lines of each round.
         """
         blanks, end = indent(loop.opener), _line_end(loop.opener)
         yield _text_piece(f"{blanks}; {loop.opener.strip()} (written out){end}")
@@ -306,7 +313,9 @@ class _Folder(Struct, eq=False):
             yield _text_piece(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}")
 
     def _equal_rounds(self, loop: UnrolledLoop, first: int, rounds: Sequence[_Piece]) -> Iterator[_Piece]:
-        """Yield the lines of equal rounds: a single one unchanged, several of a FOR as a new FOR.
+        """Yield the lines of consecutive rounds with equal corrections.
+
+        Several rounds of a FOR without EXIT become a new FOR; all other rounds are written one after the other.
 
         :param first: number of the first of these rounds, from 0.
         """
@@ -325,7 +334,11 @@ class _Folder(Struct, eq=False):
         yield _text_piece(loop.closer)
 
     def _call_piece(self, call: InlinedRoutine) -> _Piece:
-        """Return the line of a call, with the name of the version that it calls; note the lines of that version."""
+        """Return the line of a call, with the name of the version that it calls.
+
+        Add the places of the called rows to the version, and its lines if it has none. Add a call of a routine in
+        another file to `outside_calls`.
+        """
         body, version = self._body_piece(call.body), self._calls[call]
         if version.piece is None:
             version.piece = body
@@ -342,7 +355,7 @@ class _Folder(Struct, eq=False):
     # --- routines ----------------------------------------------------------------------------------------------------
 
     def _unused_name(self, call: InlinedRoutine) -> str:
-        """Return a new name for the copy of a routine, and note for the user why it is copied."""
+        """Return a new name for the copy of a routine; add the reason for the copy to `issues`."""
         if self.names is None:
             sources = dict.fromkeys([*self.course.trace.sources, *(routine.source for routine in self.versions)])
             words = (names_in(source.text) for source in sources)
@@ -360,7 +373,7 @@ class _Folder(Struct, eq=False):
         return name
 
     def _file_pieces(self, source: Source) -> Iterator[_Piece]:
-        """Yield the pieces of a file: its routines as they are written, each followed by its copies."""
+        """Yield the pieces of a file: its corrected routines, each followed by its copies, and all lines between."""
         next_line = 1
         for routine in sorted(self.versions, key=lambda routine: routine.first):
             if routine.source is source:
@@ -386,7 +399,10 @@ class _Folder(Struct, eq=False):
         yield _text_piece(end_text + line_end if lacks_line_end else end_text)
 
     def _definition_line(self, routine: Routine, name: str) -> str:
-        """Return the DEF line of a routine with another name; in other files it becomes GLOBAL: calls must find it."""
+        """Return the DEF line of a routine with another name.
+
+        In other files than the `.src` the copy becomes GLOBAL, so that the `.src` can call it.
+        """
         source, text = routine.source, line_text(routine.source, routine.first)
         definition, begin = statement(source, routine.first), int(source.starts[routine.first - 1])
         if not isinstance(definition, Definition):
@@ -415,9 +431,12 @@ class _Folder(Struct, eq=False):
 
 
 def _run_begins(keys: Sequence[_Key], counts: Sequence[int], step: int) -> list[int]:
-    """Return the numbers of the first rounds of runs, in which rounds are corrected alike and counted evenly.
+    """Return the numbers, from 0, of the first rounds of runs.
 
-    :param keys: of the changes of the rounds; `counts` their values of the counter, which `step` increments.
+    In a run all rounds have equal changes, and the counter increases by `step` from round to round.
+
+    :param keys: key of the changes in each round.
+    :param counts: value of the counter in each round.
     """
     begins = [0]
     for number in range(1, len(keys)):
@@ -427,7 +446,7 @@ def _run_begins(keys: Sequence[_Key], counts: Sequence[int], step: int) -> list[
 
 
 def _text_piece(text: str) -> _Piece:
-    """Return a text that is in no row of the trace as a piece."""
+    """Return a text as a piece that contains no rows of the trace."""
     return _Piece(line_count(text), (text,))
 
 
@@ -448,10 +467,10 @@ def _concatenate(pieces: Iterable[_Piece]) -> _Piece:
 
 
 def _merge_rounds(rounds: Sequence[_Piece]) -> _Piece:
-    """Return the lines of rounds that are written alike, once, with the places of the rows of all of them."""
+    """Return the lines of rounds with equal text: the lines of the first, with the places of the rows of all rounds."""
     return rounds[0]._replace(places=[place for piece in rounds for place in piece.places])
 
 
 def _line_end(text: str) -> str:
-    """Return the line end of a text: CR and LF at its end, or nothing."""
+    """Return the CR and LF at the end of a text; empty without a line end."""
     return text[len(text.rstrip("\r\n")) :]

@@ -46,29 +46,32 @@ from postproc.program import (
 
 _MB = 1e6
 _RESERVE = 2000
-"""Bytes for what a module has in addition: system variables, comments, and the line that says where it comes from."""
-_SAME_HEIGHT = 1e-4
-"""Places of a retract whose heights differ by less [m] are equally high."""
+"""Bytes of a module besides motions and header: system variables, comments, and the line that states its origin."""
+_HEIGHT_TOLERANCE = 1e-4
+"""Heights of retracts that differ by less than this [m] are equal."""
 _STATE = re.compile(r"\s*(\$[\w.]+)\s*=")
 """A line that sets a system variable. Outputs, flags and timers have an index, and keep their values."""
 _WHILE_RUNNING = re.compile(r"\s*(INTERRUPT|ANIN|ANOUT)\b", re.IGNORECASE)
 """A statement whose effect ends with the program."""
 _SWITCHING: dict[EventKind, EventKind] = SWITCHED_OFF | {kind: kind for kind in SWITCHED_OFF.values()}
-"""Kind of an event → the kind that switches off what it switches: equal for all events of one device."""
+"""Kind of an event → kind of the event that switches the same device off: equal for all events of one device."""
 _SPINDLE_DIRECTIONS = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}
-"""Axis of the tool → column of a tool frame, and sign, that point from the tip to the spindle."""
+"""Axis of the tool → column of the tool frame, and its sign, so that the product points from the tip to the spindle."""
 _AXIS_DECIMALS = 6
-"""Tool axes, as unit vectors, that are equal in so many decimals are one: at 3 m they differ by 3 µm."""
+"""Unit vectors along the tool are equal if they agree in this number of decimals: at 3 m they differ by 3 µm."""
 _END_RULE = "between two rapid moves, with the tool above everything that the program cuts"
 
 
 def divide_into_modules(
     program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comment_forces: TargetForces | None = None
 ) -> WrittenProgram:
-    """Return a program read from G-code as KRL, see `emit`; in modules if it is too large and the cell wants them.
+    """Return a program read from G-code as KRL, see `emit`.
+
+    It is divided into modules if it is larger than the memory of the controller, and the cell allows modules.
 
     :param joints: joint angles at the targets.
-    :raises ProgramError: it cannot be divided so that each module fits.
+    :param comment_forces: forces to be written as comments; None: no force comments.
+    :raises ProgramError: see `emit`; the program cannot be divided so that each module fits.
     """
     output = emit(program, targets, cell, comment_forces)
     if not cell.output.divide_into_modules or output.size <= cell.output.program_memory_MB * _MB:
@@ -80,7 +83,7 @@ def divide_into_modules(
 
 
 def _line_ends(output: WrittenProgram) -> Ints:
-    """Return the offsets (n,) behind the lines of n targets in a written program."""
+    """Return the byte offsets (n,) behind the lines of the n targets of a written program."""
     content = np.frombuffer(output.documents[0].to_bytes(), dtype=np.uint8)
     return np.asarray(np.flatnonzero(content == ord("\n"))[output.output_line - 1] + 1)
 
@@ -88,22 +91,26 @@ def _line_ends(output: WrittenProgram) -> Ints:
 def _module_starts(
     program: Program, targets: Targets, cell: Cell, emitter: Emitter, output: WrittenProgram
 ) -> list[int]:
-    """Return the targets before which new modules begin: as few as possible.
+    """Return the targets before which new modules begin, ascending; the number of modules is the smallest possible.
 
-    :param emitter: writes the undivided program; `output` is what it wrote.
-    :raises ProgramError: the text between two places where a module may end is too large for one module.
+    :param emitter: emitter of the undivided program.
+    :param output: the undivided program.
+    :raises ProgramError: the text between two possible ends of modules is too large for one module.
     """
     end_motions = _possible_ends(program, cell)
     next_targets = np.searchsorted(targets.motion, end_motions.astype(targets.motion.dtype), side="right")
-    has_targets = (next_targets > 0) & (next_targets < len(targets))  # before the end, and behind it
+    # a module ends after the last target of a motion, and must have targets before and behind its end
+    has_targets = (next_targets > 0) & (next_targets < len(targets))
     end_motions, next_targets = end_motions[has_targets], next_targets[has_targets]
-    end_offset = np.append(_line_ends(output)[next_targets - 1], output.size)  # of each possible end, and of the text
+    end_offset = np.append(_line_ends(output)[next_targets - 1], output.size)  # of each possible end, then of the text
     switch_lines = [line for kind in _SWITCHING for line in getattr(cell.gcode, kind) or ()]
     header_size = sum(len(line) + len(LINE_END) for line in emitter.header_lines(program.name))
     memory = cell.output.program_memory_MB * _MB
-    capacity = memory - header_size - _RESERVE - 2 * sum(map(len, switch_lines))  # at the start and at the end
+    capacity = (
+        memory - header_size - _RESERVE - 2 * sum(map(len, switch_lines))
+    )  # lines at the start and at the end of a module
     starts: list[int] = []
-    begin, end = header_size, -1  # offset at which a module begins; number of the end before it, −1: none
+    begin, end = header_size, -1  # offset at which a module begins; index of the possible end before it, −1: none
     while end_offset[-1] - begin > capacity:
         last_fitting_end = int(np.searchsorted(end_offset, begin + capacity, side="right")) - 1
         if last_fitting_end <= end:
@@ -119,8 +126,8 @@ def _module_starts(
 def _size_error(program: Program, cell: Cell, first: int, last: int, size: float) -> ProgramError:
     """Return the error that motions first … last need a module that is too large.
 
-    :param last: −1 is the last motion of the program.
-    :param size: of that module [MB].
+    :param last: last motion; −1 is the last motion of the program.
+    :param size: size of this module [MB].
     """
     line = program.motions.line
     return ProgramError(
@@ -134,9 +141,10 @@ def _size_error(program: Program, cell: Cell, first: int, last: int, size: float
 
 
 def _possible_ends(program: Program, cell: Cell) -> Ints:
-    """Return the motions (n,) after which a module may end: of consecutive rapid moves, the one that ends highest.
+    """Return the motions (n,) after which a module may end, ascending: the highest of each run of rapid moves.
 
-    Its end must be above everything that the program cuts. The last rapid move before a cut does not count.
+    It must end above everything that the program cuts. The last rapid move before a cut, which approaches the part, and
+    motions to joint angles do not count.
     """
     motions = program.motions
     is_cartesian = np.isnan(motions.joints[:, 0])
@@ -144,17 +152,17 @@ def _possible_ends(program: Program, cell: Cell) -> Ints:
     if not len(candidates):
         return candidates
     height = _heights_above_cuts(program, cell, candidates)
-    # candidates without a cut between them are one run; in each, the highest, and of equal heights the first
+    # candidates without a cut between them form a run; within each, sort by height, equal heights by their order
     run = np.cumsum(~motions.rapid)[candidates]
-    by_height = np.lexsort((candidates, -np.floor(height / _SAME_HEIGHT), run))
-    highest = by_height[np.diff(run[by_height], prepend=-1) != 0]
-    return np.asarray(np.sort(candidates[highest[height[highest] > _SAME_HEIGHT]]))
+    by_height = np.lexsort((candidates, -np.floor(height / _HEIGHT_TOLERANCE), run))
+    highest = by_height[np.diff(run[by_height], prepend=-1) != 0]  # the first of each run
+    return np.asarray(np.sort(candidates[highest[height[highest] > _HEIGHT_TOLERANCE]]))
 
 
 def _heights_above_cuts(program: Program, cell: Cell, candidates: Ints) -> Array:
-    """Return how high motions (n,) end above everything that the program cuts (n,) [m], along the tool axis there.
+    """Return the heights (n,) [m] of the ends of motions above everything that the program cuts; negative below.
 
-    Arcs count as whole circles.
+    The height of a motion is measured along its own tool axis. Arcs count as whole circles.
 
     :param candidates: (n,) the motions.
     """
@@ -174,7 +182,7 @@ def _heights_above_cuts(program: Program, cell: Cell, candidates: Ints) -> Array
     axes, axis_index = np.unique(tool_axis.round(_AXIS_DECIMALS), axis=0, return_inverse=True)
     for index, axis in enumerate(axes):
         along_axis = np.flatnonzero(axis_index.ravel() == index)
-        arc_heights = centre @ axis + radius * norm(np.cross(normal, axis))
+        arc_heights = centre @ axis + radius * norm(np.cross(normal, axis))  # of the highest point of each circle
         highest_cut = max((position[cuts] @ axis).max(initial=-np.inf), arc_heights.max(initial=-np.inf))
         height[along_axis] = position[candidates[along_axis]] @ axis - highest_cut
     return height
@@ -186,7 +194,12 @@ def _text(lines: Sequence[str]) -> str:
 
 
 class _SwitchLines(Struct, frozen=True):
-    """Spindle or coolant that is on where a module ends: lines of the cell to switch it on and off."""
+    """A spindle or coolant that is on where a module ends.
+
+    :param event: the event that switched it on.
+    :param on_lines: lines of the cell that switch it on.
+    :param off_lines: lines of the cell that switch it off.
+    """
 
     event: Event
     on_lines: list[str]
@@ -194,13 +207,17 @@ class _SwitchLines(Struct, frozen=True):
 
 
 class _Divider:
-    """Divides the text of a program at its targets `starts`."""
+    """Divides the text of a program into modules."""
 
     def __init__(
         self, emitter: Emitter, undivided: WrittenProgram, starts: Sequence[int], joints: TargetJoints
     ) -> None:
-        """Name the modules, and find the target before which each event is.
+        """Name the modules, and find the target before which each event takes place.
 
+        :param emitter: emitter that has written the program with exact stops before `starts`.
+        :param undivided: the program that it has written.
+        :param starts: targets before which modules begin, without the first module.
+        :param joints: joint angles at the targets.
         :raises ProgramError: lines of the cell have an effect that ends with each module.
         """
         self.new_program, self.emitter, self.undivided, self.joints = emitter.new_program, emitter, undivided, joints
@@ -222,11 +239,14 @@ class _Divider:
                 )
 
     def write(self) -> WrittenProgram:
-        """Return the written program as one text, with its modules."""
+        """Return the written program: the undivided text, and its modules.
+
+        :raises ProgramError: the cell has no lines to switch off what is on at the end of a module.
+        """
         (document,), output_line = self.undivided.documents, self.undivided.output_line
-        header = self.emitter.header_lines(self.emitter.program.name)  # each module has one of its own
+        header = self.emitter.header_lines(self.emitter.program.name)  # of the undivided text
         starts = np.array(self.first_targets[1:], dtype=np.int64)
-        # the part of the text that each module has begins behind the line of the target before it
+        # the text of each module begins behind the line of the target before it
         offsets = [len(_text(header)), *_line_ends(self.undivided)[starts - 1].tolist(), len(document.text)]
         preceding_count = [len(header), *output_line[starts - 1].tolist()]
         documents, lines, line_count = [], [], 0
@@ -262,9 +282,9 @@ class _Divider:
         return Issue("info", "modules", message)
 
     def _start_lines(self, k: int) -> list[str]:
-        """Return the first lines of a module that begins with target `k`.
+        """Return the lines between the initialisation and the motions of a module that begins with target `k`.
 
-        They set system variables, move to the end of the module before, and switch on what was on there.
+        They set system variables, move to the end of the module before, and switch on what was on before `k`.
         """
         state, words = self._system_variables(k), self.new_program.words
         lines, cell_lines = [*state, axis_motion(self.joints.q[k - 1] * DEG_PER_RAD, ANGLE_DECIMALS)], list[str]()
@@ -274,12 +294,12 @@ class _Divider:
             cell_lines += switch.on_lines
             lines += [words.wait, *switch.on_lines] if switch.on_lines else [f"; {no_lines_comment(switch.event)}"]
             lines += [words.dwell.format(number_text(dwell.value)) for dwell in self._dwells(switch.event)]
-        if calls_program(cell_lines):  # which may have set others
+        if calls_program(cell_lines):  # the called program may have changed them
             lines += state
         return lines
 
     def _system_variables(self, k: int) -> list[str]:
-        """Return the lines that set the system variables to their values before target `k`."""
+        """Return the lines that set the system variables to their values before target `k`, one line for each."""
         line_of_name: dict[str, str] = {}
         previous_lines = (
             line
@@ -293,14 +313,16 @@ class _Divider:
         return list(line_of_name.values())
 
     def _switch_off_lines(self, k: int) -> list[str]:
-        """Return the lines at the end of a module, before target `k`, that switch off what is on."""
+        """Return the lines at the end of a module, before target `k`, that switch spindle and coolant off."""
         lines = [line for switch in self._active_switches(k) for line in switch.off_lines]
         return [self.new_program.words.wait, *lines] if lines else []
 
     def _active_switches(self, k: int) -> Iterator[_SwitchLines]:
         """Yield the spindle and the coolant if they are on before target `k`.
 
-        :raises ProgramError: the cell has lines to switch it on, and none to switch it off.
+        A device without lines in the cell has no lines to switch it on or off.
+
+        :raises ProgramError: the cell has lines to switch a device on, and none to switch it off.
         """
         for off_kind in dict.fromkeys(SWITCHED_OFF.values()):
             switch_events = [
@@ -325,7 +347,7 @@ class _Divider:
             yield _SwitchLines(switch_events[-1], on_lines, off_lines if on_lines else [])
 
     def _is_switched_at(self, event: Event, k: int) -> bool:
-        """Return whether the program itself switches, at target `k`, the device of an event."""
+        """Return whether the program switches the device of `event` between targets k − 1 and k."""
         off_kind, events = _SWITCHING[event.kind], zip(self.emitter.program.events, self.event_targets, strict=True)
         return any(target == k and _SWITCHING.get(program_event.kind) == off_kind for program_event, target in events)
 

@@ -1,6 +1,6 @@
-"""Named points: corrected in place when only one motion uses them, given a new name otherwise.
+"""Named points: corrected in their declaration if all uses have one correction, otherwise copied to new points.
 
-Points of an array to which loops move are corrected in place all at once; motions that share one become statements.
+Array elements to which loops move are corrected in bulk; motions that share an element become statements.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from postproc.errors import Issue
 from postproc.program import Bools, Ints, Motions
 
 Mentions = Mapping[str, Sequence[tuple[int, int]]]
-"""Variable, upper case → rows of the trace and offsets at which its name is in code."""
+"""Variable, upper case → (row of the trace, offset) of each occurrence of its name in code."""
 _TextPlace = tuple[Source, int, int]
-"""File, row of the trace or 0, and offset of an aggregate."""
+"""Place of an aggregate: file, row of the trace (0 in a data list), and offset."""
 
 
 class Use(Struct, frozen=True, eq=False):
     """A named point in a statement.
 
     :param line: 1-based row of the execution trace.
-    :param operand: the point.
-    :param texts: component → number to be commanded; None where it stays as it is.
-    :param complete_literal: returns the target as a complete literal, for statements that cannot name a point of their
-        own.
+    :param operand: the point in the statement.
+    :param texts: component → number to be commanded; None if the point is not corrected in this statement.
+    :param complete_literal: returns the target as a literal with all components, for statements in which no new point
+        can be named.
     """
 
     line: int
@@ -51,7 +51,10 @@ class Use(Struct, frozen=True, eq=False):
 class NamedPoints(Struct, eq=False):
     """Collects the uses of named points and decides where their numbers go.
 
-    :ivar issues: what the user should know.
+    :ivar sources: the `.src` and, if there is one, its `.dat`.
+    :ivar replacements: edits of each of these files.
+    :ivar mentions: see `mentions`.
+    :ivar issues: information for the user.
     """
 
     sources: Sequence[Source]
@@ -64,7 +67,10 @@ class NamedPoints(Struct, eq=False):
     _is_motion_only: dict[str, bool] = {}
 
     def add_use(self, use: Use) -> None:
-        """Note the use of a point in a statement; a point whose numbers are in no text is replaced there at once."""
+        """Store the use of a point in a statement.
+
+        A corrected point that has no name, or whose numbers are computed, is replaced by a literal at once.
+        """
         aggregate = use.operand.position.aggregate
         if aggregate is not None and use.operand.name:
             self._uses[_text_place(aggregate)].append(use)
@@ -72,7 +78,7 @@ class NamedPoints(Struct, eq=False):
             self._replace_by_literal(use)
 
     def make_edits(self) -> None:
-        """Correct each used point: in its declaration if that suits all its uses, else by new points or literals."""
+        """Correct each point: in its declaration if all uses allow it, otherwise by new points or literals."""
         for uses in self._uses.values():
             corrected_uses = [use for use in uses if use.texts is not None]
             aggregate = uses[0].operand.position.aggregate
@@ -86,40 +92,46 @@ class NamedPoints(Struct, eq=False):
     def _is_replaceable(self, uses: list[Use], aggregate: Aggregate) -> bool:
         """Return whether a point can be corrected in its declaration.
 
-        All its uses must have one correction, and nothing but motions may use it.
+        All uses must have the same correction and the same name, the file of the declaration must be written, and only
+        motions may use the point.
 
-        :param aggregate: the value in its declaration.
+        :param uses: all uses of the point.
+        :param aggregate: value of the point in its declaration.
         """
         name = uses[0].operand.name
-        is_same = all(use.texts == uses[0].texts and use.operand.name == name for use in uses)
+        has_one_correction = all(use.texts == uses[0].texts and use.operand.name == name for use in uses)
         is_written = aggregate.row > 0 or aggregate.source.index < len(self.sources)
-        return is_same and is_written and self._is_used_by_motions_only(name)
+        return has_one_correction and is_written and self._is_used_by_motions_only(name)
 
     def _is_used_by_motions_only(self, name: str) -> bool:
-        """Return whether motions alone use the values of a variable; the result is stored."""
+        """Return whether only motions use the values of a variable; the result is stored."""
         if name not in self._is_motion_only:
             self._is_motion_only[name] = is_used_by_motions_only(name, self.layout, self.mentions)
         return self._is_motion_only[name]
 
     def _correct_declaration(self, use: Use, aggregate: Aggregate) -> None:
-        """Replace the numbers of a point in its declaration by the corrected ones."""
+        """Replace the numbers of a point in its declaration by the corrected numbers."""
         edits = self.replacements[0 if aggregate.row else aggregate.source.index]
         for piece in replaced_numbers(literal_of(aggregate), use.texts or {}):
             edits.add(*piece, aggregate.row)
 
     def _declare_new_points(self, uses: list[Use], aggregate: Aggregate) -> None:
-        """Declare a new point for each correction of a point, and use it in the corrected statements.
+        """Declare a new point for each different correction of a point, and use it in the corrected statements.
 
-        Other statements keep the old point. If a new point cannot be declared, the statement gets a literal.
+        Other statements keep the old point. The statement gets a literal in place of a new point if the old point is
+        not declared in the `.dat`, is copied, is not a plain name, or if the statement is in another file.
+
+        :param uses: the corrected uses.
+        :param aggregate: value of the old point in its declaration.
         """
         names: dict[str, str] = {}
         for use in uses:
             source = self.layout.course.trace.source(use.line)
             text = source.text[use.operand.start : use.operand.stop]
-            is_out_of_scope = source is not self.sources[0]  # there a new point would not be seen
+            is_out_of_scope = source is not self.sources[0]  # other files do not see names of this `.dat`
             is_copy = any(use.operand.name in pair for pair in self.layout.copies)
-            is_elsewhere = aggregate.row > 0 or aggregate.source.index != 1 or len(self.sources) < 2
-            if is_elsewhere or is_copy or is_out_of_scope or not NAME.fullmatch(text):
+            is_not_in_data_list = aggregate.row > 0 or aggregate.source.index != 1 or len(self.sources) < 2
+            if is_not_in_data_list or is_copy or is_out_of_scope or not NAME.fullmatch(text):
                 self._replace_by_literal(use)
                 continue
             literal = edited_literal(literal_of(aggregate), replaced_numbers(literal_of(aggregate), use.texts or {}))
@@ -133,9 +145,11 @@ class NamedPoints(Struct, eq=False):
             self.issues.append(Issue("info", "new-point", message, use.line))
 
     def _declare_point(self, name: str, literal: str, aggregate: Aggregate) -> str:
-        """Declare a new point behind the line of an old one; return its name.
+        """Declare a new point behind the declaration of an old point; return the new name.
 
-        :param name: of the old point; `literal` is the value of the new one.
+        :param name: name of the old point, as spelled.
+        :param literal: value of the new point.
+        :param aggregate: value of the old point in its declaration.
         """
         source = aggregate.source
         if self._names is None:
@@ -143,7 +157,7 @@ class NamedPoints(Struct, eq=False):
         new_name = self._names.unused_name(name)
         line = source.line_at(aggregate.start)
         start, stop = source.starts.item(line - 1), source.stops.item(line - 1)
-        next_line_start = source.starts.item(line)  # it is never the last line: ENDDAT follows
+        next_line_start = source.starts.item(line)  # a line always follows: ENDDAT at least
         old_line, line_end = source.text[start:stop], source.text[stop:next_line_start]
         indent = old_line[: len(old_line) - len(old_line.lstrip())]
         kind = self.layout.types.get(name.upper(), "E6POS")
@@ -152,18 +166,18 @@ class NamedPoints(Struct, eq=False):
         return new_name
 
     def _replace_by_literal(self, use: Use) -> None:
-        """Replace a named point in a statement by a literal with the numbers of its target."""
+        """Replace a point in a statement by a literal with the numbers of its target; add an issue."""
         self.replacements[0].add(use.operand.start, use.operand.stop, use.complete_literal(), use.line)
         message = "A point that is computed, or that something else uses too, is replaced by numbers in the statement."
         self.issues.append(Issue("info", "point-replaced", message, use.line))
 
 
 def mentions(course: Course, plain_rows: Ints) -> Mentions:
-    """Return the places at which the code of a trace names each variable (upper case): row and offset.
+    """Return the places at which code names each variable: name, upper case → (row of the trace, offset).
 
-    Places in routines that also run unchanged have row 0: the reader follows no use in them.
+    Routines that must stay unchanged are searched a second time, with row 0: the reader follows no use in them.
 
-    :param plain_rows: rows that name no points.
+    :param plain_rows: rows that name no points; they are skipped.
     """
     trace, places = course.trace, defaultdict[str, list[tuple[int, int]]](list)
     is_left_out = trace.is_count.copy()
@@ -193,15 +207,16 @@ def _text_place(aggregate: Aggregate) -> _TextPlace:
 
 
 def is_used_by_motions_only(name: str, layout: Layout, mentions: Mentions) -> bool:
-    """Return whether motions alone use the values of a variable, and of variables that it is copied to or from.
+    """Return whether only motions use the values of a variable, so that the values may change.
 
-    Then the values may change: nothing else reads them.
+    The same must be true of all variables that it is copied to or from, and none of them may be GLOBAL.
 
+    :param name: the variable, upper case.
     :param mentions: see `mentions`.
     """
     names, count = {name}, 0
     while len(names) > count:
-        count = len(names)
+        count = len(names)  # repeat until no further copies are found
         names |= {name for pair in layout.copies if not names.isdisjoint(pair) for name in pair}
     is_followed = all(place in layout.followed_names for name in names for place in mentions.get(name, ()))
     return is_followed and names.isdisjoint(layout.global_names)
@@ -210,13 +225,13 @@ def is_used_by_motions_only(name: str, layout: Layout, mentions: Mentions) -> bo
 def editable_layout(
     layout: Layout, motions: Motions, mentions: Mentions, file_count: int, has_one_target: Bools
 ) -> Layout:
-    """Return the layout with only those `elements` whose numbers can be edited in their declaration.
+    """Return the layout without `elements` whose numbers cannot be edited in their declaration.
 
-    The other motions to array elements become statements.
+    Motions to these array elements become `statements`.
 
     :param mentions: see `mentions`.
     :param file_count: number of files that are written: the `.src` and its `.dat`.
-    :param has_one_target: (M,) True for motions with one target, all components of which their text has.
+    :param has_one_target: (M,) True for motions with a single target, whose text has all components that it needs.
     """
     if not layout.elements:
         return layout
@@ -245,7 +260,7 @@ def editable_layout(
 
 
 def _literal_places(layout: Layout) -> Iterator[_TextPlace]:
-    """Yield the place of the literal of each point in statements, and of each array element, once for each use."""
+    """Yield the place of the literal of each point in `statements` and of each of `elements`, once for each use."""
     for move in layout.statements.values():
         for point in (move.end, move.via):
             if point is not None and point.position.aggregate is not None:
@@ -255,7 +270,7 @@ def _literal_places(layout: Layout) -> Iterator[_TextPlace]:
 
 
 def _element_places(elements: Elements) -> Iterator[_TextPlace]:
-    """Yield the place of the literal of each point of an array to which motions lead."""
+    """Yield the place of the literal of each array element."""
     return ((elements.source, 0, start) for start in elements.literal[:, 0].tolist())
 
 
@@ -264,7 +279,7 @@ def _statement_of_element(
 ) -> MotionStatement:
     """Return the statement of motion `row`, whose target is an array element.
 
-    :param literal: offsets of the start of the aggregate in the declaration of the element, and behind its end.
+    :param literal: span of the aggregate in the declaration of the element.
     """
     start, stop = layout.target[row].tolist()
     tail_start, tail_stop = layout.tail[row].tolist()

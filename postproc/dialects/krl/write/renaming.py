@@ -1,4 +1,4 @@
-"""Programs and subprograms under other names: files, DEF and DEFDAT, and the calls of them."""
+"""Programs and subprograms under other names: names of files, behind DEF and DEFDAT, and in calls."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def rename(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
     """Return the files of a program with another name; everything else is unchanged to the byte.
 
     :param documents: the `.src`, whose first DEF is the program, and its `.dat`; or the files of a divided program.
-        Files of other programs keep their names.
-    :param name: one that the controller accepts.
+        Files of other programs may be among them and keep their names.
+    :param name: the new name; the controller must accept it.
     """
     if not documents:
         return ()
@@ -61,9 +61,11 @@ def _stem(document: Document) -> str:
 
 
 def _public_names(documents: Sequence[Document], old_base: str, new_base: str) -> dict[str, str]:
-    """Return new names for GLOBAL names that begin with the old name of their program: old, upper case → new.
+    """Return new names for GLOBAL names that begin with the name of their program: old name, upper case → new name.
 
-    :param old_base: name of the program; `new_base` its new name.
+    :param documents: files of the program.
+    :param old_base: old name of the program.
+    :param new_base: new name of the program.
     """
     new_names: dict[str, str] = {}
     lines = (line for document in documents for line in scan.global_lines(document.text))
@@ -78,7 +80,7 @@ def _public_names(documents: Sequence[Document], old_base: str, new_base: str) -
 
 
 def _replace_names(text: str, new_names: Mapping[str, str]) -> str:
-    """Return a text with other names for called programs: those at a line end or before empty brackets.
+    """Return a text with new names for called programs: for names at a line end or in front of empty brackets.
 
     :param new_names: old name, upper case → new name.
     """
@@ -102,12 +104,15 @@ def _rename_document(document: Document, name: str) -> Document:
 
 
 _HEADS = frozenset({"DEF", "DEFDAT", "EXT"})
-"""Words that a name of a routine follows where it is no call."""
+"""Words in front of the name of a routine where it is not called."""
 _PATH = "/R1/"
 
 
 def _stems_with_callers(documents: Sequence[Document], names: set[str]) -> set[str]:
-    """Return names of files, upper case, and those of all files that use them, directly or not, except the main one."""
+    """Return names of files, and the names of all files that use them directly or indirectly, except the main file.
+
+    :param names: names of files, upper case, without extension; so is the result.
+    """
     main, names = _stem(documents[0]), set(names)
     other_files = [(_stem(document), scan.names(document.text)) for document in documents if _stem(document) != main]
     while callers := {stem for stem, used_names in other_files if not names.isdisjoint(used_names)} - names:
@@ -116,10 +121,11 @@ def _stems_with_callers(documents: Sequence[Document], names: set[str]) -> set[s
 
 
 def _new_stems(stems: Collection[str], program: str, used_names: Collection[str]) -> dict[str, str]:
-    """Return a new name for each of some subprograms: old name, upper case → old name and program name joined.
+    """Return a new name for each subprogram: old name, upper case → old name and program name joined.
 
-    :param stems: names of the subprograms.
-    :param used_names: names that the new ones must differ from, upper case.
+    :param stems: names of the subprograms, as spelled.
+    :param program: name of the program.
+    :param used_names: names in use, upper case, from which the new names must differ.
     """
     used_names = set(used_names)
     new_names: dict[str, str] = {}
@@ -139,18 +145,18 @@ def subprogram_copies(
     program: str,
     other_names: Collection[str],
 ) -> tuple[tuple[Document, ...], dict[str, str]] | None:
-    """Return the files of a program with other names for some of its subprograms, and for those that call them.
+    """Return the files of a program with new names for some of its subprograms and for all files that use these.
 
-    Only names change: those of files, behind DEF, DEFDAT and EXT, before the bracket of a call, and behind ``/R1/``.
+    Only names change: of files, behind DEF, DEFDAT and EXT, in front of the bracket of a call, and behind ``/R1/``.
 
     :param documents: files of the program and of its subprograms, the main file first.
-    :param unchanged: contents of files that are written with them and must stay as they are.
+    :param unchanged: contents of files that are written with them and must not change.
     :param stems: names of the files to be renamed, without extension.
     :param program: name of the program, which becomes a part of the new names.
     :param other_names: names of other files, without extension, lower case.
-    :returns: the files, and new file name → old file name. None if a name is used in another way (in a string, as a
-        variable), if an unchanged file uses it, or if a file declares something GLOBAL, which would then be declared
-        twice.
+    :returns: the files, and new file name → old file name. None if the names cannot change: a name is used in another
+        way (in a string, as a variable), an unchanged file uses it, a file is missing or would be the main file, or a
+        renamed file has GLOBAL declarations, which would then exist twice.
     """
     renamed_stems = _stems_with_callers(documents, {stem.upper() for stem in stems})
     present_stems = {_stem(document) for document in documents}
@@ -179,7 +185,7 @@ def subprogram_copies(
 
 
 def _replace_routines(text: str, new_names: Mapping[str, str]) -> str | None:
-    """Return a text with other names for routines; None if one of the names is used in another way.
+    """Return a text with new names for routines; None if a name is used in another way than as a routine or file.
 
     :param new_names: old name, upper case → new name.
     """

@@ -1,11 +1,11 @@
-"""KRL in, KRL out: the same text with other numbers, and inserted targets on lines of their own.
+"""A KRL program in its own text with corrected numbers; inserted targets are separate lines.
 
-What does not change stays to the byte. Decisions, where KUKA leaves a choice:
+All other text is unchanged to the byte. Decisions, where KUKA leaves a choice:
 
-- Inserted targets are directly before the motion's line, or around the TRIGGERs that belong to it, so that each of
-  these switches where it did; they repeat its approximation and its WITH (frames and speed of the motion).
-- A relative target that is corrected, or whose predecessor is, becomes an absolute one.
-- A motion under another `$ORI_TYPE` that is corrected, or whose predecessor is, gets ``$ORI_TYPE=#VAR``, see
+- Inserted targets are directly before the line of the motion, or around the TRIGGERs that belong to the motion, so that
+  each TRIGGER switches at the same place as before. They repeat approximation and WITH of the motion.
+- A relative target becomes an absolute one if it or the target before it is corrected.
+- A motion under another `$ORI_TYPE` gets ``$ORI_TYPE=#VAR`` if it or the motion before it is corrected, see
   `target_statements`.
 - CA is dropped when a circle is corrected: its end point is then where the arc ends.
 - A lowered feed is ``$VEL.CP=…`` on a line before the motion; the feed of the program follows behind it.
@@ -37,7 +37,7 @@ from postproc.dialects.krl.write.folding import fold
 from postproc.dialects.krl.write.named_points import Mentions, NamedPoints, Use, editable_layout, mentions
 from postproc.dialects.krl.write.target_numbers import DECIMALS, target_numbers
 from postproc.dialects.krl.write.target_statements import (
-    LED_BY,
+    ORIENTATION_SETTING,
     Replacement,
     TargetStatements,
     aggregate_text,
@@ -50,9 +50,9 @@ from postproc.errors import Issue, ProgramError, group_issues
 from postproc.frames import Array
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, WrittenProgram
 
-_STOP = "The robot stops at an inserted target, as it does at the end of this motion, which has no C_DIS: "
-_BLENDED_STOP = f"{_STOP}approximation might round the path there by too much."
-_UNSURE = f"{_STOP}$APO.CDIS is not known there, by which approximation would round the path."
+_STOP_INSERTED = "The robot stops at an inserted target, as it does at the end of this motion, which has no C_DIS: "
+_BLENDED_STOP = f"{_STOP_INSERTED}approximation might round the path there by too much."
+_UNKNOWN_DISTANCE = f"{_STOP_INSERTED}$APO.CDIS is not known there, by which approximation would round the path."
 _LOST_TRIGGER = (
     "Targets must be inserted into the motion that follows this statement, which cannot be kept right. "
     "Put it directly before the motion, with numbers for DISTANCE, PATH and DELAY that switch on one "
@@ -65,7 +65,7 @@ def rewrite(program: Program, targets: Targets, comment_forces: TargetForces | N
 
     :param program: as `read` returned it.
     :param targets: commanded poses; axis targets have no rows.
-    :param comment_forces: forces that its comments must give to the targets; None leaves the comments as they are.
+    :param comment_forces: forces that comments must state for the targets; None leaves the comments unchanged.
     :returns: the documents of the program. Reading them gives the targets, rounded to 0.1 µm and 1e-5°, in order.
     :raises ProgramError: the feed of a motion was lowered, which its text does not allow.
     :raises ValueError: the program was not read from KRL; a number is too large to be written.
@@ -80,12 +80,17 @@ def rewrite(program: Program, targets: Targets, comment_forces: TargetForces | N
 class _Rewriter:
     """Collects the edits of all documents.
 
-    :ivar row: (K,) motion of each target.
-    :ivar is_last: (K,) True for the last target of each motion, which is written in its statement.
+    :ivar row: (K,) motion of each target, ascending.
+    :ivar is_last: (K,) True for the last target of each motion, which is written in the statement of the motion; the
+        other targets are inserted lines.
+    :ivar documents: files that are written: for a program in several files, the joined text.
+    :ivar sources: the `.src` and, if there is one, its `.dat`.
+    :ivar replacements: edits of each of `sources`; those of the `.src` are edits of the trace.
+    :ivar comment_lines: rows of the trace with force comments.
     """
 
     def __init__(self, program: Program, layout: Layout, targets: Targets, comment_forces: TargetForces | None) -> None:
-        """Find the files of the program, and the last target of each motion."""
+        """Find the files of the program, and the last target of each motion; parameters as for `rewrite`."""
         self.program, self.layout, self.targets, self.comment_forces = program, layout, targets, comment_forces
         self.documents = layout.documents or program.documents
         stem = PurePath(self.documents[0].name).stem.upper()
@@ -99,7 +104,7 @@ class _Rewriter:
         self.is_last = np.append(self.row[1:] != self.row[:-1], True) if len(self.row) else np.zeros(0, dtype=np.bool_)
 
     def write(self) -> WrittenProgram:
-        """Make all edits, and return the documents.
+        """Make all edits, and return the written program; the documents are unchanged if there is nothing to edit.
 
         :raises ValueError: a number is too large to be written.
         """
@@ -120,7 +125,7 @@ class _Rewriter:
         return WrittenProgram(documents, output_line, "krl", group_issues(self.issues))
 
     def _mentions_of_points(self) -> Mentions:
-        """Return where the code names variables, see `mentions`; nothing if no motion names a point."""
+        """Return the places at which code names variables, see `mentions`; empty if no motion names a point."""
         moves = self.layout.statements
         has_names = self.layout.elements or any(
             move.end.name or (move.via and move.via.name) for move in moves.values()
@@ -129,12 +134,12 @@ class _Rewriter:
         return mentions(self.layout.course, plain_rows) if has_names else {}
 
     def _is_straightened(self) -> Bools:
-        """Return which targets (K,) are lines in place of circles."""
+        """Return whether a target (K,) is a line in place of a circle of the program."""
         is_circle = self.program.motions.kind[self.row] == CIRC
         return np.asarray(~self.targets.keep & is_circle & (self.targets.kind == LIN))
 
     def _rewrite_plain_lines(self) -> None:
-        """Change the motions that are plain lines or move to array elements: all but the statements of the layout."""
+        """Edit the motions that are not in `statements` of the layout: plain lines, and motions to array elements."""
         is_statement = np.zeros(len(self.program.motions), dtype=np.bool_)
         is_statement[list(self.layout.statements)] = True
         is_plain, is_straightened = self.is_last & ~is_statement[self.row], self._is_straightened()
@@ -146,8 +151,9 @@ class _Rewriter:
             self._add_components(int(self.row[k]), k)
 
     def _rewrite_tails(self) -> None:
-        """Change the text behind the points of motions: approximation and WITH, where corrections need another one."""
+        """Edit approximation and WITH of motions where the correction requires other text."""
         changes_tail = self.target_numbers.is_free | self.target_numbers.drops_via_orientation
+        # a tail with WITH is longer than the word; WITH may set variables that apply to circles only
         may_set_circle_mode = np.diff(self.layout.tail[self.row])[:, 0] > len(" WITH ")
         is_affected = changes_tail[self.row] | (self._is_straightened() & may_set_circle_mode)
         for k in np.flatnonzero(self.is_last & is_affected).tolist():
@@ -158,7 +164,9 @@ class _Rewriter:
                 self._replace_text(row, Replacement(start, stop, tail))
 
     def _edited_files(self, line: Ints) -> tuple[tuple[Document, ...], Ints]:
-        """Return the files with all edits, and the lines of the targets in the `.src` (K,).
+        """Return the files with all edits, and the lines (K,) of the targets in the `.src`.
+
+        Targets in other files have the line of the call. Issues about rows of the trace get lines of the `.src`.
 
         :param line: (K,) lines of the targets in the corrected execution trace.
         """
@@ -175,49 +183,50 @@ class _Rewriter:
         files |= {document.name: document for document in folded_program.documents}
         self.issues = [*map(self._with_shown_line, self.issues), *folded_program.issues]
         trace_row = self.layout.line[self.row]
-        # lines from the first one that the row of the motion is written as to that of the target
+        # number of lines between the first line of the corrected row of the motion and the line of the target
         following_count = line - (new_rows.begins[trace_row - 1] + 1)
         return tuple(files.values()), folded_program.line[trace_row] + np.where(
             folded_program.is_in_main[trace_row], following_count, 0
         )
 
     def _with_shown_line(self, issue: Issue) -> Issue:
-        """Return an issue on a row of the trace with the line of the `.src` to report; one on no row unchanged."""
+        """Return an issue with the line of the `.src` to report for its row of the trace; unchanged without a row."""
         if issue.source_line is None:
             return issue
         return replace(issue, source_line=self.trace.shown_line(issue.source_line))
 
     def _has_one_target(self) -> Bools:
-        """Return which motions (M,) have a single target, for which their text needs no further components."""
+        """Return whether a motion (M,) has a single target, whose text has all components that it needs."""
         count = np.bincount(self.row, minlength=len(self.program.motions))
         has_one_target = np.asarray(count == 1)
         has_one_target[self.row[self._needs_components() | self._may_change_bits()]] = False
         return has_one_target
 
     def _needs_components(self) -> Bools:
-        """Return which targets (K,) need components that their text lacks or gives otherwise."""
+        """Return whether a target (K,) needs missing components; for kept targets, any printed component."""
         gets_component = self.target_numbers.is_printed & self.layout.is_missing[self.row]
         return np.asarray(gets_component.any(axis=1) | (self.targets.keep & self.target_numbers.is_printed.any(axis=1)))
 
     def _may_change_bits(self) -> Bools:
-        """Return which targets (K,) may get another status or turn: changed targets of PTP."""
+        """Return whether a target (K,) may get another status or turn: changed PTP targets with status or turn."""
         has_bits = (self.targets.status >= 0) | (self.targets.turn >= 0)
         return np.asarray(has_bits & (self.targets.kind == PTP) & ~self.targets.keep)
 
     def _replace_text(self, row: int, piece: Replacement) -> None:
-        """Replace a piece of the line of a motion."""
+        """Replace a piece of the line of motion `row`."""
         self.replacements[0].add(*piece, self.layout.line.item(row))
 
     def _replace_numbers(self, k: Ints) -> None:
-        """Replace the numbers in plain lines, and those of array elements, all at once.
+        """Replace the numbers of targets in plain lines and of array elements in data lists, in bulk.
 
-        :param k: (n,) targets whose numbers change.
+        :param k: (n,) targets whose numbers change, each in the statement of its motion.
         """
-        file = np.zeros(len(self.program.motions), dtype=np.int32)  # in which the numbers are: 0 is the `.src`
+        file = np.zeros(len(self.program.motions), dtype=np.int32)  # that contains the numbers: 0 is the `.src`
         for elements in self.layout.elements:
             file[elements.row] = elements.source.index
         for part in chunks(len(k)):
             targets = k[part]
+            # (n, 6) offsets of X … C; −1 where the text lacks a component
             starts, stops = np.moveaxis(self.layout.spans(self.row[targets], slice(6)).astype(np.int64), 2, 0)
             numbers, decimals = self.target_numbers.numbers[targets], self.target_numbers.decimals[targets]
             trace_rows = np.broadcast_to(self.layout.line[self.row[targets], None], starts.shape)
@@ -229,7 +238,10 @@ class _Rewriter:
         self._replace_via_points(k[self.targets.kind[k] == CIRC])
 
     def _replace_via_points(self, circles: Ints) -> None:
-        """Replace X, Y, Z of the auxiliary points of circles, given by their targets (n,)."""
+        """Replace X, Y, Z of the auxiliary points of circles.
+
+        :param circles: (n,) targets that end these circles.
+        """
         spans = self.layout.via_spans[self.row[circles]].astype(np.int64).reshape(-1, 2)
         decimals = np.tile(DECIMALS[:3], len(circles))
         numbers, rows = self.target_numbers.via[circles].reshape(-1), np.repeat(self.layout.line[self.row[circles]], 3)
@@ -241,15 +253,15 @@ class _Rewriter:
         if literal is None:
             return
         texts = self.statements.number_texts(k, literal)
-        # numbers that the line of a changed target has are replaced by `_replace_numbers`
-        replaced_names = set() if self.targets.keep[k] else literal.places.keys() & set(CARTESIAN)
+        # for a changed target, `_replace_numbers` has replaced the numbers that are in the line
+        replaced_names = set() if self.targets.keep[k] else literal.number_spans.keys() & set(CARTESIAN)
         for piece in replaced_numbers(
             literal, {name: text for name, text in texts.items() if name not in replaced_names}
         ):
             self._replace_text(row, piece)
 
     def _rewrite_statements(self) -> None:
-        """Change the statements of motions that are not plain lines."""
+        """Edit the statements of motions that are not plain lines, and the declarations of their points."""
         moves = self.layout.statements
         points = NamedPoints(self.sources, self.layout, self.replacements, self.mentions)
         for k in np.flatnonzero(self.is_last).tolist():
@@ -260,10 +272,12 @@ class _Rewriter:
         self.issues += points.issues
 
     def _rewrite_statement(self, row: int, k: int, move: MotionStatement, points: NamedPoints) -> None:
-        """Change the statement of a motion, or note that it uses unchanged named points.
+        """Edit the statement of a motion; add its uses of named points, also unchanged ones, to `points`.
 
-        :param row: of the motion; `k`: of the target at its end.
-        :param points: notes which statements use which named points.
+        :param row: the motion.
+        :param k: its last target.
+        :param move: its statement.
+        :param points: collects the uses of named points.
         """
         becomes_line = move.kind == CIRC and bool(self.targets.kind[k] == LIN)
         needs_all_numbers = becomes_line or self._starts_elsewhere(row, k, move)
@@ -274,7 +288,7 @@ class _Rewriter:
         if differs and move.angle is not None:
             self._replace_text(row, Replacement(move.end.stop, move.tail_start, ""))
             self._report("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
-        texts = self.statements.end_texts(k, move.end, copy=needs_all_numbers) if differs else None
+        texts = self.statements.end_texts(k, move.end, includes_unchanged=needs_all_numbers) if differs else None
         self._rewrite_point(
             Use(move.line, move.end, texts, partial(self.statements.whole_literal, k, move.end)), points
         )
@@ -285,9 +299,10 @@ class _Rewriter:
             )
 
     def _starts_elsewhere(self, row: int, k: int, move: MotionStatement) -> bool:
-        """Return whether a statement means another path because its motion begins elsewhere than as read.
+        """Return whether the unchanged statement would be another path, because its motion begins at another point.
 
-        :param row: of the motion, whose last target is `k`.
+        :param row: the motion.
+        :param k: its last target.
         """
         is_divided = k > 0 and bool(self.row[k - 1] == row)  # it begins at an inserted target
         depends_on_start = bool(move.relative_axes) or move.angle is not None or move.kind == CIRC
@@ -295,7 +310,10 @@ class _Rewriter:
         return (is_divided and depends_on_start) or (counts_from_start and bool(self.target_numbers.start_differs[row]))
 
     def _make_absolute(self, row: int, k: int, move: MotionStatement) -> None:
-        """Replace instruction and points of the statement of motion `row` by absolute literals of target `k`."""
+        """Replace instruction and points of the statement of motion `row` by absolute literals of target `k`.
+
+        Add an issue if the statement was a relative motion.
+        """
         self._replace_text(row, self.statements.absolute_statement(row, k))
         if move.relative_axes:
             if move.frame_span is not None:
@@ -303,9 +321,10 @@ class _Rewriter:
             self._report("relative-made-absolute", "A relative target is written as an absolute one.", move.line)
 
     def _rewrite_point(self, use: Use, points: NamedPoints) -> None:
-        """Change the numbers of a point that is written in the statement; note the use of a named point.
+        """Edit the numbers of a point in its statement if they are there; otherwise add its use to `points`.
 
-        :param points: gets the uses of named points.
+        :param use: the point in its statement.
+        :param points: collects the uses of named points.
         """
         literal = self.statements.inline_literal(use.operand)
         if literal is None:
@@ -315,7 +334,7 @@ class _Rewriter:
                 self.replacements[0].add(*piece, use.line)
 
     def _insert_lines(self) -> Ints:
-        """Insert targets, force comments and settings as lines of their own; return the line of every target (K,)."""
+        """Insert lines for targets, force comments and settings; return the new line (K,) of each target."""
         line = self.layout.line[self.row]
         lines = InsertedLines(self.trace, self.replacements[0])
         following_line, moved_triggers = self._place_triggers()
@@ -333,7 +352,7 @@ class _Rewriter:
             if k in lowering_feeds:
                 lines.add(next_line, indent + lowering_feeds[k] + line_end)
             if k in free_targets:
-                lines.add(next_line, indent + LED_BY + FREE + line_end)
+                lines.add(next_line, indent + ORIENTATION_SETTING + FREE + line_end)
             for trigger, text in moved_triggers.get(k, ()):
                 lines.move_line(trigger.line, next_line, text)
             if k in forces and not self._replace_comment(k, forces[k]):
@@ -341,44 +360,49 @@ class _Rewriter:
             if not self.is_last[k]:
                 self._insert_target(k, next_line, lines)
             if k in reset_targets:
-                lines.insert_behind(motion_line, indent + LED_BY + ORIENTATIONS[self.layout.orientation[row]])
+                lines.insert_behind(
+                    motion_line, indent + ORIENTATION_SETTING + ORIENTATIONS[self.layout.orientation[row]]
+                )
             if k in restoring_feeds:
                 lines.insert_behind(motion_line, indent + restoring_feeds[k])
         return lines.output_lines(line)
 
     def _insert_target(self, k: int, next_line: int, lines: InsertedLines) -> None:
-        """Insert target `k` as a motion before a row of the trace, and report if the robot stops there.
+        """Insert target `k` as a motion before row `next_line` of the trace; add an issue if the robot stops there.
 
-        :param lines: gets the new line.
+        :param lines: collects the new line.
         """
         row = int(self.row[k])
         text = self.statements.inserted_line(row, k)
         lines.add(next_line, text, k)
         if not self.layout.is_in_spline_block[row] and not is_approximated(text):
-            reason = _BLENDED_STOP if self.layout.is_distance_known[row] else _UNSURE
+            reason = _BLENDED_STOP if self.layout.is_distance_known[row] else _UNKNOWN_DISTANCE
             self._report("stop-inserted", reason, self.layout.line.item(row))
 
     def _free_orientation_spans(self) -> tuple[set[int], set[int]]:
         """Return the targets before which `$ORI_TYPE` is set to #VAR, and the targets behind which it is reset.
 
-        Consecutive motions share one such pair of lines; spline motions have the setting in their statements instead.
+        Consecutive motions share these two lines. Spline motions have the setting in WITH and are left out.
         """
         rows = np.flatnonzero(self.target_numbers.is_free)
         pairs = consecutive_motions(self.layout, rows[[not self.statements.is_spline(row) for row in rows.tolist()]])
         first, last = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+        # first target of the first motion, last target of the last one: `row` is sorted
         begins, ends = np.searchsorted(self.row, first), np.searchsorted(self.row, last, side="right") - 1
         return set(begins.tolist()), set(ends.tolist())
 
     def _feed_statements(self) -> tuple[dict[int, str], dict[int, str]]:
         """Return the statements that set lowered feeds, and the statements that restore the feeds.
 
-        The former are given by the target before which they are, the latter by the target behind which they are.
+        Both are empty if no feed was lowered.
+
+        :returns: target → statement before it; target → statement behind it.
         """
         feed, feed_as_read = self.program.motions.feed, self.program.feed_as_read
         rows = _lowered_motions(self.program)
         if feed_as_read is None or not len(rows):
             return {}, {}
-        # the motion before is lowered too, and no line is between them: the feed need not be restored there
+        # between two lowered motions on consecutive lines the feed is not restored
         is_continued = (np.diff(rows) == 1) & (np.diff(self.layout.line[rows]) == 1)
         has_same_feed = np.append(False, is_continued & (np.diff(feed[rows]) == 0.0))
         lowering_rows, restoring_rows = rows[~has_same_feed], rows[np.append(~is_continued, True)]
@@ -390,30 +414,31 @@ class _Rewriter:
         )
 
     def _indent(self, k: int) -> str:
-        """Return the text before the instruction on the line of a motion, given by one of its targets."""
+        """Return the text before the instruction on the line of the motion of target `k`."""
         return self.statements.indent(int(self.row[k]))
 
     def _missing_force_comments(self, line: Ints, following_line: Mapping[int, int]) -> dict[int, str]:
-        """Return the force comments that the program lacks, by the target that needs them.
+        """Return the force comments that the program lacks: target → comment; empty without `comment_forces`.
 
-        :param line: (K,) lines of the targets.
-        :param following_line: inserted target → line before which it is written.
+        :param line: (K,) rows of the trace with the motions of the targets.
+        :param following_line: target → row before which it is inserted, if that is not the row of its motion.
         """
         if self.comment_forces is None:
             return {}
-        # the first line whose comment does not hold for the target: one on the line of a motion holds for the motion,
-        # but not for the targets inserted before it
+        # comments before `limit_line` apply to the target: a comment on the line of a motion applies to its last
+        # target, but not to the targets inserted before it
         limit_line = line + self.is_last
         limit_line[list(following_line)] = list(following_line.values())
-        note = np.searchsorted(self.layout.notes, limit_line) - 1  # the last comment that holds; −1: none
+        note = np.searchsorted(self.layout.notes, limit_line) - 1  # the last comment that applies; −1: none
         rows = np.flatnonzero(needs_comment(self.comment_forces, self.targets.kind, note, self.program.notes, 0.0))
         return dict(zip(rows.tolist(), texts(b";", self.comment_forces, rows), strict=True))
 
     def _replace_comment(self, k: int, text: str) -> bool:
-        """Replace the force comment on the line of a motion by another one.
+        """Replace the force comment on the line of target `k`; return whether this was possible.
 
-        :param k: the target that needs it.
-        :returns: False if there is none on that line, or the target is not written there.
+        False if the line has no force comment, or if the target is an inserted line.
+
+        :param text: the new comment.
         """
         line = int(self.layout.line[self.row[k]])
         if not self.is_last[k] or line not in self.comment_lines:
@@ -424,11 +449,11 @@ class _Rewriter:
         return True
 
     def _place_triggers(self) -> tuple[dict[int, int], dict[int, list[tuple[Trigger, str]]]]:
-        """Place TRIGGERs among the targets inserted into their motions; change the PATH of those that stay.
+        """Place TRIGGERs among the targets inserted into their motions; change PATH of those that stay on their line.
 
-        A TRIGGER that cannot be kept right becomes an error in `issues`.
+        A TRIGGER that would switch at another place becomes an error in `issues`.
 
-        :returns: inserted target → line before which it is written; target → TRIGGERs that are moved before it, with
+        :returns: inserted target → row before which it is written; target → TRIGGERs that are moved before it, with
             their text.
         """
         following_line: dict[int, int] = {}
@@ -455,14 +480,17 @@ class _Rewriter:
         return following_line, moved_lines
 
     def _change_paths(self, placed_triggers: PlacedTriggers) -> None:
-        """Change the PATH of the TRIGGERs that stay on their lines."""
+        """Change PATH of the TRIGGERs that stay on their lines."""
         moved_triggers = {trigger for triggers in placed_triggers.moved_triggers for trigger in triggers}
         for trigger, path in placed_triggers.path_texts.items():
             if trigger not in moved_triggers and trigger.path_span is not None:
                 self.replacements[0].add(*trigger.path_span, path, trigger.line)
 
     def _trigger_line(self, trigger: Trigger, path: str | None) -> str:
-        """Return the line of a TRIGGER, with its line end, and with another PATH if `path` is given."""
+        """Return the line of a TRIGGER with its line end.
+
+        :param path: new number of PATH; None leaves it unchanged.
+        """
         source, line = self.trace.place(trigger.line)
         text, start, stop = source.text, source.starts[line - 1], source.starts[line]
         if path is None or trigger.path_span is None:
@@ -470,25 +498,26 @@ class _Rewriter:
         return text[start : trigger.path_span[0]] + path + text[trigger.path_span[1] : stop]
 
     def _report(self, kind: str, message: str, line: int) -> None:
-        """Add an information on a line for the user."""
+        """Add information about a row of the trace to `issues`."""
         self.issues.append(Issue("info", kind, message, line))
 
 
 def _feed_texts(targets: Ints, feeds: Array) -> dict[int, str]:
-    """Return the statements that set feeds (n,) [m/s], by targets (n,)."""
+    """Return the statements that set feeds (n,) [m/s]: target (n,) → statement."""
     return {k: f"$VEL.CP={number_text(feed)}" for k, feed in zip(targets.tolist(), feeds.tolist(), strict=True)}
 
 
 def _lowered_motions(program: Program) -> Ints:
-    """Return the motions (n,) whose feed was lowered since the program was read."""
+    """Return the motions (n,) whose feed was lowered after the program was read, ascending."""
     as_read = program.feed_as_read
     return np.flatnonzero(program.motions.feed < as_read) if as_read is not None else np.zeros(0, dtype=np.int64)
 
 
 def _check_lowered_feeds(program: Program, layout: Layout) -> None:
-    """Refuse lowered feeds that no line before the motion can set.
+    """Check that a line before the motion can set each lowered feed.
 
-    :raises ProgramError: the motion is in a loop, branch or called routine, in a spline block, or sets its own speed.
+    :raises ProgramError: the program has loops, branches or calls; a motion with a lowered feed is in a spline block,
+        or sets its speed by WITH.
     """
     rows = _lowered_motions(program)
     if not len(rows):

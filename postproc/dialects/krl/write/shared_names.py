@@ -1,7 +1,7 @@
-"""What several files of a divided program use: routines and variables become GLOBAL, under names that are its own.
+"""Routines and variables that several files of a divided program use: they become GLOBAL under new names.
 
-GLOBAL names are seen by all programs of a controller, so that each begins with the name of the program. What the
-program never writes (points, say) needs none of that: each file has it in its own `.dat`.
+All programs of a controller see GLOBAL names, so that each new name begins with the name of the program. Variables of
+the `.dat` that the program never writes, such as points, need not be GLOBAL: each file has a copy in its own `.dat`.
 """
 
 from __future__ import annotations
@@ -38,27 +38,29 @@ from postproc.program import Document, Ints
 class _Variables(Struct, frozen=True, eq=False):
     """Variables that are declared in one place: the DEF of the main routine, or the `.dat`.
 
-    :ivar users: name → files that use it, by number.
-    :ivar write_lines: name → line that may write it.
+    :ivar users: name, upper case → indices of the files that use it.
+    :ivar write_lines: name, upper case → first line that may write it.
     """
 
     users: dict[str, set[int]] = field(default_factory=dict)
     write_lines: dict[str, int] = field(default_factory=dict)
 
-    def shared_names(self, *, with_readers: bool) -> set[str]:
+    def shared_names(self, *, includes_unwritten: bool) -> set[str]:
         """Return the names that several files use.
 
-        :param with_readers: False to leave out names that no statement writes.
+        :param includes_unwritten: False to leave out names that no statement writes.
         """
         return {
-            name for name, files in self.users.items() if len(files) > 1 and (with_readers or name in self.write_lines)
+            name
+            for name, files in self.users.items()
+            if len(files) > 1 and (includes_unwritten or name in self.write_lines)
         }
 
 
 class SharedProgram(NamedTuple):
     """A program whose shared variables and routines are GLOBAL.
 
-    :ivar source: with the same number of lines as before.
+    :ivar source: the edited `.src`; it has as many lines as before.
     :ivar data: its `.dat`; None if it has none.
     :ivar routine_names: old name of each routine, upper case → its new name.
     """
@@ -69,13 +71,13 @@ class SharedProgram(NamedTuple):
 
 
 class DividedProgram(NamedTuple):
-    """A program, and which of its lines will be in which file.
+    """A program, and the file that will contain each of its lines.
 
     :ivar source: its `.src`.
     :ivar data: its `.dat`; None if it has none.
     :ivar main: its main routine.
-    :ivar subroutines: its other routines, which get files of their own.
-    :ivar file: (L + 1,) number of the file that will contain each line of the `.src`; element 0 is of no line.
+    :ivar subroutines: its other routines, which will be in separate files.
+    :ivar file: (L + 1,) index of the file that will contain each line of the `.src`, from 1; element 0 is unused.
     """
 
     source: Source
@@ -86,14 +88,19 @@ class DividedProgram(NamedTuple):
 
 
 class Sharing:
-    """Finds what the files of a divided program share, and edits both texts so that all of them see it.
+    """Finds the names that the files of a divided program share, and makes them GLOBAL in `.src` and `.dat`.
 
-    :param base: what GLOBAL names begin with.
-    :param used_names: names, upper case, that are used already; the new ones join them.
+    :param base: beginning of the new GLOBAL names.
+    :param used_names: names in use, upper case; the new names are added.
+    :ivar data_lines: lines of the `.dat` that are not GLOBAL.
+    :ivar declarations_of_line: line of the `.dat` → variables that it declares or initialises.
+    :ivar main_declarations: (line, variable) for each declaration of the main routine.
+    :ivar main_names: variables of the main routine that may be shared, upper case.
+    :ivar unshared_names: its constants and parameters, which are never shared.
     """
 
     def __init__(self, base: str, program: DividedProgram, used_names: set[str]) -> None:
-        """Find what the main routine and the `.dat` declare."""
+        """Find the declarations of the main routine and of the `.dat`."""
         self.base, self.used_names = base, used_names
         self.source, data, self.main, self.subroutines, self.file = program
         main = self.main
@@ -104,23 +111,23 @@ class Sharing:
         }
         self.main_variables, self.data_variables = _Variables(), _Variables()
         self.main_declarations = [(line, item) for line in main.statement_lines for item in self._declarations(line)]
-        constant = {line for line, _ in self.main_declarations if self._is_constant(line)}
-        self.main_names = {item.name for line, item in self.main_declarations if line not in constant}
-        self.unshared_names = {item.name for line, item in self.main_declarations if line in constant}
+        constant_lines = {line for line, _ in self.main_declarations if self._is_constant(line)}
+        self.main_names = {item.name for line, item in self.main_declarations if line not in constant_lines}
+        self.unshared_names = {item.name for line, item in self.main_declarations if line in constant_lines}
         self.unshared_names |= {parameter.name for parameter in main.parameters}
 
     def apply(self) -> SharedProgram:
-        """Return the edited program.
+        """Return the program with GLOBAL names; unchanged if nothing is shared and there are no subroutines.
 
         :raises ProgramError: a shared variable has a type that other files do not know.
         """
         self._note_uses()
         local_names = _with_line_mates(
-            self.main_variables.shared_names(with_readers=True), self._names_by_line(self.main_declarations)
+            self.main_variables.shared_names(includes_unwritten=True), self._names_by_line(self.main_declarations)
         )
         data_names = [(line, item) for line, names in self.declarations_of_line.items() for item in names]
         shared_data = _with_line_mates(
-            self.data_variables.shared_names(with_readers=False), self._names_by_line(data_names)
+            self.data_variables.shared_names(includes_unwritten=False), self._names_by_line(data_names)
         )
         self._check_types(
             local_names, {item.name: item for _, item in data_names if item.name in shared_data and item.kind}
@@ -139,7 +146,7 @@ class Sharing:
     # --- shared names ----------------------------------------------------------------------------------------------
 
     def _note_uses(self) -> None:
-        """Note which files use and write which variables."""
+        """Fill `main_variables` and `data_variables` with the files and lines that use and write each variable."""
         data_names = {item.name for names in self.declarations_of_line.values() for item in names}
         variables = data_names | self.main_names
         if not variables:
@@ -148,7 +155,7 @@ class Sharing:
         for routine in (self.main, *self.subroutines):
             for line in range(routine.first + 1, routine.last):
                 start, stop = self.source.code_span(line)
-                names = variables & names_in(self.source.text, start, stop)
+                names = variables & names_in(self.source.text, start, stop)  # a fast first search
                 if not names or self._is_type(line) or (routine is self.main and line in declaration_lines):
                     continue
                 names &= {item.name for item in occurrences(self.source.text, start, stop)}
@@ -161,16 +168,17 @@ class Sharing:
                             owner.write_lines.setdefault(name, line)
 
     def _owning_variables(self, name: str, routine: Routine, data_names: Collection[str]) -> _Variables | None:
-        """Return the table that contains a variable which a routine names; None if the name is not to be shared."""
+        """Return the table of the variable that a name means in a routine; None if the variable is never shared."""
         if routine is self.main and name in self.main_names:
             return self.main_variables
         local_names = self.unshared_names if routine is self.main else routine.local_names
         return self.data_variables if name in data_names and name not in local_names else None
 
     def _written_names(self, line: int) -> set[str]:
-        """Return the names that a statement may write: by assignment, as argument of a call, as counter of a FOR.
+        """Return the names, upper case, that the statement on a line may write.
 
-        Statements that act at another time (TRIGGER, INTERRUPT, ANIN, DIGIN) may write every name in them.
+        These are the target of an assignment, arguments of calls without ``:IN``, and the counter of a FOR. TRIGGER,
+        INTERRUPT, ANIN and DIGIN act at another time: they may write all names in them.
         """
         source, node = self.source, statement(self.source, line)
         if isinstance(node, For):
@@ -190,9 +198,11 @@ class Sharing:
         return names
 
     def _check_types(self, local_names: Collection[str], data_names: Mapping[str, DeclaredName]) -> None:
-        """Refuse shared variables and parameters of types that only this program declares.
+        """Check that shared variables and parameters have no type that only the `.dat` of the program declares.
 
-        :raises ProgramError: there is one: the other files would not know its type.
+        :param local_names: shared variables of the main routine.
+        :param data_names: shared variables of the `.dat`: name → declaration.
+        :raises ProgramError: a variable, a parameter or a result has such a type: other files would not know it.
         """
         types = set() if self.data is None else set(_declared_types(self.data))
         if not types:
@@ -217,29 +227,36 @@ class Sharing:
                 raise self._type_error(f"what {routine.name} takes or gives", kind, routine.first)
 
     def _type_error(self, subject: str, kind: str, line: int) -> ProgramError:
-        """Return the error that a shared variable has a type which is not GLOBAL."""
+        """Return the error that a shared variable has a type which is not GLOBAL.
+
+        :param subject: subject of the message: the variable.
+        :param kind: the type.
+        """
         problem = f"{subject} is used in several of the files, and its type {kind} is not GLOBAL"
         return division_error(self.source, problem, line, f"Declare {kind} in the $config.dat, or: {ADVICE}")
 
     # --- declarations --------------------------------------------------------------------------------------------
 
     def _declarations(self, line: int) -> list[DeclaredName]:
-        """Return the variables that a line of the program declares."""
+        """Return the variables that a line of the `.src` declares; empty for GLOBAL declarations and STRUC."""
         node = statement(self.source, line)
         return list(node.names) if isinstance(node, Declaration) and not node.is_global and node.word != "STRUC" else []
 
     def _is_constant(self, line: int) -> bool:
-        """Return whether a line declares constants."""
+        """Return whether a line of the `.src` declares constants."""
         node = statement(self.source, line)
         return isinstance(node, Declaration) and node.is_constant
 
     def _is_type(self, line: int) -> bool:
-        """Return whether a line declares a type, whose members and constants may have the names of variables."""
+        """Return whether a line of the `.src` is STRUC or ENUM: names in it are not variables."""
         return statement(self.source, line).word in ("STRUC", "ENUM")
 
     @staticmethod
     def _names_by_line(declarations: Iterable[tuple[int, DeclaredName]]) -> list[set[str]]:
-        """Return the sets of names that lines declare, one for each line with a declaration."""
+        """Return the set of names that each line declares.
+
+        :param declarations: (line, name) for each declared name.
+        """
         lines: dict[int, set[str]] = {}
         for line, item in declarations:
             lines.setdefault(line, set()).add(item.name)
@@ -248,7 +265,10 @@ class Sharing:
     # --- edits -------------------------------------------------------------------------------------------------------
 
     def _global_name(self, name: str) -> str:
-        """Return a new GLOBAL name for a name (upper case): it begins with the name of the program."""
+        """Return a new GLOBAL name for a name (upper case), and add it to `used_names`.
+
+        It is `base`, an underscore and the old name, shortened if necessary.
+        """
         new_name = f"{self.base}_{self._spelling(name)}"[:MAX_LENGTH]
         if new_name.upper() in self.used_names:
             new_name = unused_name(new_name, self.used_names)
@@ -256,15 +276,15 @@ class Sharing:
         return new_name
 
     def _spelling(self, name: str) -> str:
-        """Return a name (upper case) as the program spells it at its first place."""
+        """Return a name (upper case) as the `.src` spells it at its first occurrence; unchanged if it is not in it."""
         spellings = (match[0] for match in NAME.finditer(self.source.text) if match[0].upper() == name)
         return next(spellings, name)
 
     def _move_declarations(self, new_names: Mapping[str, str], edits: Replacements) -> list[str]:
-        """Make declarations of the main routine comments, and return them as lines for a `.dat`.
+        """Replace declarations of the main routine by comments, and return them as lines for a `.dat`.
 
         :param new_names: old name, upper case → GLOBAL name.
-        :param edits: of the `.src`; gets the comments.
+        :param edits: edits of the `.src`; the comments are added.
         """
         declarations = []
         for line in dict.fromkeys(line for line, item in self.main_declarations if item.name in new_names):
@@ -281,12 +301,14 @@ class Sharing:
         routines: Mapping[str, str],
         edits: Replacements,
     ) -> None:
-        """Rename variables and routines that become GLOBAL, wherever the program names them.
+        """Rename variables and routines that become GLOBAL in the `.src`; write GLOBAL before the DEF of routines.
 
-        :param new_locals: variables of the main routine, old name → new name.
-        :param new_globals: likewise those of the `.dat`.
-        :param routines: routines, old name → new name.
-        :param edits: of the `.src`; gets the new names.
+        Old names are in upper case.
+
+        :param new_locals: variables of the main routine: old name → new name.
+        :param new_globals: variables of the `.dat`: old name → new name.
+        :param routines: routines: old name → new name.
+        :param edits: edits of the `.src`; the new names are added.
         """
         text = self.source.text
         removed_lines = {line for line, item in self.main_declarations if item.name in new_locals}
@@ -297,8 +319,8 @@ class Sharing:
             all_names = names.keys() | routines.keys()
             for line in range(routine.first, routine.last):
                 start, stop = self.source.code_span(line)
-                is_kept = line in removed_lines or self._is_type(line)
-                if is_kept or all_names.isdisjoint(names_in(text, start, stop)):
+                is_unchanged = line in removed_lines or self._is_type(line)
+                if is_unchanged or all_names.isdisjoint(names_in(text, start, stop)):
                     continue
                 for item in occurrences(text, start, stop):
                     is_call = item.is_called or line == routine.first
@@ -310,10 +332,12 @@ class Sharing:
                 edits.add(start, start, "GLOBAL ")
 
     def _data_file(self, new_globals: Mapping[str, str], declarations: Sequence[str]) -> Document | None:
-        """Return the `.dat` with the new GLOBAL names, and with further declarations; None if it has nothing.
+        """Return the `.dat` with new GLOBAL names and further declarations.
 
-        :param new_globals: its variables that become GLOBAL, old name, upper case → new name.
-        :param declarations: lines to be added before its end.
+        Without a `.dat`, a new one with these declarations is returned, or None if there are none.
+
+        :param new_globals: variables of the `.dat` that become GLOBAL: old name, upper case → new name.
+        :param declarations: lines to be added before ENDDAT.
         """
         if self.data is None:
             if not declarations:
@@ -339,7 +363,7 @@ class Sharing:
 
 
 def _data_declarations(data: Source, data_line: DataLine) -> Iterator[DeclaredName]:
-    """Yield the variables that a line of a `.dat` declares or gives a value to."""
+    """Yield the variables that a line of a `.dat` declares or initialises."""
     start, stop = data.code_span(data_line.line)
     if word_at(data.text, start, stop) not in DECLARATIONS:
         yield from declared_in(data, start, stop)
@@ -354,7 +378,7 @@ def _declared_types(data: Source) -> Iterator[str]:
 
 
 def _with_new_names(text: str, new_names: Mapping[str, str]) -> str:
-    """Return code with other names for variables.
+    """Return code with new names for variables.
 
     :param new_names: old name, upper case → new name.
     """
@@ -372,9 +396,9 @@ def _global_declaration(declaration: str) -> str:
 
 
 def _with_line_mates(names: set[str], lines: Sequence[set[str]]) -> set[str]:
-    """Return names, and the names that are declared on one line with any of them.
+    """Return names, and all names that share a line of declaration with any of them, directly or over other names.
 
-    :param lines: sets of names that are declared together.
+    :param lines: set of names that each line declares.
     """
     while new_names := set().union(*(line for line in lines if line & names)) - names:
         names = names | new_names

@@ -5,12 +5,12 @@ Decisions, where KUKA leaves a choice:
 - System variables (`$BASE`, `$VEL.CP`, `$APO.CDIS` …) keep their values from file to file: all run in one interpreter.
   Variables declared in the DEF or in the `.dat` are visible in one file only: constants are repeated in each file that
   uses them, and variables that are written are GLOBAL (`shared_names`).
-- Its own routines follow the parts, in files of the same series that no program calls, as GLOBAL DEF.
+- Routines of the program follow the parts as GLOBAL DEF, in files of the same series that no program calls.
 - The advance run goes on over a call, DEF and END, so that a motion with C_DIS before a cut is approximated as before:
-  it stops at statements as WAIT, HALT, INTERRUPT DECL and BAS (#INITMOV), none of which is added (KUKA, Expert
+  it stops at statements like WAIT, HALT, INTERRUPT DECL and BAS (#INITMOV), none of which is added (KUKA, Expert
   Programming, 'computer advance run': END stops it only in a module that declares an interrupt that is not GLOBAL). All
-  initialisation stays in the main program. An interrupt that is declared there is known in all that it calls.
-- RESUME goes back to where the interrupt was declared, and would break off a whole part.
+  initialisation stays in the main program. An interrupt that is declared there is known in all programs that it calls.
+- RESUME returns to the routine that declares the interrupt, and would abort a whole part.
 """
 
 from __future__ import annotations
@@ -40,10 +40,13 @@ from postproc.program import Document, Ints, WrittenProgram
 
 
 def add_data_files(sources: Sequence[Document], data: Document | None) -> Iterator[Document]:
-    """Yield the files of a program, behind each `.src` the `.dat` that it needs.
+    """Yield the files of a program: each `.src`, followed by its `.dat` if it needs one.
+
+    The `.dat` of a part has copies of the variables that the part uses. The `.dat` of the main program has all others:
+    GLOBAL variables, unused variables and those that the main program uses.
 
     :param sources: the main program first.
-    :param data: the `.dat` of the whole program. GLOBAL and unused variables stay with the main program.
+    :param data: the `.dat` of the whole program; None if it has none.
     """
     if data is None:
         yield from sources
@@ -71,9 +74,9 @@ def add_data_files(sources: Sequence[Document], data: Document | None) -> Iterat
 
 
 def _needed_lines(lines: Sequence[DataLine], document: Document) -> set[int]:
-    """Return the numbers of those lines of a `.dat` that a file needs.
+    """Return the numbers of the lines of a `.dat` that a file needs.
 
-    It names their variables, or other needed lines do, in a type or a value.
+    The file contains a name that the line declares or initialises, or another needed line contains it.
     """
     lines_of_name: dict[str, list[DataLine]] = {}
     for data_line in lines:
@@ -90,9 +93,9 @@ def _needed_lines(lines: Sequence[DataLine], document: Document) -> set[int]:
 
 _RESUME = "RESUME would break off the whole file that runs"
 _MOST_NAMES = 5
-"""Names in one message at most."""
+"""Largest number of names in one message."""
 _FRAME_LINES = 3
-"""Lines that a part has in addition: DEF, the comment that names its main program, and END."""
+"""Number of lines that are added to each part: DEF, the comment that names its main program, and END."""
 
 
 def split_files(
@@ -103,18 +106,17 @@ def split_files(
     used_names: Collection[str] = (),
     resume_place: str = "",
 ) -> WrittenProgram:
-    """Return a written program in as many files as it needs, or as it had.
+    """Return a written program in several files, if it was read from several or is too long for one.
 
-    :param name: of the program.
-    :param documents: the files that it was read from, if it is KRL that stays as it is; else none.
-    :param output: the program as one text.
-    :param limit: lines of a file at most; 0: a program that was in one file stays in one.
+    :param name: name of the program.
+    :param documents: files from which a KRL program was read; empty for a new program.
+    :param output: the written program as one text.
+    :param limit: largest number of lines of a file; 0: a program in one file is never divided.
     :param used_names: names of other programs and GLOBAL routines, upper case.
-    :param resume_place: where RESUME in another file goes back to the program; empty: nowhere.
-    :raises ProgramError: it is too long, and cannot be divided.
+    :param resume_place: place, as text, of a RESUME in another file that returns to the program; empty without it.
+    :raises ProgramError: the program is too long, and cannot be divided.
     """
-    old_text = joined_program(documents) if documents else None
-    if old_text is not None:
+    if documents and joined_program(documents) is not None:
         return _restore_files(documents, output, limit)
     if not limit or (
         output.documents[0].text.count("\n") < limit and len(Source.of(output.documents[0], 0).starts) <= limit
@@ -126,7 +128,10 @@ def split_files(
 
 
 def _restore_files(documents: Sequence[Document], output: WrittenProgram, limit: int) -> WrittenProgram:
-    """Return a program that was read from several files in the same files, which keep their division."""
+    """Return a program that was read from several files in these files; each line stays in its file.
+
+    A file that is longer than `limit` lines (0: no limit) gets a warning.
+    """
     whole_program = joined_program(documents)
     if whole_program is None or all(
         new_file.text == old_file.text
@@ -150,8 +155,8 @@ def _restore_files(documents: Sequence[Document], output: WrittenProgram, limit:
 class _File(Struct, frozen=True, eq=False):
     """A file of a divided program.
 
-    :param name: without extension.
-    :param pieces: lines of its own, with their ends, and ranges of lines of the program.
+    :param name: name without extension.
+    :param pieces: new lines, with their line ends, and ranges of lines of the undivided program, in order.
     """
 
     name: str
@@ -164,10 +169,12 @@ class _Splitter:
     def __init__(self, name: str, output: WrittenProgram, limit: int, used_names: Collection[str]) -> None:
         """Find the routines of the program, and a prefix for the names of its files.
 
-        :param name: of the program; `output` is the program as one text.
-        :param limit: lines of a file at most.
+        :param name: name of the program.
+        :param output: the written program as one text.
+        :param limit: largest number of lines of a file.
         :param used_names: names of other programs and GLOBAL routines, upper case.
-        :raises ProgramError: it has no DEF, or its DEF has parameters.
+        :raises ProgramError: a DEF has no END, a motion is outside of DEF … END, the program has no DEF, or its DEF has
+            parameters.
         """
         self.undivided, self.limit, self.issues = output, limit, list(output.issues)
         self.source = Source.of(output.documents[0], 0)
@@ -191,7 +198,7 @@ class _Splitter:
     def write(self) -> WrittenProgram:
         """Return the program in several files.
 
-        Lines of targets are counted on from file to file.
+        Lines of targets are numbered through all files.
 
         :raises ProgramError: it cannot be divided.
         """
@@ -214,9 +221,9 @@ class _Splitter:
         )
 
     def _routine_issues(self, new_names: Mapping[str, str]) -> Iterator[Issue]:
-        """Yield what the user should know about routines that are GLOBAL.
+        """Yield the issues about GLOBAL routines: new GLOBAL names, and GLOBAL names that the old file has too.
 
-        :param new_names: routines that become GLOBAL, old name, upper case → new name.
+        :param new_names: routines that become GLOBAL: old name, upper case → new name.
         """
         if new_names:
             names = first_of([f"{old_name} is {new_name}" for old_name, new_name in new_names.items()], _MOST_NAMES)
@@ -231,14 +238,19 @@ class _Splitter:
             yield Issue("warning", "global-routines", message)
 
     def _former_global_names(self) -> Iterator[str]:
-        """Yield the names, as spelled, of its routines that were GLOBAL before the division."""
+        """Yield the names, as spelled, of routines that are GLOBAL in the undivided program."""
         for routine in self.subroutines:
             head = statement(self.source, routine.first)
             if isinstance(head, Definition) and head.is_global:
                 yield head.name
 
     def _file_contents(self) -> list[_File]:
-        """Return the files and their contents: the main program, the parts that it calls, files with routines."""
+        """Return the files in order: the main program, the parts that it calls, the files with routines.
+
+        Warnings about files that are too long are added to `issues`.
+
+        :raises ProgramError: the program cannot be cut.
+        """
         cut_points, blocks = find_cut_points(self.source, self.main), self._routine_blocks()
         first_routine_line = min(routine.first for routine in (self.main, *self.subroutines))
         is_header = [self.source.text[start] == "&" for start in self.source.starts[: first_routine_line - 1].tolist()]
@@ -264,7 +276,8 @@ class _Splitter:
         """Return the main program: its lines up to the first cut, a call of each part, and its END.
 
         :param blocks: see `_routine_blocks`.
-        :param first_cut: line at which the first of `part_count` parts begins.
+        :param first_cut: line at which the first part begins.
+        :param part_count: number of parts.
         """
         first = min(routine.first for routine in (self.main, *self.subroutines))
         last = max(routine.last for routine in (self.main, *self.subroutines))
@@ -275,7 +288,10 @@ class _Splitter:
         return _File(f"{self.base}{MAIN}", (*head, *calls, _one_line(self.main.last), following_lines))
 
     def _routine_blocks(self) -> list[range]:
-        """Return the lines of each routine but the main one, with the comments before it."""
+        """Return the lines of each routine except the main routine, each with the lines before it.
+
+        The lines before a routine begin behind the previous routine; the first routine of the file has none.
+        """
         blocks, last_line = [], 0
         for routine in sorted((self.main, *self.subroutines), key=lambda routine: routine.first):
             if routine is not self.main:
@@ -284,12 +300,14 @@ class _Splitter:
         return blocks
 
     def _pack_blocks(self, blocks: Sequence[range], capacity: int) -> list[list[range]]:
-        """Return blocks of lines in groups, one for each file; a larger block has a file to itself, and a warning.
+        """Return blocks of lines in groups, one group for each file, in order.
 
-        :param capacity: lines that a file can hold.
+        A block that is larger than a file begins a new file, and a warning is added to `issues`.
+
+        :param capacity: number of lines that a file can contain.
         """
         groups: list[list[range]] = []
-        free_lines = 0
+        free_lines = 0  # of the last group
         for block in blocks:
             if not groups or len(block) > free_lines:
                 groups.append([])
@@ -305,10 +323,10 @@ class _Splitter:
         return groups
 
     def _line_places(self, files: Sequence[_File]) -> tuple[Ints, Ints]:
-        """Return the file of each line of the program (L + 1,), by its number, and its line number there (L + 1,).
+        """Return the file (L + 1,) of each line of the program, as index in `files`, and the new line number (L + 1,).
 
-        Lines are counted on from file to file; element 0 is of no line. One that is in several files counts in the
-        first.
+        New numbers run through all files. A line that several files contain counts in the first. Lines count from 1;
+        element 0 is unused. A line in no file has 0 and 0.
         """
         file_of, number_of = (np.zeros(len(self.source.starts) + 1, dtype=np.int64) for _ in range(2))
         number = 1
@@ -319,7 +337,7 @@ class _Splitter:
                     is_new = number_of[rows] == 0
                     file_of[rows[is_new]] = index
                     number_of[rows[is_new]] = (number + np.arange(len(rows)))[is_new]
-                number += len(piece) if isinstance(piece, range) else 1
+                number += len(piece) if isinstance(piece, range) else 1  # a text is one line
         return file_of, number_of
 
     def _document(self, file: _File, source: Source) -> Document:
@@ -332,21 +350,21 @@ class _Splitter:
         return replace(self.undivided.documents[0], name=f"{file.name}.src", text="".join(pieces))
 
     def _name_prefix(self, name: str, used_names: Collection[str]) -> str:
-        """Return the prefix of the file names: the given name, or with ``_2``, ``_3`` … behind it.
+        """Return the prefix of the file names: `name`, if necessary shortened and with ``_2``, ``_3`` … behind it.
 
-        The controller accepts the file names, and the program uses none of them.
+        The controller accepts the names of all files, and the program uses none of them.
 
         :param used_names: names in the code of the program, upper case.
         """
         return next(prefix for prefix in self._prefixes(name) if self._is_free_prefix(prefix, used_names))
 
     def _prefixes(self, name: str) -> Iterator[str]:
-        """Yield a name, and the same with ``_2``, ``_3`` … behind it, short enough for names of files."""
+        """Yield a name, then the name with ``_2``, ``_3`` … behind it; each is short enough for the names of files."""
         for tail in chain([""], (f"_{number}" for number in count(2))):
             yield name[: MAX_LENGTH - len(MAIN) - len(tail)] + tail
 
     def _is_free_prefix(self, prefix: str, used_names: Collection[str]) -> bool:
-        """Return whether the controller accepts the names of files with a prefix, and none of them is used."""
+        """Return whether the controller accepts the names of files with a prefix, and none is in `used_names`."""
         file_names = {f"{prefix}{part}".upper() for part in (MAIN, *range(1, len(self.source.starts) + 1))}
         return file_names.isdisjoint(used_names) and not any(fault_of(f"{prefix}{part}") for part in (MAIN, 1))
 
@@ -357,7 +375,7 @@ def _one_line(line: int) -> range:
 
 
 def _code_names(source: Source) -> Iterator[str]:
-    """Yield the names, upper case, in the code of a file; lines of motions without calls are left out."""
+    """Yield the names, upper case, in the code of a file, except in motions without brackets: they call nothing."""
     for line in range(1, len(source.starts) + 1):
         start, stop = source.code_span(line)
         if word_at(source.text, start, stop) not in MOTION_WORDS or "(" in source.text[start:stop]:

@@ -1,4 +1,4 @@
-"""Targets as the numbers that will be printed, and what a text must say for the controller to get them."""
+"""Targets as the numbers that will be printed, and the components that the text must have."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from postproc.frames import MM_PER_M, Array, any_column
 from postproc.program import Bools, Ints, Targets
 
 DECIMALS = np.array([4, 4, 4, 5, 5, 5])
-"""Least decimals of X, Y, Z [mm] and A, B, C [deg]: 0.1 µm and, at a lever of 1 m, 0.2 µm."""
+"""Smallest number of decimals of X, Y, Z [mm] and A, B, C [deg]: 0.1 µm and, at a lever of 1 m, 0.2 µm."""
 MOST_DECIMALS = 9
-"""Decimals that numbers of the program may keep: a picometre."""
-_UPRIGHT = 1e-6
-"""B closer than this to ±90° [deg] is ±90°: choosing A freely then turns the tool by less than 1e-7 rad."""
-_EQUAL = 1e-9
-"""Numbers closer than this are the same text."""
+"""Largest number of decimals that numbers of the program keep: a picometre."""
+_UPRIGHT_TOLERANCE = 1e-6
+"""B closer than this to ±90° [deg] counts as ±90°: any choice of A then turns the tool by less than 1e-7 rad."""
+_NUMBER_TOLERANCE = 1e-9
+"""Numbers closer than this [mm, deg] are printed as the same text."""
 
 
 class TargetNumbers(Struct, frozen=True, eq=False):
-    """K targets as text will command them.
+    """K targets as the text will command them.
 
-    :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg], rounded as printed; of kept targets as in the text.
+    :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg]: rounded as printed; for kept targets, the numbers of the text.
     :param decimals: (K, 6) decimals to print.
     :param least_decimals: (K, 6) decimals to print even if they are zeros.
-    :param is_printed: (K, 6) True where a number is to be printed: for a changed target the components that its text
-        gives, and of the missing ones those that the controller would not get right; for a kept one only the latter.
-    :param via: (K, 3) auxiliary points [mm], rounded to 4 decimals; NaN where there are none.
-    :param is_changed: (K,) True where the target's text or statement changes.
-    :param start_differs: (M,) True where the motion before ends elsewhere than in the input.
-    :param is_free: (M,) True where the orientation of a motion under another `$ORI_TYPE` must be led to its own.
-    :param drops_via_orientation: (M,) True where the auxiliary orientation of a SCIRC must not count.
+    :param is_printed: (K, 6) True where a number is printed. Kept target: components that the text lacks and must get.
+        Changed target: these, and the components that the text has.
+    :param via: (K, 3) auxiliary points [mm], rounded to 4 decimals; NaN for other motions than circles.
+    :param is_changed: (K,) True where the text of the target changes.
+    :param start_differs: (M,) True where the motion begins at another point than in the input.
+    :param is_free: (M,) True where a motion under another `$ORI_TYPE` needs #VAR to reach its orientation.
+    :param drops_via_orientation: (M,) True for SCIRC whose auxiliary orientation must not count.
     """
 
     numbers: Array
@@ -51,9 +51,9 @@ class TargetNumbers(Struct, frozen=True, eq=False):
     drops_via_orientation: Bools
 
     def texts(self, k: int, columns: Iterable[int]) -> dict[str, str]:
-        """Return the numbers of target `k` as printed, by component.
+        """Return numbers of target `k` as printed: component → text.
 
-        :param columns: which of its six numbers.
+        :param columns: indices in X, Y, Z, A, B, C of the numbers to return.
         """
         numbers, decimals, min_decimals = (
             self.numbers[k].tolist(),
@@ -66,7 +66,7 @@ class TargetNumbers(Struct, frozen=True, eq=False):
         }
 
     def via_texts(self, k: int) -> dict[str, str]:
-        """Return X, Y, Z of the auxiliary point of a target as printed; empty if it has none."""
+        """Return X, Y, Z of the auxiliary point of target `k` as printed: component → text; empty without one."""
         via = self.via[k].tolist()
         return {} if np.isnan(via).any() else {name: f"{value:.4f}" for name, value in zip("XYZ", via, strict=True)}
 
@@ -78,14 +78,14 @@ def target_numbers(layout: Layout, targets: Targets) -> TargetNumbers:
     :param targets: K commanded targets.
     """
     row = targets.motion
-    is_last = np.append(row[1:] != row[:-1], True) if len(row) else np.zeros(0, dtype=np.bool_)
+    is_last = np.append(row[1:] != row[:-1], True) if len(row) else np.zeros(0, dtype=np.bool_)  # of its motion
     keep = targets.keep & is_last
     (exact_numbers,) = in_chunks(lambda rows: (targets.pose.xyzabc(rows),), np.arange(len(row)))
     exact_numbers[:, 3:] = _nearest_angles(exact_numbers[:, 3:], layout.numbers[row, 3:])
     decimals = np.maximum(DECIMALS, np.minimum(_input_decimals(layout)[row], MOST_DECIMALS))
     numbers = np.where(keep[:, None], layout.numbers[row], _round_values(exact_numbers, decimals))
 
-    end_differs = any_column(np.abs(numbers - layout.numbers[row]) > _EQUAL)
+    end_differs = any_column(np.abs(numbers - layout.numbers[row]) > _NUMBER_TOLERANCE)
     start_differs = _starts_at_changed_end(row[is_last], end_differs[is_last], layout)
     is_free = _freed_motions(layout, targets, numbers, is_last)
     gets_component = _added_components(layout, row, numbers, is_free)
@@ -103,22 +103,22 @@ def target_numbers(layout: Layout, targets: Targets) -> TargetNumbers:
 
 
 def _added_components(layout: Layout, row: Ints, numbers: Array, is_free: Bools) -> Bools:
-    """Return which components (K, 6) the text lacks and must get, since the controller would not get them right.
+    """Return whether a component (K, 6) is missing in the text and must be added.
 
-    A controller takes missing components from the target before.
+    The controller takes a missing component from the target before; it must be added if this is another number.
 
     :param row: (K,) motions of the targets.
     :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg] to be commanded.
     :param is_free: (M,) see `TargetNumbers`.
     """
-    previous = np.concatenate([numbers[:1], numbers[:-1]])
+    previous = np.concatenate([numbers[:1], numbers[:-1]])  # numbers of the target before
     is_first = np.append(True, row[1:] != row[:-1])[: len(row)]
     follows_joints = is_first & layout.starts_from_joints[row]
     previous[follows_joints] = layout.numbers[row[follows_joints]]
-    is_added = layout.is_missing[row] & (np.abs(numbers - previous) > _EQUAL)
+    is_added = layout.is_missing[row] & (np.abs(numbers - previous) > _NUMBER_TOLERANCE)
     lacks_orientation = layout.ignores_orientation | any_column(layout.is_missing[:, 3:])
     is_added[:, 3:] |= (is_free & lacks_orientation)[row, None]
-    # some angles given, others kept: near B = ±90° those that are kept may be of another set of A, B, C
+    # only some angles are given: beyond B = ±90° the controller may keep the others from the second set of A, B, C
     is_kept = layout.is_missing[row, 3:] & ~is_added[:, 3:]
     is_mixed = any_column(is_kept) & ~is_kept.all(axis=1) & (np.abs(previous[:, 4]) > LARGEST_B)
     is_added[:, 3:] |= is_kept & is_mixed[:, None]
@@ -126,16 +126,16 @@ def _added_components(layout: Layout, row: Ints, numbers: Array, is_free: Bools)
 
 
 def _freed_motions(layout: Layout, targets: Targets, numbers: Array, is_last: Bools) -> Bools:
-    """Return which motions (M,) under another `$ORI_TYPE` than #VAR must be led to their own orientation.
+    """Return whether a motion (M,) under another `$ORI_TYPE` than #VAR needs #VAR to reach its orientation.
 
     :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg] to be commanded.
     :param is_last: (K,) True for the last target of each motion.
     """
     row, keep = targets.motion, targets.keep & is_last
-    orientation_differs = any_column(np.abs(numbers - layout.numbers[row])[:, 3:] > _EQUAL)
+    orientation_differs = any_column(np.abs(numbers - layout.numbers[row])[:, 3:] > _NUMBER_TOLERANCE)
     is_free = _starts_at_changed_end(row[is_last], orientation_differs[is_last], layout)
     is_free[row[orientation_differs | (layout.turns_with_path[row] & ~keep)]] = True
-    # under #IGNORE the controller must not choose the orientation at which the next motion starts, either
+    # under #IGNORE the controller chooses the orientation at the end, at which the next motion begins
     ignores_angles = layout.orientation == ORIENTATIONS.index(IGNORE)
     is_free[:-1] |= ignores_angles[:-1] & is_free[1:]
     is_free &= layout.orientation != ORIENTATIONS.index(FREE)
@@ -143,24 +143,27 @@ def _freed_motions(layout: Layout, targets: Targets, numbers: Array, is_last: Bo
 
 
 def _loses_auxiliary_orientation(layout: Layout, start_differs: Bools, targets: Targets) -> Bools:
-    """Return which circles (M,) are corrected or divided, so that A, B, C of their auxiliary points must not count.
+    """Return whether a motion (M,) is a corrected or divided circle whose auxiliary A, B, C must not count.
 
-    :param start_differs: (M,) motions that begin elsewhere than in the program as read.
+    :param start_differs: (M,) True for motions that begin at another point than in the input.
     """
-    is_other_circle = start_differs.copy()
-    is_other_circle[targets.motion[~targets.keep]] = True
-    return np.asarray(is_other_circle & layout.drops_via_orientation)
+    is_corrected = start_differs.copy()
+    is_corrected[targets.motion[~targets.keep]] = True
+    return np.asarray(is_corrected & layout.drops_via_orientation)
 
 
 def _starts_at_changed_end(row: Ints, end_differs: Bools, layout: Layout) -> Bools:
-    """Return which motions (M,) begin at the changed end of another, and depend on it.
+    """Return whether a motion (M,) begins at the changed end of the motion before it.
 
-    :param row: (n,) rows of motions; `end_differs` (n,) True where their ends have changed.
+    Motions that follow joint angles begin at an unchanged position.
+
+    :param row: (n,) motions with targets.
+    :param end_differs: (n,) True where the end of the motion has changed.
     """
     start_differs = np.zeros(len(layout.line), dtype=np.bool_)
-    follower = row + 1
-    has_follower = follower < len(start_differs)
-    start_differs[follower[has_follower]] = end_differs[has_follower]
+    next_motion = row + 1
+    has_next = next_motion < len(start_differs)
+    start_differs[next_motion[has_next]] = end_differs[has_next]
     return np.asarray(start_differs & ~layout.starts_from_joints)
 
 
@@ -179,21 +182,23 @@ def fixed_point(number: float, decimals: int, min_decimals: int) -> str:
 
 
 def _round_values(values: Array, decimals: Ints) -> Array:
-    """Return `values` rounded to `decimals`, each to those of its own if there are as many; without negative zeros."""
+    """Return values (n, c) without negative zeros, rounded to numbers of decimals: (c,) or (n, c)."""
     scale = 10.0**decimals
     return without_negative_zero(np.rint(values * scale) / scale)
 
 
 def _nearest_angles(abc: Array, reference: Array) -> Array:
-    """Return A, B, C (K, 3) [deg] of the same orientations, as close as possible to those of a reference.
+    """Return A, B, C (K, 3) [deg] of orientations, chosen as close as possible to reference angles.
 
-    An orientation has two triples, each modulo 360°. At B = ±90° only A ∓ C is determined, so that A may be any. Angles
-    beyond ±180° are returned only if the reference has such.
+    (A, B, C) and (A + 180°, 180° − B, C + 180°) are the same orientation, and each angle may change by 360°. At
+    B = ±90° only A ∓ C is determined, so that A can be that of the reference. An angle beyond ±180° is returned only if
+    the reference angle is beyond ±180°.
 
-    :param abc: A, B, C (K, 3) of the orientations; `reference` (K, 3) other triples.
+    :param abc: (K, 3) A, B, C of the orientations [deg].
+    :param reference: (K, 3) reference angles [deg].
     """
     a, b, c = abc.T
-    is_upright = np.abs(np.abs(b) - 90.0) < _UPRIGHT
+    is_upright = np.abs(np.abs(b) - 90.0) < _UPRIGHT_TOLERANCE
     turn = np.where(is_upright, reference[:, 0] - a, 0.0)
     a, c = a + turn, c + np.sign(b) * turn
     first_triple, second_triple = (
@@ -203,17 +208,17 @@ def _nearest_angles(abc: Array, reference: Array) -> Array:
     first_distance, second_distance = (
         ((triple - reference) ** 2).sum(axis=1) for triple in (first_triple, second_triple)
     )
-    is_second_nearer = first_distance > second_distance + _EQUAL
+    is_second_nearer = first_distance > second_distance + _NUMBER_TOLERANCE
     nearest_triple = np.where(is_second_nearer[:, None], second_triple, first_triple)
     is_outside = (np.abs(nearest_triple) > 180.0) & (np.abs(reference) <= 180.0)
     return np.asarray(np.where(is_outside, nearest_triple - 360.0 * np.sign(nearest_triple), nearest_triple))
 
 
 def _input_decimals(layout: Layout) -> Ints:
-    """Return the number of decimals (M, 6) that the numbers of M motions have in the input; 0 where there is none."""
+    """Return the number of decimals (M, 6) of X … C of M motions in the input; 0 where the text has no number."""
     trace, spans = layout.course.trace, layout.spans(slice(None), slice(6))
     for elements in layout.elements:
-        spans[elements.row] = -1  # these are offsets in another file, see below
+        spans[elements.row] = -1  # offsets in another file: handled below
     decimals = np.zeros(spans.shape[:2], dtype=np.int64)
     file = trace.file[layout.line - 1]
     for index, source in enumerate(trace.sources):
@@ -232,7 +237,7 @@ def _input_decimals(layout: Layout) -> Ints:
 
 
 def _decimals_in(text: str, spans: Offsets) -> Ints:
-    """Return the number of decimals of the numbers at some spans (…, 2) of a text; 0 where the span is −1."""
+    """Return the number of decimals (…) of the numbers at spans (…, 2) of a text; 0 where the span is −1."""
     codes = np.frombuffer(text.encode("ascii", "replace"), dtype=np.uint8)
     start, stop = spans[..., 0].astype(np.int64), spans[..., 1].astype(np.int64)
     point = _next_offsets(codes == ord("."), start)
@@ -242,11 +247,10 @@ def _decimals_in(text: str, spans: Offsets) -> Ints:
 
 
 def _next_offsets(is_sought: Bools, offsets: Ints) -> Ints:
-    """Return the offset of the first sought character of a text at or behind each of some offsets.
+    """Return the offset of the first sought character at or behind each offset; T if there is none.
 
-    :param is_sought: (T,) for each character of the text.
-    :param offsets: any shape; so is the result.
-    :returns: T where there is none.
+    :param is_sought: (T,) True for the sought characters of a text.
+    :param offsets: offsets in the text; the result has their shape.
     """
     sought_offsets = np.append(np.flatnonzero(is_sought), len(is_sought))
     return sought_offsets[np.searchsorted(sought_offsets, offsets)]

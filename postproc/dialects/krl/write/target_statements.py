@@ -1,13 +1,13 @@
-"""Motion statements with other numbers: in place, and as lines of their own in the style of the line they precede.
+"""Texts of motion statements with corrected numbers: edited in place, or as inserted lines in the style of the motion.
 
-A corrected motion under another `$ORI_TYPE` than ``#VAR`` must be led to A, B, C of its own. Under #CONSTANT the
-controller keeps the orientation at the start of the motion, under #IGNORE it chooses that of the target, so that a
-correction of it, or of the one before, would be ignored; under #JOINT it would turn the tool by the wrist axes. Such
-motions get ``$ORI_TYPE=#VAR`` for themselves alone: spline motions by WITH, others by lines around consecutive ones.
+A corrected motion under another `$ORI_TYPE` than ``#VAR`` would not reach its A, B, C. #CONSTANT: the controller keeps
+the orientation at the start of the motion. #IGNORE: the controller chooses the orientation at the target. #JOINT: the
+wrist axes turn the tool. Such motions get ``$ORI_TYPE=#VAR``: spline motions by WITH, other motions by a line before
+and a line behind consecutive motions.
 
-The auxiliary point of a SCIRC keeps its A, B, C, which were meant for the whole circle as it was: once the circle is
-corrected, or divided, it ignores them (``$CIRC_MODE.AUX_PT.ORI=#IGNORE``). Settings for SCIRC alone are left out where
-lines replace the circle.
+The auxiliary point of a SCIRC keeps A, B, C of the text, which belong to the unchanged circle. If the circle is
+corrected or divided, ``$CIRC_MODE.AUX_PT.ORI=#IGNORE`` makes the controller ignore them. Settings for SCIRC are left
+out where lines replace the circle.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from postproc.dialects.krl.write.target_numbers import MOST_DECIMALS, TargetNumb
 from postproc.frames import MM_PER_M
 from postproc.program import CIRC, LIN, PTP, Ints, Targets
 
-LED_BY = "$ORI_TYPE="
-_FREE = f"{LED_BY}{FREE}"
+ORIENTATION_SETTING = "$ORI_TYPE="
+_FREE_ORIENTATION = f"{ORIENTATION_SETTING}{FREE}"
 _AUXILIARY_ORIENTATION = ("$CIRC_MODE", "AUX_PT.ORI")
-"""Variable and component that say what A, B, C of the auxiliary point are for."""
-_UNHEEDED = "$CIRC_MODE.AUX_PT.ORI=#IGNORE"
-_OF_CIRCLES = frozenset({"$CIRC_TYPE", "$CIRC_MODE"})
+"""Variable and component that decide how the controller uses A, B, C of the auxiliary point."""
+_IGNORED_AUXILIARY = "$CIRC_MODE.AUX_PT.ORI=#IGNORE"
+_CIRCLE_VARIABLES = frozenset({"$CIRC_TYPE", "$CIRC_MODE"})
 
 
 class Replacement(NamedTuple):
@@ -50,36 +50,40 @@ class Replacement(NamedTuple):
 class Literal(Struct, frozen=True):
     """An aggregate of numbers in a text.
 
-    :ivar text: the file.
-    :ivar places: component → span of its number.
+    :ivar text: text of the file.
+    :ivar start: offset of ``{``.
+    :ivar stop: offset behind ``}``.
+    :ivar number_spans: component → span of its number.
     """
 
     text: str
     start: int
     stop: int
-    places: Mapping[str, tuple[int, int]]
+    number_spans: Mapping[str, tuple[int, int]]
 
 
 def literal_of(aggregate: Aggregate) -> Literal:
     """Return an aggregate as a literal: its text, and the spans of its numbers."""
-    places = {name: (item.start, item.stop) for name, item in aggregate.items.items()}
-    return Literal(aggregate.source.text, aggregate.start, aggregate.stop, places)
+    number_spans = {name: (item.start, item.stop) for name, item in aggregate.items.items()}
+    return Literal(aggregate.source.text, aggregate.start, aggregate.stop, number_spans)
 
 
 def replaced_numbers(literal: Literal, texts: Mapping[str, str]) -> list[Replacement]:
-    """Return the edits that give a literal other numbers; components that it lacks are added in its style.
+    """Return the edits that give a literal new numbers.
+
+    Missing components are added behind its last Cartesian component, with its spacing and its case.
 
     :param texts: component → number as printed.
     """
-    places = literal.places
-    pieces = [Replacement(*places[name], text) for name, text in texts.items() if name in places]
-    absent_names = [name for name in texts if name not in places]
+    number_spans = literal.number_spans
+    pieces = [Replacement(*number_spans[name], text) for name, text in texts.items() if name in number_spans]
+    absent_names = [name for name in texts if name not in number_spans]
     if absent_names:
-        last = max(stop for name, (_, stop) in places.items() if name in CARTESIAN)
+        last = max(stop for name, (_, stop) in number_spans.items() if name in CARTESIAN)
         content = literal.text[literal.start : literal.stop]
         comma = content.find(",")
         blank = " " if comma >= 0 and content[comma + 1] == " " else ""
-        is_lower_case = content.rpartition(":")[2].islower()
+        is_lower_case = content.rpartition(":")[2].islower()  # without the type before the colon
         added_text = "".join(
             f",{blank}{name.lower() if is_lower_case else name} {texts[name]}" for name in absent_names
         )
@@ -88,7 +92,7 @@ def replaced_numbers(literal: Literal, texts: Mapping[str, str]) -> list[Replace
 
 
 def edited_literal(literal: Literal, pieces: list[Replacement]) -> str:
-    """Return the text of a literal with some pieces replaced."""
+    """Return the text of a literal with pieces replaced; offsets of pieces count in the file."""
     texts, start = [], literal.start
     for piece in sorted(pieces):
         texts += [literal.text[start : piece.start], piece.text]
@@ -107,36 +111,39 @@ def aggregate_text(texts: Mapping[str, str]) -> str:
 class TargetStatements:
     """The motion statements of one program and their targets.
 
-    Methods take the row of a motion and the row `k` of one of its targets.
+    In all methods, `row` is a motion and `k` is one of its targets: the last, or an inserted one.
     """
 
     def __init__(self, layout: Layout, targets: Targets, numbers: TargetNumbers) -> None:
-        """Keep the text of the program, its targets, and their numbers as printed."""
+        """Keep the layout of the program, its targets, and their numbers as printed."""
         self.layout, self.targets, self.target_numbers = layout, targets, numbers
 
     def literal(self, row: int) -> Literal | None:
-        """Return the literal of the end point of a motion in its statement; None if it has none, but a name."""
+        """Return the literal of the end point of a motion in its statement.
+
+        None for relative motions, and if the statement has a name or a chain as its end point.
+        """
         move = self.layout.statements.get(row)
         if move is not None:
             return None if move.relative_axes else self.inline_literal(move.end)
         spans = self.layout.spans(slice(row, row + 1))[0].tolist()
-        places = {name: (start, stop) for name, (start, stop) in zip(COLUMNS, spans, strict=True) if start >= 0}
+        number_spans = {name: (start, stop) for name, (start, stop) in zip(COLUMNS, spans, strict=True) if start >= 0}
         start, stop = self.layout.target[row].tolist()
         if self.layout.carriage is not None:
             carriage = parse_aggregate(self.layout.source(row), start, stop).items.get("E1")
-            places |= {} if carriage is None else {"E1": (carriage.start, carriage.stop)}
-        return Literal(self.layout.source(row).text, start, stop, places)
+            number_spans |= {} if carriage is None else {"E1": (carriage.start, carriage.stop)}
+        return Literal(self.layout.source(row).text, start, stop, number_spans)
 
     def inline_literal(self, operand: Point) -> Literal | None:
-        """Return the literal of a point; None if its numbers are not in the statement itself."""
+        """Return the literal of a point; None if its numbers are not in its statement."""
         aggregate = operand.position.aggregate
         return literal_of(aggregate) if aggregate is not None and operand.is_inline else None
 
     def via_point(self, row: int) -> tuple[tuple[int, int] | None, Literal | None]:
         """Return the text of the auxiliary point of a motion.
 
-        :returns: its span in the statement, None if the motion has no such point; its literal, None if it has none, but
-            a name.
+        :returns: span of the point in the statement, None if the motion has no auxiliary point; literal of the point,
+            None if the statement has a name or a chain.
         """
         move = self.layout.statements.get(row)
         if move is not None:
@@ -145,69 +152,76 @@ class TargetStatements:
         start, stop = self.layout.via_target[row].tolist()
         if start < 0:
             return None, None
-        places = {
+        number_spans = {
             name: (begin, end) for name, (begin, end) in zip("XYZ", self.layout.via_spans[row].tolist(), strict=True)
         }
-        return (start, stop), Literal(self.layout.source(row).text, start, stop, places)
+        return (start, stop), Literal(self.layout.source(row).text, start, stop, number_spans)
 
-    def number_texts(self, k: int, literal: Literal, *, copy: bool = False) -> dict[str, str]:
-        """Return the numbers to be written into a literal, by component.
+    def number_texts(self, k: int, literal: Literal, *, includes_unchanged: bool = False) -> dict[str, str]:
+        """Return the numbers of target `k` that a literal must get: component → text.
 
-        :param copy: True for a copy of the literal, which needs the unchanged numbers too.
+        :param includes_unchanged: False: for the literal of the motion itself, which needs the changed numbers. True:
+            for a copy of the literal in another line, which needs all numbers.
         """
         is_printed = self.target_numbers.is_printed[k]
         columns = [
-            column for column in range(6) if is_printed[column] or (copy and CARTESIAN[column] in literal.places)
+            column
+            for column in range(6)
+            if is_printed[column] or (includes_unchanged and CARTESIAN[column] in literal.number_spans)
         ]
         texts = self.target_numbers.texts(k, columns)
         if self.targets.kind[k] == PTP:
-            for name, value in (("S", int(self.targets.status[k])), ("T", int(self.targets.turn[k]))):
-                if value >= 0 and name in literal.places:
-                    texts |= _bits_text(name, value, literal.text[slice(*literal.places[name])])
-        if copy and "E1" in literal.places:
+            for name, bits in (("S", int(self.targets.status[k])), ("T", int(self.targets.turn[k]))):
+                if bits >= 0 and name in literal.number_spans:  # −1: not known
+                    texts |= _bits_text(name, bits, literal.text[slice(*literal.number_spans[name])])
+        if includes_unchanged and "E1" in literal.number_spans:
             texts |= self._carriage_text(k)
         return texts
 
     def _carriage_text(self, k: int, *, relative: bool = False) -> dict[str, str]:
-        """Return E1 at an inserted target [mm] as text, by component; nothing if the linear axis does not move.
+        """Return E1 at target `k` [mm]: ``"E1"`` → text; empty if the text of the motion already has the right value.
 
-        :param relative: True if the motion gives E1 as a step.
+        This is so without a linear axis, if it does not move, and at the last target of an absolute motion.
+
+        :param relative: True if the motion is relative: its own E1 is a step.
         """
         carriage, row, t = self.layout.carriage, self.targets.motion[k : k + 1], float(self.targets.t[k])
         if carriage is None or (t == 1.0 and not relative) or carriage.travel[row[0]] == 0.0:
             return {}
         return {"E1": fixed_point(float(carriage.at(row, t)[0]) * MM_PER_M, 4, 4)}
 
-    def end_texts(self, k: int, operand: Point, *, copy: bool = False) -> dict[str, str]:
-        """Return the numbers to be written for the end point of a statement, by component.
+    def end_texts(self, k: int, operand: Point, *, includes_unchanged: bool = False) -> dict[str, str]:
+        """Return the numbers to be written for the end point of a statement: component → text.
 
-        :param operand: the end point; its numbers may be in the statement, in a declaration or in no text.
-        :param copy: see `number_texts`.
+        All six numbers are returned if the point is computed, so that no text has its numbers.
+
+        :param operand: the end point; its numbers may be in the statement or in a declaration.
+        :param includes_unchanged: see `number_texts`.
         """
         aggregate = operand.position.aggregate
         if aggregate is None:
             return self.target_numbers.texts(k, range(6))
-        return self.number_texts(k, literal_of(aggregate), copy=copy)
+        return self.number_texts(k, literal_of(aggregate), includes_unchanged=includes_unchanged)
 
     def whole_literal(self, k: int, operand: Point | None, *, relative: bool = False) -> str:
-        """Return a target as a complete new literal, with external axes and, for a PTP, known S and T.
+        """Return target `k` as a new literal with all components, external axes and, for PTP, known S and T.
 
-        :param operand: the end point of the statement; None if there is none.
-        :param relative: True if it is relative: its external axes are steps.
+        :param operand: end point of the statement; None: only X, Y, Z, A, B, C are written.
+        :param relative: True if the statement is relative: its external axes are steps, of which only E1 is written.
         """
         texts = self.target_numbers.texts(k, range(6))
         if operand is None:
             return aggregate_text(texts)
         position = operand.position
-        if relative:  # its external axes are steps; those that do not move are kept without a word
+        if relative:  # the stated external axes are steps; the controller keeps external axes that are left out
             return aggregate_text(texts | self._carriage_text(k, relative=True))
         if self.targets.kind[k] == PTP:
-            for name, value, stated_bits in (
+            for name, target_bits, stated_bits in (
                 ("S", self.targets.status, position.status),
                 ("T", self.targets.turn, position.turn),
             ):
-                bits = int(value[k]) if value[k] >= 0 else stated_bits
-                if bits >= 0:
+                bits = int(target_bits[k]) if target_bits[k] >= 0 else stated_bits
+                if bits >= 0:  # −1: not known
                     texts[name] = str(bits)
         for name, axis_position in zip(EXTERNAL, position.external, strict=False):
             if not math.isnan(axis_position):
@@ -215,15 +229,20 @@ class TargetStatements:
         return aggregate_text(texts | (self._carriage_text(k) if "E1" in texts else {}))
 
     def end_text(self, row: int, k: int) -> str:
-        """Return the end point of a target as text: the literal of its statement with other numbers, or a new one."""
+        """Return the end point of target `k` as a literal: that of its motion with new numbers, or a new literal."""
         literal = self.literal(row)
         if literal is not None:
-            return edited_literal(literal, replaced_numbers(literal, self.number_texts(k, literal, copy=True)))
+            return edited_literal(
+                literal, replaced_numbers(literal, self.number_texts(k, literal, includes_unchanged=True))
+            )
         move = self.layout.statements.get(row)
         return self.whole_literal(k, move.end if move else None, relative=bool(move and move.relative_axes))
 
     def instruction_text(self, row: int, k: int) -> str:
-        """Return the instruction for a target: that of its motion without ``_REL``, or LIN for a piece of an arc."""
+        """Return the instruction for target `k`: that of the motion without ``_REL``.
+
+        It is LIN, or SLIN for SCIRC, in the case of the motion's instruction, if a line replaces an arc.
+        """
         word = self._instruction(row)
         word = word[: -len("_REL")] if word.upper().endswith("_REL") else word
         if self.via_point(row)[0] is not None and self.targets.kind[k] == LIN:
@@ -237,26 +256,28 @@ class TargetStatements:
         return text[start : start + len(word_at(text, start, len(text)))]
 
     def points_text(self, row: int, k: int) -> str:
-        """Return the end point of a target as text, for a circle with the auxiliary point before it."""
+        """Return the points of target `k` as literals: the end point, for a circle the auxiliary point before it."""
         end, (span, via) = self.end_text(row, k), self.via_point(row)
         if span is None or self.targets.kind[k] != CIRC:
             return end
         texts = self.target_numbers.via_texts(k)
-        first = edited_literal(via, replaced_numbers(via, texts)) if via is not None else aggregate_text(texts)
-        return first + self.layout.source(row).text[span[1] : int(self.layout.target[row, 0])] + end
+        via_text = edited_literal(via, replaced_numbers(via, texts)) if via is not None else aggregate_text(texts)
+        # between the points: the separator of the motion
+        return via_text + self.layout.source(row).text[span[1] : int(self.layout.target[row, 0])] + end
 
     def statement_text(self, row: int, k: int) -> str:
-        """Return the instruction and the points of a target as text, all points as literals."""
+        """Return the instruction and the points of target `k` as text, all points as literals."""
         span, _ = self.via_point(row)
         first = span[0] if span is not None else int(self.layout.target[row, 0])
         gap = self.layout.source(row).text[int(self.layout.keyword[row]) + len(self._instruction(row)) : first]
         return self.instruction_text(row, k) + gap + self.points_text(row, k)
 
     def inserted_line(self, row: int, k: int) -> str:
-        """Return the line of an inserted target, with its line end.
+        """Return the line of inserted target `k`, with its line end.
 
-        It has the approximation and the WITH of the motion; where the motion stops, it has C_DIS (C_SPL, C_PTP) unless
-        the target is to stop too, or the distance is not known. In a spline block it has none. No comment is repeated.
+        It repeats approximation and WITH of the motion, but no comment. If the motion stops exactly, the line gets
+        C_DIS (spline: C_SPL, PTP: C_PTP). It gets none in a spline block, if the distance is not known, and if the
+        robot is to stop at the target.
         """
         motion_text = self.statement_text(row, k)
         tail = self.tail_of_target(row, k)
@@ -266,7 +287,7 @@ class TargetStatements:
         return self.indent(row) + motion_text + tail + self.line_end(row)
 
     def tail_of_target(self, row: int, k: int) -> str:
-        """Return the text that follows the points of a target: what its motion has there, changed where it must be."""
+        """Return approximation and WITH of target `k`: spline motions get those of `tail_text`."""
         is_free = bool(self.target_numbers.is_free[row]) and self.is_spline(row)
         is_circle = self.via_point(row)[0] is not None and self.is_spline(row)
         is_straightened = is_circle and bool(self.targets.kind[k] == LIN)
@@ -275,62 +296,74 @@ class TargetStatements:
         node = statement(source, line) if is_free or is_straightened or ignores_auxiliary else None
         if not isinstance(node, Motion):
             return source.text[slice(*self.layout.tail[row].tolist())]
-        return tail_text(source, node.tail, free=is_free, straight=is_straightened, unheeding=ignores_auxiliary)
+        return tail_text(
+            source,
+            node.tail,
+            is_free=is_free,
+            is_straightened=is_straightened,
+            ignores_auxiliary=ignores_auxiliary,
+        )
 
     def is_spline(self, row: int) -> bool:
         """Return whether a motion is a spline motion: SLIN, SCIRC, SPL."""
         return self.layout.source(row).text[self.layout.keyword.item(row)] in "sS"
 
     def indent(self, row: int) -> str:
-        """Return the text before the instruction on the line of a motion."""
+        """Return the text before the instruction on the line of motion `row`."""
         source, line = self.layout.course.trace.place(self.layout.line.item(row))
         return source.text[source.starts[line - 1] : self.layout.keyword[row]]
 
     def line_end(self, row: int) -> str:
-        """Return the line end of the line of a motion."""
+        """Return the line end of the line of motion `row`."""
         source, line = self.layout.course.trace.place(self.layout.line.item(row))
-        return source.text[source.stops[line - 1] : source.starts[line]]  # it is never the last line: END follows
+        return source.text[source.stops[line - 1] : source.starts[line]]  # a line always follows: END at least
 
     def absolute_statement(self, row: int, k: int) -> Replacement:
-        """Return the edit that replaces instruction and points of a statement by absolute literals."""
+        """Return the edit that replaces instruction and points of motion `row` by absolute literals of target `k`."""
         return Replacement(int(self.layout.keyword[row]), int(self.layout.tail[row, 0]), self.statement_text(row, k))
 
 
-def tail_text(source: Source, tail: Tail, *, free: bool, straight: bool, unheeding: bool) -> str:
-    """Return the text that follows the points of a spline motion.
+def tail_text(source: Source, tail: Tail, *, is_free: bool, is_straightened: bool, ignores_auxiliary: bool) -> str:
+    """Return WITH and approximation of a spline motion, with changed settings.
 
-    :param free: True to set ``$ORI_TYPE=#VAR``.
-    :param straight: True for a line in place of a circle: settings of circles are left out.
-    :param unheeding: True to ignore A, B, C of the auxiliary point.
+    :param tail: WITH and approximation in the text of the file.
+    :param is_free: True to set ``$ORI_TYPE=#VAR``.
+    :param is_straightened: True for a line in place of a circle: settings of circles are left out.
+    :param ignores_auxiliary: True to ignore A, B, C of the auxiliary point.
     """
     text = source.text
     assignments = [assignment for assignment in tail.assignments if isinstance(assignment, Assignment)]
     begin = text[tail.start : assignments[0].start] if assignments else " WITH "
-    settings: list[str] = []  # all but the first with the separator before them
-    last = tail.start
+    settings: list[str] = []  # each, except the first, with the separator before it
+    last = tail.start  # offset behind the last assignment
     for assignment in assignments:
         separator, last = text[last : assignment.start], assignment.stop
         name, field = assignment.target.name, assignment.target.field
-        if straight and name in _OF_CIRCLES:
+        if is_straightened and name in _CIRCLE_VARIABLES:
             continue
         value = text[assignment.value.start : assignment.stop]
-        if free and name == "$ORI_TYPE":
+        if is_free and name == "$ORI_TYPE":
             value = FREE
-        elif unheeding and (name, field) == _AUXILIARY_ORIENTATION:
+        elif ignores_auxiliary and (name, field) == _AUXILIARY_ORIENTATION:
             value = "#IGNORE"
         setting = text[assignment.start : assignment.value.start] + value
         settings.append(separator + setting if settings else setting)
     names = {(assignment.target.name, assignment.target.field) for assignment in assignments}
-    if free and ("$ORI_TYPE", None) not in names:
-        blanks = begin[len(begin.rstrip()) :]  # as between WITH and its first setting
-        settings[:1] = [_FREE, *(f",{blanks}{setting}" for setting in settings[:1])]
-    if unheeding and _AUXILIARY_ORIENTATION not in names:
-        settings.append(f", {_UNHEEDED}" if settings else _UNHEEDED)
+    if is_free and ("$ORI_TYPE", None) not in names:
+        blanks = begin[len(begin.rstrip()) :]  # those between WITH and its first setting
+        settings[:1] = [_FREE_ORIENTATION, *(f",{blanks}{setting}" for setting in settings[:1])]
+    if ignores_auxiliary and _AUXILIARY_ORIENTATION not in names:
+        settings.append(f", {_IGNORED_AUXILIARY}" if settings else _IGNORED_AUXILIARY)
     return "".join([begin, *settings] if settings else []) + text[tail.with_stop : tail.stop]
 
 
 def _bits_text(name: str, value: int, text: str) -> dict[str, str]:
-    """Return S or T in the notation of the input, by component; nothing if the text gives that value already."""
+    """Return S or T in the notation of the input: component → text; empty if the input has this value already.
+
+    :param name: ``S`` or ``T``.
+    :param value: its new value.
+    :param text: its text in the input: decimal, or binary such as ``'B010'``.
+    """
     match = INTEGER_LITERAL.fullmatch(text)
     if match and match["binary"]:
         return {} if int(match["binary"], 2) == value else {name: f"'B{value:0{len(match['binary'])}b}'"}
@@ -338,9 +371,9 @@ def _bits_text(name: str, value: int, text: str) -> dict[str, str]:
 
 
 def consecutive_motions(layout: Layout, rows: Ints) -> list[tuple[int, int]]:
-    """Return the first and the last motion of each run of motions between which there are only comments.
+    """Return the first and the last motion of each run of consecutive motions with only comments between them.
 
-    :param rows: (n,) the motions, in order.
+    :param rows: (n,) the motions, ascending.
     """
     run_bounds: list[tuple[int, int]] = []
     for row in rows.tolist():
@@ -352,7 +385,7 @@ def consecutive_motions(layout: Layout, rows: Ints) -> list[tuple[int, int]]:
 
 
 def _is_next_line(layout: Layout, row: int) -> bool:
-    """Return whether only comments are between a motion and the one before it, in the same round and routine."""
+    """Return whether only comments are between motion `row` and the motion before it, in the trace and in the file."""
     trace, previous_row, motion_row = layout.course.trace, int(layout.line[row - 1]), int(layout.line[row])
     (source, first), (second_source, last) = trace.place(previous_row), trace.place(motion_row)
     if source is not second_source or last - first != motion_row - previous_row:

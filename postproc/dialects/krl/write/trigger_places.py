@@ -1,7 +1,6 @@
 """Places of TRIGGER statements when inserted targets divide the motion that they refer to.
 
-A TRIGGER must be before the piece on which it switches; ``PATH`` is then counted from the start or the end of that
-piece.
+A TRIGGER must be before the piece on which it switches; ``PATH`` then counts from the start or the end of this piece.
 """
 
 from __future__ import annotations
@@ -15,32 +14,32 @@ from postproc.decimals import decimal_text
 from postproc.dialects.krl.language.motion_statements import Trigger
 from postproc.frames import MM_PER_M, Array
 
-_ROUNDING = 1e-6
-"""Places on a path closer than this [m] are one."""
+_DISTANCE_TOLERANCE = 1e-6
+"""Distances along a path that differ by less than this [m] are equal."""
 
 
 def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] | None:
-    """Return the piece of its motion before which a TRIGGER must be, and its offset there.
+    """Return the piece of a divided motion before which a TRIGGER must be, and its distance on this piece.
 
-    :returns: number of the piece, from 0; distance along the path from the start or the end of the piece [m], as the
-        TRIGGER counts it. None if there is no such piece.
     :param ends: (n,) ends of the pieces, as shares of the motion in (0, 1].
-    :param speed: of the TCP [m/s].
+    :param speed: speed of the TCP [m/s].
+    :returns: number of the piece, from 0; distance along the path from its start (`from_start`) or its end [m]. None if
+        no single piece contains the path from the distance of the TRIGGER to the place at which it switches.
     """
     end = ends * trigger.length
     begin = np.concatenate([[0.0], end[:-1]])
     position = trigger.offset + (0.0 if trigger.from_start else trigger.length)
     # stretch of the path on which the output switches; DELAY may be negative
     earliest, latest = min(position, position + trigger.delay * speed), max(position, position + trigger.delay * speed)
-    is_after_begin, is_before_end = earliest > begin - _ROUNDING, latest < end + _ROUNDING
-    is_after_begin[0] = is_before_end[-1] = True  # beyond the ends of the motion nothing changes
+    is_after_begin, is_before_end = earliest > begin - _DISTANCE_TOLERANCE, latest < end + _DISTANCE_TOLERANCE
+    is_after_begin[0] = is_before_end[-1] = True  # distances beyond the motion count from its first or last piece
     fits = is_after_begin & is_before_end
-    if trigger.path_span is None:  # DISTANCE counts from an end of the motion: only the piece there has it
+    if trigger.path_span is None:  # DISTANCE counts from an end of the motion: only the first or the last piece has it
         other_pieces = slice(1, None) if trigger.from_start else slice(-1)
         fits[other_pieces] = False
-    if not trigger.is_attached:  # other statements are between it and its motion
+    if not trigger.is_attached:  # other statements follow it, so that it cannot be moved behind an inserted target
         fits[1:] = False
-    pieces = np.flatnonzero(fits & np.isfinite(position + trigger.delay))
+    pieces = np.flatnonzero(fits & np.isfinite(position + trigger.delay))  # NaN: distance or delay is no number
     if not len(pieces):
         return None
     piece = int(pieces[0 if trigger.from_start else -1])
@@ -48,12 +47,12 @@ def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] |
 
 
 class PlacedTriggers(Struct, frozen=True, eq=False):
-    """The TRIGGERs of one divided motion, and where its inserted targets go.
+    """Lines of the TRIGGERs and of the inserted targets of one divided motion.
 
-    :param target_lines: for each inserted target, the 1-based line before which it is.
-    :param moved_triggers: for each piece, the TRIGGERs that are to be moved before it.
-    :param path_texts: for TRIGGERs whose PATH changes, what it must say.
-    :param lost_triggers: those that cannot be kept right.
+    :param target_lines: for each inserted target, the 1-based line before which it is inserted.
+    :param moved_triggers: for each piece, the TRIGGERs that are moved to the line before it, in order.
+    :param path_texts: TRIGGER whose PATH changes → its new number as text.
+    :param lost_triggers: TRIGGERs that cannot switch at the same place on any piece.
     """
 
     target_lines: list[int]
@@ -63,24 +62,24 @@ class PlacedTriggers(Struct, frozen=True, eq=False):
 
 
 def place_triggers(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) -> PlacedTriggers:
-    """Return where the TRIGGERs of one divided motion, and the targets inserted into it, are written.
+    """Return the lines of the TRIGGERs of one divided motion and of the targets inserted into it.
 
-    A TRIGGER stays on its line if the inserted targets can be written around it.
+    A TRIGGER stays on its line if the inserted targets can be written before and behind it.
 
-    :param triggers: in order.
+    :param triggers: TRIGGERs of the motion, in order.
     :param line: 1-based line of the motion.
-    :param ends: (n,) ends of the pieces of the motion, as shares of it.
-    :param speed: of the TCP [m/s].
+    :param ends: (n,) ends of the pieces, as shares of the motion in (0, 1].
+    :param speed: speed of the TCP [m/s].
     """
     placement = PlacedTriggers([line] * (len(ends) - 1), [[] for _ in ends], {}, [])
-    earliest_piece = len(ends)  # of the TRIGGERs behind, which stay on their lines
+    earliest_piece = len(ends)  # smallest piece of the later TRIGGERs that stay on their lines
     for trigger in reversed(triggers):
         piece_and_offset = piece_of(trigger, ends, speed)
         if piece_and_offset is None:
             placement.lost_triggers.append(trigger)
             continue
         piece, offset = piece_and_offset
-        if trigger.path_span is not None and abs(offset - trigger.offset) > _ROUNDING:
+        if trigger.path_span is not None and abs(offset - trigger.offset) > _DISTANCE_TOLERANCE:
             placement.path_texts[trigger] = decimal_text(offset * MM_PER_M, 3).rstrip("0").rstrip(".")
         if piece > earliest_piece:
             placement.moved_triggers[piece].insert(0, trigger)
