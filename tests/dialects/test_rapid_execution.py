@@ -269,7 +269,7 @@ def test_settings_hold_from_their_statement_on():
 
 
 @pytest.mark.parametrize(
-    ("calls", "is_refused"), [(execution._DEEPEST, False), (execution._DEEPEST + 1, True)]
+    ("calls", "is_refused"), [(execution._MAX_CALL_DEPTH, False), (execution._MAX_CALL_DEPTH + 1, True)]
 )  # fmt: skip
 def test_calls_in_one_another_are_followed_to_a_depth(calls, is_refused):
     text = routine("Incr x;", f"IF x<{calls + 1} work;")

@@ -1,11 +1,11 @@
 """Execution of a cutter-location file: from statements to moves in the program frame [mm].
 
-- **RAPID** holds for the next motion only (ISO 4343:2000, 5.42); then the last feed holds again.
-- **GOTO/x,y,z,i,j,k** gives the direction from the tip to the spindle. It stays until it is given again, also where a
-  GOTO has three numbers (Siemens NX writes it once). Creo writes three numbers where the direction is z (PTC, Creo NC,
-  "CL Output for Circular Interpolation"). ``MULTAX/OFF`` of CATIA keeps the direction (Dassault Systèmes, CATIA V5,
-  "MULTAX Influence on APT Source"); in files of other systems it must then be given again.
-- **FROM** states where the tool is when the program begins: it becomes a joint motion to that place.
+- **RAPID** applies to the next motion only (ISO 4343:2000, 5.42); behind it the last feed applies again.
+- **GOTO/x,y,z,i,j,k** states the direction from the tip to the spindle. A GOTO with three numbers keeps the last
+  direction (Siemens NX states it once). In files of Creo, three numbers mean the direction z (PTC, Creo NC, "CL Output
+  for Circular Interpolation"). ``MULTAX/OFF`` of CATIA keeps the direction (Dassault Systèmes, CATIA V5, "MULTAX
+  Influence on APT Source"); in files of other systems it must then be stated again.
+- **FROM** states the position of the tool at the beginning of the program: it becomes a joint motion to this position.
 - **CYCLE**: the GOTO statements behind it are the tops of holes, see `cycles`.
 - **CSYS** of SolidWorks CAM (after ``TRNTYP/WORLD``) states the axes of a setup and moves nothing: coordinates are
   those of the fixture already. Its third column is the direction of the tool. Source: the files. In one, an operation
@@ -66,20 +66,19 @@ _PER_MINUTE = {
     "IPM": MM_PER_INCH,
     "FPM": 12 * MM_PER_INCH,
 }
-"""Feeds per minute: mm in one unit."""
+"""Unit of a feed per minute → millimetres in this unit."""
 _PER_TURN = {"MMPR": 1.0, "IPR": MM_PER_INCH, "FPR": 12 * MM_PER_INCH}
-"""Feeds per turn of the spindle: mm in one unit."""
+"""Unit of a feed per turn of the spindle → millimetres in this unit."""
 _UNITS = {"MM": 1.0, "INCH": MM_PER_INCH, "INCHES": MM_PER_INCH, "IN": MM_PER_INCH, "CM": 10.0}
-"""mm in one unit of length."""
+"""Unit of length → its length [mm]."""
 _UPRIGHT, _IS_DIRECTION = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0]), np.arange(6) >= 3
-"""A direction along z in the numbers of a GOTO."""
-_SAGITTA_MM = 0.1
-"""An arc higher than this above its chord that has one point shows that Creo does not divide the arcs of a sequence
-(assumed)."""
-_DIGIT = 1e-3
-"""More than the last digits of coordinates may amount to, in the unit of the file: files have four decimals or more."""
-_LEVEL = 0.2
-"""Least z of the tool direction for a retract along the tool."""
+"""The six numbers of a GOTO with the direction z, and which of the six are the direction."""
+_UNDIVIDED_SAGITTA_MM = 0.1
+"""If an arc higher than this above its chord has one point, Creo does not divide the arcs of its sequence (assumed)."""
+_COORDINATE_ROUNDING = 1e-3
+"""More than the rounding of coordinates, in the unit of the file: files have four decimals or more."""
+_MIN_AXIS_Z = 0.2
+"""Smallest z of the tool direction for a retract along the tool: flatter retracts would be too long."""
 _COMPENSATION_FAULT = (
     "the radius of the tool is in the control, not in the program",
     "Let the CAM system write the path of the tool's centre. If it is, and the offsets of the control hold wear only, "
@@ -94,29 +93,41 @@ _AMBIGUOUS = (
 class _Walk:
     """State of the machine from statement to statement, and the moves so far (`course`).
 
-    :ivar place: (3,) of the tool tip [mm], if `is_place_known`.
+    In all methods, `row` is the row of the statement that is executed.
+
+    :ivar place: (3,) position of the tool tip [mm], if `is_place_known`.
     :ivar axis: (3,) unit direction from the tip to the spindle.
     :ivar unit: length of a unit of the file [mm].
-    :ivar is_next_rapid: whether the next move is rapid.
-    :ivar feed: [mm/min], or [mm/turn] if `is_feed_per_turn`; `spindle_speed` [1/min].
-    :ivar tool: number of the tool in the spindle; None: the program has not selected one.
-    :ivar cutter_radius: of CUTTER [mm]; NaN: not stated. `compensation`: active CUTCOM; None: none is active.
-    :ivar pending_arc: arc whose end is the next GOTO; `circle_before`: circle of the last arc, which may go on.
-    :ivar leaving_direction: (3,) of INDIRV.
-    :ivar cycle: active drilling cycle; `is_cycle_refused`: whether it has a fault.
-    :ivar sequence_lines: first lines of the NC sequences of Creo; `undivided_sequences`: those in which arcs have one
-        point.
-    :ivar axis_system: values of MSYS; `work_offset`: of ZERO; None: not stated.
-    :ivar in_fixture: TRNTYP/WORLD; `is_tilted_setup`: CSYS with a tilted tool.
-    :ivar is_axis_open: the direction of the tool must be stated again.
-    :ivar move_count: number of moves so far; `end_row`: row of FINI, `partno_row`: of PARTNO, −1 without.
-    :ivar inch_feed_row: row of the first feed in inches; None: there is none.
-    :ivar has_path_ended: whether END-OF-PATH was the last statement with an effect.
-    :ivar is_in_doubt: whether the last statement had a fault, so that the next arc cannot be checked.
+    :ivar is_next_rapid: True if the next move is rapid.
+    :ivar feed: feed [mm/min], or [mm/turn] if `is_feed_per_turn`; 0: not stated.
+    :ivar spindle_speed: speed of the spindle [1/min]; 0: not stated.
+    :ivar spindle: kind of the last event of the spindle.
+    :ivar tool: number of the tool in the spindle; None: the program has not selected a tool.
+    :ivar pending_arc: arc that ends at the next GOTO; None without one.
+    :ivar circle_before: circle of the arc that ends at the last GOTO, if further points may belong to it; else None.
+    :ivar sequence_lines: first lines of the NC sequences of Creo.
+    :ivar undivided_sequences: sequences in which each arc has one point.
+    :ivar leaving_direction: (3,) direction of INDIRV for the next arc; None without one.
+    :ivar cycle: active drilling cycle; None without one.
+    :ivar is_cycle_refused: True if the active CYCLE has a fault.
+    :ivar axis_system: values of MSYS; None: not stated.
+    :ivar in_fixture: True behind TRNTYP/WORLD.
+    :ivar is_tilted_setup: True behind a CSYS with a tilted tool.
+    :ivar system_of_file: CAM system that wrote the file; None: not stated.
+    :ivar is_axis_open: True if the next GOTO must state the direction of the tool.
+    :ivar work_offset: number of ZERO; None: not stated.
+    :ivar cutter_radius: radius of CUTTER [mm]; NaN: not stated.
+    :ivar compensation: active CUTCOM; None without one.
+    :ivar move_count: number of moves so far.
+    :ivar inch_feed_row: row of the first feed in inches or feet; None without one.
+    :ivar end_row: row of FINI or END; −1 without one.
+    :ivar is_in_doubt: True if a statement since the last GOTO had a fault, so that the next arc cannot be checked.
+    :ivar partno_row: row of PARTNO; −1 without one.
+    :ivar has_path_ended: True if END-OF-PATH was the last statement.
     """
 
     def __init__(self, statements: Statements, cell: Cell) -> None:
-        """Begin at a place that is not known."""
+        """Begin with a tool whose position is not known."""
         self.statements, self.cell = statements, cell
         self.course = Course()
         self.place, self.is_place_known = np.zeros(3), False
@@ -149,7 +160,10 @@ class _Walk:
         self.has_path_ended = False
 
     def run(self) -> Course:
-        """Execute all statements of the file in order."""
+        """Execute all statements in order, and return the result.
+
+        The execution stops behind the end of the program, and after more than `MAX_ERRORS` faults.
+        """
         statements, course = self.statements, self.course
         next_row = 0
         for row in statements.others.tolist():
@@ -176,7 +190,11 @@ class _Walk:
         return course
 
     def _check_end(self) -> None:
-        """Note the statements behind the end of the program; refuse or report a program without an end."""
+        """Fill `course.after_end` with the statements behind the end of the program.
+
+        Without an end, add a fault if the program begins with PARTNO; otherwise a warning, unless END-OF-PATH was the
+        last statement, or there are faults.
+        """
         statements, course = self.statements, self.course
         if self.end_row >= 0:
             other_rows = [
@@ -192,7 +210,7 @@ class _Walk:
             course.remarks.append(Remark(len(statements) - 1, "warning", "program-end", message))
 
     def _run_plain_gotos(self, begin: int, end: int) -> None:
-        """Execute the plain GOTO statements from row `begin` to row `end` (exclusive)."""
+        """Execute the plain GOTO statements from row `begin` to row `end` (exclusive); add an error to the faults."""
         statements = self.statements
         first, last = np.searchsorted(statements.points, [begin, end]).tolist()
         if first < last and self.end_row < 0:
@@ -203,17 +221,18 @@ class _Walk:
                 self.course.faults.append(_fault_of(cause, int(statements.points[first])))
 
     def _add_gotos(self, row: Ints, numbers: Array) -> None:
-        """Add the moves of GOTO statements: the end of a pending arc, holes of a cycle, or straight moves.
+        """Add the moves of GOTO statements: first points of a pending arc, then holes of a cycle or straight moves.
 
-        :param row: (n,) their rows; `numbers`: (n, 6) x, y, z, i, j, k; NaN where the direction is not stated.
-        :raises StatementError: one of them cannot be executed.
+        :param row: (n,) rows of the statements, n > 0.
+        :param numbers: (n, 6) x, y, z, i, j, k in the unit of the file; i, j, k are NaN if they are not stated.
+        :raises StatementError: a statement cannot be executed.
         """
         self._check_directions(row, np.isnan(numbers[:, 3]))
         if self.system_of_file == "Creo":
             numbers = np.where(np.isnan(numbers[:, 3:4]) & _IS_DIRECTION, _UPRIGHT, numbers)
         end, axis = numbers[:, :3] * self.unit, self._axes(row, numbers[:, 3:])
         self.is_axis_open = False
-        first_left = 0  # first statement that is not part of an arc
+        first_left = 0  # index of the first statement behind the arc
         circle, self.circle_before = self.circle_before, None
         if circle is not None and circle.fault_at(end[0]) is None:
             raise StatementError(*_AMBIGUOUS, int(row[0]))
@@ -224,7 +243,7 @@ class _Walk:
             for n in range(first_left, len(row)):
                 self._add_hole(int(row[n]), end[n], axis[n], self.cycle)
             self.is_next_rapid = False
-        elif self.is_cycle_refused:  # these are holes: a missing feed would be an error that is none
+        elif self.is_cycle_refused:  # the points are holes: as straight moves they would cause further errors
             self.place, self.is_place_known, self.is_next_rapid = end[-1], True, False
         elif first_left < len(row):
             self._add_straight_moves(row[first_left:], end[first_left:], axis[first_left:])
@@ -232,10 +251,13 @@ class _Walk:
         self.is_in_doubt = False
 
     def _check_directions(self, row: Ints, has_no_direction: Bools) -> None:
-        """Refuse GOTO statements without a direction of the tool where the last one need not hold.
+        """Check that GOTO statements state the direction of the tool where they must.
 
-        :param row: (n,) their rows; `has_no_direction`: (n,) True for those that state none.
-        :raises StatementError: there is one.
+        They must in a tilted CSYS, and the first one must behind MULTAX/OFF of a tilted tool.
+
+        :param row: (n,) rows of the statements.
+        :param has_no_direction: (n,) True for statements without a direction.
+        :raises StatementError: a direction is missing.
         """
         if self.is_tilted_setup and has_no_direction.any():
             advice = "Let the CAM system write the direction of the tool, i, j, k, in each GOTO."
@@ -247,9 +269,11 @@ class _Walk:
             raise StatementError("GOTO without a direction behind MULTAX/OFF of a tilted tool", advice, int(row[0]))
 
     def _add_straight_moves(self, row: Ints, end: Array, axis: Array) -> None:
-        """Add straight moves; the first may be rapid, or come from a place that is not known.
+        """Add straight moves; the first may be rapid, or begin at a position that is not known.
 
-        :param row: (n,) their statements, n > 0; `end`: (n, 3) [mm]; `axis`: (n, 3) direction of the tool there.
+        :param row: (n,) rows of the statements, n > 0.
+        :param end: (n, 3) ends of the moves [mm].
+        :param axis: (n, 3) directions of the tool at the ends.
         :raises StatementError: a move has no feed.
         """
         first = 0
@@ -260,10 +284,13 @@ class _Walk:
             self._add_moves(row[first:], end[first:], axis[first:], LINE, self._feed_per_minute(int(row[first])))
 
     def _axes(self, row: Ints, words: Array) -> Array:
-        """Return the directions of the tool (n, 3): those of GOTO, or the last one before where it states none.
+        """Return the unit directions of the tool (n, 3) of GOTO statements.
 
-        :param row: (n,) rows of the statements; `words` (n, 3) i, j, k, NaN where they are not stated.
-        :raises StatementError: a direction is not of length 1; the further ones are added to the faults.
+        A statement without a direction has the direction of the statement before it.
+
+        :param row: (n,) rows of the statements.
+        :param words: (n, 3) i, j, k; NaN where they are not stated.
+        :raises StatementError: a direction does not have length 1; further such errors are added to the faults.
         """
         length = norm(words)
         is_stated = ~np.isnan(length)
@@ -277,15 +304,22 @@ class _Walk:
             raise StatementError(problem, advice, int(row[non_unit_rows[0]]))
         with np.errstate(invalid="ignore"):
             unit = np.concatenate([self.axis[None], words / length[:, None]])
-        # row k of `unit` is the direction of statement k − 1; row 0 is the one before the first statement
+        # row k of `unit` is the direction of statement k − 1; row 0 is the direction before the first statement
+        # latest stated direction at each statement
         latest = np.maximum.accumulate(np.append(0, np.where(is_stated, np.arange(1, len(row) + 1), 0)))
         return np.asarray(unit[latest][1:])
 
     def _add_single_move(self, row: int, end: Array, axis: Array) -> None:
-        """Add a move that is rapid, or that is the first after the start or after GOHOME.
+        """Add a move that is rapid, or that begins at a position that is not known.
 
-        :param end: (3,) [mm]; `axis` (3,): direction of the tool there.
-        :raises StatementError: a move at feed from home.
+        - Position known: a rapid move, or a line at feed.
+        - First move of the program: a joint motion, or a line at feed from `[start]`.
+        - Rapid behind GOHOME: a joint motion to clearance_Z above the end, then down along the tool; or a joint motion
+          to the end if that is not below clearance_Z.
+
+        :param end: (3,) end of the move [mm].
+        :param axis: (3,) direction of the tool at the end.
+        :raises StatementError: the move is at feed behind GOHOME, or has no feed.
         """
         is_rapid, self.is_next_rapid = self.is_next_rapid, False
         if self.is_place_known:
@@ -298,7 +332,7 @@ class _Walk:
             self._add_first_move_at_feed(row, end, axis)
             return
         clearance = self.cell.machine.clearance_Z
-        if has_motions and clearance is not None and end[2] < clearance - NEAR_MM and axis[2] > _LEVEL:
+        if has_motions and clearance is not None and end[2] < clearance - NEAR_MM and axis[2] > _MIN_AXIS_Z:
             self._add_move(row, end + axis * ((clearance - end[2]) / axis[2]), axis, RAPID, 0.0, is_joint_motion=True)
             self._add_move(row, end, axis, RAPID, 0.0)
         else:
@@ -308,7 +342,8 @@ class _Walk:
     def _add_first_move_at_feed(self, row: int, end: Array, axis: Array) -> None:
         """Add a first move of the program that is not rapid, with a warning: it begins at `[start]` of the cell.
 
-        :param end: (3,) [mm]; `axis` (3,): direction of the tool there.
+        :param end: (3,) end of the move [mm].
+        :param axis: (3,) direction of the tool at the end.
         :raises StatementError: no feed is known.
         """
         message = "The first GOTO is at feed: it begins at [start] of the cell. Check that the path from there is free."
@@ -320,7 +355,7 @@ class _Walk:
     def _feed_per_minute(self, row: int) -> float:
         """Return the feed of a move [mm/min].
 
-        :raises StatementError: none is known.
+        :raises StatementError: no feed is known, or it is per turn and the speed of the spindle is not known.
         """
         if not self.feed > 0.0:
             raise StatementError("cutting move without a feed", "Write FEDRAT before it.", row)
@@ -331,32 +366,39 @@ class _Walk:
         return self.feed * self.spindle_speed
 
     def _add_pending_arc(self, pending: PendingArc, row: Ints, end: Array, axis: Array) -> int:
-        """Add the arc of a CIRCLE to the points that follow it; return how many of them belong to it.
+        """Add the arc of a CIRCLE; return the number of the following points that belong to it.
 
-        :param row: (n,) statements of the points; `end` (n, 3) [mm]; `axis` (n, 3): direction of the tool there.
-        :raises StatementError: that number is ambiguous, or the arc has a fault.
+        Fill `undivided_sequences`, and `circle_before` if all points belong to the arc.
+
+        :param row: (n,) rows of the statements of the points, n > 0.
+        :param end: (n, 3) the points [mm].
+        :param axis: (n, 3) directions of the tool at the points.
+        :raises StatementError: the number of points is ambiguous, or the arc has a fault.
         """
-        count: int | None = 1
+        count: int | None = 1  # None: ambiguous
         if pending.may_have_points and len(row) > 1:
-            count = arc_point_count(pending.circle, self.place, end, _DIGIT * self.unit)
+            count = arc_point_count(pending.circle, self.place, end, _COORDINATE_ROUNDING * self.unit)
             sequence = sequence_at(self.sequence_lines, int(self.statements.line[row[0]]))
             if count is None and sequence in self.undivided_sequences:
                 count = 1
-            elif count == 1 and pending.circle.sagitta(self.place, end[0]) > _SAGITTA_MM:
+            elif count == 1 and pending.circle.sagitta(self.place, end[0]) > _UNDIVIDED_SAGITTA_MM:
                 self.undivided_sequences.add(sequence)
         if count is None:
             raise StatementError(*_AMBIGUOUS, int(row[1]))
         if pending.may_have_points and count == len(row):
-            self.circle_before = pending.circle  # a further GOTO, written in another form, may belong to the arc too
+            self.circle_before = pending.circle  # a later GOTO, behind other statements, may belong to the arc too
         for n in range(count):
             self._add_arc(int(row[n]), pending, end[n], axis[n])
         return count
 
     def _add_arc(self, row: int, pending: PendingArc, end: Array, axis: Array) -> None:
-        """Add the arc that CIRCLE and the points after it describe.
+        """Add an arc from the position of the tool; mark the compensation if the arc shows its kind of path.
 
-        :param end: (3,) its end [mm]; `axis` (3,) direction from the tip to the spindle there.
-        :raises StatementError: the start is not known, the points are not on the circle, or the tool is in rapid.
+        :param pending: circle of the arc.
+        :param end: (3,) end of the arc [mm].
+        :param axis: (3,) direction from the tip to the spindle at the end.
+        :raises StatementError: the position is not known, start or end is not on the circle, the move is rapid or has
+            no feed.
         """
         if not self.is_place_known:
             raise StatementError(*UNKNOWN_START, row)
@@ -373,9 +415,10 @@ class _Walk:
         self._add_move(row, end, axis, ARC, self._feed_per_minute(row), circle=arc_circle, sweep=sweep)
 
     def _add_hole(self, row: int, top: Array, axis: Array, cycle: Cycle) -> None:
-        """Add the moves of the active cycle at a hole; heights are above its top.
+        """Add the moves of the active cycle at a hole; heights count from its top along the tool.
 
-        :param top: (3,) of the hole [mm]; `axis` (3,): direction of the tool.
+        :param top: (3,) top of the hole [mm].
+        :param axis: (3,) direction of the tool.
         :raises StatementError: the position is not known, or the tool turns.
         """
         if not self.is_place_known:
@@ -399,35 +442,42 @@ class _Walk:
         )
 
     def _check_same_axis(self, row: int, axis: Array) -> None:
-        """Check that the direction of the tool does not change on the way to a hole.
+        """Check that the tool has the present direction at a hole.
 
         :param axis: (3,) unit direction at the hole.
-        :raises StatementError: it does.
+        :raises StatementError: it has another direction.
         """
         if norm(np.cross(axis, self.axis)) > LENGTH_TOLERANCE or axis @ self.axis < 0.0:
             raise StatementError("the tool turns in a cycle", "Write a GOTO with the new direction before CYCLE.", row)
 
     def _add_move(self, row: int, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
-        """Add one move to `end` (3,) [mm] with a tool axis (3,), which becomes the present one.
+        """Add one move; its end becomes the position of the tool, and its axis the direction of the tool.
 
-        :param row: its statement; `code`: `RAPID`, `LINE` or `ARC`; `feed` [mm/min].
+        :param end: (3,) end of the move [mm].
+        :param axis: (3,) direction of the tool at the end.
+        :param code: `RAPID`, `LINE` or `ARC`.
+        :param feed: feed [mm/min]; 0 for rapid.
         :param properties: further fields of `Part`.
         """
         self._add_moves(np.array([row]), end[None], axis[None], code, feed, **properties)
         self.axis = axis
 
     def _add_moves(self, row: Ints, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
-        """Add moves to the course; the last of their ends becomes the place of the tool.
+        """Add moves to the course; the end of the last becomes the position of the tool.
 
-        :param row: (n,) rows of the statements; `end` (n, 3) places [mm], `axis` (n, 3) directions of the tool.
-        :param code: `RAPID`, `LINE` or `ARC`; `feed` [mm/min]; `properties`: further fields of `Part`.
+        :param row: (n,) rows of the statements.
+        :param end: (n, 3) ends of the moves [mm].
+        :param axis: (n, 3) directions of the tool at the ends.
+        :param code: `RAPID`, `LINE` or `ARC`.
+        :param feed: feed [mm/min]; 0 for rapid.
+        :param properties: further fields of `Part`.
         """
         self.course.parts.append(Part(row, end, axis, code, feed, self.tool, **properties))
         self.move_count += len(row)
         self.place = end[-1]
 
     def _add_event(self, row: int, kind: EventKind, value: float = 0.0, text: str = "") -> None:
-        """Record an event after the moves so far; `value` and `text` as in `program.Event`."""
+        """Add an event behind the moves so far; `kind`, `value` and `text` as in `program.Event`."""
         self.course.events.append(Happening(self.move_count, row, kind, value, text))
 
     def _execute(self, row: int, code: str) -> None:
@@ -436,7 +486,7 @@ class _Walk:
         :param code: the statement in upper case, without white space and comment.
         :raises StatementError: it is not supported or not understood.
         """
-        for word in TEXT:
+        for word in TEXT:  # the text follows the word, with or without a slash
             if code.startswith(word):
                 if word == "PARTNO" and self.partno_row < 0:
                     self.partno_row = row
@@ -481,7 +531,8 @@ class _Walk:
     def _one_number(self, words: list[float | str], subject: str) -> float:
         """Return the first number among the values of a statement.
 
-        :raises StatementError: there is none.
+        :param subject: name of the statement, for the message.
+        :raises StatementError: there is no number.
         """
         numbers = [value for value in words if isinstance(value, float)]
         if not numbers:
@@ -489,12 +540,13 @@ class _Walk:
         return numbers[0]
 
     def _read_goto(self, row: int, words: list[float | str]) -> None:
-        """Read a GOTO with several points, or whose direction of the tool needs a check.
+        """Read a GOTO that is not plain.
 
-        Up to 100 points of three numbers may follow a circle (Creo).
+        Behind a circle, one GOTO may have up to 100 points of three numbers (Creo). Six numbers are then one point
+        with a direction if the last three have length 1, otherwise two points.
 
-        :param words: numbers behind ``GOTO/``: x, y, z, perhaps i, j, k; several points after CIRCLE.
-        :raises StatementError: the numbers are not those of points.
+        :param words: numbers behind ``GOTO/``: x, y, z, and perhaps i, j, k; or several points.
+        :raises StatementError: the numbers are not those of points, or the move cannot be executed.
         """
         points = numbers_of(words, *((3, 6) if self.pending_arc is None else range(3, 301, 3)))
         if len(points) in (3, 6) and (len(points) == 3 or abs(norm(points[3:]) - 1.0) < LENGTH_TOLERANCE):
@@ -506,15 +558,15 @@ class _Walk:
         self._add_gotos(np.full(len(numbers), row), numbers)
 
     def _add_goto(self, row: int, numbers: Array) -> None:
-        """Add the move of a statement that leads to one point.
+        """Add the move of a statement to one point.
 
-        :param numbers: (3,) x, y, z, or (6,) with i, j, k.
-        :raises StatementError: it cannot be executed.
+        :param numbers: (3,) x, y, z, or (6,) with i, j, k, in the unit of the file.
+        :raises StatementError: the move cannot be executed.
         """
         self._add_gotos(np.array([row]), np.append(numbers, np.full(6 - len(numbers), np.nan))[None])
 
     def _read_step(self, row: int, words: list[float | str]) -> None:
-        """Read GODLTA: a move by a step from the place of the tool.
+        """Read GODLTA: a move by a step from the position of the tool.
 
         :param words: the step behind ``GODLTA/``: x, y, z, in the unit of the file.
         :raises StatementError: the position is not known.
@@ -525,10 +577,10 @@ class _Walk:
         self._add_goto(row, (self.place + step) / self.unit)
 
     def _read_start(self, row: int, words: list[float | str]) -> None:
-        """Read FROM: a first move to the place, if the position of the tool is unknown.
+        """Read FROM: a rapid move to a point if the position of the tool is not known; otherwise only a check.
 
-        :param words: the place behind ``FROM/``: x, y, z, and perhaps i, j, k, in the unit of the file.
-        :raises StatementError: the tool is elsewhere.
+        :param words: the point behind ``FROM/``: x, y, z, and perhaps i, j, k, in the unit of the file.
+        :raises StatementError: the tool is known to be at another point.
         """
         numbers = numbers_of(words, 3, 6)
         place = numbers[:3] * self.unit
@@ -540,10 +592,13 @@ class _Walk:
         self._add_goto(row, numbers)
 
     def _read_home(self, row: int, words: list[float | str]) -> None:
-        """Read GOHOME: retract to clearance_Z, then go to the home position of the cell.
+        """Read GOHOME.
 
-        :param words: the place behind ``GOHOME/``: x, y, z, in the unit of the file; empty: home of the cell.
-        :raises StatementError: the cell states neither.
+        With a point: a rapid move to it. Without: a retract to clearance_Z and a joint motion to home, as far as the
+        cell states them. Behind home the position is not known.
+
+        :param words: the point behind ``GOHOME/``: x, y, z, in the unit of the file; empty: home of the cell.
+        :raises StatementError: no point is given, and the cell states neither home nor clearance_Z.
         """
         machine = self.cell.machine
         if words:
@@ -560,10 +615,10 @@ class _Walk:
             self.is_place_known = False
 
     def _read_retract(self, row: int, words: list[float | str]) -> None:
-        """Read RETRCT: retract to clearance_Z of the cell.
+        """Read RETRCT: a retract to clearance_Z of the cell; no move if the position is not known.
 
         :param words: values behind ``RETRCT/``, which must be empty.
-        :raises StatementError: the cell states none.
+        :raises StatementError: the cell states no clearance_Z, or there are values.
         """
         clearance = self.cell.machine.clearance_Z
         if words or clearance is None:
@@ -573,13 +628,13 @@ class _Walk:
             self._add_retract(row, clearance)
 
     def _add_retract(self, row: int, clearance: float) -> None:
-        """Add a rapid move along the tool axis up to the height `clearance` [mm], if the tool is below it.
+        """Add a rapid move along the tool up to z = `clearance` [mm], if the tool is below it.
 
         :raises StatementError: the tool axis is nearly horizontal.
         """
         if self.place[2] >= clearance - NEAR_MM:
             return
-        if self.axis[2] < _LEVEL:
+        if self.axis[2] < _MIN_AXIS_Z:
             raise StatementError("retract with a nearly horizontal tool", "Retract along the tool by GOTO before.")
         rise = (clearance - self.place[2]) / self.axis[2]
         self._add_move(row, self.place + self.axis * rise, self.axis, RAPID, 0.0)
@@ -598,19 +653,23 @@ class _Walk:
     def _read_feed(self, row: int, words: list[float | str]) -> None:
         """Read FEDRAT: the feed, per minute or per turn.
 
+        ``INVERS,OFF`` has no effect.
+
         :param words: values behind ``FEDRAT/``: a number, and perhaps its unit.
-        :raises StatementError: it is not understood.
+        :raises StatementError: the feed is not understood, or not above zero.
         """
         units = [value for value in words if isinstance(value, str)]
         if units == ["INVERS", "OFF"]:
             return
-        feed, per_turn = self._feed_of(row, words, "FEDRAT")
-        self.feed, self.is_feed_per_turn = feed, per_turn
+        self.feed, self.is_feed_per_turn = self._feed_of(row, words, "FEDRAT")
 
     def _feed_of(self, row: int, words: list[float | str], subject: str) -> tuple[float, bool]:
-        """Return a feed [mm/min or mm/turn], and whether it is per turn.
+        """Return a feed [mm/min or mm/turn], and whether it is per turn; fill `inch_feed_row`.
 
-        :param words: one number, and perhaps its unit; `subject`: for messages.
+        Without a unit, it is per minute, in the unit of the file.
+
+        :param words: one number, and perhaps its unit.
+        :param subject: name of the value, for messages.
         :raises StatementError: it is not understood, or not above zero.
         """
         units = [value for value in words if isinstance(value, str)]
@@ -626,7 +685,7 @@ class _Walk:
         return numbers[0] * factors[word], word in (*_PER_TURN, "PERREV")
 
     def _read_units(self, row: int, words: list[float | str]) -> None:
-        """Read UNITS.
+        """Read UNITS: the unit of length of the file.
 
         :param words: values behind ``UNITS/``: the name of a unit.
         :raises StatementError: the unit is unknown, or changes after a motion.
@@ -641,22 +700,25 @@ class _Walk:
         self.course.has_units = True
 
     def _read_multiaxis(self, row: int, words: list[float | str]) -> None:
-        """Read MULTAX: whether GOTO has a direction of the tool.
+        """Read MULTAX, which states whether GOTO has a direction of the tool.
+
+        Behind OFF of a tilted tool, the next GOTO must state the direction, except in files of CATIA and Creo.
 
         :param words: values behind ``MULTAX/``: ON, OFF or none.
-        :raises StatementError: it is not understood.
+        :raises StatementError: the value is not understood.
         """
         del row
         if words not in ([], ["ON"], ["OFF"]):
             raise StatementError("MULTAX is not understood", "Write MULTAX/ON or MULTAX/OFF.")
         if words == ["OFF"] and self.system_of_file is None:
+            # 1 − z is about half the square of the tilt: smaller ones are rounding
             self.is_axis_open = bool(self.axis[2] < 1.0 - LENGTH_TOLERANCE**2)
 
     def _read_tool_axis(self, row: int, words: list[float | str]) -> None:
-        """Read a direction of the tool, a unit vector (3,).
+        """Read TLAXIS: the direction of the tool.
 
         :param words: i, j, k behind ``TLAXIS/``.
-        :raises StatementError: it does not have length 1.
+        :raises StatementError: the direction does not have length 1.
         """
         axis = numbers_of(words, 3)
         if abs(norm(axis) - 1.0) > LENGTH_TOLERANCE:
@@ -665,11 +727,14 @@ class _Walk:
         self._set_axis(axis / norm(axis))
 
     def _set_axis(self, axis: Array) -> None:
-        """Set the direction (`axis`, (3,)) of the moves to come; the tool turns there with the next move."""
+        """Set the direction `axis` (3,) of the following moves; the tool turns to it with the next move."""
         self.axis, self.is_axis_open = axis, False
 
     def _read_circle(self, row: int, words: list[float | str]) -> None:
-        """Read a circle, which the next GOTO follows: 6, 7 or 11 numbers, by the writer of the file.
+        """Read CIRCLE: an arc that ends at the next GOTO.
+
+        6 numbers: SolidWorks CAM, without a radius. 7 numbers: Creo, whose arcs may have several points. 11 numbers:
+        Siemens NX, left-handed. See `arcs`.
 
         :param words: numbers behind ``CIRCLE/``, and perhaps TIMES with the number of turns.
         :raises StatementError: the numbers are not those of a circle, or no arc is possible here.
@@ -686,7 +751,7 @@ class _Walk:
         self._set_pending_arc(row, numbers, is_right_hand=not is_nx, may_have_points=len(words) == 7, turns=turns - 1)
 
     def _read_arc(self, row: int, words: list[float | str]) -> None:
-        """Read MOVARC: a circle and the angle of the arc on it, whose end the next GOTO states.
+        """Read MOVARC: an arc of a stated angle that ends at the next GOTO.
 
         :param words: values behind ``MOVARC/``, see `stated_angle`.
         :raises StatementError: the numbers are not those of an arc, or no arc is possible here.
@@ -695,12 +760,12 @@ class _Walk:
         self._set_pending_arc(row, numbers, is_right_hand=True, angle=angle)
 
     def _set_pending_arc(self, row: int, numbers: Array, *, is_right_hand: bool, **properties: Any) -> None:
-        """Keep a circle for the GOTO that follows.
+        """Set `pending_arc`, which ends at the next GOTO.
 
         :param numbers: (7,) centre, axis, radius, in the unit of the file.
-        :param is_right_hand: whether the arc turns right-handed about the axis.
+        :param is_right_hand: True if the arc turns right-handed about the axis.
         :param properties: further fields of `PendingArc`.
-        :raises StatementError: no arc is possible here.
+        :raises StatementError: the axis does not have length 1, another arc or a cycle is active, or the move is rapid.
         """
         circle = circle_of(numbers, self.unit, is_right_hand=is_right_hand)
         if self.pending_arc is not None or self.cycle is not None:
@@ -712,15 +777,16 @@ class _Walk:
     def _read_direction(self, row: int, words: list[float | str]) -> None:
         """Read INDIRV: the direction in which the next arc leaves its start.
 
-        :param words: x, y, z behind ``INDIRV/``.
-        :raises StatementError: it is no direction.
+        :param words: x, y, z of the direction behind ``INDIRV/``.
+        :raises StatementError: these are not three numbers.
         """
         del row
         self.leaving_direction = numbers_of(words, 3)
 
     def _read_tangent_arc(self, row: int, code: str) -> None:
-        """Read TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…): an arc that leaves along INDIRV.
+        """Read TLON,GOFWD/(CIRCLE/x,y,z,r),ON,(LINE/…): an arc that leaves its start along INDIRV.
 
+        :param code: text behind ``TLON,GOFWD/``.
         :raises StatementError: it is not understood, or the arc has a fault.
         """
         direction, self.leaving_direction = self.leaving_direction, None
@@ -728,7 +794,7 @@ class _Walk:
         self._add_arc(row, PendingArc(row, circle), end, self.axis)
 
     def _read_cycle(self, row: int, values: list[float | str]) -> None:
-        """Read CYCLE: begin or end drilling at the points of GOTO.
+        """Read CYCLE: the following GOTO are holes; OFF and CLEAR end this, INIT has no effect.
 
         :param values: values behind ``CYCLE/``: OFF, CLEAR, INIT, or the kind of the cycle with its lengths and feed.
         :raises StatementError: the cycle is not supported, or has no feed.
@@ -739,11 +805,11 @@ class _Walk:
         if values[:1] in (["OFF"], ["CLEAR"]):
             self.cycle = None
             return
-        self.cycle, self.is_cycle_refused = None, True
+        self.cycle, self.is_cycle_refused = None, True  # until the cycle has been read without an error
         words = cycle_words(values, (*_PER_MINUTE, *_PER_TURN))
         if words.rates:
-            rate, per_turn = self._feed_of(row, list(words.rates), "the feed of the cycle")
-            feed = rate * self.spindle_speed if per_turn else rate
+            rate, is_per_turn = self._feed_of(row, list(words.rates), "the feed of the cycle")
+            feed = rate * self.spindle_speed if is_per_turn else rate
         else:
             feed = self._feed_per_minute(row)
         if not feed > 0.0:
@@ -753,10 +819,12 @@ class _Walk:
     def _read_spindle(self, row: int, words: list[float | str]) -> None:
         """Read SPINDL: speed [1/min], direction, or OFF.
 
-        :param words: values behind ``SPINDL/``; without a speed that of the last SPINDL holds.
+        Without a speed, the last speed applies. Without a direction, the last direction does, or CLW behind OFF.
+
+        :param words: values behind ``SPINDL/``.
         :raises StatementError: a word is not supported, or the speed is missing.
         """
-        unknown_words = {value for value in words if isinstance(value, str)} - _SPINDLE
+        unknown_words = {value for value in words if isinstance(value, str)} - _SPINDLE_WORDS
         if unknown_words:
             raise StatementError(
                 f"SPINDL with {min(unknown_words)} is not supported", "Give the speed as SPINDL/n,RPM,CLW."
@@ -784,10 +852,10 @@ class _Walk:
         self._add_event(row, "coolant_on" if self.is_coolant_on else "coolant_off")
 
     def _read_tool(self, row: int, words: list[float | str]) -> None:
-        """Read LOADTL: a tool change, which stops the spindle.
+        """Read LOADTL: a tool change, which stops the spindle; the new tip moves to the present position.
 
-        :param words: values behind ``LOADTL/``, the number of the tool first; those of ``LOAD/`` begin with TOOL.
-        :raises StatementError: the number is invalid, or the cell has no such tool.
+        :param words: values behind ``LOADTL/``: the number of the tool first; or behind ``LOAD/``: TOOL and the number.
+        :raises StatementError: the number is invalid, the cell has no such tool, or a cycle is active.
         """
         if words[:1] == ["TOOL"]:
             words = words[1:]
@@ -811,7 +879,7 @@ class _Walk:
             self._add_move(row, self.place, self.axis, RAPID, 0.0)
 
     def _read_delay(self, row: int, words: list[float | str]) -> None:
-        """Read DELAY as a dwell [s].
+        """Read DELAY or DWELL: a dwell.
 
         :param words: values behind ``DELAY/`` or ``DWELL/``: the time [s].
         :raises StatementError: the time is missing, or in turns.
@@ -822,12 +890,12 @@ class _Walk:
         self._add_event(row, "dwell", float(numbers_of(words, 1)[0]))
 
     def _read_stop(self, row: int, words: list[float | str]) -> None:
-        """Read STOP and OPSTOP, with any `words`: the program waits until it is started again."""
+        """Read STOP or OPSTOP, with any `words`: the program waits until it is started again."""
         del words
         self._add_event(row, "stop")
 
     def _read_skip(self, row: int, words: list[float | str]) -> None:
-        """Read OPSKIP, and remark that the statements behind it are executed.
+        """Read OPSKIP, which has no effect; unless it is OFF, add a remark that the following statements are executed.
 
         :param words: values behind ``OPSKIP/``: ON or OFF.
         """
@@ -839,15 +907,15 @@ class _Walk:
         """Read AUXFUN: an M code by its number.
 
         :param words: values behind ``AUXFUN/``: the number of the M code.
-        :raises StatementError: the code is missing or not known.
+        :raises StatementError: the number is missing, or the code is not known.
         """
         self._execute_machine_code(row, f"M{self._one_number(words, 'AUXFUN'):g}")
 
     def _read_insert(self, row: int, word: str) -> None:
-        """Read INSERT: a comment, a stop or a machine code for one control.
+        """Read INSERT: a comment, a stop (text that begins with STOP) or an M code.
 
-        :param word: INSERT, or the word of SolidWorks CAM that has its meaning.
-        :raises StatementError: the text may be a code of the control that is not known.
+        :param word: INSERT, or the word of SolidWorks CAM with the same meaning.
+        :raises StatementError: the text is in several lines, or may be code of a control.
         """
         text = self._text_behind(row, word).upper()
         if "".join(text.split()) != self.statements.of(row)[len(word) :].lstrip("/").strip("'"):
@@ -861,14 +929,17 @@ class _Walk:
         self._execute_machine_code(row, text)
 
     def _execute_machine_code(self, row: int, code: str) -> None:
-        """Execute an M code as the APT statement of the same meaning, or as the lines that the cell gives for it.
+        """Execute an M code as the APT statement with the same meaning, or add an event with the lines of the cell.
 
-        :raises StatementError: neither exists.
+        An M code with an empty list of lines in the cell has no effect.
+
+        :param code: text in upper case, such as ``M08``.
+        :raises StatementError: the text is no M code, or is unknown to APT and to the cell.
         """
         code = _LEADING_ZEROS.sub("M", code)
-        if code in _STATEMENTS:
-            statement, words = _STATEMENTS[code]
-            statement(self, row, words)
+        if code in _EQUIVALENTS:
+            handler, words = _EQUIVALENTS[code]
+            handler(self, row, words)
             return
         cell_lines = self.cell.m_codes.get(code)
         if cell_lines is None:
@@ -882,22 +953,24 @@ class _Walk:
             self._add_event(row, "m_code", float(code[1:]))
 
     def _read_compensation(self, row: int, words: list[float | str]) -> None:
-        """Read CUTCOM: begin or end radius compensation.
+        """Read CUTCOM: end radius compensation and, unless OFF, begin a new one.
 
         :param words: values behind ``CUTCOM/``: LEFT, RIGHT or OFF among others.
-        :raises StatementError: the path may not be that of the centre of the tool.
+        :raises StatementError: neither LEFT nor RIGHT is stated, so that arcs cannot show that the path is that of the
+            tool's centre, and the cell does not state it either.
         """
         self._end_compensation()
         if words[:1] == ["OFF"]:
             return
-        holds_wear = self.cell.gcode.radius_offsets == "wear"
+        # if the offsets of the control contain the wear of the tool only, the path is that of its centre
+        is_centre = self.cell.gcode.radius_offsets == "wear"
         side = next((word for word in ("LEFT", "RIGHT") if word in words), None)
-        if side is None and not holds_wear:
+        if side is None and not is_centre:
             raise StatementError(*_COMPENSATION_FAULT)
-        self.compensation = Compensation(row, 1.0 if side == "LEFT" else -1.0, is_centre=holds_wear)
+        self.compensation = Compensation(row, 1.0 if side == "LEFT" else -1.0, is_centre=is_centre)
 
     def _end_compensation(self) -> None:
-        """Check that the path since CUTCOM is that of the tool's centre."""
+        """End the active compensation: add a remark if its path is that of the tool's centre, else a fault."""
         compensation, self.compensation = self.compensation, None
         if compensation is None:
             return
@@ -908,9 +981,9 @@ class _Walk:
         self.course.remarks.append(Remark(compensation.row, "info", "radius-compensation", message))
 
     def _read_cutter(self, row: int, words: list[float | str]) -> None:
-        """Read CUTTER: its first value is the diameter of the cutter.
+        """Read CUTTER: the diameter of the cutter; without a number the radius is NaN.
 
-        :param words: numbers behind ``CUTTER/``, in the unit of the file.
+        :param words: numbers behind ``CUTTER/``, in the unit of the file: the diameter first.
         """
         del row
         self.cutter_radius = words[0] * self.unit / 2.0 if words and isinstance(words[0], float) else np.nan
@@ -919,7 +992,7 @@ class _Walk:
         """Check that TRNTYP is WORLD.
 
         :param words: values behind ``TRNTYP/``.
-        :raises StatementError: it is another one.
+        :raises StatementError: it is another value.
         """
         del row
         if words[:1] != ["WORLD"]:
@@ -927,10 +1000,11 @@ class _Walk:
         self.in_fixture = True
 
     def _read_setup_axes(self, row: int, words: list[float | str]) -> None:
-        """Read the axes of a setup: rows of (3, 4), whose third column is the direction of the tool.
+        """Read CSYS: the axes of a setup, a matrix (3, 4) whose third column is the direction of the tool.
 
         :param words: twelve numbers behind ``CSYS/``, row by row.
-        :raises StatementError: they are no axes, or the system of the coordinates is not known.
+        :raises StatementError: the axes are not unit vectors at right angles, or TRNTYP is missing, so that the system
+            of the coordinates is not known.
         """
         del row
         rows = numbers_of(words, 12).reshape(3, 4)
@@ -947,17 +1021,17 @@ class _Walk:
         """Read MODE; only MILL is supported.
 
         :param words: values behind ``MODE/``.
-        :raises StatementError: it is another one.
+        :raises StatementError: it is another mode.
         """
         del row
         if words != ["MILL"]:
             raise StatementError("MODE is not understood", "Only milling programs (MODE/MILL) are supported.")
 
     def _read_coordinate_system(self, row: int, words: list[float | str]) -> None:
-        """Read MSYS, which is $BASE of the cell.
+        """Read MSYS: the coordinate system, which must be $BASE of the cell; add a remark about it.
 
         :param words: values behind ``MSYS/``, which are only compared.
-        :raises StatementError: it changes within the program.
+        :raises StatementError: the system changes within the program.
         """
         if self.axis_system is not None and words != self.axis_system:
             advice = "Write one file for each MSYS, and give its place as [base] of a cell."
@@ -968,20 +1042,20 @@ class _Walk:
         self.axis_system = words
 
     def _read_section_axes(self, row: int, words: list[float | str]) -> None:
-        """Read the axes and the origin of a section of Autodesk: its coordinates are in them.
+        """Read MCS of Autodesk: axes and origin of the coordinates of a section, which must be those of the program.
 
-        :param words: twelve numbers behind ``MCS/``: three axes and the origin.
-        :raises StatementError: they are not those of the program.
+        :param words: twelve numbers behind ``MCS/``: three axes, then the origin.
+        :raises StatementError: axes or origin differ from those of the program.
         """
         del row
         if not np.array_equal(numbers_of(words, 12), np.append(np.eye(3), np.zeros(3))):
             raise StatementError("MCS: the coordinates of this section are in axes of its own", COORDINATES_ADVICE)
 
     def _read_work_offset(self, row: int, words: list[float | str]) -> None:
-        """Read ZERO: the work offset, which is $BASE of the cell.
+        """Read ZERO: the work offset, which must be $BASE of the cell; add a remark about it.
 
         :param words: values behind ``ZERO/``: the number of the offset.
-        :raises StatementError: it changes within the program.
+        :raises StatementError: the offset changes within the program.
         """
         offset = self._one_number(words, "ZERO")
         if self.work_offset not in (None, offset):
@@ -993,7 +1067,7 @@ class _Walk:
         self.work_offset = offset
 
     def _read_end(self, row: int, words: list[float | str]) -> None:
-        """Read FINI or END, with any `words`: switch spindle and coolant off."""
+        """Read FINI or END, with any `words`: the end of the program; switch spindle and coolant off if they are on."""
         del words
         self.end_row = row
         if self.spindle != "spindle_off":
@@ -1002,19 +1076,19 @@ class _Walk:
             self._add_event(row, "coolant_off")
 
     def _read_without_effect(self, row: int, words: list[float | str]) -> None:
-        """Read a statement that has no effect on the motion, whatever its `words`."""
+        """Read a statement that has no effect on the motion, with any `words`."""
         del row, words
 
 
 def _fault_of(error: StatementError, row: int) -> Fault:
-    """Return an error as a fault; `row` is that of the statement that is executed."""
+    """Return an error as a fault; `row` is the row of the executed statement, for errors that name no row."""
     return Fault(row if error.row is None else error.row, error.problem, error.advice)
 
 
-_SPINDLE = {"RPM", "CLW", "CCLW", "ON", "OFF"}
+_SPINDLE_WORDS = {"RPM", "CLW", "CCLW", "ON", "OFF"}
 _LEADING_ZEROS = re.compile(r"^M0+(?=\d)")
 _M_CODE = re.compile(r"M\d{1,9}")
-_STATEMENTS: Mapping[str, tuple[Any, list[float | str]]] = {
+_EQUIVALENTS: Mapping[str, tuple[Any, list[float | str]]] = {
     **dict.fromkeys(("M0", "M1"), (_Walk._read_stop, [])),
     "M3": (_Walk._read_spindle, ["CLW"]),
     "M4": (_Walk._read_spindle, ["CCLW"]),
@@ -1022,7 +1096,7 @@ _STATEMENTS: Mapping[str, tuple[Any, list[float | str]]] = {
     **dict.fromkeys(("M7", "M8"), (_Walk._read_coolant, ["ON"])),
     "M9": (_Walk._read_coolant, ["OFF"]),
 }
-"""Statements that do what an M code does which `[m_codes]` does not take."""
+"""M code → method and values of the statement with the same effect; `[m_codes]` of the cell does not accept them."""
 _HANDLERS: Mapping[str, Any] = {
     "GOTO": _Walk._read_goto,
     "GODLTA": _Walk._read_step,

@@ -34,29 +34,36 @@ class _Writer:
     """Limits of MoveC, 0.1 mm and 1 deg (Technical reference manual, RAPID Instructions), and 1 % for rounding."""
 
     def fault_of(self, name: str) -> str | None:
-        """Return why the controller would refuse a name for a program, or None if it would not."""
+        """Return the reason why the controller refuses a program name; None if it accepts the name."""
         return language.fault_of(name)
 
     def valid_name(self, name: str) -> str:
-        """Return the name itself if the controller accepts it, otherwise a similar valid one."""
+        """Return the name itself if the controller accepts it, otherwise a similar valid name."""
         return language.valid_name(name)
 
     def write(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comments: TargetForces | None
     ) -> WrittenProgram:
-        """Return a program as text, see `rewrite.rewrite` and `new_module.write`."""
+        """Return a program as text, see `Writer.write`.
+
+        A RAPID program keeps its own text, see `rewrite.rewrite`; other programs become a new module, see
+        `new_module.write`.
+        """
         if isinstance(program.layout, Layout):
             return rewrite(program, targets, joints, comments)
         return write(program, targets, joints, cell, comments)
 
     def rename(self, documents: Sequence[Document], name: str) -> tuple[Document, ...]:
-        """Return a program under another name: the file, and the module and procedure that have the file's name."""
+        """Return a program under another name: the name of the file, and of modules and procedures named like the file.
+
+        Names with `language.PREFIX` before the name of the file keep the prefix.
+        """
         (document,) = documents
         path = PurePath(document.name)
         prefixes = {path.stem.upper(): "", f"{language.PREFIX}{path.stem}".upper(): language.PREFIX}
 
         def renamed(match: re.Match[str]) -> str:
-            """Return the head of a module or routine with the new name, if it has the name of the file."""
+            """Return the head of a module or procedure with the new name; unchanged if not named like the file."""
             prefix = prefixes.get(match[3].upper())
             return match[0] if prefix is None else f"{match[1]}{prefix}{name}"
 
@@ -64,11 +71,14 @@ class _Writer:
         return (replace(document, name=f"{name}{path.suffix}", text=text),)
 
     def mark(self, documents: Sequence[Document], origin: provenance.Origin) -> tuple[tuple[Document, ...], int]:
-        """Return the file with the line of its provenance, below MODULE."""
+        """Return the file with a line below MODULE that states its origin.
+
+        :returns: the file, and the 1-based line from which on its lines have moved down by one; 0 if no line has moved.
+        """
         return provenance.mark(documents, origin, _COMMENT, _MODULE)
 
     def origin(self, documents: Sequence[Document]) -> provenance.Provenance:
-        """Return the provenance that a program states."""
+        """Return the origin that a program states."""
         return provenance.of(documents, _COMMENT)
 
 
@@ -88,7 +98,7 @@ class Rapid:
     def read(
         self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str
     ) -> Program:
-        """Return a program, see `read`."""
+        """Return a program, see `Dialect.read` and `reader.read`."""
         return read(documents[0], cell, forward_kinematics, name)
 
 

@@ -1,11 +1,13 @@
-"""Execution of a RAPID module: its motions in the order in which they run, with the values that they have then.
+"""Execution of a RAPID module: its motions in execution order, with the values of data at that time.
 
-A value is used only if it is certain before the program runs. Loops and conditions are followed where all their values
-are known. A branch that is not known must neither move the robot nor change how it moves; data that it changes are not
-known from there on. Data that routines change which are not followed (traps, error handlers, procedures that nobody
-calls) are not known at all; those that functions change are not known behind their calls. Neither are those that are
-not LOCAL behind calls of routines of other files; these routines are assumed not to move the robot, unless a target is
-given to them.
+A value is used only if it is certain before the program runs. Loops and conditions are followed if all their values are
+known. If the branch taken is not known, no branch may move the robot or change how it moves, and data that a branch
+changes become unknown. Data become unknown
+
+- for the whole program if routines change them that are not followed: traps, error handlers, uncalled procedures;
+- behind the call of a function that changes them;
+- behind the call of a routine of another file, if they are not LOCAL. Such a routine is assumed not to move the robot,
+  unless one of its arguments is a target.
 
 What instructions do: ABB, Technical reference manual, RAPID Instructions, Functions and Data types (3HAC16581).
 """
@@ -65,28 +67,33 @@ from postproc.errors import MAX_ERRORS, PostprocError
 from postproc.program import FORCE_COMMENT, PTP
 
 MOST_STATEMENTS = 3_000_000
-"""Statements executed before a program counts as endless: three times those of 10⁶ motions."""
-_DEEPEST = 60
-"""Calls in one another before they count as endless: each takes several frames of Python."""
+"""Largest number of executed statements: three times those of 10⁶ motions; more count as an endless program."""
+_MAX_CALL_DEPTH = 60
+"""Largest number of nested calls; more count as endless recursion. Each call needs several frames of Python."""
 
 
 class RapidError(PostprocError):
-    """What cannot be followed: `start` is its offset in the text, `line` that of the file, `advice` what to do."""
+    """A statement cannot be followed.
+
+    :ivar start: offset of the statement in the text.
+    :ivar line: its line in the file; 0 until `set_line`.
+    :ivar advice: what the user can do; may be empty.
+    """
 
     def __init__(self, problem: str, start: int, advice: str = "") -> None:
         super().__init__(problem)
         self.problem, self.start, self.advice, self.line = problem, start, advice, 0
 
     def set_line(self, line: int) -> RapidError:
-        """Return the error itself, with its line."""
+        """Set the line of the error, and return the error itself."""
         self.line = line
         return self
 
 
 _LATE_CALLS = ("%", "CALLBYVAR")
-"""Calls of routines by a name that the program puts together."""
+"""Instructions that call a routine whose name is computed at run time."""
 MOST_ROUNDS = 10_000
-"""Rounds of a loop without moves that are followed (assumed)."""
+"""Largest number of rounds of a loop without moves that are followed (assumed)."""
 _KEEP = "Leave it out, or convert the G-code or APT of this part."
 _NUMBERS = "Give the data as numbers in this file, or name the module that has them in [rapid] modules of the cell."
 _COPIED = (
@@ -100,17 +107,17 @@ _TARGET_FUNCTIONS = ("OFFS", "RELTOOL", "CALCROBT", "CALCJOINTT", "CROBT", "CJOI
 
 
 class ExecutedProgram(Struct, eq=False):
-    """What a program does.
+    """Result of the execution of a program.
 
-    :ivar moves: motions in order of execution.
-    :ivar notes: comments with the number of the motion that follows, or of the one in whose line it is.
-    :ivar rounds: offset of a loop with motions → its runs: the loop, and the values of its variable in each round of
-        FOR, or the numbers of the rounds of WHILE.
-    :ivar calls: for each routine with motions the calls of it, in order.
-    :ivar foreign: routines that are called and in no module: name → (offset of the first call, number of calls).
-    :ivar errors: what cannot be followed.
+    :ivar moves: motions in execution order.
+    :ivar notes: each comment with the number of the motion in whose line it is, or else of the motion that follows.
+    :ivar rounds: offset of a loop with motions → its runs. A run is the loop and, for each round, the value of the
+        variable of FOR, or the number of the round of WHILE.
+    :ivar calls: name of a routine with motions → its calls, in execution order.
+    :ivar foreign: called routines that are in no module: name → (offset of the first call, number of calls).
+    :ivar errors: statements that cannot be followed.
     :ivar followed: names of the routines that run.
-    :ivar assumed: name → type of the tools and work objects that are taken from the cell.
+    :ivar assumed: tools and work objects that are taken from the cell: name → type.
     """
 
     moves: list[Move] = field(default_factory=list)
@@ -124,21 +131,27 @@ class ExecutedProgram(Struct, eq=False):
 
 
 class _Return(Exception):  # noqa: N818 - no error: the end of a routine
-    """RETURN."""
+    """The routine returns."""
 
 
 class _End(Exception):  # noqa: N818 - no error
-    """The program goes on in a loop that does not end: what follows it never runs."""
+    """The program stays in a loop that does not end: statements behind it never run."""
 
 
 class Execution:
     """Execution of a program.
 
-    :param modules: of the file.
+    In all methods, `scope` is the scope of the executed routine, and `depth` is the number of calls around it.
+
+    :param modules: modules of the file.
     :param entry: routine that is run.
-    :param cell_value: values of tools and work objects of the cell, for those that no module declares.
+    :param cell_value: returns the value of a tool or work object of the cell by its name and type; None if it has none.
     :param without_effect: see `Effects`.
-    :param loaded: modules of other files, whose data are read.
+    :param loaded: modules of other files, whose data are read, but whose routines are not executed.
+    :raises RapidError: two modules declare one name, or a routine is named like an instruction or function of RAPID.
+    :ivar data: name → data of the modules, with their present values.
+    :ivar result: the moves so far, and further results.
+    :ivar setting: settings of moves that are active.
     """
 
     def __init__(
@@ -169,20 +182,20 @@ class Execution:
         self._checked_functions: set[str] = set()
         reachable_names = self._reachable_routines(entry)
         for routine in self.effects.routines.values():
-            is_followed = routine.name in reachable_names or routine.kind == "FUNC"  # these count where they are called
+            is_followed = routine.name in reachable_names or routine.kind == "FUNC"  # functions count at their calls
             for name in self.effects.changed_by_handler(routine):
                 _interrupt_variable(self.data.get(name), f"the handler of {routine.name}")
             if routine.kind == "TRAP":
                 for name in self.effects.changed_data_of(routine.name):
                     _interrupt_variable(self.data.get(name), routine.name)
-            if not is_followed:  # what routines of other files change before the program begins is not known anyway
-                for name in self.effects.changed_data_of(routine.name, with_foreign=False):
+            if not is_followed:  # changes by other files before the start of the program are not known in any case
+                for name in self.effects.changed_data_of(routine.name, includes_foreign_changes=False):
                     _forget_variable(self.data.get(name), f"{routine.name} may change it, which is not followed")
 
     def run(self) -> ExecutedProgram:
-        """Execute the program from its main procedure.
+        """Execute the program from its entry, and return the result.
 
-        :raises RapidError: something that changes motion is not known.
+        :raises RapidError: a value or branch that motion depends on is not known, or there are too many errors.
         """
         scope = Scope(self.data)
         try:
@@ -193,24 +206,24 @@ class Execution:
             raise RapidError("calls and loops are nested too deeply", self.entry.start, _KEEP) from None
         return self.result
 
-    # --- what is not followed
+    # --- statements that are not followed
 
     def _reachable_routines(self, entry: Routine) -> set[str]:
-        """Return the names of the routines that the entry may call."""
-        names, waiting = {entry.name}, [entry]
-        while waiting:
-            for statement in all_statements(waiting.pop().body):
+        """Return the names of the entry and of all procedures of the file that it may call, directly or indirectly."""
+        names, unvisited_routines = {entry.name}, [entry]
+        while unvisited_routines:
+            for statement in all_statements(unvisited_routines.pop().body):
                 if isinstance(statement, Instruction):
                     name = statement.name.removeprefix("%")
                     if name in self.routines and name not in names:
                         names.add(name)
-                        waiting.append(self.routines[name])
+                        unvisited_routines.append(self.routines[name])
         return names
 
     def _forget(self, statements: tuple[Statement, ...], reason: str, scope: Scope) -> None:
-        """Make unknown what statements, and the routines that they call, may change.
+        """Make data unknown that statements, and the routines that they call, may change.
 
-        :param scope: of the statements.
+        :param reason: reason for the message if the data are used later.
         """
         for name in self.effects.changed_names(statements):
             _forget_variable(scope.find(name), reason)
@@ -219,9 +232,9 @@ class Execution:
                 _forget_variable(self.data.get(data_name), reason)
 
     def _forget_results_of_functions(self, statement: Statement, scope: Scope) -> None:
-        """Make unknown what the functions that a statement calls may change.
+        """Make data unknown that the functions called in a statement may change; count calls of other files.
 
-        :raises RapidError: one of them moves the robot.
+        :raises RapidError: a function moves the robot, or has a force comment.
         """
         for call in calls(statement):
             function = self.effects.routines.get(call.value)
@@ -234,10 +247,10 @@ class Execution:
             self._forget_data_of(call.value)
 
     def _check_function(self, function: Routine, statement: Statement) -> None:
-        """Check that a function neither moves the robot nor has comments of forces.
+        """Check that a function does not move the robot and has no force comments; the result is stored.
 
-        :param statement: that calls it.
-        :raises RapidError: it does.
+        :param statement: statement that calls it.
+        :raises RapidError: it moves the robot, or has a force comment.
         """
         if function.name in self._checked_functions:
             return
@@ -249,10 +262,10 @@ class Execution:
         self._checked_functions.add(function.name)
 
     def _check_forces(self, statements: tuple[Statement, ...], reason: str) -> None:
-        """Check that statements which are not followed, and the routines that they call, have no comments of forces.
+        """Check that statements that are not followed, and the routines that they call, have no force comments.
 
-        :param reason: why they are not followed, for the message.
-        :raises RapidError: there is such a comment: where its force begins to act is not known.
+        :param reason: reason why they are not followed, for the message.
+        :raises RapidError: there is a force comment: it is not known whether the force acts.
         """
         blocks, names = [statements], set[str]()
         while blocks:
@@ -261,23 +274,23 @@ class Execution:
                 if isinstance(statement, Comment) and FORCE_COMMENT.match(statement.text):
                     problem = f"it is not known whether this force acts: {reason}"
                     raise RapidError(problem, statement.start, "Put the comment before the move on which it acts.")
-            names_called = (called_names(block) & self.routines.keys()) - names
-            names |= names_called
-            blocks += [self.routines[name].body for name in names_called]
+            new_names = (called_names(block) & self.routines.keys()) - names
+            names |= new_names
+            blocks += [self.routines[name].body for name in new_names]
 
     def _forget_data_of(self, name: str) -> None:
-        """Make unknown the data of the modules that an instruction, function or routine may change."""
+        """Make module data unknown that an instruction, function or routine may change by itself."""
         place = ", which is in no module of this file," if self.effects.is_foreign(name) else ""
         for data_name in self.effects.changed_data_of(name):
             _forget_variable(self.data.get(data_name), f"{name}{place} may change it")
 
     def _list_foreign_call(self, name: str, statement: Statement) -> None:
-        """Count a call of a routine that is in no module of the file; an empty name is that of a computed call."""
+        """Count a call of a routine that is in no module of the file."""
         start, count = self.result.foreign.get(name, (statement.start, 0))
         self.result.foreign[name] = start, count + 1
 
     def _is_foreign_move(self, statement: Instruction) -> bool:
-        """Return whether an instruction calls a routine of another file with a target, so that it may move there."""
+        """Return whether an instruction calls a routine of another file with a target, to which it may move."""
         if not self.effects.is_foreign(statement.name.removeprefix("%")):
             return False
         for argument in statement.arguments:
@@ -292,8 +305,10 @@ class Execution:
         return False
 
     def moves(self, statements: tuple[Statement, ...]) -> Instruction | None:
-        """Return the first instruction among statements that moves the robot or changes how it moves, or that calls
-        a routine which does.
+        """Return the first instruction among statements that moves the robot or changes how it moves; None without one.
+
+        Calls of routines that move, calls by a computed name and calls of other files with a target count. For a
+        function that moves, the result is an instruction with its name.
         """
         for statement in all_statements(statements):
             for call in calls(statement):
@@ -314,10 +329,10 @@ class Execution:
         return None
 
     def _routine_moves(self, routine: Routine) -> bool:
-        """Return whether a routine, or one that it calls, moves the robot."""
+        """Return whether a routine, or a routine that it calls, moves the robot or changes how it moves; stored."""
         has_moves = self._moving.get(routine.name)
         if has_moves is None:
-            self._moving[routine.name] = False  # a call of itself adds nothing
+            self._moving[routine.name] = False  # ends the search at recursive calls
             has_moves = self._moving[routine.name] = self.moves(routine.body) is not None
         return has_moves
 
@@ -326,10 +341,11 @@ class Execution:
     def _execute_routine(self, routine: Routine, scope: Scope, depth: int) -> None:
         """Execute the statements of a routine.
 
-        :param scope: its parameters and data; `depth`: number of calls around it.
-        :raises RapidError: calls are nested too deeply.
+        :param scope: its parameters and data.
+        :param depth: number of calls around it.
+        :raises RapidError: calls are nested too deeply, or a statement cannot be followed.
         """
-        if depth > _DEEPEST:
+        if depth > _MAX_CALL_DEPTH:
             raise RapidError(f"{routine.name} calls itself", routine.start, _KEEP)
         self.result.followed.add(routine.name)
         with contextlib.suppress(_Return):
@@ -338,8 +354,9 @@ class Execution:
     def _execute_block(self, statements: tuple[Statement, ...], scope: Scope, routine: Routine, depth: int) -> None:
         """Execute the statements of a block in order.
 
-        :param routine: in which they are executed; `depth`: number of calls around it.
-        :raises RapidError: more than `MOST_STATEMENTS` were executed.
+        :param routine: the routine that contains them.
+        :param depth: number of calls around it.
+        :raises RapidError: more than `MOST_STATEMENTS` are executed, or a statement cannot be followed.
         """
         for statement in statements:
             self.statement_count += 1
@@ -351,7 +368,10 @@ class Execution:
     def _execute_statement(self, statement: Statement, scope: Scope, routine: Routine, depth: int) -> None:
         """Execute a statement by its kind.
 
-        :param routine: in which they are executed; `depth`: number of calls around it.
+        :param routine: the routine that contains it.
+        :param depth: number of calls around the routine.
+        :raises RapidError: the statement cannot be followed.
+        :raises _Return: the statement leaves the routine.
         """
         if self.effects.has_functions:
             self._forget_results_of_functions(statement, scope)
@@ -372,25 +392,26 @@ class Execution:
                 self._execute_jump(statement, routine, scope)
 
     def _note_comment(self, comment: Comment) -> None:
-        """Record a comment: in the line of a move with that move, else with the next one."""
+        """Add a comment to the notes: with the move in whose line it is, otherwise with the next move."""
         count = len(self.result.moves)
         self.result.notes.append((comment, count - 1 if comment.trailing and count else count))
 
     def _leave(self, routine: Routine, scope: Scope, reason: str) -> NoReturn:
-        """Leave a routine without moves in which it is not known what runs: all that it may change is not known.
+        """Leave a routine without moves if it is not known what runs in it; data that it may change become unknown.
 
-        :param reason: why it is not known.
-        :raises RapidError: the routine has a comment of forces.
-        :raises _Return: always else.
+        :param reason: reason why it is not known which statements run.
+        :raises RapidError: the routine has a force comment.
+        :raises _Return: in all other cases.
         """
         self._check_forces(routine.body, reason)
         self._forget(routine.body, f"{routine.name} may change it, of which it is not known what runs: {reason}", scope)
         raise _Return
 
     def _execute_jump(self, jump: Jump, routine: Routine, scope: Scope) -> None:
-        """Execute RETURN; leave a routine without moves at GOTO.
+        """Execute RETURN; leave a routine without moves at GOTO; labels and EXIT have no effect.
 
-        :raises RapidError: moves would be skipped.
+        :raises _Return: RETURN, or GOTO in a routine without moves.
+        :raises RapidError: any other jump, which may skip moves.
         """
         if jump.word == "RETURN":
             raise _Return
@@ -402,7 +423,7 @@ class Execution:
         raise RapidError(f"{jump.word} changes the order of execution", jump.start, advice)
 
     def _declare(self, declaration: Declaration, scope: Scope, routine: Routine) -> None:
-        """Declare local data with its initial value, if that is known."""
+        """Add local data to the scope with its initial value, or as unknown."""
         variable = _initial_variable(declaration)
         if declaration.value is not None:
             try:
@@ -414,7 +435,7 @@ class Execution:
         scope.inner[declaration.name] = variable
 
     def _execute_assignment(self, statement: Assignment, scope: Scope) -> None:
-        """Assign a value; data gets unknown if the value or the element is."""
+        """Assign a value to data; they become unknown if the value or the index of the element is not known."""
         try:
             value, _ = evaluate(statement.value, scope)
             assign(statement.target, value, scope)
@@ -424,16 +445,17 @@ class Execution:
                 variable.forget(cause.problem if isinstance(cause, UnknownValueError) else "its place is not known")
 
     def _execute_conditional(self, statement: Conditional, scope: Scope, routine: Routine, depth: int) -> None:
-        """Execute the branch taken; where that is unknown, make unknown what the branches may change.
+        """Execute the branch taken; if it is not known, skip it and all further branches, see `_skip`.
 
-        :param routine: in which they are executed; `depth`: number of calls around it.
-        :raises RapidError: a branch that is not known moves the robot.
+        :param routine: the routine that contains the statement.
+        :param depth: number of calls around the routine.
+        :raises RapidError: the branch taken is not known, and one of the possible branches moves the robot.
         """
-        for number_of_branch, (condition, body) in enumerate(statement.branches):
+        for branch_number, (condition, body) in enumerate(statement.branches):
             try:
                 is_taken = condition is None or self._holds(statement, condition, scope)
             except UnknownValueError as cause:
-                bodies = tuple(inner for _, block in statement.branches[number_of_branch:] for inner in block)
+                bodies = tuple(inner for _, block in statement.branches[branch_number:] for inner in block)
                 self._skip(bodies, cause.problem, scope, routine)
                 return
             if is_taken:
@@ -441,56 +463,62 @@ class Execution:
                 return
 
     def _holds(self, statement: Conditional, condition: Expression, scope: Scope) -> bool:
-        """Return whether IF or WHILE has this condition, or TEST this value."""
+        """Return whether the condition of a branch of IF is true, or a value of a CASE equals that of TEST.
+
+        :raises UnknownValueError: a value is not known.
+        """
         if statement.subject is None:
             return truth(condition, scope)
         subject, _ = evaluate(statement.subject, scope)
         return any(subject == evaluate(item, scope)[0] for item in condition.items)
 
     def _skip(self, statements: tuple[Statement, ...], reason: str, scope: Scope, routine: Routine) -> None:
-        """Skip statements that may or may not be executed: what they may change is not known from here on.
+        """Skip statements that may or may not run; data that they may change become unknown.
 
-        :param reason: why that is not known.
-        :raises RapidError: they may move the robot, or skip moves of the routine.
-        :raises _Return: they may leave the routine, which has no moves.
+        :param reason: reason why it is not known whether they run.
+        :param routine: the routine that contains them.
+        :raises RapidError: they may move the robot, skip moves of the routine, or have a force comment.
+        :raises _Return: they may leave the routine, and it has no moves.
         """
-        moving = self.moves(statements)
-        if moving is not None:
-            problem = f"it is not known before the program runs whether {moving.name} is executed: {reason}"
+        first_move = self.moves(statements)
+        if first_move is not None:
+            problem = f"it is not known before the program runs whether {first_move.name} is executed: {reason}"
             advice = (
                 "Put the moves of the part into a procedure without conditions, and name the file like it; or give the "
                 "data a value in the file."
             )
-            raise RapidError(problem, moving.start, advice)
+            raise RapidError(problem, first_move.start, advice)
         self._check_forces(statements, reason)
         self._forget(statements, f"it may be changed where it is not known whether: {reason}", scope)
         for statement in all_statements(statements):
             if isinstance(statement, Jump) and statement.word not in (*STOPPING, ":"):
                 if statement.word == "RETURN" and routine is self.entry:
-                    continue  # the program ends early, and what ran before is as it was
+                    continue  # the program ends early; the moves before do not change
                 if self._routine_moves(routine):
                     problem = f"it is not known whether {statement.word} is executed: {reason}"
                     raise RapidError(problem, statement.start, "Put the moves of the part into a routine without it.")
                 self._leave(routine, scope, reason)
 
     def _execute_loop(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
-        """Execute a loop; one with moves is recorded with the values of its rounds.
+        """Execute a loop; add the run of a loop with moves to `result.rounds`.
 
-        :param routine: in which they are executed; `depth`: number of calls around it.
+        :param routine: the routine that contains it.
+        :param depth: number of calls around the routine.
         """
         if self.moves(loop.body) is None:
             self._execute_loop_without_moves(loop, scope, routine, depth)
             return
         first = len(self.result.moves)
-        execute = self._execute_for if loop.name else self._execute_while  # a WHILE has no variable
+        execute = self._execute_for if loop.name else self._execute_while  # only FOR has a variable
         values = execute(loop, scope, routine, depth)
         if len(self.result.moves) > first:
             self.result.rounds.setdefault(loop.start, []).append((loop, values))
 
     def _execute_loop_without_moves(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
-        """Follow a loop without moves while its conditions are known; then mark the data that it changes as unknown.
+        """Execute a loop without moves if its rounds are known and not too many; otherwise skip it, see `_skip`.
 
-        :param routine: in which they are executed; `depth`: number of calls around it.
+        :param routine: the routine that contains it.
+        :param depth: number of calls around the routine.
         """
         reason = "it is too long"
         try:
@@ -499,16 +527,17 @@ class Execution:
                 if len(values) <= MOST_ROUNDS:
                     self._follow_rounds(loop, values, scope, routine, depth)
                     return
-            elif self._ends_in_time(loop, scope, routine, depth):
+            elif self._execute_short_while(loop, scope, routine, depth):
                 return
         except UnknownValueError as cause:
             reason = cause.problem
         self._skip(loop.body, f"the rounds of a loop are not known: {reason}", scope, routine)
 
-    def _ends_in_time(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> bool:
-        """Execute the rounds of WHILE; return whether it ends, within `MOST_ROUNDS` of them.
+    def _execute_short_while(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> bool:
+        """Execute up to `MOST_ROUNDS` rounds of WHILE; return whether the loop has ended.
 
-        :param routine: in which they are executed; `depth`: number of calls around it.
+        :param routine: the routine that contains it.
+        :param depth: number of calls around the routine.
         :raises UnknownValueError: its condition is not known.
         """
         for _ in range(MOST_ROUNDS):
@@ -520,10 +549,11 @@ class Execution:
         return False
 
     def _follow_rounds(self, loop: Loop, values: list[float], scope: Scope, routine: Routine, depth: int) -> None:
-        """Follow the rounds of FOR; its variable hides data of the same name until the end.
+        """Execute the rounds of FOR; its variable hides local data of the same name until the end.
 
-        :param values: of the variable, one for each round.
-        :param routine: in which they are executed; `depth`: number of calls around it.
+        :param values: value of the variable in each round.
+        :param routine: the routine that contains the loop.
+        :param depth: number of calls around the routine.
         """
         outer_variable = scope.inner.get(loop.name)
         for value in values:
@@ -534,10 +564,11 @@ class Execution:
             scope.inner[loop.name] = outer_variable
 
     def _execute_for(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
-        """Execute FOR; return the values of its variable.
+        """Execute FOR; return the value of its variable in each round.
 
-        :param routine: in which they are executed; `depth`: number of calls around it.
-        :raises RapidError: its bounds are unknown.
+        :param routine: the routine that contains it.
+        :param depth: number of calls around the routine.
+        :raises RapidError: its bounds are unknown, or a statement cannot be followed.
         """
         try:
             values = _loop_values(loop, scope)
@@ -548,10 +579,11 @@ class Execution:
         return values
 
     def _execute_while(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
-        """Execute WHILE; return the numbers of its rounds.
+        """Execute WHILE; return the numbers of its rounds, from 0. ``WHILE TRUE`` never returns, see `_follow_endless`.
 
-        :param routine: in which they are executed; `depth`: number of calls around it.
-        :raises RapidError: its condition is unknown.
+        :param routine: the routine that contains it.
+        :param depth: number of calls around the routine.
+        :raises RapidError: its condition is unknown, or a statement cannot be followed.
         """
         (condition,) = loop.bounds
         if condition.kind == "bool" and condition.value:
@@ -571,13 +603,14 @@ class Execution:
                 self._forget_results_of_functions(loop, scope)
 
     def _follow_endless(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
-        """Follow two rounds of a loop that does not end, check that they are equal, and keep the first.
+        """Execute two rounds of a loop that does not end, check that they are equal, and keep the first.
 
-        Nothing after the loop is reached.
+        Statements behind the loop never run.
 
-        :param routine: in which they are executed; `depth`: number of calls around it.
-        :raises RapidError: the second round differs, or the loop begins with a move whose start differs.
-        :raises _End: always, at the end.
+        :param routine: the routine that contains it.
+        :param depth: number of calls around the routine.
+        :raises RapidError: the second round differs, or the loop begins with a straight move, whose start differs.
+        :raises _End: in all other cases.
         """
         move_count = len(self.result.moves)
         self._execute_block(loop.body, scope, routine, depth)
@@ -601,17 +634,20 @@ class Execution:
         raise _End
 
     def _state(self, scope: Scope) -> list[tuple[str, Any]]:
-        """Return names and values of the data that have not the value of their declaration; constants have it."""
+        """Return names and values of all data, except those that still have the value of their declaration."""
         variables = (*self.data.items(), *scope.inner.items())
         return [(name, variable.value) for name, variable in variables if not variable.literal]
 
     # --- instructions
 
     def _execute_instruction(self, statement: Instruction, scope: Scope, depth: int) -> None:
-        """Execute an instruction: a move, a setting, a call, or one whose effect on data is known.
+        """Execute an instruction: a move, a setting, a call, or an instruction that changes data.
+
+        Instructions that cannot be followed are added to the errors. Data that an instruction may change in an unknown
+        way become unknown.
 
         :param depth: number of calls around the present routine.
-        :raises RapidError: it may move the robot in an unknown way.
+        :raises RapidError: there are too many errors, or a called routine cannot be followed.
         """
         name = statement.name.removeprefix("%")
         if statement.name in _LATE_CALLS:
@@ -648,16 +684,16 @@ class Execution:
             self._forget_data_of(name)
 
     def _refuse(self, statement: Statement, problem: str, advice: str) -> None:
-        """Record an error at a statement, so that later ones are found too.
+        """Add an error at a statement to the errors, so that later errors are found too.
 
-        :raises RapidError: there are too many.
+        :raises RapidError: there are more than `MAX_ERRORS`; it is the last.
         """
         self.result.errors.append(RapidError(problem, statement.start, advice))
         if len(self.result.errors) > MAX_ERRORS:
             raise self.result.errors.pop()
 
     def _check_connect(self, statement: Instruction) -> None:
-        """Record an error if the trap routine of CONNECT moves the robot."""
+        """Add an error if the trap routine of CONNECT moves the robot."""
         value = statement.arguments[0].value
         routine = self.effects.routines.get(value.value) if value is not None else None
         if routine is not None and self._routine_moves(routine):
@@ -665,7 +701,7 @@ class Execution:
             self._refuse(statement, problem, _KEEP)
 
     def _execute_counting(self, statement: Instruction, scope: Scope) -> None:
-        """Execute Incr, Decr, Add or Clear; the number becomes unknown if it cannot be calculated."""
+        """Execute Incr, Decr, Add or Clear; the data become unknown if the result cannot be calculated."""
         target = next(changed_arguments(statement.arguments), None)
         variable = None if target is None else scope.find(base_name(target))
         if target is None or variable is None:
@@ -679,7 +715,10 @@ class Execution:
             variable.forget(f"{statement.name} changes it")
 
     def _execute_setting(self, statement: Instruction, scope: Scope) -> None:
-        """Execute an instruction that changes how moves are executed: ConfJ, SingArea, CirPathMode, VelSet."""
+        """Execute an instruction that changes how moves are executed: ConfJ, SingArea, CirPathMode, VelSet.
+
+        ConfL has no effect here. Unknown speeds of VelSet are an error.
+        """
         switches = {argument.name for argument in statement.arguments if argument.name}
         setting, name = self.setting, statement.name
         fields = {"follows": setting.follows, "area": setting.area, "circles": setting.circles, "speed": setting.speed}
@@ -701,9 +740,14 @@ class Execution:
         self.setting = Setting(**fields)  # type: ignore[arg-type]
 
     def _execute_call(self, statement: Instruction, routine: Routine, scope: Scope, depth: int) -> None:
-        """Call a routine: bind its parameters, execute it, and forget data that it may have changed.
+        """Call a routine: bind its parameters, execute it, and make data unknown that it may have changed otherwise.
 
-        :param routine: in which they are executed; `depth`: number of calls around it.
+        A VAR, PERS or INOUT parameter whose argument is the name of data is these data. For an array element it gets
+        the value of the element, or is unknown if the routine may change the array. Behind the call, the array is
+        unknown.
+
+        :param routine: the called routine.
+        :param depth: number of calls around the calling routine.
         :raises RapidError: the routine cannot be followed.
         """
         inner = Scope(self.data)
@@ -711,7 +755,7 @@ class Execution:
         handler_names = self.effects.changed_by_handler(routine)
         for parameter, expression, is_given in bound:
             variable = Variable(parameter.type, None, f"the call of {routine.name} does not give it")
-            if parameter.changeable and _is_data_name(expression, scope):  # the routine has the data itself
+            if parameter.changeable and _is_data_name(expression, scope):
                 variable = scope.variable(expression.value)
             elif parameter.changeable and expression is not None and self._is_shared(routine, parameter, bound):
                 variable.why = f"{routine.name} may change it"
@@ -733,7 +777,7 @@ class Execution:
                 _forget_variable(scope.find(base_name(expression)), f"{routine.name} may change it")
 
     def _call_other_module(self, statement: Instruction, routine: Routine, scope: Scope) -> None:
-        """Make unknown what a routine of another loaded module may change; refuse one that moves the robot."""
+        """Make data unknown that a routine of another loaded module may change; add an error if it moves the robot."""
         if self._routine_moves(routine):
             problem = f"{routine.name} of another file moves the robot or changes how it moves"
             self._refuse(statement, problem, "Copy the routine to this file.")
@@ -744,8 +788,9 @@ class Execution:
             _forget_variable(self.data.get(name), reason)
 
     def _is_shared(self, routine: Routine, parameter: Parameter, bound: list[BoundArgument]) -> bool:
-        """Return whether a routine may change the data that a parameter is an element of, under another name too.
+        """Return whether a routine may change the array whose element is the argument of a parameter.
 
+        :param parameter: parameter whose argument is an array element.
         :param bound: parameters of the routine with their arguments.
         """
         names = [base_name(expression) for _, expression, _ in bound if expression is not None]
@@ -754,7 +799,10 @@ class Execution:
         return parameter.name in changed_names or base in changed_names or names.count(base) > 1
 
     def _frame_of_cell(self, name: str, type_: str) -> Value | None:
-        """Return what the cell states for a tool or work object that no module declares, and note that it was used."""
+        """Return the value of the cell for a tool or work object that no module declares; None if it has none.
+
+        Add a value to `result.assumed`.
+        """
         value = self.from_cell(name, type_)
         if value is not None:
             self.result.assumed[name] = type_
@@ -764,7 +812,7 @@ class Execution:
 def _check_names(modules: tuple[Module, ...]) -> None:
     """Check that no two modules declare one name.
 
-    :raises RapidError: two do; then it is LOCAL, and which one is meant depends on the module.
+    :raises RapidError: two modules do: the data or routine that a name means would depend on the module.
     """
     clash = name_clash(modules)
     if clash is not None:
@@ -775,7 +823,7 @@ def _check_names(modules: tuple[Module, ...]) -> None:
 def _check_functions(modules: tuple[Module, ...]) -> None:
     """Check that no routine has the name of a function of RAPID, or of an instruction that is followed.
 
-    :raises RapidError: one has.
+    :raises RapidError: a routine has such a name.
     """
     routine = named_like_rapid(modules)
     if routine is not None:
@@ -784,9 +832,10 @@ def _check_functions(modules: tuple[Module, ...]) -> None:
 
 
 def _interrupt_variable(variable: Variable | None, name: str) -> None:
-    """Make data unknown for the whole program, because a trap or handler may change them at any time.
+    """Make data unknown for the whole program: a trap or handler may change them at any time.
 
-    :param name: of the trap or handler.
+    :param variable: the data; None and constants are ignored.
+    :param name: name of the trap or handler, for messages.
     """
     if variable is not None and not _is_constant(variable):
         variable.forget(f"{name} may change it")
@@ -794,9 +843,9 @@ def _interrupt_variable(variable: Variable | None, name: str) -> None:
 
 
 def _loop_values(loop: Loop, scope: Scope) -> list[float]:
-    """Return the values of the variable of FOR.
+    """Return the value of the variable of FOR in each round; empty if the bounds contradict the step.
 
-    :raises UnknownValueError: they are not known, or their number depends on rounding.
+    :raises UnknownValueError: the bounds are not known, there are too many rounds, or their number depends on rounding.
     """
     begin, end, *stated_step = (number(bound, scope) for bound in loop.bounds)
     step = stated_step[0] if stated_step else (1.0 if end >= begin else -1.0)
@@ -808,19 +857,25 @@ def _loop_values(loop: Loop, scope: Scope) -> list[float]:
     if abs(count - round(count)) < ROUNDING * max(count, 1.0) and not (begin.is_integer() and step.is_integer()):
         raise UnknownValueError("whether there is a last round depends on the rounding of the controller")
     values = [begin]
-    while (end - values[-1] - step) * step >= 0.0:
+    while (end - values[-1] - step) * step >= 0.0:  # added up as the controller does
         values.append(values[-1] + step)
     return values
 
 
 def _forget_variable(variable: Variable | None, reason: str) -> None:
-    """Make data unknown unless they are constant; None is ignored."""
+    """Make data unknown; None and constants are ignored.
+
+    :param reason: reason for the message if the data are used later.
+    """
     if variable is not None and not _is_constant(variable):
         variable.forget(reason)
 
 
 def _initial_variable(declaration: Declaration) -> Variable:
-    """Return data as they are when the program begins."""
+    """Return data as they are declared, with the default value of their type if they have no initial value.
+
+    Initial values are evaluated later, when they are first used.
+    """
     variable = Variable(declaration.type, declaration=declaration, literal=declaration.value is not None)
     if declaration.value is None and not declaration.dimensions:
         variable.value = {"NUM": 0.0, "BOOL": False, "STRING": ""}.get(declaration.type)
@@ -828,7 +883,7 @@ def _initial_variable(declaration: Declaration) -> Variable:
 
 
 def _is_data_name(expression: Expression | None, scope: Scope) -> TypeGuard[Expression]:
-    """Return whether an argument is the name of data that are declared."""
+    """Return whether an argument is a whole name of declared data, not an element or another expression."""
     return expression is not None and expression.kind == "name" and scope.find(expression.value) is not None
 
 

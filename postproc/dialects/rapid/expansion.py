@@ -1,8 +1,8 @@
-"""Programs whose moves run more than once, as text in which each runs once.
+"""Programs whose moves run more than once, as text in which each move runs once.
 
-A corrected target is a place on one pass of the path: a statement that moves in several rounds of a loop, or in several
-calls of a routine, would need several. So such a loop is written out, round by round, and a routine gets a copy for
-each further call of it. Loops and routines without moves, or that run once, stay as they are.
+A corrected target is valid for one execution of a statement. A statement that moves in several rounds of a loop, or in
+several calls of a routine, would need several targets. So such a loop is written out round by round, and a routine gets
+a copy for each further call. Loops and routines without moves, or that run once, are unchanged.
 """
 
 from __future__ import annotations
@@ -21,18 +21,21 @@ from postproc.dialects.text import line_spans
 from postproc.program import Ints
 
 _MOST_CHARACTERS = 60_000_000
-"""Size of a module written out: a million motions of 60 characters."""
+"""Largest number of characters of an expanded module: a million motions of 60 characters."""
 _MOST_PASSES = 300
-"""Passes before loops and calls count as nested too deeply (assumed)."""
+"""Largest number of passes of expansion; beyond it, loops and calls are nested too deeply (assumed)."""
 _DIVIDE = "Divide the program, or convert the G-code or APT of this part."
 
 
 class ExpandedProgram(Struct, frozen=True, eq=False):
     """A program in which each statement that moves runs once.
 
-    :ivar text: of the program; `modules` what it says, `executed` what it does.
-    :ivar line: (L,) line of the file that each line of the text comes from, 1-based.
-    :ivar loops: lines of loops that were written out; `copies` names of routines that were copied.
+    :ivar text: text of the expanded program.
+    :ivar modules: its modules, parsed.
+    :ivar executed: result of its execution.
+    :ivar line: (L,) 1-based line of the file from which each line of the text comes.
+    :ivar loops: lines, in the file, of loops that were written out.
+    :ivar copies: names of routines that were copied.
     """
 
     text: str
@@ -52,10 +55,13 @@ def expand(
 ) -> ExpandedProgram:
     """Return a program, executed, in which each statement that moves runs once.
 
-    :param entry_of: chooses the routine that is run.
-    :param cell_value: see `Execution`, as for `loaded`; `without_effect`: see `Effects`.
-    :raises RapidSyntaxError: it is not RAPID.
-    :raises RapidError: it cannot be followed.
+    :param text: text of the file.
+    :param entry_of: returns the routine that is run, of the modules of a program.
+    :param cell_value: see `Execution`.
+    :param without_effect: see `Effects`.
+    :param loaded: see `Execution`.
+    :raises RapidSyntaxError: the text is not RAPID.
+    :raises RapidError: the program cannot be followed, or is too long when expanded; with its line in the file.
     """
     line = np.arange(len(line_spans(text)[0])) + 1
     loops: list[int] = []
@@ -85,15 +91,20 @@ def expand(
 
 
 def _line_at(text: str, line: Ints, start: int) -> int:
-    """Return the line of the file that an offset of the text comes from; `line` (L,) are those of its lines."""
+    """Return the line of the file from which the character at offset `start` of a text comes.
+
+    :param line: (L,) line of the file for each line of the text.
+    """
     return int(line[np.searchsorted(line_spans(text)[0], start, side="right") - 1])
 
 
 class _Change(Struct, frozen=True):
-    """A piece of the text, `start` to `stop`, and what replaces it.
+    """A change of a text: ``text[start:stop]`` is replaced by pieces.
 
-    :ivar pieces: new text in order, each with the offset in the old text that it is copied from; −1: it is new.
-    :ivar copied: name of the routine that this is a copy of; `is_loop`: this is a loop written out.
+    :ivar pieces: (origin, new text) in order; the origin is the offset in the old text from which it is copied, −1 for
+        new text.
+    :ivar copied: name of the routine, if the change inserts copies of it; otherwise empty.
+    :ivar is_loop: True if the change writes a loop out.
     """
 
     start: int
@@ -106,9 +117,11 @@ class _Change(Struct, frozen=True):
 def _first_changes(text: str, program_modules: Sequence[Module], execution: ExecutedProgram) -> list[_Change]:
     """Return the changes of the next pass; empty if each statement that moves runs once.
 
-    Loops that run once are written out first, the outermost of each nest. Without such loops, a routine that several
-    statements call, each once, gets a copy for each call but the first; one routine in a pass.
+    Loops whose statement runs once and that have several rounds are written out first; of nested loops, the outermost.
+    Without such loops, one routine that several statements call, each once, gets a copy for each further call.
 
+    :param text: the present text.
+    :param execution: result of its execution.
     :raises RapidError: a routine to be copied is called by its name as text, or a statement runs more than once for
         another reason.
     """
@@ -117,7 +130,7 @@ def _first_changes(text: str, program_modules: Sequence[Module], execution: Exec
         move_counts[move.statement.start] = move_counts.get(move.statement.start, 0) + 1
     if max(move_counts.values(), default=0) <= 1:
         return []
-    # loops that run once, with the values of their counter; those of a single round need no change
+    # loops that run once, with the values of their variable; loops of a single round need no change
     single_runs = [runs[0] for runs in execution.rounds.values() if len(runs) == 1 and len(runs[0][1]) > 1]
     outermost = [
         (loop, values)
@@ -135,9 +148,10 @@ def _first_changes(text: str, program_modules: Sequence[Module], execution: Exec
 
 
 def _copies(text: str, program_modules: Sequence[Module], name: str, calls: Sequence[Instruction]) -> list[_Change]:
-    """Return the changes that give each call of a routine but the first a copy of it, below the routine.
+    """Return the changes that insert a copy of a routine below it for each call except the first, and rename the calls.
 
-    :param calls: of the routine, each in a statement of its own.
+    :param name: name of the routine, upper case.
+    :param calls: its calls; each is another statement.
     :raises RapidError: a call has the name of the routine as text.
     """
     routines = {routine.name: routine for module in program_modules for routine in module.routines}
@@ -159,9 +173,11 @@ def _copies(text: str, program_modules: Sequence[Module], name: str, calls: Sequ
 
 
 def _free_name(name: str, number: int, routines: dict[str, Routine]) -> str:
-    """Return the name of a copy of a routine that no routine has, of at most 32 characters as RAPID allows.
+    """Return a new name for a copy of a routine, of at most 32 characters as RAPID allows.
 
-    :param name: of the routine, which is cut to make room for the number; `routines`: by name in upper case.
+    :param name: name of the routine, which is shortened to make room for the number.
+    :param number: number of the copy.
+    :param routines: name, upper case → routine: names in use.
     """
     copy = f"{name[:28]}_{number}"
     while copy.upper() in routines:
@@ -176,9 +192,9 @@ def _line_end(text: str) -> str:
 
 
 def _unroll(text: str, loop: Loop, values: Sequence[float]) -> _Change:
-    """Return the change that writes a loop out: its body once a round, after a comment with the round.
+    """Return the change that writes a loop out: for each round, a comment with the round, and the body.
 
-    :param values: of the variable of FOR in each round, which replace its name; of WHILE only their number counts.
+    :param values: value of the variable of FOR in each round, which replaces its name; for WHILE, one value per round.
     :raises RapidError: a second loop inside FOR has a variable of the same name.
     """
     begin, end = loop.inside
@@ -210,7 +226,7 @@ def _unroll(text: str, loop: Loop, values: Sequence[float]) -> _Change:
 
 
 def _uses(text: str, loop: Loop) -> list[tuple[int, int]]:
-    """Return the spans (start, stop) at which the body of FOR names its variable.
+    """Return the spans (start, stop) of the variable of FOR in its body, ascending.
 
     :raises RapidError: a second loop inside has a variable of the same name.
     """
@@ -228,9 +244,9 @@ def _uses(text: str, loop: Loop) -> list[tuple[int, int]]:
 
 
 def _first_characters(text: str) -> Ints:
-    """Return the offset (L,) of the first character of each line that is no blank; of an empty line that of its begin.
+    """Return the offset (L,) of the first character of each line that is no blank; of an empty line, its beginning.
 
-    A line comes from where this character does: a copied line then begins with its own text, not with new blanks.
+    This character decides from which line of the file a line comes: new blanks before copied text do not count.
     """
     offsets = []
     for start, stop in zip(*(bounds.tolist() for bounds in line_spans(text)), strict=True):
@@ -240,12 +256,14 @@ def _first_characters(text: str) -> Ints:
 
 
 def _apply_changes(text: str, line: Ints, changes: Sequence[_Change]) -> tuple[str, Ints]:
-    """Return the text with changes, and the line of the file that each of its lines comes from.
+    """Return the text with changes, and the line of the file (L',) from which each of its lines comes.
 
-    :param line: (L,) lines of the file of the lines of the old text.
-    :param changes: which do not overlap.
+    New lines come from the line at which their change begins.
+
+    :param line: (L,) line of the file for each line of the old text.
+    :param changes: changes that do not overlap.
     """
-    pieces: list[tuple[int, str]] = []  # text, and the offset it comes from; −1 − start of its change for new text
+    pieces: list[tuple[int, str]] = []  # offset of its origin, or −1 − start of the change for new text; and the text
     position = 0
     for change in sorted(changes, key=lambda change: (change.start, change.stop)):
         pieces.append((position, text[position : change.start]))
@@ -256,7 +274,7 @@ def _apply_changes(text: str, line: Ints, changes: Sequence[_Change]) -> tuple[s
     piece_begins = np.cumsum([0, *(len(piece) for _, piece in pieces)])[:-1]
     origins = np.array([origin for origin, _ in pieces])
     first_character = _first_characters(new_text)
-    piece = np.searchsorted(piece_begins, first_character, side="right") - 1
+    piece = np.searchsorted(piece_begins, first_character, side="right") - 1  # the piece that contains it
     offset = first_character - piece_begins[piece]
     old_offset = np.where(origins[piece] >= 0, origins[piece] + offset, -1 - origins[piece])
     old_row = np.searchsorted(line_spans(text)[0], old_offset, side="right") - 1

@@ -1,6 +1,6 @@
-"""Instructions and functions of RAPID by what they do: move the robot, set how it moves, change data or nothing.
+"""Instructions and functions of RAPID by their effect: they move the robot, set how it moves, change data or nothing.
 
-Source of what they do: ABB, Technical reference manual, RAPID Instructions, Functions and Data types (3HAC16581 and
+Source of the effects: ABB, Technical reference manual, RAPID Instructions, Functions and Data types (3HAC16581 and
 3HAC050917). Source of the names: the lists for editors in github.com/KnoP-01/rapid-for-vim (syntax/rapid.vim),
 github.com/RoboDK/Industrial-Robots-VSCode (python/theme_ABB.py) and github.com/ernell/ABB-RAPID-UTILITY-LIBRARY
 (SyntaxHighlight/RAPID.uew). A name that is in none of them counts as a routine of another file.
@@ -19,8 +19,13 @@ from postproc.program import CIRC, LIN, PTP
 class Form(Struct, frozen=True):
     """Arguments of an instruction that moves the robot.
 
-    :ivar points: how many targets come first; of two, the first is the point on the circle.
-    :ivar behind: how many arguments may follow the tool.
+    The order is: targets, speed, further arguments (`before_zone`), zone, tool, further arguments (`behind`).
+
+    :ivar kind: `LIN`, `CIRC` or `PTP`.
+    :ivar points: number of targets; of two, the first is the point on the circle.
+    :ivar joints: True if the target is a jointtarget.
+    :ivar before_zone: number of arguments between speed and zone.
+    :ivar behind: largest number of arguments behind the tool.
     """
 
     kind: int
@@ -47,14 +52,14 @@ MOVES: dict[str, Form] = {
     "TRIGGJ": Form(PTP, before_zone=1),
     "TRIGGC": Form(CIRC, points=2, before_zone=1),
 }
-"""Instructions that are followed; TriggL and its like switch at a distance from their end."""
+"""Instruction that is followed → its arguments. TriggL, TriggJ and TriggC switch before their end."""
 CONSTANT = {
     "ACCSET", "PATHACCLIM", "WORLDACCLIM", "GRIPLOAD", "MECHUNITLOAD", "EOFFSOFF", "PDISPOFF", "CORRCLEAR", "SOFTDEACT",
     "CORRDISCON", "STARTMOVE", "TRIGGIO", "TRIGGEQUIP", "TRIGGINT", "TRIGGSPEED", "TRIGGRAMPAO", "TRIGGCHECKIO",
 }  # fmt: skip
-"""Instructions of the family of moves that change neither the path nor the speed that counts here."""
+"""Instructions whose names begin like those of moves, but that change neither the path nor the speed of milling."""
 COUNTING = ("INCR", "DECR", "ADD", "CLEAR")
-"""Instructions that change a number, which are followed."""
+"""Instructions that change a number; they are followed."""
 _WRITING_NAMES = """
 CLKREAD TPREADFK TPREADNUM TPREADDNUM GETSYSDATA READBLOCK ALIASIO BITCLEAR BITSET BOOKERRNO CANCELLOAD CHECKPROGREF
 CLEARIOBUFF CLEARRAWBYTES CLOSEDIR COPYFILE COPYRAWBYTES GETDATAVAL GETTRAPDATA IERROR IOBUSSTART IOBUSSTATE IODISABLE
@@ -68,9 +73,9 @@ WRITERAWBYTES WRITESTRBIN WRITEVAR WZBOXDEF WZCYLDEF WZDISABLE WZDOSET WZENABLE 
 WZLIMSUP WZSPHDEF
 """
 WRITING = frozenset((*COUNTING, *_WRITING_NAMES.split()))
-"""Instructions that move nothing and change no data but their arguments."""
+"""Instructions that move nothing and change no data except their arguments."""
 BY_NAME = frozenset(("SETDATAVAL", "SETALLDATAVAL"))
-"""Instructions that change data whose names the program puts together."""
+"""Instructions that change data whose names are computed at run time."""
 READING = HARMLESS - WRITING | {
     "TPSHOW", "ERRWRITE", "ERRLOG", "ACTUNIT", "DEACTUNIT", "WRITE", "OPEN", "CLOSE", "IDELETE", "ISIGNALDI",
     "ISIGNALDO", "IENABLE", "IDISABLE", "IWATCH", "ISLEEP", "ITIMER", "EXITCYCLE", "BREAK", "SPEEDREFRESH",
@@ -81,7 +86,7 @@ READING = HARMLESS - WRITING | {
 RESULT_OPTIONS = {
     "TIMEFLAG", "VALUEATTIMEOUT", "RESULT", "ERRORNUMBER", "ERRORSTRING", "BREAKFLAG", "DICTIONARYSTRING",
 }  # fmt: skip
-"""Options of instructions whose data they change."""
+"""Options of instructions to whose data the instruction writes a result."""
 _PURE_NAMES = """
 OFFS RELTOOL ORIENTZYX EULERZYX ABS SQRT POW EXP SIN COS TAN ASIN ACOS ATAN ATAN2 ROUND TRUNC MAX MIN NUMTOSTR VALTOSTR
 STRLEN STRPART STRFIND STRMATCH STRMAP STRMEMB STRORDER STRTOBYTE BYTETOSTR DECTOHEX HEXTODEC BITAND BITOR BITXOR
@@ -105,7 +110,7 @@ READSTRBIN READDIR READVAR CORRREAD TESTANDSET GETNEXTMECHUNIT GETNEXTSYM GETSIG
 CALCROTAXISFRAME CALCROTAXFRAMEZ DEFACCFRAME PARIDPOSVALID
 """
 FUNCTIONS = PURE | frozenset(_CHANGING_NAMES.split())
-"""Functions of RAPID. Those besides `PURE` may change their arguments, but no other data."""
+"""Functions of RAPID. Functions that are not in `PURE` may change their arguments, but no other data."""
 _PROCESS_MOVES = re.compile(
     "ARC(ADAPT|CALC)?[CL][12]?(START|END)?|ARC(ADAPT)?REPL|ARCMOVEEXTJ|BESETUPTOOLJ|CALIB[JL]|CAP[CL]|CONTACTL|CSSDEACTMOVEL|"
     "DAPROCM[JL]|DISP[CL]|DROPWOBJ|EGM(MOVE[CL]|RUNJOINT|RUNPOSE)|FCPRESS(1LSTART|[CL]|END)|FCREFSTART|GLUE[CJL]|"

@@ -51,15 +51,15 @@ MOVING = re.compile(
     "SOFT|CORR|ACCSET|VELSET|PATHACC|GRIPLOAD|MECHUNITLOAD|WORLDACC"
 )
 """First letters of instructions that move the robot or change how it moves."""
-_SIGN = np.array([-1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
-_ZERO = np.array([0.0, 90.0, -90.0, 0.0, 0.0, 0.0])
-"""Signs and zeros [deg] of ABB's joint angles against KUKA's, in which joint angles are here."""
-_SAME_QUADRANT = 1e-6
-"""An angle this close below a quadrant [deg] counts as its beginning (rounding)."""
+_ABB_SIGN = np.array([-1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
+_ABB_ZERO = np.array([0.0, 90.0, -90.0, 0.0, 0.0, 0.0])
+"""J = sign · A + zero [deg]: ABB's joint angles J of joint angles A with KUKA's signs, which are used elsewhere."""
+_QUADRANT_TOLERANCE = 1e-6
+"""An angle that is less than this below a quadrant [deg] belongs to it: the difference is rounding."""
 
 
 def fault_of(name: str) -> str | None:
-    """Return the controller's reason to refuse a program name, or None if it is valid.
+    """Return the reason why the controller refuses a program name; None if it is valid.
 
     >>> fault_of("PART_1"), fault_of("_1")
     (None, 'it does not begin with a letter')
@@ -76,7 +76,7 @@ def fault_of(name: str) -> str | None:
 
 
 def valid_name(name: str) -> str:
-    """Return the name itself if the controller accepts it, otherwise a similar valid one.
+    """Return the name itself if the controller accepts it, otherwise a similar valid name.
 
     >>> valid_name("part_1"), valid_name("1001"), valid_name("Gehäuse oben.2"), valid_name("stop")
     ('part_1', 'P1001', 'Gehaeuse_oben_2', 'P_stop')
@@ -96,12 +96,12 @@ END = ("ConfL\\On;", "CirPathMode\\PathFrame;")
 """Settings for the moves, and the defaults of RAPID that are restored after them."""
 _INSTRUCTION = re.compile(r"([A-Za-z]\w*)(?:[ \t\\][^;]*)?;", re.ASCII)
 _ASSIGNMENT = re.compile(r"([A-Za-z]\w*)[\w.{},]*[ \t]*:=[^;]+;", re.ASCII)
-_OURS = re.compile(r"(?:tool|wobj|speed|zone)_[0-9]+", re.IGNORECASE)
-"""Names of data that moves refer to."""
+_MOVE_DATA = re.compile(r"(?:tool|wobj|speed|zone)_[0-9]+", re.IGNORECASE)
+"""Names of the data of a new module that its moves use."""
 
 
 def line_fault(line: str) -> str | None:
-    """Return the reason that a line is not allowed between moves, or None if it is.
+    """Return the reason why a line of the cell is not allowed between moves; None if it is allowed.
 
     >>> line_fault("SetDO doSpindle,1;"), line_fault("$OUT[1]=TRUE")
     (None, 'it is not a RAPID instruction that ends with a semicolon')
@@ -116,38 +116,39 @@ def line_fault(line: str) -> str | None:
         return f"{word} changes the execution order"
     if MOVING.match(word.upper()):
         return f"{word} moves the robot or changes how it moves"
-    if _OURS.fullmatch(word):
+    if _MOVE_DATA.fullmatch(word):
         return f"{word} is used by the moves"
     return None
 
 
 def abb_from_joints(q: Array) -> Array:
     """Return ABB's J1…J6 (…, 6) [deg] of joint angles A1…A6 (…, 6) [rad]."""
-    return np.asarray(_SIGN * q * DEG_PER_RAD + _ZERO)
+    return np.asarray(_ABB_SIGN * q * DEG_PER_RAD + _ABB_ZERO)
 
 
 def joints_from_abb(angles: Array) -> Array:
     """Return joint angles A1…A6 (…, 6) [rad] of ABB's J1…J6 (…, 6) [deg]."""
-    return np.asarray(_SIGN * (angles - _ZERO) * RAD_PER_DEG)
+    return np.asarray(_ABB_SIGN * (angles - _ABB_ZERO) * RAD_PER_DEG)
 
 
 def configuration(q: Array, status: Ints) -> Ints:
     """Return cf1, cf4, cf6, cfx (n, 4) of robtargets.
 
     cf1, cf4 and cf6 are the quadrants of J1, J4, J6: 0 from 0° to 90°, −1 from −90° to 0°, and so on. cfx, 0…7, is the
-    sum of 4 if the wrist centre is behind axis 1, 2 if it is behind the lower arm, 1 if J5 is negative. The status S of
-    KUKA has the same bits, but its bit 1 is set if the wrist centre is *in front of* the line through axes 2 and 3.
-    (ABB, data type confdata.)
+    sum of 4 if the wrist centre is behind axis 1, 2 if it is behind the lower arm, 1 if J5 is negative (ABB, data type
+    confdata). The status S of KUKA states the same in the opposite order of bits, but its bit 1 is set if the wrist
+    centre is *in front of* the line through axes 2 and 3.
 
-    :param q: (n, 6) joint angles, KUKA signs [rad]; `status` (n,) KUKA S.
+    :param q: (n, 6) joint angles, KUKA signs [rad].
+    :param status: (n,) status S of KUKA.
     """
-    quadrant = np.floor((abb_from_joints(q)[:, [0, 3, 5]] + _SAME_QUADRANT) / 90.0).astype(np.int64)
+    quadrant = np.floor((abb_from_joints(q)[:, [0, 3, 5]] + _QUADRANT_TOLERANCE) / 90.0).astype(np.int64)
     cfx = 4 * (status & 1) + 2 * (1 - (status >> 1 & 1)) + (status >> 2 & 1)
     return np.column_stack([quadrant, cfx])
 
 
 def status_from_cfx(cfx: Ints) -> Ints:
-    """Return the status S of KUKA (n,) for cfx (n,)."""
+    """Return the status S of KUKA (n,) for cfx (n,); the inverse of the last column of `configuration`."""
     return np.asarray((cfx >> 2 & 1) + 2 * (1 - (cfx >> 1 & 1)) + 4 * (cfx & 1))
 
 
@@ -160,20 +161,20 @@ def quaternions(rotation: Array) -> Array:
     trace = np.einsum("nii->n", r)
     diagonal = np.einsum("nii->ni", r)
     square = np.column_stack([1.0 + trace, 1.0 - trace[:, None] + 2.0 * diagonal])  # 4·qᵢ²
-    column = np.empty((len(r), 4, 4))  # row i: 4·qᵢ·q
+    multiples = np.empty((len(r), 4, 4))  # row i: 4·qᵢ·q
     x, y, z = r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]
     xy, xz, yz = r[:, 0, 1] + r[:, 1, 0], r[:, 0, 2] + r[:, 2, 0], r[:, 1, 2] + r[:, 2, 1]
-    column[:, 0] = np.column_stack([square[:, 0], x, y, z])
-    column[:, 1] = np.column_stack([x, square[:, 1], xy, xz])
-    column[:, 2] = np.column_stack([y, xy, square[:, 2], yz])
-    column[:, 3] = np.column_stack([z, xz, yz, square[:, 3]])
-    q = column[np.arange(len(r)), np.argmax(square, axis=1)]
+    multiples[:, 0] = np.column_stack([square[:, 0], x, y, z])
+    multiples[:, 1] = np.column_stack([x, square[:, 1], xy, xz])
+    multiples[:, 2] = np.column_stack([y, xy, square[:, 2], yz])
+    multiples[:, 3] = np.column_stack([z, xz, yz, square[:, 3]])
+    q = multiples[np.arange(len(r)), np.argmax(square, axis=1)]
     q /= np.sqrt(np.einsum("ni,ni->n", q, q))[:, None]
     return np.asarray(np.where(q[:, :1] < 0.0, -q, q))
 
 
 def rotations(q: Array) -> Array:
-    """Return rotations (n, 3, 3) of quaternions (n, 4); they need not be normalised to the last digit."""
+    """Return rotations (n, 3, 3) of quaternions (n, 4), real part first; quaternions are normalised here."""
     w, x, y, z = (q / np.sqrt(np.einsum("ni,ni->n", q, q))[:, None]).T
     return np.moveaxis(
         np.array(
@@ -189,7 +190,7 @@ def rotations(q: Array) -> Array:
 
 
 def poses(numbers: Array) -> Array:
-    """Return poses (n, 4, 4) [m] of x, y, z [mm], q1…q4 (n, 7), as the controller stores these numbers."""
+    """Return poses (n, 4, 4) [m] of x, y, z [mm], q1…q4 (n, 7), rounded to single precision as in the controller."""
     stored_numbers = numbers.astype(np.float32).astype(np.float64)
     matrices = np.broadcast_to(np.eye(4), (len(numbers), 4, 4)).copy()
     matrices[:, :3, :3] = rotations(stored_numbers[:, 3:])

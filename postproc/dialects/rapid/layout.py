@@ -14,9 +14,9 @@ class Layout(Struct, frozen=True, eq=False):
     """The text of M motions.
 
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in the work objects, as written.
-    :param text: the module with loops and routines expanded, see `expansion`; that of the file if `plain`.
-    :param plain: nothing was expanded.
-    :param moves: (M) the motions.
+    :param text: text with loops and routines expanded, see `expansion`; the text of the file if `plain`.
+    :param plain: True if nothing was expanded.
+    :param moves: (M,) the motions.
     :param notes: force comments of the program, in order.
     :param declared: names of all data, upper case.
     """
@@ -32,4 +32,4 @@ class Layout(Struct, frozen=True, eq=False):
         """Return None: a module is one file."""
 
     def orientation_types(self, rows: Ints) -> None:
-        """Return None: RAPID has no such setting."""
+        """Return None: RAPID has no setting like `$ORI_TYPE`."""

@@ -1,6 +1,6 @@
-"""Modules that the controller has loaded beside the program: their data, and what their routines change.
+"""Modules that the controller has loaded in addition to the program: their data, and changes by their routines.
 
-Their routines are not run here: what they change is not known from their call on, and they must not move the robot.
+Their routines are not executed: data that they change are unknown behind their calls, and they must not move the robot.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from postproc.program import Document
 
 
 class LoadedModules(Struct, frozen=True, eq=False):
-    """Modules beside the program.
+    """Modules in addition to the program.
 
-    :ivar data: of all of them, by name, as when the program begins. LOCAL data are not among them.
+    :ivar data: name → data of all these modules at the beginning of the program, without LOCAL data.
     """
 
     modules: tuple[Module, ...] = ()
@@ -39,9 +39,10 @@ class LoadedModules(Struct, frozen=True, eq=False):
 
 
 def load_modules(cell: Cell) -> LoadedModules:
-    """Return the modules that a cell names.
+    """Return the modules that [rapid] of a cell names.
 
-    :raises CellError: a file cannot be read, or a name in it has another meaning too.
+    :raises CellError: a file cannot be read, two modules declare one name, or a routine is named like an instruction or
+        function of RAPID.
     :raises ProgramError: a file is not RAPID.
     """
     files = [Path(cell.folder) / name for name in cell.rapid.modules]
@@ -60,7 +61,10 @@ def load_modules(cell: Cell) -> LoadedModules:
 
 
 class NameClash(NamedTuple):
-    """Data or a routine whose name another module declares before, and the names of the two modules."""
+    """A name that two modules declare.
+
+    :ivar item: data or routine of the second module.
+    """
 
     item: Declaration | Routine
     first_module: str
@@ -70,7 +74,7 @@ class NameClash(NamedTuple):
 def name_clash(modules_of_task: Iterable[Module]) -> NameClash | None:
     """Return the first declaration whose name an earlier module declares too; None if all names differ.
 
-    A LOCAL name counts too: which one is meant depends on the module.
+    LOCAL names count too: the data or routine that a name means would depend on the module.
     """
     module_of: dict[str, str] = {}
     for module in modules_of_task:
@@ -83,9 +87,9 @@ def name_clash(modules_of_task: Iterable[Module]) -> NameClash | None:
 
 
 def named_like_rapid(modules_of_task: Iterable[Module]) -> Routine | None:
-    """Return the first routine with the name of a function of RAPID, or of an instruction that is followed.
+    """Return the first routine that is named like a followed function or instruction of RAPID; None without one.
 
-    Its name would mean another thing there than on other controllers.
+    A call of this name would be executed as that of RAPID.
     """
     names = {*MOVES, *SETTINGS, *FOLLOWED_FUNCTIONS, *COUNTING}
     return next((routine for module in modules_of_task for routine in module.routines if routine.name in names), None)
@@ -94,15 +98,15 @@ def named_like_rapid(modules_of_task: Iterable[Module]) -> Routine | None:
 def _modules_of(file: Path) -> tuple[Module, ...]:
     """Return the modules of a file.
 
-    :raises CellError: it cannot be read.
-    :raises ProgramError: it is no valid RAPID.
+    :raises CellError: the file cannot be read.
+    :raises ProgramError: the file is not valid RAPID.
     """
     document = _document(file)
     try:
         return modules(document.text)
     except RapidSyntaxError as cause:
         starts, stops = line_spans(document.text)
-        row = int((starts <= cause.start).sum()) - 1  # the last line that begins at the fault or before it
+        row = int((starts <= cause.start).sum()) - 1  # index of the last line that begins at or before the error
         line_text = document.text[starts[row] : stops[row]].strip()
         advice = "Check the file in RobotStudio, or leave it out of [rapid] modules."
         raise ProgramError(cause.problem, file=file.name, line=row + 1, text=line_text, advice=advice) from None
@@ -111,7 +115,7 @@ def _modules_of(file: Path) -> tuple[Module, ...]:
 def _document(file: Path) -> Document:
     """Return the text of a module file.
 
-    :raises CellError: it cannot be read.
+    :raises CellError: the file cannot be read.
     """
     try:
         return decode(file.name, file.read_bytes())
@@ -121,7 +125,7 @@ def _document(file: Path) -> Document:
 
 
 def _data(loaded_modules: tuple[Module, ...]) -> dict[str, Variable]:
-    """Return the data of modules with their values; where one is not known, with the reason."""
+    """Return the data of modules that are not LOCAL, with their values, or with the reason why a value is not known."""
     declarations = {item.name: item for module in loaded_modules for item in module.data}
     declared = {
         name: Variable(item.type, declaration=item, literal=item.value is not None)
