@@ -5,7 +5,7 @@ from postproc import interrupts
 
 def main() -> None:
     """Run the command line."""
-    interrupts.leave_at_once()
+    interrupts.leave_at_once()  # before the slow import, so that Ctrl+C during it ends without a traceback
     from postproc.cli import main as command
 
     command(prog_name="postproc")

@@ -192,11 +192,15 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
             raise ImpossiblePathError(unreachable(program, np.array(cause.rows))) from None
 
     def has_model_factor(self, path_forces: PathForces, motion: Ints) -> Bools:
-        """Return on which motions (n,) the errors of the forces are the factor that the model was identified with."""
-        factor, by_law = self.robot.force_factor, path_forces.by_law
-        if factor is None or by_law is None or not factor.is_of(by_law.numbers):
+        """Return True (n,) for motions whose forces come from the cutting law that the robot model was identified with.
+
+        The error of these forces is one factor, `RobotModel.force_factor`, which is a parameter of the model. False for
+        all motions if the model has no such factor, or if the factor is that of another law.
+        """
+        factor, computed_cuts = self.robot.force_factor, path_forces.by_law
+        if factor is None or computed_cuts is None or not factor.is_of(computed_cuts.numbers):
             return np.zeros(len(motion), dtype=np.bool_)
-        return np.asarray(np.isin(motion, by_law.motion))
+        return np.asarray(np.isin(motion, computed_cuts.motion))
 
     @cached_property
     def tool_spring(self) -> ToolSpring | None:
@@ -270,8 +274,12 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         return force + float(tool_compliance[:3].max()), moment + float(tool_compliance[3:].max())
 
     def compensate(self, target: Array, q_nominal: Array, tool: Array, wrench: Array) -> Compensation:
-        """Find the commanded poses that put the loaded tool at its targets (n, 4, 4): `elastostatics.compensate`.
+        """Find the commanded poses that put the loaded tool at its targets: see `elastostatics.compensate`.
 
+        A compliant holder, spindle or tool deflects beyond the arm: the arm then aims at targets moved against that
+        deflection, and carries the moment about its own tip.
+
+        :param target: (n, 4, 4) tool frames in the root [m].
         :param q_nominal: (n, 6) joint angles of the uncorrected targets [rad].
         :param tool: (4, 4) or (n, 4, 4) tool in the flange frame [m].
         :param wrench: (n, 6) at the tip, root axes [N, N·m].

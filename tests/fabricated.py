@@ -73,9 +73,9 @@ def result(count: int = 100, mode: Mode = "convert") -> Result:
         q=np.tile(np.radians([0.0, -70.0, 110.0, 0.0, 50.0, 0.0]), (count, 1)),
         joint_margin=np.radians([180.0, 60.0, 40.0, 340.0, 70.0, 350.0]),
         singular_value=0.21,
-        between=4e-6 if mode == "convert" else 1.5e-3,
+        path_deviation=4e-6 if mode == "convert" else 1.5e-3,
         rounding=np.zeros(count),
-        programmed=np.zeros(count),
+        programmed_rounding=np.zeros(count),
         file_forces=None,
         deflection_by_tool=None,
         largest_correction=1.5e-3,
@@ -95,7 +95,7 @@ def _errors(of: Result, chance: float = 0.99) -> ExpectedErrors | None:
     """Expected errors as if all of the bound were along the deviation, half of its variance by forces."""
     if of.bound is None:
         return None
-    more = np.maximum(of.rounding - of.programmed, 0.0) + of.between
+    more = np.maximum(of.rounding - of.programmed_rounding, 0.0) + of.path_deviation
     after = np.where(of.rapid, 0.0, of.bound + more)
     known = 0.5**0.5 * float(after.max(initial=0.0))
     return ExpectedErrors(np.where(of.rapid, 0.0, of.before + of.bound), after, chance, known, known)

@@ -307,7 +307,7 @@ def _inserted_rotations(
 ) -> tuple[Ints, Array]:
     """Return inserted targets (n,) and the angles by which they turn the tool from the nominal path there (n,) [rad].
 
-    Without forces, at the same share of the way, and less the rotations of the pairs next to it.
+    Without forces, at the same share of the stretch, and less the rotations of the pairs next to it.
     """
     cuts = comparison.cuts
     if cuts is not None and len(cuts.row):
@@ -379,10 +379,10 @@ def _backward_moves(comparison: Comparison) -> Iterator[Difference]:
 def _ways_off_path(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
-    """Yield ways between pairs on which the second path is farther from the nominal one than its targets are.
+    """Yield stretches between pairs on which the second path is farther from the nominal one than its targets are.
 
-    An arc with a wrong auxiliary point is such a way: its targets are right. `_deviations_under_force` reports the ways
-    that are checked under forces.
+    An arc with a wrong auxiliary point is such a stretch: its targets are right. `_deviations_under_force` reports
+    stretches that are checked under forces.
     """
     if comparison.curves is None:
         return
@@ -394,7 +394,7 @@ def _ways_off_path(
     missing_rows = comparison.only_nominal[comparison.only_nominal < nominal_row[-1]]
     is_off_path[np.searchsorted(nominal_row, missing_rows)] = False
     pairs = np.flatnonzero(is_off_path)[:_MAX_WAYS]
-    distances = np.array([_distance_of_way(comparison, nominal_path, corrected_path, int(k)) for k in pairs])
+    distances = np.array([_distance_on_stretch(comparison, nominal_path, corrected_path, int(k)) for k in pairs])
     exceeds = distances > limits[pairs]
     pairs, distances = pairs[exceeds], distances[exceeds]
     if len(pairs):
@@ -406,20 +406,20 @@ def _ways_off_path(
 
 
 _MAX_WAYS = 1000
-"""Ways whose distance from the nominal path is computed (assumed)."""
+"""Stretches whose distance from the nominal path is computed (assumed)."""
 _PLACES = 65
 """Places of the second path looked at on each of them (assumed)."""
 
 
 def _pairs_under_force(comparison: Comparison) -> Ints:
-    """Return the pairs (n,) on the way to which the second path is checked under forces; none without forces."""
+    """Return the pairs (n,) whose stretch, from the pair before, is checked under forces; none without forces."""
     cuts = comparison.cuts
     if cuts is None or not len(cuts.row):
         return np.zeros(0, dtype=np.int64)
     return distinct(np.searchsorted(comparison.pair[:, 1], cuts.row[cuts.t < 1.0]))  # t < 1: between targets
 
 
-def _distance_of_way(
+def _distance_on_stretch(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram, k: int
 ) -> float:
     """Return the largest distance [m] of the second path from the nominal one, between pair k − 1 and pair k > 0.
@@ -452,10 +452,10 @@ def _deviations_under_force(comparison: Comparison, nominal_path: PlacedProgram)
     at_end[cuts.row[cuts.t == 1.0]] = cuts.corrected_distance[cuts.t == 1.0]
     largest_at_ends = np.maximum(at_end[cuts.row], at_end[cuts.row - 1])
     limits = largest_at_ends + nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN
-    way = np.searchsorted(comparison.pair[:, 1], cuts.row)
+    stretch = np.searchsorted(comparison.pair[:, 1], cuts.row)
     # missing targets have a difference of their own
-    is_way_with_missing = np.isin(way, np.searchsorted(comparison.pair[:, 0], comparison.only_nominal))
-    places = np.flatnonzero((cuts.corrected_distance > limits) & (cuts.t < 1.0) & ~is_way_with_missing)
+    has_missing_target = np.isin(stretch, np.searchsorted(comparison.pair[:, 0], comparison.only_nominal))
+    places = np.flatnonzero((cuts.corrected_distance > limits) & (cuts.t < 1.0) & ~has_missing_target)
     if len(places):
         worst = places[np.argmax(cuts.corrected_distance[places])]
         row = int(cuts.row[worst])
@@ -464,7 +464,7 @@ def _deviations_under_force(comparison: Comparison, nominal_path: PlacedProgram)
             "nominal path before this target."
         )
         message += _arc_advice(comparison, np.array([row]))
-        rows = (int(comparison.pair[way[worst], 0]), row)
+        rows = (int(comparison.pair[stretch[worst], 0]), row)
         yield warning_at(comparison, "between", message, rows, len(distinct(cuts.row[places])))
 
 
@@ -497,26 +497,25 @@ def _cut_corners(
 
 
 def _allowed_rounding(comparison: Comparison, nominal_path: PlacedProgram, rows: Ints) -> Array:
-    """Return by how much the nominal program allows targets of the second one to be rounded (n,) [m].
+    """Return how much rounding (n,) [m] of the second program's targets the nominal program allows.
 
-    A program of G-code allows what G64 or the cell states, and nothing at exact stops; one of KRL its own rounding,
-    where its approximation distance is the same: other ones are a difference of their own, so that any rounding is
-    allowed here. Nothing is allowed at targets that it does not have.
+    G-code and APT: the tolerance that G64 or the cell states; 0 at exact stops. KRL and RAPID: the rounding by the
+    approximation distance of the nominal program; infinite where the two programs have different approximation
+    distances, since that is reported separately. 0 at targets that the nominal program does not have.
 
-    :param rows: (n,) motions of the second program, ascending, those of all pairs among them.
+    :param rows: (n,) motions of the second program, ascending; the motions of all pairs are among them.
     """
     m, (nominal_rows, corrected_rows) = comparison.nominal.motions, comparison.pair.T
-    if comparison.nominal.keeps_text:
-        corners = corners_of_motions(nominal_path.program, nominal_path.segments, np.arange(len(m)))
-        programmed_rounding = corners.rounding(m.blend)
-    else:
-        programmed_rounding = np.where(m.blend > 0.0, m.rounding, 0.0)
     allowed_rounding = np.zeros(len(rows))
     index_of_pair = np.searchsorted(rows, corrected_rows)
-    allowed_rounding[index_of_pair] = programmed_rounding[nominal_rows]
-    if comparison.nominal.keeps_text:
-        blend_change = np.abs(comparison.corrected.motions.blend[corrected_rows] - m.blend[nominal_rows])
-        allowed_rounding[index_of_pair[blend_change > SAME_LENGTH]] = np.inf
+    if not comparison.nominal.keeps_text:  # G-code or APT
+        programmed_rounding = np.where(m.blend > 0.0, m.rounding, 0.0)
+        allowed_rounding[index_of_pair] = programmed_rounding[nominal_rows]
+        return allowed_rounding
+    corners = corners_of_motions(nominal_path.program, nominal_path.segments, np.arange(len(m)))
+    allowed_rounding[index_of_pair] = corners.rounding(m.blend)[nominal_rows]
+    blend_change = np.abs(comparison.corrected.motions.blend[corrected_rows] - m.blend[nominal_rows])
+    allowed_rounding[index_of_pair[blend_change > SAME_LENGTH]] = np.inf
     return allowed_rounding
 
 

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from postproc import toolpath
 from postproc.chunks import Columns, in_chunks
-from postproc.comparison.paths import NO_DISTANCE, PlacedProgram, file_and_line, way_limits
+from postproc.comparison.paths import NO_DISTANCE, PlacedProgram, file_and_line, stretch_limits
 from postproc.comparison.result import Comparison, Cuts, wrench_in_nominal_base
 from postproc.errors import ForceError, NotConvergedError
 from postproc.forces import BEHIND_STEP, PathForces
@@ -21,25 +21,28 @@ from postproc.frames import Array, angle_between, norm
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program
 from postproc.simulation import number_of_places
 
-_ROUNDS, _DIFFERENCE_STEP, _NO_LENGTH = 4, 1e-6, 0.05
-"""Gauss-Newton steps to the nearest place of the path; the step of its finite differences [m]; a rate of change per
-length below which the place does not matter."""
-_EXACT = 1e-8
+_GAUSS_NEWTON_STEPS = 4
+"""Gauss-Newton steps to the nearest place of the path."""
+_DIFFERENCE_STEP = 1e-6
+"""Step of their finite differences [m]."""
+_LEAST_RATE = 0.05
+"""Rate of change of the distance per length below which the place does not matter."""
+_SUFFICIENT_DISTANCE = 1e-8
 """A distance at targets that is not improved further [m] (assumed)."""
-_CLOSE = 0.2
-"""A distance at targets, as a share of the tolerance, that is not sought elsewhere (assumed)."""
-_START_VALUES, _RAMPS, _SAMPLES, _REFINEMENTS = 65, 3.0, 9, 3
-"""Places tried on the whole way, and on this many times the ramp of a force; then refined so often (assumed)."""
-_FIRST = np.geomspace(1e-5, 1e-2, 13)
-"""And these shares of the way: where a move begins with a step, the force may change over some micrometres."""
-_PROBE = np.array([100.0, 100.0, 100.0, 10.0, 10.0, 10.0])
+_CLOSE_SHARE = 0.2
+"""A distance at targets, as a share of the tolerance, beyond which a nearer place is sought elsewhere (assumed)."""
+_START_VALUES, _RAMPS, _RAMP_SAMPLES, _REFINEMENTS = 65, 3.0, 9, 3
+"""Places tried on the whole stretch, and on this many times the ramp of a force; then refined so often (assumed)."""
+_FIRST_SHARES = np.geomspace(1e-5, 1e-2, 13)
+"""And these shares of the stretch: where a move begins with a step, the force may change over some micrometres."""
+_PROBE_WRENCH = np.array([100.0, 100.0, 100.0, 10.0, 10.0, 10.0])
 """Forces [N] and moments [N·m] from which the compliance at the tip is taken."""
 _MIN_PARTS = 2
 """Places at which pieces of the second program are checked at least: it may leave its path between targets."""
-_STEEP = 2e-4
-"""A piece is steep if what its ends are displaced by differs by more than this [m] (assumed)."""
-_SHORTEST = 2.0 * BEHIND_STEP
-"""Nominal way [m] below which a piece is not checked between its ends."""
+_STEEP_CHANGE = 2e-4
+"""A piece is steep if the displacements of its two ends differ by more than this [m] (assumed)."""
+_MIN_PIECE_LENGTH = 2.0 * BEHIND_STEP
+"""A piece whose stretch of the nominal path is shorter [m] is not checked between its ends."""
 
 
 def deviation(side: PlacedProgram, motion: Ints, q: Array, wrench: Array, displacement: Array) -> Array:
@@ -129,19 +132,19 @@ def _orientation_errors(comparison: Comparison, nominal_path: PlacedProgram, wre
 def cuts_between_pairs(
     comparison: Comparison, cuts: Cuts, nominal_path: PlacedProgram, corrected_path: PlacedProgram, load: PathForces
 ) -> Cuts:
-    """Return the deviations with those at the other targets of the second program, and between targets.
+    """Return the deviations at the pairs with those at the other targets of the second program, and between targets.
 
-    Each place of the second program belongs to the place of the nominal path, on the way between the same pairs, that
-    the loaded tip is nearest to.
+    Each place of the second program is compared with the place of the nominal path that its loaded tip is nearest to,
+    on the stretch between the same pairs.
 
     :param cuts: the deviations at the pairs.
     :param load: the forces along the nominal program.
     :raises ForceError: the arm has no equilibrium under a force.
     """
-    ways = Ways.from_pairs(comparison, nominal_path, corrected_path)
-    search = Search(nominal_path, corrected_path, load, ways)
-    ends = ways.targets(comparison)
-    at_ends = _NearestPlaces.by(search, ends, np.ones(len(ends)), ways.guess(ends), _EXACT)
+    stretches = Stretches.from_pairs(comparison, nominal_path, corrected_path)
+    search = Search(nominal_path, corrected_path, load, stretches)
+    ends = stretches.targets(comparison)
+    at_ends = _NearestPlaces.by(search, ends, np.ones(len(ends)), stretches.guess(ends), _SUFFICIENT_DISTANCE)
     end_length = np.full(len(corrected_path.program.motions), np.nan)
     end_length[comparison.pair[:, 1]] = nominal_path.arc_length[comparison.pair[:, 0] + 1]
     end_length[at_ends.row] = at_ends.length
@@ -196,60 +199,64 @@ class _NearestPlaces(Columns, frozen=True, eq=False):
 
 
 def _places_inside_pieces(search: Search, end_length: Array) -> _NearestPlaces:
-    """Return places inside of the lines and arcs of the second program, with the nominal ones nearest to their tip.
+    """Return places inside the lines and arcs of the second program, with the nearest places of the nominal path.
+
+    Nearest is meant to the loaded tool tip at each place.
 
     :param end_length: (M,) arc lengths on the nominal path at which its motions end [m]; NaN where unknown.
     """
-    nominal_path, corrected_path, ways = search.nominal_path, search.corrected_path, search.ways
-    pieces = ways.pieces()
-    begin, end = ways.begins(pieces, end_length), end_length[pieces]
-    is_valid = (end - begin > _SHORTEST) & ~_begins_with_step(nominal_path, search.load, end)
+    nominal_path, corrected_path, stretches = search.nominal_path, search.corrected_path, search.stretches
+    pieces = stretches.pieces()
+    begin, end = stretches.begins(pieces, end_length), end_length[pieces]
+    is_valid = (end - begin > _MIN_PIECE_LENGTH) & ~_covers_step(nominal_path, search.load, end)
     pieces, begin = pieces[is_valid], begin[is_valid]
     row, t = places_on_pieces(corrected_path, pieces, _is_steep(nominal_path, corrected_path, pieces, end_length))
-    begin_length = begin[np.searchsorted(pieces, row)]
+    begin_length = begin[np.searchsorted(pieces, row)]  # of the piece of each place: pieces are ascending motions
     guess = begin_length + t * (end_length[row] - begin_length)
     return _NearestPlaces.by(search, row, t, guess, nominal_path.robot_in_cell.tolerance)
 
 
-class Ways(Struct, frozen=True, eq=False):
-    """The ways between pairs: way k leads to pair k from pair k − 1, the first one from the start of the program.
+class Stretches(Struct, frozen=True, eq=False):
+    """The stretches of both paths between pairs: stretch k leads from pair k − 1 to pair k, the first from the start.
 
     :param corrected_path: the second program, of M motions.
-    :param way: (M,) the way of each motion; P for those after the last pair.
-    :param begin: (P,) arc lengths on the nominal path at which the ways begin, `end` (P,) at which they end [m].
-    :param second: (P, 2) the same on the second path.
-    :param is_comparable: (P,) True where the whole nominal way is cutting lines and arcs that can be corrected.
+    :param stretch: (M,) the stretch of each motion; P for those after the last pair.
+    :param begin: (P,) arc lengths on the nominal path at which the stretches begin, `end` (P,) at which they end [m].
+    :param second: (P, 2) begin and end of the stretches on the second path [m].
+    :param is_comparable: (P,) True where the whole nominal stretch is cutting lines and arcs that can be corrected.
     """
 
     corrected_path: PlacedProgram
-    way: Ints
+    stretch: Ints
     begin: Array
     end: Array
     second: Array
     is_comparable: Bools
 
     @classmethod
-    def from_pairs(cls, comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ways:
-        """Return the ways between the pairs of a comparison."""
+    def from_pairs(
+        cls, comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
+    ) -> Stretches:
+        """Return the stretches between the pairs of a comparison."""
         m, (nominal_rows, corrected_rows) = nominal_path.program.motions, comparison.pair.T
         unknown = (np.isin(m.kind, (PTP, SPL)) | m.rapid) & np.isnan(m.joints[:, 0])
-        # a way is comparable if the count of unknown motions is the same at its begin and its end
+        # a stretch is comparable if the count of unknown motions is the same at its begin and its end
         count = np.append(0, np.cumsum(unknown | _has_uncorrected_start(nominal_path)))
-        count_at_pairs = count[np.append(-1, nominal_rows) + 1]  # those before the first way, too
+        count_at_pairs = count[np.append(-1, nominal_rows) + 1]  # those before the first stretch, too
         pairs = np.arange(len(comparison.pair))
-        begin, end = way_limits(nominal_path, nominal_rows, pairs)
+        begin, end = stretch_limits(nominal_path, nominal_rows, pairs)
         return cls(
             corrected_path,
-            way=np.searchsorted(corrected_rows, np.arange(len(corrected_path.program.motions))),
+            stretch=np.searchsorted(corrected_rows, np.arange(len(corrected_path.program.motions))),
             begin=begin,
             end=end,
-            second=np.stack(way_limits(corrected_path, corrected_rows, pairs), axis=1),
+            second=np.stack(stretch_limits(corrected_path, corrected_rows, pairs), axis=1),
             is_comparable=np.diff(count_at_pairs) == 0,
         )
 
     def _is_known(self, row: Ints) -> Bools:
-        """Return which motions `row` (n,) of the second program are on a way that is comparable."""
-        return np.append(self.is_comparable, False)[self.way[row]]  # after the last pair is no way
+        """Return which motions `row` (n,) of the second program are on a stretch that is comparable."""
+        return np.append(self.is_comparable, False)[self.stretch[row]]  # after the last pair is no stretch
 
     def targets(self, comparison: Comparison) -> Ints:
         """Return the motions (n,) whose ends, without partner, are compared with the nominal path."""
@@ -265,14 +272,14 @@ class Ways(Struct, frozen=True, eq=False):
         return rows[self._is_known(rows) & ~_has_uncorrected_start(self.corrected_path)[rows]]
 
     def guess(self, row: Ints) -> Array:
-        """Return arc lengths (n,) on the nominal path [m] at the same share of the way as the ends of motions.
+        """Return arc lengths (n,) on the nominal path [m] at the same share of the stretch as the ends of motions.
 
         :param row: (n,) motions of the second program.
         """
-        way = self.way[row]
-        begin, end = self.second[way].T
+        stretch = self.stretch[row]
+        begin, end = self.second[stretch].T
         share = (self.corrected_path.arc_length[row + 1] - begin) / np.maximum(end - begin, NO_DISTANCE)
-        return np.asarray(self.begin[way] + share * (self.end[way] - self.begin[way]))
+        return np.asarray(self.begin[stretch] + share * (self.end[stretch] - self.begin[stretch]))
 
     def begins(self, row: Ints, place: Array) -> Array:
         """Return the arc lengths (n,) on the nominal path at which motions begin [m]: where the target before ends.
@@ -282,16 +289,18 @@ class Ways(Struct, frozen=True, eq=False):
         """
         previous_target = np.searchsorted(self.corrected_path.rows, row) - 1  # −1: there is none before
         return np.where(
-            previous_target >= 0, place[self.corrected_path.rows[previous_target]], self.begin[self.way[row]]
+            previous_target >= 0, place[self.corrected_path.rows[previous_target]], self.begin[self.stretch[row]]
         )
 
 
-def _begins_with_step(nominal_path: PlacedProgram, load: PathForces, place: Array) -> Bools:
-    """Return which pieces (n,) cover a step of the force at the start of a move.
+def _covers_step(nominal_path: PlacedProgram, load: PathForces, end_length: Array) -> Bools:
+    """Return True (n,) for pieces that end so soon after a step of the force that they cover it.
 
-    :param place: (n,) arc lengths on the nominal path at which the pieces end [m]; NaN where unknown.
+    Such steps are where moves start.
+
+    :param end_length: (n,) arc lengths on the nominal path at which the pieces end [m]; NaN where unknown.
     """
-    return load.behind_step(*nominal_path.at(np.nan_to_num(place)))
+    return load.behind_step(*nominal_path.at(np.nan_to_num(end_length)))
 
 
 def _has_uncorrected_start(side: PlacedProgram) -> Bools:
@@ -317,7 +326,7 @@ def _is_steep(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pieces
     displacements[ends] = corrected_path.points(corrected_path.arc_length[ends + 1]) - nominal_path.points(place[ends])
     previous_target = np.maximum(np.searchsorted(corrected_path.rows, pieces) - 1, 0)
     changes = norm(displacements[pieces] - displacements[corrected_path.rows[previous_target]])
-    return ~np.asarray(changes <= _STEEP)
+    return ~np.asarray(changes <= _STEEP_CHANGE)  # True for NaN
 
 
 def places_on_pieces(corrected_path: PlacedProgram, pieces: Ints, steep: Bools) -> tuple[Ints, Array]:
@@ -385,7 +394,7 @@ class Search(Struct, frozen=True, eq=False):
     nominal_path: PlacedProgram
     corrected_path: PlacedProgram
     load: PathForces
-    ways: Ways
+    stretches: Stretches
 
     def deviations(self, row: Ints, t: Array, q: Array, guess: Array, *, sufficient_distance: float) -> _Deviations:
         """Return the nearest places of the nominal path, and the distances of the tip from them by both programs.
@@ -411,25 +420,26 @@ class Search(Struct, frozen=True, eq=False):
     ) -> tuple[Array, Array]:
         """Return arc lengths (n,) on the nominal path nearest to the tip, and the distances there (n,) [m].
 
-        Where the tip is far from the place near the guess, many places of the way are tried. Parameters as of
+        Where the tip is far from the place near the guess, many places of the stretch are tried. Parameters as of
         `deviations`.
         """
-        way, displacement = self.ways.way[row], self.corrected_path.carriage_displacement(row, t)
-        low, high = self.ways.begin[way], self.ways.end[way]
-        low = np.minimum(low + _SHORTEST * 1e-4, high)  # behind the end of the motion before
+        stretch, displacement = self.stretches.stretch[row], self.corrected_path.carriage_displacement(row, t)
+        low, high = self.stretches.begin[stretch], self.stretches.end[stretch]
+        low = np.minimum(low + _MIN_PIECE_LENGTH * 1e-4, high)  # a little behind the end of the motion before
         length, distance = self._newton_steps(
             q, displacement, np.clip(guess, low, high), (low, high), sufficient_distance
         )
         distant_rows = np.flatnonzero(
-            distance > max(sufficient_distance, _CLOSE * self.nominal_path.robot_in_cell.tolerance)
+            distance > max(sufficient_distance, _CLOSE_SHARE * self.nominal_path.robot_in_cell.tolerance)
         )
         if len(distant_rows):
             q, displacement = q[distant_rows], displacement[distant_rows]
             limits = low[distant_rows], high[distant_rows]
             start = self._nearest_lengths(q, displacement, limits)
-            new_length, new_distance = self._newton_steps(q, displacement, start, limits, _EXACT)
-            better = new_distance < distance[distant_rows]
-            length[distant_rows[better]], distance[distant_rows[better]] = new_length[better], new_distance[better]
+            new_length, new_distance = self._newton_steps(q, displacement, start, limits, _SUFFICIENT_DISTANCE)
+            is_nearer = new_distance < distance[distant_rows]
+            nearer_rows = distant_rows[is_nearer]
+            length[nearer_rows], distance[nearer_rows] = new_length[is_nearer], new_distance[is_nearer]
         return length, distance
 
     def _tip_offset(self, q: Array, displacement: Array, length: Array) -> Array:
@@ -469,7 +479,7 @@ class Search(Struct, frozen=True, eq=False):
         deviations = self._tip_offset(q, displacement, length)
         best, distance = length.copy(), norm(deviations)
         rows = np.flatnonzero(distance > accuracy)
-        for _ in range(_ROUNDS):
+        for _ in range(_GAUSS_NEWTON_STEPS):
             if not len(rows):
                 break
             low, high = limits[0][rows], limits[1][rows]
@@ -478,13 +488,14 @@ class Search(Struct, frozen=True, eq=False):
             derivative = (stepped_offset - deviations[rows]) / step[:, None]
             square = np.einsum("ni,ni->n", derivative, derivative)
             slope = np.einsum("ni,ni->n", deviations[rows], derivative)
-            moves = square > _NO_LENGTH**2  # else the path only turns the tool here
-            newton_step = np.where(moves, -slope / np.where(moves, square, 1.0), 0.0)
+            moves_tip = square > _LEAST_RATE**2  # else the path only turns the tool here
+            newton_step = np.where(moves_tip, -slope / np.where(moves_tip, square, 1.0), 0.0)
             length[rows] = np.clip(length[rows] + newton_step, low, high)
             deviations[rows] = self._tip_offset(q[rows], displacement[rows], length[rows])
-            new = norm(deviations[rows])
-            better = new < distance[rows]
-            best[rows[better]], distance[rows[better]] = length[rows[better]], new[better]
+            new_distance = norm(deviations[rows])
+            is_nearer = new_distance < distance[rows]
+            nearer_rows = rows[is_nearer]
+            best[nearer_rows], distance[nearer_rows] = length[nearer_rows], new_distance[is_nearer]
             rows = rows[distance[rows] > accuracy]
         return best, distance
 
@@ -492,7 +503,7 @@ class Search(Struct, frozen=True, eq=False):
         """Return the arc lengths (n,) nearest to the tip among many between limits [m].
 
         The force moves the tip: on a steep ramp the tip may move back while the path goes on. The deflection is taken
-        from the compliance at the end of the way, which costs seven equilibria instead of one for each place tried.
+        from the compliance at the end of the stretch, which costs seven equilibria instead of one for each place tried.
 
         :param q: (n, 6) commanded joint angles [rad], `displacement` (n, 3) how far E1 has carried the robot [m].
         :param limits: smallest and largest arc lengths, (n,) each [m].
@@ -514,19 +525,21 @@ class Search(Struct, frozen=True, eq=False):
             # the next samples are between the neighbours of the best one
             begin = lengths[rows, np.maximum(best - 1, 0)]
             end = lengths[rows, np.minimum(best + 1, lengths.shape[1] - 1)]
-            lengths = begin[:, None] + (end - begin)[:, None] * np.linspace(0.0, 1.0, _SAMPLES)
+            lengths = begin[:, None] + (end - begin)[:, None] * np.linspace(0.0, 1.0, _RAMP_SAMPLES)
         return np.asarray(length)
 
     def _tip_compliance(self, q: Array, displacement: Array, motion: Ints, unloaded_tip: Array) -> Array:
-        """Return the deflection of the tip per unit of each load (n, 3, 6) [m/N, m/(N·m)], from the loads `_PROBE`.
+        """Return the deflection of the tip per unit of each component of the wrench (n, 3, 6) [m/N, m/(N·m)].
+
+        It is that under each component of `_PROBE_WRENCH` alone, divided by the component.
 
         :param unloaded_tip: (n, 3) the tip without load, in the cell [m]; other parameters as of `_tip`.
         """
         deflections = [
             self._tip(q, displacement, motion, np.tile(wrench, (len(q), 1))) - unloaded_tip
-            for wrench in np.diag(_PROBE)
+            for wrench in np.diag(_PROBE_WRENCH)
         ]
-        return np.asarray(np.stack(deflections, axis=2) / _PROBE)
+        return np.asarray(np.stack(deflections, axis=2) / _PROBE_WRENCH)
 
     def _start_lengths(self, low: Array, high: Array) -> Array:
         """Return the arc lengths (n, s) at which the search begins, ascending [m]: most are where the force may change.
@@ -537,5 +550,5 @@ class Search(Struct, frozen=True, eq=False):
         whole = (high - low)[:, None]
         ramp = np.minimum(_RAMPS * self.nominal_path.robot_in_cell.ramp, whole)
         return np.asarray(
-            low[:, None] + np.sort(np.hstack([whole * fractions, ramp * fractions, whole * _FIRST]), axis=1)
+            low[:, None] + np.sort(np.hstack([whole * fractions, ramp * fractions, whole * _FIRST_SHARES]), axis=1)
         )

@@ -17,8 +17,8 @@ from postproc.comparison.paths import (
     distances_from_path,
     in_cell,
     nearest,
+    stretch_limits,
     tool_of_nominal,
-    way_limits,
 )
 from postproc.comparison.result import OFF_PATH, TIMES_OFFSET, Comparison
 from postproc.errors import NotConvergedError
@@ -323,10 +323,10 @@ def _is_on_path(
     flange = toolpath.flange_from_tcp(corrected_path.program, rows, target, None)
     position = (flange @ toolpath.tool_of(nominal_path.program, pair[next_pair, 0]))[:, :3, 3]
     limit = OFF_PATH + TIMES_OFFSET * np.maximum(np.append(0.0, distance)[next_pair], distance[next_pair])
-    begin, end = way_limits(nominal_path, pair[:, 0], next_pair)
-    corrected_begin, corrected_end = way_limits(corrected_path, pair[:, 1], next_pair)
+    begin, end = stretch_limits(nominal_path, pair[:, 0], next_pair)
+    corrected_begin, corrected_end = stretch_limits(corrected_path, pair[:, 1], next_pair)
     length, path_distance = corrected_path.arc_length[rows + 1], np.full(len(rows), np.inf)
-    # places at the same share of the way, at the same length from its begin and to its end: a detour of the second
+    # places at the same share of the stretch, at the same length from its begin and to its end: a detour of the second
     # program is on one side of the target only
     share = (length - corrected_begin) / np.maximum(corrected_end - corrected_begin, NO_DISTANCE)
     for nominal_length in (
@@ -346,12 +346,12 @@ def _is_on_path(
 
 
 def _has_ptp_before(side: PlacedProgram, paired_rows: Ints) -> Bools:
-    """Return for each pair (P,) whether a PTP to a Cartesian target, whose path is not known, is on the way to it.
+    """Return for each pair (P,) whether a PTP to a Cartesian target, whose path is not known, is on the stretch to it.
 
     :param paired_rows: (P,) motions of the program that end at the pairs.
     """
     m = side.program.motions
-    # two ends of a way with the same count have no PTP between them
+    # two ends of a stretch with the same count have no PTP between them
     ptp_count = np.append(0, np.cumsum((m.kind == PTP) & np.isnan(m.joints[:, 0])))[np.append(-1, paired_rows) + 1]
     return np.asarray(np.diff(ptp_count) > 0)
 

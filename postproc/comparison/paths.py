@@ -1,4 +1,4 @@
-"""The paths of the two programs that are compared, and the way from one pair of targets to the next.
+"""The paths of the two programs that are compared, and the stretch from one pair of targets to the next.
 
 A place on a program's path is its arc length from the start of the program [m], or (motion, t) as in `toolpath`. Points
 that both programs share are in the robot root where that is at E1 = 0, here called the cell.
@@ -155,10 +155,10 @@ def _end_joints(program: Program, robot_in_cell: RobotInCell) -> JointPath:
         raise ProgramError(problem, file=file, line=line) from None
 
 
-def way_limits(path: PlacedProgram, paired_rows: Ints, pair: Ints) -> tuple[Array, Array]:
-    """Return the arc lengths (n,) at which the ways to pairs begin, and (n,) at which they end [m].
+def stretch_limits(path: PlacedProgram, paired_rows: Ints, pair: Ints) -> tuple[Array, Array]:
+    """Return the arc lengths (n,) at which the stretches to pairs begin, and (n,) at which they end [m].
 
-    A way begins at the pair before, the first one at the start of the program.
+    A stretch begins at the pair before, the first one at the start of the program.
 
     :param paired_rows: (P,) motions of the program that end at the pairs.
     :param pair: (n,) indices of the pairs.
@@ -232,11 +232,11 @@ class Chain(Struct, frozen=True, eq=False):
         row = np.arange(paired_rows[0] + 1, paired_rows[-1] + 1)
         pair = np.searchsorted(paired_rows, row)
         previous_row, next_row = paired_rows[pair - 1], paired_rows[pair]
-        begin_length, end_length = way_limits(side, paired_rows, pair)
-        way_length = end_length - begin_length
-        share_of_length = (side.arc_length[row + 1] - begin_length) / np.maximum(way_length, NO_DISTANCE)
-        share_of_count = (row - previous_row) / (next_row - previous_row)  # where all motions of a way have no length
-        share = np.where(way_length > NO_DISTANCE, share_of_length, share_of_count)
+        begin_length, end_length = stretch_limits(side, paired_rows, pair)
+        stretch_length = end_length - begin_length
+        share_of_length = (side.arc_length[row + 1] - begin_length) / np.maximum(stretch_length, NO_DISTANCE)
+        share_of_count = (row - previous_row) / (next_row - previous_row)  # for stretches without length
+        share = np.where(stretch_length > NO_DISTANCE, share_of_length, share_of_count)
         end = np.where(row == next_row, pair, np.minimum(pair - 1 + share, pair))
         return cls(side.program, side.segments, row, np.concatenate([[0.0], end[:-1]]), end)
 
@@ -371,7 +371,7 @@ class Curves(Struct, frozen=True, eq=False):
 
 
 def _pair_at_end(u: Array) -> Ints:
-    """Return the pairs (n,) to which the ways lead on which motions end at u (n,); pair k is at u = k."""
+    """Return the pairs (n,) at the ends of the stretches that contain places u (n,); pair k is at u = k."""
     return np.asarray(np.ceil(u - NO_DISTANCE).astype(np.int64))
 
 

@@ -88,8 +88,8 @@ class Comparison(Struct, frozen=True, eq=False, dict=True):
     :param rotation: (P,) angle between the two orientations [rad].
     :param path_length: (M,) length of the path of each motion of `nominal` [m]; 0 of PTP.
     :param curves: both paths between the pairs; None for less than two.
-    :param path_distance: (P,) largest distance of the two paths on the way to each pair from the one before, at the
-        same share of the way [m]; NaN for the first, and where a PTP is between.
+    :param path_distance: (P,) largest distance of the two paths on the stretch to each pair from the one before, at the
+        same share of the stretch [m]; NaN for the first, and where a PTP is between.
     :param cuts: deviations by each program; None without forces.
     :param differences: other differences.
     """
@@ -162,7 +162,7 @@ class Comparison(Struct, frozen=True, eq=False, dict=True):
 
     @property
     def spline(self) -> Bools:
-        """(P,) True where the way to the target is a piece of a spline in both programs: it is not compared."""
+        """(P,) True where the stretch to the target is a piece of a spline in both programs: it is not compared."""
         nominal_kind, corrected_kind = (
             self.nominal.motions.kind[self.pair[:, 0]],
             self.corrected.motions.kind[self.pair[:, 1]],

@@ -86,7 +86,7 @@ def _turn_advice(program: Program) -> str:
     return f"turn the tool about its axis ([gcode] redundancy_deg){home}"
 
 
-def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
+def joint_limit_issues(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
     """Yield an issue for each joint whose commanded angle is beyond a limit at samples.
 
     :param sample: N samples of the path.
@@ -104,7 +104,7 @@ def joint_limits(program: Program, robot: RobotModel, sample: Toolpath, q: Array
         yield from _issue_of_rows(program, sample.motion, is_outside, f"joint-limit-{JOINTS[axis]}", message)
 
 
-def singularities(
+def singularity_issues(
     program: Program, robot: RobotModel, sample: Toolpath, q: Array, sparse_motions: Ints
 ) -> Iterator[Issue]:
     """Yield issues where the path is near a wrist, elbow or shoulder singularity, or a joint turns far between samples.
@@ -137,7 +137,7 @@ def singularities(
         yield from _issue_of_rows(program, sample.motion, is_bad, kind, f"{problem}. {advice}")
 
 
-def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> Iterator[Issue]:
+def half_turn_issues(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> Iterator[Issue]:
     """Yield an issue if a motion turns the tool by half a circle: rounding of the last digit decides the direction.
 
     From the start, or from an axis target, the controller chooses the direction in any case: a warning.
@@ -175,7 +175,7 @@ def half_turns(program: Program, sample: Toolpath, turn: Array, pose: Poses) -> 
         )
 
 
-def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
+def status_and_turn_issues(program: Program, robot: RobotModel, sample: Toolpath, q: Array) -> Iterator[Issue]:
     """Yield an issue if S and T of a PTP target belong to no configuration within the joint limits.
 
     :param sample: N samples of the path.
@@ -196,7 +196,7 @@ def status_and_turn(program: Program, robot: RobotModel, sample: Toolpath, q: Ar
         yield from _issue_of_rows(program, motion, is_wrong, "status-turn", message)
 
 
-def start_joints(program: Program, robot: RobotModel, start: Array) -> Iterator[Issue]:
+def start_joint_issues(program: Program, robot: RobotModel, start: Array) -> Iterator[Issue]:
     """Yield issues if [start] of the cell (6,) [rad], which fixes the branch, is beyond a limit or ambiguous."""
     margin = kinematics.joint_margin(robot, start[None])
     if (margin < -_LIMIT_ROUNDING).any():
@@ -208,7 +208,7 @@ def start_joints(program: Program, robot: RobotModel, start: Array) -> Iterator[
         yield Issue("warning", "start-singular", message, source_line=int(program.motions.line[0]))
 
 
-def first_move(program: Program, path: JointPath, start: Array) -> Iterator[Issue]:
+def first_move_issues(program: Program, path: JointPath, start: Array) -> Iterator[Issue]:
     """Yield a warning for A4 and A6 if the first PTP turns them by about half a turn or more: cables wind up.
 
     :param path: joint angles of the samples.
@@ -231,7 +231,7 @@ _START_DISTANCE = 1e-5
 """A program whose tip at [start] is nearer to its first target [m] starts there: [start] has four decimals."""
 
 
-def height_of_start(program: Program, tip: Array, clearance: float | None) -> Iterator[Issue]:
+def start_height_issues(program: Program, tip: Array, clearance: float | None) -> Iterator[Issue]:
     """Yield a warning if the first move of a CAM program may pass through part or table.
 
     It begins below `clearance_Z`, which is above part and clamps, or below its target. Or it passes below its target:
@@ -270,7 +270,9 @@ def height_of_start(program: Program, tip: Array, clearance: float | None) -> It
     yield Issue("warning", "start-below", message, int(m.line[0]))
 
 
-def posture(program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, start: Array) -> Iterator[Issue]:
+def posture_issues(
+    program: Program, robot: RobotModel, sample: Toolpath, path: JointPath, start: Array
+) -> Iterator[Issue]:
     """Yield an issue if a PTP changes the posture of the arm (status S): overhead, elbow or wrist turned over.
 
     :param sample: N samples of the path.
@@ -324,7 +326,7 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     return speed
 
 
-def joint_speed_limits(program: Program, robot: RobotModel, sample: Toolpath, speed: Array) -> Iterator[Issue]:
+def joint_speed_issues(program: Program, robot: RobotModel, sample: Toolpath, speed: Array) -> Iterator[Issue]:
     """Yield issues where joint speeds at the programmed feed exceed the limits of the robot.
 
     If a program relies on the default speed, which may be set differently on the controller, it is only a warning.
@@ -361,7 +363,7 @@ def _round_down(value: float) -> str:
     return f"{np.floor(value / step * (1.0 + 1e-12)) * step:.6g}"
 
 
-def joints_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) -> Iterator[Issue]:
+def joint_issues_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) -> Iterator[Issue]:
     """Yield an issue if branches, or rounds of an endless loop, end in one pose with a joint that differs by a turn.
 
     The pose of the tool is the same, but the motions after it would begin with that joint 360° farther each time.
@@ -388,7 +390,7 @@ def joints_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) 
         yield Issue("error", "branch-joints", message, lines[0], count=len(lines), lines=tuple(lines))
 
 
-def corrections_at_joins(program: Program, sample: Toolpath, pose: Poses, wrench: Runs) -> Iterator[Issue]:
+def correction_issues_at_joins(program: Program, sample: Toolpath, pose: Poses, wrench: Runs) -> Iterator[Issue]:
     """Yield an issue if branches taken at run time have different corrections at a control-flow join.
 
     :param sample: N samples of the path.
@@ -423,7 +425,7 @@ def _force_text(wrench: Array) -> str:
     return f"F = ({', '.join(f'{value:.4g}' for value in wrench[:3].tolist())}) N"
 
 
-def correction_size(program: Program, motion: Ints, correction: Array, limit: float) -> Iterator[Issue]:
+def correction_size_issues(program: Program, motion: Ints, correction: Array, limit: float) -> Iterator[Issue]:
     """Yield an issue if a commanded position is farther from nominal than allowed.
 
     :param motion: (N,) row of `Motions` of each sample.
@@ -437,7 +439,7 @@ def correction_size(program: Program, motion: Ints, correction: Array, limit: fl
     yield from _issue_of_rows(program, motion, ~(correction <= limit), "correction-size", message)
 
 
-def blending(program: Program, motion: Ints, extra_rounding: Array, tolerance: float) -> Iterator[Issue]:
+def blending_issues(program: Program, motion: Ints, extra_rounding: Array, tolerance: float) -> Iterator[Issue]:
     """Yield an issue if the correction increases the rounding of a corner by more than the tolerance [m].
 
     :param motion: (K,) row of `Motions` of each target.

@@ -342,6 +342,7 @@ class States(Struct, frozen=True, eq=False):
 
     def arrival(self) -> States:
         """Return the end of the first motion as a path that stays there."""
+        # samples are sorted by motion; `q` has one row more than `motion`: row k + 1 is the arm at sample k
         end_row = int(np.searchsorted(self.motion, self.motion[0], side="right"))
         rows = [end_row, end_row]
         commanded_q, shift = (None if values is None else values[rows] for values in (self.commanded_q, self.shift))

@@ -63,57 +63,70 @@ class Slowing(Struct, frozen=True):
         return motions.issue("info", "rapid-slowed", message, slowed_motions)
 
 
-def slow_rapids(
-    path: PathUnderLoad, q: Array, position: Array, before: Slowing | None, fast_lines: Collection[int]
+def slow_fast_motions(
+    path: PathUnderLoad, q: Array, position: Array, last_slowing: Slowing | None, fast_lines: Collection[int]
 ) -> tuple[MotionsUnderLoad, Slowing] | None:
-    """Return the motions with moves slowed to what the joints can do, and which these are; None if none is slowed.
+    """Return the motions with those slowed in which a joint would turn too fast; None if none is slowed.
 
-    Positioning moves are rapid ones, those at feed that come from `[start]`, on which no force may act, and straight
-    ones at the speed of rapid moves or faster on which none acts. Only programs whose text is written anew have
-    straight ones with a speed of their own. With ``[limits] feed = "cap"``, moves at feed are slowed in any program.
+    Motions that only position the tool may be slowed (`_is_positioning`). With ``[limits] feed = "cap"`` lines and arcs
+    at feed may be, too.
 
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
-    :param before: motions that were slowed already, but not enough: the written program is a few per cent faster where
-        it is nearly singular, or has more targets. Each time these motions get a smaller share of the largest speed.
-    :param fast_lines: source lines on which a joint still turns too fast.
+    :param last_slowing: the motions that were slowed before, if a joint still turns too fast in the program that was
+        written then: that program is a few per cent faster where it is nearly singular, or has more targets. Each time,
+        these motions get a smaller share of the largest speed. None: nothing was slowed before.
+    :param fast_lines: source lines on which a joint still turns too fast in the written program.
+    :returns: all motions, with the feeds of the slow ones lowered, and which were slowed now or before.
     """
-    program, m = path.program, path.program.motions
-    positioning = _is_positioning(path)
-    is_capped = np.isin(m.kind, (LIN, CIRC)) & ~m.rapid & ~positioning
-    is_capped &= path.robot_in_cell.cell.limits.feed == "cap"
-    slowable = positioning | is_capped
-    if not slowable.any():
+    m = path.program.motions
+    is_positioning = _is_positioning(path)
+    is_cut = np.isin(m.kind, (LIN, CIRC)) & ~m.rapid & ~is_positioning
+    is_capped = is_cut & (path.robot_in_cell.cell.limits.feed == "cap")
+    is_slowable = is_positioning | is_capped
+    if not is_slowable.any():
         return None
     slowdown_count, slow_joint = 0, np.full(len(m), -1)
-    if before is not None:
-        slowdown_count, slow_joint = before.count, before.joint.copy()
+    if last_slowing is not None:
+        slowdown_count, slow_joint = last_slowing.count, last_slowing.joint.copy()
     share_of_limit = _SPEED_SHARE * _NEXT_SHARE**slowdown_count
-    share, joint = _largest_speeds(path, q, position, slowable, share_of_limit)
-    is_fast, on_fast_line = share > 1.0, slowable & np.isin(m.line, list(fast_lines))
-    if before is not None and on_fast_line.any():  # else what is too fast cannot be slowed
-        is_fast |= (share > share_of_limit) & ((slow_joint >= 0) | on_fast_line)
-    fast = np.flatnonzero(is_fast)
-    if not len(fast):
+    share, joint = _largest_speeds(path, q, position, is_slowable, share_of_limit)
+    is_fast, is_on_fast_line = share > 1.0, is_slowable & np.isin(m.line, list(fast_lines))
+    # where no motion on the fast lines may be slowed, another round would not help
+    if last_slowing is not None and is_on_fast_line.any():
+        is_fast |= (share > share_of_limit) & ((slow_joint >= 0) | is_on_fast_line)
+    fast_motions = np.flatnonzero(is_fast)
+    if not len(fast_motions):
         return None
-    slow_joint[fast] = joint[fast]
+    slow_joint[fast_motions] = joint[fast_motions]
     feed = m.feed.copy()
-    feed[fast] *= share_of_limit / share[fast]
-    # only moves at feed that are slowed count as changed: the speed of rapid moves is that of the cell
-    is_first_change = program.feed_as_read is None and bool(is_capped[fast].any())
-    feed_as_read = m.feed if is_first_change else program.feed_as_read
-    slow_program = replace(program, motions=replace(m, feed=feed), feed_as_read=feed_as_read)
+    feed[fast_motions] *= share_of_limit / share[fast_motions]
+    slow_program = _with_feed(path.program, feed, is_feed_changed=bool(is_capped[fast_motions].any()))
     return replace(path.motions, program=slow_program), Slowing(slow_joint, is_capped, slowdown_count + 1)
 
 
+def _with_feed(program: Program, feed: Array, *, is_feed_changed: bool) -> Program:
+    """Return a program with feeds (M,) [m/s]; it keeps those that were read as `feed_as_read` if a cut is slowed.
+
+    :param is_feed_changed: True if moves at feed are among the slowed ones. The speed of positioning moves is that of
+        the cell: it does not count as changed.
+    """
+    is_first_change = program.feed_as_read is None and is_feed_changed
+    feed_as_read = program.motions.feed if is_first_change else program.feed_as_read
+    return replace(program, motions=replace(program.motions, feed=feed), feed_as_read=feed_as_read)
+
+
 def _largest_speeds(
-    path: PathUnderLoad, q: Array, position: Array, slowable: Bools, smallest_share: float
+    path: PathUnderLoad, q: Array, position: Array, is_slowable: Bools, smallest_share: float
 ) -> tuple[Array, Ints]:
     """Return the largest joint speed on each motion as a share of the limit (M,), and the joint (M,), counted from 0.
 
-    Both are 0 on motions that are not `slowable` (M,) or stay below `smallest_share`. For the others see `slow_rapids`.
+    Both are 0 on motions that may not be slowed, and on those on which all joints stay below `smallest_share`.
+
+    :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
+    :param is_slowable: (M,) True for motions that may be slowed.
     """
     program, limit = path.program, path.robot_in_cell.robot.speed
-    share, joint = np.zeros(len(slowable)), np.zeros(len(slowable), dtype=np.int64)
+    share, joint = np.zeros(len(is_slowable)), np.zeros(len(is_slowable), dtype=np.int64)
 
     def add(motion: Ints, speed: Array) -> None:
         """Keep in `share` and `joint` the largest share of its speed limit on each motion, and the joint that has it.
@@ -123,7 +136,7 @@ def _largest_speeds(
         """
         joint_share = speed / limit
         sample_share = joint_share.max(axis=1)
-        rows = np.flatnonzero(slowable[motion] & (sample_share > smallest_share))
+        rows = np.flatnonzero(is_slowable[motion] & (sample_share > smallest_share))
         # in increasing order: of several samples on one motion, the last assignment is the largest
         rows = rows[np.argsort(sample_share[rows])]
         rows = rows[sample_share[rows] > share[motion[rows]]]
@@ -140,15 +153,19 @@ def _largest_speeds(
 
 
 def _is_positioning(path: PathUnderLoad) -> Bools:
-    """Return which motions (M,) only position the tool, and may be slowed; none in a program that keeps its text."""
+    """Return True (M,) for lines that only position the tool.
+
+    These are rapid moves, moves at feed from `[start]`, and moves without force at the speed of rapid moves or faster.
+    False for all motions of a program that keeps its text (KRL, RAPID): there the speeds are those of the program.
+    """
     program, m = path.program, path.program.motions
     if program.keeps_text:
         return np.zeros(len(m), dtype=np.bool_)
     is_positioning = m.rapid.copy()
     is_positioning[program.unforced] = True
     has_force = np.zeros(len(m), dtype=np.bool_)
-    acts = any_column(path.wrench.values != 0.0)
-    has_force[path.sample.motion[acts[path.wrench.run]]] = True
+    is_force_run = any_column(path.wrench.values != 0.0)
+    has_force[path.sample.motion[is_force_run[path.wrench.run]]] = True
     is_positioning |= ~has_force & (m.feed >= path.robot_in_cell.cell.gcode.rapid_m_per_s)
     return np.asarray(is_positioning & (m.kind == LIN))
 
@@ -316,7 +333,7 @@ def _line_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
     length, turn = length[rows], turn[rows]
 
     def is_near_limit(rows: Ints, length: Array, turn: Array) -> tuple[Bools]:
-        """Return on which rows a margin is smaller than it can change by in between.
+        """Return the rows, as a 1-tuple of (n,), on which a margin is smaller than its largest change between samples.
 
         :param rows: (n,) samples at the end of a step.
         :param length: (n,) of the step of the tool [m].
@@ -350,10 +367,10 @@ def issues_between_samples(
     program, robot = path.program, path.robot_in_cell.robot
     try:
         for places, place_joints, place_position in dense_places(path, q, position, stretches):
-            yield from checks.joint_limits(program, robot, places, place_joints)
-            yield from checks.singularities(program, robot, places, place_joints, sparse_motions)
+            yield from checks.joint_limit_issues(program, robot, places, place_joints)
+            yield from checks.singularity_issues(program, robot, places, place_joints, sparse_motions)
             speed = checks.joint_speed(program, places, path.motions.segments.turn, place_joints, place_position)
-            yield from checks.joint_speed_limits(program, robot, places, speed)
+            yield from checks.joint_speed_issues(program, robot, places, speed)
     except ImpossiblePathError as cause:
         yield cause.issue
 
@@ -587,18 +604,18 @@ def path_issues(path: PathUnderLoad, command: Commands) -> list[Issue]:
     limit = cell.output.max_correction_mm * M_PER_MM
     clearance = cell.machine.clearance_Z
     issues = [
-        *checks.start_joints(program, robot, start),
-        *checks.first_move(program, path.joints, start),
-        *checks.height_of_start(program, _first_tips(path), None if clearance is None else clearance * M_PER_MM),
-        *checks.half_turns(program, sample, path.motions.segments.turn, command.pose),
-        *checks.posture(program, robot, sample, path.joints, start),
-        *checks.status_and_turn(program, robot, sample, path.joints.q),
-        *checks.joint_limits(program, robot, sample, q),
-        *checks.singularities(program, robot, sample, q, arcs.motion),
-        *checks.joint_speed_limits(program, robot, sample, speed),
-        *checks.joints_at_joins(program, sample, q, start),
-        *checks.corrections_at_joins(program, sample, command.pose, path.wrench),
-        *checks.correction_size(program, sample.motion, norm(position - sample.pose.position), limit),
+        *checks.start_joint_issues(program, robot, start),
+        *checks.first_move_issues(program, path.joints, start),
+        *checks.start_height_issues(program, _first_tips(path), None if clearance is None else clearance * M_PER_MM),
+        *checks.half_turn_issues(program, sample, path.motions.segments.turn, command.pose),
+        *checks.posture_issues(program, robot, sample, path.joints, start),
+        *checks.status_and_turn_issues(program, robot, sample, path.joints.q),
+        *checks.joint_limit_issues(program, robot, sample, q),
+        *checks.singularity_issues(program, robot, sample, q, arcs.motion),
+        *checks.joint_speed_issues(program, robot, sample, speed),
+        *checks.joint_issues_at_joins(program, sample, q, start),
+        *checks.correction_issues_at_joins(program, sample, command.pose, path.wrench),
+        *checks.correction_size_issues(program, sample.motion, norm(position - sample.pose.position), limit),
     ]
     kinds = {issue.kind for issue in issues}
     for stretches, sparse_motions in ((arcs, arcs.motion[:0]), (lines, lines.motion)):

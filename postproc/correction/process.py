@@ -313,9 +313,9 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         q=draft.q[row],
         joint_margin=kinematics.joint_margin(task.robot, draft.q),
         singular_value=kinematics.smallest_singular_value(task.robot, draft.q[row], path.tool(row)),
-        between=uncorrected.largest,
+        path_deviation=uncorrected.largest,
         rounding=draft.selection.programmed_rounding,
-        programmed=draft.selection.programmed_rounding,
+        programmed_rounding=draft.selection.programmed_rounding,
         reversals=reversals,
         causes=_causes_of_deviation(task, path),
         is_stock_known=path.motions.forces.by_law is not None,
@@ -328,16 +328,20 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
 
 
 def _with_simulation(result: Result, draft: Draft, simulation: SimulatedPath) -> Result:
-    """Return a result with the documents of the written program and the values that its simulation predicts."""
-    text = simulation.text.modules or simulation.text
+    """Return a result with the documents of the written program and the values that its simulation predicts.
+
+    Issues of the force file are added. A draft that failed gets no documents.
+    """
+    divided_text = simulation.text.modules  # None: the program is written as one
+    text = divided_text or simulation.text
     return replace(
         result,
         issues=group_issues([*result.issues, *draft.force_file_issues]),
         documents=() if draft.failed else text.documents,
         output_line=text.output_line,
-        modules=() if isinstance(text, WrittenProgram) else text.first,
+        modules=() if divided_text is None else divided_text.first,
         deviation_after=simulation.deviation,
-        between=simulation.between,
+        path_deviation=simulation.largest_path_distance,
         rounding=simulation.rounding,
         file_forces=draft.file_forces,
     )
@@ -446,8 +450,8 @@ def _reversals(draft: Draft) -> Reversals:
 class _Expectation(NamedTuple):
     """What is expected on the part.
 
-    :param bound: (K,) bound of the prediction (95 %) at targets [m]; None if the model has none.
-    :param errors: on the part; None likewise.
+    :param bound: (K,) bound of the prediction (95 %) at targets [m]; None if it is not known.
+    :param errors: expected on the part; None if `bound` is.
     :param issues: on the model and the loads.
     """
 
@@ -461,19 +465,22 @@ def _expected_errors(
 ) -> _Expectation:
     """Return the bound of the prediction and the expected errors on the part.
 
+    Both are None, with an issue that says so, if the spread of the forces is stated but the robot model has no
+    covariance, or if a bound is not finite. They are None without an issue if neither is stated.
+
     :param draft: with corrected commands.
     :param deviation: (K, 3) of the uncorrected tip from nominal, `$BASE` [m].
     :param reversals: torque reversals of joints: at the targets next to one, a gear may be on either flank.
-    :param cut_length: (K,) length of the cutting path for which each target stands [m].
+    :param cut_length: (K,) length of the cutting path that each target represents [m].
     """
     path, row = draft.path, draft.selection.row
     robot, program = path.robot_in_cell.robot, path.program
-    if path.motions.forces.spread is not None and robot.covariance is None:
-        return _Expectation(None, None, [Issue("info", "no-bound", _NO_BOUND)])
     motion = draft.selection.targets.motion
-    issues = list(checks.torque_warnings(program, robot, motion, *_loads(draft)))
     if robot.covariance is None:
-        return _Expectation(None, None, issues)
+        if path.motions.forces.spread is not None:
+            return _Expectation(None, None, [Issue("info", "no-bound", _NO_BOUND)])
+        return _Expectation(None, None, list(checks.torque_warnings(program, robot, motion, *_loads(draft))))
+    issues = list(checks.torque_warnings(program, robot, motion, *_loads(draft)))
     is_scaled = path.robot_in_cell.has_model_factor(path.motions.forces, path.sample.motion[row])
     reverses = _joints_near_reversal(reversals, len(row))
     part_errors = _PartErrors(task, draft, deviation, cut_length)
@@ -797,7 +804,7 @@ class _SlowedDrafts:
                 break
             fast_lines = {line for issue in too_fast for line in (issue.source_line or 0, *issue.lines)}
             q, position = draft.q, draft.path.sample.pose.position
-            slow_motions = inspection.slow_rapids(draft.path, q, position, self.slowing, fast_lines)
+            slow_motions = inspection.slow_fast_motions(draft.path, q, position, self.slowing, fast_lines)
             if slow_motions is None:
                 break
             self.motions, self.slowing = slow_motions
@@ -830,7 +837,7 @@ def _refine(task: Task, path: PathUnderLoad, exceedances: Exceedances, extra_pla
     # the path error falls with the square of the length of a piece
     parts = np.sqrt(distance[is_on_arc] / (SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance))
     parts = np.clip(np.ceil(parts), 2, _MOST_PARTS).astype(np.int64)
-    pieces = path.arcs.finer(motion[is_on_arc], t[is_on_arc], parts)
+    pieces = path.arcs.refined_at(motion[is_on_arc], t[is_on_arc], parts)
     is_straight = ~is_on_arc
     places = np.append(extra_places[0], motion[is_straight]), np.append(extra_places[1], t[is_straight])
     return _Division(pieces, places)

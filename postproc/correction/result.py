@@ -53,7 +53,7 @@ class HeldFeed(Struct, frozen=True, eq=False):
     :param tolerance: of the part, 95 % [m].
     :param least: smallest feed that was allowed [m/s].
     :param unheld: feed of motions that hold the tolerance at none: that of the "program", or the "lowest".
-    :param programmed: (M,) feed as programmed, and feed: (M,) as written [m/s]; NaN for joint motions.
+    :param programmed_feed: (M,) feed as programmed, and feed: (M,) as written [m/s]; NaN for joint motions.
     :param length: (M,) length of the path [m].
     :param expected: (M,) largest expected error at the written feed [m]; 0 on rapid moves.
     :param without_feed: (M,) the same as the feed tends to zero: by edge forces, and by what does not depend on the
@@ -63,7 +63,7 @@ class HeldFeed(Struct, frozen=True, eq=False):
     tolerance: float
     least: float
     unheld: Literal["program", "lowest"]
-    programmed: Array
+    programmed_feed: Array
     feed: Array
     length: Array
     expected: Array
@@ -72,7 +72,7 @@ class HeldFeed(Struct, frozen=True, eq=False):
     @property
     def is_lowered(self) -> Bools:
         """(M,) True where the written feed is below the programmed one."""
-        return np.asarray(self.feed < self.programmed)
+        return np.asarray(self.feed < self.programmed_feed)
 
     @property
     def is_exceeded(self) -> Bools:
@@ -108,9 +108,9 @@ class Result(Struct, frozen=True, eq=False):
     :param q: (K, 6) commanded joint angles [rad].
     :param joint_margin: (6,) smallest distance of each joint to a limit along the path [rad].
     :param singular_value: smallest singular value of the Jacobian along the path.
-    :param between: largest predicted distance from the nominal path, between targets too [m].
+    :param path_deviation: largest predicted distance from the nominal path, between targets too [m].
     :param rounding: (K,) how far approximate positioning (C_DIS) passes each target, as written [m].
-    :param programmed: (K,) the same of the program as read; zero where it is G-code.
+    :param programmed_rounding: (K,) the same of the program as read; zero where it is G-code.
     :param file_forces: forces that a CSV file must give to the written program, along the piece to the target that
         `motion` names; None where its comments do, or nothing is written.
     :param largest_correction: largest distance between commanded and nominal position [m].
@@ -149,9 +149,9 @@ class Result(Struct, frozen=True, eq=False):
     q: Array = np.zeros((0, 6))
     joint_margin: Array = np.full(6, np.nan)
     singular_value: float = np.nan
-    between: float = np.nan
+    path_deviation: float = np.nan
     rounding: Array = np.zeros(0)
-    programmed: Array = np.zeros(0)
+    programmed_rounding: Array = np.zeros(0)
     file_forces: Knots | None = None
     largest_correction: float = np.nan
     reversals: Reversals | None = None
@@ -177,7 +177,7 @@ class Result(Struct, frozen=True, eq=False):
         return f"<Result of {self.program.name} on {self.robot.name}: {words}>"
 
     def _repr_html_(self) -> str:
-        """Return the same as a table, for notebooks. `postproc.page` is the whole report."""
+        """Return the key figures of the correction as an HTML table, for notebooks; `postproc.page` is the report."""
         title = escape(f"{self.program.name} on {self.robot.title or self.robot.name}")
         rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in self._figures())
         return f"<table><caption>{title}</caption>{rows}</table>"
@@ -235,13 +235,14 @@ class Result(Struct, frozen=True, eq=False):
 
     @property
     def largest_reversals(self) -> Ints:
-        """Rows of `reversals` with the largest steps, the first one of each joint and source line; twenty at most."""
+        """Rows of `reversals` (n,), largest steps first: the largest of each joint and source line; twenty at most."""
         if self.reversals is None:
             return np.zeros(0, dtype=np.int64)
-        largest_first = np.argsort(-self.reversals.step, kind="stable")
+        rows_by_size = np.argsort(-self.reversals.step, kind="stable")
         line_and_joint = np.stack([self.source_line[self.reversals.row], self.reversals.joint], axis=1)
-        _, first_rows = np.unique(line_and_joint[largest_first], axis=0, return_index=True)
-        return largest_first[np.sort(first_rows)[:_MOST_REVERSALS]]
+        # the first of equal rows is the largest step of its joint and line
+        _, first_ranks = np.unique(line_and_joint[rows_by_size], axis=0, return_index=True)
+        return rows_by_size[np.sort(first_ranks)[:_MOST_REVERSALS]]
 
     @property
     def inserted(self) -> int:

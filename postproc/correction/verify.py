@@ -174,15 +174,15 @@ def _mismatch(program: Program, targets: Targets, output_program: Program, row: 
 
 _SPEED_SHARE = 0.75
 """Share of a joint's largest speed from which on the written path is examined closely (assumed)."""
-_NO_TRAVEL = 1e-6
+_LEAST_TRAVEL = 1e-6
 """Pieces shorter than this [m] have no speed (assumed)."""
 _TARGET_TOLERANCE = 1e-6
 """Largest distance of the tip from nominal at a target of a corrected program [m], including rounding."""
-_SAFE = 0.8
+_SAFE_SHARE = 0.8
 """Share of the tolerance allowed at the places examined: the error may be slightly larger between them (assumed)."""
-_STEEP = 2e-4
+_STEEP_CHANGE = 2e-4
 """Runs over which the correction changes by more than this [m] are examined between their ends (assumed)."""
-_UNEVEN = 0.2
+_UNEVEN_SHARE = 0.2
 """Share of the tolerance by which the displacement may vary along a piece of an arc; pieces with more are examined as
 often as steep runs, others at middle and end (assumed)."""
 _JUMP_LENGTH = 1e-6
@@ -190,18 +190,18 @@ _JUMP_LENGTH = 1e-6
 _SAME_SAMPLE = 1e-10
 """Places of a motion (t) that are no farther apart are the same (assumed)."""
 
-_STEP = (
+_STEP_MESSAGE = (
     "the force changes abruptly from the end of the move before to the start of this one: the tool leaves its path by "
     f"up to {{left}} for {BEHIND_STEP * MM_PER_M:g} mm, until the correction follows. Give the same force at the start "
     "of the move (t = 0) as at the end of the one before, or one force without t, which rises over force_ramp_mm."
 )
-_JUMP = (
+_JUMP_MESSAGE = (
     "the force jumps within this move, as one in FEED axes does where the travel passes the direction of the spindle: "
     "an error of {left} remains (allowed {allowed}), however close the targets. Divide the move there and give each "
     "part its force, or give the force in BASE or TOOL axes."
 )
-_TARGET_ERROR = f"the simulated program misses a target by {{left}} (allowed {_TARGET_TOLERANCE * MM_PER_M:g} mm)"
-_PATH_ERROR = "the simulated program leaves its path between targets by {left} (allowed {allowed})"
+_TARGET_MESSAGE = f"the simulated program misses a target by {{left}} (allowed {_TARGET_TOLERANCE * MM_PER_M:g} mm)"
+_PATH_MESSAGE = "the simulated program leaves its path between targets by {left} (allowed {allowed})"
 
 
 class Exceedances(NamedTuple):
@@ -239,7 +239,7 @@ class SimulatedPath(Struct, frozen=True, eq=False):
     issues: tuple[Issue, ...]
 
     @property
-    def between(self) -> float:
+    def largest_path_distance(self) -> float:
         """Largest distance from the nominal path anywhere looked at [m]."""
         return float(self.path_distance.max(initial=0.0))
 
@@ -286,9 +286,11 @@ def simulate(
     if is_corrected:
         issues += _tolerance_issues(path, probes, distance, step=step, jump=is_judged & jump, smooth=is_judged & ~jump)
         if path.program.keeps_text:
-            issues += checks.blending(path.program, targets.motion, rounding - selection.programmed_rounding, tolerance)
+            issues += checks.blending_issues(
+                path.program, targets.motion, rounding - selection.programmed_rounding, tolerance
+            )
     issues += too_fast
-    is_beyond_tolerance = is_judged & probes.is_inside & ~(distance <= _SAFE * tolerance) & ~jump
+    is_beyond_tolerance = is_judged & probes.is_inside & ~(distance <= _SAFE_SHARE * tolerance) & ~jump
     path_distance = np.zeros(len(targets))
     np.maximum.at(path_distance, probes.target[is_judged], distance[is_judged])
     return SimulatedPath(
@@ -417,7 +419,7 @@ class _ProbeErrors:
         speed_limit = self._path.robot_in_cell.robot.speed
         joint_time = (np.abs(np.diff(q, axis=0, prepend=last_q)) / speed_limit).max(axis=1, initial=0.0)
         is_fast = joint_time * np.nan_to_num(feed) > _SPEED_SHARE * travel
-        return np.asarray(is_fast & (travel > _NO_TRAVEL))
+        return np.asarray(is_fast & (travel > _LEAST_TRAVEL))
 
 
 def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackProgram) -> _Probes:
@@ -439,7 +441,7 @@ def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackP
     # samples that were found needless are where the force changes: the path is off by part of the tolerance there
     skips_samples = np.diff(selection.row, prepend=-1) > 1
     is_curved[arc_rows] = True
-    limit = _UNEVEN * path.robot_in_cell.tolerance
+    limit = _UNEVEN_SHARE * path.robot_in_cell.tolerance
     is_uneven[arc_rows] = _unevenness(path, selection, readback, arc_rows, correction(arc_rows)) > limit
 
     correction_step = norm(correction(rows) - correction(np.maximum(rows - 1, 0)))
@@ -448,7 +450,7 @@ def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackP
         readback.segments.travel[readback.row],
         readback.segments.turn[readback.row],
         is_curved=is_curved | skips_samples,
-        is_steep=(correction_step > _STEEP) | is_uneven,
+        is_steep=(correction_step > _STEEP_CHANGE) | is_uneven,
     )
     target, share = toolpath.even_places(rows.astype(np.int32), number.astype(np.int32))
     begin, end = targets.begin(target), targets.t[target]
@@ -468,12 +470,12 @@ def _unevenness(
     """
     motion, output_motion = selection.targets.motion[arc_rows], readback.row[arc_rows]
     begin, end = selection.targets.begin(arc_rows), selection.targets.t[arc_rows]
-    quarters = (
+    displacements = (
         toolpath.positions(readback.program, readback.segments, output_motion, np.full(len(output_motion), share))
         - toolpath.positions(path.program, path.motions.segments, motion, begin + share * (end - begin))
         for share in (0.25, 0.75)
     )
-    at_quarter, at_three_quarters = (norm(displacement - correction) for displacement in quarters)
+    at_quarter, at_three_quarters = (norm(displacement - correction) for displacement in displacements)
     return np.maximum(at_quarter, at_three_quarters)
 
 
@@ -488,10 +490,10 @@ def _tolerance_issues(
     """
     is_exceeded = ~(distance <= path.robot_in_cell.tolerance)
     cases: tuple[tuple[Level, str, Bools, str], ...] = (
-        ("warning", "force-step", step & is_exceeded, _STEP),
-        ("error", "force-jump", jump & is_exceeded, _JUMP),
-        ("error", "tolerance", ~probes.is_inside & ~(distance <= _TARGET_TOLERANCE), _TARGET_ERROR),
-        ("error", "tolerance", smooth & is_exceeded, _PATH_ERROR),
+        ("warning", "force-step", step & is_exceeded, _STEP_MESSAGE),
+        ("error", "force-jump", jump & is_exceeded, _JUMP_MESSAGE),
+        ("error", "tolerance", ~probes.is_inside & ~(distance <= _TARGET_TOLERANCE), _TARGET_MESSAGE),
+        ("error", "tolerance", smooth & is_exceeded, _PATH_MESSAGE),
     )
     for level, kind, is_case, message in cases:
         if is_case.any():
@@ -511,12 +513,12 @@ def _joint_speed_issues(path: PathUnderLoad, selection: TargetSelection, readbac
     loaded_path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
     speed = inspection.commanded_speed(loaded_path, loaded_path.joints.q, loaded_path.sample.pose.position)
     _, lines = inspection.stretches_to_examine(loaded_path, loaded_path.joints.q, speed)
-    issues = list(checks.joint_speed_limits(output_program, robot, loaded_path.sample, speed))
+    issues = list(checks.joint_speed_issues(output_program, robot, loaded_path.sample, speed))
     for places, place_joints, position in inspection.dense_places(
         loaded_path, loaded_path.joints.q, loaded_path.sample.pose.position, lines
     ):
         speed = checks.joint_speed(output_program, places, loaded_path.motions.segments.turn, place_joints, position)
-        issues += checks.joint_speed_limits(output_program, robot, places, speed)
+        issues += checks.joint_speed_issues(output_program, robot, places, speed)
     first_of_kind: dict[str, Issue] = {}
     for issue in issues:
         first_of_kind.setdefault(issue.kind, issue)

@@ -256,11 +256,19 @@ def compensator_factor(robot: RobotModel, x: Array, slope: Array) -> Array:
 
 
 def twists_by_parameters(state: Balance, spring_jacobian: Array, parameters: Sequence[Parameter], q: Array) -> Array:
-    """Return the twists (n, 6, P) [m, rad] of the tool per unit of each parameter, at fixed joint angles.
+    """Return the twists (n, 6, P) [m, rad] of the tool per unit of each parameter p, at fixed joint angles.
 
-    :param state: in equilibrium.
+    It is J_s·∂c/∂p, with the spring Jacobian J_s and the derivative of the deflection θ = c(τ, τ⁰) at fixed x. For a
+    parameter of the static torque T = ∇U_g + U_c′, with τ = JᵀF − T(x) + T(q) and the preload τ⁰ = −T(q):
+
+        ∂c/∂p = −∂c/∂τ·(∂T/∂p(x) − ∂T/∂p(q)) − ∂c/∂τ⁰·∂T/∂p(q)
+
+    Where the geometry is that of a weightless robot, the terms with T(q) are absent. Lost motion then moves by the load
+    alone, that is by τ + T(x), which adds c_lost·∂T/∂p(x).
+
+    :param state: balance at the loaded coordinates x; they must be those of the equilibrium.
     :param spring_jacobian: (n, 6, nv) of the state, `Balance.spring_jacobian`.
-    :param q: (nv, n) coordinates at rest.
+    :param q: (nv, n) coordinates at rest, without deflection.
     :raises ModelError: the robot does not have one of the parameters.
     """
     robot = state.robot
@@ -278,11 +286,11 @@ def twists_by_parameters(state: Balance, spring_jacobian: Array, parameters: Seq
     for column in static_columns:
         loaded_torque = loaded.by(parameters[column])
         if robot.subtract_reference:
-            unloaded_torque = unloaded.by(parameters[column])  # the preload changes too
-            shift = -state.deflection_by(loaded_torque - unloaded_torque) - by_preload * unloaded_torque
+            rest_torque = unloaded.by(parameters[column])
+            deflection = -state.deflection_by(loaded_torque - rest_torque) - by_preload * rest_torque
         else:
-            shift = state.lost_motion_compliance * loaded_torque - state.deflection_by(loaded_torque)
-        twist[:, :, column] = np.einsum("nik,kn->ni", spring_jacobian, shift)
+            deflection = state.lost_motion_compliance * loaded_torque - state.deflection_by(loaded_torque)
+        twist[:, :, column] = np.einsum("nik,kn->ni", spring_jacobian, deflection)
     return twist
 
 

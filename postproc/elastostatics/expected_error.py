@@ -100,11 +100,16 @@ class ChanceOfGain:
 
     def __init__(self) -> None:
         """Begin without targets."""
-        self._gain, self._is_changed = 0.0, False
-        self._by_parameter: Array | None = None
+        self._expected_gain, self._is_changed = 0.0, False
+        """½ Σ w (|d|² − |r|²) [m³], and whether any target is changed."""
+        self._parameter_slopes: Array | None = None
+        """(P,) derivatives of Σ w (d − r)·e by the errors of the parameters; None before the first target."""
         self._covariance: Array | None = None
-        self._by_forces: list[Array] = []
-        self._other: dict[str, float] = {}
+        """(P, P) of the parameters."""
+        self._sigmas_by_force_case: list[Array] = []
+        """For each possible correlation of the forces, the standard deviations (k,) of Σ w (d − r)·e by its causes."""
+        self._sigma_by_source: dict[str, float] = {}
+        """Standard deviation of Σ w (d − r)·e by each source that is neither a parameter nor a force."""
 
     def add(
         self,
@@ -125,41 +130,46 @@ class ChanceOfGain:
         deviation, remaining_deviation, length = deviation[counts], remaining_deviation[counts], cut_length[counts]
         change = deviation - remaining_deviation
         self._is_changed |= bool(change.any())
-        left_on_path = np.maximum(path_distance[counts], norm(remaining_deviation))
-        self._gain += 0.5 * float(length @ (np.sum(deviation**2, axis=1) - left_on_path**2))
+        distance_left = np.maximum(path_distance[counts], norm(remaining_deviation))
+        self._expected_gain += 0.5 * float(length @ (np.sum(deviation**2, axis=1) - distance_left**2))
         weighted_change = length[:, None] * change
-        by_parameter = np.einsum("ni,nip->p", weighted_change, errors.slopes[counts])
-        by_forces = [np.einsum("ni,nik->k", weighted_change, factor[counts]) for factor in errors.by_forces]
-        if self._by_parameter is None:
-            self._by_parameter, self._by_forces = np.zeros_like(by_parameter), [np.zeros_like(b) for b in by_forces]
+        slopes = np.einsum("ni,nip->p", weighted_change, errors.slopes[counts])
+        sigmas = [np.einsum("ni,nik->k", weighted_change, factor[counts]) for factor in errors.by_forces]
+        if self._parameter_slopes is None:
+            self._parameter_slopes = np.zeros_like(slopes)
+            self._sigmas_by_force_case = [np.zeros_like(case_sigmas) for case_sigmas in sigmas]
         self._covariance = errors.covariance
-        self._by_parameter = self._by_parameter + by_parameter
-        self._by_forces = [total + addend for total, addend in zip(self._by_forces, by_forces, strict=True)]
+        self._parameter_slopes = self._parameter_slopes + slopes
+        self._sigmas_by_force_case = [
+            total + addend for total, addend in zip(self._sigmas_by_force_case, sigmas, strict=True)
+        ]
         for name, sigma in _sums_by_source(errors.other, weighted_change, counts).items():
-            self._other[name] = self._other.get(name, 0.0) + sigma
+            self._sigma_by_source[name] = self._sigma_by_source.get(name, 0.0) + sigma
 
     @property
     def chance(self) -> float | None:
-        """Probability, in [0, 1], that correction lowers the RMS error on the part; None if it changes no target.
+        """Probability, in [0, 1], that correction lowers the RMS error on the part.
 
-        The gain is taken as normally distributed about the expected one. Its variance adds those of the robot's
-        parameters, of the worst of the force cases, and of the other sources, each fully correlated along the path.
-        Without variance the probability is 0 or 1.
+        None if correction changes no target, or no target was added. The gain is taken as normally distributed about
+        the expected one. Its variance adds those of the robot's parameters, of the worst of the force cases, and of the
+        other sources, each fully correlated along the path. Without variance the probability is 0 or 1.
         """
-        if not self._is_changed or self._by_parameter is None or self._covariance is None:
+        if not self._is_changed or self._parameter_slopes is None or self._covariance is None:
             return None
-        variance = float(self._by_parameter @ self._covariance @ self._by_parameter)
-        variance += max(float(np.sum(share**2)) for share in self._by_forces)
-        variance += sum(sigma**2 for sigma in self._other.values())
+        variance = float(self._parameter_slopes @ self._covariance @ self._parameter_slopes)
+        variance += max(float(np.sum(sigmas**2)) for sigmas in self._sigmas_by_force_case)
+        variance += sum(sigma**2 for sigma in self._sigma_by_source.values())
         if variance <= 0.0:
-            return float(self._gain > 0.0)
-        return 0.5 * math.erfc(-self._gain / math.sqrt(2.0 * variance))
+            return float(self._expected_gain > 0.0)
+        return 0.5 * math.erfc(-self._expected_gain / math.sqrt(2.0 * variance))
 
 
 def _sums_by_source(covariances: Mapping[str, Array], change: Array, counts: Bools) -> dict[str, float]:
-    """Return the sums over targets of the standard deviations of errors along the corrections, by source.
+    """Return the sums over targets of the standard deviations of errors along the corrections, by source [m³].
 
-    :param change: (n, 3) corrections of the targets that count, each times its length [m²].
+    :param covariances: (N, 3, 3) of the positions of all targets [m²], by source.
+    :param change: (n, 3) corrections of the targets that count, each times the length of path it stands for [m²].
+    :param counts: (N,) True for the n targets that count.
     """
     squares = {
         name: np.einsum("ni,nij,nj->n", change, covariance[counts], change) for name, covariance in covariances.items()

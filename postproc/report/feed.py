@@ -62,7 +62,7 @@ def feed_summary(result: Result) -> FeedSummary | None:
     programmed_time, written_time = (
         # 1.0: no division by the feed of moves that do not cut
         np.where(cuts, feeds.length / np.where(cuts, feed, 1.0), 0.0)
-        for feed in (feeds.programmed, feeds.feed)
+        for feed in (feeds.programmed_feed, feeds.feed)
     )
     return FeedSummary(
         tolerance_mm=stated_mm(feeds.tolerance),

@@ -255,7 +255,7 @@ def _unjudged_summary(
             rms=improvement(uncorrected.rms * MM_PER_M, prediction.rms * MM_PER_M),
         ),
         compensated_percent=_compensated_percent(uncorrected.rms * MM_PER_M, prediction.rms * MM_PER_M),
-        between_max_mm=_finite_or_none(result.between * MM_PER_M),
+        between_max_mm=_finite_or_none(result.path_deviation * MM_PER_M),
         tolerance_mm=None if tolerance is None else stated_mm(tolerance),
         tolerance_held=_is_tolerance_held(result, prediction, tolerance),
         blending=_blending_entry(result),
@@ -306,10 +306,12 @@ def _is_tolerance_held(result: Result, prediction: Statistics, tolerance: float 
     """Return whether the path keeps a tolerance [m]; None if only the approximation of corners exceeds it."""
     if tolerance is None:
         return None
-    path_deviation = max(prediction.largest, result.between) if math.isfinite(result.between) else math.inf
+    path_deviation = (
+        max(prediction.largest, result.path_deviation) if math.isfinite(result.path_deviation) else math.inf
+    )
     if not path_deviation <= tolerance:
         return False
-    extra_rounding = result.rounding - result.programmed
+    extra_rounding = result.rounding - result.programmed_rounding
     return True if path_deviation + extra_rounding[_is_next_to_cut(result)].max(initial=0.0) <= tolerance else None
 
 
@@ -325,7 +327,7 @@ def _blending_entry(result: Result) -> Blending:
     return Blending(
         by=writer.approximation,
         max_mm=float(result.rounding[worst]) * MM_PER_M,
-        programmed_max_mm=float(result.programmed[cuts].max()) * MM_PER_M,
+        programmed_max_mm=float(result.programmed_rounding[cuts].max()) * MM_PER_M,
         source_line=int(result.source_line[worst]),
     )
 

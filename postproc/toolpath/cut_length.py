@@ -10,8 +10,8 @@ import numpy as np
 from postproc.frames import Array
 from postproc.program import Bools, Ints, Motions
 
-_LEAST = 1e-9
-"""Length of a cut that does not move the tip [m]: it counts among the cuts, but no sum of lengths changes."""
+_LEAST_LENGTH = 1e-9
+"""Length given to a cut that does not move the tip [m]: it counts among the cuts, but no sum of lengths changes."""
 
 
 def cut_lengths(motions: Motions, length: Array, motion: Ints, t: Array, goes_on: Bools) -> Array:
@@ -38,6 +38,8 @@ def cut_lengths(motions: Motions, length: Array, motion: Ints, t: Array, goes_on
     cutting_length = np.where(motions.rapid, 0.0, length)
     place = (np.cumsum(cutting_length) - cutting_length)[motion] + cutting_length[motion] * t
     piece = np.diff(place, prepend=0.0)
-    shared = goes_on & is_cut & np.append(False, is_cut[:-1])[: len(piece)]
-    half = np.where(shared, 0.5 * piece, 0.0)
-    return np.where(is_cut, np.maximum(piece - half + np.append(half[1:], 0.0)[: len(piece)], _LEAST), 0.0)
+    # the slices to the number of targets are for a program without targets
+    follows_cut = np.append(False, is_cut[:-1])[: len(piece)]
+    half_for_previous = np.where(goes_on & is_cut & follows_cut, 0.5 * piece, 0.0)
+    half_of_next = np.append(half_for_previous[1:], 0.0)[: len(piece)]
+    return np.where(is_cut, np.maximum(piece - half_for_previous + half_of_next, _LEAST_LENGTH), 0.0)

@@ -259,7 +259,10 @@ def _rotations(program: Program, path: Segments, motion: Ints, t: Array, end: Po
 
 
 def _axis_interpolated_rows(program: Program, path: Segments, motion: Ints, t: Array) -> Ints:
-    """Return the rows of places (motion, t) before the end of PTPs whose path is known."""
+    """Return the rows (m,) of places (motion, t), each (n,), that are on PTPs before their ends.
+
+    Empty if the robot, and with it the path of PTPs, is not known.
+    """
     if path.joint_moves is None:
         return np.zeros(0, dtype=np.int64)
     return np.flatnonzero((t < 1.0) & (program.motions.kind[motion] == PTP))

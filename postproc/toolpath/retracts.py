@@ -10,12 +10,12 @@ import numpy as np
 from postproc.frames import Array, norm
 from postproc.program import Bools
 
-_STRAIGHT = 1e-6
-"""A retract rises by more and moves aside by at most this [m]: the rounding of written coordinates (assumed)."""
+_COORDINATE_ROUNDING = 1e-6
+"""A retract rises by more and moves sideways by at most this [m]: the rounding of written coordinates (assumed)."""
 
 
 def retract_motions(ends: Array, up: Array) -> Bools:
-    """Return True for motions (M,) that retract straight up, or follow a retract before the tool descends again.
+    """Return True (M,) for motions that retract straight up, or follow a retract before the tool descends again.
 
     :param ends: (M, 3) ends of all motions [m], in order.
     :param up: unit vector from the part to the spindle, (3,) or (M, 3).
@@ -24,10 +24,10 @@ def retract_motions(ends: Array, up: Array) -> Bools:
         return np.zeros(len(ends), dtype=bool)
     step = np.diff(ends, axis=0, prepend=ends[:1])
     rise = np.einsum("...i,...i->...", step, np.broadcast_to(up, step.shape))
-    aside = norm(step - rise[:, None] * up)
-    is_retract = (rise > _STRAIGHT) & (aside <= _STRAIGHT)
-    is_descent = rise < -_STRAIGHT
-    # the last retract or descent up to each motion decides
+    sideways = norm(step - rise[:, None] * up)
+    is_retract = (rise > _COORDINATE_ROUNDING) & (sideways <= _COORDINATE_ROUNDING)
+    is_descent = rise < -_COORDINATE_ROUNDING
+    # the last retract or descent up to each motion decides; before the first of them, motion 0, which is neither
     row = np.arange(len(ends))
-    last = np.maximum.accumulate(np.where(is_retract | is_descent, row, 0))
-    return np.asarray(is_retract[last])
+    last_decisive_row = np.maximum.accumulate(np.where(is_retract | is_descent, row, 0))
+    return np.asarray(is_retract[last_decisive_row])

@@ -146,9 +146,10 @@ class Pieces(Columns, frozen=True, eq=False):
         return self.take(np.lexsort((self.begin, self.motion)))
 
     def cut(self, parts: Ints) -> Pieces:
-        """Return the stretches divided into equal parts, with their pieces divided among the parts, rounded up.
+        """Return the stretches divided into equal parts, which are stretches too; each gets its share of the pieces.
 
-        A stretch that is divided into as many parts as it has pieces becomes one stretch for each piece.
+        Shares are rounded up. A stretch that is divided into as many parts as it has pieces becomes one stretch for
+        each piece.
 
         :param parts: (S,) number of parts of each stretch.
         """
@@ -161,21 +162,25 @@ class Pieces(Columns, frozen=True, eq=False):
         number, min_pieces = -(-stretches.number // parts), -(-stretches.min_number // parts)  # rounded up
         return Pieces(stretches.motion, begin, end, number, min_pieces, stretches.samples / parts, stretches.uncertain)
 
-    def finer(self, motion: Ints, t: Array, parts: Ints) -> Pieces:
-        """Return the stretches with those pieces divided on which the path exceeds the tolerance.
+    def refined_at(self, motion: Ints, t: Array, piece_count: Ints) -> Pieces:
+        """Return the stretches with the pieces divided on which the path exceeds the tolerance.
 
-        :param motion: (n,) rows of `Motions` and t (n,) places on them where it does.
-        :param parts: (n,) least number of parts of the piece there.
+        :param motion: (n,) rows of `Motions`, and t: (n,) places on them at which the path exceeds the tolerance.
+        :param piece_count: (n,) least number of pieces that replace the piece there.
         """
-        is_divided = np.zeros(len(self.motion), dtype=bool)
-        is_divided[self._at(motion, t)] = True
-        stretches = self.cut(np.where(is_divided, self.number, 1))
+        is_exceeded = np.zeros(len(self.motion), dtype=bool)
+        is_exceeded[self._stretch_at(motion, t)] = True
+        # each piece of such a stretch becomes a stretch of its own, whose number of pieces can then grow alone
+        stretches = self.cut(np.where(is_exceeded, self.number, 1))
         number = stretches.number.copy()
-        np.maximum.at(number, stretches._at(motion, t), parts)
+        np.maximum.at(number, stretches._stretch_at(motion, t), piece_count)  # several places may be on one piece
         return stretches.with_enough_pieces(number)
 
-    def _at(self, motion: Ints, t: Array) -> Ints:
-        """Return the stretches (n,) on which places (motion, t) are: motion + t is one increasing key."""
+    def _stretch_at(self, motion: Ints, t: Array) -> Ints:
+        """Return the stretches (n,) on which places (motion, t) are.
+
+        Since t is at most 1, motion + t grows along all stretches: one search finds the last that begins before it.
+        """
         return np.searchsorted(self.motion + self.begin, motion + t) - 1
 
 

@@ -17,8 +17,10 @@ from postproc.toolpath.sampling import even_places
 
 _PARTS = 8
 """Parts of a motion whose turns are added: none is half a turn, after which another rotation would be shorter."""
-_SHORTEST = 1e-9
+_MIN_LENGTH = 1e-9
 """A motion whose tip moves by less [m] only turns the tool."""
+_SAME_TIME = 1e-9
+"""Times that differ by a smaller share are equal but for rounding."""
 
 
 def tip_speeds(program: Program, path: Segments) -> Array:
@@ -31,7 +33,7 @@ def tip_speeds(program: Program, path: Segments) -> Array:
     feed, limits = program.motions.feed, program.turn_speeds
     if limits is None:
         return feed
-    has_feed = np.isin(program.motions.kind, (LIN, CIRC)) & (path.length > _SHORTEST) & (feed > 0.0)
+    has_feed = np.isin(program.motions.kind, (LIN, CIRC)) & (path.length > _MIN_LENGTH) & (feed > 0.0)
     seconds = path.length / np.where(has_feed, feed, 1.0)
     least_limit = limits.values.min(axis=1)[limits.run]
     rows = np.flatnonzero(has_feed & (path.turn / least_limit > seconds))  # `turn` is an upper bound
@@ -45,14 +47,14 @@ def tip_speeds(program: Program, path: Segments) -> Array:
         return (turn_seconds(rotation[:, :-1], rotation[:, 1:], part_limits).sum(axis=1),)
 
     (turning,) = in_chunks(turning_seconds, rows)
-    is_slow = turning > seconds[rows] * (1.0 + 1e-9)
+    is_slowed = turning > seconds[rows] * (1.0 + _SAME_TIME)
     speed = feed.copy()
-    speed[rows[is_slow]] = path.length[rows[is_slow]] / turning[is_slow]
+    speed[rows[is_slowed]] = path.length[rows[is_slowed]] / turning[is_slowed]
     return speed
 
 
 def turn_seconds(start: Array, end: Array, limits: Array) -> Array:
-    """Return the least time (...) [s] of a turn of the tool.
+    """Return the least time (...) [s] in which the tool may turn from one orientation to another.
 
     :param start: (..., 3, 3) orientations of the tool frame; `end`: (..., 3, 3), less than half a turn from these.
     :param limits: (..., 3) largest speeds [rad/s]: see `Program.turn_speeds`.

@@ -11,7 +11,7 @@ LINES = {
     "lines": "G1 X{:.3f} Y{:.3f} Z{:.3f}",
     "numbered lines": "N{n} G1 X{:.3f} Y{:.3f} Z{:.3f}",
 }
-"""Ways to write the blocks of a finishing pass."""
+"""Stretches to write the blocks of a finishing pass."""
 
 
 def _zigzag(blocks: int) -> np.ndarray:

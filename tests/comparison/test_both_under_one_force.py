@@ -159,8 +159,8 @@ def test_pieces_are_looked_at_inside_if_they_cover_some_of_the_nominal_path_with
         begins=lambda rows, values: begin,
     )  # fmt: skip
     for name, value in (
-        ("Ways", SimpleNamespace(from_pairs=lambda *sides: ways)),
-        ("_begins_with_step", lambda side, load, values: np.array([float(v) in with_step for v in values], dtype=bool)),
+        ("Stretches", SimpleNamespace(from_pairs=lambda *sides: ways)),
+        ("_covers_step", lambda side, load, values: np.array([float(v) in with_step for v in values], dtype=bool)),
         ("_is_steep", lambda one, other, rows, values: rows % 2 == 0), ("places_on_pieces", samples),
         ("_orientation_errors_at", lambda one, other, load, length, row: length + row),
     ):  # fmt: skip

@@ -14,8 +14,8 @@ from msgspec.structs import replace
 from scipy.spatial.transform import Rotation, Slerp
 
 from postproc import frames
-from postproc.comparison.differences import _distance_of_way, _inserted_rotations
-from postproc.comparison.loaded_path import Ways
+from postproc.comparison.differences import _distance_on_stretch, _inserted_rotations
+from postproc.comparison.loaded_path import Stretches
 from postproc.comparison.partners import pair_targets
 from postproc.comparison.paths import Chain, Curves, PlacedProgram, nearest
 from postproc.poses import Poses
@@ -269,13 +269,13 @@ def test_ways_begin_at_the_start_or_behind_the_pair_before_and_end_with_their_ow
     one, other = Path(ONE).placed, Path(TWO).placed
     pair = np.array([[1, 2], [2, 3], [5, 6]])
     found = SimpleNamespace(pair=pair)
-    ways = Ways.from_pairs(found, one, other)
+    ways = Stretches.from_pairs(found, one, other)
     np.testing.assert_array_equal(ways.begin, [0.0, one.arc_length[2], one.arc_length[3]])
     np.testing.assert_array_equal(ways.end, one.arc_length[[2, 3, 6]])
     np.testing.assert_array_equal(
         ways.second, [[0.0, other.arc_length[3]], other.arc_length[[3, 4]], other.arc_length[[4, 7]]]
     )
-    assert ways.way.tolist() == [0, 0, 0, 1, 2, 2, 2, 3]
+    assert ways.stretch.tolist() == [0, 0, 0, 1, 2, 2, 2, 3]
     share = other.arc_length[2] / other.arc_length[3]
     np.testing.assert_allclose(ways.guess(np.array([1])), share * one.arc_length[2])
     assert ways.begins(np.array([0, 3]), np.arange(8) * 1.0).tolist() == [0.0, 2.0]
@@ -288,7 +288,7 @@ def test_what_inserted_targets_are_off_is_no_distance_of_the_way(inside, found):
     other = Path([("LIN", 0, 0.2, 0), ("LIN", 40, inside, 0), ("LIN", 80, 0.2, 0), ("LIN", 80, 40.2, 0)]).placed
     made = pair_targets(one, other, np.array([0, 2, 3]), np.ones(3, dtype=bool))
     assert made.inserted_rows.tolist() == [1]
-    assert _distance_of_way(made, one, other, 1) == found
+    assert _distance_on_stretch(made, one, other, 1) == found
     bulge = [
         ("LIN", 0, 0.2, 0),
         ("LIN", 20, 0.2, 0),
@@ -298,7 +298,7 @@ def test_what_inserted_targets_are_off_is_no_distance_of_the_way(inside, found):
     other = Path([*bulge, ("LIN", 80, 40.2, 0)]).placed
     made = pair_targets(one, other, np.array([0, 3, 4]), np.ones(3, dtype=bool))
     assert made.inserted_rows.tolist() == [1, 2]
-    assert _distance_of_way(made, one, other, 1) == pytest.approx(20.2e-3, abs=2e-5)
+    assert _distance_on_stretch(made, one, other, 1) == pytest.approx(20.2e-3, abs=2e-5)
 
 
 @pytest.mark.parametrize("targets_before", [0, 1, 5])
@@ -317,7 +317,7 @@ def test_a_way_is_judged_by_its_own_inserted_targets_wherever_it_is_in_the_progr
     partner = np.array([targets_before, last - 1, last, last + 3, last + 4])
     made = pair_targets(one, other, partner, np.ones(5, dtype=bool))
     assert made.inserted_rows.tolist()[-2:] == [last + 1, last + 2]
-    assert _distance_of_way(made, one, other, 3) == pytest.approx(distance, abs=2e-5)
+    assert _distance_on_stretch(made, one, other, 3) == pytest.approx(distance, abs=2e-5)
 
 
 @pytest.mark.parametrize("frames_of_second", [{}, {"base": BASE, "tool": TOOL}], ids=str)

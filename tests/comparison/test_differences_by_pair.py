@@ -638,7 +638,7 @@ def test_ways_that_leave_the_nominal_path_by_more_than_their_targets_are_named(m
     cuts = cuts_of(rng, found, row=np.sort(rng.choice(found.pair[:2, 1], 20)))
     found = replace(found, cuts=cuts if has_cuts else None)
     exact = rng.choice([1e-5, 4e-4, 8e-4, 9e-4], 8)
-    monkeypatch.setattr(differences, "_distance_of_way", lambda comparison, one, other, k: exact[k])
+    monkeypatch.setattr(differences, "_distance_on_stretch", lambda comparison, one, other, k: exact[k])
     offsets = [np.linalg.norm(pose[k, :3, 3] - found.nominal.motions.target[found.pair[k, 0]][:3, 3]) for k in range(8)]
     checked = {
         int(sum(found.pair[:, 1] < row)) for row, t in zip(cuts.row, cuts.t, strict=True) if t < 1.0 and has_cuts

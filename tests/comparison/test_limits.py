@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from postproc.comparison import compare
-from postproc.comparison.loaded_path import Search, Ways
+from postproc.comparison.loaded_path import Search, Stretches
 from postproc.comparison.partners import missed_targets, pair_targets, partners_under_force
 from postproc.forces import Knots
 from postproc.under_load import RobotInCell
@@ -134,7 +134,7 @@ def test_behind_a_step_of_the_force_the_new_one_acts_from_the_first_place_on():
     """The deflection there, against the direction of travel, leaves all of itself; before it there is none."""
     side = lines((0, 0), (60, 0), (120, 0))
     load = side.forces(Step([[0] * 6, [0] * 6, [0] * 6, [-900, 300, 200, 0, 0, 0]]))
-    ways = Ways(
+    ways = Stretches(
         side, np.arange(4), side.arc_length[[0, 1, 2, 3]], side.arc_length[[1, 2, 3, 4]],
         np.stack([side.arc_length[:4], side.arc_length[1:]], axis=1), np.ones(4, dtype=bool),
     )  # fmt: skip

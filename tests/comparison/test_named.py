@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc.cell import ExternalAxis
 from postproc.comparison import compare
-from postproc.comparison.loaded_path import Search, Ways, places_on_pieces
+from postproc.comparison.loaded_path import Search, Stretches, places_on_pieces
 from postproc.comparison.partners import missed_targets, ordered_partners, pair_targets, partners_under_force
 from postproc.comparison.paths import Chain, PlacedProgram, nearest
 from postproc.program import PTP
@@ -411,7 +411,7 @@ def test_pieces_begin_where_the_one_before_ends():
     one = lines((0, 0), (40, 0), (40, 30))
     other = lines((0, 0), (10, 0), (30, 0), (40, 0), (40, 12), (40, 30))
     found = pair_targets(one, other, np.array([0, 3, 5]), np.ones(3, dtype=bool))
-    ways = Ways.from_pairs(found, one, other)
+    ways = Stretches.from_pairs(found, one, other)
     ends = np.array([0.0, 10.0, 30.0, 40.0, 52.0, 70.0]) * 1e-3
     place = np.append(np.nan, one.arc_length[2] + ends)  # row 0 is the axis target
     begins = ways.begins(np.arange(2, 7), place)
@@ -592,7 +592,7 @@ def test_ways_by_ptp_and_from_where_nothing_is_corrected_are_not_compared_inside
     cell = replace(CELL, payload=replace(CELL.payload, mass_kg=payload))
     side = PlacedProgram.of(read_files({"ONE.src": HEAD + BODY}), RobotInCell.of(ROBOT, cell))
     found = pair_targets(side, side, np.arange(7), np.ones(7, dtype=bool))
-    known = Ways.from_pairs(found, side, side).is_comparable
+    known = Stretches.from_pairs(found, side, side).is_comparable
     assert known.tolist() == [payload == 0.0, True, True, True, True, False, True]
 
 

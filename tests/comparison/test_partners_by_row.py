@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from postproc import frames
 from postproc.comparison import loaded_path, partners
-from postproc.comparison.loaded_path import Ways
+from postproc.comparison.loaded_path import Stretches
 from postproc.program import CIRC, LIN, PTP, SPL
 from tests.comparison.test_differences_by_pair import COUNT, random_pairs
 
@@ -168,7 +168,7 @@ def starts_uncorrected(side):
 def test_ways_between_pairs_are_compared_where_all_of_the_nominal_way_is_known(seed, rest_is_nominal):
     rng = np.random.default_rng(seed)
     found, (nominal, corrected) = ways_of(rng, rest_is_nominal)
-    ways = Ways.from_pairs(found, nominal, corrected)
+    ways = Stretches.from_pairs(found, nominal, corrected)
     m = nominal.program.motions
     uncorrected = starts_uncorrected(nominal)
     assert loaded_path._has_uncorrected_start(nominal).tolist() == uncorrected
@@ -186,7 +186,7 @@ def test_ways_between_pairs_are_compared_where_all_of_the_nominal_way_is_known(s
         assert ways.second[k].tolist() == [begins[1], ends[1]]
     assert ways.is_comparable.tolist() == known
     way = [int(sum(found.pair[:, 1] < row)) for row in range(COUNT)]
-    assert ways.way.tolist() == way
+    assert ways.stretch.tolist() == way
     kind = corrected.program.motions.kind
     is_known = [way[row] < 8 and known[way[row]] for row in range(COUNT)]
     additional = [int(row) for row in found.additional_rows if is_known[row] and kind[row] in (LIN, CIRC)]

@@ -48,7 +48,7 @@ def lines(issues) -> dict[str, tuple]:
 
 def test_joints_beyond_either_limit_are_named_with_the_first_angle():
     q = angles(A1=np.radians([0, 185.0, 185.5, 186.0, 0]), A2=np.radians([-70, -70, -146.25, -70, -70]))
-    issues = list(checks.joint_limits(MADE, ROBOT, sample(range(5)), q))
+    issues = list(checks.joint_limit_issues(MADE, ROBOT, sample(range(5)), q))
     assert lines(issues) == {"joint-limit-A1": ("error", 3, 2), "joint-limit-A2": ("error", 3, 1)}
     assert issues[0].message == (
         "A1 = 185.500° is outside its limits -185…185°. Move the part, turn the tool about its axis ([gcode] "
@@ -57,14 +57,17 @@ def test_joints_beyond_either_limit_are_named_with_the_first_angle():
     assert "A2 = -146.250° is outside its limits -146…0°" in issues[1].message
     limits, step = np.radians([0, 185.0, -185.0, 0, 0]), np.array([0.0, 1.0, -1.0, 0.0, 0.0])
     at_limit = angles(A1=limits + 5e-10 * step)
-    assert list(checks.joint_limits(MADE, ROBOT, sample(range(5)), at_limit)) == []
+    assert list(checks.joint_limit_issues(MADE, ROBOT, sample(range(5)), at_limit)) == []
     beyond = angles(A1=limits + 1.5e-9 * step)
-    assert lines(checks.joint_limits(MADE, ROBOT, sample(range(5)), beyond)) == {"joint-limit-A1": ("error", 2, 2)}
+    assert lines(checks.joint_limit_issues(MADE, ROBOT, sample(range(5)), beyond)) == {
+        "joint-limit-A1": ("error", 2, 2)
+    }
     nan = angles(A1=[0, np.nan, 0, 0, 0])
-    assert lines(checks.joint_limits(MADE, ROBOT, sample(range(5)), nan)) == {"joint-limit-A1": ("error", 2, 1)}
+    assert lines(checks.joint_limit_issues(MADE, ROBOT, sample(range(5)), nan)) == {"joint-limit-A1": ("error", 2, 1)}
     home = replace(MADE, motions=replace(MADE.motions, joints=np.zeros((5, 6))))
     assert (
-        "choose another [machine] home or start" in next(checks.joint_limits(home, ROBOT, sample(range(5)), q)).message
+        "choose another [machine] home or start"
+        in next(checks.joint_limit_issues(home, ROBOT, sample(range(5)), q)).message
     )
 
 
@@ -80,11 +83,11 @@ LINEAR = program([("LIN", 10 * k, 0, 0) for k in range(5)])
 )
 def test_poses_near_a_singularity_are_named_on_path_motions(changes, kind, words):
     q = angles(**changes)
-    (issue,) = checks.singularities(LINEAR, ROBOT, sample(range(5)), q, np.zeros(0, dtype=int))
+    (issue,) = checks.singularity_issues(LINEAR, ROBOT, sample(range(5)), q, np.zeros(0, dtype=int))
     assert (issue.kind, issue.level, issue.source_line, issue.count) == (kind, "error", 3, 2)
     assert words in issue.message
     ptp = program([("PTP", 10 * k, 0, 0) for k in range(5)])
-    assert list(checks.singularities(ptp, ROBOT, sample(range(5)), q, np.zeros(0, dtype=int))) == []
+    assert list(checks.singularity_issues(ptp, ROBOT, sample(range(5)), q, np.zeros(0, dtype=int))) == []
 
 
 def test_a_wrist_above_the_axis_of_a1_is_named_within_five_millimetres():
@@ -97,7 +100,7 @@ def test_a_wrist_above_the_axis_of_a1_is_named_within_five_millimetres():
             at = frame([0.0, middle, 0.0, 0.0, 0.5, 0.0], 4)[0, 3]
             low, high = (middle, high) if at < ahead else (low, middle)
         rows.append([0.0, low, 0.0, 0.0, 0.5, 0.0])
-    (issue,) = checks.singularities(LINEAR, ROBOT, sample(range(3)), np.array(rows), np.zeros(0, dtype=int))
+    (issue,) = checks.singularity_issues(LINEAR, ROBOT, sample(range(3)), np.array(rows), np.zeros(0, dtype=int))
     assert (issue.kind, issue.source_line, issue.count) == ("shoulder-singularity", 2, 2)
     assert "the wrist is above the A1 axis" in issue.message
 
@@ -114,15 +117,15 @@ def test_a_wrist_above_the_axis_of_a1_is_named_within_five_millimetres():
 def test_a_joint_that_turns_by_more_than_45_degrees_between_samples_is_named(joint, degrees, kind):
     start = NORMAL[int(joint[1]) - 1]
     q = angles(**{joint: start + np.radians([0, 0, degrees, degrees, degrees])})
-    issues = list(checks.singularities(LINEAR, ROBOT, sample(range(5)), q, np.zeros(0, dtype=int)))
+    issues = list(checks.singularity_issues(LINEAR, ROBOT, sample(range(5)), q, np.zeros(0, dtype=int)))
     assert [issue.kind for issue in issues] == ([kind] if kind else [])
     if not kind:
         return
     assert (issues[0].source_line, issues[0].count) == (3, 1)
     assert ("A4 and A6 turn by more than 45° at once" in issues[0].message) is (kind == "wrist-singularity")
-    assert list(checks.singularities(LINEAR, ROBOT, sample(range(5)), q, np.array([2]))) == []
+    assert list(checks.singularity_issues(LINEAR, ROBOT, sample(range(5)), q, np.array([2]))) == []
     apart = [0, 1, 3, 4, 4]  # a motion between is not sampled
-    assert list(checks.singularities(LINEAR, ROBOT, sample(apart), q, np.zeros(0, dtype=int))) == []
+    assert list(checks.singularity_issues(LINEAR, ROBOT, sample(apart), q, np.zeros(0, dtype=int))) == []
 
 
 @pytest.mark.parametrize(
@@ -142,7 +145,7 @@ def test_half_a_turn_is_an_error_where_it_is_corrected(angle, shift, joints, lev
         values = np.full((5, 6), np.nan)
         values[1] = 0.0
         made = replace(MADE, motions=replace(MADE.motions, joints=values))
-    issues = list(checks.half_turns(made, at, turn, Poses.of(pose)))
+    issues = list(checks.half_turn_issues(made, at, turn, Poses.of(pose)))
     assert [(issue.level, issue.kind, issue.source_line) for issue in issues] == (
         [(level, "half-turn", 3)] if level else []
     )
@@ -160,22 +163,24 @@ def test_status_and_turn_that_the_angles_do_not_have_are_named():
         turn=np.array([good_turn, good_turn, good_turn ^ 0b100000, good_turn]),
     )  # fmt: skip
     made = replace(ptp, motions=motions)
-    issues = list(checks.status_and_turn(made, ROBOT, sample(range(4)), q))
+    issues = list(checks.status_and_turn_issues(made, ROBOT, sample(range(4)), q))
     assert [(issue.kind, issue.source_line, issue.count) for issue in issues] == [
         ("status-turn", 2, 1), ("status-turn", 3, 1),
     ]  # fmt: skip
     assert "has the status S of this target" in issues[0].message
     assert "has the turn T of this target" in issues[1].message
     lines_too = replace(made, motions=replace(motions, kind=np.array([LIN, LIN, PTP, LIN])))
-    (issue,) = checks.status_and_turn(lines_too, ROBOT, sample(range(4)), q)  # of lines the controller ignores them
+    (issue,) = checks.status_and_turn_issues(
+        lines_too, ROBOT, sample(range(4)), q
+    )  # of lines the controller ignores them
     assert issue.source_line == 3
     inside = sample([2, 2], t=[0.5, 1.0])
-    assert len(list(checks.status_and_turn(lines_too, ROBOT, inside, q[[1, 2]]))) == 1
+    assert len(list(checks.status_and_turn_issues(lines_too, ROBOT, inside, q[[1, 2]]))) == 1
     zero = replace(ptp, motions=replace(motions, status=np.zeros(4, dtype=int), turn=np.full(4, -1)))
-    (issue,) = checks.status_and_turn(zero, ROBOT, sample(range(4)), q)
+    (issue,) = checks.status_and_turn_issues(zero, ROBOT, sample(range(4)), q)
     assert (issue.source_line, issue.count) == (1, 3)
     none = replace(ptp, motions=replace(motions, status=np.full(4, -1), turn=np.full(4, -1)))
-    assert list(checks.status_and_turn(none, ROBOT, sample(range(4)), q)) == []
+    assert list(checks.status_and_turn_issues(none, ROBOT, sample(range(4)), q)) == []
 
 
 def test_an_arc_along_which_the_tool_turns_with_the_path_does_not_turn_it_by_its_sweep():
@@ -185,10 +190,10 @@ def test_an_arc_along_which_the_tool_turns_with_the_path_does_not_turn_it_by_its
     turn = np.radians([0.0, 0.0, 250.0, 0.0, 0.0])
     at = sample(range(5))
     made = replace(MADE, motions=motions, with_path=with_path)
-    assert len(list(checks.half_turns(made, at, turn, at.pose))) == 1
+    assert len(list(checks.half_turn_issues(made, at, turn, at.pose))) == 1
     small = np.radians([0.0, 0.0, 200.0, 0.0, 0.0])
-    assert list(checks.half_turns(made, at, small, at.pose)) == []
-    assert len(list(checks.half_turns(replace(made, with_path=None), at, small, at.pose))) == 1
+    assert list(checks.half_turn_issues(made, at, small, at.pose)) == []
+    assert len(list(checks.half_turn_issues(replace(made, with_path=None), at, small, at.pose))) == 1
 
 
 @pytest.mark.parametrize(("degrees", "is_wrong"), [(0.009, False), (0.011, True)])
@@ -198,15 +203,15 @@ def test_an_angle_within_a_hundredth_of_a_degree_of_zero_has_no_sign(degrees, is
     q = angles(1, A1=np.radians(degrees), A5=np.radians(degrees))
     for status, turn in ((-1, 0b000011), (6, -1)):
         made = replace(ptp, motions=replace(ptp.motions, status=np.array([status]), turn=np.array([turn])))
-        assert len(list(checks.status_and_turn(made, ROBOT, sample([0]), q))) == is_wrong
+        assert len(list(checks.status_and_turn_issues(made, ROBOT, sample([0]), q))) == is_wrong
 
 
 def test_start_joints_beyond_a_limit_and_a5_at_zero():
     start = np.radians([0.0, 0.25, 100.0, 0.0, 0.19, 0.0])
-    issues = list(checks.start_joints(MADE, ROBOT, start))
+    issues = list(checks.start_joint_issues(MADE, ROBOT, start))
     assert lines(issues) == {"start-joints": ("error", 1, 1), "start-singular": ("warning", 1, 1)}
     assert "A2 is outside its limits by 0.250°" in issues[0].message
-    assert list(checks.start_joints(MADE, ROBOT, np.radians([0.0, 0.0, 100.0, 0.0, 0.21, 0.0]))) == []
+    assert list(checks.start_joint_issues(MADE, ROBOT, np.radians([0.0, 0.0, 100.0, 0.0, 0.21, 0.0]))) == []
 
 
 @pytest.mark.parametrize(("degrees", "told"), [(149.0, False), (151.0, True), (-151.0, True)])
@@ -216,11 +221,11 @@ def test_a_first_move_that_turns_the_hand_far_is_told(degrees, told):
     q[0, 3] += np.radians(degrees)
     q[1:, 5] += 3.0
     path = JointPath(q, np.zeros(5, dtype=int))
-    issues = list(checks.first_move(MADE, path, start))
+    issues = list(checks.first_move_issues(MADE, path, start))
     assert lines(issues) == ({"first-move-A4": ("warning", 1, 1)} if told else {})
     if told:
         assert f"turns A4 by {degrees:.0f}° from the [start] joints" in issues[0].message
-    assert list(checks.first_move(LINEAR, path, start)) == []
+    assert list(checks.first_move_issues(LINEAR, path, start)) == []
 
 
 HEIGHTS = [
@@ -237,7 +242,7 @@ def test_a_first_move_below_its_target_or_clearance_is_a_warning(z, clearance, w
     """The first target is at Z 50; a millimetre is allowed."""
     tip = np.zeros((len(z), 3))
     tip[:, 2] = np.array(z) * 1e-3
-    issues = list(checks.height_of_start(MADE, tip, None if clearance is None else clearance * 1e-3))
+    issues = list(checks.start_height_issues(MADE, tip, None if clearance is None else clearance * 1e-3))
     assert len(issues) == (words is not None)
     if words:
         assert words in issues[0].message
@@ -247,22 +252,22 @@ def test_a_first_move_below_its_target_or_clearance_is_a_warning(z, clearance, w
         assert (issues[0].level, issues[0].kind, issues[0].source_line) == ("warning", "start-below", 1)
     joints = np.zeros((5, 6))
     by_axes = replace(MADE, motions=replace(MADE.motions, joints=joints))
-    assert list(checks.height_of_start(by_axes, tip, clearance)) == []
+    assert list(checks.start_height_issues(by_axes, tip, clearance)) == []
 
 
 def test_a_ptp_that_changes_the_posture_is_told_with_both_states():
     start = NORMAL.copy()
     q = angles(A5=[-0.5, -0.5, 0.5, -0.5, 0.5])  # the posture on the lines between is not its subject
-    issues = list(checks.posture(MADE, ROBOT, sample(range(5)), JointPath(q, np.zeros(5, dtype=int)), start))
+    issues = list(checks.posture_issues(MADE, ROBOT, sample(range(5)), JointPath(q, np.zeros(5, dtype=int)), start))
     assert lines(issues) == {"posture": ("info", 1, 2)}
     assert "status S from 2 to 6" in issues[0].message
     start[4] = -0.5
-    (issue,) = checks.posture(MADE, ROBOT, sample(range(5)), JointPath(q, np.zeros(5, dtype=int)), start)
+    (issue,) = checks.posture_issues(MADE, ROBOT, sample(range(5)), JointPath(q, np.zeros(5, dtype=int)), start)
     assert (issue.source_line, issue.count) == (5, 1)
     assert "status S from 6 to 2" in issue.message
     second = program([("LIN", 0, 0, 0), ("PTP", 100, 0, 0)])
     turned = JointPath(angles(2, A5=[-0.5, 0.5]), np.zeros(2, dtype=int))
-    assert lines(checks.posture(second, ROBOT, sample([0, 1]), turned, NORMAL)) == {"posture": ("info", 2, 1)}
+    assert lines(checks.posture_issues(second, ROBOT, sample([0, 1]), turned, NORMAL)) == {"posture": ("info", 2, 1)}
 
 
 def test_joint_speeds_are_angles_over_the_time_of_the_longer_way_at_the_feed():
@@ -312,7 +317,7 @@ def test_joints_that_are_too_fast_are_named_with_the_feed_that_is_slow_enough(is
     speed[1, 1], speed[2, 1], speed[3, 4] = 1.2 * ROBOT.speed[1], 1.5 * ROBOT.speed[1], 2.0 * ROBOT.speed[4]
     speed[2, 0] = ROBOT.speed[0]
     made = replace(MADE, issues=(Issue("warning", "default-speed", ""),)) if is_default else MADE
-    issues = list(checks.joint_speed_limits(made, ROBOT, sample(range(5)), speed))
+    issues = list(checks.joint_speed_issues(made, ROBOT, sample(range(5)), speed))
     level = "warning" if is_default else "error"
     assert lines(issues) == {"joint-speed-A2": (level, 2, 2), "joint-speed-A5": (level, 4, 1)}
     limit = np.degrees(ROBOT.speed[1])
@@ -334,19 +339,19 @@ def test_feeds_are_rounded_down_to_two_digits(value, words):
 def test_branches_that_end_a_turn_apart_are_an_error():
     made = replace(MADE, joins=((1, 2), (1, 3), (-1, 4)))
     q = angles(A6=[0.0, 0.1, 0.1 + 2 * np.pi, 0.1 + 3.1, 0.2])
-    issues = list(checks.joints_at_joins(made, sample(range(5)), q, NORMAL))
+    issues = list(checks.joint_issues_at_joins(made, sample(range(5)), q, NORMAL))
     assert [(issue.kind, issue.source_line, issue.count, issue.lines) for issue in issues] == [
         ("branch-joints", 2, 2, (2, 3))
     ]
     assert "end with A6 at 6° and 366°" in issues[0].message
     far = NORMAL.copy()
     far[5] = -3.2
-    (_, from_start) = checks.joints_at_joins(made, sample(range(5)), q, far)
+    (_, from_start) = checks.joint_issues_at_joins(made, sample(range(5)), q, far)
     assert from_start.lines == (5,)
-    (of_first,) = checks.joints_at_joins(replace(MADE, joins=((0, 2),)), sample(range(5)), q, far)
+    (of_first,) = checks.joint_issues_at_joins(replace(MADE, joins=((0, 2),)), sample(range(5)), q, far)
     assert (of_first.lines, of_first.source_line) == ((1, 3), 1)
     alike = replace(MADE, joins=((0, 1),))
-    assert list(checks.joints_at_joins(alike, sample(range(5)), q, far)) == []
+    assert list(checks.joint_issues_at_joins(alike, sample(range(5)), q, far)) == []
 
 
 def test_branches_that_are_corrected_differently_are_an_error():
@@ -358,11 +363,11 @@ def test_branches_that_are_corrected_differently_are_an_error():
     pose[3, 0, 3] += 1e-3 + 9e-7
     wrench = np.zeros((5, 6))
     wrench[1, :3], wrench[3, :3] = (10.0, 0.0, -5.5), (10.5, 0.0, 0.0)
-    issues = list(checks.corrections_at_joins(made, at, Poses.of(pose), Runs.of(wrench)))
+    issues = list(checks.correction_issues_at_joins(made, at, Poses.of(pose), Runs.of(wrench)))
     assert [(issue.kind, issue.lines) for issue in issues] == [("branch-forces", (2, 4))]
     assert "(line 2: F = (10, 0, -5.5) N, line 4: F = (10.5, 0, 0) N)" in issues[0].message
     pose[4, 2, 3] += 1e-6
-    assert [issue.lines for issue in checks.corrections_at_joins(made, at, Poses.of(pose), Runs.of(wrench))] == [
+    assert [issue.lines for issue in checks.correction_issues_at_joins(made, at, Poses.of(pose), Runs.of(wrench))] == [
         (2, 4),
         (5,),
     ]
@@ -370,15 +375,15 @@ def test_branches_that_are_corrected_differently_are_an_error():
 
 def test_a_correction_beyond_its_limit_and_rounding_beyond_the_tolerance_are_named():
     size = np.array([0.0, 2e-3, 3.1e-3, np.nan, 1e-3])
-    (issue,) = checks.correction_size(MADE, np.arange(5), np.nan_to_num(size, nan=4e-3), 3e-3)
+    (issue,) = checks.correction_size_issues(MADE, np.arange(5), np.nan_to_num(size, nan=4e-3), 3e-3)
     assert (issue.kind, issue.level, issue.source_line, issue.count) == ("correction-size", "error", 3, 2)
     assert "the correction of 4.000 mm is larger than max_correction_mm = 3." in issue.message
-    assert list(checks.correction_size(MADE, np.arange(2), size[:2], 2e-3)) == []
-    assert len(list(checks.correction_size(MADE, np.arange(5), size, 1.0))) == 1
-    (issue,) = checks.blending(MADE, np.arange(5), np.array([0, 1e-4, 2.5e-4, 0, 0]), 1e-4)
+    assert list(checks.correction_size_issues(MADE, np.arange(2), size[:2], 2e-3)) == []
+    assert len(list(checks.correction_size_issues(MADE, np.arange(5), size, 1.0))) == 1
+    (issue,) = checks.blending_issues(MADE, np.arange(5), np.array([0, 1e-4, 2.5e-4, 0, 0]), 1e-4)
     assert (issue.kind, issue.level, issue.source_line, issue.count) == ("blending", "warning", 3, 1)
     assert "by up to 0.250 mm more than the programmed one; tolerance_mm is 0.1." in issue.message
-    assert list(checks.blending(MADE, np.zeros(0, dtype=int), np.zeros(0), 1e-4)) == []
+    assert list(checks.blending_issues(MADE, np.zeros(0, dtype=int), np.zeros(0), 1e-4)) == []
 
 
 def test_loads_beyond_ten_percent_over_the_measured_ones_are_named():

@@ -41,7 +41,7 @@ def told(issues):
 
 
 def singular(q, motion=(1, 2, 3), made=MADE, apart=()):
-    return list(checks.singularities(made, ROBOT, sampled(motion), np.asarray(q), np.array(apart, dtype=np.int64)))
+    return list(checks.singularity_issues(made, ROBOT, sampled(motion), np.asarray(q), np.array(apart, dtype=np.int64)))
 
 
 def changed(axis, *values):
@@ -116,21 +116,21 @@ def test_of_the_first_sample_nothing_is_known_that_it_could_jump_from():
 def test_joint_angles_beyond_a_limit_are_errors_with_the_angle(axis):
     for limit, sign in ((ROBOT.lower[axis], -1.0), (ROBOT.upper[axis], 1.0)):
         fine = changed(axis, limit, limit + sign * 5e-10)
-        assert not list(checks.joint_limits(MADE, ROBOT, sampled((1, 2)), fine))
+        assert not list(checks.joint_limit_issues(MADE, ROBOT, sampled((1, 2)), fine))
         q = changed(axis, limit, limit + sign * 1e-3, limit + sign * 2e-3)
-        (issue,) = checks.joint_limits(MADE, ROBOT, sampled((1, 2, 3)), q)
+        (issue,) = checks.joint_limit_issues(MADE, ROBOT, sampled((1, 2, 3)), q)
         assert (issue.kind, issue.level, issue.lines) == (f"joint-limit-A{axis + 1}", "error", (3, 4))
         angle = np.degrees(limit + sign * 1e-3)
         low, high = np.degrees([ROBOT.lower[axis], ROBOT.upper[axis]])
         assert f"A{axis + 1} = {angle:.3f}° is outside its limits {low:g}…{high:g}°" in issue.message
         q[0, axis] = np.nan
-        (issue,) = checks.joint_limits(MADE, ROBOT, sampled((1, 2, 3)), q)
+        (issue,) = checks.joint_limit_issues(MADE, ROBOT, sampled((1, 2, 3)), q)
         assert issue.lines == (2, 3, 4)
 
 
 def test_each_joint_beyond_its_limits_is_an_error_of_its_own():
     q = np.array([ROBOT.upper + 0.1, ROBOT.lower - 0.1])
-    found = told(checks.joint_limits(MADE, ROBOT, sampled((2, 3)), q))
+    found = told(checks.joint_limit_issues(MADE, ROBOT, sampled((2, 3)), q))
     assert found == [(f"joint-limit-A{n}", "error", (3, 4)) for n in range(1, 7)]
 
 
@@ -152,7 +152,7 @@ def half_turn(moved, made=MADE, turn=NEARLY):
     pose, commanded = five_poses(moved)
     sample = sampled((0, 1, 2, 2, 3), (1.0, 1.0, 0.5, 1.0, 1.0), pose)
     turns = np.array([np.pi, 0.0, turn, 0.0])
-    return told(checks.half_turns(made, sample, turns, commanded))
+    return told(checks.half_turn_issues(made, sample, turns, commanded))
 
 
 @pytest.mark.parametrize("axis", range(6))
@@ -195,7 +195,9 @@ TO = program([("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("PTP", 100, 0, 0)])
 def status(q, s=-1, t=-1, **changes):
     m = TO.motions
     made = replace(TO, motions=replace(m, status=np.array([-1, -1, s]), turn=np.array([-1, -1, t]), **changes))
-    return told(checks.status_and_turn(made, ROBOT, sampled((0, 1, 2, 2), (1.0, 1.0, 0.5, 1.0)), np.array([q] * 4)))
+    return told(
+        checks.status_and_turn_issues(made, ROBOT, sampled((0, 1, 2, 2), (1.0, 1.0, 0.5, 1.0)), np.array([q] * 4))
+    )
 
 
 def test_status_of_a_ptp_is_compared_bit_by_bit():
@@ -226,11 +228,13 @@ def test_turn_of_a_ptp_is_compared_axis_by_axis(axis):
 def test_start_joints_beyond_a_limit_name_the_joint_and_by_how_much(axis):
     for limit, sign in ((ROBOT.lower, -1.0), (ROBOT.upper, 1.0)):
         at = changed(axis, limit[axis] + sign * np.radians(0.5))[0]
-        (issue,) = checks.start_joints(MADE, ROBOT, at)
+        (issue,) = checks.start_joint_issues(MADE, ROBOT, at)
         assert (issue.kind, issue.level, issue.source_line) == ("start-joints", "error", 1)
         assert f"A{axis + 1} is outside its limits by 0.500°" in issue.message
-        assert not list(checks.start_joints(MADE, ROBOT, changed(axis, limit[axis] + sign * 5e-10)[0]))
-    near = [told(checks.start_joints(MADE, ROBOT, changed(4, np.radians(angle))[0])) for angle in (-0.19, 0.19, 0.21)]
+        assert not list(checks.start_joint_issues(MADE, ROBOT, changed(axis, limit[axis] + sign * 5e-10)[0]))
+    near = [
+        told(checks.start_joint_issues(MADE, ROBOT, changed(4, np.radians(angle))[0])) for angle in (-0.19, 0.19, 0.21)
+    ]
     assert near == [[("start-singular", "warning", ())]] * 2 + [[]]
 
 
@@ -239,7 +243,7 @@ def test_start_joints_beyond_a_limit_name_the_joint_and_by_how_much(axis):
 def test_a_first_ptp_that_turns_the_hand_by_more_than_150_degrees_is_a_warning(axis, sign):
     def found(by, made=MADE):
         q = changed(axis, Q[axis] + sign * np.radians(by), Q[axis])
-        return list(checks.first_move(made, JointPath(q, np.full(2, 2)), Q))
+        return list(checks.first_move_issues(made, JointPath(q, np.full(2, 2)), Q))
 
     assert not found(149.9)
     (issue,) = found(150.2)
@@ -257,7 +261,7 @@ def test_a_ptp_to_another_posture_than_the_one_before_is_told():
     sample = sampled((0, 1, 2, 2, 3), (1.0, 1.0, 0.5, 1.0, 1.0))
 
     def found(q, start=Q):
-        return list(checks.posture(two, ROBOT, sample, JointPath(q, np.full(5, 2)), start))
+        return list(checks.posture_issues(two, ROBOT, sample, JointPath(q, np.full(5, 2)), start))
 
     assert not found(q)
     (issue,) = found(q, changed(4, -0.5)[0])
@@ -335,7 +339,7 @@ def test_joint_speeds_beyond_the_limit_are_errors_with_the_speed(axis):
     slow = replace(MADE, motions=replace(MADE.motions, rapid=np.zeros(4, dtype=bool)))
 
     def found(made, speed=speed):
-        return list(checks.joint_speed_limits(made, ROBOT, sampled((1, 2, 3)), speed))
+        return list(checks.joint_speed_issues(made, ROBOT, sampled((1, 2, 3)), speed))
 
     (issue,) = found(slow)
     assert (issue.kind, issue.level, issue.lines) == (f"joint-speed-A{axis + 1}", "error", (4,))
@@ -357,7 +361,7 @@ def meet(moved, rows):
     pose, commanded = five_poses(moved)
     wrench = np.outer(np.arange(5.0), np.arange(1.0, 7.0))
     sample = sampled((0, 1, 2, 2, 3), (1.0, 1.0, 0.5, 1.0, 1.0), pose)
-    return list(checks.corrections_at_joins(replace(MADE, joins=rows), sample, commanded, wrench))
+    return list(checks.correction_issues_at_joins(replace(MADE, joins=rows), sample, commanded, wrench))
 
 
 @pytest.mark.parametrize("axis", range(6))
@@ -382,7 +386,7 @@ def test_branches_that_are_corrected_differently_where_they_meet_are_an_error(ax
 
 def test_a_correction_larger_than_allowed_is_an_error():
     def found(*sizes):
-        return list(checks.correction_size(MADE, np.array([1, 2, 3]), np.array(sizes), 2e-3))
+        return list(checks.correction_size_issues(MADE, np.array([1, 2, 3]), np.array(sizes), 2e-3))
 
     assert not found(0.0, 2e-3, 1e-3)
     (issue,) = found(0.0, 2.1e-3, 3e-3)
@@ -392,7 +396,7 @@ def test_a_correction_larger_than_allowed_is_an_error():
 
 
 def test_rounding_that_grows_by_more_than_the_tolerance_is_a_warning():
-    found = told(checks.blending(MADE, np.array([1, 2, 3]), np.array([1e-5, -1.0, 1.1e-5]), 1e-5))
+    found = told(checks.blending_issues(MADE, np.array([1, 2, 3]), np.array([1e-5, -1.0, 1.1e-5]), 1e-5))
     assert found == [("blending", "warning", (4,))]
 
 

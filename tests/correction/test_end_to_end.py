@@ -127,7 +127,7 @@ def test_nominal_krl_from_gcode_stands_on_the_nominal_path_without_force():
     for index, _, pose, _ in sim.run(moves):
         row = rows[index - (len(moves) - len(rows))]
         np.testing.assert_allclose(pose[:3, 3] * 1000, [row[k] for k in "XYZ"], atol=1e-4)
-    assert result.between > 1e-4
+    assert result.path_deviation > 1e-4
 
 
 def test_a_force_wrong_by_one_percent_is_seen_by_the_oracle():

@@ -136,7 +136,7 @@ def test_the_result_has_the_numbers_of_its_targets(errors):
     np.testing.assert_array_equal(result.deviation_before, deviation)
     np.testing.assert_array_equal(result.deviation_after, simulation.deviation)
     np.testing.assert_array_equal(result.rounding, simulation.rounding)
-    assert result.between == simulation.path_distance.max()
+    assert result.path_deviation == simulation.path_distance.max()
     moved = [np.linalg.norm(targets.pose[k][:3, 3] - result.nominal[k][:3, 3]) for k in range(len(row))]
     assert result.largest_correction == pytest.approx(max(moved), abs=1e-15)
     assert (result.largest_correction > 1e-4) == (kind != "nominal")
@@ -145,7 +145,7 @@ def test_the_result_has_the_numbers_of_its_targets(errors):
     assert result.exact_forces == (kind == "certain")
     assert not result.is_stock_known
     assert (result.redundancy_deg is None) == (kind == "krl")
-    assert result.programmed.any() == (kind == "krl")
+    assert result.programmed_rounding.any() == (kind == "krl")
 
 
 def test_each_target_stands_for_the_cut_halfway_to_its_neighbours_with_the_same_force(errors):

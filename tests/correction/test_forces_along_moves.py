@@ -179,7 +179,7 @@ TURNING = (
 def test_a_line_that_turns_the_tool_past_its_travel_holds_the_tolerance_under_a_feed_force(tmp_path):
     result = correct_files({"part.src": TURNING.format(1.0)})
     check(result, tmp_path)
-    assert result.between <= CELL.tolerance
+    assert result.path_deviation <= CELL.tolerance
     assert result.documents[0].text.count("FRAME=FEED") > 20  # the force turns with the tool along each piece
 
 

@@ -137,7 +137,7 @@ def test_motions_are_slowed_to_a_share_of_the_joint_speeds_that_falls_each_time(
         before = Slowing(joint, np.zeros(len(m), dtype=bool), times)
     for fast_lines in ((), (int(m.line[5]),), (int(m.line[7]), int(m.line[8]))):
         feed, joint, is_capped = slowed_by_loop(path, q, position, before, fast_lines, cap=cap)
-        found = inspection.slow_rapids(path, q, position, before, fast_lines)
+        found = inspection.slow_fast_motions(path, q, position, before, fast_lines)
         if np.array_equal(feed, m.feed, equal_nan=True):
             assert found is None
             continue
@@ -390,8 +390,9 @@ def test_states_are_distances_of_joints_to_their_limits_and_of_the_arm_to_singul
 
 
 CHECKS = (
-    "start_joints", "first_move", "height_of_start", "half_turns", "posture", "status_and_turn", "joint_limits",
-    "singularities", "joint_speed_limits", "joints_at_joins", "corrections_at_joins", "correction_size",
+    "start_joint_issues", "first_move_issues", "start_height_issues", "half_turn_issues", "posture_issues",
+    "status_and_turn_issues", "joint_limit_issues", "singularity_issues", "joint_speed_issues",
+    "joint_issues_at_joins", "correction_issues_at_joins", "correction_size_issues",
 )  # fmt: skip
 
 
@@ -411,9 +412,10 @@ def test_a_path_has_the_issues_of_all_checks_and_between_samples_those_of_other_
 
     def between_samples(path, q, position, stretches, sparse):
         between.append((stretches, sparse.tolist()))
-        of_arcs = ["joint_limits", "new", "new", "other"]
+        of_arcs = ["joint_limit_issues", "new", "new", "other"]
         yield from (
-            SimpleNamespace(kind=kind) for kind in (of_arcs if stretches is arcs else ["other", "last", "posture"])
+            SimpleNamespace(kind=kind)
+            for kind in (of_arcs if stretches is arcs else ["other", "last", "posture_issues"])
         )
 
     monkeypatch.setattr(inspection, "issues_between_samples", between_samples)
@@ -427,14 +429,14 @@ def test_a_path_has_the_issues_of_all_checks_and_between_samples_those_of_other_
     issues = inspection.path_issues(path, command)
     assert [issue.kind for issue in issues] == [*CHECKS, "new", "new", "other", "last"]
     assert between == [(arcs, []), (lines, [2, 5])]
-    assert calls["height_of_start"][2] == (None if clearance is None else pytest.approx(0.045))
-    np.testing.assert_array_equal(calls["singularities"][4], arcs.motion)
+    assert calls["start_height_issues"][2] == (None if clearance is None else pytest.approx(0.045))
+    np.testing.assert_array_equal(calls["singularity_issues"][4], arcs.motion)
     np.testing.assert_allclose(
-        calls["correction_size"][2], np.linalg.norm(position - PATH.sample.pose[:, :3, 3], axis=1), atol=1e-12
+        calls["correction_size_issues"][2], np.linalg.norm(position - PATH.sample.pose[:, :3, 3], axis=1), atol=1e-12
     )
-    assert calls["correction_size"][3] == pytest.approx(0.0075)
-    assert calls["joint_limits"][3] is q
-    tips = calls["height_of_start"][1]
+    assert calls["correction_size_issues"][3] == pytest.approx(0.0075)
+    assert calls["joint_limit_issues"][3] is q
+    tips = calls["start_height_issues"][1]
     assert len(tips) == 201
     base = path.program.bases[path.program.motions.base[0]]
     end = PATH.program.motions.target[0][:3, 3]

@@ -212,7 +212,7 @@ def test_the_written_path_is_near_a_joint_speed_from_three_quarters_of_it_on(mon
 @pytest.mark.parametrize("slower", [1.0, 0.01])
 def test_the_written_path_of_any_robot_is_checked(monkeypatch, slower):
     robot = replace(ROBOT, speed=ROBOT.speed * slower)
-    monkeypatch.setattr(checks, "joint_speed_limits", spared(checks.joint_speed_limits, "part.nc"))
+    monkeypatch.setattr(checks, "joint_speed_issues", spared(checks.joint_speed_issues, "part.nc"))
     text = CUT.format(feed=400000 * slower)
     program = read_files({"part.nc": text}, robot=robot)
     result = process(program, robot, CELL)
@@ -223,8 +223,8 @@ def test_the_written_path_of_any_robot_is_checked(monkeypatch, slower):
 
 def test_the_written_path_is_checked(monkeypatch):
     """Were the commanded path not checked, the text would be refused, with the lines of both."""
-    monkeypatch.setattr(checks, "joint_speed_limits", spared(checks.joint_speed_limits, "part.nc"))
-    monkeypatch.setattr(inspection, "slow_rapids", lambda *_: None)
+    monkeypatch.setattr(checks, "joint_speed_issues", spared(checks.joint_speed_issues, "part.nc"))
+    monkeypatch.setattr(inspection, "slow_fast_motions", lambda *_: None)
     result = converted(RAPIDS.format(feed=900))
     assert not result.documents
     issue = next(issue for issue in result.issues if issue.level == "error")

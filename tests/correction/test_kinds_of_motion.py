@@ -19,15 +19,16 @@ NO_FORCE = "no force acts on it, so nothing is corrected"
 WORD = {LIN: "LIN", SPL: "SPL", PTP: "PTP"}
 """Arcs between their ends: `test_closely`. Collisions and material on PTPs and rapid moves: `test_joint_moves`."""
 KINDS = {
-    "joint_limits": {LIN: "joint-limit-A1", SPL: "joint-limit-A1", PTP: "joint-limit-A1"},
-    "singularities": {LIN: "wrist-singularity", SPL: "wrist-singularity", PTP: NO_SINGULARITY},
-    "joint_speed_limits": {LIN: "joint-speed-A1", SPL: "joint-speed-A1", PTP: OWN_SPEED},
-    "correction_size": {LIN: "correction-size", SPL: "correction-size", PTP: NO_FORCE},
+    "joint_limit_issues": {LIN: "joint-limit-A1", SPL: "joint-limit-A1", PTP: "joint-limit-A1"},
+    "singularity_issues": {LIN: "wrist-singularity", SPL: "wrist-singularity", PTP: NO_SINGULARITY},
+    "joint_speed_issues": {LIN: "joint-speed-A1", SPL: "joint-speed-A1", PTP: OWN_SPEED},
+    "correction_size_issues": {LIN: "correction-size", SPL: "correction-size", PTP: NO_FORCE},
 }
 """Check → kind of motion → kind of the issue, or why there is none."""
 OF_ONE_PLACE = {
-    "start_joints", "first_move", "height_of_start", "status_and_turn", "posture", "joints_at_joins",
-    "corrections_at_joins", "half_turns", "blending", "torque_warnings",
+    "start_joint_issues", "first_move_issues", "start_height_issues", "status_and_turn_issues", "posture_issues",
+    "joint_issues_at_joins",
+    "correction_issues_at_joins", "half_turn_issues", "blending_issues", "torque_warnings",
 }  # fmt: skip
 """Checks of the start, of targets and of corners, which hold for any motion that has them."""
 
@@ -37,11 +38,11 @@ def planted(check, kind):
     kinds = np.array([PTP, LIN, kind, LIN])
     settings = {"kind": kinds, "rapid": np.array([True, False, kind == PTP, False])}
     first, last, model, cell = NORMAL, near(A1=11.0), ROBOT, CELL
-    if check == "joint_limits":
+    if check == "joint_limit_issues":
         first, last = near(A1=184.0), near(A1=185.2)
-    elif check == "singularities":
+    elif check == "singularity_issues":
         first, last = near(A5=3.0), near(A5=0.1)
-    elif check == "joint_speed_limits":
+    elif check == "joint_speed_issues":
         model = replace(ROBOT, speed=ROBOT.speed * np.where(np.arange(6) == 0, 1e-4, 1.0))
         settings["feed"] = 0.05
     else:

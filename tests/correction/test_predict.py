@@ -28,7 +28,7 @@ def test_prediction_has_the_numbers_that_convert_has_before(name: str) -> None:
     for key, value in asdict(before).items():
         assert getattr(as_it_stands, key) == pytest.approx(value, abs=1e-7)  # mm: what the equilibrium is solved to
     np.testing.assert_array_equal(predicted.t, corrected.t)
-    assert predicted.between >= max(predicted.before) > 0.0
+    assert predicted.path_deviation >= max(predicted.before) > 0.0
     assert predicted.largest_correction == 0.0
     assert predicted.documents == ()
 
@@ -38,7 +38,7 @@ def test_what_is_worst_between_the_targets_of_a_long_line_is_told() -> None:
     result = correction.process(made, ROBOT, CELL, mode="predict")
     ends, between = result.before[result.t == 1.0], result.before[result.t < 1.0]
     assert between.max() > ends.max() + 0.05e-3
-    assert result.between >= between.max()
+    assert result.path_deviation >= between.max()
 
 
 def test_numbers_of_krl_stand_beside_its_own_targets_only() -> None:

@@ -93,7 +93,7 @@ def test_a_result_without_a_path_has_no_targets():
     """As that of a program that is refused: rows of all columns are counted together."""
     columns = [
         "motion", "t", "output_line", "nominal", "printed", "wrench", "deflection", "deviation_before",
-        "deviation_after", "q", "rounding", "programmed",
+        "deviation_after", "q", "rounding", "programmed_rounding",
     ]  # fmt: skip
     assert (len(EMPTY), EMPTY.failed) == (0, False)
     assert {name: len(getattr(EMPTY, name)) for name in columns} == dict.fromkeys(columns, 0)
@@ -130,7 +130,7 @@ def test_deflection_is_by_the_force_alone_and_deviation_is_from_nominal(referenc
 def test_feeds_are_lowered_below_the_programmed_one_and_miss_the_tolerance_above_it():
     columns = {name: np.zeros(4) for name in ("length", "without_feed")}
     held = HeldFeed(
-        tolerance=1e-4, least=1e-3, unheld="lowest", programmed=np.array([0.05, 0.05, 0.05, np.nan]),
+        tolerance=1e-4, least=1e-3, unheld="lowest", programmed_feed=np.array([0.05, 0.05, 0.05, np.nan]),
         feed=np.array([0.05, 0.04, 0.03, np.nan]), expected=np.array([1e-4, 1.1e-4, 0.9e-4, 0.0]), **columns,
     )  # fmt: skip
     assert held.is_lowered.tolist() == [False, True, True, False]

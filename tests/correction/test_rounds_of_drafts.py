@@ -34,7 +34,7 @@ class Script:
         patch.setattr(process, "PathUnderLoad", SimpleNamespace(of=lambda *parts: parts))
         patch.setattr(process, "_written_draft", self.drafted)
         patch.setattr(process, "_refine", self.closer)
-        patch.setattr(process.inspection, "slow_rapids", self.slowed)
+        patch.setattr(process.inspection, "slow_fast_motions", self.slowed)
 
     def drafted(self, task, path):
         number = sum(entry[0] == "draft" for entry in self.log)

@@ -201,13 +201,13 @@ def test_pieces_of_arcs_are_divided_by_the_root_of_what_they_miss_and_lines_get_
     kind = np.array([LIN, CIRC, LIN])
     calls = []
 
-    def finer(motion, t, parts):
+    def refined_at(motion, t, parts):
         calls.append((motion.tolist(), t.tolist(), parts.tolist()))
-        return "finer"
+        return "refined"
 
     tolerance = 2e-5
     path = SimpleNamespace(
-        program=SimpleNamespace(motions=SimpleNamespace(kind=kind)), arcs=SimpleNamespace(finer=finer),
+        program=SimpleNamespace(motions=SimpleNamespace(kind=kind)), arcs=SimpleNamespace(refined_at=refined_at),
         robot_in_cell=SimpleNamespace(tolerance=tolerance),
     )  # fmt: skip
     motion, t = np.array([0, 1, 1, 1, 1, 2]), np.array([0.1, 0.2, 0.4, 0.5, 0.6, 0.9])
@@ -215,7 +215,7 @@ def test_pieces_of_arcs_are_divided_by_the_root_of_what_they_miss_and_lines_get_
     distance = limit * np.array([3.0, 1.0, 4.1, 8.9, 100.0, 5.0])
     task = SimpleNamespace(linearize_arcs=linearize_arcs)
     pieces, (motions, places) = _refine(task, path, (motion, t, distance), (np.array([2]), np.array([0.3])))
-    assert pieces == "finer"
+    assert pieces == "refined"
     arcs = [] if linearize_arcs else [1, 2, 3, 4]
     lines = [n for n in range(6) if n not in arcs]
     parts = [min(max(int(np.ceil(np.sqrt(distance[n] / limit) - 1e-12)), 2), 4) for n in arcs]

@@ -223,7 +223,7 @@ def simulated(monkeypatch, seed, *, is_corrected, keeps_text, near_limit=False):
         ("_joint_speed_issues", lambda *parts: iter(["fast"])),
     ):  # fmt: skip
         monkeypatch.setattr(verify, name, function)
-    monkeypatch.setattr(verify.checks, "blending", blending)
+    monkeypatch.setattr(verify.checks, "blending_issues", blending)
     path = SimpleNamespace(program=made, robot_in_cell=SimpleNamespace(tolerance=TOLERANCE))
     Sized = type("Sized", (SimpleNamespace,), {"__len__": lambda self: 10})
     selection = SimpleNamespace(targets=Sized(motion=np.arange(10) // 2), programmed_rounding=programmed)
@@ -247,7 +247,7 @@ def test_places_that_use_up_four_fifths_of_the_tolerance_are_missed(monkeypatch,
     for k in range(10):
         rows = [n for n in range(30) if target[n] == k and is_judged[n]]
         assert result.path_distance[k] == max((distance[n] for n in rows), default=0.0)
-    assert result.between == result.path_distance.max()
+    assert result.largest_path_distance == result.path_distance.max()
     np.testing.assert_array_equal(result.rounding, rounding)
     assert (result.text, result.numbers) == ("text", "numbers")
     if not is_corrected:
@@ -298,7 +298,7 @@ def test_a_joint_that_is_too_fast_at_several_places_is_named_once_with_the_lines
     batches = [("places", "first", "position"), ("places", "second", "position")]
     monkeypatch.setattr(verify.inspection, "dense_places", lambda *parts: batches if parts[3] == "lines" else [])
     monkeypatch.setattr(verify.checks, "joint_speed", lambda made, at, turn, q, position: q if turn == "turn" else None)
-    monkeypatch.setattr(verify.checks, "joint_speed_limits", lambda made, robot, at, speed: places[speed])
+    monkeypatch.setattr(verify.checks, "joint_speed_issues", lambda made, robot, at, speed: places[speed])
     found = list(verify._joint_speed_issues(path, selection, readback))
     named = [(entry.kind, entry.message, entry.output_line, entry.source_line, entry.lines) for entry in found]
     assert named == [

@@ -84,10 +84,10 @@ def test_brute_force_over_feeds_finds_the_same_time(tmp_path, tolerance, materia
     # between the bound with the rounding of corners, and that with the largest distance of the path everywhere
     left_mm = 1e3 * np.linalg.norm(result.deviation_after, axis=1).max()
     assert left_mm < 1e-3
-    least = result.bound + np.maximum(result.rounding - result.programmed, 0.0)
+    least = result.bound + np.maximum(result.rounding - result.programmed_rounding, 0.0)
     cuts = ~result.rapid
     assert (result.expected[cuts] >= least[cuts] - 1e-12).all()
-    assert (result.expected[cuts] <= (least + result.between)[cuts] + 1e-12).all()
+    assert (result.expected[cuts] <= (least + result.path_deviation)[cuts] + 1e-12).all()
 
 
 def test_with_blended_corners_no_feeds_that_hold_the_tolerance_are_faster(tmp_path):

@@ -70,7 +70,7 @@ def test_text_is_valid_json_whatever_is_unknown():
         fabricated.result(0),
         joint_margin=np.full(6, np.nan),
         singular_value=np.nan,
-        between=np.inf,
+        path_deviation=np.inf,
         largest_correction=np.nan,
         issues=(Issue("error", "unreachable", "out of reach", 7),),
     )

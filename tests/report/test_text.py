@@ -63,7 +63,7 @@ def test_what_is_left_by_rounding_alone_is_no_improvement():
 def test_where_there_was_nothing_to_correct_no_noise_is_printed(mode):
     noise = np.random.default_rng(1).uniform(0.0, 1e-13, 100)
     result = fabricated.with_changes(
-        fabricated.result(mode=mode), before=noise, after=noise * 0.9, between=1e-13, wrench=np.zeros((100, 6))
+        fabricated.result(mode=mode), before=noise, after=noise * 0.9, path_deviation=1e-13, wrench=np.zeros((100, 6))
     )
     text = program_text(summary(result, 1e-5))
     assert "Nothing to correct: no cutting move carries a force, the tool follows the programmed path." in text

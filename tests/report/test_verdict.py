@@ -196,7 +196,7 @@ def test_what_needs_a_look_is_a_warning(changes, reason):
 @pytest.mark.parametrize(("tolerance", "held"), [(2.6e-4, True), (2.5e-4, False)])
 def test_the_part_is_judged_by_bound_corners_and_path_together(tolerance, held):
     bound = np.where(np.arange(100) == 60, 2e-4, 1e-4)
-    content = _content(part=tolerance, bound=bound, rounding=np.full(100, 6e-5), programmed=np.full(100, 1e-5))
+    content = _content(part=tolerance, bound=bound, rounding=np.full(100, 6e-5), programmed_rounding=np.full(100, 1e-5))
     assert content.part.expected_mm == pytest.approx(0.254)
     assert content.part.source_line == 63
     assert content.part.held is held

@@ -69,7 +69,7 @@ def test_an_arc_is_one_piece_of_two_samples_unless_it_is_large_or_the_displaceme
     np.testing.assert_allclose(t[motion == 1], [*(np.arange(1, 7) / 24), *(0.25 + 0.1875 * np.arange(1, 5))])
     np.testing.assert_array_equal(
         found.with_enough_pieces(np.array([4, 1]))
-        .finer(np.array([1, 1]), np.array([0.1, 0.2]), np.array([2, 3]))
+        .refined_at(np.array([1, 1]), np.array([0.1, 0.2]), np.array([2, 3]))
         .number,
         [1, 2, 1, 3, 1],
     )

@@ -293,7 +293,7 @@ def test_only_the_piece_on_which_the_path_was_missed_is_divided(seed):
     t = arcs.begin[at] + (arcs.end - arcs.begin)[at] * share / arcs.number[at]
     order = np.argsort(arcs.motion[at] + t)
     parts = rng.integers(2, 5, 3)
-    finer = arcs.finer(arcs.motion[at][order], t[order], parts[order])
+    finer = arcs.refined_at(arcs.motion[at][order], t[order], parts[order])
     expected = []
     for k in range(len(arcs.motion)):
         if k not in at:
