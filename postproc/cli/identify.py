@@ -187,10 +187,10 @@ def validate(
       postproc identify validate my_robot probing.csv --cell cell.toml --process testpart.process.toml \\
           --program testpart.nc
     """  # noqa: D301 - click: keep these lines as they are
-    from postproc.testpart.probing import is_probed
+    from postproc.testpart.probing import is_probing_table
 
     programs += other_programs  # --program a.nc b.nc
-    if is_probed(measurements):
+    if is_probing_table(measurements):
         if experiment or forces or cell is None or process is None or not programs:
             raise click.UsageError("A probed part needs --cell, --process and --program, and nothing else.")
         ctx.exit(0 if _holds_for_part(model, measurements, cell, process, tuple(map(Path, programs))) else 3)

@@ -8,7 +8,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from postproc.errors import InputError
-from postproc.testpart.probing import is_probed
+from postproc.testpart.probing import is_probing_table
 
 LARGEST_BYTES = 4 * 2**20
 """Probing lists have some 100 lines: larger files are something else."""
@@ -45,5 +45,5 @@ def check_probed(path: Path) -> None:
 
     :raises InputError: the file is no such table.
     """
-    if not is_probed(path):
+    if not is_probing_table(path):
         raise InputError("this is no probing file", advice="Fill in the column deviation_mm of probing.csv, as CSV.")

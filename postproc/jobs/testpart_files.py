@@ -36,7 +36,7 @@ from postproc.robot import RobotModel
 from postproc.robot.model_file import ModelFile
 from postproc.robot.rating import exceeded_rating
 from postproc.testpart import design, features, probing
-from postproc.testpart.cut import ClampedProgram, CutForces, Surfaces, at_nominal_height, surfaces
+from postproc.testpart.cut import ClampedProgram, CutForces, Surfaces, states_at_nominal_height, surfaces
 from postproc.testpart.design import MOST_CHANGE, Design, Tests
 from postproc.testpart.features import Cutting, Placement
 from postproc.testpart.fit import Fit, fit
@@ -391,7 +391,7 @@ def _test_states(
     tool = np.broadcast_to(robot_in_cell.cell.tool.pose(), (len(rows), 4, 4))
     pose = kinematics.tcp(robot_in_cell.robot.nominal, poses.q[rows], tool)[0]
     weight = poses.weight[rows] / poses.weight[rows].sum()
-    states = at_nominal_height(poses.q[rows], tool, pose, poses.wrench[rows])
+    states = states_at_nominal_height(poses.q[rows], tool, pose, poses.wrench[rows])
     is_scaled = poses.by_law[rows]
     suffix = "" if is_scaled.all() else ", without the error of forces that are not of this process"
     return Tests(states, weight, is_scaled, poses.source + suffix)

@@ -31,10 +31,10 @@ from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnder
 _SURFACE_TOLERANCE = 5e-5
 """Largest distance of a stated point from the surface that the tool makes there [m] (assumed)."""
 _FLOOR_COSINE = 0.99
-"""Of the angle between normal and tool, from which a surface is a floor: up to 8° of slope."""
+"""Cosine of the angle between normal and tool from which a surface is a floor: up to 8° of slope."""
 _WALL_COSINE = 0.05
-"""The same, up to which it is a wall: 3° from the tool."""
-_STEP = 1e-2
+"""Cosine of the angle between normal and tool up to which a surface is a wall: 3° from the tool."""
+_PARAMETER_STEP = 1e-2
 """Relative change of a parameter for the derivative by it: the model is linear in each but for the load's stiffness."""
 _SCALE_STEP = 1e-3
 """Relative change of the forces for the derivative by their scale."""
@@ -45,9 +45,9 @@ LIFT_STEP = 1e-4
 class TwistSlopes(NamedTuple):
     """Twist of the tool from nominal in n states, and its derivatives; root axes [m, rad].
 
-    :param twist: (n, 6).
-    :param by_parameter: (n, 6, p) by linear values of parameters, per SI unit.
-    :param by_scale: (n, 6) by the factor of the cutting forces.
+    :param twist: (n, 6) translation and rotation.
+    :param by_parameter: (n, 6, p) derivatives by linear values of parameters, per SI unit.
+    :param by_scale: (n, 6) derivatives by the factor of the cutting forces.
     """
 
     twist: Array
@@ -56,13 +56,15 @@ class TwistSlopes(NamedTuple):
 
 
 class Surfaces(Columns, frozen=True, eq=False):
-    """Where n probed surfaces are made.
+    """The places where n probed surfaces are made.
 
     :param motion: (n,) row of `Motions` of their program, and `t` (n,) the place on it.
-    :param weight: (n, 2, 6) deviation by the twist of the tool in the root: the smaller of the two counts.
-    :param wall: (n,) 1 for walls, which a larger tool moves into the material, 0 for floors.
-    :param weight_wrench: (n, 6) of a weight hung on the tool where a gauge reads its displacement, root axes [N, N·m].
-    :param point: (n, 3) of the surface, `$BASE` [m].
+    :param weight: (n, 2, 6) two derivatives of the deviation by the twist of the tool in the root, see `twist_weights`:
+        the smaller deviation counts.
+    :param wall: (n,) 1 for walls, which a larger tool moves into the material, 0 for floors and readings of a gauge.
+    :param weight_wrench: (n, 6) wrench of a weight hung on the tool where a gauge reads its displacement, root axes
+        [N, N·m]; zero where surfaces are cut.
+    :param point: (n, 3) point of the surface, `$BASE` [m].
     """
 
     motion: Ints
@@ -83,8 +85,9 @@ class Surfaces(Columns, frozen=True, eq=False):
 def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: ProbedSurfaces, radius: float) -> Surfaces:
     """Return the places on the path of a program where its probed surfaces are made.
 
-    :param radius: of the tool, a flat end mill [m].
-    :raises MeasurementError: a row names no cutting move, or a point that its tool does not make there.
+    :param probe_data: the points of these surfaces.
+    :param radius: radius of the tool, a flat end mill [m].
+    :raises MeasurementError: a row names no cutting move, or a point that the tool does not make on this move.
     """
     is_gauge = probe_data.mass > 0.0
     motion = _motions_of(program, probe_data, is_gauge)
@@ -99,6 +102,7 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: ProbedSur
     radial = lever - height[:, None] * axis
     slope = np.einsum("ni,ni->n", probe_data.normal, axis)
     is_floor, is_wall = slope > _FLOOR_COSINE, np.abs(slope) < _WALL_COSINE
+    # distance of the point from the end face, or from the line where the cylinder touches the wall
     offset = np.where(is_floor, np.abs(height), norm(radial + radius * probe_data.normal))
     is_possible = (
         (is_floor | is_wall)
@@ -107,21 +111,22 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: ProbedSur
         & (height >= -_SURFACE_TOLERANCE)
     )
     _check_points(probe_data, is_possible | is_gauge)  # a gauge may be anywhere on the tool
-    weight = weights(probe_data.normal, lever, axis, travel, radius)
+    weight = twist_weights(probe_data.normal, lever, axis, travel, radius)
+    # a gauge reads n·(d + r × lever) = n·d + (lever × n)·r
     gauge_weight = np.concatenate([probe_data.normal, np.cross(lever, probe_data.normal)], axis=1)
     weight[is_gauge] = gauge_weight[is_gauge, None]
     weight_wrench = np.zeros((len(motion), 6))
     weight_wrench[:, 2] = -GRAVITY * probe_data.mass
     rotation = np.broadcast_to(toolpath.base_of(program, motion)[..., :3, :3], (len(motion), 3, 3))
     wall = (is_wall & ~is_gauge).astype(float)
-    return Surfaces(motion, probe_data.t, turn_weights(rotation, weight), wall, weight_wrench, probe_data.point)
+    return Surfaces(motion, probe_data.t, rotated_weights(rotation, weight), wall, weight_wrench, probe_data.point)
 
 
 def _check_points(probe_data: ProbedSurfaces, is_possible: Bools) -> None:
     """Refuse points that the tool does not make.
 
     :param is_possible: (n,) True for points that the tool makes.
-    :raises MeasurementError: there are others; it names the first one.
+    :raises MeasurementError: the tool does not make one of the points; the error names the first of these.
     """
     if is_possible.all():
         return
@@ -135,10 +140,11 @@ def _check_points(probe_data: ProbedSurfaces, is_possible: Bools) -> None:
 
 
 def _motions_of(program: Program, probe_data: ProbedSurfaces, is_gauge: Bools) -> Ints:
-    """Return the motions (n,) that make the probed surfaces, by the lines that these name.
+    """Return the motions (n,) on the program lines that the probed points name.
 
-    :param is_gauge: (n,) readings of a gauge under a weight: their lines are rapid moves, those of others cutting ones.
-    :raises MeasurementError: a line is not one such move.
+    :param is_gauge: (n,) True for readings of a gauge under a weight: their lines are rapid moves; all other lines are
+        cutting moves.
+    :raises MeasurementError: a line has no such move, or several.
     """
     m = program.motions
     motion = np.empty(len(probe_data), dtype=np.int64)
@@ -155,15 +161,16 @@ def _motions_of(program: Program, probe_data: ProbedSurfaces, is_gauge: Bools) -
     return motion
 
 
-def weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: float) -> Array:
-    """Return the derivatives of deviations of surfaces by the twist of the tool at its tip, two for each: (n, 2, 6).
+def twist_weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: float) -> Array:
+    """Return two derivatives (n, 2, 6) of the deviation of each surface by the twist of the tool at its tip.
 
-    The rim of a flat end mill passes over a point of a floor ahead of the axis and behind it: the smaller of the two
-    deviations remains. For a wall both are equal.
+    Floor: the rim of a flat end mill passes over a point ahead of the axis and behind it, and the smaller of the two
+    deviations remains. Wall: both derivatives are equal. With the normal n and the lever l from the tip, the deviation
+    is n·d + (l × n)·r for a displacement d and a rotation r.
 
-    :param normal: (n, 3) unit vectors of the surfaces; `lever` (n, 3) from the tip to the points [m].
-    :param axis: (n, 3) unit directions from the tip to the spindle; `travel` (n, 3) unit directions of travel.
-    :param radius: of the tool [m].
+    :param normal: (n, 3) unit normals of the surfaces, and `lever` (n, 3) from the tip to the points [m].
+    :param axis: (n, 3) unit directions from the tip to the spindle, and `travel` (n, 3) unit directions of travel.
+    :param radius: radius of the tool [m].
     """
     is_floor = np.einsum("ni,ni->n", normal, axis) > _FLOOR_COSINE
     left = np.cross(axis, travel)
@@ -177,10 +184,11 @@ def weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: flo
     return np.concatenate([normals, np.cross(levers, normals)], axis=2)
 
 
-def turn_weights(rotation: Array, weight: Array) -> Array:
-    """Return weights (n, 2, 6), derivatives by translation and rotation, in other axes.
+def rotated_weights(rotation: Array, weight: Array) -> Array:
+    """Return derivatives (n, 2, 6) by translation and rotation in other axes.
 
-    :param rotation: (n, 3, 3) from the present axes to the other ones.
+    :param rotation: (n, 3, 3) matrices by which vectors in the present axes are multiplied.
+    :param weight: (n, 2, 6) derivatives in the present axes.
     """
     return np.asarray(np.einsum("nij,nkhj->nkhi", rotation, weight.reshape(-1, 2, 2, 3))).reshape(-1, 2, 6)
 
@@ -191,9 +199,9 @@ class States(Columns, frozen=True, eq=False):
     :param q: (n, 6) joint angles [rad].
     :param tool: (n, 4, 4) `$TOOL` in the flange frame [m].
     :param pose: (n, 4, 4) nominal tool frame in the root [m].
-    :param wrench: (n, 6) on the tool at its tip, root axes [N, N·m].
-    :param weight_wrench: (n, 6) wrench of a weight hung on the tool, known exactly.
-    :param lift: (n,) how high the program ran over the block where the wrench acts [m].
+    :param wrench: (n, 6) cutting wrench on the tool at its tip, root axes [N, N·m].
+    :param weight_wrench: (n, 6) wrench of a weight hung on the tool, known exactly; zero without a weight.
+    :param lift: (n,) height of the program over the block above the written height, where the wrench acts [m].
     :param by_lift: (n, 6) derivative of the wrench by the lift.
     """
 
@@ -222,15 +230,16 @@ class States(Columns, frozen=True, eq=False):
     ) -> TwistSlopes:
         """Return the twist and its derivatives by linear parameters [SI] and by the scale of the forces.
 
-        By differences of equilibria: the exact derivatives need Pinocchio, which is not available on Windows.
+        They are differences of equilibria: exact derivatives need Pinocchio, which is not available on Windows.
 
         :param scale: factor of the cutting forces.
+        :raises NotConvergedError: the springs have no equilibrium.
         """
         twist = self.twist(robot_in_cell, robot, scale)
         by_parameter = np.empty((*twist.shape, len(parameters)))
         for column, parameter in enumerate(parameters):
             value = robot.value(parameter)
-            step = _STEP * (abs(value) or parameter.usual)
+            step = _PARAMETER_STEP * (abs(value) or parameter.usual)
             changed_robot = robot.with_values({parameter: value + step})
             by_parameter[:, :, column] = (self.twist(robot_in_cell, changed_robot, scale) - twist) / step
         twist_at_step = self.twist(robot_in_cell, robot, scale + _SCALE_STEP)
@@ -239,20 +248,25 @@ class States(Columns, frozen=True, eq=False):
     def twist_by_lift(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float, twist: Array) -> Array:
         """Return the derivative (n, 6) of the twist by the lift of the program over the block [1, rad/m].
 
-        By a difference of equilibria.
+        It is a difference of equilibria.
 
-        :param scale: of the forces.
-        :param twist: (n, 6) under these forces, from `twist`.
+        :param scale: factor of the cutting forces.
+        :param twist: (n, 6) twist under these forces, from `twist`.
+        :raises NotConvergedError: the springs have no equilibrium.
         """
         higher_states = replace(self, wrench=self.wrench + LIFT_STEP * self.by_lift)
         return np.asarray((higher_states.twist(robot_in_cell, robot, scale) - twist) / LIFT_STEP)
 
 
-def at_nominal_height(q: Array, tool: Array, pose: Array, wrench: Array, weight_wrench: Array | None = None) -> States:
-    """Return states of a program at its written height over the block, with the change of forces by height as zero.
+def states_at_nominal_height(
+    q: Array, tool: Array, pose: Array, wrench: Array, weight_wrench: Array | None = None
+) -> States:
+    """Return states of a program at its written height over the block; their forces do not change with the height.
 
-    :param q: (n, 6) joint angles [rad]; `tool` (n, 4, 4) `$TOOL`, and `pose` (n, 4, 4) of the tool in the root [m].
-    :param wrench: (n, 6) on the tool at its tip, and `weight_wrench` (n, 6) of a weight, root axes; None: no weight.
+    :param q: (n, 6) joint angles [rad].
+    :param tool: (n, 4, 4) `$TOOL` in the flange frame, and `pose` (n, 4, 4) nominal tool frame in the root [m].
+    :param wrench: (n, 6) cutting wrench on the tool at its tip, root axes [N, N·m].
+    :param weight_wrench: (n, 6) wrench of a weight, root axes [N, N·m]; None: no weight.
     """
     no_wrench = np.zeros((len(q), 6))
     return States(
@@ -263,14 +277,15 @@ def at_nominal_height(q: Array, tool: Array, pose: Array, wrench: Array, weight_
 class Cut(Struct, frozen=True, eq=False):
     """A program under the forces of its process.
 
-    :param at: the states where probed surfaces are made.
-    :param path: those at samples of the path, and their places.
-    :param motion: (N,) row of `Motions` of each sample, `t` (N,) its place, `tip` (N, 3) the tip there, `$BASE` [m].
+    :param surface_states: the states where probed surfaces are made.
+    :param path_states: the states at N samples of the path.
+    :param motion: (N,) row of `Motions` of each sample, and `t` (N,) its place on the motion.
+    :param tip: (N, 3) nominal tip at each sample, `$BASE` [m].
     :param program: the program.
     """
 
-    at: States
-    path: States
+    surface_states: States
+    path_states: States
     motion: Ints
     t: Array
     tip: Array
@@ -280,14 +295,17 @@ class Cut(Struct, frozen=True, eq=False):
         """Return the displacement of the tip along the path, for the forces of the deflected tool.
 
         :param scale: factor of the cutting forces.
-        :param lift: height of the program over the one that is written.
+        :param lift: height of the program above the written one, at points.
         """
-        displacement = self.path.twist(robot_in_cell, robot, scale)[:, :3]
-        return self._shift(displacement + lift(self.tip)[:, None] * self.up)
+        displacement = self.path_states.twist(robot_in_cell, robot, scale)[:, :3]
+        return self._shift(displacement + lift(self.tip)[:, None] * self.up_direction)
 
     def lift_displacement(self, height: float) -> Shift:
-        """Return the displacement of the tip of a rigid robot whose program runs too high over the block [m]."""
-        return self._shift(height * self.up)
+        """Return the displacement of the tip of a rigid robot whose program runs too high over the block.
+
+        :param height: by how much it runs too high [m].
+        """
+        return self._shift(height * self.up_direction)
 
     def _shift(self, displacement: Array) -> Shift:
         """Return displacements (N, 3) of the samples, root axes [m], as a shift of the tip along the path."""
@@ -295,7 +313,7 @@ class Cut(Struct, frozen=True, eq=False):
         return Shift(self.motion, self.t, displacement, program.bases[:, :3, :3], program.motions.base)
 
     @property
-    def up(self) -> Array:
+    def up_direction(self) -> Array:
         """(N, 3) Z of the `$BASE` of each sample, root axes."""
         return np.broadcast_to(toolpath.base_of(self.program, self.motion)[..., :3, 2], (len(self.motion), 3))
 
@@ -303,19 +321,20 @@ class Cut(Struct, frozen=True, eq=False):
 def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, new_surfaces: Surfaces) -> Cut:
     """Return a program under the forces of a source.
 
+    :param new_surfaces: surfaces of the program that are probed; their places are samples of the path.
     :raises MeasurementError: the robot cannot follow the program.
-    :raises ForceError: the process cannot be used for it.
+    :raises ForceError: the process cannot be used for this program.
     """
     try:
         motions = MotionsUnderLoad.of(program, robot_in_cell, source)
-        swing, t = motions.swing_places
-        extra_samples = np.concatenate([swing, new_surfaces.motion]), np.concatenate([t, new_surfaces.t])
+        swing_motion, t = motions.swing_places
+        extra_samples = np.concatenate([swing_motion, new_surfaces.motion]), np.concatenate([t, new_surfaces.t])
         path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False), extra_samples)
     except ImpossiblePathError as cause:
         line = cause.issue.source_line
         raise MeasurementError(cause.issue.message, file=program.documents[0].name, line=line) from None
     rows = np.arange(len(path))
-    path_states = at_nominal_height(
+    path_states = states_at_nominal_height(
         path.joints.q[:],
         np.broadcast_to(path.tool(rows), (len(path), 4, 4)),
         path.pose_in_root(rows),
@@ -326,8 +345,8 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, new
     for surface_motion, surface_t in zip(new_surfaces.motion.tolist(), new_surfaces.t.tolist(), strict=True):
         samples = np.flatnonzero(motion == surface_motion)
         nearest_samples.append(int(samples[np.argmin(np.abs(t[samples] - surface_t))]))
-    at = replace(path_states.take(np.array(nearest_samples)), weight_wrench=new_surfaces.weight_wrench)
-    return Cut(at, path_states, motion, t, path.sample.pose.position, program)
+    surface_states = replace(path_states.take(np.array(nearest_samples)), weight_wrench=new_surfaces.weight_wrench)
+    return Cut(surface_states, path_states, motion, t, path.sample.pose.position, program)
 
 
 class ClampedProgram(Struct, frozen=True, eq=False):
@@ -353,9 +372,10 @@ def no_lift(points: Array) -> Array:
 
 
 class CutForces:
-    """Forces where the surfaces of programs are made, with the tool deflected as by the forces of the call before.
+    """Forces where the surfaces of programs are made, with the tool deflected by the forces of the last call.
 
-    Each call cuts the programs once; the first one twice, for the derivative of the forces by the lift.
+    The first call cuts each program twice with a rigid robot, for the derivative of the forces by the lift. Each later
+    call cuts each program once.
 
     :param parts: the programs.
     """
@@ -368,8 +388,9 @@ class CutForces:
     def __call__(self, robot: RobotModel, scale: float, lifts: Sequence[Heights] = ()) -> States:
         """Return the states where the surfaces are made, of one program after the other.
 
-        :param scale: factor of the forces.
-        :param lifts: height of each program over the one that is written; empty: all run as written.
+        :param robot: the robot that deflects the tool; not used by the first call.
+        :param scale: factor of the forces; not used by the first call.
+        :param lifts: height of each program above the written one; empty: all run as written.
         """
         lifts = lifts or [no_lift] * len(self._parts)
         if not self._cuts:
@@ -381,18 +402,18 @@ class CutForces:
             ]
         return States.join(
             [
-                replace(part_cut.at, lift=lift(part.surfaces.point), by_lift=by_lift)
+                replace(part_cut.surface_states, lift=lift(part.surfaces.point), by_lift=by_lift)
                 for part, part_cut, lift, by_lift in zip(self._parts, self._cuts, lifts, self._by_lift, strict=True)
             ]
         )
 
     def _begin(self) -> None:
-        """Cut with a rigid robot, at the height of the program and above it."""
+        """Cut with a rigid robot at the written height and above it; store the cuts and their derivatives by lift."""
         for part in self._parts:
             rigid = cut(part.program, part.robot_in_cell, part.source, part.surfaces)
             upper_cut = _recut(part, rigid.lift_displacement(LIFT_STEP))
             self._cuts.append(rigid)
-            self._by_lift.append((upper_cut.at.wrench - rigid.at.wrench) / LIFT_STEP)
+            self._by_lift.append((upper_cut.surface_states.wrench - rigid.surface_states.wrench) / LIFT_STEP)
 
 
 def _recut(part: ClampedProgram, shift: Shift) -> Cut:

@@ -28,30 +28,30 @@ from postproc.poses import Poses
 from postproc.program import Bools, Document, Ints, read_only
 from postproc.program import Program as Motions
 from postproc.testpart import features
-from postproc.testpart.cut import LIFT_STEP, States, Surfaces, turn_weights, weights
-from postproc.testpart.features import Cutting, Feature, Kind, Placement
+from postproc.testpart.cut import LIFT_STEP, States, Surfaces, rotated_weights, twist_weights
+from postproc.testpart.features import Cutting, Feature, Kind, MiddleLine, Placement
 from postproc.testpart.prior import Prior
 from postproc.testpart.readings import PATH_ERROR, RADIUS_ERROR, UNEVENNESS
 from postproc.under_load import RobotInCell
 
-_ANGLES = 12
-"""Directions of a feature that are tried: each 30°."""
+_DIRECTION_COUNT = 12
+"""Number of directions of a feature that are tried: every 30°."""
 _MOST_PLACES = 60
-"""Places of features that are tried in the block, over all its placements (assumed)."""
-_SHARES = (1.0, 0.5)
+"""Number of places of features that are tried in the block, over all its placements (assumed)."""
+_DEPTH_SHARES = (1.0, 0.5)
 """Depths that are tried, as shares of the largest (assumed)."""
-_LEAST_FLOOR = 2e-3
+_LEAST_FLOOR_THICKNESS = 2e-3
 """Least thickness of the block below the features [m] (assumed)."""
-_POSITION = 1e-2, 1e-1
-"""Standard deviations of the position of the part where it is probed [m, rad]: free."""
-_POSES = 7
-"""Numbers of a position, and the height of the uncut top."""
-_MODEL = 0.005
-"""Error of the prediction that is expected besides, as a share of the deflection (assumed)."""
-_TESTS = 48
-"""Places of features over the whole block (assumed)."""
-_EXCHANGES = 20
-"""Limit of the rounds of exchanges (assumed)."""
+_POSITION_SIGMAS = 1e-2, 1e-1
+"""Standard deviations of the position of the part where it is probed [m, rad], so large that it is free."""
+_UNKNOWNS_OF_PLACEMENT = 7
+"""Number of unknowns of a placement: six of the position of the part, and the height of the uncut top."""
+_MODEL_ERROR_SHARE = 0.005
+"""Expected unmodelled error of the prediction, as a share of the deflection (assumed)."""
+_TEST_POSES = 48
+"""Number of test poses over the whole block (assumed)."""
+_MOST_EXCHANGE_ROUNDS = 20
+"""Largest number of rounds of exchanges (assumed)."""
 _LEAST_GAIN = 1e-4
 """Share of the criterion by which an exchange must lower it; less is no gain on a part (assumed)."""
 MOST_CHANGE = 1.0
@@ -59,7 +59,7 @@ MOST_CHANGE = 1.0
 _DETECTION_SIGMAS = 5.1
 """Size of a change, in standard deviations of the readings, that `identify part --compare` sees in 95 of 100 cases:
 3.4 raise its alarm."""
-_TRIM = 1.3
+_TRIM_FACTOR = 1.3
 """First trimming passes take off this multiple of the largest deflection expected (assumed)."""
 
 
@@ -77,14 +77,15 @@ def read_text(text: str, robot_in_cell: RobotInCell) -> Motions:
 class Candidates(Struct, frozen=True, eq=False):
     """Features that can be cut.
 
-    :param feature: (c,) them.
+    :param feature: (c,) the features.
     :param placement: (c,) number of the placement in which each is cut, from 0.
-    :param information: (c, m, m) of the unknowns: parameters and force scale in units of their prior standard
-        deviations, radius of the tool, position of the cuts and height of the uncut top in each placement.
-    :param seconds: (c,) time that each takes [s].
-    :param is_apart: (c, c) True where two of them do not touch.
-    :param deflection: (c,) largest expected displacement of the tool [m].
-    :param wrench: (c, 6) the force that loads each most, root axes, with the states there.
+    :param information: (c, m, m) information of each feature on the m unknowns: parameters and force scale in units of
+        their prior standard deviations, radius of the tool, position of the cuts and height of the uncut top in each
+        placement.
+    :param seconds: (c,) cutting time of each feature [s].
+    :param is_apart: (c, c) True for two features that do not touch.
+    :param deflection: (c,) largest expected displacement of the tool in each feature [m].
+    :param states: (c,) state of the robot with this displacement.
     """
 
     feature: tuple[Feature, ...]
@@ -97,12 +98,12 @@ class Candidates(Struct, frozen=True, eq=False):
 
 
 class Tests(Struct, frozen=True, eq=False):
-    """Where the shop mills.
+    """Test poses: where the shop mills, and with which forces.
 
     :param states: (T,) poses and wrenches.
-    :param weight: (T,) shares of the work.
-    :param is_scaled: (T,) True where the process of the part computes the forces: its force scale holds there.
-    :param source: where they come from, in words.
+    :param weight: (T,) share of each pose in the work; their sum is 1.
+    :param is_scaled: (T,) True if the process of the part computes the forces: then its force scale applies.
+    :param source: origin of the poses, in words.
     """
 
     __test__ = False  # not a test of pytest
@@ -117,13 +118,13 @@ class Design(Struct, frozen=True, eq=False):
     """A chosen part.
 
     :param chosen: (k,) rows of the candidates, in the order of cutting: one placement after another.
-    :param sigma: (p + 1,) standard deviations of parameters and force scale after the part, over those before.
-    :param sigma_without_weight: the same without the weight that is hung on the tool; None if none is.
+    :param sigma: (p + 1,) standard deviations of parameters and force scale after the part, as shares of those before.
+    :param sigma_without_weight: (p + 1,) these shares without the weight on the tool; None if no weight is hung on it.
     :param change: (p,) smallest relative change of each parameter that the same part shows later.
-    :param before: expected error at the test poses without the part, RMS [m], and `after` with it.
+    :param before: RMS of the expected error at the test poses without the part [m], and `after` with the part.
     :param deflection: RMS deflection at the test poses [m].
     :param seconds: cutting time [s].
-    :param tests: where they come from.
+    :param tests: origin of the test poses, in words.
     """
 
     candidates: Candidates
@@ -139,7 +140,7 @@ class Design(Struct, frozen=True, eq=False):
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """The features."""
+        """The chosen features, in the order of cutting."""
         return tuple(self.candidates.feature[k] for k in self.chosen)
 
     @property
@@ -149,9 +150,11 @@ class Design(Struct, frozen=True, eq=False):
 
 
 class Loads(Struct, frozen=True, eq=False):
-    """What loads the tool where the surfaces of one kind of feature are made, in the axes of the feature.
+    """Loads of the tool where the s surfaces of one kind of feature are made, in the axes of the feature.
 
-    :param tip: (s, 3) tip of the tool [m]; `wrench` (s, 6) on it; `travel` (s, 3) direction of travel.
+    :param tip: (s, 3) tip of the tool [m].
+    :param wrench: (s, 6) on the tool at its tip [N, N·m].
+    :param travel: (s, 3) direction of travel.
     :param by_lift: (s, 6) derivative of the wrench by the lift of the program over the block.
     """
 
@@ -162,7 +165,7 @@ class Loads(Struct, frozen=True, eq=False):
 
 
 def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: RobotInCell) -> list[Loads]:
-    """Return the forces on the tool in each kind of feature, cut in one row of a separate block.
+    """Return the loads of the tool in each kind of feature, from a simulated cut of a row of them in another block.
 
     :raises ForceError: the process cannot be used.
     """
@@ -174,6 +177,7 @@ def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: 
     motion = np.array([int(np.flatnonzero(motions.motions.line == line)[0]) for line in part.line])
     places = toolpath.at(motions, path, motion, part.t)
     travel = toolpath.tangent(motions, path, motion, part.t)
+    # a program that runs higher over the block is one in a lower block
     wrench, lifted_wrench = (
         forces.assign(motions, path, source, robot_in_cell.spindle, robot_in_cell.ramp).at(places)
         for source in (
@@ -182,7 +186,7 @@ def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: 
         )
     )
     by_lift = (lifted_wrench - wrench) / LIFT_STEP
-    loads_by_kind, first = [], 0
+    loads_by_kind, first = [], 0  # first point of each feature
     for feature in row:
         rows = slice(first, first + len(features.probes(feature.kind, cutting)))
         tip = places.pose.position[rows] - np.array([feature.x, feature.y, cutting.top])
@@ -193,9 +197,10 @@ def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: 
 
 def _source(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: RobotInCell) -> ProcessSource:
     """Return the process as a source of forces in a block around a row of features, one of each kind."""
-    long, pitch = features.half_length(cutting.diameter), 4.0 * cutting.diameter
-    deep = max(kind.depth for kind in kinds) + 5e-3
-    spans = (-2.0 * long, 2.0 * long), (-pitch, len(kinds) * pitch), (cutting.top - deep, cutting.top)
+    half_length, pitch = features.half_length(cutting.diameter), 4.0 * cutting.diameter
+    thickness = max(kind.depth for kind in kinds) + 5e-3  # 5 mm of material below the deepest feature
+    x_span = -2.0 * half_length, 2.0 * half_length
+    spans = x_span, (-pitch, len(kinds) * pitch), (cutting.top - thickness, cutting.top)
     box = Box(*((low * MM_PER_M, high * MM_PER_M) for low, high in spans))
     stock = StockTable(box=box, resolution_mm=process.stock.resolution_mm)
     return ProcessSource(replace(process, stock=stock, operations={}), robot_in_cell.spindle)
@@ -213,15 +218,18 @@ def candidates(
 ) -> tuple[Candidates, Cutting]:
     """Return the features that fit into a block, and how they are cut: trimmed by more than the tool deflects.
 
-    :param placements: the robot in a cell whose `[base]` is that of the block, for each of its placements.
-    :param depth: largest depth of cut [m]; `box`: the block, `$BASE` [mm].
+    :param placements: for each placement of the block, the robot in a cell whose `[base]` is that of the block.
+    :param cutting: how features are cut, with the least trimming.
+    :param depth: largest depth of cut [m].
+    :param box: the block, `$BASE` [mm].
     :param sigma: noise of the probe [m].
-    :raises PlanError: none fits, or the robot reaches none in a placement.
+    :raises PlanError: the block is too thin, no feature fits, or the robot reaches none in a placement.
+    :raises ForceError: the process cannot be used.
     """
-    kinds = [Kind(round(share * depth, 6), side) for share in _SHARES for side in (0, 1, -1)]
+    kinds = [Kind(round(share * depth, 6), side) for share in _DEPTH_SHARES for side in (0, 1, -1)]
     low, high = (np.array([span[k] for span in (box.X, box.Y, box.Z)]) / MM_PER_M for k in (0, 1))
     for _ in range(2):  # a second time with deeper trimming, if the tool deflects further than was assumed
-        if depth + cutting.trims[-1][1] + _LEAST_FLOOR > high[2] - low[2]:
+        if depth + cutting.trims[-1][1] + _LEAST_FLOOR_THICKNESS > high[2] - low[2]:
             raise PlanError(f"the block is too thin for grooves of {depth * MM_PER_M:g} mm", file=process.path)
         loads_by_kind = loads(kinds, cutting, process, placements[0])
         all_features = _inside_block(kinds, cutting, (low, high), max(1, _MOST_PLACES // len(placements)))
@@ -231,7 +239,7 @@ def candidates(
             for robot_in_cell in placements
         ]
         largest_deflection = max(entry.deflection for reachable in by_placement for entry in reachable)
-        trim = float(np.round(_TRIM * largest_deflection, 4))
+        trim = float(np.round(_TRIM_FACTOR * largest_deflection, 4))
         if trim <= cutting.trim:
             break
         cutting = replace(cutting, trim=trim)
@@ -242,15 +250,16 @@ def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array],
     """Return the features that fit into a block: each kind at places of a grid, in several directions.
 
     :param box: lower (3,) and upper (3,) corner of the block, `$BASE` [m].
-    :param max_places: number of places of the grid, about.
-    :raises PlanError: there is none.
+    :param max_places: approximate largest number of places of the grid.
+    :raises PlanError: no feature fits.
     """
-    long = features.half_length(cutting.diameter)
-    size = box[1][:2] - box[0][:2]
-    pitch = max(0.5 * long, float(np.sqrt(size[0] * size[1] / max_places)))
+    half_length = features.half_length(cutting.diameter)
+    low, high = box
+    size = high[:2] - low[:2]
+    pitch = max(0.5 * half_length, float(np.sqrt(size[0] * size[1] / max_places)))
     counts = [max(1, int(size[k] / pitch)) for k in (0, 1)]
-    x_positions, y_positions = (box[0][k] + size[k] * (np.arange(counts[k]) + 0.5) / counts[k] for k in (0, 1))
-    angles = 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES
+    x_positions, y_positions = (low[k] + size[k] * (np.arange(counts[k]) + 0.5) / counts[k] for k in (0, 1))
+    angles = 2.0 * np.pi * np.arange(_DIRECTION_COUNT) / _DIRECTION_COUNT
     all_features = [
         Feature(kind, float(x), float(y), float(angle))
         for kind, x, y, angle in product(kinds, x_positions, y_positions, angles)
@@ -258,7 +267,7 @@ def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array],
     fitting = [feature for feature in all_features if _is_in_box(feature, cutting, box)]
     if not fitting:
         raise PlanError(
-            f"no feature fits into the block: each takes {2 * long * MM_PER_M:.0f} mm and the tool's diameter",
+            f"no feature fits into the block: each takes {2 * half_length * MM_PER_M:.0f} mm and the tool's diameter",
             file="--block",
             advice="Give a larger block, or a smaller tool.",
         )
@@ -266,7 +275,7 @@ def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array],
 
 
 class _Survey(NamedTuple):
-    """What the information of a feature depends on, next to its place.
+    """Knowledge and method on which the information of all features depends.
 
     :param prior: knowledge of robot and forces before the part.
     :param cutting: how features are cut.
@@ -282,9 +291,9 @@ class _ReachableFeature(NamedTuple):
     """A feature that the robot reaches in a placement.
 
     :param feature: kind and place.
-    :param information: (m, m) of its probed points on the unknowns, with one position of the part.
-    :param deflection: largest displacement of the tool at them [m].
-    :param state: the one with this displacement.
+    :param information: (m, m) information of its probed points on the unknowns, with one position of the part.
+    :param deflection: largest displacement of the tool at these points [m].
+    :param state: state of the robot with this displacement.
     """
 
     feature: Feature
@@ -294,40 +303,40 @@ class _ReachableFeature(NamedTuple):
 
 
 def _join_candidates(by_placement: list[list[_ReachableFeature]], cutting: Cutting) -> Candidates:
-    """Return the candidates of all placements: the position of the part in each is a set of unknowns of its own.
+    """Return the candidates of all placements.
 
-    The unknowns that all have in common come first.
+    The unknowns that all placements have in common come first, then the position of the part in each placement.
     """
     entries = [entry for placement in by_placement for entry in placement]
     number = np.repeat(np.arange(len(by_placement)), [len(placement) for placement in by_placement])
     features_in_order = tuple(entry.feature for entry in entries)
     seconds = {kind: features.seconds(kind, cutting) for kind in {feature.kind for feature in features_in_order}}
     of_placement = np.array([entry.information for entry in entries])
-    common = of_placement.shape[1] - _POSES
-    size = common + _POSES * len(by_placement)
+    common = of_placement.shape[1] - _UNKNOWNS_OF_PLACEMENT
+    size = common + _UNKNOWNS_OF_PLACEMENT * len(by_placement)
     information = np.zeros((len(entries), size, size))
     for k in range(len(by_placement)):
         rows = np.flatnonzero(number == k)
-        unknowns = np.append(np.arange(common), common + _POSES * k + np.arange(_POSES))
+        unknowns = np.append(np.arange(common), common + _UNKNOWNS_OF_PLACEMENT * k + np.arange(_UNKNOWNS_OF_PLACEMENT))
         information[np.ix_(rows, unknowns, unknowns)] = of_placement[rows]
     return Candidates(
-        features_in_order,
-        number,
-        information,
-        np.array([seconds[feature.kind] for feature in features_in_order]),
-        _do_not_touch(features_in_order, cutting),
-        np.array([entry.deflection for entry in entries]),
-        States.join([entry.state for entry in entries]),
+        feature=features_in_order,
+        placement=number,
+        information=information,
+        seconds=np.array([seconds[feature.kind] for feature in features_in_order]),
+        is_apart=_apart_features(features_in_order, cutting),
+        deflection=np.array([entry.deflection for entry in entries]),
+        states=States.join([entry.state for entry in entries]),
     )
 
 
 def _reachable_features(
     survey: _Survey, robot_in_cell: RobotInCell, all_features: list[Feature], load_of_kind: dict[Kind, Loads]
 ) -> list[_ReachableFeature]:
-    """Return those of the features that the robot reaches in a placement, kind by kind.
+    """Return the features that the robot reaches in a placement, kind by kind.
 
-    :param load_of_kind: kind of feature → loads on the tool in it, in its axes.
-    :raises PlanError: there is none.
+    :param load_of_kind: kind of feature → loads of the tool in it, in its axes.
+    :raises PlanError: the robot reaches no feature.
     """
     reachable: list[_ReachableFeature] = []
     for kind, load in load_of_kind.items():
@@ -347,19 +356,19 @@ def _reachable_features(
 def _features_of_kind(
     survey: _Survey, robot_in_cell: RobotInCell, features_of_kind: list[Feature], load: Loads
 ) -> list[_ReachableFeature]:
-    """Return the features of one kind that the robot reaches, with information, displacement and most loaded state.
+    """Return the features of one kind that the robot reaches, with information, displacement and most displaced state.
 
-    :param load: on the tool in a feature of this kind, in its axes.
+    :param load: loads of the tool in a feature of this kind, in its axes.
     """
     cutting, count = survey.cutting, len(load.tip)
     tip = _in_base(features_of_kind, cutting, load.tip)
-    wrenches = tuple(_wrenches_in_base(features_of_kind, cutting, wrench) for wrench in (load.wrench, load.by_lift))
-    states, is_reached, rotation = _states(robot_in_cell, tip, (wrenches[0], wrenches[1]), cutting, count)
+    wrench, by_lift = (_wrenches_in_base(features_of_kind, cutting, column) for column in (load.wrench, load.by_lift))
+    states, is_reached, rotation = _states(robot_in_cell, tip, (wrench, by_lift), cutting, count)
     if not is_reached.any():
         return []
     points = _probed_points(features_of_kind, load, cutting, tip, rotation, np.repeat(is_reached, count))
     information, deflection = _information(survey, robot_in_cell, states, points)
-    worst_probe = np.argmax(deflection, axis=1)
+    worst_probe = np.argmax(deflection, axis=1)  # states are by feature, `count` of each
     reached_features = [
         feature for feature, reached in zip(features_of_kind, is_reached.tolist(), strict=True) if reached
     ]
@@ -372,14 +381,20 @@ def _features_of_kind(
 
 
 def _in_base(features_of_kind: list[Feature], cutting: Cutting, vectors: Array, *, is_direction: bool = False) -> Array:
-    """Return vectors (s, 3) in the frame of each of k features in `$BASE`, feature after feature: (k·s, 3)."""
+    """Return vectors in `$BASE` (k·s, 3), feature after feature, that are given in the frame of each of k features.
+
+    :param vectors: (s, 3) points [m] in the frame of a feature, or directions if `is_direction`.
+    """
     return np.concatenate(
         [features.to_base(feature, cutting.top, vectors, is_direction=is_direction) for feature in features_of_kind]
     )
 
 
 def _wrenches_in_base(features_of_kind: list[Feature], cutting: Cutting, wrench: Array) -> Array:
-    """Return wrenches (s, 6) in the frame of each of k features in `$BASE`, feature after feature: (k·s, 6)."""
+    """Return wrenches in `$BASE` axes (k·s, 6), feature after feature, that are given in the axes of k features.
+
+    :param wrench: (s, 6) in the axes of a feature.
+    """
     halves = [_in_base(features_of_kind, cutting, half, is_direction=True) for half in (wrench[:, :3], wrench[:, 3:])]
     return np.concatenate(halves, axis=1)
 
@@ -387,9 +402,9 @@ def _wrenches_in_base(features_of_kind: list[Feature], cutting: Cutting, wrench:
 class _ProbedPoints(NamedTuple):
     """The n probed points of features of one kind, feature after feature, `$BASE`.
 
-    :param surfaces: the surfaces at them.
+    :param surfaces: the surfaces at these points.
     :param arm: (n, 3) from a fixed point of the block to the points [m].
-    :param normal: (n, 3) of the surfaces.
+    :param normal: (n, 3) unit normals of the surfaces.
     :param point_count: number of points of one feature.
     """
 
@@ -402,12 +417,12 @@ class _ProbedPoints(NamedTuple):
 def _probed_points(
     features_of_kind: list[Feature], load: Loads, cutting: Cutting, tip: Array, rotation: Array, is_reached: Bools
 ) -> _ProbedPoints:
-    """Return the probed points of those features of one kind that the robot reaches.
+    """Return the probed points of the features of one kind that the robot reaches.
 
-    :param load: on the tool in a feature of this kind, in its axes.
-    :param tip: (n, 3) of the tool at the points of all features, `$BASE` [m].
+    :param load: loads of the tool in a feature of this kind, in its axes.
+    :param tip: (n, 3) tip of the tool at the points of all features, `$BASE` [m].
     :param rotation: (n, 3, 3) axes of `$BASE` as columns in the root.
-    :param is_reached: (n,) True for points of features that are reached.
+    :param is_reached: (n,) True for points of features that the robot reaches.
     """
     probes = features.probes(features_of_kind[0].kind, cutting)
     local_points = np.array([probe.point for probe in probes])
@@ -416,7 +431,7 @@ def _probed_points(
     normal = _in_base(features_of_kind, cutting, normals, is_direction=True)
     travel = _in_base(features_of_kind, cutting, load.travel, is_direction=True)
     axis = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
-    weight = turn_weights(rotation, weights(normal, point - tip, axis, travel, 0.5 * cutting.diameter))
+    weight = rotated_weights(rotation, twist_weights(normal, point - tip, axis, travel, 0.5 * cutting.diameter))
     no_wrench = np.zeros((int(is_reached.sum()), 6))
     surfaces = Surfaces(
         motion=no_wrench[:, 0].astype(np.int64),  # motions and their places count for the program of a part only
@@ -435,17 +450,20 @@ def _information(
 ) -> tuple[Array, Array]:
     """Return the information (k, m, m) of k features, and the displacements (k, s) [m] at the s points of each.
 
-    :param states: of the k·s points, feature after feature.
+    :param states: states at the k·s points, feature after feature.
+    :param points: these points.
     """
     prior, count = survey.prior, points.point_count
     twist, by_parameter, by_scale = states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
-    by_twist = points.surfaces.deviation(twist)[1]
+    _, by_twist = points.surfaces.deviation(twist)
     slopes = np.einsum("nk,nkp->np", by_twist, by_parameter) @ prior.by_file * prior.sigma[:-1]
     deflection = np.linalg.norm(by_scale[:, :3], axis=1).reshape(-1, count)
     by_force = prior.sigma[-1] * np.einsum("nk,nk->n", by_twist, by_scale)
     by_lift = np.einsum("nk,nk->n", by_twist, states.twist_by_lift(robot_in_cell, prior.robot, 1.0, twist))
+    # direction in which a displacement of the cuts is seen, see `readings`
     direction = points.normal + by_lift[:, None] * np.array([0.0, 0.0, 1.0])
-    position = np.concatenate([_POSITION[0] * direction, _POSITION[1] * np.cross(points.arm, direction)], axis=1)
+    shift_sigma, turn_sigma = _POSITION_SIGMAS
+    position = np.concatenate([shift_sigma * direction, turn_sigma * np.cross(points.arm, direction)], axis=1)
     # unknowns scaled to unit standard deviation: parameters, force, cutter radius, position of the part, lift
     columns = np.column_stack([slopes, by_force, RADIUS_ERROR * points.surfaces.wall, position, UNEVENNESS * by_lift])
     # from here on by feature: errors of its points have causes in common
@@ -453,15 +471,15 @@ def _information(
     direction, by_lift = direction.reshape(-1, count, 3), by_lift.reshape(-1, count, 1)
     noise = PATH_ERROR**2 * direction @ np.swapaxes(direction, 1, 2) + survey.sigma**2 * np.eye(count)
     noise += UNEVENNESS**2 * by_lift @ np.swapaxes(by_lift, 1, 2)
-    noise += (_MODEL * deflection)[:, :, None] ** 2 * np.eye(count)
+    noise += (_MODEL_ERROR_SHARE * deflection)[:, :, None] ** 2 * np.eye(count)
     return np.swapaxes(columns, 1, 2) @ np.linalg.solve(noise, columns), deflection
 
 
 class _ReachedStates(NamedTuple):
-    """States at n points of features, as far as the robot reaches these.
+    """States at the points of features that the robot reaches; features have `count` points each, n in all.
 
-    :param states: of the features that are reached.
-    :param is_reached: (n / count,) of each feature, which has `count` points.
+    :param states: states at the points of the reached features.
+    :param is_reached: (n / count,) True for features that are reached.
     :param rotation: (n, 3, 3) axes of `$BASE` as columns in the root.
     """
 
@@ -476,8 +494,9 @@ def _states(
     """Return the states at points of features that the robot reaches within its joint limits.
 
     :param tip: (n, 3) positions of the tip in `$BASE` [m], `count` for each feature.
-    :param wrenches: (n, 6) on the tips, and (n, 6) their derivative by the lift, `$BASE` axes.
+    :param wrenches: (n, 6) wrenches on the tool at its tip, and (n, 6) their derivatives by the lift, `$BASE` axes.
     """
+    # a program whose last move is with this tool at feed: it has the frames and the orientation of the tool
     text = f"G21 G90 G17 G94\nT{cutting.tool} M6\nG0 X0 Y0 Z0\nG1 X0 Y0 Z1 F100\n"
     motions = read_text(text, robot_in_cell)
     last = len(motions.motions) - 1
@@ -489,13 +508,13 @@ def _states(
     rotation = np.broadcast_to(toolpath.base_of(motions, motion)[..., :3, :3], (len(tip), 3, 3))
     wrench, by_lift = (toolpath.wrench_in_root(motions, motion[rows], vectors[rows]) for vectors in wrenches)
     states = States(
-        q,
-        np.broadcast_to(toolpath.tool_of(motions, motion[rows]), (len(rows), 4, 4)),
-        toolpath.pose_in_root(motions, motion[rows], pose[rows], t[rows]),
-        wrench,
-        np.zeros((len(rows), 6)),
-        np.zeros(len(rows)),
-        by_lift,
+        q=q,
+        tool=np.broadcast_to(toolpath.tool_of(motions, motion[rows]), (len(rows), 4, 4)),
+        pose=toolpath.pose_in_root(motions, motion[rows], pose[rows], t[rows]),
+        wrench=wrench,
+        weight_wrench=np.zeros((len(rows), 6)),
+        lift=np.zeros(len(rows)),
+        by_lift=by_lift,
     )
     return _ReachedStates(states, is_reached, rotation)
 
@@ -503,11 +522,13 @@ def _states(
 def _reached_angles(
     robot_in_cell: RobotInCell, motions: Motions, motion: Ints, t: Array, pose: Poses, *, count: int
 ) -> tuple[Array, Bools]:
-    """Return the joint angles (k, 6) [rad] at points of reached features, and which features (n / count,) these are.
+    """Return the joint angles (k, 6) [rad] at points of reached features, and True (n / count,) for these features.
 
     A feature with a point that is out of reach or beyond a joint limit is left out, and the others are followed again.
+    Without a reached feature, there are no joint angles (0, 6).
 
-    :param motion: (n,) motion of each point, `t` (n,) place on it, and `pose` (n,) of the tool there.
+    :param motion: (n,) motion of each point, and `t` (n,) its place on the motion.
+    :param pose: (n,) poses of the tool at the points.
     :param count: number of points of a feature.
     """
     robot = robot_in_cell.robot
@@ -528,51 +549,64 @@ def _reached_angles(
 
 def _is_in_box(feature: Feature, cutting: Cutting, box: tuple[Array, Array]) -> bool:
     """Return whether a feature with half a wall around it is between two corners (3,) of a box [m], seen along Z."""
-    *ends, half_width = features.middle_line(feature, cutting)
-    low, high = box[0][:2], box[1][:2]
-    return all(bool(((end - half_width >= low) & (end + half_width <= high)).all()) for end in ends)
+    begin, end, half_width = features.middle_line(feature, cutting)
+    low, high = (corner[:2] for corner in box)
+    return all(bool(((point - half_width >= low) & (point + half_width <= high)).all()) for point in (begin, end))
 
 
-def _do_not_touch(all_features: tuple[Feature, ...], cutting: Cutting) -> Bools:
-    """Return which features (c, c) do not touch: their middle lines are further apart than their halves are wide."""
+def _apart_features(all_features: tuple[Feature, ...], cutting: Cutting) -> Bools:
+    """Return True (c, c) for pairs of features that do not touch, whatever their placements.
+
+    Features that differ by depth or placement only have the same outline: each outline is compared once.
+    """
     outlines = [(feature.kind.side, feature.x, feature.y, feature.angle) for feature in all_features]
-    distinct = dict(zip(outlines, all_features, strict=True))  # depths and placements have the same outlines
-    parts = [features.middle_line(feature, cutting) for feature in distinct.values()]
-    begin, end = (np.array([part[k] for part in parts]) for k in (0, 1))
-    half = np.array([part[2] for part in parts])
-    is_apart = np.empty((len(parts), len(parts)), dtype=bool)
+    feature_of_outline = dict(zip(outlines, all_features, strict=True))
+    is_apart = _apart_lines([features.middle_line(feature, cutting) for feature in feature_of_outline.values()])
+    number_of_outline = {outline: k for k, outline in enumerate(feature_of_outline)}
+    row = np.array([number_of_outline[outline] for outline in outlines])
+    return np.asarray(is_apart[np.ix_(row, row)])
+
+
+def _apart_lines(lines: list[MiddleLine]) -> Bools:
+    """Return True (l, l) for pairs of middle lines that are further apart than the sum of their half widths.
+
+    Nine points of each line are compared with all of every other line, both ways. Between these points a line may be
+    nearer: three tenths of half their spacing are added to the half widths (assumed).
+    """
+    begin, end = np.array([line.begin for line in lines]), np.array([line.end for line in lines])
+    half_width = np.array([line.half_width for line in lines])
+    is_apart = np.empty((len(lines), len(lines)), dtype=bool)
     share = np.linspace(0.0, 1.0, 9)
-    line = begin[:, None] + share[:, None] * (end - begin)[:, None]  # points on each; the distance to others is exact
-    for k in range(len(parts)):
-        chord = end - begin
-        offset = line[k][None] - begin[:, None]
+    chord = end - begin
+    points = begin[:, None] + share[:, None] * chord[:, None]
+    for k in range(len(lines)):
+        offset = points[k][None] - begin[:, None]
         share_on_chord = np.clip(
             np.einsum("csi,ci->cs", offset, chord) / np.einsum("ci,ci->c", chord, chord)[:, None], 0.0, 1.0
         )
         distance = np.linalg.norm(offset - share_on_chord[..., None] * chord[:, None], axis=2).min(axis=1)
-        spacing = 0.5 * float(np.linalg.norm(chord[k])) / (len(share) - 1)
-        is_apart[k] = distance > half + half[k] + 0.3 * spacing
-    order = {outline: k for k, outline in enumerate(distinct)}
-    row = np.array([order[outline] for outline in outlines])
-    return np.asarray((is_apart & is_apart.T)[np.ix_(row, row)])
+        half_spacing = 0.5 * float(np.linalg.norm(chord[k])) / (len(share) - 1)
+        is_apart[k] = distance > half_width + half_width[k] + 0.3 * half_spacing
+    return np.asarray(is_apart & is_apart.T)
 
 
 def tests_in_block(candidates_in_block: Candidates) -> Tests:
-    """Return test poses all over the block: the most loaded states of candidates, taken evenly from their list."""
-    rows = np.unique(np.linspace(0, len(candidates_in_block.feature) - 1, _TESTS).astype(np.int64))
+    """Return test poses all over the block: the most displaced states of candidates, taken evenly from their list."""
+    rows = np.unique(np.linspace(0, len(candidates_in_block.feature) - 1, _TEST_POSES).astype(np.int64))
     suffix = " in all its placements" if candidates_in_block.placement.any() else ""
     return Tests(
-        candidates_in_block.states.take(rows),
-        np.full(len(rows), 1.0 / len(rows)),
-        np.ones(len(rows), dtype=np.bool_),
-        f"this process all over the block{suffix}",
+        states=candidates_in_block.states.take(rows),
+        weight=np.full(len(rows), 1.0 / len(rows)),
+        is_scaled=np.ones(len(rows), dtype=np.bool_),
+        source=f"this process all over the block{suffix}",
     )
 
 
 class Criterion(Struct, frozen=True, eq=False):
     """Expected square error [m²] at test poses, for the information of a part.
 
-    :param weight: (m, m) Σ w DᵀD, D the displacement (3,) by the unknowns.
+    :param weight: (m, m) Σ w DᵀD over the test poses, with their shares w and the derivatives D (3, m) of the
+        displacement by the unknowns.
     """
 
     weight: Array
@@ -581,9 +615,9 @@ class Criterion(Struct, frozen=True, eq=False):
     def of(cls, prior: Prior, robot_in_cell: RobotInCell, tests: Tests, unknowns: int) -> Criterion:
         """Return the criterion for test poses.
 
-        Where other sources state the forces, only the parameters count: the force scale is that of the process.
+        At poses whose forces another source states, only the parameters count: the force scale is that of the process.
 
-        :param unknowns: number m of unknowns of the information, parameters and force scale first.
+        :param unknowns: number m of unknowns of the information; parameters and force scale are the first of them.
         """
         _, by_parameter, by_scale = tests.states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
         slopes = by_parameter[:, :3] @ prior.by_file * prior.sigma[:-1]
@@ -601,9 +635,10 @@ class Criterion(Struct, frozen=True, eq=False):
 
 
 def _prior_information(prior: Prior, size: int) -> Array:
-    """Return the information (m, m) before the part: that of parameters and force scale, and 1 of all other unknowns.
+    """Return the information (m, m) before the part, for unknowns in units of their prior standard deviations.
 
-    Unknowns are in units of their prior standard deviations.
+    It is the inverse correlation of parameters and force scale, and the unit matrix for all other unknowns. A parameter
+    with a prior standard deviation of 0 has the information 1.
 
     :param size: number m of unknowns.
     """
@@ -620,12 +655,14 @@ def gauge_information(
 ) -> Array:
     """Return the information (m, m) of a gauge that reads how far a weight moves the tool down in each placement.
 
-    It is in the units of `Candidates.information`. The force is known, so it shows compliances without the scale.
+    It is in the units of `Candidates.information`. The force is known: only parameters of the robot are determined.
 
-    :param mass: of the weight [kg]; `places` (n, 3) of the tip in `$BASE` [m]; `sigma` noise of the gauge [m].
+    :param mass: mass of the weight [kg].
+    :param places: (n, 3) positions of the tip in `$BASE` [m]; without any, the information is zero.
+    :param sigma: noise of the gauge [m].
     :raises PlanError: the robot does not reach a place.
     """
-    size = len(prior.sigma) + 1 + _POSES * len(placements)
+    size = len(prior.sigma) + 1 + _UNKNOWNS_OF_PLACEMENT * len(placements)
     information = np.zeros((size, size))
     if not len(places):
         return information
@@ -644,7 +681,7 @@ def gauge_information(
         slopes = np.einsum("nk,nkp->np", gravity_direction, by_parameter[:, :3])
         columns[:, : len(prior.parameters)] = slopes @ prior.by_file * prior.sigma[:-1]
         sag = np.einsum("nk,nk->n", gravity_direction, twist[:, :3])
-        information += (columns / (sigma**2 + (_MODEL * sag) ** 2)[:, None]).T @ columns
+        information += (columns / (sigma**2 + (_MODEL_ERROR_SHARE * sag) ** 2)[:, None]).T @ columns
     return information
 
 
@@ -660,14 +697,14 @@ def choose(
 
     :param tests: poses at which the expected error counts.
     :param count: number of features at most.
-    :param weight_information: (m, m) of a gauge that reads the displacement by a weight; 0: none.
+    :param weight_information: (m, m) information of a gauge that reads the displacement by a weight; 0: no weight.
     :raises MeasurementError: no feature can be chosen.
     """
     unknowns = candidates_in_block.information.shape[1]
     criterion = Criterion.of(prior, robot_in_cell, tests, unknowns)
     start = _prior_information(prior, unknowns) + weight_information
     rows = _best_one_by_one(candidates_in_block, criterion, start, count)
-    for _ in range(_EXCHANGES):
+    for _ in range(_MOST_EXCHANGE_ROUNDS):
         if not _exchange(candidates_in_block, criterion, start, rows):
             break
     return evaluate(
@@ -676,7 +713,7 @@ def choose(
 
 
 def _best_one_by_one(candidates_in_block: Candidates, criterion: Criterion, start: Array, count: int) -> list[int]:
-    """Return the rows of at most `count` features that do not touch, each the one with the largest gain per second.
+    """Return the rows of at most `count` features that do not touch: in each step the one with most gain per second.
 
     :param start: (m, m) information without features.
     """
@@ -694,17 +731,17 @@ def _best_one_by_one(candidates_in_block: Candidates, criterion: Criterion, star
 
 
 def _exchange(candidates_in_block: Candidates, criterion: Criterion, start: Array, rows: list[int]) -> bool:
-    """Put a better feature that takes no longer in the place of each one, if there is one; return whether one changed.
+    """Replace each feature by the best one that takes no longer, if it is better; return whether any was replaced.
 
     :param start: (m, m) information without features.
-    :param rows: of the features, which are changed.
+    :param rows: rows of the features; changed in place.
     """
     is_changed = False
     for place in range(len(rows)):
         other_rows = rows[:place] + rows[place + 1 :]
         other_information = start + candidates_in_block.information[other_rows].sum(axis=0)
         time_left = candidates_in_block.seconds[rows].sum() - candidates_in_block.seconds[other_rows].sum()
-        # what is not longer but for rounding: the feature itself is among them
+        # 1e-9: rounding; the present feature is always among them
         is_short = candidates_in_block.seconds <= time_left + 1e-9
         free = np.flatnonzero(candidates_in_block.is_apart[:, other_rows].all(axis=1) & is_short)
         best = int(free[np.argmin(criterion(other_information + candidates_in_block.information[free]))])
@@ -727,8 +764,8 @@ def evaluate(
     """Return the design with the features in `rows` of the candidates, and its expected standard deviations and errors.
 
     :param tests: poses at which the expected error counts.
-    :param weight_information: (m, m) of a gauge that reads the displacement by a weight; 0: none.
-    :raises MeasurementError: there is no feature.
+    :param weight_information: (m, m) information of a gauge that reads the displacement by a weight; 0: no weight.
+    :raises MeasurementError: `rows` is empty.
     """
     if not len(rows):
         raise MeasurementError("no feature was chosen", file="--block", advice="Give a larger block.")
@@ -767,11 +804,13 @@ def _visible_changes(prior: Prior, information: Array) -> Array:
     of a part on parameters and scale, its position and radius eliminated, and P the covariance before it, the
     deviations of the second part have the information (J⁻¹ + (P⁻¹ + J)⁻¹)⁻¹ = J − J (P⁻¹ + 2 J)⁻¹ J (Woodbury).
 
-    :param information: (m, m) of the part, in the units of `Candidates.information`.
+    :param information: (m, m) information of the part, in the units of `Candidates.information`.
+    :returns: the changes; infinite for parameters that the part does not determine.
     """
     size = len(prior.parameters) + 1
     nuisance = information[size:, size:].copy()
-    nuisance += np.eye(len(nuisance))  # radius and height of the top are known before; the position is free
+    # prior information of radius, position and height of the top: in their units, the position is as good as free
+    nuisance += np.eye(len(nuisance))
     coupling = information[:size, size:]
     own_information = information[:size, :size] - coupling @ np.linalg.pinv(nuisance, hermitian=True) @ coupling.T
     information_of_two = (

@@ -22,34 +22,34 @@ from postproc.decimals import without_negative_zero
 from postproc.errors import PlanError
 from postproc.frames import MM_PER_M, Array
 
-_HALF = 1.6
-"""Length of each half, in tool diameters: the probed places are more than a radius from the ends of a cut."""
+_HALF_LENGTH_DIAMETERS = 1.6
+"""Length of each half of a groove, in tool diameters: probed points are more than a radius from the ends of a cut."""
 _PROBE_SHARE = 0.5
-"""Where in each half is probed, as a share of its length from the middle of the groove."""
-_STEP = 0.4
+"""Distance of the probed points of a half from the middle of the groove, as a share of the length of the half."""
+_STEP_WIDTH_DIAMETERS = 0.4
 """Width of a step, in tool diameters (assumed)."""
 _LAST_SIDE, _LAST_FLOOR = 0.1e-3, 0.05e-3
-"""What the last trimming passes take off walls and floor [m] (assumed)."""
-_FLOOR = 0.4
-"""What the first trimming passes take off the floor, as a share of what they take off walls (assumed)."""
+"""Depth that the last trimming passes take off walls, and off the floor [m] (assumed)."""
+_FLOOR_TRIM_SHARE = 0.4
+"""Depth that the first trimming passes take off the floor, as a share of the depth at walls (assumed)."""
 LEAST_TRIM = 0.3e-3
 """Least value of `Cutting.trim` [m] (assumed)."""
-_CLEAR = 5e-3
+_CLEARANCE_HEIGHT = 5e-3
 """Height of rapid moves above the block [m] (assumed)."""
-_ENTRY = 0.2e-3
+_ENTRY_HEIGHT = 0.2e-3
 """Height above the block at which the tool begins to descend into it [m] (assumed)."""
-_WALL = 0.5
+_WALL_DIAMETERS = 0.5
 """Wall left between features, in tool diameters (assumed)."""
-_PLUNGE = 0.5
+_PLUNGE_FEED_SHARE = 0.5
 """Feed of ramps and entries, as a share of the feed (assumed)."""
 _HANG_HEIGHT = 0.2
 """Height above the block at which a weight is hung on the tool [m] (assumed)."""
-_TOUCH_EDGE, _TOUCH_WALL = 5e-3, 2e-3
+_TOUCH_EDGE_DISTANCE, _TOUCH_WALL_DISTANCE = 5e-3, 2e-3
 """Distance of touch-off points from the edge of the block, and from the walls of features [m] (assumed)."""
 _TOUCH_PITCH = 2e-3
-"""Distance of the places that are tried for touch-off points [m] (assumed)."""
+"""Distance between the places that are tried for touch-off points [m] (assumed)."""
 _FEWEST_TOUCHES = 3
-"""Three points are a plane: height and two slopes of the touch-off."""
+"""Fewest touch-off points: three determine a plane, its height and two slopes."""
 RAPID = 0.1
 """Speed of rapid moves for the estimate of the time [m/s] (assumed)."""
 
@@ -57,12 +57,12 @@ RAPID = 0.1
 class Cutting(Struct, frozen=True):
     """How the part is cut.
 
-    :param diameter: of the tool [m].
+    :param diameter: diameter of the tool [m].
     :param rpm: spindle speed [1/min].
     :param feed: [m/s].
     :param tool: number of the tool.
     :param top: Z of the upper face of the block, `$BASE` [m].
-    :param trim: what the first trimming passes take off walls [m]: more than the tool deflects.
+    :param trim: depth that the first trimming passes take off walls [m]: more than the tool deflects.
     """
 
     diameter: float
@@ -74,16 +74,16 @@ class Cutting(Struct, frozen=True):
 
     @property
     def trims(self) -> tuple[tuple[float, float], ...]:
-        """Depths of the trimming passes below the groove: at walls and at the floor [m]."""
-        first = self.trim, _FLOOR * self.trim
+        """Depths of each trimming pass beyond the groove [m]: at walls, then at the floor."""
+        first = self.trim, _FLOOR_TRIM_SHARE * self.trim
         return first, (first[0] + _LAST_SIDE, first[1] + _LAST_FLOOR)
 
 
 class Kind(Struct, frozen=True):
     """A groove or a step at one place of the part.
 
-    :param depth: [m].
-    :param side: 0 a groove; 1 a step that is cut down-milling, −1 up-milling.
+    :param depth: depth of the groove [m].
+    :param side: 0: a groove without a step; 1: with a step that is cut down-milling; −1: up-milling.
     """
 
     depth: float
@@ -91,7 +91,7 @@ class Kind(Struct, frozen=True):
 
     @property
     def title(self) -> str:
-        """Return the kind in words."""
+        """The kind in words."""
         return {0: "groove", 1: "step, down-milling", -1: "step, up-milling"}[self.side]
 
 
@@ -107,9 +107,9 @@ class Feature(Struct, frozen=True):
 class Pass(Struct, frozen=True):
     """A straight move of the tool tip in the axes of the feature.
 
-    :param end: (u, v, w) [m].
-    :param feed: share of the feed; 0 for a rapid move.
-    :param name: of the surfaces that it makes, or empty.
+    :param end: (u, v, w) of its end [m].
+    :param feed: its feed as a share of the feed of cuts; 0 for a rapid move.
+    :param name: name of the pass if it makes probed surfaces; else empty.
     """
 
     end: tuple[float, float, float]
@@ -118,12 +118,12 @@ class Pass(Struct, frozen=True):
 
 
 class Probe(Struct, frozen=True):
-    """A point of a surface.
+    """A probed point in the axes of a feature.
 
-    :param name: of the surface.
-    :param made_by: name of the pass.
+    :param name: name of its surface.
+    :param made_by: name of the pass that makes the surface.
     :param point: (u, v, w) [m].
-    :param normal: (3,) out of the material.
+    :param normal: (3,) unit normal out of the material.
     """
 
     name: str
@@ -134,87 +134,93 @@ class Probe(Struct, frozen=True):
 
 def half_length(diameter: float) -> float:
     """Return half the length of the path of a groove [m]."""
-    return _HALF * diameter
+    return _HALF_LENGTH_DIAMETERS * diameter
 
 
 def outline(kind: Kind, cutting: Cutting) -> tuple[float, float]:
-    """Return the middle v and half the width of the strip that a feature takes, with half the wall next to it [m]."""
-    step = _STEP * cutting.diameter * kind.side
-    return 0.5 * step, 0.5 * (1.0 + _WALL) * cutting.diameter + cutting.trims[-1][0] + 0.5 * abs(step)
+    """Return v of the middle of the strip that a feature takes, and half the width of the strip [m].
+
+    The strip includes half of the wall that is left to each neighbour.
+    """
+    step = _STEP_WIDTH_DIAMETERS * cutting.diameter * kind.side
+    return 0.5 * step, 0.5 * (1.0 + _WALL_DIAMETERS) * cutting.diameter + cutting.trims[-1][0] + 0.5 * abs(step)
 
 
 def passes(kind: Kind, cutting: Cutting) -> list[Pass]:
     """Return the moves that cut a feature, from above the block to above the block.
 
-    First the groove, along −u, its first half by a ramp there and back; then the step, if any; then the trimming passes
-    along the half u > 0, whose surfaces are the reference.
+    First the groove is cut along −u, its half u > 0 by a ramp there and back. Then follow the step, if there is one,
+    and the trimming passes along the half u > 0, whose surfaces are the reference.
     """
-    long, deep, step = half_length(cutting.diameter), -kind.depth, _STEP * cutting.diameter * kind.side
+    end_u, floor_w = half_length(cutting.diameter), -kind.depth
+    step_v = _STEP_WIDTH_DIAMETERS * cutting.diameter * kind.side
     groove_moves = [
-        Pass((long, 0.0, _CLEAR), 0.0),
-        Pass((long, 0.0, _ENTRY), _PLUNGE),
-        Pass((0.0, 0.0, 0.5 * deep), _PLUNGE),
-        Pass((long, 0.0, deep), _PLUNGE),
-        Pass((0.0, 0.0, deep), 1.0),
-        Pass((-long, 0.0, deep), 1.0, "groove"),
-        Pass((-long, 0.0, _CLEAR), 0.0),
+        Pass((end_u, 0.0, _CLEARANCE_HEIGHT), 0.0),
+        Pass((end_u, 0.0, _ENTRY_HEIGHT), _PLUNGE_FEED_SHARE),
+        Pass((0.0, 0.0, 0.5 * floor_w), _PLUNGE_FEED_SHARE),
+        Pass((end_u, 0.0, floor_w), _PLUNGE_FEED_SHARE),
+        Pass((0.0, 0.0, floor_w), 1.0),
+        Pass((-end_u, 0.0, floor_w), 1.0, "groove"),
+        Pass((-end_u, 0.0, _CLEARANCE_HEIGHT), 0.0),
     ]
     step_moves = [
-        Pass((long, 0.0, _CLEAR), 0.0),
-        Pass((long, 0.0, deep), _PLUNGE),
-        Pass((long, step, deep), _PLUNGE),
-        Pass((0.0, step, deep), 1.0),
-        Pass((-long, step, deep), 1.0, "step"),
-        Pass((-long, step, _CLEAR), 0.0),
+        Pass((end_u, 0.0, _CLEARANCE_HEIGHT), 0.0),
+        Pass((end_u, 0.0, floor_w), _PLUNGE_FEED_SHARE),
+        Pass((end_u, step_v, floor_w), _PLUNGE_FEED_SHARE),
+        Pass((0.0, step_v, floor_w), 1.0),
+        Pass((-end_u, step_v, floor_w), 1.0, "step"),
+        Pass((-end_u, step_v, _CLEARANCE_HEIGHT), 0.0),
     ]
     return [*groove_moves, *(step_moves if kind.side else []), *_trimming_moves(kind, cutting)]
 
 
 def _trimming_moves(kind: Kind, cutting: Cutting) -> list[Pass]:
     """Return the moves that trim walls and floor of the half u > 0, from above the block to above the block."""
-    long, deep, step = half_length(cutting.diameter), -kind.depth, _STEP * cutting.diameter * kind.side
+    end_u, floor_w = half_length(cutting.diameter), -kind.depth
+    step_v = _STEP_WIDTH_DIAMETERS * cutting.diameter * kind.side
     moves = []
     for number, (side, floor) in enumerate(cutting.trims):
-        high, low, trim_depth = max(step, 0.0) + side, min(step, 0.0) - side, deep - floor
-        last = number == len(cutting.trims) - 1
+        # v of the tool at both walls, and w of its tip
+        high, low, trim_w = max(step_v, 0.0) + side, min(step_v, 0.0) - side, floor_w - floor
+        is_last = number == len(cutting.trims) - 1  # its surfaces are probed
         moves += [
-            Pass((long, 0.5 * step, _CLEAR), 0.0),
-            Pass((long, 0.5 * step, trim_depth), _PLUNGE),
-            Pass((long, high, trim_depth), _PLUNGE),
-            Pass((0.0, high, trim_depth), 1.0, "trim left" if last else ""),
-            Pass((0.0, low, trim_depth), _PLUNGE),
-            Pass((long, low, trim_depth), 1.0, "trim right" if last else ""),
-            Pass((long, low, _CLEAR), 0.0),
+            Pass((end_u, 0.5 * step_v, _CLEARANCE_HEIGHT), 0.0),
+            Pass((end_u, 0.5 * step_v, trim_w), _PLUNGE_FEED_SHARE),
+            Pass((end_u, high, trim_w), _PLUNGE_FEED_SHARE),
+            Pass((0.0, high, trim_w), 1.0, "trim left" if is_last else ""),
+            Pass((0.0, low, trim_w), _PLUNGE_FEED_SHARE),
+            Pass((end_u, low, trim_w), 1.0, "trim right" if is_last else ""),
+            Pass((end_u, low, _CLEARANCE_HEIGHT), 0.0),
         ]
     return moves
 
 
 def probes(kind: Kind, cutting: Cutting) -> list[Probe]:
     """Return the probed points of a feature: on the surfaces of the loaded half, then on those of the trimmed half."""
-    radius, step, side = 0.5 * cutting.diameter, _STEP * cutting.diameter * kind.side, kind.side
-    trimmed_x = _PROBE_SHARE * half_length(cutting.diameter)
-    loaded_x, (trim, floor) = -trimmed_x, cutting.trims[-1]
-    middle, deep, trim_depth = -0.5 * kind.depth, -kind.depth, -kind.depth - floor
+    radius, step, side = 0.5 * cutting.diameter, _STEP_WIDTH_DIAMETERS * cutting.diameter * kind.side, kind.side
+    trimmed_u = _PROBE_SHARE * half_length(cutting.diameter)
+    loaded_u, (trim, floor) = -trimmed_u, cutting.trims[-1]
+    middle_w, floor_w, trim_w = -0.5 * kind.depth, -kind.depth, -kind.depth - floor
     left, right, up = (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     high, low = max(step, 0.0) + trim, min(step, 0.0) - trim
     loaded_probes = [
-        Probe("left", "step" if side > 0 else "groove", (loaded_x, max(step, 0.0) + radius, middle), left),
-        Probe("right", "step" if side < 0 else "groove", (loaded_x, min(step, 0.0) - radius, middle), right),
+        Probe("left", "step" if side > 0 else "groove", (loaded_u, max(step, 0.0) + radius, middle_w), left),
+        Probe("right", "step" if side < 0 else "groove", (loaded_u, min(step, 0.0) - radius, middle_w), right),
         # not where the pass of the step cuts the floor of the groove once more
-        Probe("floor", "groove", (loaded_x, -0.6 * radius * side, deep), up),
+        Probe("floor", "groove", (loaded_u, -0.6 * radius * side, floor_w), up),
     ]
     if side:
-        loaded_probes.append(Probe("step_floor", "step", (loaded_x, step + 0.6 * radius * side, deep), up))
+        loaded_probes.append(Probe("step_floor", "step", (loaded_u, step + 0.6 * radius * side, floor_w), up))
     return [
         *loaded_probes,
-        Probe("ref_left", "trim left", (trimmed_x, high + radius, middle), left),
-        Probe("ref_right", "trim right", (trimmed_x, low - radius, middle), right),
-        Probe("ref_floor", "trim right", (trimmed_x, low, trim_depth), up),
+        Probe("ref_left", "trim left", (trimmed_u, high + radius, middle_w), left),
+        Probe("ref_right", "trim right", (trimmed_u, low - radius, middle_w), right),
+        Probe("ref_floor", "trim right", (trimmed_u, low, trim_w), up),
     ]
 
 
 def seconds(kind: Kind, cutting: Cutting) -> float:
-    """Return the time that the moves of a feature take [s], without the move to its start."""
+    """Return the time that the moves of a feature take [s], without the move to the begin of the first one."""
     total, last_end = 0.0, None
     for move in passes(kind, cutting):
         end = np.array(move.end)
@@ -237,21 +243,21 @@ def to_base(feature: Feature, top: float, vectors: Array, *, is_direction: bool 
 
 
 class Placement(Struct, frozen=True):
-    """Where the block is clamped while a program runs.
+    """The placement of the block while a program runs.
 
-    :param number: of `[base_data]` in the cell; empty: its `[base]`.
+    :param number: n of `[base_data.n]` in the cell; empty: `[base]`.
     """
 
     number: str = ""
 
     @property
     def name(self) -> str:
-        """Return the name of its program."""
+        """The name of the program for this placement."""
         return f"testpart_{self.number}.nc" if self.number else "testpart.nc"
 
     @property
     def title(self) -> str:
-        """Return its frame as a table of the cell."""
+        """The frame of the placement, as a table of the cell."""
         return f"[base_data.{self.number}]" if self.number else "[base]"
 
 
@@ -259,13 +265,13 @@ class Program(Struct, frozen=True, eq=False):
     """A test part as text.
 
     :param text: G-code.
-    :param features: their number.
-    :param feature: (n,) names of the probed points: feature and surface, ``F01.left``; ``T01.top`` of the uncut top.
-    :param line: (n,) line of the text whose motion makes each point, and `t` (n,) the place on that motion; 0 for
-        points of the uncut top.
+    :param features: number of features.
+    :param feature: (n,) names of the probed points: feature and surface, ``F01.left``; ``T01.top`` on the uncut top.
+    :param line: (n,) line of the text whose motion makes each point; 0 for points of the uncut top.
+    :param t: (n,) place of the point on that motion, 0 … 1.
     :param point: (n, 3) in `$BASE` [m].
-    :param normal: (n, 3) out of the material; of a gauge the direction in which it reads positive.
-    :param mass: (n,) of the weight hung on the tool at a reading of a gauge [kg]; 0 at probed points.
+    :param normal: (n, 3) unit normals out of the material; of a gauge the direction in which it reads positive.
+    :param mass: (n,) mass of the weight on the tool at a reading of a gauge [kg]; 0 at probed points.
     """
 
     text: str
@@ -281,7 +287,8 @@ class Program(Struct, frozen=True, eq=False):
 def hanging_places(low: Array, high: Array, top: float) -> Array:
     """Return the positions of the tip (n, 3) in `$BASE` [m] for a weight on the tool: above a diagonal of the block.
 
-    :param low: (3,) and `high` (3,) corners of the block [m]; `top` Z of its upper face [m].
+    :param low: (3,) lower corner of the block [m], and `high` (3,) upper corner.
+    :param top: Z of its upper face [m].
     """
     share = np.array([[0.1, 0.1], [0.5, 0.5], [0.9, 0.9]])
     return np.column_stack([low[:2] + share * (high - low)[:2], np.full(len(share), top + _HANG_HEIGHT)])
@@ -290,9 +297,8 @@ def hanging_places(low: Array, high: Array, top: float) -> Array:
 class MiddleLine(NamedTuple):
     """Middle line of a feature, seen along Z.
 
-    :param begin: (2,) its first end in `$BASE` [m].
-    :param end: (2,) its other end [m].
-    :param half_width: of the feature, with half a wall [m].
+    :param begin: (2,) X, Y of one end in `$BASE` [m], and `end` (2,) of the other end.
+    :param half_width: half of the width of the feature, with half a wall [m].
     """
 
     begin: Array
@@ -303,20 +309,24 @@ class MiddleLine(NamedTuple):
 def middle_line(feature: Feature, cutting: Cutting) -> MiddleLine:
     """Return the middle line of a feature in the block."""
     middle, half_width = outline(feature.kind, cutting)
-    long = half_length(cutting.diameter)
-    ends = to_base(feature, 0.0, np.array([[-long, middle, 0.0], [long, middle, 0.0]]))[:, :2]
+    end_u = half_length(cutting.diameter)
+    ends = to_base(feature, 0.0, np.array([[-end_u, middle, 0.0], [end_u, middle, 0.0]]))[:, :2]
     return MiddleLine(ends[0], ends[1], half_width)
 
 
 def touch_off_places(features: Sequence[Feature], cutting: Cutting, low: Array, high: Array) -> Array:
     """Return touch-off points (k, 3) on the uncut top near the corners of the block, `$BASE` [m].
 
-    :param features: all that are cut into the block, in whatever placement.
-    :param low: (3,) and `high` (3,): corners of the block [m].
-    :raises PlanError: the features leave no room.
+    :param features: all features that are cut into the block, in any placement.
+    :param low: (3,) lower corner of the block [m], and `high` (3,) upper corner.
+    :raises PlanError: the features leave no room for three points that are not on a line.
     """
     x, y = (
-        np.arange(low[k] + _TOUCH_EDGE, high[k] - _TOUCH_EDGE + 1e-9, max(_TOUCH_PITCH, (high[k] - low[k]) / 100.0))
+        np.arange(
+            low[k] + _TOUCH_EDGE_DISTANCE,
+            high[k] - _TOUCH_EDGE_DISTANCE + 1e-9,
+            max(_TOUCH_PITCH, (high[k] - low[k]) / 100.0),
+        )
         for k in (0, 1)
     )
     uncut = np.array([[px, py] for px in x for py in y]).reshape(-1, 2)
@@ -324,7 +334,7 @@ def touch_off_places(features: Sequence[Feature], cutting: Cutting, low: Array, 
         begin, end, half_width = middle_line(feature, cutting)
         share = np.clip((uncut - begin) @ (end - begin) / ((end - begin) @ (end - begin)), 0.0, 1.0)
         distance = np.linalg.norm(uncut - begin - share[:, None] * (end - begin), axis=1)
-        uncut = uncut[distance > half_width + _TOUCH_WALL]
+        uncut = uncut[distance > half_width + _TOUCH_WALL_DISTANCE]
     places = np.zeros((0, 2))
     if len(uncut):
         corners = [(corner_x, corner_y) for corner_x in (low[0], high[0]) for corner_y in (low[1], high[1])]
@@ -332,7 +342,7 @@ def touch_off_places(features: Sequence[Feature], cutting: Cutting, low: Array, 
         places = uncut[list(dict.fromkeys(nearest_rows))]
     # spread of the points across the line that fits them best: points on a line show no tilt about it
     spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) if len(places) > 1 else np.zeros(1)
-    if len(places) < _FEWEST_TOUCHES or spread[-1] < 2.0 * _TOUCH_EDGE:
+    if len(places) < _FEWEST_TOUCHES or spread[-1] < 2.0 * _TOUCH_EDGE_DISTANCE:
         raise PlanError(
             "the features leave no room for touch-off points on the top of the block",
             file="--block",
@@ -344,12 +354,12 @@ def touch_off_places(features: Sequence[Feature], cutting: Cutting, low: Array, 
 class _ProgramPoint(Struct, frozen=True, eq=False):
     """A probed point, or a reading of a gauge, with the line of the program whose motion makes it.
 
-    :param name: of feature and surface, ``F01.left``.
-    :param line: number of the line, from 1 for the first of its block; 0 if no line makes the point.
+    :param name: name of feature and surface, ``F01.left``.
+    :param line: number of the line, 1 for the first line of its block; 0 if no line makes the point.
     :param t: place on the motion of the line, in [0, 1].
     :param point: (3,) in `$BASE` [m].
-    :param normal: (3,) out of the material; of a gauge the direction in which it reads positive.
-    :param mass: of the weight on the tool [kg]; 0 at probed points.
+    :param normal: (3,) unit normal out of the material; of a gauge the direction in which it reads positive.
+    :param mass: mass of the weight on the tool [kg]; 0 at probed points.
     """
 
     name: str
@@ -361,7 +371,7 @@ class _ProgramPoint(Struct, frozen=True, eq=False):
 
 
 class _Block(Struct, frozen=True):
-    """Consecutive lines of a program, and the points that are probed where they cut."""
+    """Consecutive lines of a program, and the points to be probed or read that belong to them."""
 
     lines: list[str]
     points: list[_ProgramPoint]
@@ -379,19 +389,20 @@ def program(
 ) -> Program:
     """Return the G-code of a part with some features, and the points to be probed.
 
-    :param mass: of a weight [kg] that is hung on the tool at places `weight_places` (n, 3) in `$BASE` [m], after
-        cutting; None: no weight.
+    :param mass: mass of a weight that is hung on the tool after cutting [kg].
+    :param weight_places: (n, 3) positions of the tip at which it is hung, `$BASE` [m]; None: there are none.
     :param touches: (k, 3) touch-off points on the uncut top, `$BASE` [m]; None: there are none.
-    :param first: numbers of the first feature, of the first of these places and of the first touch-off point.
-    :param placement_title: the placement of the block, for the operator; empty: there is one only.
+    :param first: numbers of the first feature, of the first of `weight_places` and of the first touch-off point.
+    :param placement_title: placement of the block, for the operator; empty: the block has one placement.
     """
+    first_feature, first_weight, first_touch = first
     no_points = np.zeros((0, 3))
-    blocks = [_head(cutting, no_points if touches is None else touches, first[2], placement_title)]
-    for number, feature in enumerate(features, start=first[0]):
-        blocks.append(_feature_lines(number, feature, cutting, has_height=number > first[0]))
+    blocks = [_head_lines(cutting, no_points if touches is None else touches, first_touch, placement_title)]
+    for number, feature in enumerate(features, start=first_feature):
+        blocks.append(_feature_lines(number, feature, cutting, has_height=number > first_feature))
     count = len(blocks) - 1
-    blocks.append(_Block([f"G0 Z{(cutting.top + 4.0 * _CLEAR) * MM_PER_M:.4f}", "M5"], []))
-    blocks.append(_stops(mass, no_points if weight_places is None else weight_places, first[1]))
+    blocks.append(_Block([f"G0 Z{(cutting.top + 4.0 * _CLEARANCE_HEIGHT) * MM_PER_M:.4f}", "M5"], []))
+    blocks.append(_weight_stops(mass, no_points if weight_places is None else weight_places, first_weight))
     lines: list[str] = []
     line_numbers: list[int] = []
     for block in blocks:
@@ -411,11 +422,11 @@ def program(
     )
 
 
-def _head(cutting: Cutting, touches: Array, first: int, placement_title: str) -> _Block:
+def _head_lines(cutting: Cutting, touches: Array, first: int, placement_title: str) -> _Block:
     """Return the first lines of the program: comments for the operator with the touch-off points, tool and spindle.
 
-    :param touches: (k, 3) touch-off points in `$BASE` [m]; `first` number of the first one.
-    :param placement_title: the placement of the block; empty: there is one only.
+    :param touches: (k, 3) touch-off points in `$BASE` [m], and `first` the number of the first point.
+    :param placement_title: placement of the block; empty: the block has one placement.
     """
     lines = [
         "(Test part for postproc identify part: cut it uncorrected, with the cell that it was made for)",
@@ -436,8 +447,8 @@ def _head(cutting: Cutting, touches: Array, first: int, placement_title: str) ->
 def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_height: bool) -> _Block:
     """Return the G-code lines that cut a feature, and the points to be probed on it.
 
-    :param number: of the feature.
-    :param has_height: the tool is at the height of rapid moves, at which features begin and end: no Z is needed.
+    :param number: number of the feature.
+    :param has_height: whether the tool already is at the height of rapid moves: then the first move states no Z.
     """
     kind, name, feed = feature.kind, f"F{number:02d}", cutting.feed * MM_PER_M * 60.0
     lines = [f"({name}: {kind.title}, depth {kind.depth * MM_PER_M:g} mm, {np.degrees(feature.angle):g} deg)"]
@@ -448,6 +459,7 @@ def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_heigh
         words = f"X{end[0]:.4f} Y{end[1]:.4f}" + ("" if index == 0 and has_height else f" Z{end[2]:.4f}")
         lines.append(f"G0 {words}" if move.feed == 0.0 else f"G1 {words} F{move.feed * feed:.1f}")
         if move.name:
+            # line from 1, and both ends of the move
             move_of_surface[move.name] = len(lines), last_end, np.array(move.end)
         last_end = np.array(move.end)
     points = []
@@ -460,10 +472,11 @@ def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_heigh
     return _Block(lines, points)
 
 
-def _stops(mass: float, places: Array, first: int) -> _Block:
+def _weight_stops(mass: float, places: Array, first: int) -> _Block:
     """Return the G-code lines of the stops at which a weight is hung on the tool, and the readings of the gauge.
 
-    :param mass: of the weight [kg]; `places` (n, 3) of the tip in `$BASE` [m]; `first` number of the first place.
+    :param mass: mass of the weight [kg].
+    :param places: (n, 3) positions of the tip in `$BASE` [m], and `first` the number of the first place.
     """
     lines, points = [], []
     for number, place in enumerate(places, start=first):

@@ -37,8 +37,8 @@ from postproc.testpart.linear import (
     cross_validation_errors,
     light_pass_variance,
     linearise,
-    noise_of,
-    posterior,
+    noise_covariance,
+    posterior_covariance,
     solve,
 )
 from postproc.testpart.prior import Prior
@@ -50,11 +50,11 @@ _ROUNDS = 12
 _CONVERGENCE_RMS, _LARGEST_RESIDUAL = 1.5e-6, 5e-6
 """RMS change by new forces of the deflected tool that ends the iteration [m], and the largest one that may remain:
 the cells of the map of the stock make some 1e-6."""
-_MEDIAN = 0.6745
-"""Median of the size of a standard normal number."""
-_OUTLIER = 5.0
-"""Error of a point predicted by all others, over its usual size, beyond which it is left out (assumed)."""
-_MOST_OUTLIERS = 0.05
+_NORMAL_MEDIAN = 0.6745
+"""Median of the absolute value of a standard normal number."""
+_OUTLIER_RATIO = 5.0
+"""Ratio of the error of a point predicted by all others to its usual size, beyond which it is left out (assumed)."""
+_MOST_OUTLIERS_SHARE = 0.05
 """Share of the points that may be left out (assumed): more are no slips, but another part or robot."""
 HELD_SHARE = 0.9
 """A parameter whose standard deviation stays above this share of the prior one is not determined by the part
@@ -65,35 +65,35 @@ robots whose gears bend and whose links are flexible are off there by 5 % (RMS),
 parts do not show: 1.96 of these."""
 _SWAP_DECREASE = 25.0
 """Decrease of χ², over the usual χ² of a point, by which two features were probed in each other's place (assumed)."""
-MOST_LIFT = 0.5
+MOST_LIFT_SHARE = 0.5
 """Lift of a program over the block that is counted, as a share of the flattest cut (assumed)."""
-_FACTOR = 5.0
-"""Probed deviations beyond this factor of the predicted ones, or below its inverse, are a mistake of the user's
-(assumed)."""
+_LARGEST_FACTOR = 5.0
+"""Largest ratio of probed to predicted deviations, and of predicted to probed ones: beyond it the user has made a
+mistake (assumed)."""
 
 
 class Fit(Struct, frozen=True, eq=False):
     """A fitted model.
 
-    :param prior: what was known before.
-    :param readings: those used.
-    :param z: (p,) change of the parameters, units of files.
-    :param scale: of the forces.
+    :param prior: knowledge before the part.
+    :param readings: the readings that were used.
+    :param z: (p,) change of the parameters from the prior, units of files.
+    :param scale: factor of the forces.
     :param covariance: (p + 1, p + 1) of z and the scale.
-    :param free: (p + 1,) what was fitted; the rest keeps its prior value.
+    :param free: (p + 1,) True for parameters, and the scale, that were fitted; the others keep their prior values.
     :param prior_prediction: (n,) deviations predicted by the prior [m].
-    :param prediction: (n,) by the fit, each with the position of the part, the tool's radius and the path without force
-        [m].
+    :param prediction: (n,) deviations predicted by the fit [m]. Both predictions include the estimated position of the
+        part, radius of the tool and path without force.
     :param load: (n,) size of the force at each point [N].
-    :param displacement: (n,) predicted displacement of the tool there [m].
-    :param error: (n,) of each point predicted from all others [m], and `spread` (n,) its standard deviation.
+    :param displacement: (n,) predicted displacement of the tool at each point [m].
+    :param error: (n,) error of each point predicted from all others [m], and `spread` (n,) its standard deviation.
     :param gamma: unmodelled error as a share of the deflection.
-    :param prior_error: (n,) measured deviations less those that the prior predicts [m], and `slopes` (n, p + 1) their
-        derivatives.
+    :param prior_error: (n,) measured deviations minus those that the prior predicts [m].
+    :param slopes: (n, p + 1) derivatives of the predicted deviations at the prior.
     :param torque: (6,) largest torque of the forces on A1…A6 [N·m].
-    :param lifts: how high the program of each placement ran over the block.
+    :param lifts: lift of the program of each placement over the block.
     :param by_lift: (n,) derivative of the deviations by the lift.
-    :param exchanged_pair: two features whose readings look exchanged.
+    :param exchanged_pair: names of two features whose readings look exchanged; None: there are none.
     """
 
     prior: Prior
@@ -121,14 +121,14 @@ class Fit(Struct, frozen=True, eq=False):
         """The fitted robot, without its covariance."""
         return self.prior.robot_with_change(self.z)
 
-    def compare_with_prior(self, prior: Prior) -> Surprise:
-        """Compare the readings with the prediction of a prior, for a fit that began with `prior.widen()`.
+    def compare_with_prior(self, prior: Prior) -> PriorComparison:
+        """Return how the readings differ from the prediction of a prior, for a fit that began with `prior.widen()`.
 
         The changes of the parameters are estimated as a step from the prior with the spread `prior.drift`: the Bayesian
         linear model with that prior covariance.
         """
         unmodelled = self.gamma * self.displacement  # standard deviation of what the model lacks [m]
-        # of a model from a part the error elsewhere is no error at the part
+        # a model that was identified from a part with these forces states its error at other places, not at the part
         if (discrepancy := prior.robot.discrepancy) is not None and not prior.covariance[-1, :-1].any():
             wrench = np.pad(self.load[:, None], ((0, 0), (0, 5)))
             unmodelled = np.maximum(unmodelled, discrepancy.at(wrench) / LENGTH_95)
@@ -138,26 +138,27 @@ class Fit(Struct, frozen=True, eq=False):
         slopes = self.slopes
         precision = np.linalg.inv(slopes @ prior.covariance @ slopes.T + noise)
         score, information = slopes.T @ precision @ self.prior_error, slopes.T @ precision @ slopes
-        # of changes in units of their drift: the unit matrix is the precision of the prior
-        posterior = np.linalg.inv(np.eye(len(information)) + np.outer(prior.drift, prior.drift) * information)
-        return Surprise(
+        # of changes in units of their drift, whose prior precision is the unit matrix
+        change_covariance = np.linalg.inv(np.eye(len(information)) + np.outer(prior.drift, prior.drift) * information)
+        return PriorComparison(
             chi2=float(self.prior_error @ precision @ self.prior_error),
-            chance=_chance(score, information),
-            change=prior.drift * (posterior @ (prior.drift * score)),
-            spread=prior.drift * np.sqrt(np.maximum(np.diag(posterior), 0.0)),
+            no_change_probability=_no_change_probability(score, information),
+            change=prior.drift * (change_covariance @ (prior.drift * score)),
+            spread=prior.drift * np.sqrt(np.maximum(np.diag(change_covariance), 0.0)),
         )
 
     @property
     def sigma(self) -> Array:
-        """(p + 1,) standard deviations after the fit over those before."""
+        """(p + 1,) standard deviations after the fit, as shares of those before it."""
         # 1e-300 keeps zero out of the denominator
         return np.sqrt(np.diag(self.covariance) / np.maximum(np.diag(self.prior.covariance), 1e-300))
 
     def u95(self) -> tuple[Array, Array]:
-        """Return levels of load (m,) [N], and the 95 % bound of the unmodelled error at each (m,) [m].
+        """Return levels of load (m,) [N], and the 95 % bound (m,) of the unmodelled error at each level [m].
 
-        From the errors of points predicted from all others, as far as their noise does not explain them. Points of one
-        feature count as one. Light loads, below a quarter of the largest, are left out.
+        The bound is computed from the part of the cross-validation errors that their noise does not explain. Points of
+        one feature count as one. Points with less than a quarter of the largest load are left out. The bound does not
+        fall with the load.
         """
         loaded_rows = np.flatnonzero(self.load > 0.25 * self.load.max())
         level = levels(self.load[loaded_rows])
@@ -167,6 +168,7 @@ class Fit(Struct, frozen=True, eq=False):
             rows = loaded_rows[level == index]
             share = 1.0 / np.bincount(group)[group[level == index]]
             prior_share = 0.1 * GAMMA * float(np.sqrt(np.mean(self.displacement[rows] ** 2)))
+            # variance without the unmodelled error, at least a tenth of the whole
             noise = self.spread[rows] ** 2 - (self.gamma * self.displacement[rows]) ** 2
             smallest_variance = 0.1 * self.spread[rows] ** 2
             variance = np.maximum(noise, smallest_variance)
@@ -178,22 +180,23 @@ class Fit(Struct, frozen=True, eq=False):
         return np.array(load), np.maximum.accumulate(bound)
 
 
-class Surprise(Struct, frozen=True, eq=False):
-    """How probed deviations differ from those that a model predicts with its covariance.
+class PriorComparison(Struct, frozen=True, eq=False):
+    """How n probed deviations differ from those that a model predicts with its covariance.
 
-    :param chi2: squared distance; about n where the model is right.
-    :param chance: of deviations that look as much like a change of one parameter, or of all, where none has changed.
-    :param change: (p + 1,) estimated changes of the parameters, units of files, at the forces of the model;
-        `spread` (p + 1,) their standard deviations.
+    :param chi2: squared distance in units of the covariance; about n if the model is right.
+    :param no_change_probability: probability of deviations that look as much like a change of one parameter, or of all,
+        if none has changed.
+    :param change: (p + 1,) estimated changes of the parameters, units of files, at the forces of the model.
+    :param spread: (p + 1,) standard deviations of these changes.
     """
 
     chi2: float
-    chance: float
+    no_change_probability: float
     change: Array
     spread: Array
 
 
-def _chance(score: Array, information: Array) -> float:
+def _no_change_probability(score: Array, information: Array) -> float:
     """Return the probability of deviations that look as much like a change of one unknown, if nothing has changed.
 
     Each unknown is tested by itself, so that a small effect is seen next to large ones; the scale of the forces is the
@@ -203,24 +206,27 @@ def _chance(score: Array, information: Array) -> float:
         covariance.
     """
     variance = np.diag(information)
-    is_testable = variance > 1e-9 * variance.max()  # others are zero but for rounding
+    is_testable = variance > 1e-9 * variance.max()  # the readings do not depend on the other unknowns
     largest_score = float((np.abs(score[is_testable]) / np.sqrt(variance[is_testable])).max(initial=0.0))
     return min(1.0, int(is_testable.sum()) * erfc(largest_score / sqrt(2.0)))
 
 
 CutAt = Callable[[RobotModel, float, Sequence[Heights]], States]
-"""States where the points are made, under the forces of the tool as deflected by a model under forces times a scale,
-with programs that run at some height over the block."""
+"""Returns the states where the points are made, for a robot that deflects the tool, a factor of the forces and the lift
+of each program over the block; no lifts: all run as written."""
 
 
 class _Estimate(Struct, frozen=True, eq=False):
     """State of the iteration.
 
-    :param readings: those that count, and `rows` (n,) of all that were read.
-    :param outliers: points left out.
-    :param free: (p + 1,) what is fitted.
-    :param states: where the points are made, under the forces of the round before.
-    :param z: (p,), `scale` and `gamma`: the solution, with `local` there; None where it is not known yet.
+    :param readings: the n readings that count, and `rows` (n,) their rows among all readings.
+    :param outliers: names of points left out.
+    :param free: (p + 1,) True for parameters, and the scale, that are fitted.
+    :param states: states where the points are made, under the forces of the last round.
+    :param z: (p,) change of the parameters from the prior, units of files.
+    :param scale: factor of the forces.
+    :param gamma: unmodelled error as a share of the deflection.
+    :param local: linear model at this solution; None: it is not known yet.
     """
 
     readings: Readings
@@ -244,17 +250,20 @@ class _PriorPrediction(NamedTuple):
     local: LinearPrediction
     rows: Ints
 
-    def of(self, rows: Ints) -> LinearPrediction:
-        """Return the prediction for readings (n,), all of which are among these."""
+    def for_readings(self, rows: Ints) -> LinearPrediction:
+        """Return the prediction for some of the k readings, by their ascending numbers (n,) among all readings."""
         return self.local.take(np.searchsorted(self.rows, rows))
 
 
 def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: CutAt) -> tuple[Fit, tuple[str, ...]]:
     """Return the fit of a model to a part, without gross errors, with undetermined parameters at their prior values.
 
-    :param cut_at: returns the states under new forces; called once a round.
-    :returns: the fit, and the points left out.
-    :raises MeasurementError: the deviations are none that a robot near the model makes, or the fit does not settle.
+    Each round solves for fixed forces. Then it leaves out one gross error, or holds undetermined parameters; if there
+    are none, it computes new forces. It ends when new forces no longer change the predicted deviations.
+
+    :param cut_at: returns the states under new forces.
+    :returns: the fit, and the names of points left out.
+    :raises MeasurementError: no robot near the model makes these deviations, or the fit does not settle.
     """
     whole = prior.covariance
     no_change = np.zeros(len(prior.parameters))
@@ -264,17 +273,17 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
     exchanged_pair = swapped_features(prior, readings, local)
     rows, free = np.arange(len(readings.probed)), np.diag(whole) > 0.0
     estimate = end = _Estimate(readings, rows, (), free, states, no_change, 1.0, local=local)
-    max_outliers = int(_MOST_OUTLIERS * len(readings.probed))
+    max_outliers = int(_MOST_OUTLIERS_SHARE * len(readings.probed))
     prior_prediction: _PriorPrediction | None = None
     change = np.inf
     for _ in range(_ROUNDS):
         estimate = _solve(prior, robot_in_cell, estimate)
-        smaller_estimate = _remove_outlier(estimate, whole, max_outliers) or _hold_parameters(estimate, whole)
+        smaller_estimate = _without_outlier(estimate, whole, max_outliers) or _with_held_parameters(estimate, whole)
         if smaller_estimate is not None:
             estimate = smaller_estimate
             continue
-        z, scale, local = estimate.z, estimate.scale, _local(estimate)
-        heights = _heights(_lifts(estimate, whole), MOST_LIFT * readings.least_depth)
+        z, scale, local = estimate.z, estimate.scale, _linear_model(estimate)
+        heights = _heights(_lifts(estimate, whole), MOST_LIFT_SHARE * readings.least_depth)
         states = cut_at(prior.robot_with_change(z), scale, heights).take(estimate.rows)
         if prior_prediction is None:  # the tool of the prior model deflects by nearly as much
             prior_local = linearise(prior, estimate.readings, states, robot_in_cell, z=no_change, scale=1.0)
@@ -289,12 +298,12 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
         raise MeasurementError(
             "the fit of the test part does not settle", file=readings.probed.file, advice="Check the deviations."
         )
-    prior_linear = prior_prediction.of(end.rows)
+    prior_linear = prior_prediction.for_readings(end.rows)
     return _fit_at_end(prior, end, prior_linear, exchanged_pair), end.outliers
 
 
-def _local(estimate: _Estimate) -> LinearPrediction:
-    """Return the linear model at the solution of an estimate, which `_solve` has set."""
+def _linear_model(estimate: _Estimate) -> LinearPrediction:
+    """Return the linear model of an estimate that has one, as any that `_solve` returns."""
     assert estimate.local is not None
     return estimate.local
 
@@ -314,15 +323,21 @@ def _solve(prior: Prior, robot_in_cell: RobotInCell, estimate: _Estimate) -> _Es
     return replace(estimate, local=local, z=z, scale=scale, gamma=gamma)
 
 
-def _remove_outlier(estimate: _Estimate, whole: Array, max_outliers: int) -> _Estimate | None:
-    """Return the estimate without its worst gross error; None if there is none."""
+def _without_outlier(estimate: _Estimate, whole: Array, max_outliers: int) -> _Estimate | None:
+    """Return the estimate without its worst gross error; None if no error is gross, or too many points are left out.
+
+    :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
+    :param max_outliers: largest number of points that may be left out.
+    """
     # with the median of γ before any reading: a gross error enlarges γ, and would hide in it
     error, variance = cross_validation_errors(
-        estimate.readings, _local(estimate), GAMMA, whole, z=estimate.z, scale=estimate.scale
+        estimate.readings, _linear_model(estimate), GAMMA, whole, z=estimate.z, scale=estimate.scale
     )
     size = np.abs(error) / np.sqrt(variance)
     worst = int(np.argmax(size))
-    if len(estimate.outliers) >= max_outliers or size[worst] <= _OUTLIER * max(1.0, float(np.median(size)) / _MEDIAN):
+    if len(estimate.outliers) >= max_outliers or size[worst] <= _OUTLIER_RATIO * max(
+        1.0, float(np.median(size)) / _NORMAL_MEDIAN
+    ):
         return None
     kept_rows = np.delete(np.arange(len(size)), worst)
     return replace(
@@ -331,19 +346,23 @@ def _remove_outlier(estimate: _Estimate, whole: Array, max_outliers: int) -> _Es
         readings=estimate.readings.take(kept_rows),
         rows=estimate.rows[kept_rows],
         states=estimate.states.take(kept_rows),
-        local=_local(estimate).take(kept_rows),
+        local=_linear_model(estimate).take(kept_rows),
     )
 
 
-def _hold_parameters(estimate: _Estimate, whole: Array) -> _Estimate | None:
-    """Return the estimate with undetermined parameters at their prior values; None if all that are free are determined.
+def _with_held_parameters(estimate: _Estimate, whole: Array) -> _Estimate | None:
+    """Return the estimate with undetermined parameters at their prior values; None if all free ones are determined.
+
+    The scale of the forces is never held.
 
     :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
     """
     all_free = np.ones_like(estimate.free)
-    sigma = np.sqrt(np.diag(posterior(estimate.readings, _local(estimate), estimate.gamma, whole, all_free)))
+    sigma = np.sqrt(
+        np.diag(posterior_covariance(estimate.readings, _linear_model(estimate), estimate.gamma, whole, all_free))
+    )
     is_held = estimate.free & (sigma > HELD_SHARE * np.sqrt(np.diag(whole)))
-    is_held[-1] = False
+    is_held[-1] = False  # the scale of the forces
     if not is_held.any():
         return None
     free = estimate.free & ~is_held
@@ -351,13 +370,13 @@ def _hold_parameters(estimate: _Estimate, whole: Array) -> _Estimate | None:
 
 
 def _lifts(estimate: _Estimate, whole: Array) -> tuple[Lift, ...]:
-    """Return the heights at which the programs ran over the block, estimated from the readings.
+    """Return the lift of each program over the block, estimated from the readings.
 
     :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
     """
-    readings, local = estimate.readings, _local(estimate)
+    readings, local = estimate.readings, _linear_model(estimate)
     target = readings.probed.deviation - local.value + local.slopes @ np.append(estimate.z, estimate.scale - 1.0)
-    covariance = local.slopes @ whole @ local.slopes.T + noise_of(readings, local, estimate.gamma)
+    covariance = local.slopes @ whole @ local.slopes.T + noise_covariance(readings, local, estimate.gamma)
     return readings.lifts(local.by_lift, np.asarray(np.linalg.inv(covariance)), target)
 
 
@@ -366,7 +385,7 @@ def _heights(lifts: Sequence[Lift], limit: float) -> list[Heights]:
 
     def limited(lift: Lift) -> Heights:
         """Return a lift as a function of points (n, 3) in `$BASE` [m], with limited values (n,) [m]."""
-        return lambda points: np.clip(lift.at(points), -limit, limit)
+        return lambda points: np.clip(lift.heights(points), -limit, limit)
 
     return [limited(lift) for lift in lifts]
 
@@ -379,10 +398,11 @@ def _fit_at_end(
     :param prior_linear: the linear model at the prior, under the forces of the tool that the first fit deflects.
     :param exchanged_pair: features whose readings look exchanged; None: there are none.
     """
-    readings, local, gamma, whole = estimate.readings, _local(estimate), estimate.gamma, prior.covariance
+    readings, local, gamma, whole = estimate.readings, _linear_model(estimate), estimate.gamma, prior.covariance
     states, scale = estimate.states, estimate.scale
     deviation = readings.probed.deviation
-    gain = readings.part_covariance(local.by_lift) @ np.linalg.inv(noise_of(readings, local, gamma))
+    # share of a deviation from the prediction that position, radius and path explain
+    gain = readings.part_covariance(local.by_lift) @ np.linalg.inv(noise_covariance(readings, local, gamma))
     prior_residual = deviation - prior_linear.value
     error, variance = cross_validation_errors(readings, local, gamma, whole, z=estimate.z, scale=scale)
     jacobian = kinematics.tcp(prior.robot.nominal, states.q, states.tool)[1]
@@ -391,7 +411,7 @@ def _fit_at_end(
         readings=readings,
         z=estimate.z,
         scale=scale,
-        covariance=posterior(readings, local, gamma, whole, estimate.free),
+        covariance=posterior_covariance(readings, local, gamma, whole, estimate.free),
         free=estimate.free,
         prior_prediction=prior_linear.value + gain @ prior_residual,
         prediction=local.value + gain @ (deviation - local.value),
@@ -412,8 +432,8 @@ def _fit_at_end(
 def swapped_features(prior: Prior, readings: Readings, local: LinearPrediction) -> tuple[str, str] | None:
     """Return two features whose readings agree with the model only if they are exchanged.
 
-    They lower χ² most, and by much. χ² counts the covariance of the model, so that a robot that differs from the model
-    is not taken for an exchange.
+    Of all pairs with the same surfaces, their exchange lowers χ² most, and by more than `_SWAP_DECREASE`. χ² counts the
+    covariance of the model, so that a robot that differs from the model is not taken for an exchange.
 
     :param local: the linear model at the prior.
     :returns: names of the features; None if no exchange is clear.
@@ -423,7 +443,7 @@ def swapped_features(prior: Prior, readings: Readings, local: LinearPrediction) 
     for row, name in enumerate(points.name):
         feature, _, surface = name.partition(".")
         rows.setdefault(feature, {})[surface] = row
-    covariance = local.slopes @ prior.covariance @ local.slopes.T + noise_of(readings, local, GAMMA)
+    covariance = local.slopes @ prior.covariance @ local.slopes.T + noise_covariance(readings, local, GAMMA)
     inverse = np.linalg.inv(covariance)
     residual = points.deviation - local.value
     smallest_chi2, pair = np.inf, None
@@ -441,24 +461,27 @@ def swapped_features(prior: Prior, readings: Readings, local: LinearPrediction) 
 
 
 _MM_PER_INCH = 25.4
-_ALIKE = 0.8
+_ALIKE_COSINE = 0.8
 """Cosine between probed and predicted deviations, in units of their noise, from which they differ by size alone."""
 
 
-def _likeness(deviation: Array, prediction: Array, noise: Array) -> float:
-    """Return the cosine between deviations (n,) and predicted ones, in units of their noise (n, n); 0 of nothing."""
+def _cosine_between(deviation: Array, prediction: Array, noise: Array) -> float:
+    """Return the cosine between probed and predicted deviations (n,) in units of their noise; 0 if one of them is zero.
+
+    :param noise: (n, n) covariance of the deviations.
+    """
     weighted = np.linalg.solve(noise, np.stack([deviation, prediction], axis=1))
     product = np.stack([deviation, prediction]) @ weighted
     size = float(np.sqrt(product[0, 0] * product[1, 1]))
     return float(product[0, 1]) / size if size > 0.0 else 0.0
 
 
-def _other_sides(names: Sequence[str]) -> Ints:
-    """Return the rows (n,) of the same features with ``left`` and ``right`` exchanged.
+def _opposite_rows(names: Sequence[str]) -> Ints:
+    """Return for each point the row (n,) of the opposite surface of its feature: ``right`` for ``left``, and so on.
 
-    Surfaces without an opposite one that was probed keep their own row.
+    A point whose surface has no opposite surface among the probed ones gets its own row.
 
-    :param names: of feature and surface, ``F01.left``.
+    :param names: (n,) names of feature and surface, ``F01.left``.
     """
     row_of = {name: row for row, name in enumerate(names)}
     opposite = {"left": "right", "right": "left"}
@@ -470,23 +493,23 @@ def _other_sides(names: Sequence[str]) -> Ints:
 
 
 def _check_size(readings: Readings, local: LinearPrediction) -> None:
-    """Refuse deviations that no robot near the model can make: of the other sign, of another unit, or none at all.
+    """Refuse deviations that no robot near the model can make: with the wrong sign or unit, or almost zero.
 
-    :raises MeasurementError: they are not between a fifth of what the model predicts and five times that.
+    :raises MeasurementError: they are less than a fifth of the predicted deviations, or more than five times these.
     """
-    noise, deviation = noise_of(readings, local, GAMMA), readings.probed.deviation
+    noise, deviation = noise_covariance(readings, local, GAMMA), readings.probed.deviation
     weighted_prediction = np.linalg.solve(noise, local.value)
     share = float(weighted_prediction @ deviation) / float(weighted_prediction @ local.value)
-    if 1.0 / _FACTOR <= share <= _FACTOR:
+    if 1.0 / _LARGEST_FACTOR <= share <= _LARGEST_FACTOR:
         return
-    exchanged = deviation[_other_sides(readings.probed.name)]
-    if _likeness(exchanged, local.value, noise) > _ALIKE > _likeness(deviation, local.value, noise):
+    exchanged = deviation[_opposite_rows(readings.probed.name)]
+    if _cosine_between(exchanged, local.value, noise) > _ALIKE_COSINE > _cosine_between(deviation, local.value, noise):
         advice = "They fit if left and right of all features are exchanged: left is that seen along the groove, on +v."
-    elif share < -1.0 / _FACTOR:
+    elif share < -1.0 / _LARGEST_FACTOR:
         advice = "deviation_mm is positive where material is left: is the sign the other way?"
-    elif share > _FACTOR:
+    elif share > _LARGEST_FACTOR:
         advice = "Is deviation_mm in millimetres? Are program and process those that the part was cut with?"
-    elif 0.5 < share * _MM_PER_INCH < 2.0 and _likeness(deviation, local.value, noise) > _ALIKE:
+    elif 0.5 < share * _MM_PER_INCH < 2.0 and _cosine_between(deviation, local.value, noise) > _ALIKE_COSINE:
         advice = "Is deviation_mm in inch? Give it in mm."
     else:
         advice = "The part shows hardly any deflection. Was testpart.src cut as it was written, not corrected?"

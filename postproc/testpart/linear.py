@@ -26,8 +26,8 @@ _STEP_TOLERANCE = 2e-8
 """Change of a predicted deviation that ends the iteration at fixed forces [m] (assumed)."""
 GAMMA = 0.005
 """Median of γ before any reading (assumed)."""
-_LIGHT = 0.25
-"""Displacements below this share of the largest are those of light passes (assumed)."""
+_LIGHT_SHARE = 0.25
+"""Passes whose displacement is below this share of the largest are light passes (assumed)."""
 _LIGHT_PASS_ERROR = 0.15
 """Relative error of the displacement by a light pass: its chip is the difference of the deflections before; assumed."""
 
@@ -35,10 +35,10 @@ _LIGHT_PASS_ERROR = 0.15
 class LinearPrediction(Columns, frozen=True, eq=False):
     """Predicted deviations and their derivatives.
 
-    :param value: (n,) deviations at no lift, linear from the lift of the states [m].
+    :param value: (n,) deviations of a program without lift, extrapolated linearly from the lift of the states [m].
     :param slopes: (n, p + 1) derivatives by z and the scale of the forces.
     :param by_lift: (n,) derivatives by the lift of the program over the block.
-    :param displacement: (n,) displacements of the tool [m].
+    :param displacement: (n,) size of the displacement of the tool by forces [m].
     """
 
     value: Array
@@ -52,7 +52,7 @@ def linearise(
 ) -> LinearPrediction:
     """Return predicted deviations and their derivatives at values of the unknowns.
 
-    :param states: of the robot where the surfaces are made, with the forces.
+    :param states: states of the robot where the surfaces are made, with the forces.
     :param z: (p,) change of the parameters from the prior, units of files; `scale` factor of the forces.
     :raises MeasurementError: the springs have no equilibrium under the forces.
     """
@@ -70,9 +70,10 @@ def linearise(
     return LinearPrediction(value - by_lift * states.lift, slopes, by_lift, displacement)
 
 
-def noise_of(readings: Readings, local: LinearPrediction, gamma: float) -> Array:
-    """Return the covariance (n, n) [m²] of the deviations of a robot that is known exactly, as are the forces.
+def noise_covariance(readings: Readings, local: LinearPrediction, gamma: float) -> Array:
+    """Return the covariance (n, n) [m²] of the deviations if robot and forces are known exactly.
 
+    :param local: linear model of the deviations.
     :param gamma: unmodelled error as a share of the displacement of the tool.
     """
     variance = np.diag(
@@ -82,18 +83,18 @@ def noise_of(readings: Readings, local: LinearPrediction, gamma: float) -> Array
 
 
 def light_pass_variance(readings: Readings, displacement: Array) -> Array:
-    """Return the variance (n,) [m²] of displacements (n,) [m] by light passes, 0 for others.
+    """Return the variance (n,) [m²] of displacements (n,) [m] by light passes; 0 for other passes and for weights.
 
     The chip of a light pass is the difference of the deflections of the passes before: its force is hardly known.
     """
-    is_light_pass = (readings.probed.mass == 0.0) & (displacement < _LIGHT * displacement.max())
+    is_light_pass = (readings.probed.mass == 0.0) & (displacement < _LIGHT_SHARE * displacement.max())
     return np.where(is_light_pass, (_LIGHT_PASS_ERROR * displacement) ** 2, 0.0)
 
 
 class Solution(NamedTuple):
     """The most probable unknowns for fixed forces.
 
-    :param local: linear model there.
+    :param local: linear model at these unknowns.
     :param z: (p,) change of the parameters from the prior, units of files.
     :param scale: factor of the forces.
     :param gamma: unmodelled error γ as a share of the displacement of the tool.
@@ -120,11 +121,12 @@ def solve(
 
     Each round solves the linear least squares with the prior, and linearises anew at its solution.
 
-    :param states: of the robot where the surfaces are made, with the forces.
+    :param states: states of the robot where the surfaces are made, with the forces.
     :param z: (p,) change of the parameters from the prior to begin with, units of files.
     :param scale: factor of the forces to begin with.
     :param free: (p + 1,) True for parameters, and the scale, that may change.
-    :param local: linear model at z and the scale to begin with, if it is known.
+    :param local: linear model at z and the scale to begin with; None: it is not known.
+    :raises MeasurementError: the springs have no equilibrium under the forces.
     """
     prior_covariance = prior.covariance
     gamma = 0.0
@@ -134,7 +136,7 @@ def solve(
         last_solution = np.append(z, scale - 1.0)
         target = readings.probed.deviation - local.value + local.slopes @ last_solution
         gamma = unmodelled_share(readings, local, prior_covariance, target)
-        noise = noise_of(readings, local, gamma)
+        noise = noise_covariance(readings, local, gamma)
         covariance = local.slopes @ prior_covariance @ local.slopes.T + noise
         solution = free * (prior_covariance @ local.slopes.T @ np.linalg.solve(covariance, target))
         z, scale = solution[:-1], max(1.0 + float(solution[-1]), MIN_SHARE)
@@ -150,12 +152,13 @@ def unmodelled_share(readings: Readings, local: LinearPrediction, whole: Array, 
 
     The prior of γ is log-normal about `GAMMA`. The posterior is summed on a grid of logarithms.
 
+    :param local: linear model of the deviations.
     :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
     :param target: (n,) deviations that the linear model is to explain [m].
     """
     log_ratio = np.linspace(-4.0, 4.0, 97)  # fine enough for γ from 200 readings
     share = GAMMA * np.exp(WIDTH * log_ratio)
-    covariance = local.slopes @ whole @ local.slopes.T + noise_of(readings, local, 0.0)
+    covariance = local.slopes @ whole @ local.slopes.T + noise_covariance(readings, local, 0.0)
     log_density = np.empty(len(share))
     for k, gamma in enumerate(share.tolist()):
         lower = np.linalg.cholesky(covariance + np.diag((gamma * local.displacement) ** 2))
@@ -165,16 +168,18 @@ def unmodelled_share(readings: Readings, local: LinearPrediction, whole: Array, 
     return float(np.sqrt(np.sum(density * share**2) / density.sum()))
 
 
-def posterior(readings: Readings, local: LinearPrediction, gamma: float, whole: Array, free: Bools) -> Array:
+def posterior_covariance(readings: Readings, local: LinearPrediction, gamma: float, whole: Array, free: Bools) -> Array:
     """Return the covariance (p + 1, p + 1) of parameters and scale after the readings.
 
-    A parameter that is not free keeps its value, and its uncertainty counts for those that are: Schmidt, "Application
-    of state-space methods to navigation problems", 1966 (consider covariance).
+    A parameter that is not free keeps its value, and its uncertainty adds to that of the free ones: Schmidt,
+    "Application of state-space methods to navigation problems", 1966 (consider covariance).
 
-    :param whole: (p + 1, p + 1) covariance before them.
-    :param free: (p + 1,) True for what was fitted.
+    :param local: linear model of the deviations.
+    :param gamma: unmodelled error as a share of the displacement of the tool.
+    :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
+    :param free: (p + 1,) True for parameters, and the scale, that were fitted.
     """
-    noise = noise_of(readings, local, gamma)
+    noise = noise_covariance(readings, local, gamma)
     spread = whole @ local.slopes.T
     gain = free[:, None] * np.linalg.solve(local.slopes @ spread + noise, spread.T).T
     error_factor = np.eye(len(whole)) - gain @ local.slopes  # of prior errors in the result
@@ -192,6 +197,6 @@ def cross_validation_errors(
     :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
     """
     target = readings.probed.deviation - local.value + local.slopes @ np.append(z, scale - 1.0)
-    inverse = np.linalg.inv(local.slopes @ whole @ local.slopes.T + noise_of(readings, local, gamma))
+    inverse = np.linalg.inv(local.slopes @ whole @ local.slopes.T + noise_covariance(readings, local, gamma))
     diagonal = np.diag(inverse)
     return inverse @ target / diagonal, 1.0 / diagonal

@@ -26,22 +26,22 @@ from postproc.robot.model_file import (
     ModelFile,
 )
 from postproc.testpart.features import Placement
-from postproc.testpart.fit import HELD_SHARE, MOST_LIFT, Fit
+from postproc.testpart.fit import HELD_SHARE, MOST_LIFT_SHARE, Fit
 from postproc.testpart.prior import MIN_SHARE, Prior
 from postproc.testpart.readings import Lift, Top
 
 _DRIFT_SIGMAS = 3.0
 """Change of a parameter that is named, in standard deviations (assumed)."""
-_CHANCE = 0.005
-"""Chance of deviations that look like a drift, below which it is one (assumed)."""
-_MISFIT = 0.25
+_DRIFT_PROBABILITY = 0.005
+"""Probability of the deviations if nothing has changed, below which they are a drift (assumed)."""
+_MOST_UNMODELLED_SHARE = 0.25
 """Unmodelled error, as a share of the deflection, beyond which the model should not be used (assumed)."""
 _PLAUSIBLE_SIGMAS = 4.0
 """Distance of a parameter from its prior, in prior standard deviations, that is not plausible (assumed)."""
 _LEAST_CORRELATION = 0.01
 """Correlation with any other parameter below which one that the part does not determine stays out of [covariance]
 (assumed)."""
-_DOUBTFUL = 3.0
+_DOUBTFUL_SIGMAS = 3.0
 """Distance of the scale of the forces from 1, in its standard deviations, that is worth a warning (assumed)."""
 _STATED_LIFT = 1e-4
 """Lift of a program over the block that is worth a warning [m] (assumed)."""
@@ -50,14 +50,14 @@ _MOST_TILT = 3e-3
 _VAGUE_TILT = 10e-3
 """Half width of the 95 % interval of the tilt [rad] beyond which it is not determined (assumed): over 100 mm of part
 the depth of cut would be unknown by a millimetre."""
-_VAGUE_LIFT = 0.25
+_VAGUE_LIFT_SHARE = 0.25
 """Half width of the 95 % interval of the lift, as a share of the flattest cut, beyond which its depth is not known
 (assumed)."""
-_CHECKABLE = 4
+_FEWEST_CHECKABLE = 4
 """Fewest touch-off points that can contradict each other."""
-_NARROWED = 0.9
-"""Share of its prior standard deviation below which the scale of the forces counts as observable (assumed)."""
-_SURPRISE = 3.29
+_OBSERVABLE_SHARE = 0.9
+"""The scale of the forces is observable if its standard deviation falls below this share of the prior one (assumed)."""
+_CHI2_SIGMAS = 3.29
 """Standard deviations of χ² beyond which the readings do not agree with a model."""
 
 
@@ -145,9 +145,9 @@ class PartIdentification(Record, frozen=True, kw_only=True, omit_defaults=True):
 
 
 def file_values(fit: Fit) -> tuple[Array, Array]:
-    """Return the values of the parameters in units of files (p,), and the covariance (p + 1, p + 1) with the scale.
+    """Return the fitted parameters in units of files (p,), and their covariance (p + 1, p + 1) with the scale.
 
-    The last row and column are of the relative error of the scale of the forces.
+    The last row and column of the covariance are for the relative error of the scale of the forces.
     """
     prior, robot = fit.prior, fit.robot
     robot_values = {parameter: robot.value(parameter) for parameter in prior.order}
@@ -160,24 +160,24 @@ def file_values(fit: Fit) -> tuple[Array, Array]:
 
 
 def agreement(fit: Fit, prior: Prior, outliers: tuple[str, ...] = ()) -> Agreement:
-    """Compare a model with a part.
+    """Return how a model agrees with a part.
 
     :param fit: fit of the part with `prior.widen()`, so that the readings decide.
     :param prior: the model with its own covariance.
-    :param outliers: points left out of the fit.
+    :param outliers: names of points left out of the fit.
     """
     fault = _part_fault(fit, outliers)
-    count, surprise = len(fit.readings.probed), fit.compare_with_prior(prior)
+    count, comparison = len(fit.readings.probed), fit.compare_with_prior(prior)
     # quantile of χ² by its mean, its spread, and 7 ≈ 2/3 (3.29² − 1) for its skewness (Cornish and Fisher)
-    largest_chi2 = count + _SURPRISE * float(np.sqrt(2.0 * count)) + 7.0
-    is_changed = surprise.chance < _CHANCE
-    factor = np.maximum(1.0 + surprise.change[:-1] / prior.values, MIN_SHARE)
+    largest_chi2 = count + _CHI2_SIGMAS * float(np.sqrt(2.0 * count)) + 7.0
+    is_changed = comparison.no_change_probability < _DRIFT_PROBABILITY
+    factor = np.maximum(1.0 + comparison.change[:-1] / prior.values, MIN_SHARE)
     changes = [
-        Change(parameter.name, round(float(factor[k]), 3), round(float(surprise.change[k] / surprise.spread[k]), 1))
+        Change(parameter.name, round(float(factor[k]), 3), round(float(comparison.change[k] / comparison.spread[k]), 1))
         for k, parameter in enumerate(prior.parameters)
-        if is_changed and abs(surprise.change[k]) > _DRIFT_SIGMAS * surprise.spread[k] > 0.0
+        if is_changed and abs(comparison.change[k]) > _DRIFT_SIGMAS * comparison.spread[k] > 0.0
     ]
-    line = f"χ² {surprise.chi2:.0f} of {count} points (at most {largest_chi2:.0f})"
+    line = f"χ² {comparison.chi2:.0f} of {count} points (at most {largest_chi2:.0f})"
     if is_changed:
         names = ", ".join(f"{change.name} × {change.factor:.2f}" for change in changes)
         line += f"; the arm deflects otherwise under these forces: {names or 'no single joint'}"
@@ -189,12 +189,12 @@ def agreement(fit: Fit, prior: Prior, outliers: tuple[str, ...] = ()) -> Agreeme
             "seen: give the process with the material.toml of the model"
         )
     return Agreement(
-        holds=surprise.chi2 <= largest_chi2 and not is_changed and not fault,
+        holds=comparison.chi2 <= largest_chi2 and not is_changed and not fault,
         fault=fault,
         line=line,
-        chi2=round(surprise.chi2, 2),
+        chi2=round(comparison.chi2, 2),
         points=count,
-        chance=round(surprise.chance, 4),
+        chance=round(comparison.no_change_probability, 4),
         drifted=changes,
         warnings=warnings,
     )
@@ -209,7 +209,7 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
     parameters, held_names = _parameters(fit)
     scale = Parameter(
         float(fit.scale), float(NORMAL_95 * np.sqrt(fit.covariance[-1, -1])), "1",
-        observable=bool(fit.sigma[-1] < _NARROWED), prior=1.0,
+        observable=bool(fit.sigma[-1] < _OBSERVABLE_SHARE), prior=1.0,
     )  # fmt: skip
     load, u95 = fit.u95()
     deviation = readings.probed.deviation
@@ -242,7 +242,7 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
 
 
 def _probed_points(fit: Fit) -> list[ProbedPoint]:
-    """Return the points with their deviations, measured and predicted from the top as it was touched off, in mm."""
+    """Return the points with their measured and predicted deviations from the touched-off top, in mm."""
     readings = fit.readings
     columns = (
         readings.probed.deviation + readings.datum,
@@ -258,9 +258,7 @@ def _probed_points(fit: Fit) -> list[ProbedPoint]:
 
 
 def _parameters(fit: Fit) -> tuple[dict[str, Parameter], list[str]]:
-    """Return the parameters by name with their 95 % intervals, in units of files; the names of those that keep their
-    prior.
-    """
+    """Return name → parameter with its 95 % interval, in units of files; and the names that keep their prior value."""
     values, covariance = file_values(fit)
     half_width = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
     parameters, held_names = {}, []
@@ -284,8 +282,8 @@ def _touch_off_errors(fit: Fit) -> list[TouchOffError]:
     errors = []
     for top, lift in _cut_tops(fit):
         frame = Placement("" if top.base < 0 else str(top.base)).title
-        height, half_width = float(lift.height[0]), NORMAL_95 * float(np.sqrt(lift.covariance[0, 0]))
-        tilt = float(np.linalg.norm(lift.height[1:]))
+        height, half_width = float(lift.coefficients[0]), NORMAL_95 * float(np.sqrt(lift.covariance[0, 0]))
+        tilt = float(np.linalg.norm(lift.coefficients[1:]))
         errors.append(
             TouchOffError(
                 frame=frame,
@@ -305,7 +303,7 @@ def _cut_tops(fit: Fit) -> list[tuple[Top, Lift]]:
 
 
 def _touch_off_fault(fit: Fit) -> str:
-    """Return the reason that the depth of cut is unknown or too far from the programmed one; empty if there is none."""
+    """Return why the depth of cut is unknown or too far from the programmed one; empty if it is known and near."""
     depth = fit.readings.least_depth
     for (top, lift), error in zip(_cut_tops(fit), _touch_off_errors(fit), strict=True):
         points = fit.readings.probed.point[fit.readings.probed.base == top.base]
@@ -314,20 +312,21 @@ def _touch_off_fault(fit: Fit) -> str:
                 f"the touch-off points {', '.join(top.points)} are on no plane: probe them again, or leave the wrong "
                 "deviation_mm empty"
             )
+        # 2 for 1.96: half width of the 95 % interval
         half_tilt = 2.0 * float(np.sqrt(np.trace(lift.covariance[1:, 1:])))
         if half_tilt > _VAGUE_TILT:
             return _vague_tilt_fault(fit, top, half_tilt)
-        if np.abs(lift.at(points)).max() > MOST_LIFT * depth:
+        if np.abs(lift.heights(points)).max() > MOST_LIFT_SHARE * depth:
             return (
                 f"the program ran {_lift_text(error.lift_mm)} over the block at {error.frame}, more than half of the "
                 f"flattest cut ({depth * MM_PER_M:g} mm): touch off again, and cut and probe a new part"
             )
-        if np.hypot(*lift.height[1:]) > _MOST_TILT + half_tilt:
+        if np.hypot(*lift.coefficients[1:]) > _MOST_TILT + half_tilt:
             return (
                 f"the program is tilted by {error.tilt_mm_per_m:.1f} mm/m against the uncut top at {error.frame}: "
                 "probe the touch-off points again; if they agree, measure $BASE anew and cut a new part"
             )
-        if error.ci95 > _VAGUE_LIFT * depth * MM_PER_M:
+        if error.ci95 > _VAGUE_LIFT_SHARE * depth * MM_PER_M:
             return (
                 f"the depth of the cuts at {error.frame} is known to ± {error.ci95:.2g} mm only: probe the floors "
                 "(floor, ref_floor) of the features too"
@@ -362,7 +361,7 @@ def _rms_mm(values: Array) -> float:
 
 
 def _part_fault(fit: Fit, outliers: tuple[str, ...]) -> str:
-    """Return a clause on readings of the part that contradict each other, with what to do; empty if there are none."""
+    """Return a clause on readings of the part that contradict each other, with a remedy; empty if none do."""
     if fault := _touch_off_fault(fit):
         return fault
     if fit.exchanged_pair is not None:
@@ -375,14 +374,14 @@ def _part_fault(fit: Fit, outliers: tuple[str, ...]) -> str:
 
 
 def _verdict(fit: Fit, outliers: tuple[str, ...]) -> Verdict:
-    """Return whether the fitted model may be used, with the first reason against it."""
+    """Return the verdict whether the fitted model may be used; if not, with the first reason against it."""
     size = len(fit.prior.parameters)
     sigma = fit.prior.sigma
     shift = np.abs(fit.z) / np.where(sigma > 0.0, sigma, np.inf)[:-1]
     reason = ""
     if fault := _part_fault(fit, outliers):
         reason = fault
-    elif fit.gamma > _MISFIT:
+    elif fit.gamma > _MOST_UNMODELLED_SHARE:
         reason = f"{100 * fit.gamma:.0f} % of the deflection are not described by the model: check part and program"
     elif shift.max() > _PLAUSIBLE_SIGMAS:
         name = fit.prior.parameters[int(np.argmax(shift))].name
@@ -399,7 +398,8 @@ def _verdict(fit: Fit, outliers: tuple[str, ...]) -> Verdict:
 def _remarks(fit: Fit, held_names: list[str], outliers: tuple[str, ...]) -> list[str]:
     """Return remarks for the user on undetermined parameters, outliers, touch-off, and the scale of the forces.
 
-    :param held_names: of parameters that keep their prior.
+    :param held_names: names of parameters that keep their prior.
+    :param outliers: names of points left out of the fit.
     """
     remarks = []
     if held_names:
@@ -411,11 +411,11 @@ def _remarks(fit: Fit, held_names: list[str], outliers: tuple[str, ...]) -> list
                 f"the program ran {_lift_text(error.lift_mm)} over the block at {error.frame} (± {error.ci95:.2f} mm): "
                 "the forces are computed for the depths that were cut"
             )
-        if len(error.points) < _CHECKABLE:
+        if len(error.points) < _FEWEST_CHECKABLE:
             remarks.append(
                 f"three touch-off points at {error.frame} cannot be checked against each other: probe a fourth"
             )
-    if abs(fit.scale - 1.0) > _DOUBTFUL * fit.prior.sigma[-1] > 0.0:
+    if abs(fit.scale - 1.0) > _DOUBTFUL_SIGMAS * fit.prior.sigma[-1] > 0.0:
         remarks.append(
             f"forces would be {fit.scale:.2f} times those computed, more than three standard deviations "
             f"({300.0 * fit.prior.sigma[-1]:.0f} %) off: check material, tool, feed and depth"
@@ -436,17 +436,18 @@ def _remarks(fit: Fit, held_names: list[str], outliers: tuple[str, ...]) -> list
 
 
 def model_file(fit: Fit, prior: ModelFile, process: Process, source: str) -> ModelFile:
-    """Return the content of `model.toml`: identified values with intervals, the prior's where the part determines none.
+    """Return the content of `model.toml`: identified values with intervals, prior values of undetermined parameters.
 
     Its covariance contains the scale of the forces, for robots under forces by the `material.toml` of this part.
 
     :param prior: the model file before the part.
-    :param process: with which the part was cut.
+    :param process: the process with which the part was cut.
     :param source: origin of the values, for the file.
     """
     values, covariance = file_values(fit)
     half_width = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
     deviation = np.sqrt(np.diag(covariance))
+    # the diagonal always counts: more than one entry is a correlation with another parameter
     is_correlated = (np.abs(covariance) > _LEAST_CORRELATION * np.outer(deviation, deviation)).sum(axis=0) > 1
     content = _with_values(msgspec.to_builtins(prior), fit, values, half_width, source)
     stated_rows = [
@@ -455,7 +456,7 @@ def model_file(fit: Fit, prior: ModelFile, process: Process, source: str) -> Mod
         if fit.free[k] or parameter not in fit.prior.robot.stated_spread or is_correlated[k]
     ]
     names = [fit.prior.parameters[k].name for k in stated_rows]
-    forces = _forces(fit, process, source)
+    forces = _forces_entry(fit, process, source)
     if forces is not None:
         names.append(FORCES)
         stated_rows.append(len(fit.prior.parameters))
@@ -480,8 +481,8 @@ def model_file(fit: Fit, prior: ModelFile, process: Process, source: str) -> Mod
 def _with_values(content: dict[str, Any], fit: Fit, values: Array, half_width: Array, source: str) -> dict[str, Any]:
     """Return the tables of `model.toml` with the identified values in place of the prior's.
 
-    :param content: these tables before, as plain data; they are changed in place.
-    :param values: (p,) of the parameters in the units of the file, `half_width` (p,) of their 95 % intervals.
+    :param content: the tables of the prior as plain data; they are changed in place.
+    :param values: (p,) parameters in the units of the file, and `half_width` (p,) of their 95 % intervals.
     :param source: origin of the values.
     """
     identified = [
@@ -508,9 +509,9 @@ def _with_values(content: dict[str, Any], fit: Fit, values: Array, half_width: A
 
 
 def _discrepancy(fit: Fit) -> tuple[Array, Array]:
-    """Return levels of load (m,) [N], and the 95 % bound of the unmodelled error at each (m,) [m].
+    """Return levels of load (m,) [N], and the 95 % bound (m,) of the unmodelled error at each level [m].
 
-    It is the larger one of the part and of the model before.
+    The bound is the larger of that of the part and that of the prior model, if it states one.
     """
     load, u95 = fit.u95()
     prior_discrepancy = fit.prior.robot.discrepancy
@@ -521,12 +522,13 @@ def _discrepancy(fit: Fit) -> tuple[Array, Array]:
     return all_loads, np.maximum(Discrepancy(load, u95).at(wrench), prior_discrepancy.at(wrench))
 
 
-def _forces(fit: Fit, process: Process, source: str) -> ForcesEntry | None:
+def _forces_entry(fit: Fit, process: Process, source: str) -> ForcesEntry | None:
     """Return the cutting law with scaled forces for `model.toml`; None for a certain scale or an unknown axial force.
 
-    The numbers are those that are read from `material.toml`, rounded alike: both files are recognised as one law.
+    The numbers are rounded as those that are read from `material.toml`: both files are recognised as one law.
     """
-    numbers = cutting_law(_scaled_process(fit, process, source), process.path).numbers
+    # Ktc, Krc, Kac, Kte, Kre, Kae, mc, σ [%]; empty if the axial force is unknown
+    numbers = cutting_law(_scaled_law(fit, process, source), process.path).numbers
     if not numbers or not numbers[-1] > 0.0:
         return None
     return ForcesEntry(
@@ -541,13 +543,13 @@ def _forces(fit: Fit, process: Process, source: str) -> ForcesEntry | None:
 def material(fit: Fit, process: Process, source: str) -> bytes:
     """Return the content of `material.toml`: the cutting law of the process with its forces scaled as fitted."""
     comment = "Written by `postproc identify part`; process.toml takes it by [material] file."
-    return files.toml({"material": _scaled_process(fit, process, source)}, comment)
+    return files.toml({"material": _scaled_law(fit, process, source)}, comment)
 
 
-def _scaled_process(fit: Fit, process: Process, source: str) -> IdentifiedTable:
+def _scaled_law(fit: Fit, process: Process, source: str) -> IdentifiedTable:
     """Return the cutting law with its forces multiplied by the fitted scale, as [material] of a process file."""
     law: CuttingLaw = process.law()
-    chip, radial, axial, *edge = (fit.scale * value for value in (*law.cutting, *law.edge))
+    tangential, radial, axial, *edge = (fit.scale * value for value in (*law.cutting, *law.edge))
     table = IdentifiedTable(
         sigma_percent=round(100.0 * float(np.sqrt(fit.covariance[-1, -1])) / fit.scale, 3),
         source=f"{law.name}, forces scaled by {fit.scale:.3f}: {source}",
@@ -558,9 +560,9 @@ def _scaled_process(fit: Fit, process: Process, source: str) -> IdentifiedTable:
     if law.exponent:
         return replace(
             table,
-            kc11_N_per_mm2=chip / 1e6,
+            kc11_N_per_mm2=tangential / 1e6,
             mc=law.exponent,
             radial_ratio=law.cutting[1] / law.cutting[0],
             axial_ratio=law.cutting[2] / law.cutting[0],
         )
-    return replace(table, Ktc_N_per_mm2=chip / 1e6, Krc_N_per_mm2=radial / 1e6, Kac_N_per_mm2=axial / 1e6)
+    return replace(table, Ktc_N_per_mm2=tangential / 1e6, Krc_N_per_mm2=radial / 1e6, Kac_N_per_mm2=axial / 1e6)

@@ -1,4 +1,4 @@
-"""Knowledge of robot and forces before a test part is probed: a model with its covariance, and that of the forces."""
+"""Knowledge of robot and forces before a test part is probed: a model and the scale of the forces, with covariance."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Prior(Struct, frozen=True, eq=False):
     """Knowledge before the part is probed: model, covariance, forces.
 
     :param robot: the model.
-    :param parameters: (p,) of its covariance.
-    :param order: (o,) these and the linear parameters that their values in files depend on.
-    :param by_file: (o, p) linear values (SI) by values in files.
+    :param parameters: (p,) parameters of its covariance.
+    :param order: (o,) these parameters, and the linear parameters that their values in files depend on.
+    :param by_file: (o, p) derivatives of the linear values (SI) of `order` by the values of `parameters` in files.
     :param covariance: (p + 1, p + 1) of the parameters in units of files, and of the scale of the forces.
     """
 
@@ -62,7 +62,7 @@ class Prior(Struct, frozen=True, eq=False):
 
     @property
     def sigma(self) -> Array:
-        """(p + 1,) standard deviations."""
+        """(p + 1,) prior standard deviations of parameters, units of files, and of the scale of the forces."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
@@ -77,11 +77,14 @@ class Prior(Struct, frozen=True, eq=False):
         return np.append(np.where(self.sigma[:-1] > 0.0, _UNMEASURED * self.values, 0.0), 0.0)
 
     def widen(self) -> Prior:
-        """Return the prior with the variance of changes since the identification added: `drift`, squared."""
+        """Return a wider prior: the squares of `drift`, of changes since identification, are added to the variances."""
         return replace(self, covariance=self.covariance + np.diag(self.drift**2))
 
     def robot_with_change(self, z: Array) -> RobotModel:
-        """Return the robot with its parameters changed by z (p,), in units of files; compliances stay positive."""
+        """Return the robot with its parameters changed by z (p,), in units of files.
+
+        A positive compliance stays at `MIN_SHARE` of its value or above.
+        """
         changes = dict(zip(self.order, (self.by_file @ z).tolist(), strict=True))
         values = {}
         for parameter, change in changes.items():

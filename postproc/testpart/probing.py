@@ -22,10 +22,10 @@ PROGRAM, BASE = "program", "base"
 COLUMNS = ("source_line", "t", "X", "Y", "Z", "nx", "ny", "nz", "deviation_mm")
 MASS = "mass_kg"
 _MOST_MASS = 500.0
-"""Mass [kg] beyond that of any tool of a robot: another quantity or unit."""
-_UNIT = 1e-3
-"""A normal in a file with three or four decimals is this near to length 1 (assumed)."""
-_FEWEST = 6
+"""Largest mass of a weight [kg]: a larger number is another quantity or unit."""
+_NORMAL_TOLERANCE = 1e-3
+"""Tolerance of the length 1 of a normal in a file, which has three or four decimals (assumed)."""
+_FEWEST_POINTS = 6
 """Fewest probed points that can be compared: the position of the part alone takes six numbers."""
 
 
@@ -34,11 +34,11 @@ TOP = "top"
 
 
 class TouchOff(Struct, frozen=True, eq=False):
-    """Probed points of the uncut top of the block: k of them.
+    """k probed points of the uncut top of the block.
 
-    :param name: (k,) ``T01.top``.
-    :param point: (k, 3) on the top as programmed, `$BASE` [m].
-    :param deviation: (k,) along Z, positive where the top is higher [m].
+    :param name: (k,) names, ``T01.top``.
+    :param point: (k, 3) points on the top as programmed, `$BASE` [m].
+    :param deviation: (k,) deviation of the top along Z, positive where it is higher [m].
     :param base: (k,) number of the placement, as in `ProbedSurfaces`.
     """
 
@@ -47,8 +47,8 @@ class TouchOff(Struct, frozen=True, eq=False):
     deviation: Array = np.zeros(0)
     base: Ints = np.zeros(0, dtype=np.int64)
 
-    def at(self, base: int) -> Self:
-        """Return those of one placement."""
+    def of_placement(self, base: int) -> Self:
+        """Return the points of one placement of the block, by its number."""
         rows = np.flatnonzero(self.base == base)
         names = tuple(self.name[k] for k in rows)
         return replace(self, name=names, point=self.point[rows], deviation=self.deviation[rows], base=self.base[rows])
@@ -61,13 +61,14 @@ class ProbedSurfaces(Columns, frozen=True, eq=False):
     :param line: (n,) line of the program whose motion makes the point, and `t` (n,) the place on that motion.
     :param point: (n, 3) in `$BASE` [m].
     :param normal: (n, 3) unit vectors out of the material.
-    :param deviation: (n,) along the normal, positive where material is left [m].
-    :param mass: (n,) > 0 where a weight was hung on the tool and a gauge read its displacement along the normal [kg].
-    :param program: (n,) name of the program that makes each point, where there is one for each placement of the block.
-    :param base: (n,) number of the placement: `[base_data]` of the cell, −1 for its `[base]`.
+    :param deviation: (n,) deviation along the normal, positive where material is left [m].
+    :param mass: (n,) mass of the weight on the tool where a gauge read its displacement along the normal [kg]; 0 where
+        surfaces were probed.
+    :param program: (n,) name of the program that makes each point; empty if all placements have one program.
+    :param base: (n,) number of the placement: n of `[base_data.n]` of the cell, −1 for its `[base]`.
     :param row: (n,) line of the file.
-    :param file: its path.
-    :param touch_off: points of the uncut top, not among the n.
+    :param file: path of the file.
+    :param touch_off: points of the uncut top, which are not among the n.
     """
 
     name: tuple[str, ...]
@@ -93,7 +94,7 @@ class ProbedSurfaces(Columns, frozen=True, eq=False):
         return np.unique(features, return_inverse=True)[1].astype(np.int64)
 
     def take(self, rows: NDArray[Any] | slice) -> Self:
-        """Return some of the points."""
+        """Return the points of some rows; the touch-off points remain."""
         indices = np.arange(len(self))[rows].tolist()
         name, program = (tuple(texts[k] for k in indices) for texts in (self.name, self.program))
         return replace(super().take(rows), name=name, program=program)
@@ -120,7 +121,7 @@ def read(path: Path) -> ProbedSurfaces:
     is_top = np.array([name.rpartition(".")[2] == TOP for name in texts["feature"]], dtype=bool)
     is_filled = np.isfinite(numbers["deviation_mm"])
     filled_rows = np.flatnonzero(is_filled & ~is_top)
-    if len(filled_rows) < _FEWEST:
+    if len(filled_rows) < _FEWEST_POINTS:
         raise MeasurementError(
             f"{len(filled_rows)} of {int((~is_top).sum())} points have a deviation",
             file=str(path),
@@ -147,8 +148,8 @@ def read(path: Path) -> ProbedSurfaces:
 def _masses(numbers: dict[str, Array], lines: Array, path: Path) -> Array:
     """Return the mass (n,) [kg] of the weight of each row of a table, 0 without one.
 
-    :param numbers: columns by name; `lines` (n,) of the file.
-    :raises MeasurementError: one is negative or too large.
+    :param numbers: name of a column → its numbers (n,); `lines` (n,) line of each row in the file.
+    :raises MeasurementError: a mass is negative or too large.
     """
     mass = np.nan_to_num(numbers.get(MASS, np.zeros(len(lines))))
     is_invalid = ~((mass >= 0.0) & (mass <= _MOST_MASS))
@@ -159,13 +160,15 @@ def _masses(numbers: dict[str, Array], lines: Array, path: Path) -> Array:
 
 
 def _normals(numbers: dict[str, Array], rows: Ints, lines: Ints, file: str) -> Array:
-    """Return the normals of all rows of a table (n, 3); those of some rows are checked and made unit vectors exactly.
+    """Return the normals of all rows of a table (n, 3), with those of some rows checked and scaled to length 1.
 
-    :param rows: to be checked; `lines` (n,) of the file.
-    :raises MeasurementError: one of these is no unit vector.
+    :param numbers: name of a column → its numbers (n,).
+    :param rows: rows to be checked; the other normals stay as they are.
+    :param lines: (n,) line of each row in the file.
+    :raises MeasurementError: a checked normal does not have length 1.
     """
     normal = np.column_stack([numbers[name] for name in ("nx", "ny", "nz")])
-    is_not_unit = np.abs(norm(normal[rows]) - 1.0) > _UNIT
+    is_not_unit = np.abs(norm(normal[rows]) - 1.0) > _NORMAL_TOLERANCE
     if is_not_unit.any():
         row = int(lines[rows][np.argmax(is_not_unit)])
         raise MeasurementError("nx, ny, nz is no unit vector", file=file, line=row, advice="Keep the columns.")
@@ -176,9 +179,9 @@ def _normals(numbers: dict[str, Array], rows: Ints, lines: Ints, file: str) -> A
 def _touch_off_points(rows: ProbedSurfaces) -> TouchOff:
     """Return rows of a table as touch-off points of the top of the block.
 
-    :raises MeasurementError: one has a normal that is not Z, or a weight.
+    :raises MeasurementError: the normal of a row is not Z, or it states the mass of a weight.
     """
-    is_invalid = (rows.normal[:, 2] < 1.0 - _UNIT) | (rows.mass > 0.0)
+    is_invalid = (rows.normal[:, 2] < 1.0 - _NORMAL_TOLERANCE) | (rows.mass > 0.0)
     if is_invalid.any():
         first = int(np.argmax(is_invalid))
         raise MeasurementError(
@@ -190,8 +193,8 @@ def _touch_off_points(rows: ProbedSurfaces) -> TouchOff:
     return TouchOff(rows.name, rows.point, rows.deviation, rows.base)
 
 
-def is_probed(path: Path) -> bool:
-    """Return whether the first line of a file has the column of a table of probed points; False if it is no text."""
+def is_probing_table(path: Path) -> bool:
+    """Return whether the first line of a file has the column deviation_mm of probed points; False if it is no text."""
     try:
         with path.open(encoding="utf-8-sig") as text:
             return "deviation_mm" in text.readline()
@@ -200,9 +203,12 @@ def is_probed(path: Path) -> bool:
 
 
 def table(parts: dict[Placement, Program]) -> bytes:
-    """Return `probing.csv`: the points to be probed, with an empty deviation; masses where a weight is hung.
+    """Return the content of `probing.csv`: the points to be probed, with an empty deviation.
 
-    :param parts: the program of each placement of the block; where there is more than `[base]`, each row names it.
+    If weights are hung on the tool, there is a column of masses. If the block has a placement other than `[base]`, each
+    row names its program and placement.
+
+    :param parts: the program of each placement of the block.
     """
     has_weight = any(part.mass.any() for part in parts.values())
     has_placements = any(placement.number for placement in parts)

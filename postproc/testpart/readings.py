@@ -28,13 +28,13 @@ RADIUS_ERROR = 5e-5
 """Standard deviation of the radius at which the tool cuts, run-out included [m] (assumed)."""
 UNEVENNESS = 2e-5
 """Standard deviation of the uncut top from a plane [m]. Assumed: a faced block."""
-SHIFT, TURN = 1e-2, 1e-1
+POSITION_SIGMA, ROTATION_SIGMA = 1e-2, 1e-1
 """Standard deviations of the position of the part where it is probed [m, rad]: free."""
-_FEWEST = 3
+_FEWEST_TOUCHES = 3
 """Fewest touch-off points of a placement: height and two slopes of the top."""
 _SMALLEST_SPREAD = 5e-3
 """Least spread of the touch-off points across their longest line, RMS [m] (assumed)."""
-_CONTRADICTION = 4.0
+_MOST_MISFIT = 4.0
 """Distance of the touch-off points from a plane, in standard deviations, beyond which they contradict each other
 (assumed)."""
 _Z = np.array([0.0, 0.0, 1.0])
@@ -47,45 +47,48 @@ class Top(Struct, frozen=True, eq=False):
     :param base: number of the placement.
     :param points: names of the touch-off points.
     :param origin: (3,) middle of these points, `$BASE` [m].
-    :param height: (3,) deviation of the top there [m], and its slopes along X and Y.
-    :param covariance: (3, 3) of `height`.
-    :param misfit: RMS distance of the points from a plane, in its standard deviations; 0 for three points.
+    :param coefficients: (3,) deviation of the top at `origin` [m], and its slopes along X and Y.
+    :param covariance: (3, 3) of `coefficients`.
+    :param misfit: RMS distance of the points from the plane, in standard deviations of a point; 0 for three points.
     """
 
     base: int
     points: tuple[str, ...]
     origin: Array
-    height: Array
+    coefficients: Array
     covariance: Array
     misfit: float
 
     @property
     def is_contradictory(self) -> bool:
         """Whether the touch-off points are on no plane."""
-        return self.misfit > _CONTRADICTION
+        return self.misfit > _MOST_MISFIT
 
     def terms(self, points: Array) -> Array:
-        """Return the factors (n, 3) of `height` in the deviation of the top at points (n, 3) [m]."""
+        """Return the factors (n, 3) of `coefficients` in the deviation of the top at points (n, 3) [m]."""
         return np.column_stack([np.ones(len(points)), (points - self.origin)[:, :2]])
 
     def deviation(self, points: Array, normals: Array) -> Array:
-        """Return the deviation (n,) [m] of surfaces that move with the top from the program's zero."""
-        height, by_x, by_y = self.height
-        motion = height * _Z + np.cross(np.array([by_y, -by_x, 0.0]), points - self.origin)
+        """Return the deviation (n,) [m] of surfaces that move with the top from the program's zero.
+
+        :param points: (n, 3) points of the surfaces, `$BASE` [m], and `normals` (n, 3) their unit normals.
+        """
+        height, slope_x, slope_y = self.coefficients
+        motion = height * _Z + np.cross(np.array([slope_y, -slope_x, 0.0]), points - self.origin)
         return np.asarray(np.einsum("ni,ni->n", normals, motion))
 
 
-def top_of(touch_off: TouchOff, base: int, sigma: float, file: str) -> Top:
+def top_plane(touch_off: TouchOff, base: int, sigma: float, file: str) -> Top:
     """Return the plane through the touch-off points of a placement, by least squares.
 
     :param sigma: noise of the probe [m].
     :param file: the table of the points.
-    :raises MeasurementError: there are fewer than three, or they are on a line.
+    :raises MeasurementError: there are fewer than three touch-off points, or they are on a line.
     """
-    touches = touch_off.at(base)
+    touches = touch_off.of_placement(base)
     count = len(touches.name)
     place_note = "" if base < 0 else f" for [base_data.{base}]"
-    if count < _FEWEST:
+    if count < _FEWEST_TOUCHES:
         raise MeasurementError(
             f"{count or 'no'} touch-off points{place_note}: whether the program ran too high or too low over the block "
             "is not known, so the depth of its cuts is not known either",
@@ -102,40 +105,40 @@ def top_of(touch_off: TouchOff, base: int, sigma: float, file: str) -> Top:
     variance = sigma**2 + UNEVENNESS**2
     terms = np.column_stack([np.ones(count), (touches.point - origin)[:, :2]])
     covariance = variance * np.linalg.inv(terms.T @ terms)
-    height = covariance @ terms.T @ touches.deviation / variance
-    residual = touches.deviation - terms @ height
-    surplus = count - _FEWEST
+    coefficients = covariance @ terms.T @ touches.deviation / variance
+    residual = touches.deviation - terms @ coefficients
+    surplus = count - _FEWEST_TOUCHES
     misfit = float(np.sqrt(residual @ residual / (surplus * variance))) if surplus else 0.0
-    return Top(base, touches.name, origin, height, max(1.0, misfit**2) * covariance, misfit)
+    return Top(base, touches.name, origin, coefficients, max(1.0, misfit**2) * covariance, misfit)
 
 
 class Lift(Struct, frozen=True, eq=False):
-    """How high a program ran over the block: a touch-off error, or a tilt of `$BASE` against the block.
+    """Height of a program over the block above the written one, by a touch-off error or a tilt of `$BASE`.
 
     :param base: number of the placement.
     :param origin: (3,) middle of the probed points, `$BASE` [m].
-    :param height: (3,) lift there [m], positive where less was cut, and its slopes along X and Y.
-    :param covariance: (3, 3) of `height`.
+    :param coefficients: (3,) lift at `origin` [m], positive where less was cut, and its slopes along X and Y.
+    :param covariance: (3, 3) of `coefficients`.
     """
 
     base: int
     origin: Array
-    height: Array
+    coefficients: Array
     covariance: Array
 
-    def at(self, points: Array) -> Array:
+    def heights(self, points: Array) -> Array:
         """Return the lift (n,) [m] at points (n, 3) in `$BASE` [m]."""
-        return np.asarray(self.height[0] + (points - self.origin)[:, :2] @ self.height[1:])
+        return np.asarray(self.coefficients[0] + (points - self.origin)[:, :2] @ self.coefficients[1:])
 
 
 class Readings(Columns, frozen=True, eq=False):
     """Probed deviations, referred to the uncut top of the block, and where they come from.
 
-    :param probed: the points; `deviation` as if the top were at the program's zero where it was probed.
-    :param datum: (n,) deviation as measured, less that [m].
-    :param surfaces: where they are made.
+    :param probed: the points. Their deviations are what would be measured if the top were at the program's zero.
+    :param datum: (n,) measured deviations minus these deviations [m].
+    :param surfaces: places where the surfaces are made.
     :param sigma: noise of the probe [m].
-    :param tops: of each placement in which something was cut, in the order of the points.
+    :param tops: the top of each placement in which something was cut, in the order of the points.
     """
 
     probed: ProbedSurfaces
@@ -148,13 +151,13 @@ class Readings(Columns, frozen=True, eq=False):
     def of(cls, points: ProbedSurfaces, surfaces: Surfaces, sigma: float) -> Self:
         """Refer the deviations of cut surfaces to the touch-off points.
 
-        :raises MeasurementError: a placement has too few of them.
+        :raises MeasurementError: the touch-off points of a placement are too few, or on a line.
         """
         datum, tops = np.zeros(len(points)), []
         for base in dict.fromkeys(points.base.tolist()):
             rows = np.flatnonzero((points.base == base) & (points.mass == 0.0))
             if len(rows):
-                tops.append(top_of(points.touch_off, base, sigma, points.file))
+                tops.append(top_plane(points.touch_off, base, sigma, points.file))
                 datum[rows] = tops[-1].deviation(points.point[rows], points.normal[rows])
         return cls(replace(points, deviation=points.deviation - datum), datum, surfaces, sigma, tuple(tops))
 
@@ -168,23 +171,23 @@ class Readings(Columns, frozen=True, eq=False):
         return float(depth[is_counted].min(initial=np.inf))
 
     @property
-    def _is_cut(self) -> Array:
-        """(n,) 1 for cut surfaces, 0 for readings of a gauge: it reads displacements, wherever it is."""
+    def _cut_weight(self) -> Array:
+        """(n,) 1 for cut surfaces, 0 for readings of a gauge, which do not depend on the position of the part."""
         return np.asarray(self.probed.mass == 0.0, dtype=float)
 
-    def _position(self, direction: Array) -> Array:
+    def _position_slopes(self, direction: Array) -> Array:
         """Return the derivatives (n, 6 b) [m] of the readings by the position of the cuts in each of b placements.
 
-        Six columns for each placement: shifts in units of `SHIFT`, then turns in units of `TURN`, along and about X,
-        Y, Z.
+        Each placement has six columns: shifts along X, Y, Z in units of `POSITION_SIGMA`, then turns about X, Y, Z in
+        units of `ROTATION_SIGMA`.
 
-        :param direction: (n, 3) in which a displacement is seen.
+        :param direction: (n, 3) direction in which a displacement is seen at each point.
         """
         columns = []
         for base in self._bases:
             is_here = (self.probed.base == base)[:, None]
             arm = self.probed.point - self.probed.point.mean(axis=0, where=is_here)
-            columns += [SHIFT * direction * is_here, TURN * np.cross(arm, direction) * is_here]
+            columns += [POSITION_SIGMA * direction * is_here, ROTATION_SIGMA * np.cross(arm, direction) * is_here]
         return np.concatenate(columns, axis=1)
 
     @property
@@ -197,16 +200,19 @@ class Readings(Columns, frozen=True, eq=False):
 
         :param by_lift: (n,) derivative of the deviations by the lift of the program over the block.
         """
-        return np.asarray(self._is_cut[:, None] * (self.probed.normal + by_lift[:, None] * _Z))
+        return np.asarray(self._cut_weight[:, None] * (self.probed.normal + by_lift[:, None] * _Z))
 
     def part_covariance(self, by_lift: Array) -> Array:
         """Return the covariance (n, n) [m²] that part, touch-off and path without force add to the readings.
+
+        It is the sum of the position of the part, the radius of the tool, the path and the unevenness of the top at
+        each feature, and the errors of the touch-off plane.
 
         :param by_lift: (n,) derivative of the deviations by the lift of the program over the block.
         """
         probe_data = self.probed
         direction = self.directions(by_lift)
-        position = self._position(direction)
+        position = self._position_slopes(direction)
         same_group = probe_data.group[:, None] == probe_data.group[None, :]
         radius = RADIUS_ERROR * self.surfaces.wall
         covariance = position @ position.T + np.outer(radius, radius)
@@ -219,13 +225,13 @@ class Readings(Columns, frozen=True, eq=False):
         return np.asarray(covariance)
 
     def lifts(self, by_lift: Array, precision: Array, target: Array) -> tuple[Lift, ...]:
-        """Return the height of the program over the block in each placement, with its covariance.
+        """Return the lift of the program over the block in each placement, with its covariance.
 
         :param by_lift: (n,) derivative of the deviations by the lift of the program over the block.
         :param precision: (n, n) inverse of the covariance of the deviations.
         :param target: (n,) deviations less those that the model predicts at no lift [m].
         """
-        position = self._position(self.directions(by_lift))
+        position = self._position_slopes(self.directions(by_lift))
         value = position.T @ precision @ target
         covariance = np.eye(len(value)) - position.T @ precision @ position
         lifts = []
@@ -233,7 +239,7 @@ class Readings(Columns, frozen=True, eq=False):
             # of the six columns of a placement: along Z, about X, about Y
             free = 6 * k + np.array([2, 3, 4])
             # height by the shift, slope along X by the turn about −Y, slope along Y by the turn about X
-            terms = np.array([[SHIFT, 0.0, 0.0], [0.0, 0.0, -TURN], [0.0, TURN, 0.0]])
+            terms = np.array([[POSITION_SIGMA, 0.0, 0.0], [0.0, 0.0, -ROTATION_SIGMA], [0.0, ROTATION_SIGMA, 0.0]])
             origin = self.probed.point.mean(axis=0, where=(self.probed.base == base)[:, None])
             spread = terms @ covariance[np.ix_(free, free)] @ terms.T
             for top in self.tops:

@@ -86,9 +86,9 @@ def test_a_finer_map_has_the_volume_and_the_surface_of_the_grooves(tmp_path):
 
 
 def test_a_map_that_would_have_too_many_cells_is_not_made_finer():
-    from postproc.machining.resolution import ThinPasses, factors
+    from postproc.machining.resolution import ThinPasses, cell_divisors
 
     thin = [ThinPasses(7, 0, 0.12)]
-    assert factors(thin, 100_000) == {7: 3}
-    assert factors(thin, 2_500_000) == {7: 2}
-    assert factors(thin, 12_000_000) == {}
+    assert cell_divisors(thin, 100_000) == {7: 3}
+    assert cell_divisors(thin, 2_500_000) == {7: 2}
+    assert cell_divisors(thin, 12_000_000) == {}

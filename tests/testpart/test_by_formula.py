@@ -102,7 +102,9 @@ def test_noise_has_the_probe_an_unmodelled_share_and_what_is_not_known_of_light_
     light = np.array([0, 0, 0, 1, 1, 0, 0, 0])  # 0.74e-4 and less of 3e-4; the gauge reads 0.5e-4
     own = np.sqrt(SIGMA**2 + (gamma * local.displacement) ** 2 + light * (0.15 * local.displacement) ** 2)
     single = np.concatenate([causes(local.by_lift), np.diag(own)])
-    np.testing.assert_allclose(linear.noise_of(READINGS, local, gamma), single.T @ single, rtol=1e-9, atol=1e-18)
+    np.testing.assert_allclose(
+        linear.noise_covariance(READINGS, local, gamma), single.T @ single, rtol=1e-9, atol=1e-18
+    )
 
 
 def test_errors_of_points_are_those_of_a_prediction_from_all_others():
@@ -112,7 +114,7 @@ def test_errors_of_points_are_those_of_a_prediction_from_all_others():
     root = rng.normal(size=(3, 3))
     whole, z, scale = root @ root.T, rng.normal(size=2), 1.3
     error, variance = linear.cross_validation_errors(READINGS, local, 0.01, whole, z=z, scale=scale)
-    covariance = local.slopes @ whole @ local.slopes.T + linear.noise_of(READINGS, local, 0.01)
+    covariance = local.slopes @ whole @ local.slopes.T + linear.noise_covariance(READINGS, local, 0.01)
     offset = READINGS.probed.deviation - local.value + local.slopes @ [*z, 0.3]
     for k in range(COUNT):
         others = np.arange(COUNT) != k
@@ -172,7 +174,7 @@ def linear_world(monkeypatch, bend=0.0):
 def test_the_solution_of_a_linear_model_is_the_most_probable_one(monkeypatch):
     """In information form; unknowns that are held stay where they are."""
     local, prior, _ = linear_world(monkeypatch)
-    noise = linear.noise_of(READINGS, local, 0.01)
+    noise = linear.noise_covariance(READINGS, local, 0.01)
     information = np.linalg.inv(prior.covariance) + local.slopes.T @ np.linalg.solve(noise, local.slopes)
     expected = np.linalg.solve(
         information, local.slopes.T @ np.linalg.solve(noise, READINGS.probed.deviation - local.value)
@@ -190,7 +192,7 @@ def test_the_solution_of_a_bent_model_is_stationary(monkeypatch):
     """The derivative of the sum of squares, with the prior, is zero there."""
     _, prior, linearised = linear_world(monkeypatch, bend=300.0)
     at, z, scale, _ = linear.solve(prior, READINGS, None, None, z=np.zeros(2), scale=1.0, free=np.ones(3))
-    noise = linear.noise_of(READINGS, at, 0.01)
+    noise = linear.noise_covariance(READINGS, at, 0.01)
 
     def cost(x):
         gap = READINGS.probed.deviation - linearised(None, None, None, None, x[:2], 1.0 + x[2]).value
@@ -221,7 +223,7 @@ def test_the_height_over_the_block_follows_from_the_position_of_the_part():
         terms[0, 6 * k + 4], terms[1, 6 * k + 3], terms[2, 6 * k + 1] = 0.01, -0.1, 0.1
         middle = READINGS.probed.point[READINGS.probed.base == lift.base].mean(axis=0)
         np.testing.assert_allclose(lift.origin, middle)
-        np.testing.assert_allclose(lift.height, terms @ value, rtol=1e-4, atol=1e-9)
+        np.testing.assert_allclose(lift.coefficients, terms @ value, rtol=1e-4, atol=1e-9)
         spread = terms @ covariance @ terms.T
         factor = np.array([1.0, *(middle - top.origin)[:2]])
         spread[0, 0] += factor @ top.covariance @ factor
@@ -245,7 +247,7 @@ def test_the_flattest_cut_is_that_of_floors_below_the_touch_off_points():
 def test_a_lift_is_a_plane_over_the_middle_of_the_points_and_its_forces_are_limited():
     lift = Lift(-1, np.array([0.1, 0.2, 0.0]), np.array([1e-3, 0.02, -0.03]), np.eye(3))
     points = np.array([[0.1, 0.2, 5.0], [0.2, 0.2, 0.0], [0.1, 0.3, 0.0], [0.0, 0.5, 0.0]])
-    np.testing.assert_allclose(lift.at(points), [1e-3, 3e-3, -2e-3, -1e-2])
+    np.testing.assert_allclose(lift.heights(points), [1e-3, 3e-3, -2e-3, -1e-2])
     (limited,) = fitting._heights([lift], 2.5e-3)
     np.testing.assert_allclose(limited(points), [1e-3, 2.5e-3, -2e-3, -2.5e-3])
 
@@ -261,7 +263,7 @@ def estimate(local, deviation, outliers=()):
 def test_the_point_that_contradicts_all_others_is_left_out_but_not_beyond_the_limit():
     """Beyond five times its usual size; where all points are worse than they should be, beyond five times that."""
     local, whole = prediction(), 0.02 * np.eye(3)
-    covariance = local.slopes @ whole @ local.slopes.T + linear.noise_of(READINGS, local, 0.005)
+    covariance = local.slopes @ whole @ local.slopes.T + linear.noise_covariance(READINGS, local, 0.005)
     precision = np.linalg.inv(covariance)
 
     def sizes(deviation):
@@ -271,9 +273,9 @@ def test_the_point_that_contradicts_all_others_is_left_out_but_not_beyond_the_li
     np.testing.assert_allclose(sizes(local.value + one_sigma), np.arange(COUNT) == 4, atol=1e-9)
     for size, is_left_out in ((4.9, False), (5.1, True)):
         deviation = local.value + size * one_sigma
-        found = fitting._remove_outlier(estimate(local, deviation), whole, 1)
+        found = fitting._without_outlier(estimate(local, deviation), whole, 1)
         assert (found is not None) == is_left_out
-        assert fitting._remove_outlier(estimate(local, deviation, ("F09.left",)), whole, 1) is None
+        assert fitting._without_outlier(estimate(local, deviation, ("F09.left",)), whole, 1) is None
     kept = [k for k in range(COUNT) if k != 4]
     assert found.outliers == ("F02.floor",)
     assert found.rows.tolist() == [20 + k for k in kept]
@@ -284,7 +286,7 @@ def test_the_point_that_contradicts_all_others_is_left_out_but_not_beyond_the_li
     large = local.value + 10.0 * np.linalg.cholesky(covariance) @ rng.normal(size=COUNT)
     share = sizes(large).max() / (np.median(sizes(large)) / 0.6745)
     assert 1.0 < share < 5.0 < sizes(large).max()
-    assert fitting._remove_outlier(estimate(local, large), whole, 1) is None
+    assert fitting._without_outlier(estimate(local, large), whole, 1) is None
 
 
 @pytest.mark.parametrize("share", [0.89, 0.91])
@@ -292,26 +294,28 @@ def test_parameters_that_stay_as_uncertain_as_before_are_held_but_not_the_forces
     """From nine tenths of the standard deviation before; what is held keeps the value of the prior."""
     whole = np.diag([4.0, 9.0, 0.01])
     after = np.diag([share**2 * 4.0, 0.2, 0.01])
-    monkeypatch.setattr(fitting, "posterior", lambda read, local, gamma, prior, free: after if free.all() else None)
+    monkeypatch.setattr(
+        fitting, "posterior_covariance", lambda read, local, gamma, prior, free: after if free.all() else None
+    )
     start = replace(estimate(prediction(), READINGS.probed.deviation), z=np.array([0.7, -0.4]))
-    found = fitting._hold_parameters(start, whole)
+    found = fitting._with_held_parameters(start, whole)
     if share < 0.9:
         assert found is None
         return
     assert (found.free.tolist(), found.z.tolist()) == ([False, True, True], [0.0, -0.4])
-    assert fitting._hold_parameters(replace(found, local=start.local), whole) is None
+    assert fitting._with_held_parameters(replace(found, local=start.local), whole) is None
 
 
 def test_the_likeness_of_deviations_is_a_cosine_in_units_of_their_noise():
     noise = np.diag([4.0, 1.0])
-    assert fitting._likeness(np.array([2.0, 0.0]), np.array([2.0, 1.0]), noise) == pytest.approx(np.sqrt(0.5))
-    assert fitting._likeness(np.array([-4.0, -2.0]), np.array([2.0, 1.0]), noise) == pytest.approx(-1.0)
-    assert fitting._likeness(np.zeros(2), np.array([2.0, 1.0]), noise) == 0.0
+    assert fitting._cosine_between(np.array([2.0, 0.0]), np.array([2.0, 1.0]), noise) == pytest.approx(np.sqrt(0.5))
+    assert fitting._cosine_between(np.array([-4.0, -2.0]), np.array([2.0, 1.0]), noise) == pytest.approx(-1.0)
+    assert fitting._cosine_between(np.zeros(2), np.array([2.0, 1.0]), noise) == 0.0
 
 
 def test_the_other_sides_of_features_are_found_by_their_names():
     names = ["F01.left", "F01.floor", "F02.left", "F01.right", "F03.right"]
-    assert fitting._other_sides(names).tolist() == [3, 1, 2, 0, 4]
+    assert fitting._opposite_rows(names).tolist() == [3, 1, 2, 0, 4]
 
 
 @pytest.mark.parametrize(
@@ -372,7 +376,7 @@ def test_a_model_is_compared_by_the_change_that_explains_the_readings_best(discr
     np.testing.assert_allclose(found.change, gain @ fit.prior_error, rtol=1e-6)
     spread = np.diag(prior.drift**2) - gain @ (changes * prior.drift)
     np.testing.assert_allclose(found.spread, np.sqrt(np.maximum(np.diag(spread), 0.0)), atol=1e-6)
-    assert 0.0 < found.chance <= 1.0
+    assert 0.0 < found.no_change_probability <= 1.0
 
 
 def test_a_fit_is_known_relative_to_its_prior():
@@ -421,7 +425,7 @@ def world(monkeypatch, offsets, deviation):
 
     monkeypatch.setattr(linear, "linearise", linearised)
     monkeypatch.setattr(fitting, "linearise", linearised)
-    for name in ("_remove_outlier", "_hold_parameters"):
+    for name in ("_without_outlier", "_with_held_parameters"):
         monkeypatch.setattr(fitting, name, lambda *parts: None)
     ends = []
     monkeypatch.setattr(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from postproc.testpart import design
-from postproc.testpart.fit import _chance
+from postproc.testpart.fit import _no_change_probability
 from postproc.testpart.prior import Prior
 from postproc.testpart.readings import RADIUS_ERROR
 from tests.testpart import trial
@@ -23,11 +23,11 @@ def test_an_alarm_is_as_rare_as_it_says_and_a_small_effect_is_seen_next_to_large
     slopes = rng.normal(size=(40, 4)) * [1.0, 1.0, 0.1, 1.0]
     information = slopes.T @ slopes
     scores = (slopes.T @ rng.normal(size=(40, 20_000))).T
-    alarms = np.mean([_chance(score, information) < 0.05 for score in scores])
+    alarms = np.mean([_no_change_probability(score, information) < 0.05 for score in scores])
     assert 0.03 < alarms < 0.055  # five per cent, less what Bonferroni gives away
     changed = 5.1 / np.sqrt(information[2, 2]) * slopes[:, 2]
     scores = (slopes.T @ (changed[:, None] + rng.normal(size=(40, 4_000)))).T
-    assert np.mean([_chance(score, information) < 0.005 for score in scores]) > 0.94
+    assert np.mean([_no_change_probability(score, information) < 0.005 for score in scores]) > 0.94
 
 
 def test_the_smallest_change_is_that_of_the_readings_of_two_parts(prior):

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc.errors import MeasurementError, PlanError
 from postproc.testpart import design
-from postproc.testpart.cut import States, at_nominal_height
+from postproc.testpart.cut import States, states_at_nominal_height
 from postproc.testpart.design import Candidates, Criterion, Tests
 from postproc.testpart.features import Cutting, Feature, Kind
 from postproc.testpart.prior import Prior
@@ -181,7 +181,7 @@ def test_the_position_of_the_part_in_each_placement_is_an_unknown_of_its_own():
     """Parameters, forces and the radius of the tool are common; seven unknowns belong to a placement."""
     rng = np.random.default_rng(8)
     common, kinds = SIZE + 1, [Kind(3e-3, 0), Kind(3e-3, 1)]
-    state = at_nominal_height(np.zeros((1, 6)), np.eye(4)[None], np.eye(4)[None], np.zeros((1, 6)))
+    state = states_at_nominal_height(np.zeros((1, 6)), np.eye(4)[None], np.eye(4)[None], np.zeros((1, 6)))
 
     def entry(k):
         small = rng.normal(size=(common + 7, common + 7))
@@ -213,7 +213,7 @@ def test_the_position_of_the_part_in_each_placement_is_an_unknown_of_its_own():
 
 
 def test_tests_are_taken_evenly_from_many_features():
-    states = at_nominal_height(
+    states = states_at_nominal_height(
         np.tile(np.arange(200.0)[:, None], 6), np.tile(np.eye(4), (200, 1, 1)), np.tile(np.eye(4), (200, 1, 1)),
         np.zeros((200, 6)),
     )  # fmt: skip

@@ -368,7 +368,7 @@ def test_forces_are_those_of_the_tool_deflected_as_by_the_round_before(monkeypat
         calls.append((program, source))
         number = len(calls)
         return SimpleNamespace(
-            at=states_of(10 * number), lift_displacement=lambda height: ("lifted", height),
+            surface_states=states_of(10 * number), lift_displacement=lambda height: ("lifted", height),
             shift=lambda place, robot, scale, lift: (number, place, robot, scale, lift),
         )  # fmt: skip
 

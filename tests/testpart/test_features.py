@@ -27,7 +27,7 @@ def test_features_that_do_not_touch_leave_the_wall_and_parallel_ones_are_no_furt
     rng = np.random.default_rng(2)
     kinds = [Kind(3e-3, side) for side in (0, 1, -1)]
     chosen = tuple(Feature(kinds[k % 3], *rng.uniform(0.0, 0.12, 2), rng.uniform(0.0, 2.0 * np.pi)) for k in range(40))
-    apart = design._do_not_touch(chosen, CUTTING)
+    apart = design._apart_features(chosen, CUTTING)
     swept = [_swept(feature) for feature in chosen]
     for i, one in enumerate(swept):
         for j in np.flatnonzero(apart[i, :i]):
@@ -36,7 +36,7 @@ def test_features_that_do_not_touch_leave_the_wall_and_parallel_ones_are_no_furt
     least = CUTTING.diameter + 2.0 * CUTTING.trims[-1][0] + WALL
     for pitch, expected in ((least - 1e-5, False), (least + 0.1 * CUTTING.diameter, True)):
         pair = tuple(Feature(kinds[0], 0.05 - pitch * k * np.sin(0.4), pitch * k * np.cos(0.4), 0.4) for k in (0, 1))
-        assert design._do_not_touch(pair, CUTTING)[0, 1] == expected
+        assert design._apart_features(pair, CUTTING)[0, 1] == expected
 
 
 def _swept(feature):

@@ -14,7 +14,7 @@ import pytest
 from postproc import machining
 from postproc.jobs import testpart_files
 from postproc.jobs.testpart_files import TestPartRequest
-from postproc.testpart.cut import at_nominal_height
+from postproc.testpart.cut import states_at_nominal_height
 from postproc.testpart.design import Criterion, Tests
 from postproc.testpart.prior import Prior
 from postproc.under_load import RobotInCell
@@ -72,7 +72,7 @@ def criterion(job, is_scaled):
     tool = np.broadcast_to(np.eye(4), (COUNT, 4, 4)).copy()
     tool[:, 2, 3] = 0.35
     pose = np.array([arm().nominal(row, tool[0]) for row in q])
-    states = at_nominal_height(q, tool, pose, np.hstack([force, np.zeros((COUNT, 3))]))
+    states = states_at_nominal_height(q, tool, pose, np.hstack([force, np.zeros((COUNT, 3))]))
     tests = Tests(states, np.full(COUNT, 1.0 / COUNT), np.full(COUNT, is_scaled), "job")
     return Criterion.of(PRIOR, ROBOT_IN_CELL, tests, len(PRIOR.sigma))
 

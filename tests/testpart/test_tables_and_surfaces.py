@@ -129,10 +129,10 @@ def test_placements_are_whole_numbers_next_to_their_programs(tmp_path, base, is_
 def test_a_table_of_probed_points_is_known_by_its_head(tmp_path):
     for text, is_table in ((table(), True), ("line,Fx,Fy\n1,2,3\n", False), ("a\ndeviation_mm\n", False)):
         (tmp_path / "file.csv").write_text(text)
-        assert probing.is_probed(tmp_path / "file.csv") == is_table
+        assert probing.is_probing_table(tmp_path / "file.csv") == is_table
     (tmp_path / "file.csv").write_bytes(b"\xff\xfe\xfa deviation_mm")
-    assert not probing.is_probed(tmp_path / "file.csv")
-    assert not probing.is_probed(tmp_path / "missing.csv")
+    assert not probing.is_probing_table(tmp_path / "file.csv")
+    assert not probing.is_probing_table(tmp_path / "missing.csv")
 
 
 CUTTING = Cutting(0.01, 6000.0, 0.018, 1, -0.002, 0.0005)
@@ -268,7 +268,7 @@ def test_deviations_are_those_of_a_rigid_tool_that_is_displaced_and_turned():
     radius, travel, axis = 5e-3, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
     normal = np.array([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
     lever = np.array([[0.0, radius, 1.5e-3], [0.0, -radius, 1.5e-3], [0.0, 3e-3, 0.0], [0.0, 0.0, 0.0]])
-    weight = cut.weights(normal, lever, np.tile(axis, (4, 1)), np.tile(travel, (4, 1)), radius)
+    weight = cut.twist_weights(normal, lever, np.tile(axis, (4, 1)), np.tile(travel, (4, 1)), radius)
     none = np.zeros(4)
     where = Surfaces(none.astype(int), none, weight, none, np.zeros((4, 6)), lever)
     for _ in range(10):
@@ -290,7 +290,7 @@ def test_weights_turn_with_their_axes():
     rng = np.random.default_rng(5)
     rotation = np.linalg.qr(rng.normal(size=(3, 3, 3)))[0]
     weight, twist = rng.normal(size=(3, 2, 6)), rng.normal(size=6)
-    turned = cut.turn_weights(rotation, weight)
+    turned = cut.rotated_weights(rotation, weight)
     for n in range(3):
         moved = np.concatenate([rotation[n] @ twist[:3], rotation[n] @ twist[3:]])
         np.testing.assert_allclose(turned[n] @ moved, weight[n] @ twist)

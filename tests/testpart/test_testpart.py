@@ -16,7 +16,7 @@ from postproc.machining import ProcessSource
 from postproc.testpart import design, probing
 from postproc.testpart.cut import ClampedProgram, CutForces, surfaces
 from postproc.testpart.fit import fit, swapped_features
-from postproc.testpart.linear import linearise, noise_of, posterior
+from postproc.testpart.linear import linearise, noise_covariance, posterior_covariance
 from postproc.testpart.model import agreement, summary
 from postproc.testpart.prior import Prior
 from postproc.testpart.readings import Readings
@@ -410,9 +410,9 @@ def test_parameters_that_are_held_keep_their_value_and_spread(folder, cut, held)
     count = local.slopes.shape[1]
     free = ~np.isin(np.arange(count), held)
     whole = np.diag(prior.sigma**2)
-    covariance = posterior(given, local, 0.02, whole, free)
+    covariance = posterior_covariance(given, local, 0.02, whole, free)
     np.testing.assert_allclose(covariance[~free][:, ~free], whole[~free][:, ~free])
-    noise = noise_of(given, local, 0.02)
+    noise = noise_covariance(given, local, 0.02)
 
     def with_gain(gain):
         left = np.eye(count) - gain @ local.slopes

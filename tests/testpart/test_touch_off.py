@@ -16,7 +16,7 @@ from postproc.errors import MeasurementError, PlanError
 from postproc.testpart import features, probing
 from postproc.testpart.features import Cutting, Feature, Kind
 from postproc.testpart.model import summary
-from postproc.testpart.readings import top_of
+from postproc.testpart.readings import top_plane
 from tests.commands import run
 from tests.places import SAMPLES
 from tests.testpart import trial
@@ -228,7 +228,7 @@ def test_the_plane_of_the_top_is_that_of_least_squares():
     point = np.column_stack([rng.uniform(0.0, 0.3, (6, 2)), np.zeros(6)])
     deviation = 1e-4 + 1e-3 * point[:, 0] - 2e-3 * point[:, 1] + 2e-5 * rng.normal(size=6)
     touch_off = probing.TouchOff(tuple(f"T{k}.top" for k in range(6)), point, deviation, np.full(6, -1))
-    top = top_of(touch_off, -1, 5e-6, "x")
+    top = top_plane(touch_off, -1, 5e-6, "x")
     expected, residual, *_ = np.linalg.lstsq(np.column_stack([np.ones(6), point[:, :2]]), deviation, rcond=None)
     places = rng.uniform(0.0, 0.3, (4, 3)) * (1, 1, 0)
     up = np.tile([0.0, 0.0, 1.0], (4, 1))
@@ -240,7 +240,7 @@ def test_the_plane_of_the_top_is_that_of_least_squares():
     on_line = point * (1, 0, 0)
     touch_off = probing.TouchOff(touch_off.name, on_line, deviation, np.full(6, -1))
     with pytest.raises(MeasurementError, match="are on one line"):
-        top_of(touch_off, -1, 5e-6, "x")
+        top_plane(touch_off, -1, 5e-6, "x")
 
 
 def test_a_wall_moves_with_a_tilted_top_as_a_rigid_body_does():
@@ -248,7 +248,7 @@ def test_a_wall_moves_with_a_tilted_top_as_a_rigid_body_does():
     touch = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.0, 0.1, 0.0]])
     tilt = 1e-4 * np.array([3.0, -2.0])
     touch_off = probing.TouchOff(("T1", "T2", "T3"), touch, touch[:, :2] @ tilt, np.full(3, -1))
-    top = top_of(touch_off, -1, 5e-6, "x")
+    top = top_plane(touch_off, -1, 5e-6, "x")
     z = np.array([-tilt[0], -tilt[1], 1.0])
     x = np.cross([0.0, 1.0, 0.0], z / np.linalg.norm(z))
     rotation = np.column_stack([x / np.linalg.norm(x), np.zeros(3), z / np.linalg.norm(z)])

@@ -14,7 +14,7 @@ from postproc.robot import Discrepancy
 from postproc.robot.model_file import MeasuredEntry
 from postproc.testpart import fit as fitting
 from postproc.testpart import model
-from postproc.testpart.fit import Fit, Surprise
+from postproc.testpart.fit import Fit, PriorComparison
 from postproc.testpart.prior import Prior
 from postproc.testpart.readings import Lift, Top
 from tests.kr270 import ROBOT
@@ -117,7 +117,7 @@ def test_a_fit_is_refused_beyond_each_limit_with_its_reason(fields, reason):
     """Depths are those of cuts that are thick next to these tilts: 6 mm/m over 0.2 m are less than half of one."""
     flat = replace(READINGS, tops=tuple(replace(top, origin=top.origin + HIGH) for top in READINGS.tops))
     fields = dict(fields)
-    if any(np.any(each.height[1:]) for each in fields.get("lifts", ())):
+    if any(np.any(each.coefficients[1:]) for each in fields.get("lifts", ())):
         fields["readings"] = flat
     refused, line = verdict(**fields)
     assert refused == (reason is not None)
@@ -232,8 +232,13 @@ CHI2_LIMIT = COUNT + 3.29 * np.sqrt(2.0 * COUNT) + 7.0
 
 
 def agreed(monkeypatch, outliers=(), prior=PRIOR, **fields):
-    values = {"chi2": 5.0, "chance": 0.5, "change": np.zeros(SIZE + 1), "spread": np.ones(SIZE + 1)} | fields
-    monkeypatch.setattr(fitting.Fit, "compare_with_prior", lambda self, given: Surprise(**values))
+    values = {
+        "chi2": 5.0,
+        "no_change_probability": 0.5,
+        "change": np.zeros(SIZE + 1),
+        "spread": np.ones(SIZE + 1),
+    } | fields
+    monkeypatch.setattr(fitting.Fit, "compare_with_prior", lambda self, given: PriorComparison(**values))
     return model.agreement(fitted(), prior, outliers)
 
 
@@ -245,7 +250,7 @@ def agreed(monkeypatch, outliers=(), prior=PRIOR, **fields):
 def test_a_model_holds_if_neither_the_readings_nor_one_change_speak_against_it(
     monkeypatch, chi2, chance, outliers, holds
 ):
-    found = agreed(monkeypatch, outliers, chi2=chi2, chance=chance)
+    found = agreed(monkeypatch, outliers, chi2=chi2, no_change_probability=chance)
     assert found.holds == holds
     assert (found.chi2, found.points, found.chance) == (round(chi2, 2), COUNT, chance)
     assert found.line.startswith(f"χ² {chi2:.0f} of {COUNT} points (at most {CHI2_LIMIT:.0f})")
@@ -258,14 +263,14 @@ def test_changes_are_named_by_their_factor_beyond_three_standard_deviations(monk
     values = PRIOR.values
     change = np.append(np.array([0.31, 0.29, -0.99, *np.zeros(SIZE - 3)]) * values, 9.0)
     spread = np.append(0.1 * values, 1e-3)
-    found = agreed(monkeypatch, chance=1e-3, change=change, spread=spread)
+    found = agreed(monkeypatch, no_change_probability=1e-3, change=change, spread=spread)
     names = [PRIOR.parameters[k].name for k in (0, 2)]
     assert [(entry.name, entry.factor, entry.sigmas) for entry in found.drifted] == [
         (names[0], 1.31, 3.1), (names[1], 0.02, -9.9),
     ]  # fmt: skip
     assert found.line.endswith(f"; the arm deflects otherwise under these forces: {names[0]} × 1.31, {names[1]} × 0.02")
-    assert agreed(monkeypatch, chance=0.5, change=change, spread=spread).drifted == []
-    none = agreed(monkeypatch, chance=1e-3)
+    assert agreed(monkeypatch, no_change_probability=0.5, change=change, spread=spread).drifted == []
+    none = agreed(monkeypatch, no_change_probability=1e-3)
     assert none.line.endswith(": no single joint")
 
 
@@ -294,7 +299,7 @@ def test_material_has_the_law_of_the_process_with_its_forces_scaled(tmp_path, la
     table = tomllib.loads(model.material(fit, process, "part").decode())["material"]
     assert table["sigma_percent"] == 5.0
     assert table["source"].endswith("forces scaled by 1.200: part")
-    entry = model._forces(fit, process, "part")
+    entry = model._forces_entry(fit, process, "part")
     if law == "kienzle":
         assert table["kc11_N_per_mm2"] == pytest.approx(1080.0)
         assert (table["mc"], table["radial_ratio"], table["axial_ratio"]) == pytest.approx((0.27, 0.4, 0.2))
@@ -308,7 +313,7 @@ def test_material_has_the_law_of_the_process_with_its_forces_scaled(tmp_path, la
     np.testing.assert_allclose(entry.edge_N_per_mm, expected[1], atol=1e-12)
     assert (entry.mc, entry.sigma_percent) == ((0.27 if law == "kienzle" else 0.0), 5.0)
     certain = fitted(covariance=np.diag(np.append(np.ones(SIZE), 0.0)))
-    assert model._forces(certain, process, "part") is None
+    assert model._forces_entry(certain, process, "part") is None
 
 
 def test_the_unmodelled_error_is_the_larger_one_of_the_part_and_the_model_before():
