@@ -29,13 +29,13 @@ _KEYS = ("L_mm", "a_x_mm", "a_y_mm")
 _COLUMNS = ("q2", "marker", "repeat", "X", "Y", "Z")
 _LARGEST = (("q2", 3600.0, " deg"), ("repeat", 1e9, ""), *((axis, 1e6, " mm") for axis in "XYZ"))
 """Largest size of a cell of each column: beyond it no angle and no measuring device is."""
-_OUTLIER = 6.0
+_OUTLIER_DEVIATIONS = 6.0
 """Deviation of a repeat from the median of its group, in usual deviations, beyond which it is left out (assumed)."""
-_SMALL_TURN = 10.0 * RAD_PER_DEG
+_MIN_TURN = 10.0 * RAD_PER_DEG
 """Markers that turn with A2 by less do not show where its axis is (assumed)."""
 _Groups = dict[tuple[str, float], Ints]
 """(Marker, q2 [deg]) → rows of its repeats in the file."""
-_IMPOSSIBLE = 2e-3
+_IMPOSSIBLE_RESIDUAL = 2e-3
 """Residual [m] that no tracker makes: a point has the wrong name, or an angle is wrong."""
 _LEAST_SPAN = 1e-2
 """Span of all readings [m] that P1 on link 2 and the markers on the compensator exceed: these are decimetres apart.
@@ -44,35 +44,35 @@ _LENGTHS = (10.0, 2000.0)
 """Length on link 2 [mm]: of real compensators 100 to 600, so that metres are outside."""
 _MOST_OFFSET = 5000.0
 """Largest coordinate of P0 [mm]: it is on link 1, near joint 2."""
-_WIDE = 0.05
+_WIDE_SHARE = 0.05
 """Warn if the half width of a_x or a_y exceeds this share of the distance P0 … P2 (assumed)."""
-_FAR_PIVOT = 0.1
+_FAR_PIVOT_DISTANCE = 0.1
 """Distance [m] of P0 from its place in the robot model that is asked about (assumed): another size of arm, or an angle
 with the wrong sign or zero."""
-_COMMON_ERROR = 1e-3
+_COMMON_ERROR_CHANCE = 1e-3
 """Chance of residuals as large as these by the scatter of the repeats alone, below which repeats share an error."""
-_WORTH = 0.8
+_WORTHWHILE_RATIO = 0.8
 """Half width with evenly spread markers over the present one below which spreading them is advised."""
 
 
 def pivot_doubt(measured: Compensator | None, stated: Compensator | None) -> str:
-    """Return a clause for a message if P0 is far from its place in the robot model, with what to check; else "".
+    """Return a clause if P0 is far from its place in the robot model, with what to check; else an empty text.
 
-    :param measured: with the geometry identified from the markers; None: not measured.
-    :param stated: of the robot model; None: it has none.
+    :param measured: compensator with the geometry identified from the markers; None: not measured.
+    :param stated: compensator of the robot model; None: the model has none.
     """
     if measured is None or stated is None:
         return ""
     distance, mirrored_distance = (
         float(np.hypot(measured.ax - stated.ax, y - stated.ay)) for y in (measured.ay, -measured.ay)
     )
-    if distance <= _FAR_PIVOT:
+    if distance <= _FAR_PIVOT_DISTANCE:
         return ""
     measured_text, stated_text = (
         f"({law.ax * MM_PER_M:.0f}, {law.ay * MM_PER_M:.0f}) mm" for law in (measured, stated)
     )
     check = "the zero of q2 and the names of the markers"
-    if mirrored_distance < 0.5 * distance:
+    if mirrored_distance < 0.5 * distance:  # q2 with the other sign mirrors a_y
         check = "the sign of q2 (KUKA: A2 is negative where link 2 points up)"
     return (
         f"the compensator's P0 comes out at {measured_text}, and the robot model has it at {stated_text}: check {check}"
@@ -84,10 +84,10 @@ class MarkerReadings(Struct, frozen=True, eq=False):
 
     :param q2: (m,) angles of joint 2, KUKA sign [rad].
     :param markers: names of the k markers on the compensator.
-    :param p1: (m, 3) marker P1 in the tracker frame [m].
-    :param p0: (k, m, 3) markers on the compensator [m].
-    :param count_p1: (m,) repeats behind each mean.
-    :param count_p0: (k, m).
+    :param p1: (m, 3) marker P1 on link 2, in the tracker frame [m].
+    :param p0: (k, m, 3) markers on the compensator, which turns about P0, in the tracker frame [m].
+    :param count_p1: (m,) number of repeats of each mean of P1.
+    :param count_p0: (k, m) number of repeats of each mean of the other markers.
     :param scatter: sum of squares of the repeats about their means [m²], and `scatter_dof` its degrees of freedom.
     :param warnings: readings left out, and why.
     """
@@ -129,7 +129,7 @@ class MarkerPlacement(Struct, frozen=True, eq=False):
 
     @property
     def imbalance(self) -> float:
-        """Length of `sums` over Σ R: 0 where the condition holds, 1 with all markers in one direction."""
+        """Length of `sums` over Σ R: 0 if the condition holds, 1 with all markers in one direction."""
         return float(np.linalg.norm(self.sums) / self.radius.sum())
 
 
@@ -183,7 +183,7 @@ def joint_circle(q2: Array, p1: Array) -> JointCircle:
     left, _, right = np.linalg.svd(u_hat.T @ p_hat)
     left, right = left.swapaxes(-1, -2), right.swapaxes(-1, -2)
     signs = np.ones(left.shape[:-1])
-    signs[..., 2] = np.linalg.det(right @ left)  # −1 where the product would be a reflection
+    signs[..., 2] = np.linalg.det(right @ left)  # −1 if the product would be a reflection
     axes = (right * signs[..., None, :]) @ left
     length = np.sum(p_hat * (u_hat @ axes.swapaxes(-1, -2)), axis=(-2, -1)) / np.sum(u_hat**2)
     return JointCircle(length, axes, mean - length[..., None] * (axes @ u.mean(axis=0)))
@@ -242,8 +242,8 @@ def mechanism(value: Array, q2: Array, radius: Array, angle: Array) -> tuple[Arr
     """Return the positions of P1 (m, 3) and of markers on the compensator (k, m, 3) [m], axes of the mechanism.
 
     :param value: (3,) L, a_x, a_y [m].
-    :param q2: (m,) [rad].
-    :param radius: (k,) of the markers about P0 [m].
+    :param q2: (m,) angles of joint 2 [rad].
+    :param radius: (k,) distances of the markers from P0 [m].
     :param angle: (k,) of the markers from the line P0 → P1, positive as q2 [rad].
     """
     p1, pivot = value[0] * _unit_vectors(q2), np.array([-value[1], -value[2], 0.0])
@@ -304,11 +304,11 @@ def pivot_bias(p0: Array, variance: Array) -> Array:
 
 
 def even_angles(count: int) -> Array:
-    """Return the angles β (count,) [rad] of markers around P0 that determine it best.
+    """Return the angles β (count,) [rad] of markers around P0 that determine P0 best.
 
-    Three markers or more are spread evenly: then Σ cos β = Σ sin β = 0, so that there is no bias, and
+    Three markers or more are spread evenly. Then Σ cos β = Σ sin β = 0, so that the bias is zero, and
     Σ cos 2β = Σ sin 2β = 0, so that all directions are determined equally well. Two markers cannot satisfy both. They
-    are a quarter turn apart: opposite ones would not determine P0 along their line.
+    are a quarter turn apart: opposite markers would not determine P0 along their line.
     """
     return np.asarray(np.arange(count) * (np.pi / 2.0 if count < 3 else 2.0 * np.pi / count), dtype=np.float64)
 
@@ -317,13 +317,14 @@ def expected_covariance(value: Array, q2: Array, radius: Array, angle: Array, va
     """Return the covariance (3, 3) of L, a_x, a_y [m²] that planned readings will give, with the square of the bias.
 
     :param value: (3,) L, a_x, a_y [m].
-    :param q2: (m,) angles to be measured at [rad].
-    :param radius: (k,) of the markers [m], at `angle` (k,) from the line P0 → P1 [rad].
+    :param q2: (m,) angles of joint 2 at which to measure [rad].
+    :param radius: (k,) distances of the markers from P0 [m].
+    :param angle: (k,) of the markers from the line P0 → P1 [rad].
     :param variance: of one coordinate of the mean of the repeats [m²].
     """
     p1, p0 = mechanism(value, q2, radius, angle)
     variances = np.full(p0.shape[:2], variance)
-    bias = np.concatenate([[0.0], -pivot_bias(p0, variances)[:2]])
+    bias = np.concatenate([[0.0], -pivot_bias(p0, variances)[:2]])  # of L, a_x, a_y: P0 is at (−a_x, −a_y)
     return np.asarray(noise_covariance(q2, p1, p0, variances[0], variances) + np.outer(bias, bias))
 
 
@@ -340,16 +341,17 @@ def degrees_of_freedom(angles: int, markers: int) -> int:
 
 def student_95(dof: int) -> float:
     """Return the 97.5 % quantile of Student's t: half a 95 % interval, in standard deviations estimated with `dof`."""
-    from scipy.special import stdtrit
+    from scipy.special import stdtrit  # takes long to import
 
     return float(stdtrit(dof, 0.975))
 
 
 def identify(readings: MarkerReadings) -> CompensatorGeometry:
-    """Identify L, a_x, a_y with 95 % intervals.
+    """Identify the lengths L, a_x, a_y of the compensator in Eq. (3) with 95 % intervals.
 
-    The noise comes from the scatter of the repeats and from the residuals of the two circle fits, see `_noise`; the
-    intervals from the sensitivity of the estimate to every coordinate, its bias and Student's t.
+    P1 turns about P2 (joint 2) at the distance L; P0 is at (−a_x, −a_y) from P2. The noise comes from the scatter of
+    the repeats and from the residuals of the two circle fits, see `_noise`. The intervals come from the sensitivity of
+    the estimate to every coordinate, its bias and Student's t.
 
     :raises MeasurementError: the readings do not belong to one such mechanism.
     """
@@ -360,17 +362,18 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
     _refuse_size(value * MM_PER_M)
     noise = _noise(readings, residual_p1, residual_p0)
     sigma, dof = noise.sigma, noise.dof
-    variance = sigma**2 / readings.count_p0
+    variance_p1, variance_p0 = sigma**2 / readings.count_p1, sigma**2 / readings.count_p0
     axes = joint_circle(q2, p1).axes
-    bias = np.concatenate([[0.0], -(axes.T @ pivot_bias(p0, variance))[:2]])
-    covariance = noise_covariance(q2, p1, p0, sigma**2 / readings.count_p1, variance) + np.outer(bias, bias)
+    # L has no bias; that of a_x, a_y is the bias of P0 in the axes of the mechanism, with the other sign
+    bias = np.concatenate([[0.0], -(axes.T @ pivot_bias(p0, variance_p0))[:2]])
+    covariance = noise_covariance(q2, p1, p0, variance_p1, variance_p0) + np.outer(bias, bias)
     ci95 = student_95(dof) * np.sqrt(np.diag(covariance))
     radius, angle = _polar_coordinates(value, readings, axes)
     even_intervals = _even_intervals(value, readings, radius=radius, angle=angle, sigma=sigma, dof=dof)
     markers = MarkerPlacement(readings.markers, radius, angle, bias, even_intervals)
     turn = float(np.ptp(spring_direction(value, q2)))
     warnings = [*readings.warnings, *noise.warnings]
-    if np.any(ci95 > _WIDE * np.hypot(value[1], value[2])):
+    if np.any(ci95 > _WIDE_SHARE * np.hypot(value[1], value[2])):
         warnings.append(
             f"a_x ± {ci95[1] * MM_PER_M:.1f} mm, a_y ± {ci95[2] * MM_PER_M:.1f} mm: the compensator turned by only "
             f"{turn * DEG_PER_RAD:.1f}°. {_remedy(markers, ci95)}"
@@ -390,10 +393,12 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
 def _even_intervals(
     value: Array, readings: MarkerReadings, *, radius: Array, angle: Array, sigma: float, dof: int
 ) -> Array:
-    """Return the half widths (3,) [m] of the 95 % intervals with as many markers spread evenly around P0.
+    """Return the half widths (3,) [m] of the 95 % intervals that k markers spread evenly around P0 would give.
+
+    They are at the mean radius of the k markers, the first at its angle.
 
     :param value: (3,) L, a_x, a_y [m].
-    :param radius: (k,) of the markers [m], and `angle` (k,) from the line P0 → P1 [rad].
+    :param radius: (k,) distances of the markers from P0 [m], and `angle` (k,) from the line P0 → P1 [rad].
     :param sigma: noise of one coordinate of one reading [m], and `dof` its degrees of freedom.
     """
     count = len(radius)
@@ -422,12 +427,13 @@ class _Noise(NamedTuple):
 def _noise(readings: MarkerReadings, residual_p1: Array, residual_p0: Array) -> _Noise:
     """Return the noise, from the scatter of the repeats and the residuals of the circles together.
 
-    Repeats at one angle share what moves the tracker, a marker or the arm between the angles. Where an F test says that
-    the residuals are larger than the scatter explains, the noise is that of the residuals alone.
+    Repeats at one angle share motions of the tracker, a marker or the arm between the angles. If an F test says that
+    the residuals are larger than the scatter explains, the noise is that of the residuals alone, with a warning.
 
-    :param residual_p1: (m, 3) of the circle of P1, and `residual_p0` (k, m, 2) of those of the other markers [m].
+    :param residual_p1: (m, 3) of the circle of P1 [m].
+    :param residual_p0: (k, m, 2) of the circles of the other markers [m].
     """
-    from scipy.special import fdtrc
+    from scipy.special import fdtrc  # takes long to import
 
     fit_dof = degrees_of_freedom(len(readings.q2), len(readings.p0))
     fit_squares = float(
@@ -435,7 +441,7 @@ def _noise(readings: MarkerReadings, residual_p1: Array, residual_p0: Array) -> 
     )
     if readings.scatter > 0.0:
         variance, fit_variance = readings.scatter / readings.scatter_dof, fit_squares / fit_dof
-        if fdtrc(fit_dof, readings.scatter_dof, fit_variance / variance) < _COMMON_ERROR:
+        if fdtrc(fit_dof, readings.scatter_dof, fit_variance / variance) < _COMMON_ERROR_CHANCE:
             mean_error = np.sqrt(fit_variance / readings.count_p0.mean()) * MM_PER_M
             return _Noise(
                 float(np.sqrt(fit_variance)),
@@ -452,9 +458,12 @@ def _noise(readings: MarkerReadings, residual_p1: Array, residual_p0: Array) -> 
 
 
 def _remedy(markers: MarkerPlacement, ci95: Array) -> str:
-    """Return advice for a more accurate measurement of the compensator; `ci95` (3,): half intervals [m]."""
+    """Return advice for a more accurate measurement of the compensator.
+
+    :param ci95: (3,) half widths of the 95 % intervals of L, a_x, a_y [m].
+    """
     even_ci = markers.ci95_even[1:]
-    if np.linalg.norm(even_ci) > _WORTH * np.linalg.norm(ci95[1:]):
+    if np.linalg.norm(even_ci) > _WORTHWHILE_RATIO * np.linalg.norm(ci95[1:]):
         return "Measure more markers, more repeats, and the angles q2 that `postproc plan compensator` proposes."
     return (
         f"Spread the markers evenly around P0: a_x ± {even_ci[0] * MM_PER_M:.1f} mm, "
@@ -482,7 +491,7 @@ def _unit_vectors(angle: Array) -> Array:
 
 
 def _circle_residuals(readings: MarkerReadings) -> tuple[Array, Array]:
-    """Return the residuals of the circles [m]: of P1 (m, 3), and of the other markers (k, m, 2), radial and axial."""
+    """Return the residuals of the circles [m]: of P1 (m, 3), and of other markers (k, m, 2), radial and axial."""
     length, axes, centre_p2 = joint_circle(readings.q2, readings.p1)
     residual_p1 = readings.p1 - centre_p2 - length * _unit_vectors(readings.q2) @ axes.T
     centre_p0, normal = swivel_axis(readings.p0)
@@ -496,13 +505,14 @@ def _circle_residuals(readings: MarkerReadings) -> tuple[Array, Array]:
 def _refuse_wrong_markers(readings: MarkerReadings, residual_p1: Array, residual_p0: Array) -> None:
     """Refuse readings in which a marker has a wrong name or place.
 
-    :param residual_p1: (m, 3) of the circle of P1, and `residual_p0` (k, m, 2) of those of the other markers [m].
+    :param residual_p1: (m, 3) of the circle of P1 [m].
+    :param residual_p0: (k, m, 2) of the circles of the other markers [m].
     :raises MeasurementError: markers on the compensator change their distances, or a marker is off its circle.
     """
     _refuse_changed_distances(readings)
     deviations = [np.linalg.norm(residual_p1, axis=1), *np.linalg.norm(residual_p0, axis=2)]
     worst = int(np.argmax([deviation.max() for deviation in deviations]))
-    if deviations[worst].max() > _IMPOSSIBLE:
+    if deviations[worst].max() > _IMPOSSIBLE_RESIDUAL:
         name = (P1, *readings.markers)[worst]
         angle = readings.q2[np.argmax(deviations[worst])] * DEG_PER_RAD
         raise MeasurementError(
@@ -514,9 +524,9 @@ def _refuse_wrong_markers(readings: MarkerReadings, residual_p1: Array, residual
 def _refuse_changed_distances(readings: MarkerReadings) -> None:
     """Refuse readings in which the distances of the markers on the compensator, a rigid body, change with the angle.
 
-    Two markers are not checked: which of them is wrong would not be known.
+    Two markers are not checked: it would not be known which of them is wrong.
 
-    :raises MeasurementError: they change; the message names two markers if their names are swapped.
+    :raises MeasurementError: the distances change; the message names two markers if their names are swapped.
     """
     k = len(readings.markers)
     if k < 3:
@@ -525,7 +535,7 @@ def _refuse_changed_distances(readings: MarkerReadings) -> None:
     median_distances = np.median(distances, axis=2)
     change = np.abs(distances - median_distances[..., None]).max(axis=(0, 1))
     worst = int(np.argmax(change))
-    if change[worst] <= _IMPOSSIBLE:
+    if change[worst] <= _IMPOSSIBLE_RESIDUAL:
         return
     wrong_distances = distances[:, :, worst]
     orders = [_swapped_order(k, i, j) for i in range(k) for j in range(i)]
@@ -533,7 +543,7 @@ def _refuse_changed_distances(readings: MarkerReadings) -> None:
     best = int(np.argmin(order_errors))
     names = [readings.markers[i] for i in range(k) if orders[best][i] != i]
     advice = "Measure this angle again."
-    if order_errors[best] < _IMPOSSIBLE:
+    if order_errors[best] < _IMPOSSIBLE_RESIDUAL:
         advice = f"The names of {' and '.join(names)} are swapped there: correct the file."
     raise MeasurementError(
         f"at q2 = {readings.q2[worst] * DEG_PER_RAD:g}° the markers do not keep their distances "
@@ -601,9 +611,10 @@ def read(path: Path) -> MarkerReadings:
 def _mean_readings(groups: _Groups, position: Array, angles: Array, markers: tuple[str, ...]) -> MarkerReadings:
     """Return the means and the scatter of the repeats.
 
+    :param groups: rows of the repeats of each marker and angle.
     :param position: (n, 3) of all readings [m].
     :param angles: (m,) of joint 2 [deg].
-    :param markers: names of those on the compensator.
+    :param markers: names of the markers on the compensator.
     """
     mean = {key: position[rows].mean(axis=0) for key, rows in groups.items()}
     return MarkerReadings(
@@ -621,8 +632,8 @@ def _mean_readings(groups: _Groups, position: Array, angles: Array, markers: tup
 def _markers_on_compensator(markers: list[str], lines: Array, file_name: str) -> tuple[str, ...]:
     """Return the names of the markers on the compensator, sorted.
 
-    :param markers: of all readings, `lines` (n,) their lines.
-    :raises MeasurementError: a name is not valid, or P1 or all others are missing.
+    :param markers: names of the markers of all n readings, and `lines` (n,) of the readings in the file.
+    :raises MeasurementError: a name is not valid, or P1 or all other markers are missing.
     """
     names = sorted(set(markers))
     for name in names:
@@ -643,9 +654,10 @@ def _markers_on_compensator(markers: list[str], lines: Array, file_name: str) ->
 
 
 def _check_repeats(groups: _Groups, repeat: Array, lines: Array, file_name: str) -> None:
-    """Check that each marker is read at each angle, and each repeat once.
+    """Check that each marker has a reading at each angle, and that no repeat is given twice.
 
-    :param repeat: (n,) of all readings, `lines` (n,) their lines.
+    :param groups: rows of the repeats of each marker and angle; empty without a reading.
+    :param repeat: (n,) number of the repeat of all readings, and `lines` (n,) of the readings in the file.
     :raises MeasurementError: a reading is missing or given twice.
     """
     for (name, angle), rows in groups.items():
@@ -665,7 +677,7 @@ def _check_angles(angles: Array, file_name: str) -> None:
     """Check that the angles q2 are in degrees, and that they are enough for a circle.
 
     :param angles: (m,) different angles of the file [deg].
-    :raises MeasurementError: they look like radians, are fewer than three, or cover less than `_SMALL_TURN`.
+    :raises MeasurementError: they look like radians, are fewer than three, or cover less than `_MIN_TURN`.
     """
     if len(angles) >= 3 and np.abs(angles).max() <= 2.0 * np.pi:
         raise MeasurementError(
@@ -673,7 +685,7 @@ def _check_angles(angles: Array, file_name: str) -> None:
             file=file_name,
             advice="Give q2 in degrees.",
         )
-    if len(angles) < 3 or np.ptp(angles) * RAD_PER_DEG < _SMALL_TURN:
+    if len(angles) < 3 or np.ptp(angles) * RAD_PER_DEG < _MIN_TURN:
         raise MeasurementError(
             f"{len(angles)} angles q2 over {np.ptp(angles) if len(angles) else 0:g}°: too few for a circle",
             file=file_name,
@@ -682,25 +694,25 @@ def _check_angles(angles: Array, file_name: str) -> None:
 
 
 def _remove_outliers(groups: _Groups, position: Array, lines: Array) -> tuple[_Groups, tuple[str, ...]]:
-    """Return the groups without readings that are far from the other repeats, and a warning for each of these.
+    """Return the groups without readings that are far from the other repeats, and a warning for each such reading.
 
-    Groups of fewer than three repeats are kept, and those in which half of the readings or more would be removed.
+    Groups of fewer than three repeats are kept, and groups in which half of the readings or more would be removed.
 
     :param groups: (marker, q2 [deg]) → rows of its repeats.
-    :param position: (n, 3) of all readings [m], `lines` (n,) their lines.
+    :param position: (n, 3) of all readings [m], and `lines` (n,) of the readings in the file.
     """
     deviation_by_group = {key: position[rows] - np.median(position[rows], axis=0) for key, rows in groups.items()}
     deviations = [deviation.ravel() for deviation in deviation_by_group.values() if len(deviation) >= 3]
     sizes = np.abs(np.concatenate(deviations or [np.zeros(0)]))
-    # of three repeats one is the median itself; 0.9 σ is the median of |deviation| of the others, for normal noise
+    # zeros do not count: of three repeats one is the median itself; the median |deviation| of the others is 0.9 σ
     scale = float(np.median(sizes[sizes > 0.0]) / 0.9) if np.any(sizes > 0.0) else 0.0
     good_groups: _Groups = {}
     warnings: list[str] = []
     for key, rows in groups.items():
-        name, angle = key
+        name, angle = key  # marker, q2 [deg]
         distances = np.linalg.norm(deviation_by_group[key], axis=1)
         # 1.5: distances in space are larger than coordinates; 1 µm: the resolution of trackers
-        is_within_limit = distances <= max(_OUTLIER * 1.5 * scale, 1e-6)
+        is_within_limit = distances <= max(_OUTLIER_DEVIATIONS * 1.5 * scale, 1e-6)
         if len(rows) >= 3 and 0 < np.count_nonzero(~is_within_limit) < 0.5 * len(rows):
             good_groups[key] = rows[is_within_limit]
             warnings += [

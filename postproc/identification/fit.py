@@ -496,7 +496,11 @@ def _kind_and_size(parameter: Parameter, robot: RobotModel) -> tuple[str, float]
             coupled_compliances = joint_compliances[[JOINTS.index(parameter.joint), JOINTS.index(parameter.second)]]
             return "coupling", float(_SHARE_OF_JOINT * np.sqrt(coupled_compliances.prod()))  # geometric mean
         case PoseWave():
-            size = _SHARE_OF_JOINT * joint_compliances[JOINTS.index(parameter.joint)] * over_pose.share(parameter)
+            size = (
+                _SHARE_OF_JOINT
+                * joint_compliances[JOINTS.index(parameter.joint)]
+                * over_pose.amplitude_share(parameter)
+            )
             return f"{parameter.joint} over the pose", float(size)
         case LostMotion() | Backlash():
             return "lost motion" if isinstance(parameter, LostMotion) else "backlash", parameter.usual

@@ -18,17 +18,16 @@ from postproc.identification.measurement_model import Placement, in_root_axes
 from postproc.identification.readings import Measurements
 from postproc.robot import JOINTS, RobotModel
 
-_LIMIT = 8.0
+_OUTLIER_RATIO = 8.0
 """Ratio of the error of a configuration to its uncertainty from which it is an outlier. Errors of a geometry are far
-from normal: of 448 clean sets
-of simulated arms whose geometry is off by millimetres the largest is 6.9."""
+from normal: of 448 clean sets of simulated arms whose geometry is off by millimetres the largest is 6.9."""
 _MIN_DISTANCE = 1e-3
 """Distance [m] of the points below which it is no wrong note but friction or temperature (assumed): 0.05° of A1."""
 _MIN_CONFIGURATIONS = 10
 """Configurations from which the scatter of the others is known well enough to judge one."""
 _NO_SCATTER = 1e-15
 """Scatter of readings that were made from the model itself, in any unit: rounding."""
-_SINGULAR = 1e-6
+_SINGULAR_SHARE = 1e-6
 """Share of a direction that the other configurations leave open, below which they predict nothing along it."""
 _EXPLAINED_SHARE = 0.2
 """Share of an error that a wrong joint angle may leave: other errors leave most of it."""
@@ -37,10 +36,10 @@ _MOST_ANGLE = 10.0 * RAD_PER_DEG
 
 
 class Deletion(NamedTuple):
-    """What the other configurations say of each configuration.
+    """Error of each configuration against a fit to the other configurations.
 
     :param error: (C, m) readings less their prediction by the other configurations, in the unit of the residuals.
-    :param ratio: (C,) size of the error against its uncertainty by the scatter of the others.
+    :param ratio: (C,) size of the error over its uncertainty, which is from the scatter of the other configurations.
     """
 
     error: Array
@@ -50,9 +49,9 @@ class Deletion(NamedTuple):
 def deletion(design: Array, residual: Array, ridge: Array) -> Deletion:
     """Return the errors of configurations against a fit to the others, for linear least squares.
 
-    With H_i the block of the hat matrix that belongs to configuration i, its error is (I − H_i)⁻¹ r_i, of the
-    covariance s² (I − H_i)⁻¹. The scatter s is from the median configuration of the others, which a second outlier
-    does not spoil.
+    With H_i the block of the hat matrix and r_i the residuals of configuration i, the error is e_i = (I − H_i)⁻¹ r_i,
+    with the covariance s² (I − H_i)⁻¹. The scatter s is that of the median of the other configurations, which a second
+    outlier does not spoil. So the ratio is √(r_iᵀ e_i / m) / s.
 
     :param design: (C, m, p) derivatives of the readings of each configuration by the unknowns, whitened.
     :param residual: (C, m) residuals of the fit, whitened.
@@ -62,11 +61,11 @@ def deletion(design: Array, residual: Array, ridge: Array) -> Deletion:
     basis = np.linalg.qr(np.concatenate([*design, ridge]))[0][: count * size].reshape(count, size, -1)
     error, ratio = np.empty_like(residual), np.empty(count)
     freedom = count * size - float(np.sum(basis**2))
-    shrinkage = np.sqrt(max(freedom, 1.0) / (count * size))
+    shrinkage = np.sqrt(max(freedom, 1.0) / (count * size))  # residuals of a fit are smaller than the noise
     for row in range(count):
-        inverse = np.linalg.pinv(np.eye(size) - basis[row] @ basis[row].T, rcond=_SINGULAR, hermitian=True)
+        inverse = np.linalg.pinv(np.eye(size) - basis[row] @ basis[row].T, rcond=_SINGULAR_SHARE, hermitian=True)
         error[row] = inverse @ residual[row]
-        other_residuals = np.delete(residual + basis @ (basis[row].T @ error[row]), row, axis=0)
+        other_residuals = np.delete(residual + basis @ (basis[row].T @ error[row]), row, axis=0)  # of a fit without it
         scatter = np.median(np.sqrt(np.mean(other_residuals**2, axis=1))) / shrinkage
         ratio[row] = np.sqrt(residual[row] @ error[row] / size) / max(scatter, _NO_SCATTER)
     return Deletion(error, ratio)
@@ -75,14 +74,15 @@ def deletion(design: Array, residual: Array, ridge: Array) -> Deletion:
 def check_configurations(
     robot: RobotModel, data: Measurements, placement: Placement, design: Array, ridge: Array, weight: Array
 ) -> None:
-    """Check that no configuration contradicts all others without load.
+    """Check that no configuration contradicts all others without load, if they are `_MIN_CONFIGURATIONS` or more.
 
     :param robot: with the geometry of the fit.
     :param placement: of the fit, with its residuals.
-    :param design: (C, 3·P, p) derivatives of the mean positions, device axes, by the p unknowns of the fit, weighted.
+    :param design: (C, 3·P, p) derivatives of the mean positions, device axes, by the p unknowns of the fit, times
+        weight.
     :param ridge: (k, p) rows of a prior on the unknowns; k may be zero.
-    :param weight: (C, 3·P) of the mean positions; zero without readings.
-    :raises MeasurementError: one does; the message names it, and the joint whose angle would explain it.
+    :param weight: (C, 3·P) factors on the mean positions, in proportion to 1/σ; zero without readings.
+    :raises MeasurementError: a configuration does; the message names it, and a joint angle that would explain it.
     """
     if len(data.q) < _MIN_CONFIGURATIONS:
         return
@@ -92,7 +92,7 @@ def check_configurations(
     )
     distance = np.sqrt(np.mean(np.sum(error**2, axis=2), axis=1))
     worst = int(np.argmax(deletions.ratio))
-    if deletions.ratio[worst] < _LIMIT or distance[worst] < _MIN_DISTANCE:
+    if deletions.ratio[worst] < _OUTLIER_RATIO or distance[worst] < _MIN_DISTANCE:
         return
     raise MeasurementError(
         f"config {data.config[worst]:g}: without load the points are {distance[worst] * MM_PER_M:.1f} mm from where "
@@ -105,7 +105,7 @@ def check_configurations(
 
 
 def _wrong_angle(robot: RobotModel, q: Array, points: Array, error: Array) -> str:
-    """Return, as the end of a sentence, which joint angle would explain an error; empty if none would.
+    """Return, as the end of a sentence, the wrong joint angle that would explain an error; empty if none would.
 
     :param q: (6,) joint angles as noted [rad].
     :param error: (P, 3) of the points, root axes [m].
@@ -113,8 +113,10 @@ def _wrong_angle(robot: RobotModel, q: Array, points: Array, error: Array) -> st
     tools = np.tile(np.eye(4), (len(points), 1, 1))
     tools[:, :3, 3] = points
     x = elastostatics.coordinates(robot, np.tile(q, (len(points), 1)))
-    jacobian = kinematics.tcp(robot.actual, x, tools)[1][:, :3, list(robot.actuated)].reshape(-1, len(JOINTS))
-    angle = jacobian.T @ error.ravel() / np.maximum(norm(jacobian.T) ** 2, 1e-12)  # a point on the axis is not moved
+    _, tool_jacobian = kinematics.tcp(robot.actual, x, tools)
+    jacobian = tool_jacobian[:, :3, list(robot.actuated)].reshape(-1, len(JOINTS))
+    # least squares with each joint alone; 1e-12: points on the axis of a joint are not moved
+    angle = jacobian.T @ error.ravel() / np.maximum(norm(jacobian.T) ** 2, 1e-12)
     unexplained = norm(error.ravel() - (jacobian * angle).T)
     best = int(np.argmin(unexplained))
     if unexplained[best] > _EXPLAINED_SHARE * norm(error.ravel()) or abs(angle[best]) > _MOST_ANGLE:

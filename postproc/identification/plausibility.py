@@ -36,9 +36,9 @@ from postproc.identification.readings import Measurements
 from postproc.program import Bools, Ints
 from postproc.robot import JOINT_COMPLIANCES, JOINTS, RobotModel
 
-_GROSS = 6.0
+_GROSS_SIGMAS = 6.0
 """Standard deviations beyond which a reading counts as a gross error."""
-_DISTANCE = 1.5
+_DISTANCE_FACTOR = 1.5
 """Distance of a reading from others over the noise of one coordinate, about: three coordinates (assumed)."""
 _MAXIMUM_FACTOR = 1.3
 """Factor on the limit for the largest of all residuals, of points with three coordinates (assumed)."""
@@ -60,33 +60,35 @@ class CheckedPlacement(NamedTuple):
 
 
 def check_placement(robot: RobotModel, data: Measurements) -> CheckedPlacement:
-    """Check points and frames of readings before anything is fitted to them.
+    """Check points and frames of readings before springs are fitted to them; gross errors are left out.
 
     :raises MeasurementError: the readings are unusable.
     """
     check_points(data)
-    data, outliers = remove_gross_errors(data)  # one would spoil the means that are judged next
-    return CheckedPlacement(data, check_frames(robot, data), outliers)
+    data, outliers = remove_gross_errors(data)  # a gross error would spoil the means that the frames are judged by
+    return CheckedPlacement(data, checked_frames(robot, data), outliers)
 
 
 def remove_gross_errors(data: Measurements) -> tuple[Measurements, list[str]]:
-    """Remove readings that contradict their repeats or the rigid body.
+    """Remove readings that contradict their repeats, or the distances between the points of a rigid body.
 
-    :returns: the measurements without them; a sentence for each.
+    :returns: the measurements without these readings; a sentence for each of them.
     :raises MeasurementError: the points move against each other in most sets.
     """
     sigma = max(data.sigma, _robust_sigma(data))
-    faulty_rows, sentences = _off_repeats(data, sigma)
+    faulty_rows, sentences = _readings_off_repeats(data, sigma)
     data = data.drop(faulty_rows)
     if len(data.points) >= 3:
         _check_rigid_body(data, sigma)
-        faulty_rows, body_sentences = _rigid_body(data, sigma)
+        faulty_rows, body_sentences = _readings_off_body(data, sigma)
         data, sentences = data.drop(faulty_rows), sentences + body_sentences
     return data, sentences
 
 
-def _off_repeats(data: Measurements, sigma: float) -> tuple[list[int], list[str]]:
-    """Return the rows of readings that are far from most of their three or more repeats, and a sentence for each.
+def _readings_off_repeats(data: Measurements, sigma: float) -> tuple[list[int], list[str]]:
+    """Return the rows of readings that are far from the median of their repeats, and a sentence for each.
+
+    Points with fewer than three repeats are not judged, nor points of which half of the repeats or more are far.
 
     :param sigma: noise of one coordinate [m].
     """
@@ -97,7 +99,7 @@ def _off_repeats(data: Measurements, sigma: float) -> tuple[list[int], list[str]
         if len(rows) < 3:
             continue
         distances = np.linalg.norm(data.position[rows] - np.median(data.position[rows], axis=0), axis=1)
-        is_outlier = distances > _GROSS * _DISTANCE * sigma
+        is_outlier = distances > _GROSS_SIGMAS * _DISTANCE_FACTOR * sigma
         if 0 < np.count_nonzero(is_outlier) < 0.5 * len(rows):
             faulty_rows += rows[is_outlier].tolist()
             sentences += [
@@ -120,7 +122,9 @@ def _robust_sigma(data: Measurements) -> float:
 
 
 def _check_rigid_body(data: Measurements, sigma: float) -> None:
-    """Check that the points keep their distances in most sets of readings under load, as those of a rigid body do.
+    """Check that the points keep their distances in most sets of readings under load, as points of a rigid body do.
+
+    Fewer than three sets under load are not judged.
 
     :param sigma: noise of one coordinate [m].
     :raises MeasurementError: they do not: markers are loose, or displacements are in other axes.
@@ -130,7 +134,7 @@ def _check_rigid_body(data: Measurements, sigma: float) -> None:
     if np.count_nonzero(is_loaded) < 3:
         return
     usual_change = float(np.median(_distance_errors(data, sets).max(axis=(1, 2))[is_loaded]))
-    if usual_change > max(_LOOSE, _USUAL_OF_THREE * sigma):
+    if usual_change > max(_LOOSE_CHANGE, _USUAL_CHANGE_SIGMAS * sigma):
         raise MeasurementError(
             f"the distances between the points change by {usual_change * MM_PER_M:.2f} mm or more under half of the "
             "loads: this is no rigid body",
@@ -139,10 +143,11 @@ def _check_rigid_body(data: Measurements, sigma: float) -> None:
         )
 
 
-def _rigid_body(data: Measurements, sigma: float) -> tuple[list[int], list[str]]:
+def _readings_off_body(data: Measurements, sigma: float) -> tuple[list[int], list[str]]:
     """Return the rows of readings whose distances to the other points of their set are wrong, and a sentence for each.
 
-    Only one reading of a set can be told apart: the distances among the others must be right.
+    At most one reading of a set is named: the distances between the other points must be right. Fewer than three sets
+    are not judged.
 
     :param sigma: noise of one coordinate [m].
     """
@@ -150,7 +155,7 @@ def _rigid_body(data: Measurements, sigma: float) -> tuple[list[int], list[str]]
     if len(sets) < 3:
         return [], []
     faulty_rows, sentences = [], []
-    limit = _GROSS * np.sqrt(2.0) * sigma  # a distance has the noise of two points
+    limit = _GROSS_SIGMAS * np.sqrt(2.0) * sigma  # a distance has the noise of two points
     for rows, set_errors in zip(sets, _distance_errors(data, sets), strict=True):
         worst = int(np.argmax(set_errors.sum(axis=1)))
         other_errors = np.delete(np.delete(set_errors, worst, axis=0), worst, axis=1)
@@ -165,16 +170,19 @@ def _rigid_body(data: Measurements, sigma: float) -> tuple[list[int], list[str]]
 
 
 def _distance_errors(data: Measurements, sets: list[Ints]) -> Array:
-    """Return how far (S, P, P) the distances between the points of each set are from their median over the sets [m].
+    """Return the absolute errors (S, P, P) [m] of the distances between the points of S sets, against their medians.
 
-    :param sets: rows (P,) of the readings of each of S sets.
+    :param sets: rows (P,) of the readings of each set.
     """
     distances = np.array([_distances(data.position[rows]) for rows in sets])
     return np.asarray(np.abs(distances - np.median(distances, axis=0)))
 
 
 def _complete_sets(data: Measurements) -> list[Ints]:
-    """Return the rows (P,) of readings of each set (one state, one repeat) that has all P points, in their order."""
+    """Return the rows (P,) of readings, in the order of the points, of each set that has all P points.
+
+    A set is one repeat of one state; readings that were left out do not count.
+    """
     sets = []
     for state in range(len(data.load)):
         for repeat in np.unique(data.repeat[data.state == state]):
@@ -187,15 +195,16 @@ def _complete_sets(data: Measurements) -> list[Ints]:
 def remove_worst_residual(data: Measurements, placement: Placement, fit: Fit) -> tuple[Measurements, list[str]]:
     """Remove the reading with the largest residual of a fit if it is a gross error.
 
-    A residual is gross if it exceeds six standard deviations and six times what the others usually are.
+    A residual is gross if it exceeds `_GROSS_SIGMAS` standard deviations, of the noise and of the usual residuals.
 
-    :returns: the measurements without it, or without all its repeats if they agree; a sentence for each.
+    :returns: the measurements without this reading, or without all its repeats if they agree; a sentence for each
+        reading that was removed. Both are unchanged and empty without a gross error.
     """
     white = whiten(whitening(data), fit.residual)
     size = np.linalg.norm(white, axis=2)
     sigma = float(np.median(np.abs(white))) / _MEDIAN_SIZE
     row, point = (int(index) for index in np.unravel_index(int(np.argmax(size)), size.shape))
-    limit = _GROSS * max(1.0, sigma)
+    limit = _GROSS_SIGMAS * max(1.0, sigma)
     if size[row, point] <= limit * _MAXIMUM_FACTOR:
         return data, []
     residual, state = fit.residual[row, point], int(data.loaded_states[row])
@@ -214,7 +223,7 @@ def remove_worst_residual(data: Measurements, placement: Placement, fit: Fit) ->
 
 
 def _is_common_to_loads(data: Measurements, is_gross: Bools, state: int) -> bool:
-    """Return whether all loads of a state's configuration, of which there are several, have a gross residual.
+    """Return whether the configuration of a state has several loads, and a gross residual under all of them.
 
     :param is_gross: (L,) whether the residual of the point is gross in each loaded state.
     """
@@ -223,10 +232,12 @@ def _is_common_to_loads(data: Measurements, is_gross: Bools, state: int) -> bool
 
 
 def _is_unloaded_wrong(placement: Placement, config: int, point: int, gross: float) -> bool:
-    """Return whether the reading of a point without load, rather than that with load, has a gross error.
+    """Return whether the reading of a point without load, rather than its reading under load, has a gross error.
 
-    It has if it is further off the geometry than half the error, and than three times what others are.
+    It has if its distance from the geometry exceeds half of the error, and three times the median distance of the
+    point in all configurations.
 
+    :param config: index of the configuration, and `point` index of the point.
     :param gross: size of the error [m].
     """
     deviation = placement.residual[:, point] - np.median(placement.residual[:, point], axis=0)
@@ -235,38 +246,40 @@ def _is_unloaded_wrong(placement: Placement, config: int, point: int, gross: flo
 
 
 def _worst_repeat(data: Measurements, rows: Ints, residual: Array, placement: Placement, has_load: bool) -> list[int]:
-    """Return the repeats with the error: the one that deviates most in its direction, or all if they agree.
+    """Return the rows of the repeats with an error: the repeat farthest in its direction, or all if the repeats agree.
 
-    :param rows: of the readings of one point in one state, at least one.
+    :param rows: of the repeats, readings of one point in one state; at least one.
     :param residual: (3,) measured minus predicted displacement of the point, root axes [m].
-    :param has_load: whether the state is loaded: its error has the direction of the residual, else the opposite one.
+    :param has_load: whether the state is loaded. The error has the direction of the residual then, else the opposite
+        direction.
     """
     if len(rows) == 1:
         return [int(rows[0])]
     direction = placement.root_in_device[:3, :3] @ (residual / np.linalg.norm(residual)) * (1.0 if has_load else -1.0)
     projection = (data.position[rows] - data.position[rows].mean(axis=0)) @ direction
-    if np.ptp(projection) > _GROSS * data.sigma:
+    if np.ptp(projection) > _GROSS_SIGMAS * data.sigma:
         return [int(rows[np.argmax(projection)])]
     return [int(row) for row in rows]
 
 
 _SWAP_SHARE = 0.2
 """Share of the change of distances that remains, at most, once swapped names are put right (assumed)."""
-_BODY = 2e-3
+_MIN_DISTANCE_CHANGE = 2e-3
 """Change of the distance between two points of one rigid body [m] that exceeds any noise (assumed)."""
 _MAX_DISTANCE = 0.015
 """Distance [m] of unloaded readings from the geometry that no sag and no tolerance explains (assumed)."""
 _MOST_DEFLECTION = 0.1
 """Displacement by a load [m] beyond that of any industrial robot (assumed)."""
-_LOOSE = 2e-4
+_LOOSE_CHANGE = 2e-4
 """Usual change of distances between points [m] beyond which readings are no noise of a tracker (assumed)."""
-_USUAL_OF_THREE = 4.0
-"""The same in standard deviations of a coordinate: the largest of three distances usually changes by two of them."""
-_SAME_UNIT = (0.2, 5.0)
+_USUAL_CHANGE_SIGMAS = 4.0
+"""Usual change of distances, in standard deviations of a coordinate, beyond which readings are no noise: the largest
+change of three distances is usually two standard deviations."""
+_SAME_UNIT_RATIOS = (0.2, 5.0)
 """Ratios of displacements to those of the prior robot that compliances explain (assumed); another unit does not."""
-_USUAL_SIZE = (0.6, 1.7)
+_USUAL_RATIOS = (0.6, 1.7)
 """Ratio of displacements to those of the prior robot outside which the scale of the forces is doubtful (assumed)."""
-_OPPOSITE = -0.7
+_OPPOSITE_COSINE = -0.7
 """Cosine between displacement and expectation below which a force has the wrong sign."""
 _KILOGRAMS = (6.0, 16.0)
 """Ratios around 9.8, the weight [N] of a kilogram, with compliances that differ by the factor 1.6."""
@@ -275,7 +288,7 @@ _KILOGRAMS = (6.0, 16.0)
 def check_points(data: Measurements) -> None:
     """Check that no set of readings (one state, one repeat) fits only if the names of points are swapped.
 
-    :raises MeasurementError: one does; it names the points and the line of the set.
+    :raises MeasurementError: a set does; the message names the points and the line of the set.
     """
     count = len(data.points)
     sets = _complete_sets(data)
@@ -285,7 +298,7 @@ def check_points(data: Measurements) -> None:
     median_distances = np.median(distances, axis=0)
     for rows, set_distances in zip(sets, distances, strict=True):
         largest_change = float(np.abs(set_distances - median_distances).max())
-        if largest_change <= _BODY:
+        if largest_change <= _MIN_DISTANCE_CHANGE:
             continue
         for order in permutations(range(count)):
             swapped_change = np.abs(set_distances[np.ix_(order, order)] - median_distances).max()
@@ -305,14 +318,16 @@ def _distances(points: Array) -> Array:
     return np.asarray(np.linalg.norm(points[:, None] - points[None], axis=2))
 
 
-def check_frames(robot: RobotModel, data: Measurements) -> Placement:
-    """Return the placement; refuse unloaded readings that do not fit the robot's geometry.
+def checked_frames(robot: RobotModel, data: Measurements) -> Placement:
+    """Return the placement that the readings without load show, after checks that they fit the robot's geometry.
 
     :raises MeasurementError: one configuration has wrong angles, the tracker was moved, or it is another robot.
     """
     placement = locate(robot, data)
     design = unloaded_design(robot, data, placement)
-    weight = np.sqrt(data.means()[1][data.unloaded_states]).repeat(3, axis=1)
+    _, reading_count = data.means()
+    # the mean of n readings has the noise σ/√n; a weight for each of the three coordinates of a point
+    weight = np.sqrt(reading_count[data.unloaded_states]).repeat(3, axis=1)
     weighted_design = weight[..., None] * design.reshape(*weight.shape, -1)
     no_prior = np.empty((0, design.shape[-1]))
     check_configurations(robot, data, placement, weighted_design, no_prior, weight)
@@ -322,7 +337,9 @@ def check_frames(robot: RobotModel, data: Measurements) -> Placement:
 
 
 def _refuse_positions(robot: RobotModel, data: Measurements, placement_rms: float) -> NoReturn:
-    """Refuse readings without load that do not fit the robot's geometry, with the likeliest cause.
+    """Raise an error on readings without load that do not fit the robot's geometry, with the likeliest cause.
+
+    The causes in their order: one wrong configuration, a moved tracker, another unit or robot.
 
     :param placement_rms: RMS distance of the readings from the geometry [m].
     :raises MeasurementError: always.
@@ -357,10 +374,15 @@ _INCH = 25.4e-3
 
 
 def _advice_on_positions(robot: RobotModel, data: Measurements) -> str:
-    """Return what to check where readings without load do not fit the robot: unit and axes of the positions first."""
-    mean = data.means()[0][data.unloaded_states]
-    sizes = [np.linalg.norm(points[..., 1:, :] - points[..., :1, :], axis=-1) for points in (mean, data.guess[None])]
-    if len(data.points) > 1 and abs(np.nanmedian(sizes[0] / sizes[1]) / (M_PER_MM / _INCH) - 1.0) < _SAME_SCALE:
+    """Return advice if readings without load do not fit the robot: on the unit, on a mirror, else on the robot."""
+    mean, _ = data.means()
+    # distances of the points from the first point, as read and as stated
+    measured_sizes, stated_sizes = (
+        np.linalg.norm(points[..., 1:, :] - points[..., :1, :], axis=-1)
+        for points in (mean[data.unloaded_states], data.guess[None])
+    )
+    inch_scale = M_PER_MM / _INCH  # inches that were read as mm
+    if len(data.points) > 1 and abs(np.nanmedian(measured_sizes / stated_sizes) / inch_scale - 1.0) < _SAME_SCALE:
         return "The points are as far apart as if X, Y, Z were in inch: give them in mm."
     mirrored_data = replace(data, position=data.position * np.array([1.0, 1.0, -1.0]))
     if _rms(robot, mirrored_data, np.arange(len(data.q))) < _MAX_DISTANCE:
@@ -373,23 +395,31 @@ _SAME_SCALE = 0.2
 
 
 def _frame_change(robot: RobotModel, data: Measurements) -> int | None:
-    """Return the row of the configuration from which on another frame explains the readings best; None if none does.
+    """Return the index of the configuration from which on the device has another frame; None if no split fits.
 
-    After a small move several splits are within the limit: a configuration on the wrong side adds little to its part.
+    Of all splits into two parts that both fit the geometry alone, it has the least sum of squares. After a small move
+    several splits fit: a configuration on the wrong side adds little to the residual of its part.
     """
     size = len(data.q)
     rms = {
         split: np.array([_rms(robot, data, np.arange(split)), _rms(robot, data, np.arange(split, size))])
         for split in range(2, size - 1)
     }
-    total = {
-        split: float(halves**2 @ [split, size - split]) for split, halves in rms.items() if halves.max() < _MAX_DISTANCE
+    square_sum = {
+        split: float(part_rms**2 @ [split, size - split])
+        for split, part_rms in rms.items()
+        if part_rms.max() < _MAX_DISTANCE
     }
-    return min(total, key=lambda split: total[split], default=None)
+    return min(square_sum, key=lambda split: square_sum[split], default=None)
 
 
 def _rms(robot: RobotModel, data: Measurements, rows: Ints) -> float:
-    """Return the residual RMS [m] of the points if located by some rows of configurations; inf if they cannot be."""
+    """Return the RMS residual [m] of the points in a fit of frame and points to some configurations.
+
+    Infinite if these configurations do not determine frame and points.
+
+    :param rows: indices of the configurations.
+    """
     try:
         return locate(robot, data.take_configurations(rows)).rms
     except (PostprocError, np.linalg.LinAlgError):
@@ -399,9 +429,9 @@ def _rms(robot: RobotModel, data: Measurements, rows: Ints) -> float:
 def check_loads(robot: RobotModel, data: Measurements, placement: Placement, advice: str = "") -> list[str]:
     """Check units and signs of the forces: compare displacements with those of the prior robot.
 
-    :param advice: what else to check where they do not belong together.
-    :returns: a warning if all displacements are larger or smaller than any robot of this kind has them.
-    :raises MeasurementError: names the configuration, or all.
+    :param advice: addition to the advice of the error on a single load; may be empty.
+    :returns: a warning if all displacements are larger or smaller than on any robot of this kind; else none.
+    :raises MeasurementError: all forces, or the force of one configuration, do not belong to the displacements.
     """
     size = np.linalg.norm(measured_displacements(data, placement), axis=2).max(axis=1)
     too_large = np.flatnonzero(size > _MOST_DEFLECTION)
@@ -417,11 +447,11 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
     displacement, prediction, rows = _visible_displacements(robot, data, placement)
     ratio = _ratios(displacement, prediction)
     median_ratio = float(np.median(ratio))
-    # two ratios, along the expected direction and by length: where links deflect unlike the joints, one is far off
+    # two ratios, along the expected direction and by length: if links deflect unlike the joints, only one is far off
     length_ratio = np.sqrt(np.sum(displacement**2, axis=(1, 2)) / np.sum(prediction**2, axis=(1, 2)))
     _check_median_ratios(median_ratio, float(np.median(length_ratio)), data, robot.name)
-    # against the force only if it is nearly opposite: links may deflect across what the joints would
-    length_ratio = np.where(ratio < _OPPOSITE * length_ratio, -length_ratio, length_ratio)
+    # a point moves against the force only if nearly opposite: links may deflect across the motion by the joints
+    length_ratio = np.where(ratio < _OPPOSITE_COSINE * length_ratio, -length_ratio, length_ratio)
     states = data.loaded_states[rows]
     _check_single_loads(
         data,
@@ -431,7 +461,7 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
         per_newton=size[rows] / np.maximum(np.linalg.norm(data.wrench[states, :3], axis=1), 1e-9),
         advice=advice,
     )
-    if _USUAL_SIZE[0] < median_ratio < _USUAL_SIZE[1]:
+    if _USUAL_RATIOS[0] < median_ratio < _USUAL_RATIOS[1]:
         return []
     return [
         f"all points move {median_ratio:.1f} times as far as {robot.name} would under these loads: check the scale of "
@@ -442,8 +472,9 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
 def _check_median_ratios(median_ratio: float, median_length_ratio: float, data: Measurements, robot_name: str) -> None:
     """Check sign, axes and unit of the forces by the usual ratios of displacements to those of the prior robot.
 
-    :param median_ratio: along the expected direction, median over the load cases; `median_length_ratio` by length.
-    :raises MeasurementError: points move against the forces or across them, or in another unit.
+    :param median_ratio: ratio along the expected direction, median over the load cases.
+    :param median_length_ratio: ratio of the lengths, median over the load cases.
+    :raises MeasurementError: points move against the forces or across them, or forces are in another unit.
     """
     if median_ratio < 0.0:
         raise MeasurementError(
@@ -451,13 +482,13 @@ def _check_median_ratios(median_ratio: float, median_length_ratio: float, data: 
             file=data.file,
             advice="F is the force ON the tool, root axes: a hanging weight has Fz < 0.",
         )
-    if median_ratio < _SAME_UNIT[0] < median_length_ratio < _SAME_UNIT[1]:
+    if median_ratio < _SAME_UNIT_RATIOS[0] < median_length_ratio < _SAME_UNIT_RATIOS[1]:
         raise MeasurementError(
             f"the points move {median_length_ratio:.2g} times as far as {robot_name} would, but in other directions",
             file=data.file,
             advice="Give F and M in the axes of the robot root ($ROBROOT), and displacements too; check the angles.",
         )
-    if not _SAME_UNIT[0] < median_ratio < _SAME_UNIT[1]:
+    if not _SAME_UNIT_RATIOS[0] < median_ratio < _SAME_UNIT_RATIOS[1]:
         unit = "kg" if _KILOGRAMS[0] < median_ratio < _KILOGRAMS[1] else "another unit than N"
         raise MeasurementError(
             f"the points move {median_ratio:.2g} times as far as {robot_name} would: the forces look like {unit}",
@@ -469,21 +500,23 @@ def _check_median_ratios(median_ratio: float, median_length_ratio: float, data: 
 def _check_single_loads(
     data: Measurements, states: Ints, *, ratio: Array, length_ratio: Array, per_newton: Array, advice: str
 ) -> None:
-    """Check that the displacement of each load case fits its force as those of the others do.
+    """Check that the displacement of each load case fits its force as in the other load cases.
 
-    :param states: (n,) load cases.
-    :param ratio: (n,) displacements over those of the prior robot, along these, relative to the median.
-    :param length_ratio: (n,) the same by length; negative against the force.
+    :param states: (n,) loaded states, the load cases.
+    :param ratio: (n,) displacements over predicted displacements, along the predicted direction, relative to the
+        median.
+    :param length_ratio: (n,) length of displacements over length of predicted ones, relative to the median of `ratio`;
+        negative for motions against the force.
     :param per_newton: (n,) largest displacements of the points by force [m/N].
-    :param advice: what else to check, added to the advice of the error; may be empty.
-    :raises MeasurementError: one does not.
+    :param advice: addition to the advice of the error; may be empty.
+    :raises MeasurementError: a load case does not fit.
     """
     for row, (by_displacement, by_length) in enumerate(zip(ratio, length_ratio, strict=True)):
         other_cases = np.delete(per_newton, row)
-        # if the joints would hardly deflect, links may deflect by many times as much: as in other load cases
+        # where joints hardly deflect, links may deflect many times as much: the motion per newton is then a usual one
         if by_length > 0.0 and len(other_cases) and other_cases.min() < per_newton[row] < other_cases.max():
             continue
-        if not any(_SAME_UNIT[0] < factor < _SAME_UNIT[1] for factor in (by_length, by_displacement)):
+        if not any(_SAME_UNIT_RATIOS[0] < factor < _SAME_UNIT_RATIOS[1] for factor in (by_length, by_displacement)):
             state = int(states[row])
             unit = "kg" if _KILOGRAMS[0] < by_length < _KILOGRAMS[1] else "another unit, direction or configuration"
             raise MeasurementError(
@@ -496,17 +529,17 @@ def _check_single_loads(
 
 
 def displacement_ratio(robot: RobotModel, data: Measurements, placement: Placement) -> float:
-    """Return the ratio of the measured displacements to those of a robot's joint springs, median over the loads."""
+    """Return the ratio of measured displacements to displacements by a robot's joint springs, median over the loads."""
     displacement, prediction, _ = _visible_displacements(robot, data, placement)
     return float(np.median(_ratios(displacement, prediction)))
 
 
 class _VisibleDisplacements(NamedTuple):
-    """Displacements of points in the n loaded states with readings; 0 for points without.
+    """Displacements of points in the n loaded states with readings; 0 for points without readings.
 
     :param measured: (n, P, 3) root axes [m].
-    :param predicted: (n, P, 3) of the joint springs of a robot [m].
-    :param rows: (n,) of the loaded states.
+    :param predicted: (n, P, 3) by the joint springs of a robot, root axes [m].
+    :param rows: (n,) positions of these states among the loaded states.
     """
 
     measured: Array
@@ -515,7 +548,7 @@ class _VisibleDisplacements(NamedTuple):
 
 
 def _visible_displacements(robot: RobotModel, data: Measurements, placement: Placement) -> _VisibleDisplacements:
-    """Return measured displacements, and those of a robot's joint springs."""
+    """Return measured displacements, and displacements by a robot's joint springs, of states with readings."""
     structure, visibility = Structure(JOINT_COMPLIANCES, robot), visible_points(data)
     rows = np.flatnonzero(visibility.any(axis=(1, 2)))
     prediction, _ = predict(structure, structure.start_values(), data, placement)
@@ -523,7 +556,7 @@ def _visible_displacements(robot: RobotModel, data: Measurements, placement: Pla
 
 
 def _ratios(displacement: Array, prediction: Array) -> Array:
-    """Return the ratios (n,) of displacements (n, P, 3) along predicted ones (n, P, 3) to these, by projection."""
+    """Return the ratios (n,) of displacements (n, P, 3) to predicted ones (n, P, 3), by projection on the latter."""
     return np.asarray(np.sum(displacement * prediction, axis=(1, 2)) / np.sum(prediction**2, axis=(1, 2)))
 
 
@@ -537,33 +570,33 @@ def _first_line(data: Measurements, state: int) -> int:
     return int(data.line[np.flatnonzero(data.state == state)[0]])
 
 
-_SAME_LOAD, _LARGER = 0.02, 1.2
-"""Relative difference below which two loads are equal, and from which one is larger."""
-_TORQUE = 0.05
+_SAME_LOAD_TOLERANCE, _LARGER_LOAD_RATIO = 0.02, 1.2
+"""Relative difference below which two loads are equal, and ratio from which a load is larger."""
+_MIN_TORQUE_SHARE = 0.05
 """Share of the largest torque on a joint above which the flank of its gear is known."""
-_CERTAIN = 4.0
+_CERTAIN_ERRORS = 4.0
 """Standard errors beyond which a loop is no noise."""
 _MIN_LOOP = 1e-5
 """Smallest half width of a loop [rad] that is reported (assumed)."""
 
 
 def hysteresis_warnings(robot: RobotModel, data: Measurements, placement: Placement) -> list[str]:
-    """Return a sentence for each joint with hysteresis; none if no load was measured before and after a larger one.
+    """Return a sentence for each joint with hysteresis; empty if no load was measured before and after a larger one.
 
-    Of the same load the displacement after a larger one differs from that before by twice the half width of each
-    joint's loop, in the direction of its torque. The half widths, which are ≥ 0, are found by least squares.
+    Under the same load, the displacement after a larger load differs from the displacement before it: by twice the
+    half width of each joint's loop, in the direction of its torque. The half widths ≥ 0 are fitted by least squares.
     """
-    from scipy.optimize import nnls
+    from scipy.optimize import nnls  # takes long to import
 
     design, target = _loop_equations(robot, data, placement)
     if len(target) == 0:
         return []
-    scale = norm(design.T)
+    scale = norm(design.T)  # of the columns; zero for joints without torque
     joints = np.flatnonzero(scale > 0.0)
     scaled_design = design[:, joints] / scale[joints]
     solution, _ = nnls(scaled_design, target)
     variance = np.diag(np.linalg.pinv(scaled_design.T @ scaled_design))
-    is_certain = solution > _CERTAIN * np.sqrt(variance)
+    is_certain = solution > _CERTAIN_ERRORS * np.sqrt(variance)
     half_width = 0.5 * solution / scale[joints]
     return [
         f"loads up and down differ: looks like {half_width[row] * MM_PER_M:.3f} mrad of backlash or friction in "
@@ -574,10 +607,10 @@ def hysteresis_warnings(robot: RobotModel, data: Measurements, placement: Placem
 
 
 def _loop_equations(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Array, Array]:
-    """Return whitened equations for the loops of the joints: design (r, 6) [1/rad], and right side (r,).
+    """Return whitened equations for the widths of the joints' loops: design (r, 6) [1/rad], and right side (r,).
 
-    Each is a coordinate of a point: its displacement under a load after a larger one, less that before; no rows if no
-    load was measured before and after a larger one.
+    An equation is for a coordinate of a point: the right side is its displacement under a load after a larger load,
+    less its displacement before. No equations if no load was measured before and after a larger one.
     """
     start_rows, end_rows = load_loops(data)
     displacement, visibility = measured_displacements(data, placement), visible_points(data)[..., 0]
@@ -595,10 +628,10 @@ def _motions_by_loops(robot: RobotModel, data: Measurements, placement: Placemen
 
     Zero for joints with so little torque that the flank of their gear is not known.
 
-    :param states: (n,) rows of the loaded states.
+    :param states: (n,) positions among the loaded states.
     """
     torque = joint_torques(robot, data)
-    direction = np.sign(torque[states]) * (np.abs(torque[states]) > _TORQUE * np.abs(torque).max(axis=0))
+    direction = np.sign(torque[states]) * (np.abs(torque[states]) > _MIN_TORQUE_SHARE * np.abs(torque).max(axis=0))
     x = elastostatics.coordinates(robot, data.q[data.state_config[data.loaded_states[states]]])
     motions = np.empty((len(states), len(placement.points), 3, 6))
     for index, point in enumerate(placement.points):
@@ -610,15 +643,15 @@ def _motions_by_loops(robot: RobotModel, data: Measurements, placement: Placemen
 
 
 def load_loops(data: Measurements) -> tuple[Ints, Ints]:
-    """Return pairs of loaded states with the same load of a configuration, before and after a larger one.
+    """Return pairs of loaded states with the same load of a configuration, before and after a larger load.
 
-    :returns: (m,) rows of the loaded states before the larger load, and (m,) of those after it.
+    :returns: positions among the loaded states: (m,) before the larger load, and (m,) after it.
     """
     load, config = data.wrench[data.loaded_states], data.state_config[data.loaded_states]
     number, size = data.load[data.loaded_states], norm(load)  # loads are numbered in the order of the measurements
     pairs: list[tuple[int, int]] = []
     for first in range(len(load)):
-        is_same_load = norm(load[first] - load) < _SAME_LOAD * size[first]
+        is_same_load = norm(load[first] - load) < _SAME_LOAD_TOLERANCE * size[first]
         for second in np.flatnonzero(is_same_load & (config == config[first]) & (number > number[first])).tolist():
             if _has_larger_load(size, number, config, first, second):
                 pairs.append((first, second))
@@ -627,11 +660,12 @@ def load_loops(data: Measurements) -> tuple[Ints, Ints]:
 
 
 def _has_larger_load(size: Array, number: Array, config: Ints, first: int, second: int) -> bool:
-    """Return whether a larger load was applied between two states of a configuration.
+    """Return whether a larger load was applied between two loaded states of a configuration.
 
-    :param size: (L,) of the load of each loaded state [N, N·m], `number` (L,) of it, `config` (L,) row of its
-        configuration.
-    :param first: row of one state, and `second` of one after it.
+    :param size: (L,) size of the load of each loaded state [N, N·m].
+    :param number: (L,) number of the load, in the order of the measurements.
+    :param config: (L,) index of the configuration.
+    :param first: position of a state among the loaded states, and `second` of a later state.
     """
     rows = (config == config[first]) & (number > number[first]) & (number < number[second])
-    return bool((size[rows] > _LARGER * size[first]).any())
+    return bool((size[rows] > _LARGER_LOAD_RATIO * size[first]).any())

@@ -43,10 +43,10 @@ from postproc.identification.uncertainty import (
     Judgement,
     Workspace,
     add_stated_errors,
+    bound_over_workspace,
     discrepancy,
     judge,
-    left_out_of,
-    over_workspace,
+    left_out_residuals,
 )
 from postproc.robot import (
     CompensatorPreload,
@@ -59,9 +59,9 @@ Method = Literal["enhanced", "serial"]
 Depth = Literal["auto", "joints"]
 _MOST_OUTLIERS = 0.03
 """Share of the readings that may be left out (assumed): more are no slips, but an error of the model or the set-up."""
-_SIGNIFICANCE = 3.29
+_SIGNIFICANT_SIGMAS = 3.29
 """Standard deviations of χ² beyond which joint springs alone do not explain the readings (one in a thousand)."""
-_POSSIBLE = 1.0
+_POSSIBLE_SIGMAS = 1.0
 """Standard deviations of χ² from which richer structures are compared with joint springs, by evidence."""
 
 
@@ -75,19 +75,19 @@ class Identification(Struct, frozen=True, eq=False):
     """Identified parameters with the readings used, their placement and their uncertainty.
 
     :param method: enhanced or serial.
-    :param prior: the robot whose geometry, masses and compensator geometry were used, and whose values are kept where
-        the readings determine none.
+    :param prior: robot with the geometry, masses and compensator geometry that were used; parameters that the readings
+        do not determine keep its values.
     :param data: the readings used; gross errors are left out.
     :param placement: base transform and reference points.
     :param fit: the parameters written into the model.
     :param levels: equivalent compliance of joint 2 per level of q2 (enhanced).
-    :param spring: K⁰_θ2, K_c, s₀·K_c from the levels by Eq. (9), (10) (enhanced, if three levels are there).
+    :param spring: K⁰_θ2, K_c, s₀·K_c from three levels or more by Eq. (9), (10) (enhanced); else None.
     :param missing: parameters that the readings do not determine.
-    :param choice: structures tried, if joint springs did not suffice.
+    :param choice: structures tried; None: joint springs suffice.
     :param discrepancy: unmodelled error on configurations left out.
-    :param workspace: bound over deflection where work may be done.
+    :param workspace: bound over deflection in the workspace.
     :param judgement: whether the model may be used.
-    :param left_out: readings left out.
+    :param left_out: a line for each reading that was left out.
     :param warnings: for the user.
     """
 
@@ -121,8 +121,10 @@ def identify(
     """Identify the compliances of a robot.
 
     :param prior: the robot as shipped, with the compensator geometry to be used.
-    :param depth: "auto" also tries link springs and gears that are not linear, and takes them where the evidence is for
-        them, or where noise would hide them; "joints" does not.
+    :param method: "enhanced": joint springs and compensator by the paper, see `joint_springs`; "serial": joint springs
+        of a strict serial chain.
+    :param depth: "auto" also tries link springs and gears that are not linear, and takes them if the evidence is for
+        them, or if noise would hide them; "joints" does not.
     :param progress: called with a line of text before each step.
     :raises MeasurementError: the readings are unusable; the message names the row or says what to measure.
     """
@@ -162,9 +164,10 @@ class _Springs(NamedTuple):
 
 
 def _richer_springs(prior: RobotModel, joint_springs: _Springs) -> _Springs:
-    """Return the mean of structures in place of joint springs, if these do not suffice; else the joint springs.
+    """Return the mean of structures in place of joint springs, if joint springs do not suffice; else the joint springs.
 
-    They do not if they leave an unexplained error, noise would hide other springs, or the evidence for these is clear.
+    Joint springs do not suffice if they leave an unexplained error, if noise would hide other springs, or if the
+    evidence for other springs is clear.
     """
     fit, _, data, placement, open_entries, outliers = joint_springs
     data, choice, names = _choose_springs(prior, data, placement)
@@ -183,16 +186,18 @@ def _enhanced_identification(
     """Return the identification by the enhanced method: the springs with their uncertainty and the verdict.
 
     :param joints: fit of joint springs alone.
-    :param springs: those of the model.
-    :param warnings: so far.
+    :param springs: springs of the model.
+    :param warnings: warnings of the earlier steps.
     :param doubt: clause on axes and point of the loads; may be empty.
     """
     choice, data, placement, outliers = springs.choice, springs.data, springs.placement, springs.outliers
     fit = fit_with_prior_values(springs.fit, springs.open_entries) if choice is None else springs.fit
-    model_error = discrepancy(data, placement, fit, left_out_of(fit, data) if choice is None else choice.left_out)
+    model_error = discrepancy(
+        data, placement, fit, left_out_residuals(fit, data) if choice is None else choice.left_out
+    )
     fit = fit if choice is None else replace(fit, covariance=choice.bound_covariance)
     fit = add_stated_errors(fit, data, placement, None if choice is None else choice.influence)
-    workspace = over_workspace(_robot_with_bound(fit, model_error), data)
+    workspace = bound_over_workspace(_robot_with_bound(fit, model_error), data)
     judgement = judge(data, fit, choice, workspace, displacement_ratio(prior, data, placement))
     judgement = judgement.reserved(displaced_points(data, placement)).reserved(doubt)
     if choice is not None:
@@ -247,7 +252,7 @@ class CheckedReadings(Struct, frozen=True, eq=False):
 
 
 def check_readings(prior: RobotModel, data: Measurements) -> CheckedReadings:
-    """Check the readings before any spring is fitted.
+    """Check the readings before any spring is fitted; gross errors are left out.
 
     :raises MeasurementError: the readings are unusable.
     """
@@ -275,7 +280,7 @@ class _LocatedJoints(NamedTuple):
 
 
 def _located_joints(prior: RobotModel, data: Measurements, placement: Placement) -> _LocatedJoints:
-    """Fit joint springs and compensator, and the frames of robot and points if these depend on the springs.
+    """Fit joint springs and compensator, and the placement again if the robot sags by its springs without load.
 
     Gross errors are left out if joint springs then explain all other readings.
     """
@@ -313,7 +318,7 @@ def _has_clear_evidence(richer: Choice, fit: Fit, data: Measurements, placement:
 
 
 class _ChosenSprings(NamedTuple):
-    """A choice of springs, the readings without gross errors that it is of, and the names of those left out."""
+    """A choice of springs, the readings without gross errors that it was fitted to, and a line for each gross error."""
 
     data: Measurements
     choice: Choice
@@ -321,7 +326,7 @@ class _ChosenSprings(NamedTuple):
 
 
 def _choose_springs(prior: RobotModel, data: Measurements, placement: Placement) -> _ChosenSprings:
-    """Choose the springs, leave out gross errors against them, and choose again, three times at most."""
+    """Choose the springs, leave out the worst gross error against them, and choose again, at most three times."""
     choice = choose(prior, data, placement)
     outliers: list[str] = []
     for _ in range(3):
@@ -336,9 +341,11 @@ def _choose_springs(prior: RobotModel, data: Measurements, placement: Placement)
 def _undetermined_springs(
     choice: Choice, data: Measurements, open_entries: list[UnobservableParameter]
 ) -> list[UnobservableParameter]:
-    """Return the springs that the mean of structures does not determine: of unloaded joints, and of the compensator.
+    """Return entries of the springs that the mean of structures does not determine.
 
-    :param open_entries: of the fit of joint springs alone: the reasons for unloaded joints are taken from them.
+    These are springs of unloaded joints, and K_c or s₀ of a compensator with the prior's stiffness.
+
+    :param open_entries: entries of the fit of joint springs alone, which have the reasons for unloaded joints.
     """
     fit, entry_by_parameter = choice.fit, {entry.parameter: entry for entry in open_entries}
     joints = [
@@ -371,7 +378,10 @@ class _Joints(Struct, frozen=True, eq=False):
 
 
 def _fitted_joints(prior: RobotModel, data: Measurements, placement: Placement) -> _Joints:
-    """Fit joint springs and compensator, beginning with values from the levels of q2 if there are enough of them."""
+    """Fit joint springs and compensator; start values are from the levels of q2 if these are enough, else the prior's.
+
+    :raises MeasurementError: there are fewer readings than unknowns, or they determine none of the compliances.
+    """
     by_level = extended_set(prior, data, placement)
     levels = None if by_level is None else by_level.levels
     spring = None
@@ -384,7 +394,8 @@ def _fitted_joints(prior: RobotModel, data: Measurements, placement: Placement) 
 def _serial_identification(prior: RobotModel, checked: CheckedReadings) -> Identification:
     """Return the identification by the serial method: springs of joints alone, linear in the load.
 
-    :param checked: the readings, with outliers and warnings so far.
+    :param checked: the readings, with outliers and warnings of their checks.
+    :raises MeasurementError: the readings give no full poses, or too few.
     """
     data, placement, outliers = checked.data, checked.placement, checked.outliers
     fit = fit_serial(prior, data, placement)
@@ -392,7 +403,7 @@ def _serial_identification(prior: RobotModel, checked: CheckedReadings) -> Ident
     fit = fit_with_prior_values(fit, open_entries)
     model_error = discrepancy(data, placement, fit, fit.residual)
     fit = add_stated_errors(fit, data, placement, None)
-    workspace = over_workspace(_robot_with_bound(fit, model_error), data)
+    workspace = bound_over_workspace(_robot_with_bound(fit, model_error), data)
     judgement = judge(data, fit, None, workspace, displacement_ratio(prior, data, placement))
     judgement = judgement.reserved(displaced_points(data, placement)).reserved(checked.doubt)
     return Identification(
@@ -414,7 +425,10 @@ def _serial_identification(prior: RobotModel, checked: CheckedReadings) -> Ident
 
 
 def _readings_with_checked_noise(data: Measurements) -> tuple[Measurements, list[str]]:
-    """Return the readings, with the scatter of the repeats as noise if it clearly exceeds the stated one; and notes."""
+    """Return the readings, with the scatter of the repeats as noise if it clearly exceeds the stated noise; and notes.
+
+    A note says that the scatter is used, or that the stated noise is clearly larger than the scatter and is kept.
+    """
     squares, dof = data.scatter()
     if dof < 30:  # the scatter would be known to 13 % at best
         return data, []
@@ -425,7 +439,7 @@ def _readings_with_checked_noise(data: Measurements) -> tuple[Measurements, list
             f"sigma_mm = {data.sigma * MM_PER_M:g} is stated; the repeats scatter by {scatter * MM_PER_M:.3f} mm: used"
         )
         return replace(data, sigma=scatter), [note]
-    if scatter < data.sigma * (0.8 - 4.0 / np.sqrt(2.0 * dof)):
+    if scatter < data.sigma * (0.8 - 4.0 / np.sqrt(2.0 * dof)):  # a fifth less is not worth a note (assumed)
         return data, [
             f"sigma_mm = {data.sigma * MM_PER_M:g} is stated, the repeats scatter by {scatter * MM_PER_M:.3f} mm only; "
             "the stated noise is kept (repeats share what the set-up adds)"
@@ -434,29 +448,31 @@ def _readings_with_checked_noise(data: Measurements) -> tuple[Measurements, list
 
 
 def _has_unexplained_error(fit: Fit) -> bool:
-    """Return whether χ² of a fit is above what noise makes once in a thousand.
+    """Return whether χ² of a fit is above the value that noise exceeds once in a thousand.
 
-    That quantile is close to dof + 3.29·√(2 dof), and a constant that counts for few degrees of freedom.
+    That value is close to dof + 3.29·√(2 dof) + 7; the constant counts for few degrees of freedom. False without
+    degrees of freedom.
     """
-    return fit.dof > 0 and fit.chi2 > fit.dof + _SIGNIFICANCE * np.sqrt(2.0 * fit.dof) + 7.0
+    return fit.dof > 0 and fit.chi2 > fit.dof + _SIGNIFICANT_SIGMAS * np.sqrt(2.0 * fit.dof) + 7.0
 
 
 def _has_possible_error(fit: Fit) -> bool:
-    """Return whether χ² of a fit is above its mean for noise by a standard deviation: others may fit better."""
-    return bool(fit.chi2 > fit.dof + _POSSIBLE * np.sqrt(2.0 * max(fit.dof, 0)))
+    """Return whether χ² of a fit exceeds its mean for noise by `_POSSIBLE_SIGMAS`: other structures may fit better."""
+    return bool(fit.chi2 > fit.dof + _POSSIBLE_SIGMAS * np.sqrt(2.0 * max(fit.dof, 0)))
 
 
 def _is_hidden(fit: Fit) -> bool:
-    """Return whether noise would hide the springs of links: a good fit of joint springs then proves nothing about them.
+    """Return whether noise would hide the springs of links, so that a good fit of joint springs does not exclude them.
 
-    Their smallest share of the displacements would add less to χ² than `_VISIBLE_SIGMAS` of its standard deviations.
+    Link springs with the smallest share of the displacements, `_HIDDEN_SHARE`, would add less to χ² than
+    `_VISIBLE_SIGMAS` standard deviations of χ².
     """
     visible_chi2 = _HIDDEN_SHARE**2 * float(fit.target @ fit.target)
     return bool(visible_chi2 < _VISIBLE_SIGMAS * np.sqrt(2.0 * max(fit.dof, 0)))
 
 
 class _CleanFit(NamedTuple):
-    """A fit of joint springs, the readings without gross errors that it is of, and the names of those left out."""
+    """A fit of joint springs, the readings without gross errors that it is of, and a line for each gross error."""
 
     data: Measurements
     fit: Fit
@@ -466,7 +482,7 @@ class _CleanFit(NamedTuple):
 def _remove_outliers(prior: RobotModel, data: Measurements, placement: Placement, fit: Fit) -> _CleanFit:
     """Leave out gross errors against the joint springs one at a time, until the springs explain the other readings.
 
-    Nothing is left out if `_MOST_OUTLIERS` of the readings could not explain the misfit.
+    At most the share `_MOST_OUTLIERS` of the readings is left out; none if even this share cannot explain the misfit.
     """
     names: list[str] = []
     limit = max(1, int(_MOST_OUTLIERS * len(data.state)))
@@ -485,16 +501,18 @@ def _remove_outliers(prior: RobotModel, data: Measurements, placement: Placement
 
 
 def _can_outliers_explain(fit: Fit, limit: int) -> bool:
-    """Return whether only noise remains without up to `limit` points with the largest residuals.
+    """Return whether only noise remains in a linearised fit without the points with the largest residuals.
 
-    The fit is linearised: this is quick, and few robots pass it that have more than joint springs.
+    This is quick, and few robots with more than joint springs pass it.
+
+    :param limit: largest number of points, each in one loaded state, that are left out.
     """
     # 1e-300 keeps zero out of the denominator
     design, target = fit.design / np.maximum(np.linalg.norm(fit.design, axis=0), 1e-300), fit.target.copy()
     for count in range(1, limit + 1):
         residual = (target - design @ np.linalg.lstsq(design, target, rcond=1e-9)[0]).reshape(-1, 3)
         worst = int(np.argmax(np.sum(residual**2, axis=1)))
-        outlier_rows = slice(3 * worst, 3 * worst + 3)
+        outlier_rows = slice(3 * worst, 3 * worst + 3)  # three coordinates of a point
         design[outlier_rows], target[outlier_rows] = 0.0, 0.0
         residual = target - design @ np.linalg.lstsq(design, target, rcond=1e-9)[0]
         if not _has_unexplained_error(replace(fit, chi2=float(residual @ residual), dof=fit.dof - 3 * count)):

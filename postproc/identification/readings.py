@@ -182,7 +182,7 @@ class Experiment(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     @property
     def assumptions(self) -> list[str]:
-        """What the experiment does not state and is assumed, one sentence each."""
+        """One sentence for each value that the experiment does not state, so that it is assumed."""
         if self.load_error_percent is not None:
             return []
         return [
@@ -271,25 +271,29 @@ class Measurements(Struct, frozen=True, eq=False):
     def unloaded_states(self) -> Ints:
         """(C,) the state without load of each configuration."""
         unloaded_rows = np.flatnonzero(self.load == 0)
-        order = np.empty(len(self.q), dtype=np.int64)
-        order[self.state_config[unloaded_rows]] = unloaded_rows
-        return order
+        state_of_config = np.empty(len(self.q), dtype=np.int64)
+        state_of_config[self.state_config[unloaded_rows]] = unloaded_rows
+        return state_of_config
 
     def means(self) -> tuple[Array, Array]:
-        """Return mean positions (S, P, 3) [m] of the readings used (zero if none), and how many there are (S, P)."""
+        """Return mean positions (S, P, 3) [m] and numbers (S, P) of the used readings of each point in each state.
+
+        The mean is zero without a used reading.
+        """
         states, points = len(self.load), len(self.points)
-        pair = (self.state * points + self.point)[self.used]  # row in the flattened table of states and points
-        count = np.bincount(pair, minlength=states * points).astype(float)
+        cell = (self.state * points + self.point)[self.used]  # index in the flattened table of states and points
+        count = np.bincount(cell, minlength=states * points).astype(float)
         total = np.stack(
-            [np.bincount(pair, weights=self.position[self.used, axis], minlength=len(count)) for axis in range(3)]
+            [np.bincount(cell, weights=self.position[self.used, axis], minlength=len(count)) for axis in range(3)]
         )
         mean = (total / np.maximum(count, 1.0)).T
         return mean.reshape(states, points, 3), count.reshape(states, points)
 
     def scatter(self) -> tuple[float, int]:
-        """Return the sum of squares of the repeats about their means [m²] and its degrees of freedom."""
+        """Return the sum of squares of used repeats about their means [m²], and its degrees of freedom."""
         mean, count = self.means()
         deviation = (self.position - mean[self.state, self.point])[self.used]
+        # three coordinates; a mean costs one of its repeats
         return float(np.sum(deviation**2)), int(3 * np.sum(np.maximum(count - 1, 0)))
 
     def first_line(self, configuration: int) -> int:
@@ -305,7 +309,10 @@ class Measurements(Struct, frozen=True, eq=False):
         )
 
     def drop(self, readings: list[int]) -> Measurements:
-        """Return the measurements with some readings left out."""
+        """Return the measurements without some readings, which are marked as not used.
+
+        :param readings: indices of these readings.
+        """
         is_used = self.used.copy()
         is_used[readings] = False
         return replace(self, used=is_used)
@@ -362,9 +369,9 @@ _NO_LOAD = 1e-6
 def read(path: Path, experiment: Experiment, needs_loads: bool = True) -> Measurements:
     """Read `measurements.csv` and check that it is complete; rows without X, Y and Z are left out.
 
-    :param needs_loads: False if readings without load are enough (calibration of the geometry).
-    :raises MeasurementError: a reading is missing, given twice, not a number, belongs to a point that the
-        experiment does not name; a loaded state without its unloaded one; angles in radians, lengths not in mm.
+    :param needs_loads: whether each configuration needs readings under load; not for a calibration of the geometry.
+    :raises MeasurementError: a reading is missing, given twice, not a number, or of a point that the experiment does
+        not name; a configuration has no unloaded state; angles are in radians, lengths not in mm.
     """
     file_name = str(path)
     rows = _drop_empty_rows(files.read_csv(path, COLUMNS, (), MeasurementError, ("point",), AXES), file_name)
@@ -381,7 +388,7 @@ def read(path: Path, experiment: Experiment, needs_loads: bool = True) -> Measur
 
 
 def _measurements(rows: files.CsvTable, experiment: Experiment, path: Path) -> Measurements:
-    """Return the readings by states: rows with the same configuration and load.
+    """Return the readings, grouped by states: a state has the rows with the same configuration and load.
 
     :param rows: of the file, all with X, Y, Z and a point of the experiment.
     :raises MeasurementError: rows of one configuration have different angles, or rows of one state different forces.
@@ -395,6 +402,7 @@ def _measurements(rows: files.CsvTable, experiment: Experiment, path: Path) -> M
     )
     state = state.ravel()
     first_of_config = np.array([np.flatnonzero(config_of_row == index)[0] for index in range(len(config))])
+    # each row is compared with the first row of its configuration, and of its state
     angle_reference, force_reference = first_of_config[config_of_row], first_of_state[state]
     _check_equal(rows, angles, reference=angle_reference, names=JOINTS, tolerance=_SAME_ANGLE, path=path)
     _check_equal(rows, wrench, reference=force_reference, names=WRENCH, tolerance=_SAME_FORCE, path=path)
@@ -423,9 +431,11 @@ def _measurements(rows: files.CsvTable, experiment: Experiment, path: Path) -> M
 
 
 def _check_points(points: Sequence[str], names: Sequence[str], lines: Array, file_name: str) -> None:
-    """Check that the points of all readings (n,), in lines (n,), are those of the experiment, by their names.
+    """Check that all readings are of points of the experiment.
 
-    :raises MeasurementError: one is not.
+    :param points: (n,) names of the points of the readings, in `lines` (n,) of the file.
+    :param names: of the points of the experiment.
+    :raises MeasurementError: a point has another name.
     """
     for row, name in enumerate(points):
         if name not in names:
@@ -438,9 +448,9 @@ def _check_points(points: Sequence[str], names: Sequence[str], lines: Array, fil
 
 
 def _drop_empty_rows(table: files.CsvTable, file_name: str) -> files.CsvTable:
-    """Return the rows without those whose X, Y, Z are all empty: points that the device did not see.
+    """Return the rows of a table that have X, Y, Z; rows without all three are points that the device did not see.
 
-    :raises MeasurementError: a row has one or two of them.
+    :raises MeasurementError: one or two of X, Y, Z of a row are empty.
     """
     numbers, texts, lines = table
     is_empty = np.column_stack([np.isnan(numbers[axis]) for axis in AXES])
@@ -468,11 +478,11 @@ _LARGEST_DISPLACEMENT = 0.2
 
 
 def _add_unloaded_states(table: files.CsvTable, file_name: str) -> files.CsvTable:
-    """Return the rows with one more for each configuration and point, without load, whose displacement is zero.
+    """Return the rows of displacements, and after them one row without load for each configuration and point.
 
-    Its line is that of the first row of the same configuration and point.
+    The displacement in the added row is zero. Its line is that of the first row of the configuration and point.
 
-    :raises MeasurementError: there are rows without load already.
+    :raises MeasurementError: the file has rows without load.
     """
     numbers, texts, lines = table
     if np.any(numbers["load"] == 0.0):
@@ -504,12 +514,12 @@ def _check_equal(
     tolerance: float,
     path: Path,
 ) -> None:
-    """Check that values of rows equal those of their reference rows.
+    """Check that the values of each row equal the values of its reference row.
 
-    :param rows: of the file, n of them, for messages.
-    :param values: (n, k) of the rows, in columns of these `names` (k,).
-    :param reference: (n,) reference row of each.
-    :raises MeasurementError: one differs by more than the tolerance; it names the row.
+    :param rows: n rows of the file, for messages.
+    :param values: (n, k) of the rows, in columns with `names` (k,).
+    :param reference: (n,) index of the reference row of each row.
+    :raises MeasurementError: a value differs by more than the tolerance; the message names the row.
     """
     differs = np.abs(values - values[reference]) > tolerance
     if differs.any():
@@ -524,10 +534,12 @@ def _check_equal(
 
 
 def _check_units(angles: Array, data: Measurements, file_name: str) -> None:
-    """Check that angles are in degrees and positions in mm; a single configuration shows neither.
+    """Check by their size that angles are in degrees and positions in mm; a single configuration shows neither.
 
-    :param angles: (C, 6) of the configurations, as they are in degrees if the file is right.
-    :raises MeasurementError: their size speaks against it.
+    Displacements must be smaller than `_LARGEST_DISPLACEMENT`.
+
+    :param angles: (C, 6) of the configurations, in degrees if the file is right.
+    :raises MeasurementError: the sizes are those of another unit.
     """
     largest_angle = float(np.abs(angles).max())
     if len(angles) >= 2 and largest_angle <= 2.0 * np.pi:
@@ -554,10 +566,11 @@ def _check_units(angles: Array, data: Measurements, file_name: str) -> None:
 
 
 def _check_complete(data: Measurements, file_name: str, needs_loads: bool) -> None:
-    """Check that no reading is repeated, and that loads and unloaded states belong together.
+    """Check that no reading is given twice, and that each configuration has the readings that it needs.
 
     :param needs_loads: whether each configuration needs readings under load.
-    :raises MeasurementError: names the line.
+    :raises MeasurementError: load 0 has a force, a reading is given twice, or readings are missing, see `_check_sets`
+        and `_check_loads`.
     """
     has_force = np.abs(data.wrench).max(axis=1) > _NO_LOAD
     wrong_rows = np.flatnonzero(((data.load == 0) & has_force)[data.state])
@@ -583,11 +596,11 @@ def _check_complete(data: Measurements, file_name: str, needs_loads: bool) -> No
 
 
 def _check_sets(data: Measurements, file_name: str) -> None:
-    """Check that each point has a reading, and each load a point that was read with and without it.
+    """Check that each point has a reading, and that each load has a point with readings with and without this load.
 
-    A single repeat may lack a point: readings that are there count (`gaps`).
+    Single repeats may lack points, see `gaps`.
 
-    :raises MeasurementError: a point has none, or a load has no such point.
+    :raises MeasurementError: a point has no reading, or a load has no such point.
     """
     absent = [name for index, name in enumerate(data.points) if index not in data.point]
     if absent:
@@ -614,7 +627,7 @@ _MAX_NAMES = 5
 
 
 def gaps(data: Measurements) -> list[str]:
-    """Return one sentence on the repeats that lack a point; none if there are none."""
+    """Return one sentence on the repeats (of a state) that lack a point; empty if every repeat has all points."""
     sets = np.unique(np.column_stack([data.state, data.repeat]), axis=0)
     names = []
     for state, repeat in sets:
@@ -630,9 +643,9 @@ def gaps(data: Measurements) -> list[str]:
 
 
 def _check_loads(data: Measurements, file_name: str, needs_loads: bool) -> None:
-    """Check that each configuration has an unloaded state and, if it needs loads, loaded ones with a force.
+    """Check that each configuration has an unloaded state, and loaded states with a force if it needs loads.
 
-    :raises MeasurementError: names the line.
+    :raises MeasurementError: a configuration has no unloaded state, or needs loads and has none, or a force is zero.
     """
     for index, config in enumerate(data.config):
         config_loads = data.load[data.state_config == index]

@@ -36,8 +36,9 @@ _ROUNDS = 2
 DOUBTFUL_RATIO, CERTAIN_RATIO = 0.75, 0.5
 """Ratios of the residuals with turned forces to those as stated. Of 601 simulated robots with springs of links,
 backlash and couplings, whose forces were stated right, one is below 0.8 and none below 0.75."""
-_DOUBTFUL_POINT = 0.6
-"""The same of a load point, which springs of links imitate more: two of 137 such robots are at 0.7."""
+_DOUBTFUL_POINT_RATIO = 0.6
+"""Ratio of the residuals with another load point to those as stated. Springs of links imitate a load point more than a
+turn: two of 137 such robots are at 0.7."""
 _EXPLAINED_CHI2 = 2.0
 """χ² per degree of freedom up to which joint springs explain the readings: a turn by 5° leaves two tenths of a
 millimetre of displacements of 2 mm, more than three times the noise of a tracker."""
@@ -50,15 +51,15 @@ _MIN_SPREAD = 0.1
 _ALIGNED_ANGLE, _NAMED_ANGLE = 5.0 * RAD_PER_DEG, 12.0 * RAD_PER_DEG
 """Angles up to which axes are those of the root (assumed: no rig is aligned much better), and up to which a turn is one
 with a name: springs of links mislead the angle by some degrees."""
-_OPPOSITE = 30.0 * RAD_PER_DEG
+_OPPOSITE_ANGLE = 30.0 * RAD_PER_DEG
 """Angle to a mirror at the origin up to which forces are of the other sign, as `plausibility.check_loads` says."""
 
 
 class _Hypothesis(NamedTuple):
-    """Loads that are stated otherwise.
+    """Other axes or another point of the loads than stated.
 
-    :param ratio: RMS of the residuals with it, over that as stated.
-    :param clause: what it is, as the end of a sentence.
+    :param ratio: RMS of the residuals with the hypothesis over RMS with the loads as stated.
+    :param clause: the hypothesis as the end of a sentence, for the user.
     :param advice: what to check.
     """
 
@@ -74,8 +75,8 @@ _STATED_LOADS = _Hypothesis(1.0, "", "")
 class _Turn(Struct, frozen=True, eq=False):
     """Forces in other axes.
 
-    :param matrix: (3, 3) that makes forces in root axes of those stated; of determinant −1 if it mirrors.
-    :param ratio: RMS of the residuals with it, over that as stated.
+    :param matrix: (3, 3) orthogonal matrix from stated forces to forces in root axes; determinant −1 if it mirrors.
+    :param ratio: RMS of the residuals with turned forces over RMS with the forces as stated.
     """
 
     matrix: Array
@@ -83,9 +84,12 @@ class _Turn(Struct, frozen=True, eq=False):
 
 
 def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement) -> str:
-    """Return, as a clause, in which other axes or at which other point the loads fit better; empty if they do not.
+    """Return, as a clause, in which other axes or at which other point the loads fit better.
 
-    :raises MeasurementError: they fit twice as well.
+    Empty if they fit as stated: joint springs explain the readings, or no hypothesis leaves less than `DOUBTFUL_RATIO`
+    of the residuals. Empty too with fewer than `_MIN_LOADS` loads, and without an equilibrium.
+
+    :raises MeasurementError: a hypothesis leaves less than `CERTAIN_RATIO` of the residuals.
     """
     try:
         stated_fit = _joint_springs(prior, data, placement)
@@ -94,10 +98,10 @@ def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement) 
     if len(data.loaded_states) < _MIN_LOADS or stated_fit.chi2 < _EXPLAINED_CHI2 * stated_fit.dof:
         return ""
     hypotheses = [_STATED_LOADS]
-    for best_hypothesis in (_other_axes, _other_point):
+    for best_hypothesis in (_axes_hypothesis, _point_hypothesis):
         with suppress(PostprocError):  # no equilibrium: it does not explain the readings
             hypotheses.append(best_hypothesis(prior, data, placement, stated_fit))
-    best = min(hypotheses)
+    best = min(hypotheses)  # by ratio, the first field
     if best.ratio > DOUBTFUL_RATIO:
         return ""
     text = f"the loads fit {1.0 / best.ratio:.1f} times better {best.clause}"
@@ -108,10 +112,12 @@ def doubt_of_loads(prior: RobotModel, data: Measurements, placement: Placement) 
     return f"{text}. {best.advice.removesuffix('.')}"
 
 
-def _other_axes(prior: RobotModel, data: Measurements, placement: Placement, stated: Fit) -> _Hypothesis:
-    """Return in which other axes the forces fit best.
+def _axes_hypothesis(prior: RobotModel, data: Measurements, placement: Placement, stated: Fit) -> _Hypothesis:
+    """Return the axes in which the forces fit best.
 
-    :param stated: joint springs with the loads as stated.
+    `_STATED_LOADS` if the directions of the forces do not show all axes, or if the best turn has no name.
+
+    :param stated: fit of the joint springs with the loads as stated.
     """
     force = data.wrench[data.loaded_states, :3]
     spread = np.linalg.svd(force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9), compute_uv=False)
@@ -121,22 +127,22 @@ def _other_axes(prior: RobotModel, data: Measurements, placement: Placement, sta
         "F and M are in the axes of the robot root ($ROBROOT), whatever the axes of load cell or tracker are. Turn or "
         "exchange them."
     )
-    flange_ratio = _joint_springs(prior, _from_flange_axes(prior, data), placement).rms / stated.rms
+    flange_ratio = _joint_springs(prior, _loads_in_flange_axes(prior, data), placement).rms / stated.rms
     turn = _best_turn(prior, data, placement, stated.rms)
     if flange_ratio < turn.ratio:
         return _Hypothesis(flange_ratio, "if they are in flange axes", advice)
-    axes = _description(turn.matrix, placement)
+    axes = _turn_description(turn.matrix, placement)
     return _Hypothesis(turn.ratio, axes, advice) if axes else _STATED_LOADS
 
 
-def _other_point(prior: RobotModel, data: Measurements, placement: Placement, stated: Fit) -> _Hypothesis:
-    """Return at which other point the loads fit best.
+def _point_hypothesis(prior: RobotModel, data: Measurements, placement: Placement, stated: Fit) -> _Hypothesis:
+    """Return the point at which the loads fit best; `_STATED_LOADS` if that is near the stated point or fits no better.
 
-    :param stated: joint springs with the loads as stated.
+    :param stated: fit of the joint springs with the loads as stated.
     """
     point, ratio = _best_point(data, placement, stated)
     distance = float(norm(point - data.load_point))
-    if distance < _MIN_DISTANCE or ratio > _DOUBTFUL_POINT:
+    if distance < _MIN_DISTANCE or ratio > _DOUBTFUL_POINT_RATIO:
         return _STATED_LOADS
     clause = (
         f"if they pull at {coordinates_text(point)} mm in the flange frame, not at {coordinates_text(data.load_point)}"
@@ -149,7 +155,7 @@ class _LoadPoint(NamedTuple):
     """A load point.
 
     :param position: (3,) in the flange frame [m].
-    :param ratio: RMS of the residuals with it, over that as stated.
+    :param ratio: RMS of the residuals with this point over RMS with the stated point.
     """
 
     position: Array
@@ -157,11 +163,12 @@ class _LoadPoint(NamedTuple):
 
 
 def _best_point(data: Measurements, placement: Placement, stated: Fit) -> _LoadPoint:
-    """Return the load point that joint springs fit best, or the stated one if it is no worse.
+    """Return the load point that joint springs fit best; the stated point if no other fits better.
 
-    Gauss-Newton for springs and point together, with differences by the point.
+    Gauss-Newton steps for springs and point together, with difference quotients by the point; after each step the
+    springs are fitted anew.
 
-    :param stated: joint springs with the loads as stated.
+    :param stated: fit of the joint springs with the loads as stated.
     """
     structure, whitening_matrix, is_visible = stated.structure, whitening(data), visible_points(data)
     displacement = measured_displacements(data, placement)
@@ -193,7 +200,9 @@ def _joint_springs(prior: RobotModel, data: Measurements, placement: Placement) 
 
 
 def _best_turn(prior: RobotModel, data: Measurements, placement: Placement, stated: float) -> _Turn:
-    """Return the turn of the forces that joint springs fit best, by fits of the turn and of the springs in turn.
+    """Return the turn of the forces that joint springs fit best; no turn (identity, ratio 1) if none fits better.
+
+    The turn and the springs are fitted alternately, `_ROUNDS` times.
 
     :param stated: RMS of the residuals [m] with the forces as stated.
     """
@@ -201,11 +210,11 @@ def _best_turn(prior: RobotModel, data: Measurements, placement: Placement, stat
     target = whiten(whitening_matrix, measured_displacements(data, placement)).ravel()
     values, best = structure.start_values(), _Turn(np.eye(3), 1.0)
     for _ in range(_ROUNDS):
-        design = _by_force(structure, values, data, placement, whitening_matrix)
+        design = _force_derivatives(structure, values, data, placement, whitening_matrix)
         mixture = np.linalg.lstsq(design, target, rcond=None)[0].reshape(3, 3)
         u, _, vt = np.linalg.svd(mixture)  # the nearest orthogonal matrix (Higham 2008, section 8.1)
         matrix = u @ vt
-        fit = gauss_newton(structure, _turned(data, matrix), placement)
+        fit = gauss_newton(structure, _turned_loads(data, matrix), placement)
         values = np.maximum(fit.values, _LEAST_COMPLIANCE)
         if fit.rms / stated < best.ratio:
             best = _Turn(matrix, fit.rms / stated)
@@ -214,30 +223,31 @@ def _best_turn(prior: RobotModel, data: Measurements, placement: Placement, stat
 
 _LEAST_COMPLIANCE = 1e-8
 """Compliance [rad/(N·m)] below that of any joint: a fit in wrong axes may make it negative."""
-_PROBE = 1000.0
-"""Force [N] by which displacements are taken as linear in the force: to a per cent."""
+_PROBE_FORCE = 1000.0
+"""Force [N] for displacements per newton: they are linear in the force up to there, to a per cent."""
 
 
-def _by_force(
+def _force_derivatives(
     structure: Structure, values: Array, data: Measurements, placement: Placement, whitening_matrix: Array
 ) -> Array:
-    """Return the derivatives (n, 9) of the whitened displacements by the matrix (3, 3) that forces are multiplied by.
+    """Return the derivatives (n, 9) of the whitened displacements by a matrix (3, 3) that multiplies the forces.
 
-    The columns are the entries of the matrix row by row: a row gives a component of the force in root axes.
+    The columns are by the entries of the matrix, row by row: a row gives a component of the force in root axes.
 
-    :param values: (p,) of the structure, SI.
+    :param values: (p,) of the parameters of the structure, SI.
+    :param whitening_matrix: (P, L, L), see `measurement_model.whitening`.
     """
     columns, force = [], data.wrench[data.loaded_states, :3]
     for axis in range(3):
         wrench = np.zeros_like(data.wrench)
-        wrench[:, axis] = _PROBE
+        wrench[:, axis] = _PROBE_FORCE
         prediction, _ = predict(structure, values, replace(data, wrench=wrench), placement)
-        motion = prediction * visible_points(data) / _PROBE  # per newton along the axis
+        motion = prediction * visible_points(data) / _PROBE_FORCE  # per newton along the axis
         columns += [whiten(whitening_matrix, motion * force[:, None, None, j]).ravel() for j in range(3)]
     return np.stack(columns, axis=1)
 
 
-def _turned(data: Measurements, matrix: Array) -> Measurements:
+def _turned_loads(data: Measurements, matrix: Array) -> Measurements:
     """Return the readings with forces and moments multiplied by (3, 3) or (S, 3, 3) orthogonal matrices.
 
     A mirror turns moments the other way (they are axial vectors).
@@ -247,15 +257,21 @@ def _turned(data: Measurements, matrix: Array) -> Measurements:
     return replace(data, wrench=np.concatenate([force, moment], axis=1))
 
 
-def _from_flange_axes(prior: RobotModel, data: Measurements) -> Measurements:
-    """Return the readings with forces in root axes, if those stated are in flange axes."""
-    return _turned(data, unloaded_flange(prior, data.q)[data.state_config, :3, :3])
+def _loads_in_flange_axes(prior: RobotModel, data: Measurements) -> Measurements:
+    """Return the readings with their stated forces and moments taken as in flange axes, and turned into root axes."""
+    return _turned_loads(data, unloaded_flange(prior, data.q)[data.state_config, :3, :3])
 
 
-def _description(matrix: Array, placement: Placement) -> str:
-    """Return what a turn or a mirror does to the forces; empty if it is small, or only the sign of all."""
-    if _angle(matrix, np.eye(3)) < _ALIGNED_ANGLE or _angle(matrix, -np.eye(3)) < _OPPOSITE:
+def _turn_description(matrix: Array, placement: Placement) -> str:
+    """Return a turn or a mirror of the forces as the end of a sentence.
+
+    Empty if the turn is small, or if it only changes the sign of all forces.
+
+    :param matrix: (3, 3) orthogonal matrix from stated forces to forces in root axes.
+    """
+    if _angle(matrix, np.eye(3)) < _ALIGNED_ANGLE or _angle(matrix, -np.eye(3)) < _OPPOSITE_ANGLE:
         return ""
+    # nearest exchange of axes: each row has the sign of its largest entry, in the column of this entry
     column = np.argmax(np.abs(matrix), axis=1)
     sign = np.sign(matrix[range(3), column])
     exchange = np.eye(3)[column] * sign[:, None]
@@ -268,9 +284,9 @@ def _description(matrix: Array, placement: Placement) -> str:
     if _angle(matrix, placement.root_in_device[:3, :3].T) < _NAMED_ANGLE:
         return "if they are in the axes of the measuring device"
     turn = rotation_vector(matrix)
-    angle, main = float(norm(turn)), int(np.argmax(np.abs(turn)))
-    if norm(np.delete(turn, main)) < np.sin(_NAMED_ANGLE) * angle:
-        return f"turned by {turn[main] * DEG_PER_RAD:.1f}° about {'XYZ'[main]} of the root"
+    angle, main_axis = float(norm(turn)), int(np.argmax(np.abs(turn)))
+    if norm(np.delete(turn, main_axis)) < np.sin(_NAMED_ANGLE) * angle:
+        return f"turned by {turn[main_axis] * DEG_PER_RAD:.1f}° about {'XYZ'[main_axis]} of the root"
     direction = ", ".join(f"{part:.2f}" for part in turn / angle)
     return f"turned by {angle * DEG_PER_RAD:.1f}° about ({direction}) of the root"
 

@@ -14,7 +14,7 @@ from postproc.identification.fit import LENGTH_95
 from postproc.identification.measurement_model import Placement
 from postproc.identification.readings import Measurements
 
-_LIMIT = 0.03
+_MAX_DISTANCE = 0.03
 """Distance [m] from the stated point that no careless guess has (assumed): points are stated by a ruler or a drawing,
 and a wrong zero of A6 or a wrong frame moves them by decimetres."""
 _MOST_NAMES = 6
@@ -24,10 +24,10 @@ _MOST_NAMES = 6
 def displaced_points(data: Measurements, placement: Placement) -> str:
     """Return a clause on points that are far from their stated positions in the flange frame, with what to check.
 
-    It is empty if none is: none whose distance exceeds `_LIMIT` by more than its 95 % uncertainty.
+    A point is far if its distance, less its 95 % uncertainty, exceeds `_MAX_DISTANCE`. Empty if no point is far.
     """
     distance = norm(placement.points - data.guess)
-    far_points = np.flatnonzero(distance - _uncertainty(placement) > _LIMIT)
+    far_points = np.flatnonzero(distance - _point_uncertainty(placement) > _MAX_DISTANCE)
     if len(far_points) == 0:
         return ""
     worst = int(far_points[np.argmax(distance[far_points])])
@@ -49,23 +49,23 @@ def displaced_points(data: Measurements, placement: Placement) -> str:
     return f"{clause}: check A6, the flange frame of the stated points and of the load point, and their unit (mm)"
 
 
-def _uncertainty(placement: Placement) -> Array:
+def _point_uncertainty(placement: Placement) -> Array:
     """Return the 95 % uncertainty (P,) of the points [m], by the residuals of the readings without load."""
-    variance = np.diag(placement.covariance)[6:].reshape(-1, 3).sum(axis=1)
+    variance = np.diag(placement.covariance)[6:].reshape(-1, 3).sum(axis=1)  # after the twist of the root
     return np.asarray(LENGTH_95 * placement.rms * np.sqrt(variance))
 
 
 def _flange_turn(stated: Array, points: Array) -> float | None:
     """Return the rotation [rad] about Z of the flange frame from stated to measured points.
 
-    None if no rotation brings all of them within `_LIMIT`.
+    None if no rotation brings all stated points within `_MAX_DISTANCE` of the measured points.
 
-    :param stated: (P, 3) and `points` (P, 3), in the flange frame [m].
+    :param stated: (P, 3) stated points, and `points` (P, 3) measured points, in the flange frame [m].
     """
     plane_stated, plane_points = stated[:, :2] @ [1.0, 1.0j], points[:, :2] @ [1.0, 1.0j]  # x + i·y
     turn = np.angle(np.sum(plane_points * plane_stated.conj()))
     distance = np.hypot(np.abs(plane_points - plane_stated * np.exp(1j * turn)), points[:, 2] - stated[:, 2])
-    return float(turn) if distance.max() < _LIMIT else None
+    return float(turn) if distance.max() < _MAX_DISTANCE else None
 
 
 def coordinates_text(point: Array) -> str:

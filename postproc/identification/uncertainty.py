@@ -12,8 +12,8 @@ integrated over the distribution of δ: a smooth function of the readings, witho
 of the load point. A load cell that is wrong by 2 % makes every spring look 2 % softer without any residual; an error of
 the load point is a wrong lever, which looks like compliance. Both go into the covariance of the parameters.
 
-**Workspace** (`over_workspace`): how large is the bound beside the deflection that the model corrects, and what is the
-chance that correction makes a place better? Readings are taken at some poses; work is done at others. The model is
+**Workspace** (`bound_over_workspace`): how large is the bound over the deflection that the model corrects, and what is
+the chance that correction makes a place better? Readings are taken at some poses; work is done at others. The model is
 evaluated at random poses within the joint limits, under forces in random directions from a small share of the largest
 load measured up to all of it, smaller where a joint would get more torque than was measured. At small forces every
 model is worth less: the unmodelled error does not shrink with the force. The verdict counts loads that were measured.
@@ -77,11 +77,11 @@ from postproc.robot import (
 
 _SAME_LEVEL = 1.25
 """Sorted loads belong to one level while each is less than this times the one before (assumed)."""
-_LOADS = 10
+_MIN_LOADS = 10
 """Fewest loads of a level that is part of a wider range without gaps (assumed)."""
-_SHARE = 0.001
+_MEDIAN_SHARE = 0.001
 """Median of δ over the displacements (RMS of a component) before any reading (assumed)."""
-WIDTH = 1.5
+LOG_SIGMA = 1.5
 """Standard deviation of the logarithm of δ before any reading (assumed)."""
 _STEPS, _SPAN = 241, (-5.0, 4.5)
 """Values of δ that are tried, and between which standard deviations of its prior."""
@@ -94,8 +94,8 @@ class Discrepancy(Struct, frozen=True, eq=False):
 
     :param load: (m,) force [N] and moment [N·m] in one.
     :param held_out: (m,) RMS distance of the mean of the points from its prediction [m].
-    :param noise: (m,) RMS of the noise in it [m].
-    :param own: (m,) RMS that the uncertainty of the parameters makes expect [m].
+    :param noise: (m,) part of `held_out` that the noise of the readings makes, RMS [m].
+    :param own: (m,) part of `held_out` that the uncertainty of the parameters makes, RMS [m].
     :param u95: (m,) bound of 95 % on the unmodelled error [m].
     """
 
@@ -107,9 +107,11 @@ class Discrepancy(Struct, frozen=True, eq=False):
 
 
 def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residual: Array) -> Discrepancy:
-    """Return the unmodelled error beyond noise and the fit's own covariance.
+    """Return cross-validation errors by load level, with the unmodelled error beyond noise and covariance of the fit.
 
-    :param fold_residual: (L, P, 3) measured − predicted, each by a fit without its configuration [m].
+    Levels without readings are left out.
+
+    :param fold_residual: (L, P, 3) measured − predicted displacements, each by a fit without its configuration [m].
     """
     is_visible = visible_points(data)[..., 0] > 0.0
     errors = _mean_point_errors(data, fit, fold_residual)
@@ -123,9 +125,9 @@ def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residua
     u95 = []
     for rows in at_level:
         usual_displacement = float(np.sqrt(np.mean(displacement[rows][is_visible[rows]] ** 2)))
-        u95.append(unmodelled_error(errors.error[rows], errors.covariance[rows], _SHARE * usual_displacement))
-    squares = (np.sum(errors.error**2, axis=1), errors.noise, errors.fit_variance)
-    fold_rms, noise_rms, fit_rms = np.sqrt([[values[rows].mean() for rows in at_level] for values in squares])
+        u95.append(unmodelled_error(errors.error[rows], errors.covariance[rows], _MEDIAN_SHARE * usual_displacement))
+    mean_squares = (np.sum(errors.error**2, axis=1), errors.noise, errors.fit_variance)
+    fold_rms, noise_rms, fit_rms = np.sqrt([[values[rows].mean() for rows in at_level] for values in mean_squares])
     return Discrepancy(
         load=np.array([np.median(load[rows]) for rows in at_level]),
         held_out=fold_rms,
@@ -136,12 +138,12 @@ def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residua
 
 
 class _MeanPointErrors(NamedTuple):
-    """Cross-validation errors of the mean of the visible points in L loaded states; 0 for states without any.
+    """Cross-validation errors of the mean of the visible points in L loaded states; 0 for states without such points.
 
     :param error: (L, 3) measured − predicted [m].
-    :param noise: (L,) mean square of the noise in it [m²].
-    :param fit_variance: (L,) mean square by the uncertainty of the parameters [m²].
-    :param covariance: (L, 3, 3) by both [m²].
+    :param noise: (L,) mean square length of the noise [m²].
+    :param fit_variance: (L,) mean square length of errors by the uncertainty of the parameters [m²].
+    :param covariance: (L, 3, 3) of noise and parameters together [m²].
     """
 
     error: Array
@@ -151,13 +153,13 @@ class _MeanPointErrors(NamedTuple):
 
 
 def _mean_point_errors(data: Measurements, fit: Fit, fold_residual: Array) -> _MeanPointErrors:
-    """Return the errors of the mean of the points of each state; parameters as of `discrepancy`."""
+    """Return the errors of the mean of the visible points of each loaded state; parameters: see `discrepancy`."""
     is_visible = visible_points(data)[..., 0] > 0.0
     share = is_visible / np.maximum(is_visible.sum(axis=1), 1)[:, None]  # of each point in the mean
     slopes = unwhiten(whitening(data), fit.design.reshape((*fold_residual.shape, len(fit.values))))
     mean_slopes = np.einsum("lp,lpia->lia", share, slopes)
     fit_covariance = mean_slopes @ fit.covariance @ np.swapaxes(mean_slopes, 1, 2)
-    noise = np.sum(share**2 * noise_of(data), axis=1)
+    noise = np.sum(share**2 * displacement_noise(data), axis=1)
     return _MeanPointErrors(
         error=np.einsum("lp,lpi->li", share, fold_residual),
         noise=noise,
@@ -169,68 +171,77 @@ def _mean_point_errors(data: Measurements, fit: Fit, fold_residual: Array) -> _M
 def unmodelled_error(error: Array, covariance: Array, median: float, weight: Array | float = 1.0) -> float:
     """Return the 95 % quantile of the length of unmodelled errors [m].
 
-    It is integrated numerically over the posterior distribution of δ, their standard deviation (see the module).
+    Their components have the standard deviation δ. The quantile is integrated numerically over the posterior
+    distribution of δ (see the module).
 
     :param error: (n, 3) errors [m].
     :param covariance: (n, 3, 3) of the errors without δ: by noise and parameters [m²].
     :param median: of δ before any reading [m].
-    :param weight: (n,) of each error; below one where several share what is unmodelled.
+    :param weight: (n,) of each error in the likelihood; below one for errors that share their unmodelled part.
     """
-    from scipy.special import gammainc
+    from scipy.special import gammainc  # takes long to import
 
     variance, axes = np.linalg.eigh(covariance)  # along principal axes the components are independent
     square = np.einsum("nij,ni->nj", axes, error) ** 2
-    z = np.linspace(*_SPAN, _STEPS)
-    delta = max(median, 1e-9) * np.exp(WIDTH * z)
+    z = np.linspace(*_SPAN, _STEPS)  # standard normal before any reading
+    delta = max(median, 1e-9) * np.exp(LOG_SIGMA * z)
     whole_variance = variance + delta[:, None, None] ** 2
     log_density = (
         -0.5 * np.sum((np.log(whole_variance) + square / whole_variance).sum(axis=2) * weight, axis=1) - 0.5 * z**2
     )
-    chance = np.exp(log_density - log_density.max())
-    chance /= chance.sum()
-    length = np.geomspace(delta[0], 4.0 * delta[-1], 2000)
+    probability = np.exp(log_density - log_density.max())
+    probability /= probability.sum()
+    length = np.geomspace(delta[0], 4.0 * delta[-1], 2000)  # 4 δ: practically no error is longer
 
     def share_below(size: float) -> float:
-        """Return the share of unmodelled errors shorter than a length: χ² of three degrees of freedom."""
-        return float(gammainc(1.5, 0.5 * (size / delta) ** 2) @ chance)
+        """Return the share of unmodelled errors shorter than a length [m]: χ² of three degrees of freedom."""
+        return float(gammainc(1.5, 0.5 * (size / delta) ** 2) @ probability)
 
+    # the share grows with the length: the 95 % quantile is between two neighbouring lengths
     upper = max(1, bisect_left(length, 0.95, hi=len(length) - 1, key=share_below))
     bracket = length[upper - 1 : upper + 1]
     return float(np.interp(0.95, [share_below(size) for size in bracket], bracket))
 
 
 def levels(load: Array) -> Ints:
-    """Return the level (L,), from 0 up, of loads (L,) [N].
+    """Return the number of the level (L,), from 0 up, of each load (L,) [N].
 
-    Sorted loads are split at gaps. A wide range without gaps is split into levels of about as many loads each, one for
-    each doubling of the load, if there are enough loads.
+    Sorted loads are split at gaps. A range without gaps is split further, into as many levels as the load doubles, if
+    each level has `_MIN_LOADS` loads; its levels have about the same number of loads.
     """
     order = np.argsort(load)
+    # a gap: the next load is larger by more than the share _SAME_LEVEL − 1
     first_after_gap = np.flatnonzero(np.diff(load[order]) > (_SAME_LEVEL - 1.0) * load[order][:-1]) + 1
     parts: list[Ints] = []
     for rows in np.split(order, first_after_gap):
         # 1e-9: rounding of a range of exactly one doubling
         doublings = max(1, int(np.ceil(np.log2(load[rows[-1]] / load[rows[0]]) - 1e-9)))
-        parts += np.array_split(rows, min(doublings, max(1, len(rows) // _LOADS)))
+        parts += np.array_split(rows, min(doublings, max(1, len(rows) // _MIN_LOADS)))
     level = np.empty(len(load), dtype=np.int64)
     for number, rows in enumerate(parts):
         level[rows] = number
     return level
 
 
-def noise_of(data: Measurements) -> Array:
-    """Return the mean square (L, P) of the noise of displacements in space [m²]: of the repeats, if there are many."""
+def displacement_noise(data: Measurements) -> Array:
+    """Return the mean square length (L, P) of the noise of displacements [m²], of P points in L loaded states.
+
+    The noise of a reading is the scatter of the repeats if its degrees of freedom are enough, else the stated noise.
+    """
     squares, dof = data.scatter()
     sigma2 = squares / dof if dof >= _CLEAR_SCATTER else data.sigma**2
-    count = np.maximum(data.means()[1], 1.0)
+    _, reading_count = data.means()
+    count = np.maximum(reading_count, 1.0)
     unloaded_state = data.unloaded_states[data.state_config[data.loaded_states]]
+    # three coordinates of a difference of two means
     return np.asarray(3.0 * sigma2 * (1.0 / count[data.loaded_states] + 1.0 / count[unloaded_state]))
 
 
-def left_out_of(fit: Fit, data: Measurements) -> Array:
-    """Return the residuals (L, P, 3) of each configuration when it is left out of a least-squares fit [m].
+def left_out_residuals(fit: Fit, data: Measurements) -> Array:
+    """Return the residuals (L, P, 3) [m] of the points, each when its configuration is left out of a least-squares fit.
 
-    By the derivatives at the fit: (I − H)⁻¹ times the residual of a configuration, H its part of the hat matrix.
+    With the derivatives at the fit they are (I − H)⁻¹ r. r are the residuals of the configuration in the fit, and H is
+    its block of the hat matrix.
     """
     shape = (len(data.loaded_states), len(data.points), 3)
     scale = np.linalg.norm(fit.design, axis=0)
@@ -247,18 +258,18 @@ def left_out_of(fit: Fit, data: Measurements) -> Array:
     return unwhiten(whitening(data), fold_residual.reshape(shape))
 
 
-_STEP = 1e-3
-"""Shift of the load point [m] for its difference quotient: readings are all but linear in it."""
+_POINT_STEP = 1e-3
+"""Shift of the load point [m] for a difference quotient: displacements are nearly linear in it."""
 
 
 def add_stated_errors(fit: Fit, data: Measurements, placement: Placement, influence: Array | None) -> Fit:
-    """Return the fit with a covariance that counts the stated errors of the loads and of their point.
+    """Return the fit with a covariance that contains the stated errors of the loads and of the load point too.
 
-    :param influence: (p, rows) by how much the parameters change with the whitened readings; None: least squares.
+    :param influence: (p, rows) derivatives of the parameters by the whitened readings; None: those of least squares.
     """
     effects = []  # of one standard deviation of each independent error on the parameters, (p,) each
     if data.load_error > 0.0:
-        share = np.array([_share(parameter) for parameter in fit.structure.parameters])
+        share = np.array([_load_sensitivity(parameter) for parameter in fit.structure.parameters])
         effects.append(data.load_error / NORMAL_95 * share * fit.values)
     if data.load_point_error > 0.0:
         if influence is None:
@@ -268,17 +279,19 @@ def add_stated_errors(fit: Fit, data: Measurements, placement: Placement, influe
         w = whitening(data)
         prediction, _ = predict(fit.structure, fit.values, data, placement)
         for axis in np.eye(3):
-            shifted_data = replace(data, load_point=data.load_point + _STEP * axis)
+            shifted_data = replace(data, load_point=data.load_point + _POINT_STEP * axis)
             shifted_prediction, _ = predict(fit.structure, fit.values, shifted_data, placement)
             effects.append(
-                data.load_point_error * influence @ whiten(w, (shifted_prediction - prediction) / _STEP).ravel()
+                data.load_point_error * influence @ whiten(w, (shifted_prediction - prediction) / _POINT_STEP).ravel()
             )
     return replace(fit, covariance=fit.covariance + sum(np.outer(effect, effect) for effect in effects))
 
 
-def _share(parameter: Parameter) -> float:
-    """Return the relative error of a parameter for a relative error of the loads of one."""
-    # torques at rest, and angles that do not depend on the size of the load
+def _load_sensitivity(parameter: Parameter) -> float:
+    """Return the relative error of a parameter by the relative error of all loads: 1, −1 for stiffnesses, or 0.
+
+    It is 0 for sources of torque at rest, and for angles of backlash, which do not depend on the size of the load.
+    """
     if isinstance(parameter, Backlash | LinkMass | CompensatorSize):
         return 0.0
     return -1.0 if isinstance(parameter, CompensatorTorque) else 1.0
@@ -292,10 +305,10 @@ _POSE_SHARE = 0.95
 """Share of the poses at which bound over deflection is below the stated value."""
 _TORQUE_SHARE = 0.02
 """Largest torque on a joint over the largest on any, below which the readings do not load it."""
-_AS_LARGE = 0.9
+_SIMILAR_RATIO = 0.9
 """Bound over deflection from which they are about equal, so that it is not certain that correction leaves less: both
 are known to a tenth (assumed)."""
-_CLEARANCE = 0.25
+_CLEARANCE_SHARE = 0.25
 """Distance from the axis of A1 over the largest reach, nearer than which no work is done."""
 
 
@@ -319,10 +332,11 @@ class WorkspaceLevel(Struct, frozen=True):
 class Workspace(Struct, frozen=True):
     """Bound over deflection in the workspace.
 
-    :param levels: by load, ascending; none where the springs have no equilibrium under measured loads.
+    :param levels: by load, ascending; empty if the springs have no equilibrium under measured loads.
     :param least: smallest load measured [N].
-    :param cause: joint and parameter that most of the bound comes from where it is worst under a measured load.
-    :param pose: (6,) [rad] of that place.
+    :param cause: joint and parameter with the largest part of the bound, at the worst pose under measured loads; or
+        the load without an equilibrium.
+    :param pose: (6,) joint angles of this pose [rad].
     """
 
     levels: tuple[WorkspaceLevel, ...]
@@ -332,7 +346,7 @@ class Workspace(Struct, frozen=True):
 
     @property
     def measured_levels(self) -> tuple[WorkspaceLevel, ...]:
-        """Levels of loads as large as were measured; the largest at least."""
+        """Levels from the smallest measured load on; if all are below it, the level of the largest load."""
         return tuple(level for level in self.levels if level.load >= self.least) or self.levels[-1:]
 
     @property
@@ -342,21 +356,21 @@ class Workspace(Struct, frozen=True):
 
     @property
     def refusal(self) -> str:
-        """Why the model has no equilibrium under a measured load; empty if it has."""
+        """Pose and load under which the model has no equilibrium, as a clause; empty if it has one everywhere."""
         return "" if self.levels else f"at A1 … A6 = {self._angles}° {self.cause}"
 
     @property
     def reservation(self) -> str:
-        """Loads under which correction gains little for sure, and why; empty if there are none.
+        """Clause on measured loads under which correction may gain little, and the cause; empty if there are none.
 
-        The gain is smaller than one standard deviation of itself in 5 % of the poses, or the bound is about as large as
-        the deflection.
+        It may gain little if the chance that correction makes the part better is below `elastostatics.WIDE` in 5 % of
+        the poses, or if the bound is about as large as the deflection.
         """
         weakest_level = min(self.measured_levels, key=lambda level: level.chance, default=None)
         if weakest_level is None:
             return ""
         is_wide = weakest_level.chance < elastostatics.WIDE
-        if not is_wide and self.worst.worst < _AS_LARGE:
+        if not is_wide and self.worst.worst < _SIMILAR_RATIO:
             return ""
         chance = (
             f"under {weakest_level.load:.0f} N there are poses where correction makes the part better with a chance of "
@@ -374,27 +388,27 @@ class Workspace(Struct, frozen=True):
 
     @property
     def line(self) -> str:
-        """The workspace in one line."""
+        """Sentence on bound over deflection in the workspace; without an equilibrium, on that."""
         if not self.levels:
             return f"workspace: {self.refusal}"
         text = (
             f"bound over deflection in the workspace: below {self.worst.worst:.2g} in 95 % of the poses from "
             f"{self.measured_levels[0].load:.0f} N to {self.levels[-1].load:.0f} N"
         )
-        small = [level for level in self.levels if level.worst > 1.0]
-        if small and small[-1].load < self.least:
-            text += f"; at {small[-1].load:.0f} N and below the bound can exceed the deflection"
+        exceeded_levels = [level for level in self.levels if level.worst > 1.0]
+        if exceeded_levels and exceeded_levels[-1].load < self.least:
+            text += f"; at {exceeded_levels[-1].load:.0f} N and below the bound can exceed the deflection"
         return text
 
 
-def over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
-    """Return bound over deflection of an identified robot in its workspace.
+def bound_over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
+    """Return bound over deflection of an identified robot at random poses, under shares of the largest measured load.
 
     :param robot: with covariance and discrepancy.
     """
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
-    q, direction = _poses(robot, tool)
+    q, direction = _random_poses(robot, tool)
     least_load = float(norm(data.wrench[data.loaded_states, :3]).min())
     largest_force = _largest_forces(robot, data, q, direction)
     levels: list[WorkspaceLevel] = []
@@ -421,16 +435,17 @@ def over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
         if level.load >= least_load and level.worst > worst:
             row = int(np.argmin(np.abs(ratio - level.worst)))
             worst, worst_pose = level.worst, q[row]
-            cause = _cause(robot, q[row], tool, wrench[row], float(bound[row]))
+            cause = _main_cause(robot, q[row], tool, wrench[row], float(bound[row]))
     return Workspace(tuple(levels), least_load, cause, tuple(worst_pose.tolist()))
 
 
 def _largest_forces(robot: RobotModel, data: Measurements, q: Array, direction: Array) -> Array:
-    """Return the largest force (n,) [N] at each pose: the largest measured, less where a joint would get more torque.
+    """Return the largest force (n,) [N] at each pose whose torques are in the range of the readings.
 
-    Joints that the readings hardly load do not limit it.
+    It is the largest measured force, or less if that would put more torque on a joint than was measured. Joints that
+    the readings hardly load do not limit it.
 
-    :param q: (n, 6) joint angles [rad], and `direction` (n, 3) unit direction of the force at each, root axes.
+    :param q: (n, 6) joint angles [rad], and `direction` (n, 3) unit direction of the force at each pose, root axes.
     """
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
@@ -443,44 +458,54 @@ def _largest_forces(robot: RobotModel, data: Measurements, q: Array, direction: 
     return np.asarray(largest * np.minimum(1.0, limits))
 
 
-def _poses(robot: RobotModel, tool: Array) -> tuple[Array, Array]:
-    """Return random joint angles (n, 6) [rad], and random unit directions (n, 3) of forces.
+def _random_poses(robot: RobotModel, tool: Array) -> tuple[Array, Array]:
+    """Return random joint angles (n, 6) [rad], and random unit directions (n, 3) of forces, with a fixed seed.
 
-    The tool is clear of the floor and of the axis of A1. n is `_POSES`, or less if few random poses are clear.
+    The tool is above the floor and away from the axis of A1. n is `_POSES`, or less if few random poses are.
+
+    :param tool: (4, 4) in the flange frame [m].
     """
     rng = np.random.default_rng(0)
     q = rng.uniform(robot.lower, robot.upper, (8 * _POSES, 6))  # more than are needed: many are not clear
-    position = kinematics.tcp(robot.loaded, elastostatics.coordinates(robot, q), tool)[0][:, :3, 3]
+    pose, _ = kinematics.tcp(robot.loaded, elastostatics.coordinates(robot, q), tool)
+    position = pose[:, :3, 3]
     reach = norm(position[:, :2])
-    clear = np.flatnonzero((position[:, 2] > 0.0) & (reach > _CLEARANCE * reach.max()))[:_POSES]
+    clear = np.flatnonzero((position[:, 2] > 0.0) & (reach > _CLEARANCE_SHARE * reach.max()))[:_POSES]
     direction = rng.normal(size=(len(clear), 3))
     return q[clear], direction / norm(direction)[:, None]
 
 
-def _cause(robot: RobotModel, q: Array, tool: Array, wrench: Array, bound: float) -> str:
-    """Return, as a clause, the joint and the parameter with the largest part of the bound at a pose."""
+def _main_cause(robot: RobotModel, q: Array, tool: Array, wrench: Array, bound: float) -> str:
+    """Return, as a clause, the joint and its parameter with the largest part of the bound at a pose.
+
+    The clause names the unmodelled error instead if that is more than half of the bound.
+
+    :param q: (6,) joint angles [rad].
+    :param wrench: (6,) force [N] and moment [N·m] on the tool, root axes.
+    :param bound: of the position of the tool [m].
+    """
     covariance = robot.covariance
     assert covariance is not None, "the robot states a covariance"
     slopes = elastostatics.sensitivity(robot, q[None], tool, wrench[None])[0]
-    # parts of the trace of the covariance of the position
+    # parts of the trace of the covariance of the position: diagonal of Sᵀ S C, for slopes S and covariance C
     part = np.einsum("ai,ai->i", slopes, slopes @ covariance.matrix)
     part_of_joint: dict[str, float] = {}
     for parameter, value in zip(covariance.parameters, part.tolist(), strict=True):
-        joint = _joint(parameter)
+        joint = _joint_name(parameter)
         part_of_joint[joint] = part_of_joint.get(joint, 0.0) + value
     unmodelled_error = 0.0 if robot.discrepancy is None else float(robot.discrepancy.at(wrench[None])[0])
     if unmodelled_error > 0.5 * bound or not part_of_joint:
         return f"the unmodelled error is {unmodelled_error * MM_PER_M:.3f} of {bound * MM_PER_M:.3f} mm"
     main_joint = max(part_of_joint, key=lambda name: part_of_joint[name])
-    rows = [row for row, parameter in enumerate(covariance.parameters) if _joint(parameter) == main_joint]
+    rows = [row for row, parameter in enumerate(covariance.parameters) if _joint_name(parameter) == main_joint]
     main_row = max(rows, key=lambda row: (part[row], covariance.parameters[row].title))
     return (
         f"most of it comes from {main_joint}, whose readings do not determine {covariance.parameters[main_row].title}"
     )
 
 
-def _joint(parameter: Parameter) -> str:
-    """Return the joint or link that a parameter belongs to; the compensator is at A2."""
+def _joint_name(parameter: Parameter) -> str:
+    """Return the name of the joint or link that a parameter belongs to; A2 for the compensator."""
     if isinstance(parameter, LinkSpring):
         return parameter.link
     return str(getattr(parameter, "joint", JOINTS[1]))
@@ -492,21 +517,22 @@ _LARGE_MISFIT = 0.3
 """Cross-validation error over displacement (RMS) beyond which the set-up is in question: exchanged axes of the forces
 left half of the displacements of a measured robot, true ones less than a tenth (assumed)."""
 _USELESS_MISFIT = 0.5
-"""The same beyond which a model may not be used: right set-ups leave less than a tenth (assumed)."""
-_FEWEST = 3
+"""Cross-validation error over displacement (RMS) beyond which a model may not be used: right set-ups leave less than a
+tenth (assumed)."""
+_MIN_CONFIGURATIONS = 3
 """Fewest configurations whose scatter can be estimated."""
 _FEW_CONFIGURATIONS = 5
 """Configurations below which the scatter is known badly: the bound of one simulated robot in ten did not hold."""
-_NUMBERS = {1: 3, 2: 5}
+_NUMBERS_BY_POINTS = {1: 3, 2: 5}
 """Numbers that the displacements of one, two, three points determine; three and more give the six of a rigid body."""
-_IMPLAUSIBLE = 3.0
+_IMPLAUSIBLE_SIGMAS = 3.0
 """Difference of all compliances from the prior, in its standard deviations, beyond which the loads are wrong (assumed:
 three right robots in a thousand have as much)."""
-_SPARE = 2.0
+_MIN_NUMBERS_PER_PARAMETER = 2.0
 """Least numbers measured for each parameter of least squares."""
-_PLAY = 1e-5
+_MIN_BACKLASH = 1e-5
 """Smallest backlash [rad] that is reported (assumed)."""
-_KINDS: tuple[tuple[type[Parameter], str], ...] = (
+_KIND_NAMES: tuple[tuple[type[Parameter], str], ...] = (
     (JointCompliance, "joints"),
     (LinkSpring, "link springs"),
     (Knee, "breakpoints"),
@@ -525,8 +551,8 @@ _MAX_NAMES = 6
 class Judgement(Struct, frozen=True):
     """Whether a model may be used.
 
-    :param distrust: why not; empty if it may.
-    :param reservation: what to know where it may; empty if nothing.
+    :param distrust: reason that it may not be used; empty if it may.
+    :param reservation: clauses that the user of the model must know; empty if there are none.
     :param notes: on gaps of the readings, for the user.
     """
 
@@ -543,15 +569,16 @@ class Judgement(Struct, frozen=True):
         return f"{usable}{RESERVATION}{self.reservation}" if self.reservation else usable
 
     def reserved(self, reservation: str) -> Judgement:
-        """Return the judgement with another reservation before the others; an empty one changes nothing."""
+        """Return the judgement with a further reservation, before the others; an empty text changes nothing."""
         return replace(self, reservation="; ".join(filter(None, (reservation, self.reservation))))
 
 
 class _Misfit(NamedTuple):
-    """Displacements that a model does not describe.
+    """Error of the displacements that a model describes.
 
-    :param error: RMS [m], and `size` of all displacements.
-    :param is_noise: whether noise may make this error.
+    :param error: RMS of the error [m].
+    :param size: RMS of the displacements [m].
+    :param is_noise: whether noise explains an error of this size.
     """
 
     error: float
@@ -559,7 +586,7 @@ class _Misfit(NamedTuple):
     is_noise: bool
 
     def text_beyond(self, share: float) -> str:
-        """Return the error as a clause if it is no noise and beyond a share of the displacements; else ""."""
+        """Return a clause on the error; empty if noise explains it, or if it is below a share of the displacements."""
         if self.is_noise or self.error <= share * self.size:
             return ""
         return (
@@ -569,9 +596,10 @@ class _Misfit(NamedTuple):
 
 
 def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Workspace, ratio: float) -> Judgement:
-    """Return whether a model may be used.
+    """Return whether a model may be used, with reservations and notes.
 
-    :param ratio: of the displacements to those of the prior robot (`plausibility.displacement_ratio`).
+    :param choice: structures tried; None: joint springs alone.
+    :param ratio: of measured displacements to displacements of the prior robot, see `plausibility.displacement_ratio`.
     """
     misfit = _misfit(data, fit, choice)
     reservations = [
@@ -581,14 +609,14 @@ def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Worksp
         _implausible_scale(fit.structure.prior, ratio),
     ]
     return Judgement(
-        distrust=_distrust(data, fit, choice) or misfit.text_beyond(_USELESS_MISFIT) or workspace.refusal,
+        distrust=_distrust_reason(data, fit, choice) or misfit.text_beyond(_USELESS_MISFIT) or workspace.refusal,
         reservation="; ".join(filter(None, reservations)),
-        notes=_notes(data, fit, choice),
+        notes=_gap_notes(data, fit, choice),
     )
 
 
 def _few_configurations(data: Measurements) -> str:
-    """Return that few configurations were measured; empty if they are enough to show what the model lacks."""
+    """Return a reservation if fewer than `_FEW_CONFIGURATIONS` were measured; else empty."""
     if len(data.q) >= _FEW_CONFIGURATIONS:
         return ""
     return (
@@ -598,9 +626,14 @@ def _few_configurations(data: Measurements) -> str:
 
 
 def _implausible_scale(robot: RobotModel, ratio: float) -> str:
-    """Return that all compliances would be far from those of robots of this kind; empty if they are not."""
+    """Return a reservation if all compliances would be implausibly far from the prior robot; else empty.
+
+    :param ratio: of measured displacements to displacements of the prior robot.
+    """
     spread = sum(prior_spread(robot, joint) for joint in JOINT_COMPLIANCES)
-    largest_ratio = 1.0 + _IMPLAUSIBLE * max(spread / sum(map(robot.value, JOINT_COMPLIANCES)), PRIOR_SPREAD_SHARE)
+    largest_ratio = 1.0 + _IMPLAUSIBLE_SIGMAS * max(
+        spread / sum(map(robot.value, JOINT_COMPLIANCES)), PRIOR_SPREAD_SHARE
+    )
     if 1.0 / largest_ratio < ratio < largest_ratio:
         return ""
     return (
@@ -610,7 +643,7 @@ def _implausible_scale(robot: RobotModel, ratio: float) -> str:
 
 
 def _misfit(data: Measurements, fit: Fit, choice: Choice | None) -> _Misfit:
-    """Return how much of the displacements a model leaves, on configurations left out if a structure was chosen."""
+    """Return the RMS error of the displacements: in cross-validation if a structure was chosen, else of the fit."""
     mean, _ = data.means()
     unloaded_states = data.unloaded_states[data.state_config[data.loaded_states]]
     measured = np.nan_to_num(mean[data.loaded_states] - mean[unloaded_states])
@@ -624,11 +657,11 @@ def _misfit(data: Measurements, fit: Fit, choice: Choice | None) -> _Misfit:
 
 
 def _square_error(fit: Fit, choice: Choice | None) -> float:
-    """Return the mean square error in σ², on configurations left out if a structure was chosen by them."""
+    """Return the mean square error [σ²]: of configurations left out if a structure was chosen, else of the fit."""
     return fit.chi2 / max(fit.dof, 1) if choice is None else float(choice.held_out.mean())
 
 
-def _distrust(data: Measurements, fit: Fit, choice: Choice | None) -> str:
+def _distrust_reason(data: Measurements, fit: Fit, choice: Choice | None) -> str:
     """Return the reason that readings are too few to estimate a bound; empty if they are enough.
 
     Least squares need spare readings: with fewer they describe the readings and not the robot. Structures with priors
@@ -649,16 +682,16 @@ def _distrust(data: Measurements, fit: Fit, choice: Choice | None) -> str:
 def fewest_configurations(parameters: int, points: int, directions: float) -> int:
     """Return the number of configurations below which a model may not be used.
 
-    :param parameters: number of parameters of least squares.
+    :param parameters: number of parameters of least squares; 0 for parameters with priors.
     :param points: number of reference points.
     :param directions: mean number of independent loads of a configuration.
     """
     numbers = _numbers_of_a_configuration(points, directions)
-    return max(_FEWEST, int(np.ceil(_SPARE * parameters / numbers)))
+    return max(_MIN_CONFIGURATIONS, int(np.ceil(_MIN_NUMBERS_PER_PARAMETER * parameters / numbers)))
 
 
 def load_directions(data: Measurements) -> list[int]:
-    """Return the number of independent loads of each configuration."""
+    """Return the number of linearly independent loads (rank of the unit wrenches) of each configuration."""
     wrench, config = data.wrench[data.loaded_states], data.state_config[data.loaded_states]
     return [
         int(np.linalg.matrix_rank(wrench[config == index] / norm(wrench[config == index])[:, None], tol=0.1))
@@ -668,20 +701,21 @@ def load_directions(data: Measurements) -> list[int]:
 
 def _numbers_of_a_configuration(points: int, directions: float) -> float:
     """Return the number of spring parameters that a configuration determines, by its points and load directions."""
-    return _NUMBERS.get(points, 6) * directions
+    return _NUMBERS_BY_POINTS.get(points, 6) * directions
 
 
-def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
-    """Return sentences for the report on what the fit or the readings leave in doubt.
+def _gap_notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
+    """Return sentences on doubts that the fit or the readings leave, for the report.
 
-    They name a mean square error above that of noise, readings at one load level only, parameters that the readings
-    do not narrow, joints with a compliance of zero, and backlash beyond its 95 % half-width.
+    They name a mean square error above the noise, readings at one load level only, parameters that the readings do not
+    narrow, joints with a compliance of zero, and backlash beyond its 95 % half width.
 
-    :param choice: the chosen model structure; None if the structure was given.
+    :param choice: structures tried; None: joint springs alone.
     """
-    # the posterior, not the wider covariance of the bound, tells whether a value is there
+    # the posterior, not the wider covariance of the bound, decides whether backlash exists
     posterior_fit = fit if choice is None else choice.fit
-    notes, half = [], dict(zip(posterior_fit.structure.parameters, posterior_fit.ci95.tolist(), strict=True))
+    half_widths = dict(zip(posterior_fit.structure.parameters, posterior_fit.ci95.tolist(), strict=True))
+    notes = []
     load = norm(data.wrench[data.loaded_states])
     square_error = _square_error(fit, choice)
     if square_error > _MAX_SQUARE_ERROR:
@@ -700,20 +734,20 @@ def _notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:
     for parameter, value in fit.parameter_values.items():
         if isinstance(parameter, JointCompliance) and parameter.file_value(fit.parameter_values)[0] <= 0.0:
             notes.append(f"{parameter.joint} has no compliance of its own: springs of the links take its place")
-        if isinstance(parameter, Backlash) and value > max(_PLAY, half[parameter]):
+        if isinstance(parameter, Backlash) and value > max(_MIN_BACKLASH, half_widths[parameter]):
             notes.append(f"looks like {value * MM_PER_M:.3f} mrad of backlash or friction in {parameter.joint}")
     return notes
 
 
 def _open_parameters(choice: Choice) -> list[str]:
-    """Return one sentence on the parameters that the readings do not narrow, by kind."""
-    kinds: dict[str, list[str]] = {}
+    """Return one sentence on the parameters that the readings do not narrow, by kind; empty without such parameters."""
+    names_by_kind: dict[str, list[str]] = {}
     for parameter in choice.held_by_prior:
-        kind = next((name for of_kind, name in _KINDS if isinstance(parameter, of_kind)), "other parameters")
-        kinds.setdefault(kind, []).append(parameter.name)
-    if not kinds:
+        kind = next((name for of_kind, name in _KIND_NAMES if isinstance(parameter, of_kind)), "other parameters")
+        names_by_kind.setdefault(kind, []).append(parameter.name)
+    if not names_by_kind:
         return []
-    parts = [f"{kind} {first_of(names, _MAX_NAMES)}" for kind, names in kinds.items()]
+    parts = [f"{kind} {first_of(names, _MAX_NAMES)}" for kind, names in names_by_kind.items()]
     return [
         "not identified, held by a prior of physical size, which counts in the bound: "
         f"{'; '.join(parts)} (all of them: held_by_prior in identification.json)"

@@ -40,7 +40,7 @@ from postproc.identification.measurement_model import (
 )
 from postproc.identification.readings import Measurements, read, read_experiment
 from postproc.identification.stated_points import displaced_points
-from postproc.identification.uncertainty import levels, noise_of
+from postproc.identification.uncertainty import displacement_noise, levels
 from postproc.program import Bools, Ints
 from postproc.robot import JOINTS, RobotModel
 
@@ -49,16 +49,16 @@ _BOUND_SHARE = 0.95
 _MIN_SHARE, _MIN_LOWER_LIMIT = 0.9, 0.5
 """A bound is kept if this share of the displacements is inside, and the lower limit of the share exceeds the second
 (assumed)."""
-_DOUBT = 0.05
+_DOUBT_CHANCE = 0.05
 """Chance that noise alone refutes a bound: of all levels together, or of all joints and senses."""
-_NARROW = 2.0
+_NARROW_RATIO = 2.0
 """Up to this ratio of errors to bound, the bound is merely too narrow (assumed)."""
 _STANDARD_ERRORS = 2.0
 """Standard errors by which the residual must exceed the noise for a factor; else its lower limit is stated."""
-_SAME_ANGLE = 1e-4
-"""Angles that differ by less [rad] are those of one pose (assumed)."""
-_SAME_LOAD = 0.01
-"""Largest differences [rad, relative] between equal states (assumed)."""
+_SAME_ANGLE_TOLERANCE = 1e-4
+"""Largest difference [rad] between the angles of one pose (assumed)."""
+_SAME_LOAD_TOLERANCE = 0.01
+"""Largest relative difference between equal loads (assumed)."""
 SIGNS = ("negative", "positive")
 LEAST_TORQUE = 1.0
 """Smallest torque [N·m] that counts as having a sign (assumed)."""
@@ -72,19 +72,19 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
 
     :param load: force [N] and moment [N·m] in one, median.
     :param measured: RMS of the displacements measured [m].
-    :param left: RMS of their prediction errors [m].
-    :param noise: RMS of the noise in that [m].
-    :param doubt: standard error of the mean square residual, by configurations [m²].
-    :param inside: share of the displacements whose error is inside the bound and its noise; NaN without a bound.
-    :param limits: limits of the share of all displacements.
-    :param reach: 95 % quantile of the errors over bound and noise.
+    :param prediction_error: RMS of their prediction errors [m].
+    :param noise: RMS of the noise of the readings in the prediction errors [m].
+    :param doubt: standard error of the mean square prediction error, over the loaded states [m²].
+    :param inside: share of the displacements whose error is inside bound and noise; NaN without a bound.
+    :param limits: lower and upper limit of this share for all displacements of the robot.
+    :param reach: 95 % quantile of error over bound and noise; NaN without a bound.
     :param bound: RMS of the bound [m].
     :param configurations: number of configurations with such a load.
     """
 
     load: float
     measured: float
-    left: float
+    prediction_error: float
     noise: float
     doubt: float
     inside: float
@@ -104,15 +104,15 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
         return not self.is_refuted and self.inside >= _MIN_SHARE and self.limits[0] >= _MIN_LOWER_LIMIT
 
     @property
-    def above_noise(self) -> bool:
+    def exceeds_noise(self) -> bool:
         """Whether the prediction errors exceed the noise; else only a lower limit of the factor is known."""
-        return self.left**2 - self.noise**2 > _STANDARD_ERRORS * self.doubt
+        return self.prediction_error**2 - self.noise**2 > _STANDARD_ERRORS * self.doubt
 
     @property
     def factor(self) -> float:
-        """Displacement over prediction error without noise; a lower limit if noise hides the error."""
-        square_excess = self.left**2 - self.noise**2
-        if not self.above_noise:
+        """RMS of displacement over prediction error without noise; a lower limit if noise hides the error."""
+        square_excess = self.prediction_error**2 - self.noise**2
+        if not self.exceeds_noise:
             square_excess = max(square_excess, 0.0) + _STANDARD_ERRORS * self.doubt
         return float(self.measured / np.sqrt(square_excess)) if square_excess > 0.0 else float("inf")
 
@@ -122,7 +122,7 @@ class Validation(Struct, frozen=True, eq=False):
 
     :param levels: by load, ascending.
     :param covered: torques that the loads put on the joints.
-    :param identified: torques that the model was identified with; empty where it does not record them.
+    :param identified: torques that the model was identified with; empty if the model does not record them.
     :param warnings: gross errors of the readings, and states left out.
     :param jobs: share of each program that is covered; empty if no job was given.
     """
@@ -140,7 +140,7 @@ class Validation(Struct, frozen=True, eq=False):
 
     @property
     def holds(self) -> bool:
-        """Whether the bound was kept, and the readings cover the jobs if any."""
+        """Whether the bound was kept at every level, and the readings cover nearly all of each job."""
         return self.is_held and all(job.share >= _BOUND_SHARE for job in self.jobs)
 
     @property
@@ -164,7 +164,7 @@ class Validation(Struct, frozen=True, eq=False):
                 "do not contradict it: measure more configurations."
             )
         widest = max(level.reach for level in refuted_levels)
-        if widest < _NARROW:
+        if widest < _NARROW_RATIO:
             advice = (
                 f"The bound is too narrow: use {widest:.1f} times u95, and identify the robot anew from these and "
                 "the earlier readings together."
@@ -177,9 +177,9 @@ class Validation(Struct, frozen=True, eq=False):
         return f"THE MODEL DOES NOT HOLD: {share}; {_BOUND_SHARE:.0%} are promised. {advice}"
 
     def _validity_text(self, share: str) -> str:
-        """Return for which programs or torques the model holds.
+        """Return a sentence on the programs for which the model holds; without jobs, on the torques.
 
-        :param share: sentence on the share of displacements inside the bound.
+        :param share: clause on the share of displacements inside the bound.
         """
         if not self.jobs:
             return f"the model holds for the torques listed below: {share}"
@@ -197,15 +197,16 @@ class Validation(Struct, frozen=True, eq=False):
 
 
 def _percent(share: float) -> str:
-    """Return a share in per cent, rounded down: 100 % is all."""
-    return f"{math.floor(100.0 * share + 1e-9)}%"
+    """Return a share in per cent, rounded down, so that 100 % means all."""
+    return f"{math.floor(100.0 * share + 1e-9)}%"  # 1e-9: a whole number of per cent may be off by rounding
 
 
 def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     """Compare a model folder with readings of the same robot that it was not identified from.
 
     :param model: folder, or the name of a shipped robot.
-    :raises MeasurementError: the files are unusable, or all the readings are the model's own.
+    :param experiment: path of `experiment.toml`.
+    :raises MeasurementError: the files are unusable, or the model was identified from all loaded states.
     """
     setup = read_experiment(experiment)
     folder = robots.find(str(model))
@@ -224,17 +225,17 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
         )
     if not fresh.all():
         warnings.append(f"{np.count_nonzero(~fresh)} of {len(fresh)} loaded states are the model's own: left out")
-    comparison = _comparison(robot, data, placement, fresh)
+    comparison = _compare_displacements(robot, data, placement, fresh)
     return Validation(
-        tuple(_levels(comparison)),
-        _coverage(joint_torques(robot, data), comparison),
+        tuple(_validated_levels(comparison)),
+        _checked_coverage(joint_torques(robot, data), comparison),
         tuple(model_data.torques),
         tuple(warnings),
     )
 
 
 def _is_known_state(data: Measurements, states: Array) -> Bools:
-    """Return True for loaded states (L,) of the readings whose configuration and load are among some states.
+    """Return True for loaded states (L,) of the readings whose configuration and load equal one of some states.
 
     :param states: (m, 12) joint angles [rad], then force [N] and moment [N·m] at the load point, root axes.
     """
@@ -242,8 +243,8 @@ def _is_known_state(data: Measurements, states: Array) -> Bools:
     is_known = np.zeros(len(data.loaded_states), dtype=bool)
     for row, state in enumerate(data.loaded_states):
         q, wrench = data.q[data.state_config[state]], data.wrench[state]
-        is_same_pose = np.abs(state_q - q).max(axis=1) < _SAME_ANGLE
-        is_same_load = norm(state_wrench - wrench) < _SAME_LOAD * norm(wrench)
+        is_same_pose = np.abs(state_q - q).max(axis=1) < _SAME_ANGLE_TOLERANCE
+        is_same_load = norm(state_wrench - wrench) < _SAME_LOAD_TOLERANCE * norm(wrench)
         is_known[row] = (is_same_pose & is_same_load).any()
     return is_known
 
@@ -251,11 +252,12 @@ def _is_known_state(data: Measurements, states: Array) -> Bools:
 class _Displacements(Struct, frozen=True, eq=False):
     """Displacements of L loaded states at P points.
 
-    :param is_compared: (L, P) which are compared.
-    :param config: (L,) configuration, and `load` (L,) force and moment in one [N, N·m].
-    :param displacement: (L, P) measured, `left` prediction error, and its `bound` [m].
-    :param noise: (L, P) mean square of the noise [m²].
-    :param error_ratio: (L, P) residual over bound and noise.
+    :param is_compared: (L, P) whether the displacement counts in the comparison.
+    :param config: (L,) index of the configuration, and `load` (L,) force and moment in one [N, N·m].
+    :param displacement: (L, P) length of the measured displacement [m].
+    :param prediction_error: (L, P) distance from the predicted displacement [m], and its `bound` (L, P) [m].
+    :param noise: (L, P) mean square length of the noise [m²].
+    :param error_ratio: (L, P) prediction error over bound and noise.
     :param has_bound: whether the model states a bound.
     """
 
@@ -263,57 +265,61 @@ class _Displacements(Struct, frozen=True, eq=False):
     config: Ints
     load: Array
     displacement: Array
-    left: Array
+    prediction_error: Array
     bound: Array
     noise: Array
     error_ratio: Array
     has_bound: bool
 
 
-def _comparison(robot: RobotModel, data: Measurements, placement: Placement, fresh: Bools) -> _Displacements:
-    """Return measured and predicted displacements [m], those that count (fresh, visible), and their bound."""
+def _compare_displacements(robot: RobotModel, data: Measurements, placement: Placement, fresh: Bools) -> _Displacements:
+    """Return measured displacements, with the error of their prediction by a robot and its bound.
+
+    :param fresh: (L,) whether the model was not identified from the loaded state. Only visible points of such states
+        are compared.
+    """
     displacement = measured_displacements(data, placement)
     prediction, bound = _prediction(robot, data, placement)
-    left, noise = norm(displacement - prediction), noise_of(data)
+    prediction_error, noise = norm(displacement - prediction), displacement_noise(data)
     return _Displacements(
         is_compared=(visible_points(data)[..., 0] > 0.0) & fresh[:, None],
         config=data.state_config[data.loaded_states],
         load=norm(data.wrench[data.loaded_states]),
         displacement=norm(displacement),
-        left=left,
+        prediction_error=prediction_error,
         bound=bound,
         noise=noise,
-        error_ratio=left / np.sqrt(bound**2 + LENGTH_95**2 * noise),
+        error_ratio=prediction_error / np.sqrt(bound**2 + LENGTH_95**2 * noise),  # both of 95 %
         has_bound=robot.covariance is not None,
     )
 
 
-def _levels(comparison: _Displacements) -> list[ValidatedLevel]:
-    """Return the comparison at each level of loads, from the smallest on; levels without a compared point are left out.
-
-    A bound that the model does not state leaves its shares NaN and their limits 0 and 1.
-    """
+def _validated_levels(comparison: _Displacements) -> list[ValidatedLevel]:
+    """Return the comparison at each level of loads with compared points, from the smallest load on."""
     level = levels(comparison.load)
     count = int(level.max()) + 1
+    # a refutation at any level counts, so each level gets a part of the doubt (Bonferroni)
     is_compared_at = ((level == index)[:, None] & comparison.is_compared for index in range(count))
-    return [_validated_level(comparison, rows, _DOUBT / count) for rows in is_compared_at if rows.any()]
+    return [_validated_level(comparison, rows, _DOUBT_CHANCE / count) for rows in is_compared_at if rows.any()]
 
 
 def _validated_level(comparison: _Displacements, rows: Bools, upper_doubt: float) -> ValidatedLevel:
-    """Return the comparison of some displacements; see `_levels`.
+    """Return the comparison of the displacements of one level.
 
-    :param rows: (L, P) True for these displacements; at least one is.
+    Without a bound of the model, the share inside is NaN with the limits 0 and 1.
+
+    :param rows: (L, P) True for displacements of the level; at least one is True.
     :param upper_doubt: probability with which the share inside the bound is above its upper limit.
     """
     has_bound, ratio = comparison.has_bound, comparison.error_ratio[rows]
-    lower = _limits(comparison, rows, _DOUBT)[0] if has_bound else 0.0
-    upper = _limits(comparison, rows, upper_doubt)[1] if has_bound else 1.0
+    lower = _inside_limits(comparison, rows, _DOUBT_CHANCE)[0] if has_bound else 0.0
+    upper = _inside_limits(comparison, rows, upper_doubt)[1] if has_bound else 1.0
     states = np.flatnonzero(rows.any(axis=1))
-    squares = [np.mean(comparison.left[state, rows[state]] ** 2) for state in states]
+    squares = [np.mean(comparison.prediction_error[state, rows[state]] ** 2) for state in states]
     return ValidatedLevel(
         load=float(np.median(comparison.load[states])),
         measured=_rms(comparison.displacement[rows]),
-        left=_rms(comparison.left[rows]),
+        prediction_error=_rms(comparison.prediction_error[rows]),
         noise=_rms(np.sqrt(comparison.noise[rows])),
         doubt=float(np.std(squares, ddof=1) / np.sqrt(len(squares))) if len(squares) > 1 else np.inf,
         inside=float(np.mean(ratio <= 1.0)) if has_bound else float("nan"),
@@ -324,8 +330,8 @@ def _validated_level(comparison: _Displacements, rows: Bools, upper_doubt: float
     )
 
 
-def _coverage(torque: Array, comparison: _Displacements) -> Coverage:
-    """Return the torques covered; readings of one direction may contradict a model that is valid otherwise.
+def _checked_coverage(torque: Array, comparison: _Displacements) -> Coverage:
+    """Return the covered torques, with the joints and signs of torque whose readings contradict the bound.
 
     :param torque: (L, 6) of the loads on the joints [N·m].
     """
@@ -335,51 +341,53 @@ def _coverage(torque: Array, comparison: _Displacements) -> Coverage:
         for joint, side in np.ndindex(6, 2):
             rows = (split_signs(torque)[:, joint, side] > LEAST_TORQUE)[:, None] & comparison.is_compared
             is_refuted[joint, side] = (
-                rows.any() and _limits(comparison, rows, _DOUBT / is_refuted.size)[1] < _BOUND_SHARE
+                rows.any() and _inside_limits(comparison, rows, _DOUBT_CHANCE / is_refuted.size)[1] < _BOUND_SHARE
             )
     return coverage(torque[states], comparison.config[states], is_refuted)
 
 
-def _limits(comparison: _Displacements, rows: Bools, doubt: float) -> tuple[float, float]:
-    """Return the lower and upper limit of the share of displacements inside the bound, see `limits`.
+def _inside_limits(comparison: _Displacements, rows: Bools, doubt: float) -> tuple[float, float]:
+    """Return the lower and upper limit of the share of displacements inside the bound, see `share_limits`.
 
-    :param rows: (L, P) the displacements that count.
+    :param rows: (L, P) True for displacements that count.
+    :param doubt: probability with which the share is below the lower limit, and above the upper one.
     """
-    return limits(*_counts_by_configuration(comparison.error_ratio <= 1.0, rows, comparison.config), doubt)
+    return share_limits(*_counts_by_configuration(comparison.error_ratio <= 1.0, rows, comparison.config), doubt)
 
 
 def _counts_by_configuration(is_inside: Bools, rows: Bools, config: Ints) -> tuple[Array, Array]:
-    """Return how many displacements of each configuration are inside the bound (C,), and how many there are (C,).
+    """Return the numbers of displacements inside the bound (C,), and of all displacements that count (C,).
 
-    Only configurations with displacements that count have a row.
+    C configurations have displacements that count.
 
-    :param is_inside: (L, P), and `rows` (L, P) the displacements that count.
-    :param config: (L,) row of the configuration.
+    :param is_inside: (L, P) whether the displacement is inside the bound.
+    :param rows: (L, P) True for displacements that count.
+    :param config: (L,) index of the configuration of each loaded state.
     """
     total, inside_count = (np.bincount(config, weights=mask.sum(axis=1)) for mask in (rows, is_inside & rows))
     return np.asarray(inside_count[total > 0.0], dtype=float), np.asarray(total[total > 0.0], dtype=float)
 
 
-def limits(inside_counts: Array, counts: Array, doubt: float) -> tuple[float, float]:
+def share_limits(inside_counts: Array, counts: Array, doubt: float) -> tuple[float, float]:
     """Return the lower and upper limit of the share of all displacements that is inside, from some configurations.
 
-    Displacements of one configuration are alike, so they count as fewer independent ones: as many as give the scatter
-    of the configurations. Source: Korn and Graubard, Survey Methodology 24, 1998, with the limits of Clopper and
-    Pearson, Biometrika 26, 1934.
+    Displacements of one configuration are alike, so they count as fewer independent displacements: as many as have the
+    scatter between the configurations. A single configuration has no scatter: the limits are 0 and 1. Source: Korn and
+    Graubard, Survey Methodology 24, 1998, with the limits of Clopper and Pearson, Biometrika 26, 1934.
 
-    :param inside_counts: (C,) how many displacements of each are inside, of `counts` (C,).
+    :param inside_counts: (C,) numbers of displacements inside, of `counts` (C,) displacements in each configuration.
     :param doubt: probability with which the share is below the lower limit, and above the upper one.
     """
-    from scipy.special import betaincinv, stdtrit
+    from scipy.special import betaincinv, stdtrit  # takes long to import
 
     configs, count = len(counts), float(counts.sum())
     share = float(inside_counts.sum()) / count
     if configs < 2:
         return 0.0, 1.0
     scatter = configs / (configs - 1.0) * float(np.sum((inside_counts - share * counts) ** 2)) / count**2
-    number = float(configs)  # all alike: each configuration is one displacement
+    number = float(configs)  # of independent displacements; without scatter each configuration is one
     if scatter > 0.0:
-        # few configurations know their scatter badly: by quantiles of Student's t (Korn and Graubard 1998)
+        # the scatter of few configurations is uncertain: by quantiles of Student's t (Korn and Graubard 1998)
         reduction = (stdtrit(count - 1.0, doubt) / stdtrit(configs - 1.0, doubt)) ** 2
         number = min(count, reduction * share * (1.0 - share) / scatter)
     inside_number, outside_number = share * number, (1.0 - share) * number
@@ -396,13 +404,15 @@ def _rms(values: Array) -> float:
 def _prediction(robot: RobotModel, data: Measurements, placement: Placement) -> tuple[Array, Array]:
     """Return predicted displacements (L, P, 3) of the points by the loads, root axes, and their bounds (L, P) [m].
 
+    The bounds are zero if the robot states none.
+
     :raises NotConvergedError: the springs have no equilibrium under a load.
     """
     q, wrench = data.q[data.state_config[data.loaded_states]], data.wrench[data.loaded_states]
-    at_load = np.eye(4)
-    at_load[:3, 3] = data.load_point
-    pose = elastostatics.deflect(robot, q, at_load, wrench).pose
-    unloaded_pose = elastostatics.deflect(robot, q, at_load, np.zeros_like(wrench)).pose
+    load_frame = np.eye(4)
+    load_frame[:3, 3] = data.load_point
+    pose = elastostatics.deflect(robot, q, load_frame, wrench).pose
+    unloaded_pose = elastostatics.deflect(robot, q, load_frame, np.zeros_like(wrench)).pose
     displacement, bound = np.empty((len(q), len(data.points), 3)), np.zeros((len(q), len(data.points)))
     for index, point in enumerate(placement.points):
         lever = np.append(point - data.load_point, 1.0)
@@ -412,7 +422,7 @@ def _prediction(robot: RobotModel, data: Measurements, placement: Placement) -> 
         point_wrench = wrench.copy()  # the same load, referred to the point
         point_wrench[:, 3:] -= np.cross(unloaded_pose[:, :3, :3] @ lever[:3], wrench[:, :3])
         point_bound = elastostatics.position_bound(robot, q, tool, point_wrench)
-        if point_bound is not None:
+        if point_bound is not None:  # the robot states a covariance
             bound[:, index] = point_bound
     return displacement, bound
 
@@ -423,7 +433,7 @@ COMMON_LOAD_ERROR = (
 
 
 def table(result: Validation) -> str:
-    """Return the comparison as a table for a terminal."""
+    """Return the verdict, the comparison by levels as a table, torques and jobs, for a terminal."""
     lines = [
         result.line,
         f"{'load N':>8}{'measured mm':>13}{'left mm':>9}{'noise mm':>10}{'bound mm':>10}{'factor':>8}"
@@ -432,12 +442,17 @@ def table(result: Validation) -> str:
     for level in result.levels:
         lengths = "".join(
             f"{value * MM_PER_M:{width}.3f}"
-            for value, width in ((level.measured, 13), (level.left, 9), (level.noise, 10), (level.bound, 10))
+            for value, width in (
+                (level.measured, 13),
+                (level.prediction_error, 9),
+                (level.noise, 10),
+                (level.bound, 10),
+            )
         )
         inside_text, range_text = "–", "–"
         if not np.isnan(level.inside):
             inside_text, range_text = f"{level.inside:.0%}", "{:.0%} to {:.0%}".format(*level.limits)
-        factor = f"{'' if level.above_noise else '> '}{level.factor:.3g}"
+        factor = f"{'' if level.exceeds_noise else '> '}{level.factor:.3g}"
         lines.append(f"{level.load:8.0f}{lengths}{factor:>8}{inside_text:>8}{range_text:>14}")
     lines += [*torque_lines(result.covered, result.identified), *job_lines(result.jobs), COMMON_LOAD_ERROR]
     return "\n".join(lines)
@@ -446,10 +461,11 @@ def table(result: Validation) -> str:
 class Coverage(Struct, frozen=True, eq=False):
     """Torques that the readings covered, by joint and sign (column 0 negative, 1 positive).
 
-    :param largest: (6, 2) largest torque of that sign, as a positive number; 0 where there is none [N·m].
-    :param configurations: (6, 2) number of configurations with a torque of that sign.
-    :param refuted: (6, 2) whether the readings with that sign contradict the model.
-    :param least: smallest load that was measured: torque on its most loaded joint, divided by `largest`.
+    :param largest: (6, 2) largest torque of the sign, as a positive number [N·m]; 0 without one.
+    :param configurations: (6, 2) number of configurations with a torque of the sign.
+    :param refuted: (6, 2) whether the readings with torques of the sign contradict the model.
+    :param least: relative size of the smallest loads that enough configurations have: the largest ratio of a torque
+        to `largest`; infinite without configurations.
     """
 
     largest: Array
@@ -471,7 +487,7 @@ class UncoveredShare(Struct, frozen=True):
 
 
 class JobShare(Struct, frozen=True):
-    """Share of a program's cutting path whose torques are covered, and the reasons for the rest."""
+    """Share of a program's cutting path whose torques are covered, and the reasons for uncovered shares."""
 
     program: str
     share: float
@@ -482,8 +498,9 @@ def coverage(torque: Array, config: Ints, is_refuted: Bools | None = None) -> Co
     """Return the torques that loaded states cover.
 
     :param torque: (L, 6) joint torques of each loaded state [N·m].
-    :param config: (L,) configuration of each state.
-    :param is_refuted: (6, 2) joint and direction of whose torques the readings contradict the bound; None: of none.
+    :param config: (L,) configuration of each loaded state.
+    :param is_refuted: (6, 2) whether the readings with torques of a joint and sign contradict the bound; None: they do
+        not.
     """
     sides = split_signs(torque)
     acts = sides > LEAST_TORQUE
@@ -492,8 +509,8 @@ def coverage(torque: Array, config: Ints, is_refuted: Bools | None = None) -> Co
     acts_in_config = np.zeros((len(configs), 6, 2), dtype=bool)
     np.logical_or.at(acts_in_config, config_row, acts)
     smallest_level = np.full(len(configs), np.inf)  # of the loads of each configuration
-    np.minimum.at(smallest_level, config_row, _level(sides, largest))
-    # the level down to which enough configurations were measured, or all if they are fewer
+    np.minimum.at(smallest_level, config_row, _relative_torque(sides, largest))
+    # relative size down to which enough configurations were measured, or all if they are fewer
     needed = min(MIN_CONFIGURATIONS, len(configs))
     return Coverage(
         largest=largest,
@@ -513,19 +530,20 @@ def split_signs(torque: Array) -> Array:
     return np.stack([np.maximum(-torque, 0.0), np.maximum(torque, 0.0)], axis=-1)
 
 
-def inside(torque: Array, torque_range: Coverage) -> Bools:
-    """Return (T,) whether torques (T, 6) [N·m] are covered on all joints, and not below the smallest loads."""
-    faults = _faults(torque, torque_range)
+def is_inside_coverage(torque: Array, torque_range: Coverage) -> Bools:
+    """Return (T,) whether torques (T, 6) [N·m] are covered on all joints, and not all below those of small loads."""
+    faults = _coverage_faults(torque, torque_range)
     return np.asarray(~((faults.lacks_sign | faults.exceeds_range).any(axis=(1, 2)) | faults.is_small))
 
 
 def job_share(program: str, torque: Array, weight: Array, torque_range: Coverage) -> JobShare:
-    """Return the covered share of a program, with reasons for the rest.
+    """Return the covered share of a program, with reasons for uncovered shares, the largest first.
 
+    :param program: name, for the user.
     :param torque: (T, 6) joint torques of the cutting forces at places along its cutting moves [N·m].
-    :param weight: (T,) share of the cutting path of each place, sum 1.
+    :param weight: (T,) share of the cutting path at each place, sum 1.
     """
-    faults = _faults(torque, torque_range)
+    faults = _coverage_faults(torque, torque_range)
     entries = [UncoveredShare("all torques below those of the smallest loads", float(weight @ faults.is_small))]
     for joint, side in np.ndindex(6, 2):
         subject = f"{SIGNS[side]} torque on {JOINTS[joint]}"
@@ -542,15 +560,15 @@ def job_share(program: str, torque: Array, weight: Array, torque_range: Coverage
             UncoveredShare(size_text, float(weight @ faults.exceeds_range[:, joint, side])),
         ]
     reasons = sorted((reason for reason in entries if reason.share > 0.0), key=lambda entry: -entry.share)
-    return JobShare(program, float(weight @ inside(torque, torque_range)), tuple(reasons))
+    return JobShare(program, float(weight @ is_inside_coverage(torque, torque_range)), tuple(reasons))
 
 
 class _Faults(NamedTuple):
-    """Why the torques at T places are not covered.
+    """Reasons that torques at T places are not covered, by joint and sign (column 0 negative, 1 positive).
 
-    :param lacks_sign: (T, 6, 2) torques with a sign, negative or positive, that the readings do not cover.
-    :param exceeds_range: (T, 6, 2) torques beyond the largest with this sign.
-    :param is_small: (T,) places where all torques are below those of the smallest load.
+    :param lacks_sign: (T, 6, 2) whether a torque has a sign that the readings do not cover.
+    :param exceeds_range: (T, 6, 2) whether a torque is beyond the largest covered torque of its sign.
+    :param is_small: (T,) whether all torques of the place are below those of the smallest loads.
     """
 
     lacks_sign: Bools
@@ -558,21 +576,22 @@ class _Faults(NamedTuple):
     is_small: Bools
 
 
-def _faults(torque: Array, torque_range: Coverage) -> _Faults:
-    """Return why torques (T, 6) [N·m] are not covered."""
+def _coverage_faults(torque: Array, torque_range: Coverage) -> _Faults:
+    """Return the reasons that torques (T, 6) [N·m] are not covered."""
     sides, is_covered = split_signs(torque), torque_range.is_covered
     acts = sides > LEAST_TORQUE
     return _Faults(
         lacks_sign=acts & ~is_covered,
         exceeds_range=acts & is_covered & (sides > torque_range.largest),
-        is_small=_level(sides, torque_range.largest) < torque_range.least,
+        is_small=_relative_torque(sides, torque_range.largest) < torque_range.least,
     )
 
 
-def _level(sides: Array, largest: Array) -> Array:
-    """Return the torque (N,) on the most loaded joint, divided by the largest one covered with that sign.
+def _relative_torque(sides: Array, largest: Array) -> Array:
+    """Return the relative size (N,) of torques: the largest ratio of a torque to the largest covered torque.
 
-    :param sides: (N, 6, 2) torques by sign, as positive numbers; `largest` (6, 2) covered ones [N·m].
+    :param sides: (N, 6, 2) torques by sign, as positive numbers [N·m].
+    :param largest: (6, 2) largest covered torque of each joint and sign [N·m].
     """
     ratio = np.divide(sides, largest, out=np.zeros_like(sides), where=largest > 0.0)
     return np.asarray(ratio.max(axis=(1, 2)))
@@ -587,7 +606,7 @@ def torque_record(torque_range: Coverage) -> list[record.TorqueRange]:
 
 
 def torque_lines(torque_range: Coverage, model_ranges: Sequence[record.TorqueRange]) -> list[str]:
-    """Return a table for the terminal: covered torques by joint and sign, next to those of the identification.
+    """Return a table for the terminal: covered torques by joint and sign, next to torques of the identification.
 
     :param model_ranges: torques that the model was identified with; empty if the model does not record them.
     """
@@ -598,7 +617,7 @@ def torque_lines(torque_range: Coverage, model_ranges: Sequence[record.TorqueRan
     head = f"{'':>4}{'negative':>16}{'positive':>16}"
     lines.append(head + (f"{'identified with':>24}" if model_ranges else ""))
     for joint, name in enumerate(JOINTS):
-        cells = [_cell(torque_range, joint, side) for side in (0, 1)]
+        cells = [_torque_cell(torque_range, joint, side) for side in (0, 1)]
         row = f"{name:>4}{cells[0]:>16}{cells[1]:>16}"
         if model_ranges:
             model_range = model_ranges[joint]
@@ -616,12 +635,12 @@ def torque_lines(torque_range: Coverage, model_ranges: Sequence[record.TorqueRan
     return lines
 
 
-def _cell(torque_range: Coverage, joint: int, side: int) -> str:
+def _torque_cell(torque_range: Coverage, joint: int, side: int) -> str:
     """Return a cell of the table of torques: largest torque with its sign, and number of configurations in brackets.
 
-    It ends with "off" if the readings contradict the model there.
+    It ends with "off" if readings with these torques contradict the model. It is "none" without configurations.
 
-    :param joint: 0…5, and `side` 0 for negative torques, 1 for positive ones.
+    :param joint: 0…5, and `side` 0 for negative torques, 1 for positive torques.
     """
     count = int(torque_range.configurations[joint, side])
     if count == 0:
@@ -632,7 +651,7 @@ def _cell(torque_range: Coverage, joint: int, side: int) -> str:
 
 
 def job_lines(jobs: Sequence[JobShare]) -> list[str]:
-    """Return lines for the terminal: covered share of each program, and the reasons for the rest."""
+    """Return lines for the terminal: covered share of each program, and the reasons for uncovered shares."""
     lines = []
     for job in jobs:
         lines.append(f"{job.program}: {job.share:.0%} of the cutting path is inside these torques")

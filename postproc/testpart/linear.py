@@ -13,7 +13,7 @@ import numpy as np
 from postproc.chunks import Columns
 from postproc.errors import MeasurementError, NotConvergedError
 from postproc.frames import Array
-from postproc.identification.uncertainty import WIDTH
+from postproc.identification.uncertainty import LOG_SIGMA
 from postproc.program import Bools
 from postproc.testpart.cut import States
 from postproc.testpart.prior import MIN_SHARE, Prior
@@ -157,7 +157,7 @@ def unmodelled_share(readings: Readings, local: LinearPrediction, whole: Array, 
     :param target: (n,) deviations that the linear model is to explain [m].
     """
     log_ratio = np.linspace(-4.0, 4.0, 97)  # fine enough for γ from 200 readings
-    share = GAMMA * np.exp(WIDTH * log_ratio)
+    share = GAMMA * np.exp(LOG_SIGMA * log_ratio)
     covariance = local.slopes @ whole @ local.slopes.T + noise_covariance(readings, local, 0.0)
     log_density = np.empty(len(share))
     for k, gamma in enumerate(share.tolist()):

@@ -269,7 +269,7 @@ def test_couplings_waves_and_the_compensator_have_sizes_of_the_joints_and_of_spr
         "compensator",
         "compensator",
     ]
-    sizes = [0.1 * np.sqrt(k[3] * k[5]), 0.1 * k[2] * over_pose.share(wave), 1e6, 1e6]
+    sizes = [0.1 * np.sqrt(k[3] * k[5]), 0.1 * k[2] * over_pose.amplitude_share(wave), 1e6, 1e6]
     np.testing.assert_allclose(prior.size, sizes)
     np.testing.assert_array_equal(prior.mean, 0.0)
     assert prior.signed[:2].tolist() == [True, True]

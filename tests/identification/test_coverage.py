@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from postproc.identification.validation import Coverage, coverage, inside, job_share, torque_lines, torque_record
+from postproc.identification.validation import (
+    Coverage,
+    coverage,
+    is_inside_coverage,
+    job_share,
+    torque_lines,
+    torque_record,
+)
 from postproc.robot import JOINTS
 
 SIGNS = (-1.0, 1.0)
@@ -96,7 +103,7 @@ def test_a_job_is_inside_where_no_joint_is_in_a_direction_or_of_a_size_that_is_n
         wanted.append(not wrong)
         for one in wrong:
             reasons[one] = reasons.get(one, 0.0) + part
-    assert inside(job, found).tolist() == wanted
+    assert is_inside_coverage(job, found).tolist() == wanted
     result = job_share("part", job, weight, found)
     assert (result.program, result.share) == ("part", pytest.approx(weight[wanted].sum()))
     assert {one.reason: one.share for one in result.outside} == pytest.approx(reasons)

@@ -229,20 +229,20 @@ def turned_from(data, config, pose):
 
 def test_readings_that_do_not_fit_the_geometry_say_which_and_why():
     data = readings(forces(9), count=9)
-    found = plausibility.check_frames(harness.PRIOR, turned_from(data, 0, DEVICE))
+    found = plausibility.checked_frames(harness.PRIOR, turned_from(data, 0, DEVICE))
     np.testing.assert_allclose(found.root_in_device, DEVICE, atol=1e-6)
     for split in (3, 4, 6):
         with pytest.raises(MeasurementError, match=f"readings from config {split + 1} on are in another") as caught:
-            plausibility.check_frames(harness.PRIOR, turned_from(data, split, DEVICE))
+            plausibility.checked_frames(harness.PRIOR, turned_from(data, split, DEVICE))
         assert caught.value.line == 2 + 16 * split  # two states, two repeats, four points
     for row in (0, 5):
         q = data.q.copy()
         q[row, 0] += 0.5
         with pytest.raises(MeasurementError, match=f"config {row + 1}: the readings without load are far") as caught:
-            plausibility.check_frames(harness.PRIOR, replace(data, q=q))
+            plausibility.checked_frames(harness.PRIOR, replace(data, q=q))
         assert caught.value.line == 2 + 16 * row
     with pytest.raises(MeasurementError, match="off the geometry of"):
-        plausibility.check_frames(harness.PRIOR, replace(data, q=data.q * [1, 1, 1, -1, 1, -1]))
+        plausibility.checked_frames(harness.PRIOR, replace(data, q=data.q * [1, 1, 1, -1, 1, -1]))
 
 
 def test_unmodelled_errors_by_level_are_sums_over_configurations():
@@ -291,7 +291,7 @@ def test_loads_in_the_workspace_are_those_that_were_measured_and_no_joint_gets_m
     data = readings(wrench)
     sigma = 0.02 * harness.PRIOR.compliance * 1e6
     model = replace(harness.PRIOR, covariance=robot.Covariance(robot.JOINT_COMPLIANCES, np.diag(sigma**2)))
-    q, direction = uncertainty._poses(model, LOADED_TIP)
+    q, direction = uncertainty._random_poses(model, LOADED_TIP)
     assert len(q) == 100
     tips = np.array([ARM.tcp(angles, LOADED_TIP)[:3, 3] for angles in q])
     assert tips[:, 2].min() > 0.0
@@ -309,7 +309,7 @@ def test_loads_in_the_workspace_are_those_that_were_measured_and_no_joint_gets_m
         largest * min(1.0, (measured / torques(angles, largest * unit)).min())
         for angles, unit in zip(q, direction, strict=True)
     ]
-    found = uncertainty.over_workspace(model, data)
+    found = uncertainty.bound_over_workspace(model, data)
     loads = [level.load for level in found.levels]
     np.testing.assert_allclose(loads, np.median(size) * np.array([0.05, 0.1, 0.2, 0.5, 1.0]), rtol=1e-6)
     assert np.min(size) < 0.5 * largest
@@ -373,7 +373,7 @@ def test_what_is_proportional_to_the_load_and_what_is_not():
         robot.Backlash("A2", 30.0): 0.0,
         robot.LostMotion("A2", 30.0): 0.0,
     }
-    assert {parameter: uncertainty._share(parameter) for parameter in shares} == shares
+    assert {parameter: uncertainty._load_sensitivity(parameter) for parameter in shares} == shares
 
 
 def test_displacements_and_bounds_of_a_point_are_the_same_from_whichever_point_the_load_is_given():

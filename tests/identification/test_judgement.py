@@ -229,20 +229,20 @@ def test_the_cause_of_a_wide_bound_is_the_joint_with_the_largest_variance_there(
             harness.PRIOR, covariance=robot.Covariance(JOINT_COMPLIANCES, np.diag((1e6 * sigma) ** 2)),
             discrepancy=None,
         )  # fmt: skip
-        cause = uncertainty._cause(model, q, LOADED_TIP, wrench, 1e-3)
+        cause = uncertainty._main_cause(model, q, LOADED_TIP, wrench, 1e-3)
         assert cause == (
             f"most of it comes from A{joint + 1}, whose readings do not determine {JOINT_COMPLIANCES[joint].title}"
         )
     for off, named in ((0.49e-3, False), (0.51e-3, True)):
         model = replace(model, discrepancy=robot.Discrepancy(np.array([100.0, 900.0]), np.array([off, off])))
-        cause = uncertainty._cause(model, q, LOADED_TIP, wrench, 1e-3)
+        cause = uncertainty._main_cause(model, q, LOADED_TIP, wrench, 1e-3)
         assert cause.startswith("the unmodelled error is 0.510 of 1.000 mm") == named
 
 
 def test_parameters_belong_to_their_joint_or_link():
-    assert uncertainty._joint(robot.LinkSpring("base", "end_RX")) == "base"
-    assert uncertainty._joint(JOINT_COMPLIANCES[4]) == "A5"
-    assert uncertainty._joint(robot.CompensatorStiffness()) == "A2"
+    assert uncertainty._joint_name(robot.LinkSpring("base", "end_RX")) == "base"
+    assert uncertainty._joint_name(JOINT_COMPLIANCES[4]) == "A5"
+    assert uncertainty._joint_name(robot.CompensatorStiffness()) == "A2"
 
 
 @pytest.mark.parametrize(("correlation", "named"), [(0.85, False), (0.95, True), (-0.95, True)])

@@ -82,7 +82,7 @@ def test_most_of_a_bound_is_that_of_the_joint_whose_parameters_together_have_mos
     known = replace(model, covariance=robot.Covariance(parameters, np.eye(3)), discrepancy=None)
     slopes = sensitivity(known, q[None], harness.TOOL, wrench[None])[0]
     matrix = np.diag(1e-10 * parts / np.sum(slopes**2, axis=0))
-    told = uncertainty._cause(
+    told = uncertainty._main_cause(
         replace(known, covariance=robot.Covariance(parameters, matrix)), q, harness.TOOL, wrench, 2e-5
     )
     assert told == f"most of it comes from A3, whose readings do not determine {parameters[2].title}"

@@ -10,7 +10,7 @@ from postproc.errors import MeasurementError
 from postproc.identification.measurement_model import locate
 from postproc.identification.model_folder import geometry_folder
 from postproc.identification.moved_device import moved_device
-from postproc.identification.plausibility import check_frames, check_loads
+from postproc.identification.plausibility import check_loads, checked_frames
 from postproc.identification.procedure import identify
 from postproc.identification.readings import gaps, read, read_experiment
 from samples.paper_study import harness, simulator
@@ -90,7 +90,7 @@ def test_a_tracker_that_moved_by_centimetres_is_named_at_the_configuration_where
 
     data = measured(tmp_path, 0, change)
     with pytest.raises(MeasurementError, match="from config 16 on are in another frame of the measuring device"):
-        check_frames(harness.PRIOR, data)
+        checked_frames(harness.PRIOR, data)
 
 
 def test_the_calibration_of_the_geometry_alone_names_it_too(tmp_path):

@@ -12,7 +12,7 @@ from postproc.identification import calibration
 from postproc.identification.measurement_model import as_positions, locate, unloaded_design, unloaded_flange
 from postproc.identification.model_folder import read_prior
 from postproc.identification.outlying_configuration import deletion
-from postproc.identification.plausibility import check_frames
+from postproc.identification.plausibility import checked_frames
 from samples.paper_study import harness, simulator
 
 NAMES = ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -95,9 +95,9 @@ def test_the_design_of_the_placement_is_that_by_differences(tmp_path):
 @pytest.mark.parametrize(("joint", "degrees"), [(0, 1.5), (1, -2.0), (2, 3.0), (4, 6.0)])
 def test_a_wrong_angle_is_named_with_its_joint_and_direction(tmp_path, joint, degrees):
     data = readings(tmp_path)
-    check_frames(harness.PRIOR, data)
+    checked_frames(harness.PRIOR, data)
     with pytest.raises(MeasurementError) as caught:
-        check_frames(harness.PRIOR, with_angle(data, 7, joint, degrees))
+        checked_frames(harness.PRIOR, with_angle(data, 7, joint, degrees))
     pattern = r"config 8: .* An (A\d) that is ([\d.]+)° (larger|smaller) \(KUKA signs\) would explain it"
     match = re.search(pattern, str(caught.value))
     assert match, str(caught.value)
@@ -112,7 +112,7 @@ def test_a_calibration_sees_a_tenth_of_the_error(tmp_path):
     data = readings(tmp_path, poses=30)
     calibrated(data)
     wrong = with_angle(data, 11, 0, 0.3)
-    check_frames(harness.PRIOR, wrong)
+    checked_frames(harness.PRIOR, wrong)
     with pytest.raises(MeasurementError, match=r"config 12: .* An A1 that is 0\.\d+° smaller"):
         calibrated(wrong)
 
@@ -123,7 +123,7 @@ def test_points_of_another_configuration_name_no_joint(tmp_path):
     rows = data.state == data.unloaded_states[3]
     position[rows] += np.array([0.02, -0.03, 0.025])
     with pytest.raises(MeasurementError) as caught:
-        check_frames(harness.PRIOR, replace(data, position=position))
+        checked_frames(harness.PRIOR, replace(data, position=position))
     assert "config 4: without load the points are 4" in str(caught.value)  # 44 mm
     assert "would explain" not in str(caught.value)
 
@@ -131,28 +131,28 @@ def test_points_of_another_configuration_name_no_joint(tmp_path):
 def test_few_configurations_and_small_errors_are_not_judged(tmp_path):
     data = readings(tmp_path, poses=12)
     few = data.take_configurations(np.arange(9))
-    check_frames(harness.PRIOR, with_angle(few, 4, 0, 0.5))
+    checked_frames(harness.PRIOR, with_angle(few, 4, 0, 0.5))
     # readings of an arm that has no error of geometry at all: 20 times its noise is still below a millimetre
     flange = unloaded_flange(harness.PRIOR, data.q)
     noise = np.random.default_rng(1).normal(size=data.position.shape) * 0.02e-3
     points = np.einsum("cij,pj->cpi", flange[:, :3, :3], data.guess) + flange[:, None, :3, 3]
     exact = replace(data, position=points[data.state_config[data.state], data.point] + noise)
-    check_frames(harness.PRIOR, with_angle(exact, 4, 0, 0.015))
+    checked_frames(harness.PRIOR, with_angle(exact, 4, 0, 0.015))
     with pytest.raises(MeasurementError, match="config 5: without load the points are"):
-        check_frames(harness.PRIOR, with_angle(exact, 4, 0, 0.1))
+        checked_frames(harness.PRIOR, with_angle(exact, 4, 0, 0.1))
 
 
 def test_displacements_have_no_configuration_to_judge(tmp_path):
     data = readings(tmp_path)
     start = data.means()[0][data.unloaded_states][data.state_config[data.state], data.point]
     moved = replace(data, position=data.position - start, are_displacements=True)
-    assert check_frames(harness.PRIOR, as_positions(harness.PRIOR, moved)).rms < 1e-4
+    assert checked_frames(harness.PRIOR, as_positions(harness.PRIOR, moved)).rms < 1e-4
 
 
 def test_few_configurations_of_which_one_is_far_off_are_named_by_leaving_each_out(tmp_path):
     data = readings(tmp_path).take_configurations(np.arange(6))
     with pytest.raises(MeasurementError, match="config 5: the readings without load are far from the points"):
-        check_frames(harness.PRIOR, with_angle(data, 4, 0, 20.0))
+        checked_frames(harness.PRIOR, with_angle(data, 4, 0, 20.0))
 
 
 @pytest.mark.parametrize(
@@ -167,5 +167,5 @@ def test_few_configurations_of_which_one_is_far_off_are_named_by_leaving_each_ou
 def test_positions_of_another_unit_or_of_left_handed_axes_are_named(tmp_path, position, cause):
     data = readings(tmp_path)
     with pytest.raises(MeasurementError, match=r"mm \(RMS\) off the geometry of kuka_kr270\. ") as caught:
-        check_frames(harness.PRIOR, replace(data, position=position(data.position)))
+        checked_frames(harness.PRIOR, replace(data, position=position(data.position)))
     assert cause in str(caught.value)

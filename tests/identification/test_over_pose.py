@@ -16,7 +16,7 @@ def test_the_compliance_of_a_joint_varies_by_one_and_the_same_size_at_every_pose
     q = np.random.default_rng(1).uniform(-3.0, 3.0, (6, 50))
     for joint in robot.JOINT_COMPLIANCES:
         waves = over_pose.waves([joint])
-        variance = sum((over_pose.share(wave) * wave.factor(q)) ** 2 for wave in waves)
+        variance = sum((over_pose.amplitude_share(wave) * wave.factor(q)) ** 2 for wave in waves)
         np.testing.assert_allclose(variance, 1.0, rtol=1e-12)
         assert len({wave.name for wave in waves}) == len(waves)
 
@@ -116,7 +116,7 @@ def test_waves_of_a_joint_have_the_spectrum_of_a_squared_exponential_over_a2_and
         for wave in over_pose.waves(robot.JOINT_COMPLIANCES)
         if wave.joint == f"A{joint + 1}" and wave.wave == "cos"
     ]
-    share = {wave.turns: over_pose.share(wave) for wave in own}
+    share = {wave.turns: over_pose.amplitude_share(wave) for wave in own}
     assert len(share) == len(own)
     assert sum(value**2 for value in share.values()) == pytest.approx(1.0)
     first = own[0].turns

@@ -124,7 +124,7 @@ def test_a_reading_at_wrong_distances_to_the_other_points_is_left_out_if_these_a
         own, other = of_point[worst][:2], of_point[worst][2]
         if max(own) > limit and other <= limit:
             expected[rows[worst]] = max(own)
-    bad, lines = plausibility._rigid_body(data, sigma)
+    bad, lines = plausibility._readings_off_body(data, sigma)
     assert set(bad) == set(expected)
     assert all(
         f"{data.name(row)} is {1e3 * off:.2f} mm off in its distance" in " ".join(lines)
@@ -289,7 +289,7 @@ def compared(rng, states=20, points=3):
     noise = rng.uniform(1e-11, 1e-10, (states, points))
     return _Displacements(
         is_compared=rng.random((states, points)) < 0.8, config=np.sort(rng.integers(0, 8, states)), load=load,
-        displacement=np.abs(rng.normal(0.0, 1e-3, (states, points))), left=left, bound=bound, noise=noise,
+        displacement=np.abs(rng.normal(0.0, 1e-3, (states, points))), prediction_error=left, bound=bound, noise=noise,
         error_ratio=left / np.sqrt(bound**2 + 2.7954835**2 * noise), has_bound=True,
     )  # fmt: skip
 
@@ -316,7 +316,7 @@ def clopper_pearson(inside, total, doubt):
 def test_levels_of_loads_have_the_means_shares_and_limits_of_their_displacements(seed, has_bound):
     rng = np.random.default_rng(seed)
     comparison = replace(compared(rng), has_bound=has_bound)
-    found = validation._levels(comparison)
+    found = validation._validated_levels(comparison)
     assert len(found) == 2
     for level, size in zip(found, (500.0, 2000.0), strict=True):
         states = [
@@ -328,10 +328,13 @@ def test_levels_of_loads_have_the_means_shares_and_limits_of_their_displacements
             return np.sqrt(np.mean([values[cell] ** 2 for cell in cells]))
 
         assert level.load == np.median([comparison.load[n] for n in states])
-        assert (level.measured, level.left) == pytest.approx((rms(comparison.displacement), rms(comparison.left)))
+        assert (level.measured, level.prediction_error) == pytest.approx(
+            (rms(comparison.displacement), rms(comparison.prediction_error))
+        )
         assert (level.noise, level.bound) == pytest.approx((rms(np.sqrt(comparison.noise)), rms(comparison.bound)))
         means = [
-            np.mean([comparison.left[n, p] ** 2 for p in range(3) if comparison.is_compared[n, p]]) for n in states
+            np.mean([comparison.prediction_error[n, p] ** 2 for p in range(3) if comparison.is_compared[n, p]])
+            for n in states
         ]
         assert level.doubt == pytest.approx(stats.sem(means))
         assert level.configurations == len({comparison.config[n] for n in states})
@@ -371,10 +374,10 @@ def test_a_level_holds_with_enough_displacements_inside_and_is_refuted_by_its_up
 def test_the_factor_of_a_level_is_without_noise_or_a_lower_limit(left, above):
     """Where the residual exceeds the noise by two standard errors; else with these in its place."""
     level = ValidatedLevel(500.0, 1e-3, left, 1e-4, 1e-8, 1.0, (0.6, 1.0), 1.0, 1e-4, 6)
-    assert level.above_noise == above
+    assert level.exceeds_noise == above
     rest = left**2 - 1e-8 if above else max(left**2 - 1e-8, 0.0) + 2e-8
     assert level.factor == pytest.approx(1e-3 / np.sqrt(rest))
-    assert replace(level, left=1e-4, doubt=0.0).factor == np.inf
+    assert replace(level, prediction_error=1e-4, doubt=0.0).factor == np.inf
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -64,7 +64,7 @@ def test_distances_are_compared_from_three_sets_on(sets, seen):
     once = rigid(states=4, repeats=1)
     incomplete = [int(np.flatnonzero(once.state == state)[0]) for state in range(sets, 4)]
     wrong = moved(once, 5, np.array([0.5e-3, 0.0, 0.0])).drop(incomplete)
-    bad, names = plausibility._rigid_body(wrong, SIGMA)
+    bad, names = plausibility._readings_off_body(wrong, SIGMA)
     assert bad == ([5] if seen else [])
     assert len(names) == seen
 

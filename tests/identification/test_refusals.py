@@ -253,10 +253,10 @@ def test_springs_without_equilibrium_are_named_with_pose_and_force(monkeypatch):
     data = readings(forces(6, 500.0), count=6, points=POINTS[:1])
     sigma = 0.02 * harness.PRIOR.compliance * 1e6
     model = replace(harness.PRIOR, covariance=robot.Covariance(JOINT_COMPLIANCES, np.diag(sigma**2)))
-    whole = uncertainty.over_workspace(model, data)
+    whole = uncertainty.bound_over_workspace(model, data)
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
-    q, _ = uncertainty._poses(model, tool)
+    q, _ = uncertainty._random_poses(model, tool)
     asked = []
 
     def deflect(_model, q, _tool, wrench):
@@ -264,7 +264,7 @@ def test_springs_without_equilibrium_are_named_with_pose_and_force(monkeypatch):
         raise NotConvergedError("no equilibrium", np.array([7, 9]))
 
     monkeypatch.setattr(uncertainty.elastostatics, "deflect", deflect)
-    found = uncertainty.over_workspace(model, data)
+    found = uncertainty.bound_over_workspace(model, data)
     assert found.levels == ()
     np.testing.assert_array_equal(found.pose, q[7])
     assert found.cause == f"the springs have no equilibrium under {asked[0][7]:.0f} N"

@@ -151,7 +151,7 @@ def test_readings_that_joint_springs_explain_raise_no_other_hypothesis(tmp_path,
     def unexpected(*_):
         raise AssertionError
 
-    monkeypatch.setattr(module, "_other_axes", unexpected)
+    monkeypatch.setattr(module, "_axes_hypothesis", unexpected)
     data = replace(readings(tmp_path), sigma=0.06e-3)  # twice the noise of the readings: χ² is a quarter of its freedom
     assert judged(data) == ""
     with pytest.raises(AssertionError):

@@ -11,7 +11,7 @@ from postproc import elastostatics, kinematics, robot
 from postproc.errors import MeasurementError
 from postproc.identification import identify_folder
 from postproc.identification.choice import link_springs
-from postproc.identification.plausibility import check_frames, check_loads
+from postproc.identification.plausibility import check_loads, checked_frames
 from postproc.identification.procedure import identify
 from postproc.identification.validation import validate
 from samples.paper_study import harness, simulator
@@ -101,7 +101,7 @@ def test_no_spring_of_a_link_stands_for_a_joint_on_the_same_line():
 def test_a_pose_in_which_links_deflect_more_than_joints_is_no_other_force(tmp_path, kind, seed):
     truth.experiment(row(kind), seed, tmp_path)
     data = harness.load(tmp_path)
-    placement = check_frames(harness.PRIOR, data)
+    placement = checked_frames(harness.PRIOR, data)
     check_loads(harness.PRIOR, data, placement)
     one = np.arange(len(data.wrench))[:, None] == data.loaded_states[-1]
     with pytest.raises(MeasurementError, match="displacement and force do not belong together"):

@@ -6,7 +6,13 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from postproc.identification.procedure import identify
-from postproc.identification.uncertainty import discrepancy, left_out_of, levels, noise_of, unmodelled_error
+from postproc.identification.uncertainty import (
+    discrepancy,
+    displacement_noise,
+    left_out_residuals,
+    levels,
+    unmodelled_error,
+)
 from samples.paper_study import harness
 from tests.benchmarks import truth
 from tests.identification.test_truth import JOB, row
@@ -43,7 +49,7 @@ def test_a_stated_error_of_the_load_point_is_what_moving_it_does(tmp_path):
 def test_configurations_left_out_are_predicted_as_by_fits_without_them(tmp_path):
     truth.experiment(row("the model fits: joint springs"), 2, tmp_path)
     result = identify(harness.PRIOR, harness.load(tmp_path))
-    left = left_out_of(result.fit, result.data)
+    left = left_out_residuals(result.fit, result.data)
     fit, config = result.fit, np.repeat(result.data.state_config[result.data.loaded_states], 9)
     scale = np.linalg.norm(fit.design, axis=0)
     keep = config != 4
@@ -101,7 +107,7 @@ def test_an_error_that_the_points_of_a_state_share_is_found_below_the_noise_of_o
     truth.experiment(row("the model fits: joint springs"), 2, tmp_path)
     result = identify(harness.PRIOR, harness.load(tmp_path))
     data = replace(result.data, sigma=0.04e-3)
-    rng, noise = np.random.default_rng(3), np.sqrt(noise_of(data)[0, 0] / 3.0)
+    rng, noise = np.random.default_rng(3), np.sqrt(displacement_noise(data)[0, 0] / 3.0)
     states, points = len(data.loaded_states), len(data.points)
     bounds = []
     for _ in range(20):

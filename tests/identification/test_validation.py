@@ -224,11 +224,11 @@ def test_a_direction_in_which_the_readings_contradict_the_model_is_not_assured()
     ones = np.ones((60, 3))
     found = validation._Displacements(
         is_compared=ones > 0, config=np.arange(60), load=np.full(60, 600.0), displacement=ones,
-        left=ones * 1e-3, bound=ones, noise=ones * 1e-6, error_ratio=scaled, has_bound=True,
+        prediction_error=ones * 1e-3, bound=ones, noise=ones * 1e-6, error_ratio=scaled, has_bound=True,
     )  # fmt: skip
-    (level,) = validation._levels(found)
+    (level,) = validation._validated_levels(found)
     assert level.is_held
-    covered = validation._coverage(torque, found)
+    covered = validation._checked_coverage(torque, found)
     assert covered.refuted[0].tolist() == [True, False]
     (job,) = shares(covered, [-40.0, 50, 20, 20, 20, 20])
     assert job.share == 0.0

@@ -9,12 +9,13 @@ from msgspec.structs import replace
 
 from postproc import robot
 from postproc.identification import joint_springs, validation
-from postproc.identification.validation import ValidatedLevel, Validation, coverage, limits, table
+from postproc.identification.validation import ValidatedLevel, Validation, coverage, share_limits, table
 
 
 def validated_level(inside, limits, reach=0.9):
     return ValidatedLevel(
-        load=600.0, measured=1e-3, left=70e-6, noise=70e-6, doubt=1e-10, inside=inside, limits=limits, reach=reach,
+        load=600.0, measured=1e-3, prediction_error=70e-6, noise=70e-6, doubt=1e-10, inside=inside, limits=limits,
+        reach=reach,
         bound=3e-5, configurations=15,
     )  # fmt: skip
 
@@ -22,18 +23,18 @@ def validated_level(inside, limits, reach=0.9):
 def test_limits_of_a_share_are_those_of_independent_displacements_and_wider_where_configurations_are_alike():
     # one displacement a configuration: Clopper and Pearson's, by sums of binomial probabilities
     inside = np.array([1.0] * 26 + [0.0] * 4)
-    low, high = limits(inside, np.ones(30), 0.05)
+    low, high = share_limits(inside, np.ones(30), 0.05)
     tail = [sum(math.comb(30, n) * p**n * (1 - p) ** (30 - n) for n in ns) for p, ns in (
         (low, range(26, 31)), (high, range(27)))]  # fmt: skip
     assert tail == pytest.approx([0.05, 0.05], abs=0.01)
     # three displacements a configuration that are all inside or all outside tell no more than one
-    assert limits(3 * inside, np.full(30, 3.0), 0.05) == pytest.approx((low, high), abs=0.02)
+    assert share_limits(3 * inside, np.full(30, 3.0), 0.05) == pytest.approx((low, high), abs=0.02)
     # and if each is by itself, as many as there are
     mixed = np.array([3.0] * 18 + [2.0] * 12)
-    alone = limits(mixed, np.full(30, 3.0), 0.05)
+    alone = share_limits(mixed, np.full(30, 3.0), 0.05)
     assert alone[1] - alone[0] < 0.75 * (high - low)
-    assert limits(np.full(15, 3.0), np.full(15, 3.0), 0.05) == pytest.approx((0.05 ** (1 / 15), 1.0))
-    assert limits(np.array([3.0]), np.array([3.0]), 0.05) == (0.0, 1.0)
+    assert share_limits(np.full(15, 3.0), np.full(15, 3.0), 0.05) == pytest.approx((0.05 ** (1 / 15), 1.0))
+    assert share_limits(np.array([3.0]), np.array([3.0]), 0.05) == (0.0, 1.0)
 
 
 @pytest.mark.parametrize("count", [5, 10, 40])
@@ -41,17 +42,17 @@ def test_one_of_some_displacements_is_enough_for_a_lower_limit_and_none_is_not(c
     """That it happens at all has the chance 1 − (1 − p)ⁿ; that all are inside pⁿ. By the scatter n counts as n − 1."""
     one = np.zeros(count)
     one[2] = 1.0
-    low, _ = limits(one, np.ones(count), 0.05)
+    low, _ = share_limits(one, np.ones(count), 0.05)
     assert 0.5 < low / (1.0 - 0.95 ** (1.0 / count)) < 1.0
-    low, high = limits(np.zeros(count), np.ones(count), 0.05)
+    low, high = share_limits(np.zeros(count), np.ones(count), 0.05)
     assert (low, high) == (0.0, pytest.approx(1.0 - 0.05 ** (1.0 / count)))
-    _, high = limits(1.0 - one, np.ones(count), 0.05)
+    _, high = share_limits(1.0 - one, np.ones(count), 0.05)
     assert 0.5 < (1.0 - high) / (1.0 - 0.95 ** (1.0 / count)) < 1.0
 
 
 def test_two_configurations_have_limits_and_one_has_none():
-    assert limits(np.ones(2), np.ones(2), 0.05) == (pytest.approx(np.sqrt(0.05)), 1.0)
-    assert limits(np.ones(1), np.ones(1), 0.05) == (0.0, 1.0)
+    assert share_limits(np.ones(2), np.ones(2), 0.05) == (pytest.approx(np.sqrt(0.05)), 1.0)
+    assert share_limits(np.ones(1), np.ones(1), 0.05) == (0.0, 1.0)
 
 
 def test_a_bound_that_holds_is_seldom_refuted_and_one_that_does_not_is():
@@ -59,7 +60,7 @@ def test_a_bound_that_holds_is_seldom_refuted_and_one_that_does_not_is():
     refuted = {}
     for share in (0.95, 0.6):
         # all points of a configuration together, as its own error makes them
-        found = [limits(3.0 * (rng.random(15) < share), np.full(15, 3.0), 0.05) for _ in range(1000)]
+        found = [share_limits(3.0 * (rng.random(15) < share), np.full(15, 3.0), 0.05) for _ in range(1000)]
         refuted[share] = np.mean([high < 0.95 for _, high in found])
     assert refuted[0.95] < 0.07, "5 % are meant"
     assert refuted[0.6] > 0.9
@@ -101,10 +102,10 @@ def test_a_model_without_a_bound_holds_for_nothing():
 def test_a_factor_is_no_division_by_noise():
     covered = coverage(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
     level = validated_level(1.0, (0.8, 1.0))
-    assert not level.above_noise
+    assert not level.exceeds_noise
     assert level.factor == pytest.approx(1e-3 / np.sqrt(2e-10))
-    clear = replace(level, left=np.hypot(70e-6, 50e-6))
-    assert clear.above_noise
+    clear = replace(level, prediction_error=np.hypot(70e-6, 50e-6))
+    assert clear.exceeds_noise
     assert clear.factor == pytest.approx(1e-3 / 50e-6)
     assert "> 70.7" in table(Validation((level,), covered, (), ()))
     assert "> " not in table(Validation((clear,), covered, (), ()))
@@ -119,7 +120,7 @@ def compared(seed):
     left, bound = rng.rayleigh(20e-6, (36, 2)), rng.uniform(20e-6, 60e-6, (36, 2))
     noise = rng.uniform(1e-6, 9e-6, (36, 2)) ** 2
     return validation._Displacements(
-        is_compared=seen, config=config, load=load, displacement=rng.rayleigh(1e-3, (36, 2)), left=left,
+        is_compared=seen, config=config, load=load, displacement=rng.rayleigh(1e-3, (36, 2)), prediction_error=left,
         bound=bound, noise=noise, error_ratio=left / np.sqrt(bound**2 + 4.0 * noise), has_bound=True,
     )  # fmt: skip
 
@@ -127,7 +128,7 @@ def compared(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_the_numbers_of_each_level_are_those_of_its_states_by_loops(seed):
     found = compared(seed)
-    result = validation._levels(found)
+    result = validation._validated_levels(found)
     assert len(result) == 3
     for index, level in enumerate(result):
         states = [k for k in range(12 * index, 12 * index + 12) if found.is_compared[k].any()]
@@ -137,28 +138,32 @@ def test_the_numbers_of_each_level_are_those_of_its_states_by_loops(seed):
             return math.fsum(values[place] for place in places) / len(places)
 
         assert level.load == pytest.approx(np.median([found.load[k] for k in states]))
-        for name in ("displacement", "left", "bound"):
+        for name in ("displacement", "prediction_error", "bound"):
             own = level.measured if name == "displacement" else getattr(level, name)
             assert own == pytest.approx(math.sqrt(mean(getattr(found, name) ** 2))), name
         assert level.noise == pytest.approx(math.sqrt(mean(found.noise)))
         assert level.inside == pytest.approx(mean((found.error_ratio <= 1.0).astype(float)))
         assert level.reach == pytest.approx(np.quantile([found.error_ratio[place] for place in places], 0.95))
-        squares = [np.mean([found.left[k, p] ** 2 for p in range(2) if found.is_compared[k, p]]) for k in states]
+        squares = [
+            np.mean([found.prediction_error[k, p] ** 2 for p in range(2) if found.is_compared[k, p]]) for k in states
+        ]
         spread = math.sqrt(sum((one - np.mean(squares)) ** 2 for one in squares) / (len(squares) - 1))
         assert level.doubt == pytest.approx(spread / math.sqrt(len(squares)))
         # a level is kept or not by itself; for refusing, a twentieth of doubt is shared by the levels
         good = [sum(found.is_compared[k, p] and found.error_ratio[k, p] <= 1.0 for p in range(2)) for k in states]
         there = [int(found.is_compared[k].sum()) for k in states]
         counts = np.array(good, float), np.array(there, float)
-        assert level.limits == (limits(*counts, 0.05)[0], limits(*counts, 0.05 / 3)[1])
+        assert level.limits == (share_limits(*counts, 0.05)[0], share_limits(*counts, 0.05 / 3)[1])
         assert level.configurations == len({found.config[k] for k in states})
 
 
 def test_a_level_of_one_configuration_and_a_model_without_a_bound_leave_all_open():
     found = compared(0)
-    (alone,) = validation._levels(replace(found, is_compared=found.is_compared & (np.arange(36) == 7)[:, None]))
+    (alone,) = validation._validated_levels(
+        replace(found, is_compared=found.is_compared & (np.arange(36) == 7)[:, None])
+    )
     assert (alone.doubt, alone.limits) == (np.inf, (0.0, 1.0))
-    for level in validation._levels(replace(found, has_bound=False)):
+    for level in validation._validated_levels(replace(found, has_bound=False)):
         assert np.isnan(level.inside)
         assert np.isnan(level.reach)
         assert level.limits == (0.0, 1.0)
@@ -167,10 +172,11 @@ def test_a_level_of_one_configuration_and_a_model_without_a_bound_leave_all_open
 def test_the_table_has_a_line_for_each_level_in_millimetres():
     covered = coverage(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
     one = ValidatedLevel(
-        load=540.4, measured=1.2344e-3, left=0.0512e-3, noise=0.0104e-3, doubt=1e-12, inside=0.96, limits=(0.9, 0.99),
+        load=540.4, measured=1.2344e-3, prediction_error=0.0512e-3, noise=0.0104e-3, doubt=1e-12, inside=0.96,
+        limits=(0.9, 0.99),
         reach=0.9, bound=0.0621e-3, configurations=10,
     )  # fmt: skip
-    other = replace(one, load=2700.0, inside=float("nan"), limits=(0.0, 1.0), left=0.0104e-3)
+    other = replace(one, load=2700.0, inside=float("nan"), limits=(0.0, 1.0), prediction_error=0.0104e-3)
     lines = table(Validation((one, other), covered, (), ())).splitlines()
     assert lines[1].split() == [
         "load", "N", "measured", "mm", "left", "mm", "noise", "mm", "bound", "mm", "factor", "inside", "of", "all",

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, robot
 from postproc.identification import uncertainty
-from postproc.identification.uncertainty import Workspace, WorkspaceLevel, over_workspace
+from postproc.identification.uncertainty import Workspace, WorkspaceLevel, bound_over_workspace
 from samples.paper_study import harness, simulator
 
 
@@ -27,7 +27,7 @@ def model(percent, off=5e-6):
 
 
 def test_a_model_whose_springs_are_known_is_usable(data):
-    found = over_workspace(model([2.0] * 6), data)
+    found = bound_over_workspace(model([2.0] * 6), data)
     assert found.refusal == found.reservation == ""
     # one compliance alone: two standard deviations of 2 %; in all directions together less than thrice that
     assert 0.03 < found.worst.worst < 0.12
@@ -37,7 +37,7 @@ def test_a_model_whose_springs_are_known_is_usable(data):
 
 
 def test_a_spring_that_no_reading_shows_is_named_with_joint_and_pose(data):
-    found = over_workspace(model([2.0, 2.0, 300.0, 2.0, 2.0, 2.0]), data)
+    found = bound_over_workspace(model([2.0, 2.0, 300.0, 2.0, 2.0, 2.0]), data)
     assert found.refusal == ""
     assert "the bound is up to" in found.reservation
     assert "most of it comes from A3, whose readings do not determine k3" in found.reservation
@@ -45,7 +45,7 @@ def test_a_spring_that_no_reading_shows_is_named_with_joint_and_pose(data):
 
 
 def test_an_unmodelled_error_as_large_as_the_deflection_is_a_reservation_with_its_chance(data):
-    found = over_workspace(model([2.0] * 6, off=2e-3), data)
+    found = bound_over_workspace(model([2.0] * 6, off=2e-3), data)
     assert "the unmodelled error is 2.0" in found.reservation
     least = min(level.chance for level in found.measured_levels)
     assert f"a chance of {100 * least:.0f} % only" in found.reservation
@@ -66,10 +66,10 @@ def test_the_chance_is_that_of_draws_of_the_error(data):
     """Errors of the compliances are drawn; correction by the stated ones must be better as often as is said."""
     rng, percent = np.random.default_rng(5), 60.0
     stated = model([percent] * 6, off=0.1e-3)
-    said = over_workspace(stated, data).levels[-1]
+    said = bound_over_workspace(stated, data).levels[-1]
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
-    q, direction = uncertainty._poses(stated, tool)
+    q, direction = uncertainty._random_poses(stated, tool)
     wrench = np.concatenate([said.load * direction, 0.0 * direction], axis=1)
     deflection = elastostatics.deflect(stated, q, tool, wrench).twist[:, :3]
     slopes = elastostatics.sensitivity(stated, q, tool, wrench)
@@ -82,7 +82,7 @@ def test_the_chance_is_that_of_draws_of_the_error(data):
 
 
 def test_forces_too_small_to_correct_are_stated_but_refuse_nothing(data):
-    found = over_workspace(model([2.0] * 6, off=0.15e-3), data)
+    found = bound_over_workspace(model([2.0] * 6, off=0.15e-3), data)
     assert found.refusal == found.reservation == ""
     assert found.levels[0].worst > 1.0
     assert "N and below the bound can exceed the deflection" in found.line
@@ -94,10 +94,10 @@ def test_each_level_has_the_median_and_the_quantile_of_its_poses(data):
 
     percent = [0.01, 0.01, 20.0, 0.01, 0.01, 0.01]
     bare = replace(model(percent, off=1e-9), compensator=None)
-    found = over_workspace(bare, data)
+    found = bound_over_workspace(bare, data)
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
-    q, direction = uncertainty._poses(bare, tool)
+    q, direction = uncertainty._random_poses(bare, tool)
     slopes = np.array(
         [np.array([ARM.gradient(lambda x, a=a: ARM.tcp(x, tool)[a, 3], row) for a in range(3)]) for row in q]
     )  # (n, 3, 6)

@@ -13,7 +13,7 @@ from postproc.testpart.probing import ProbedSurfaces
 from postproc.testpart.readings import Readings
 
 SIGMA, MOVED = 5e-6, 3e-4
-MEDIAN, WIDTH = 0.005, 1.5
+MEDIAN, LOG_SIGMA = 0.005, 1.5
 """Of γ before the readings: median, and standard deviation of its logarithm."""
 
 
@@ -26,7 +26,7 @@ def test_the_share_is_the_root_of_its_mean_square_after_the_readings(n, spread):
     def density(gamma):
         variance = SIGMA**2 + (gamma * MOVED) ** 2
         fit = -0.5 * n * (np.log(variance / SIGMA**2) + spread**2 * (1.0 / variance - 1.0 / SIGMA**2))
-        return lognorm.pdf(gamma, WIDTH, scale=MEDIAN) * np.exp(fit)
+        return lognorm.pdf(gamma, LOG_SIGMA, scale=MEDIAN) * np.exp(fit)
 
     limits = {"points": [1e-3, 5e-3, 2e-2, 5e-2], "limit": 500}
     square, whole = (quad(lambda g, k=k: g**k * density(g), 1e-6, 1.0, **limits)[0] for k in (2, 0))
