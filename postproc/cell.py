@@ -213,7 +213,7 @@ class Rotary(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     @property
     def places(self) -> list[IndexedAxis | None]:
-        """Places of the axes, in the order of `axes`."""
+        """Places of the axes on the machine, in the order of `axes`; None for an axis whose place is not stated."""
         by_letter = {"A": self.A, "B": self.B, "C": self.C}
         return [by_letter[letter] for letter in self.axes]
 

@@ -303,7 +303,7 @@ class Starts(Struct, frozen=True, eq=False):
         :param frames: base (M,) and tool (M,): rows of `$BASE` in the robot root (nb, 4, 4) and `$TOOL` in the flange
             frame (nt, 4, 4).
         :param start_flange_in_root: (4, 4) flange pose before the first motion [m].
-        :param predecessor: (M,) at the end of which motion each begins, see `Program.after`.
+        :param predecessor: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
         """
         base, tool, bases, tools = frames
         changed = np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1
@@ -472,7 +472,7 @@ class Places(Struct, frozen=True, eq=False):
     line: Ints
 
     def of(self, row: int) -> tuple[str, int]:
-        """Return file and line of one of them."""
+        """Return file and line of a row."""
         return self.files[int(self.file[row])], int(self.line[row])
 
 

@@ -56,9 +56,9 @@ def compare(
     :param corrected_program: the program to compare with it.
     :param robot: the robot model.
     :param cell: the cell.
-    :param source: forces of the nominal program, in addition to its comments. Without either, the comments of the other
-        program count.
-    :param same_origin: both are as one conversion read or wrote them: they differ by the correction alone.
+    :param source: forces of the nominal program, in addition to its comments; None: its comments alone. If the nominal
+        program has no forces at all, the comments of `corrected_program` count.
+    :param same_origin: one conversion read the nominal program and wrote the second: only the correction differs.
     :param ends: (n,) whether Cartesian targets of the second program end a motion of the first, or were inserted, as
         the conversion states it; None: pairs follow from their places.
     :raises ProgramError: a target is out of reach.

@@ -41,7 +41,7 @@ from postproc.program import CIRC, PTP, Ints, Program, distinct
 _EXCESS_MARGIN = 5e-6
 """A deviation between targets is reported if it exceeds those at the targets by the tolerance and this [m]; assumed."""
 _NO_TRAVEL = 1e-9
-"""A move [m, rad] that is none (assumed)."""
+"""A move by less [m, rad] counts as no move (assumed)."""
 _BACKWARD_STEP = 1e-3
 """A correction moves a target back along the path by less than this [m] (assumed)."""
 LEVER = 0.1

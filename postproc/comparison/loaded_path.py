@@ -88,7 +88,7 @@ def pair_cuts(
 
     :param wrench: (P, 6) at the tip, root axes [N, N·m].
     :param nominal_deviation: (P, 3) by the nominal program, its `$BASE` [m].
-    :param corrected_deviation: (P, 3) by the second one, likewise.
+    :param corrected_deviation: (P, 3) by the second program, in its `$BASE` [m].
     :raises ForceError: the arm has no equilibrium under a force.
     """
     nothing = np.zeros(0)

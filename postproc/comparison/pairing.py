@@ -221,7 +221,7 @@ class _Tracks(Struct, frozen=True, eq=False):
 
     :param nominal: of n targets, `corrected` of c.
     :param lengths: (n + 1,) length of path from the begin of the nominal track to its begin, and to each target [m].
-    :param corrected_lengths: (c + 1,) likewise.
+    :param corrected_lengths: (c + 1,) lengths of path along the corrected track, in the same way [m].
     :param has_last_pair: whether the pair before both tracks is known.
     """
 
@@ -324,9 +324,11 @@ def _equal_count(nominal_track: Track, corrected_track: Track, row: int, partner
 
 
 def _cheapest_states(pair_states: _States, unpaired_states: _States, unpaired_cost: float) -> _States:
-    """Return the cheapest assignments, of those that end with this target and those that leave it without partner.
+    """Return the cheapest assignments of the targets up to one: those that pair it, and those that do not.
 
-    :param unpaired_cost: cost of the latter.
+    :param pair_states: assignments that end with a pair of this target.
+    :param unpaired_states: assignments of the targets before, which leave this target without partner.
+    :param unpaired_cost: cost of leaving this target without partner.
     """
     cost = np.concatenate([pair_states.cost, unpaired_states.cost + unpaired_cost])
     cheapest_rows = (

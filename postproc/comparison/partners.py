@@ -183,7 +183,8 @@ def judge_unpaired(
 def moved_partners(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
     """Return the indices (n,) in `corrected_path.rows` of targets moved away from `nominal_path.rows`; −1 for none.
 
-    Those are missing and additional ones, if as many of them are between the same pairs.
+    A missing target of the nominal program was moved to an additional target of the second one if both are of one kind
+    and there are equal numbers of missing and additional targets between the same two pairs.
     """
     partner = np.full(len(nominal_path.rows), -1)
     missing_rows, additional_rows = comparison.only_nominal, comparison.additional_rows

@@ -59,7 +59,7 @@ class Difference(Struct, frozen=True):
     :param kind: short stable name.
     :param message: one sentence for the user.
     :param nominal: file and line of the first place in the nominal program, if it has one.
-    :param corrected: file and line in the second program; likewise.
+    :param corrected: file and line in the second program; None: the second program has no such place.
     :param count: number of places.
     """
 

@@ -86,7 +86,7 @@ class _Texts:
         return (file, first), (file, last)
 
     def _loop_bound(self, file: str, numbers: range, *, opens: re.Pattern[str], closes: re.Pattern[str]) -> int | None:
-        """Return the line of the begin or end of the loop around the first of these lines; None if there is none.
+        """Return the line of the begin or end of the loop around the first of these lines; None without such a loop.
 
         :param numbers: lines, in the direction of the search.
         :param opens: statement at which another loop starts in this direction; `closes`: at which a loop is over.

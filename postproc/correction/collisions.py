@@ -129,7 +129,11 @@ def _states_of_run(path: PathUnderLoad, sample: Toolpath, nominal_q: Array, comm
 def _clearance_of_run(
     program: Program, scene: Scene, states: States, hits: Hits, stock: StockInTime | None
 ) -> SmallestClearance:
-    """Return the smallest clearance of a run: that of its closest two bodies, infinite without bodies to compare."""
+    """Return the smallest clearance of a run: that of its closest two bodies, infinite without bodies to compare.
+
+    :param hits: where bodies come close on the run, and the closest two.
+    :param stock: the stock at each move, for the remarks; None: the stock is not known.
+    """
     closest_bodies = hits.closest
     remarks = (*scene.remarks, *_stock_sentences(scene, stock))
     if closest_bodies is None:
@@ -263,7 +267,10 @@ _RAPID_ADVICE = "Lift the tool before it moves rapidly, begin elsewhere ([start]
 
 
 def _stock_sentences(scene: collision.Scene, stock: StockInTime | None) -> Iterator[str]:
-    """Yield sentences on the stock: how it was compared, and how exactly."""
+    """Yield sentences on the stock: how it was compared, and how exactly.
+
+    :param stock: the stock at each move; None: it is not known.
+    """
     if stock is not None:
         yield (
             "the stock of the process is compared as it is at each move, for arm, meshes and a tool that turns rounded "
@@ -358,6 +365,7 @@ class States(Struct, frozen=True, eq=False):
 def _close_pairs(scene: Scene, states: States, stock: StockInTime | None, need: float) -> set[tuple[str, str]]:
     """Return the names of bodies that come closer than allowed along a path that cuts nothing.
 
+    :param stock: the stock at each move; None: it is not known, and not compared.
     :param need: smallest allowed distance [m].
     """
     hits = collision.path_hits(scene, states.q, need, states.shift, states.commanded_q)
@@ -372,6 +380,7 @@ def _contacts(
 
     :param hits: where bodies of the scene come closer than `need` [m].
     :param rapid: (N,) samples on rapid moves along which the tool does not just leave its cut.
+    :param stock: the stock at each move; None: it is not known, and not compared.
     """
     yield from _contacts_of_hits(scene.bodies, states, hits, need)
     yield from part_contacts(scene, states, rapid)

@@ -264,7 +264,7 @@ _LEAST_SHARE = 1e-12
 
 
 def statistics(distance: Array, cut_length: Array) -> Statistics:
-    """Return statistics along the cutting path; all zero if there is none.
+    """Return statistics along the cutting path; all zero for a program that cuts nothing.
 
     :param distance: (K,) at targets [m].
     :param cut_length: (K,) length of the cutting path for which each of them stands [m]; those with 0 do not count.

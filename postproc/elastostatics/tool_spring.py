@@ -17,7 +17,7 @@ from postproc.frames import Array, rotation_from_vector
 from postproc.robot import RobotModel
 
 _ROUNDS = 3
-"""Of finding the orientation before the tool twists: each gains as many digits as the twist is small."""
+"""Rounds that find the orientation before the tool twists: each reduces the error by a factor of about the twist."""
 
 
 class ToolSpring(Struct, frozen=True, eq=False):
@@ -69,7 +69,7 @@ class ToolSpring(Struct, frozen=True, eq=False):
         :param q: (n, 6) joint angles that the controller holds [rad].
         :param tool: (4, 4) or (n, 4, 4) tool in the flange frame [m].
         :param wrench: (n, 6) at the tip, root axes [N, N·m].
-        :param guess: (n, nv) start for the deflections of the robot's springs.
+        :param guess: (n, nv) start for the deflections of the robot's springs; None: they start at zero.
         :raises NotConvergedError: the load is too large for the springs.
         """
         x, tools = elastic_coordinates(robot, q.T), kinematics.components(tool)

@@ -67,9 +67,11 @@ class LoadedPlaces(Columns, frozen=True, eq=False):
         turning: Bools | None = None,
         is_proportional: Bools | None = None,
     ) -> LoadedPlaces:
-        """Return the places; parameters as the fields.
+        """Return the places; the parameters are those of the fields, with these defaults.
 
         :param tool: (4, 4) for all places, or (N, 4, 4).
+        :param force_spread: None: the forces are certain.
+        :param in_series: None: nothing but the robot is compliant.
         :param turning: None: no gear is known to change its flank.
         :param is_proportional: None: nowhere.
         """
@@ -109,7 +111,7 @@ def position_bound(
     plus 1 − ρ times the latter. ρ is not known, since published sets of coefficients differ in size and in ratios. The
     covariance is linear in ρ, so its trace is largest at one of the two ends: the larger of their bounds counts.
 
-    Arrays as of `LoadedPlaces.of`.
+    The parameters from `q` on are those of `LoadedPlaces.of`.
 
     :raises ModelError: the covariance is of a parameter that the model does not have.
     """
@@ -177,7 +179,10 @@ def sources_of_error(robot: RobotModel, places: LoadedPlaces) -> SourcesOfError:
 
 
 def largest_length(covariances: Sequence[Array], mean: Array | None = None) -> Array:
-    """Return the largest 95 % quantile (n,) of the length for several covariances (n, 3, 3), see `length_bound`."""
+    """Return the largest 95 % quantile (n,) of the length for several covariances (n, 3, 3), see `length_bound`.
+
+    :param mean: (n, 3) mean of the vectors; None: zero.
+    """
     return np.asarray(np.max([length_bound(covariance, mean) for covariance in covariances], axis=0))
 
 
@@ -270,18 +275,18 @@ def length_bound(covariance: Array, mean: Array | None = None) -> Array:
     (Mathai and Provost, "Quadratic forms in random variables", 1992, 3.2b), and χ² is fitted to both in the same way
     (Patnaik 1949). The quantile of χ² is that of Wilson and Hilferty (1931).
 
-    :param mean: (n, 3) of the vectors; None: zero.
+    :param mean: (n, 3) mean of the vectors; None: zero.
     """
-    # expectation and half the variance of the squared length; tr Σ² is the sum of squares, Σ being symmetric
-    first = np.trace(covariance, axis1=1, axis2=2)
-    half = np.sum(covariance**2, axis=(1, 2))
+    # of the squared length; tr Σ² is the sum of squares, Σ being symmetric
+    expectation = np.trace(covariance, axis1=1, axis2=2)
+    half_variance = np.sum(covariance**2, axis=(1, 2))
     if mean is not None:
-        first = first + np.sum(mean**2, axis=1)
-        half = half + 2.0 * np.einsum("ni,nij,nj->n", mean, covariance, mean)
-    h = np.divide(first**2, half, out=np.ones_like(first), where=half > 0.0)
-    g = np.divide(half, first, out=np.zeros_like(first), where=first > 0.0)
+        expectation = expectation + np.sum(mean**2, axis=1)
+        half_variance = half_variance + 2.0 * np.einsum("ni,nij,nj->n", mean, covariance, mean)
+    h = np.divide(expectation**2, half_variance, out=np.ones_like(expectation), where=half_variance > 0.0)
+    g = np.divide(half_variance, expectation, out=np.zeros_like(expectation), where=expectation > 0.0)
     quantile = h * (1.0 - 2.0 / (9.0 * h) + _QUANTILE_95 * np.sqrt(2.0 / (9.0 * h))) ** 3
-    square = np.where(half > 0.0, g * quantile, first)  # without variance the length is |μ|
+    square = np.where(half_variance > 0.0, g * quantile, expectation)  # without variance the length is |μ|
     return np.asarray(np.sqrt(square))
 
 

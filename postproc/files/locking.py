@@ -36,7 +36,7 @@ def lock(folders: Iterable[Path], waiting: Callable[[str], None] | None = None) 
     `filelock` uses the existence of a file that names the process. A folder that this process has locked is not locked
     again. A folder in which no file can be made is not locked: nothing can be written there either.
 
-    :param waiting: is called once with a sentence when another process has a lock.
+    :param waiting: is called once with a sentence when another process has a lock; None: nothing is said.
     """
     with contextlib.ExitStack() as locks:
         new_folders = {folder.resolve() for folder in folders} - _locked_folders

@@ -43,8 +43,9 @@ def resolve(path: Path) -> Path:
 def read_bytes(path: Path, error: type[InputError], missing_advice: str | None = None) -> bytes:
     """Return the content of a file; `error` names it when it cannot be read.
 
-    :param missing_advice: advice where there is no such file.
-    :raises InputError: (`error`) there is none, it is a device, a pipe or a folder, or larger than `MOST_BYTES`.
+    :param missing_advice: advice of the error if the file does not exist; None: without advice.
+    :raises InputError: (`error`) the file does not exist, is a device, a pipe or a folder, or is larger than
+        `MOST_BYTES`.
     """
     try:
         status = path.stat()
@@ -67,7 +68,7 @@ def read_text(path: Path, error: type[InputError], missing_advice: str | None = 
     """Return the text of a UTF-8 file (BOM allowed).
 
     :param error: kind of the errors; they name the file.
-    :param missing_advice: advice where there is no such file.
+    :param missing_advice: advice of the error if the file does not exist; None: without advice.
     :raises InputError: (`error`) the file cannot be read, or is no UTF-8 text.
     """
     try:
@@ -90,8 +91,8 @@ def read_toml(
     """Read a TOML file into a msgspec structure.
 
     :param error: kind of the errors.
-    :param example: shown where keys are missing: what such a file looks like.
-    :param missing_advice: advice where there is no such file.
+    :param example: what such a file looks like, shown where keys are missing; None: no example is shown.
+    :param missing_advice: advice of the error if the file does not exist; None: without advice.
     :raises InputError: (`error`) the file cannot be read or is no TOML, keys are unknown or missing (all of them at
         once), or a value has a wrong type, is NaN or infinite; the message names the key and, for an unknown one, the
         valid ones.
@@ -136,7 +137,7 @@ def convert(
     """Return plain data as a msgspec structure; parameters as of `read_toml`.
 
     :param file: name for messages.
-    :param text: of the TOML file, in which an error names the line; empty: there is none.
+    :param text: of the TOML file, in which an error names the line; empty: the data are from no file.
     :raises InputError: (`error`) the data do not have this structure.
     """
     try:
@@ -281,8 +282,12 @@ _KEY_PART = re.compile(r"\[[^\]]*\]|[^.\[]+")
 
 
 def _valid_values(kind: Any, at: str, invalid_value: re.Match[str] | None) -> str | None:
-    """Return the values that a key may have, if they are a list; the nearest to the given one first, their
-    description last.
+    """Return the values that a key may have as a sentence, with their description; None if they are no list of values.
+
+    :param kind: msgspec description of the structure.
+    :param at: path of the key in msgspec's form, as ``.gcode.turn``.
+    :param invalid_value: match of the invalid value in msgspec's message: the valid value nearest to it is named first.
+        None: the message names no value.
     """
     for part in _KEY_PART.findall(at):
         kind = _inner(kind)

@@ -64,7 +64,8 @@ HOSTS = {
 def _folder(host: Host, folder: Path | None) -> Path:
     """Return the folder of the host's post-processors.
 
-    :raises InputError: the folder is not there, or the host is in none of its usual places.
+    :param folder: as the user named it; None: the first of the host's usual places that exists.
+    :raises InputError: the named folder does not exist, or the host is in none of its usual places.
     """
     if folder is not None:
         if not folder.is_dir():
@@ -131,8 +132,8 @@ def remove_post(name: str, folder: Path | None = None) -> list[Path]:
     """Remove the post of a host; the package that all posts share stays while the folder has that of another host.
 
     :param name: a key of `HOSTS`.
-    :param folder: as for `install_post`.
-    :return: the removed files; empty if there were none.
+    :param folder: the folder of the host's posts; None: the first of its usual places that exists.
+    :return: the removed files; empty if no post was there.
     :raises InputError: there is no such place, or it cannot be written to.
     """
     host = HOSTS[name]

@@ -144,7 +144,7 @@ def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = 
     """Return the joint axes, joint origins and tool frames of a chain in n configurations, in the root frame.
 
     :param q: (nv, n) coordinates [rad, m].
-    :param tool: (3, 4, n) or (3, 4, 1) in the flange frame [m]; the flange itself by default.
+    :param tool: (3, 4, n) or (3, 4, 1) in the flange frame [m]; None: the frames are those of the flange.
     :param weigh: whether to compute the moments of the links' masses, which `Posture.weight` needs.
     """
     whole = _steps(chain)

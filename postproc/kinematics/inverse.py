@@ -217,7 +217,7 @@ def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:
     stride = len(q) // _LOOKED_AT + 1
 
     def tools(rows: slice) -> Array:
-        """Return the tool of some rows, or the one of all."""
+        """Return the tool frames of some rows; a tool that is the same for all rows is returned as it is."""
         return tool if tool.ndim == 2 else tool[rows]
 
     sampled_rows = slice(None, None, stride)
