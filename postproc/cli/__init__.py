@@ -36,7 +36,7 @@ _COMMANDS = {
     "testpart": "postproc.cli.testpart:testpart",
     "watch": "postproc.cli.watch:watch",
 }
-"""Command → where it is."""
+"""Command → module and attribute that define it."""
 _DEBUG = "--debug"
 _QUIET = "--quiet"
 _GLOBAL_OPTIONS = (_DEBUG, _QUIET)
@@ -44,7 +44,7 @@ _GLOBAL_OPTIONS = (_DEBUG, _QUIET)
 
 
 class LazyGroup(click.Group):
-    """A group whose commands are imported when needed; turns errors of the library into messages.
+    """A group whose commands are imported when they are needed; it turns errors of the library into messages.
 
     :param commands_at: command → ``"module:attribute"``.
     """
@@ -58,7 +58,7 @@ class LazyGroup(click.Group):
         return sorted({*super().list_commands(ctx), *self.commands_at})
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        """Import and return a command."""
+        """Import and return a command; None if there is no command of this name."""
         if name not in self.commands_at:
             return super().get_command(ctx, name)
         module, attribute = self.commands_at[name].split(":")
@@ -81,18 +81,21 @@ class LazyGroup(click.Group):
             raise click.UsageError(f"No such command {args[0]!r}. {suggestion}".rstrip(), ctx) from cause
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Accept ``--debug`` and ``--quiet`` anywhere on the command line."""
+        """Parse arguments; ``--debug`` and ``--quiet`` may be anywhere on the command line."""
         arguments = [arg for arg in args if arg not in _GLOBAL_OPTIONS]
         return super().parse_args(ctx, [*(option for option in _GLOBAL_OPTIONS if option in args), *arguments])
 
     def main(self, args: Sequence[str] | None = None, *settings: Any, **options: Any) -> Any:
-        """Run the command; without `args`, as the only user of the process. Warnings of libraries are not shown."""
+        """Run the command. Warnings of libraries are shown only with ``--debug``.
+
+        :param args: arguments; None: those of the process, which ends with the command.
+        """
         streams.replace_absent()
         if args is None:
             from postproc import interrupts
 
             interrupts.leave_at_once()
-            sink = streams.make_robust()
+            robust_stdout = streams.make_robust()
             os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # more would wait in a loop, for matrices of 6 × 6
         with warnings.catch_warnings():
             if _DEBUG not in (sys.argv if args is None else args):
@@ -102,17 +105,16 @@ class LazyGroup(click.Group):
             finally:
                 if args is None:
                     with contextlib.suppress(OSError, ValueError):
-                        if message := streams.lost_output(sink):
+                        if message := streams.lost_output(robust_stdout):
                             sys.stderr.write(f"{message}\n")
                     gc.freeze()  # the process ends: a last garbage collection would take 0.1 s
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run a command.
+        """Run a command; an interrupt ends it with exit code 130.
 
-        Unusable input is a message and exit code 1, an unusable option 2, an interrupt 130, a fault a line and a file.
-
-        :raises click.UsageError: an option is unusable or missing.
-        :raises click.ClickException: anything else that stops the command.
+        :raises click.UsageError: an option is unusable or missing (exit code 2).
+        :raises click.ClickException: the input is unusable, or the machine fails, or postproc has a fault, whose
+            traceback is written to a file (exit code 1).
         """
         from postproc.errors import OptionError, PostprocError
 
@@ -124,7 +126,7 @@ class LazyGroup(click.Group):
             raise click.ClickException(str(cause)) from cause
         except KeyboardInterrupt as cause:
             click.echo("Interrupted.", err=True)
-            ctx.exit(128 + getattr(cause, "number", 2))
+            ctx.exit(128 + getattr(cause, "number", 2))  # 128 + number of the signal; 2: Ctrl-C
         except click.MissingParameter as cause:
             if cause.param is None or cause.param.name != "cell":
                 raise
@@ -144,7 +146,7 @@ class LazyGroup(click.Group):
 
 
 def _ignore_warning(*_: object, **__: object) -> None:
-    """Show no warning."""
+    """Show no warning; takes the arguments of `warnings.showwarning`."""
 
 
 @click.group(cls=LazyGroup, commands_at=_COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})

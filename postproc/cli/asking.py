@@ -1,4 +1,4 @@
-"""Whether the user can be asked."""
+"""Whether the user can be asked on a terminal."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ import sys
 
 
 def is_terminal() -> bool:
-    """Return whether stdin is a terminal; False where there is none, as under pythonw."""
+    """Return whether stdin is a terminal; False without stdin, as under pythonw."""
     return sys.stdin is not None and sys.stdin.isatty()

@@ -87,7 +87,7 @@ def convert(
 
 
 def _check_part(options: dict[str, Any], jobs: Sequence[Job]) -> None:
-    """Check that the mesh of a part is given with one program only; subprograms of others do not count.
+    """Check that the mesh of a part is given with one program only; called subprograms do not count.
 
     :raises click.UsageError: there are several programs.
     """
@@ -96,11 +96,11 @@ def _check_part(options: dict[str, Any], jobs: Sequence[Job]) -> None:
 
 
 def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | None:
-    """Return the Dask scheduler that the options name, or None.
+    """Return the Dask cluster that the options name; None without a scheduler.
 
-    :param scheduler: its address.
-    :param certificates: files of authority, certificate and key.
-    :raises click.UsageError: certificates without a scheduler.
+    :param scheduler: address of the scheduler.
+    :param certificates: files of authority, certificate and key; None: not given.
+    :raises click.UsageError: a certificate is given without a scheduler.
     """
     if scheduler is not None:
         from postproc.jobs.workers import Cluster

@@ -6,7 +6,7 @@ import click
 
 
 def fault_message(message: str, traceback: str) -> str:
-    """Return the message about a fault; its traceback is written to a file, or with ``--debug`` to stderr.
+    """Return the message about a fault of postproc; write its traceback to a file, or with ``--debug`` to stderr.
 
     :param message: description of the fault, without a full stop.
     """

@@ -23,9 +23,9 @@ _HOME = "Where X, Y, Z are before the first move and after G28 and G53, in $BASE
 
 
 def _option_value(kind: str, text: Any) -> Any:
-    """Return the value of a text.
+    """Return the value of the text of an option.
 
-    :param kind: name of the function of `jobs.answers` that reads it.
+    :param kind: name of the function of `jobs.answers` that reads the text, such as "frame".
     :raises click.BadParameter: the text cannot be used.
     """
     from postproc.errors import InputError
@@ -38,12 +38,15 @@ def _option_value(kind: str, text: Any) -> Any:
 
 
 def _list_parser(kind: str) -> Callable[[str], Any]:
-    """Return a function that reads a list separated by blanks, see `_option_value`."""
+    """Return a function that reads a list of values separated by blanks; `kind` as of `_option_value`."""
     return lambda text: _option_value(kind, text.split())
 
 
 def _option_callback(kind: str) -> Any:
-    """Return a click callback that turns the text of an option into its value."""
+    """Return a click callback that turns the text of an option into its value, None into None.
+
+    :param kind: as of `_option_value`.
+    """
     return lambda _ctx, _param, text: None if text is None else _option_value(kind, text)
 
 
@@ -222,7 +225,9 @@ def init(files: tuple[Path, ...], robodk: str | None, **options: Any) -> None:
 
 
 def _cell_and_programs(files: tuple[Path, ...]) -> tuple[Path, list[Path]]:
-    """Return the cell file to write, and the programs that it is for: the files with the extension of a program.
+    """Return the cell file to write, cell.toml by default, and the programs for which it is.
+
+    Files with the extension of a program are programs.
 
     :raises click.UsageError: several files are no programs.
     """
@@ -239,7 +244,7 @@ def _cell_and_programs(files: tuple[Path, ...]) -> tuple[Path, list[Path]]:
 def _rotary(options: dict[str, Any]) -> dict[str, Any]:
     """Return the field `rotary` of `CellRequest` by name; empty if no option names rotary axes.
 
-    :raises click.UsageError: their kind is not stated.
+    :raises click.UsageError: the kind of the rotary axes is not stated.
     """
     from postproc.jobs import answers
 
@@ -262,13 +267,14 @@ _SAME_OPTIONS = (
     "home",
     "payload",
 )
-"""Options whose answers have their name."""
+"""Options of `init` with the same name as their answer."""
 
 
 def _answers_of_options(options: dict[str, Any], only_tool: int | None) -> dict[str, Any]:
     """Return the answers that options of `init` give to the questions of `guided_start`, by key of the question.
 
-    :param only_tool: number of the tool of programs that have but one, whose `$TOOL` answers for `--tool` too.
+    :param only_tool: number of the only tool of the programs, whose `$TOOL` in `--tools` also answers for `--tool`;
+        None: they have several tools.
     """
     values = {name: options[name] for name in _SAME_OPTIONS if options[name] is not None}
     values |= {f"tool.{number}": frame for number, frame in options["tools"].items()}
@@ -289,7 +295,9 @@ def _answers_of_options(options: dict[str, Any], only_tool: int | None) -> dict[
 
 
 def _request_for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> CellRequest:
-    """Return the request for a cell that these programs need; ask for what no option says.
+    """Return the request for a cell that the programs need; ask on the terminal for answers that no option gives.
+
+    Without a terminal, optional questions are answered by their default.
 
     :raises click.UsageError: an answer is missing and there is no terminal.
     """
@@ -306,7 +314,7 @@ def _request_for_programs(cell: Path, programs: list[Path], options: dict[str, A
             click.echo(f"no answer makes this program readable: {needs.refusal}", err=True)
     needs = guided_start.merge_needs(needs_of_programs)
     if options["config_dat"] is not None:
-        needs = replace(needs, frames=())  # the file of the controller states them
+        needs = replace(needs, frames=())  # frames by number are in the file of the controller
     answers = guided_start.Answers(_answers_of_options(options, needs.only_tool))
     unanswered_questions: list[guided_start.Question] = []
     while question := guided_start.next_question(
@@ -332,7 +340,9 @@ def _is_stated(name: str) -> bool:
 
 
 def _all_convert(programs: list[Path], cell: Path, language: str) -> bool:
-    """Convert each program with the cell, without forces and files; print the outcome; return whether all convert.
+    """Try to convert each program with the cell, without forces and without writing files; print the outcomes.
+
+    Return whether all programs convert.
 
     :param language: robot language of the controller; empty: KRL.
     """
@@ -350,7 +360,10 @@ def _all_convert(programs: list[Path], cell: Path, language: str) -> bool:
 
 
 def _station(robodk: str, options: dict[str, Any]) -> Station:
-    """Fill values without an option from a station of RoboDK; return the station."""
+    """Return a station of RoboDK; set robot, base, tool and start of `options` from it where the user gave none.
+
+    :param robodk: file of the station; "open": the station that is open.
+    """
     from postproc.hosts.robodk_station import read
 
     station = read(robodk)
@@ -365,7 +378,10 @@ def _station(robodk: str, options: dict[str, Any]) -> Station:
 
 
 def _station_warnings(station: Station, robot: str) -> tuple[str, ...]:
-    """Return warnings about a cell from a station."""
+    """Return warnings about a cell that is made from a station.
+
+    :param robot: robot of the cell.
+    """
     from postproc.jobs import load_robot
 
     warning = station.check_flange(load_robot(robot))
@@ -373,7 +389,7 @@ def _station_warnings(station: Station, robot: str) -> tuple[str, ...]:
 
 
 def _ask(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options with the values that the user was asked for; without a terminal with the defaults.
+    """Return `options`, in which missing values are set: asked if robot, base or tool is missing, else by default.
 
     :raises click.UsageError: robot, base or tool is missing, and there is no terminal.
     """
@@ -386,9 +402,10 @@ def _ask(options: dict[str, Any]) -> dict[str, Any]:
         )
 
     def ask(name: str, text: str, default: Any, kind: str) -> None:
-        """Set an option that the command line lacks: asked if anything is missing, else by its default.
+        """Set `options[name]` if it is None: ask the user if robot, base or tool is missing, else take the default.
 
-        :param kind: function of `jobs.answers` that reads its value, see `_option_value`.
+        :param text: the question.
+        :param kind: as of `_option_value`.
         """
         if options[name] is None:
             options[name] = (
@@ -419,7 +436,10 @@ def _ask(options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _ask_for_program(options: dict[str, Any]) -> None:
-    """Ask for tools, work offsets, M codes and start joints of programs; an empty answer leaves one out."""
+    """Ask for tools, work offsets, M codes and start joints of programs that `options` lacks, and set them there.
+
+    An empty answer leaves an option empty.
+    """
     if not options["tools"]:
         text = "Tools that programs change to, such as 1=0,0,350 2=0,0,412.5 (empty: $TOOL holds for all)"
         options["tools"] = click.prompt(text, default="", show_default=False, value_proc=_list_parser("tools"))
@@ -444,7 +464,12 @@ def _ask_for_program(options: dict[str, Any]) -> None:
 
 
 def _ask_for_shop(options: dict[str, Any], by_hand: str) -> None:
-    """Ask for the lines that switch spindle and coolant, and for the tolerance of parts."""
+    """Ask for lines that switch spindle and coolant, and for the tolerance of parts, that `options` lacks.
+
+    Set them there.
+
+    :param by_hand: default answer: the user switches them by hand.
+    """
     if options["spindle"] is None:
         text = "Spindle: lines for M3, with {S}, and M5, with | between, or hand"
         options["spindle"] = click.prompt(text, default=by_hand, value_proc=partial(_option_value, "switch"))

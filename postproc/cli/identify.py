@@ -216,7 +216,10 @@ def validate(
 
 
 def _holds_for_part(model: Path, readings: Path, cell: Path, process: Path, programs: tuple[Path, ...]) -> bool:
-    """Print how a model agrees with a probed part; return whether it holds."""
+    """Print how a model agrees with a probed part; return whether the model holds.
+
+    :param programs: programs by which the part was cut.
+    """
     from postproc.jobs.testpart_files import PartRequest, compare_part
     from postproc.report.testpart import agreement_lines
 
@@ -336,7 +339,7 @@ def _print_result(folder: IdentifiedFolder, output: Path, as_json: bool) -> None
 
 
 def _print_step(message: str) -> None:
-    """Print a step of the work as progress: as a line for the window, else on a terminal only."""
+    """Print a step of the work on stderr: as a line for the window, as text on a terminal, else not at all."""
     import sys
 
     from postproc import progress

@@ -27,12 +27,12 @@ probe_sigma = click.option(
 
 
 class Choice(click.Choice[str]):
-    """Values of an option or argument; the error for another one offers the nearest."""
+    """Type of an option or argument with fixed values; the error message for another value offers the nearest one."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the value.
+        """Return the value, which must be one of the choices.
 
-        :raises click.BadParameter: it is none of the choices; the message offers the nearest.
+        :raises click.BadParameter: the value is not one of the choices; the message offers the nearest one.
         """
         try:
             return super().convert(value, param, ctx)
@@ -44,7 +44,7 @@ class Choice(click.Choice[str]):
 
 
 def complete_robots(_ctx: click.Context, _param: click.Parameter | None, incomplete: str) -> list[CompletionItem]:
-    """Return the shipped robots whose names begin so, and let the shell look for model folders."""
+    """Return the shipped robots whose names begin with `incomplete`, and let the shell complete model folders."""
     from postproc.robot import shipped_models
 
     names = [CompletionItem(name) for name in shipped_models() if name.startswith(incomplete)]
@@ -52,18 +52,21 @@ def complete_robots(_ctx: click.Context, _param: click.Parameter | None, incompl
 
 
 def complete_files(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Let the shell look for files."""
+    """Let the shell complete names of files."""
     return [CompletionItem(incomplete, type="file")]
 
 
 def several_programs(text: str, *, is_required: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator for ``--program A B …``: the first is in `programs`, the others are in `other_programs`.
+    """Return a decorator that adds ``--program A B …`` to a command.
 
-    :param text: help of the option.
+    An option of click takes one value: `programs` of the command has A, the argument `other_programs` has B ….
+
+    :param text: help text of the option.
+    :param is_required: the option must be given.
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a command with the option, and with the argument that takes the programs behind the first."""
+        """Return a command with the option, and with the argument for the programs after the first."""
         further_programs = click.argument(
             "other_programs", nargs=-1, metavar="[PROGRAM]...", shell_complete=complete_files
         )
@@ -77,7 +80,7 @@ def several_programs(text: str, *, is_required: bool = False) -> Callable[[Calla
 
 
 def _dialect(_ctx: click.Context, _param: click.Parameter, value: str | None) -> str | None:
-    """Return the name of a dialect unchanged, if there is one; a click callback.
+    """Return the name of a dialect, after checking it; a click callback. None stays None.
 
     :raises click.BadParameter: no dialect has this name, or it cannot be used.
     """
@@ -91,7 +94,7 @@ def _dialect(_ctx: click.Context, _param: click.Parameter, value: str | None) ->
 
 
 def _click_option(option: Option) -> Callable[[_Command], _Command]:
-    """Return the click option of an option of the table."""
+    """Return the decorator of click for an option of `postproc.actions`, by its kind."""
     attributes: dict[str, Any] = {"metavar": option.metavar} if option.metavar else {}
     if option.kind == "flag":
         attributes["is_flag"] = True
@@ -100,6 +103,7 @@ def _click_option(option: Option) -> Callable[[_Command], _Command]:
     elif option.kind == "count":
         attributes["type"] = click.IntRange(min=None if option.minimum is None else int(option.minimum))
     elif option.kind == "length":
+        # without a minimum a length must be positive
         attributes["type"] = FiniteRange(min=option.minimum or 0, min_open=option.minimum is None)
     else:
         attributes["callback"] = _dialect
@@ -120,16 +124,17 @@ def conversion_options(command: _Command) -> _Command:
 
 
 def _with_options(command: _Command, options: tuple[Option, ...]) -> _Command:
-    """Return a command with options, which its help shows in this order."""
+    """Return a command with options; its help shows them in this order."""
+    # the decorator that is applied last comes first in the help
     for option in reversed(options):
         command = _click_option(option)(command)
     return command
 
 
 def pop_file_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Remove the options of `find_jobs` (dialect, to, forces, output) from the options of a command; return them.
+    """Remove the options of `find_jobs` from the options of a command, and return them: dialect, to, forces and output.
 
-    A process file becomes the force file. All other options stay: they are the settings.
+    A process file is returned as `forces`. The options that stay are the fields of `Settings`.
 
     :raises click.UsageError: forces and process are both given, or the process is no .toml file.
     """

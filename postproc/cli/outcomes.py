@@ -1,4 +1,4 @@
-"""Work through the programs of a command, show how far it is, and print what came of each."""
+"""Work through the programs of a command, show the progress, and print the outcomes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,12 @@ def work(
     workers: int = 1,
     cluster: Cluster | None = None,
 ) -> None:
-    """Work through jobs and print what came of them; end the command with the exit code of the worst."""
+    """Convert or predict programs and print their outcomes; end the command with the exit code of the worst outcome.
+
+    :param as_json: print JSON instead of summaries.
+    :param workers: number of programs at the same time.
+    :param cluster: Dask cluster that does the work; None: this machine.
+    """
     outcomes = run_jobs(ctx, jobs, settings, as_json=as_json, workers=workers, cluster=cluster)
     ctx.exit(worst_code(outcomes))
 
@@ -41,7 +46,14 @@ def run_jobs(
     workers: int = 1,
     cluster: Cluster | None = None,
 ) -> list[Outcome]:
-    """Convert or predict programs, print their outcomes and return them; an interrupt ends the command."""
+    """Convert or predict programs, print their outcomes and return them in the order of the jobs.
+
+    Parameters as of `work`.
+
+    An interrupt prints what is written, and ends the command.
+
+    :raises PostprocError: the work cannot begin or go on.
+    """
     from postproc.errors import PostprocError
     from postproc.jobs import convert_all, leftover_note
 
@@ -51,6 +63,7 @@ def run_jobs(
         for outcome in _show_progress(run, len(jobs)):
             outcome_of[outcome.program] = outcome
     except (KeyboardInterrupt, PostprocError) as cause:
+        # subprograms are written with the programs that call them
         remark = leftover_note(
             [job for job in jobs if not job.callers and str(job.program) not in outcome_of], settings.mode
         )
@@ -60,15 +73,17 @@ def run_jobs(
             raise
         print_failures(outcome_of.values())
         count = sum(bool(outcome.written_files) for outcome in outcome_of.values())
-        consequence = (
+        others_sentence = (
             "of the others nothing is" if cluster is None else "the cluster may still finish those it has begun"
         )
-        text = f"Interrupted: {count} of {len(jobs)} programs are written, and whole; {consequence}. {remark}".rstrip()
+        text = (
+            f"Interrupted: {count} of {len(jobs)} programs are written, and whole; {others_sentence}. {remark}".rstrip()
+        )
         with contextlib.suppress(OSError):  # the terminal may be gone
             click.echo(text, err=True)
-        ctx.exit(128 + getattr(cause, "number", 2))
+        ctx.exit(128 + getattr(cause, "number", 2))  # 128 + number of the signal; 2: Ctrl-C
     outcomes = [outcome_of[str(job.program)] for job in jobs]
-    _print(outcomes, jobs, as_json=as_json)
+    _print_outcomes(outcomes, jobs, as_json=as_json)
     return outcomes
 
 
@@ -78,7 +93,10 @@ def say(sentence: str) -> None:
 
 
 def print_outcome(outcome: Outcome, job: Job, *, as_json: bool = False) -> None:
-    """Print one line for a program that has been converted, or why it has not."""
+    """Print one line on a converted program on stdout, or the reason of its failure on stderr.
+
+    With `as_json` an entry of JSON is printed on stdout in either case.
+    """
     print_failures([outcome])
     if as_json:
         import json
@@ -86,21 +104,25 @@ def print_outcome(outcome: Outcome, job: Job, *, as_json: bool = False) -> None:
         click.echo(json.dumps(_as_entry(outcome), allow_nan=False))
     elif outcome.summary is not None:
         verdict = outcome.summary.verdict
-        reasons = verdict.reasons[:1] if verdict.state != "ok" else []
+        reasons = verdict.reasons[:1] if verdict.state != "ok" else []  # the first reason at most
         sentences = " ".join([verdict.headline, *reasons])
-        click.echo(f"{Path(outcome.program).name}: {_word(outcome)} to {job.output}. {sentences}")
+        click.echo(f"{Path(outcome.program).name}: {_outcome_text(outcome)} to {job.output}. {sentences}")
 
 
 def _show_progress(run: Callable[..., Iterator[Outcome]], count: int) -> Iterator[Outcome]:
-    """Pass outcomes on; on a terminal show on stderr how far the work is, and the sweep of a stock.
+    """Yield the outcomes of a run, and show its progress on stderr: programs, and moves of a tool through the stock.
 
-    :param run: `convert_all` of the jobs.
+    For the window as lines, on a terminal as bars, else not at all.
+
+    :param run: function that starts the work and yields outcomes; its keyword `progress` takes a function of the number
+        of done and of all moves.
+    :param count: number of programs.
     """
     import sys
 
     if as_lines():
         show = line_writer()
-        yield from run(progress=lambda count, total: show("moves through the stock", count / max(total, 1)))
+        yield from run(progress=lambda done, total: show("moves through the stock", done / max(total, 1)))
         return
     if not sys.stderr.isatty():
         yield from run()
@@ -119,17 +141,20 @@ def _show_progress(run: Callable[..., Iterator[Outcome]], count: int) -> Iterato
         task = progress.add_task("programs", total=count)
         sweep = progress.add_task("moves through the stock", visible=False)
 
-        def show_sweep(count: int, total: int) -> None:
-            """Show how many moves the tool has swept; hide the bar at the end."""
-            progress.update(sweep, completed=count, total=total, visible=count < total)
+        def show_sweep(done: int, total: int) -> None:
+            """Show the number of moves that the tool has swept; hide the bar at the end."""
+            progress.update(sweep, completed=done, total=total, visible=done < total)
 
         for outcome in run(progress=show_sweep):
             progress.update(task, advance=1, description=Path(outcome.program).name)
             yield outcome
 
 
-def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -> None:
-    """Print what came of the programs: summary on stdout, what failed on stderr."""
+def _print_outcomes(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -> None:
+    """Print the outcomes of programs: failures on stderr; a summary, or a table of several programs, on stdout.
+
+    With ``--quiet`` only failures and JSON are printed.
+    """
     from postproc import report
     from postproc.cli.terminal import display
     from postproc.files import json_bytes
@@ -145,7 +170,7 @@ def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -
         names = ", ".join(Path(path).name for path in outcomes[0].written_files)
         click.echo(f"written to {jobs[0].output}: {names}")
     elif len(outcomes) > 1:
-        rows = [(outcome.program, outcome.summary, _word(outcome)) for outcome in outcomes]
+        rows = [(outcome.program, outcome.summary, _outcome_text(outcome)) for outcome in outcomes]
         click.echo(report.programs_table(rows, display()))
         for page in dict.fromkeys(job.output / "index.html" for job in jobs):
             if page.is_file():
@@ -153,7 +178,7 @@ def _print(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json: bool) -
 
 
 def print_failures(outcomes: Iterable[Outcome]) -> None:
-    """Print why programs failed, on stderr."""
+    """Print on stderr the reasons why programs failed or were skipped; nothing for other programs."""
     from postproc.report import issue_entry, issue_line
 
     for outcome in outcomes:
@@ -185,22 +210,23 @@ def _as_entry(outcome: Outcome) -> dict[str, object]:
     return {**entry, "written": list(outcome.written_files)}
 
 
-def _word(outcome: Outcome) -> str:
-    """Return the outcome in a few words: written, skipped, not to be run or FAILED."""
+def _outcome_text(outcome: Outcome) -> str:
+    """Return the outcome in a few words: written, skipped, not to be run or FAILED; new name and number of warnings."""
     if outcome.summary is None:
         return "skipped: a subprogram" if outcome.is_skipped else "FAILED"
     issues = outcome.summary.issues
     warnings = sum(issue.level == "warning" for issue in issues)
-    word = "not to be run" if outcome.code else "written"
+    state_text = "not to be run" if outcome.code else "written"
+    # issue "name": the name of the program was not valid and was changed
     new_names = [Path(path).name for path in outcome.written_files[:1] if any(issue.kind == "name" for issue in issues)]
     return (
-        word
+        state_text
         + "".join(f" as {name}" for name in new_names)
         + (f", {warnings} warning{'s' if warnings > 1 else ''}" if warnings else "")
     )
 
 
 def worst_code(outcomes: Iterable[Outcome]) -> int:
-    """Return the exit code for all: a failure is worse than an exceeded tolerance."""
+    """Return the exit code of a command with these outcomes: 1 for a failure is worse than 3 for a red verdict."""
     codes = {outcome.code for outcome in outcomes}
     return 1 if 1 in codes else max(codes, default=0)

@@ -16,13 +16,15 @@ if TYPE_CHECKING:
     from postproc.jobs import Outcome, Settings
 
 PIPE = "-"
-_NAME = "STDIN"
+_DEFAULT_NAME = "STDIN"
+"""Name of a program from stdin without `--name`."""
 
 
 def is_piped(programs: tuple[str, ...], output: Path | None) -> bool:
-    """Return whether stdin or stdout is meant.
+    """Return whether the program is read from stdin or written to stdout.
 
-    :raises click.UsageError: stdin is one of several programs.
+    :param output: output folder, or "-" for stdout; None: not given.
+    :raises click.UsageError: stdin is given together with other programs.
     """
     if PIPE in programs and len(programs) > 1:
         raise click.UsageError("- is stdin: give it as the only PROGRAM.")
@@ -31,9 +33,12 @@ def is_piped(programs: tuple[str, ...], output: Path | None) -> bool:
 
 @contextlib.contextmanager
 def program_file(program: str, name: str | None, dialect: str | None) -> Iterator[str]:
-    """Yield the path of a program; stdin is a temporary file meanwhile.
+    """Yield the path of a program; the program from stdin is in a temporary file until the context ends.
 
-    :raises click.UsageError: the format of stdin is not stated.
+    :param program: path of the program, or "-" for stdin.
+    :param name: name of the program from stdin; None: STDIN.
+    :param dialect: name of its dialect; only stdin needs it.
+    :raises click.UsageError: the dialect of stdin is not stated.
     """
     if program != PIPE:
         yield program
@@ -43,18 +48,20 @@ def program_file(program: str, name: str | None, dialect: str | None) -> Iterato
     from postproc.dialects import registry
 
     with TemporaryDirectory() as folder:
-        path = Path(folder) / f"{name or _NAME}{registry.dialect_of_name(dialect).extensions[0]}"
+        path = Path(folder) / f"{name or _DEFAULT_NAME}{registry.dialect_of_name(dialect).extensions[0]}"
         with click.open_file(PIPE, "rb") as stdin:
             path.write_bytes(stdin.read())
         yield str(path)
 
 
 def convert_piped(program: str, settings: Settings, files: dict[str, Any], name: str | None) -> Outcome:
-    """Convert a program from or to a pipe; what is printed goes to stderr if stdout has the program.
+    """Convert a program from stdin or to stdout; the summary goes to stderr if the program goes to stdout.
+
+    Without an output folder the program goes to stdout. The outcome of a failed program has no summary.
 
     :param files: options of `find_jobs`.
-    :param name: of the program; None: that of the file.
-    :raises click.ClickException: several files are written, which one pipe cannot take.
+    :param name: name of the program; None: the name of its file.
+    :raises click.ClickException: several files would be written to stdout.
     """
     from postproc import report
     from postproc.cli.outcomes import print_failures
@@ -72,7 +79,7 @@ def convert_piped(program: str, settings: Settings, files: dict[str, Any], name:
         if to_stdout and len(programs) > 1:
             names = ", ".join(Path(file).name for file in programs)
             raise click.ClickException(f"{len(programs)} files are written ({names}): give a folder by -o.")
-        if not click.get_current_context().find_root().params.get("quiet"):
+        if not click.get_current_context().find_root().params.get("quiet"):  # global option --quiet
             click.echo(report.program_text(outcome.summary), err=to_stdout)
         if to_stdout:
             streams.write_to_stdout(Path(programs[0]).read_bytes())

@@ -25,7 +25,7 @@ class _PlanGroup(click.Group):
     """A group whose command `poses` is the default: ``plan --experiment …`` is ``plan poses --experiment …``."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the default command in front of options."""
+        """Parse arguments; insert the default command if they begin with an option."""
         if args and args[0].startswith("-") and args[0] not in ctx.help_option_names:
             args = ["poses", *args]
         return super().parse_args(ctx, args)
@@ -154,7 +154,10 @@ def poses(programs: tuple[str, ...], other_programs: tuple[str, ...], as_json: b
 
 @contextlib.contextmanager
 def _progress_display() -> Iterator[Progress | None]:
-    """Yield the function that draws the progress of the search; None if stderr is no terminal."""
+    """Yield the function that shows the progress of the search; None if stderr is no terminal.
+
+    For the window it prints lines, on a terminal it draws a bar.
+    """
     if as_lines():
         show_line = line_writer()
         yield lambda stage, share, _: show_line(stage, share)
@@ -170,7 +173,10 @@ def _progress_display() -> Iterator[Progress | None]:
         task = bar.add_task("planning", total=1.0, best="")
 
         def show(stage: str, share: float, best: float) -> None:
-            """Draw stage and share of the search, and the least error so far [m]; not finite: there is none yet."""
+            """Draw stage and share of the search, and the smallest error so far [m].
+
+            Infinite or NaN: none is known yet.
+            """
             best_text = f"best so far {best * 1e3:.4g} mm" if math.isfinite(best) else ""
             bar.update(task, description=stage, completed=share, best=best_text)
 

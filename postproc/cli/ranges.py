@@ -1,4 +1,4 @@
-"""Numbers of options: finite ones within a range."""
+"""Types of options for finite numbers, also within a range."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import click
 
 
 class FiniteFloat(click.types.FloatParamType):
-    """A number; click's own accepts nan and inf."""
+    """Type of a finite number; that of click accepts nan and inf."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the number."""
+        """Return the number of a text; nan, inf and other texts end the command with a message."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is no number.", param, ctx)
@@ -20,4 +20,4 @@ class FiniteFloat(click.types.FloatParamType):
 
 
 class FiniteRange(FiniteFloat, click.FloatRange):
-    """A number within a range."""
+    """Type of a finite number within a range."""

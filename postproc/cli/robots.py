@@ -15,7 +15,7 @@ _PATH = click.Path(path_type=Path)
 
 
 class _Robots(click.Group):
-    """`robots NAME` is `robots show NAME`."""
+    """Group whose default command is `show`: `robots NAME` is `robots show NAME`."""
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -29,7 +29,7 @@ class _Robots(click.Group):
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Return the names of robots and of commands that begin so."""
+        """Return the names of robots and of commands that begin with `incomplete`."""
         return [*complete_robots(ctx, None, incomplete), *super().shell_complete(ctx, incomplete)]
 
 

@@ -18,13 +18,14 @@ if TYPE_CHECKING:
     from postproc.jobs.program_needs import ProgramNeeds
 
 _PATH = click.Path(path_type=Path)
-_KEYS = {"rotary": "rotary_axes"}
-"""Options whose answers have another name."""
+_ANSWER_NAMES = {"rotary": "rotary_axes"}
+"""Option → name of its answer, if it has another name."""
 _NUMBERED_OPTIONS = {"tools": "tool", "work_offset": "work_offset", "base_data": "base_data",
              "tool_data": "tool_data", "m_code": "m_code", "rotary_point": "rotary_point",
              "cutter": "cutter", "flutes": "flutes", "rpm": "rpm"}  # fmt: skip
-"""Options that may be given several times: option → first part of the name of its answers."""
+"""Options that may be repeated: option → first part of the names of its answers, such as "tool" of "tool.3"."""
 _PROCESS_ANSWERS = ("material", "cutter", "flutes", "rpm", "stock")
+"""First parts of the names of answers that are about the process file; all others are about the cell file."""
 
 
 @click.command()
@@ -136,14 +137,22 @@ def print_needs(needs: ProgramNeeds) -> None:
 
 
 def _frame_name(table: str) -> str:
-    """Return the name in KRL of a frame that a table of the cell states: BASE_DATA[3] for base_data.3."""
+    """Return the KRL name of a frame from the name of its table in the cell: BASE_DATA[3] for base_data.3."""
     name, _, number = table.upper().partition(".")
     return f"{name}[{number}]"
 
 
 def _option_answers(options: Mapping[str, Any], needs: ProgramNeeds) -> dict[str, str]:
-    """Return the answers that options give, as texts by name."""
-    texts = {_KEYS.get(name, name): value for name, value in options.items() if isinstance(value, str) and name != "to"}
+    """Return the answers that options give: name of the answer → text.
+
+    `$TOOL` of the only tool of the program also answers for the option `--tool`, unless that is given.
+    """
+    # --to is an option of the conversion, not an answer
+    texts = {
+        _ANSWER_NAMES.get(name, name): value
+        for name, value in options.items()
+        if isinstance(value, str) and name != "to"
+    }
     for option, name in _NUMBERED_OPTIONS.items():
         for text in options[option]:
             texts |= dict(_answers_of_option(option, name, text, needs))
@@ -154,14 +163,17 @@ def _option_answers(options: Mapping[str, Any], needs: ProgramNeeds) -> dict[str
 
 
 def _answers_of_option(option: str, name: str, text: str, needs: ProgramNeeds) -> Iterator[tuple[str, str]]:
-    """Yield the names and texts of the answers that an option gives.
+    """Yield names and texts of the answers that an option gives.
 
-    `KEY=VALUE` answers for one tool, axis or code, `VALUE` of a cutter option for all tools.
+    `KEY=VALUE` is the answer for one tool, axis or code. `VALUE` alone of a process option is the answer for all tools;
+    of `--tools` a value without commas is the Z of `$TOOL`. `--m-code CODE` alone means that the code has no effect.
 
+    :param option: name of the option, `name` the first part of the names of its answers, `text` the text of the option.
     :raises click.BadParameter: the option needs a key.
     """
     key, equals, value = text.partition("=")
-    key, names = key.strip().upper(), {name.upper(): name for name in needs.robot_tools}
+    key = key.strip().upper()
+    tool_names = {tool_name.upper(): tool_name for tool_name in needs.robot_tools}  # tools of robot programs have names
     if option == "m_code":
         yield f"{name}.{key}", value or "none"
     elif not equals and option in _PROCESS_ANSWERS:
@@ -170,8 +182,8 @@ def _answers_of_option(option: str, name: str, text: str, needs: ProgramNeeds) -
     elif not equals:
         raise click.BadParameter(f"{text!r}: write NAME=VALUE.", param_hint=f"--{option.replace('_', '-')}")
     else:
-        if option in _PROCESS_ANSWERS and key in names:
-            key = names[key]
+        if option in _PROCESS_ANSWERS and key in tool_names:
+            key = tool_names[key]
         elif option in ("tools", *_PROCESS_ANSWERS):
             key = key.removeprefix("T")
         yield f"{name}.{key}", f"0,0,{value}" if option == "tools" and "," not in value else value
@@ -187,12 +199,15 @@ def _ask(
     is_asked: Mapping[str, bool],
     kept_files: Collection[str],
 ) -> None:
-    """Fill the answers from options, from an earlier start, and from questions; save each answer at once.
+    """Put the answers to all questions into `answers`: from options, from an earlier start, or from the terminal.
 
-    :param option_texts: answers given by options, by name.
-    :param is_asked: "cell" and "process" → whether questions about this file are put.
+    Answers of the user are saved at once. Without a terminal, optional questions are answered by their default.
+
+    :param answer_file: answers of an earlier start; answers of the user are added to it.
+    :param option_texts: answers given by options: name → text.
+    :param is_asked: "cell" and "process" → whether questions about this file are asked.
     :param kept_files: "cell" and "process" if these files are used as they are.
-    :raises click.UsageError: an answer is missing and there is no terminal, or cannot be used.
+    :raises click.UsageError: an answer is missing and there is no terminal, or an answer cannot be used.
     """
     from postproc.errors import InputError
     from postproc.jobs.guided_start import next_question
@@ -215,6 +230,7 @@ def _ask(
         except InputError as cause:
             source = question.option.split()[0] if question.key in option_texts else str(answers_path)
             raise click.BadParameter(str(cause), param_hint=source) from None
+        # a stock that was only offered, and not checked by the user, is not saved
         is_unchecked_stock = question.key == "stock" and "stock" in answers.offered_keys
         if (on_terminal and not is_unchecked_stock) or question.key in option_texts:
             answer_file.answers[question.key] = text
@@ -226,33 +242,37 @@ def _ask(
 
 
 def _report_unused(
-    option_texts: Mapping[str, str], unused: set[str], answer_file: Any, kept_files: Collection[str]
+    option_texts: Mapping[str, str], unused_names: set[str], answer_file: Any, kept_files: Collection[str]
 ) -> None:
-    """Print a note on each option that no question needed.
+    """Print a note on each answer of an option that no question needed.
 
-    :param option_texts: all answers given by options, by name; `unused`: the names of those without a question.
+    :param option_texts: all answers given by options: name → text.
+    :param unused_names: names of the answers without a question.
     :param kept_files: "cell" and "process" if these files are used as they are.
-    :raises click.UsageError: an option contradicts the answers that a kept file was made of.
+    :raises click.UsageError: an answer contradicts the one from which a kept file was made.
     """
     for file in kept_files:
-        names = {name for name in unused if _file_of(name) == file}
+        names = {name for name in unused_names if _file_of(name) == file}
         if conflicting_names := sorted(name for name in names if option_texts[name] != answer_file.answers.get(name)):
             problem = (
                 f"{', '.join(conflicting_names)}: the {file} file is used as it is, and these answers would not count"
             )
             raise click.UsageError(f"{problem}. Leave them out, or give --overwrite to write the file anew.")
-        unused = unused - names  # the file was made of the same answers, and edited since
-    for name in sorted(unused):
+        unused_names = unused_names - names  # the file was made from these answers, and edited since
+    for name in sorted(unused_names):
         click.echo(f"note: this program needs no answer about {name}: it is not used", err=True)
 
 
 def _file_of(name: str) -> str:
-    """Return the file that an answer belongs to, "cell" or "process"."""
+    """Return the file to which an answer belongs, "cell" or "process".
+
+    :param name: name of the answer, such as "cutter.3".
+    """
     return "process" if name.partition(".")[0] in _PROCESS_ANSWERS else "cell"
 
 
 def _save(path: Path, answer_file: Any) -> None:
-    """Write the answers to a file, in a folder that need not exist."""
+    """Write the answers to a file; its folder is created if needed."""
     from postproc.jobs.guided_start import save_answers
 
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -260,7 +280,10 @@ def _save(path: Path, answer_file: Any) -> None:
 
 
 def prompt(question: Question, *, first: bool) -> str:
-    """Ask on the terminal until the answer can be used; return its text."""
+    """Ask a question on the terminal until the answer can be used; return the text of the answer.
+
+    :param first: it is the first question: explain units and keys before it.
+    """
     if first:
         click.echo("Lengths in mm, angles in degrees. Enter takes the value in brackets. Ctrl-C keeps the answers.")
     if question.hint:
@@ -275,16 +298,13 @@ def prompt(question: Question, *, first: bool) -> str:
 
 
 def _prompt_check(parse: Callable[[str], Any]) -> Callable[[str], str]:
-    """Return a function that returns its text if `parse` accepts it, and else makes click ask again.
-
-    :raises click.BadParameter: by the function: the text cannot be used.
-    """
+    """Return a function that returns a text unchanged if `parse` accepts it, and else makes click ask again."""
     from postproc.errors import InputError
 
     def check(text: str) -> str:
         """Return the text of an answer.
 
-        :raises click.BadParameter: it cannot be used; click then asks again.
+        :raises click.BadParameter: the text cannot be used; click then asks again.
         """
         try:
             parse(text)
@@ -298,7 +318,12 @@ def _prompt_check(parse: Callable[[str], Any]) -> Callable[[str], str]:
 def _convert_and_print(
     ctx: click.Context, program: Path, folder: Path, cell: Path, process: Path | None, options: Mapping[str, Any]
 ) -> Outcome:
-    """Convert the program, print its summary or fault, and return the outcome."""
+    """Convert the program, print its summary or the reason of its failure, and return the outcome.
+
+    :param folder: output folder.
+    :param process: process file or file of forces; None: no forces.
+    :param options: options of `start`.
+    """
     from postproc.cli.outcomes import run_jobs
     from postproc.jobs import Settings, find_jobs
     from postproc.jobs.programs import load_setup
@@ -312,7 +337,7 @@ def _convert_and_print(
 
 
 def _offer_place(outcome: Outcome, program: Path, cell: Path, process: Path | None) -> None:
-    """Offer the search of a place if another one may help: print the command, and run it if the user agrees."""
+    """Offer to search another place of the part if that may help: print the command, and run it if the user agrees."""
     from postproc.errors import argument
 
     if (reason := _reason_to_search_place(outcome)) is None:
@@ -343,11 +368,11 @@ def _offer_place(outcome: Outcome, program: Path, cell: Path, process: Path | No
 
 
 _PLACE_ISSUES = ("joint-limit", "joint-speed", "singular", "reach", "branch", "collision")
-"""Beginnings of the kinds of issues that another place of the part may mend."""
+"""Beginnings of the kinds of issues that another place of the part may avoid."""
 
 
 def _reason_to_search_place(outcome: Outcome) -> str | None:
-    """Return the problem that another place of the part may solve, as a clause; None without one."""
+    """Return the problem that another place of the part may solve, as a clause; None without such a problem."""
     issues = outcome.issues if outcome.summary is None else outcome.summary.issues
     if any(issue.kind.startswith(_PLACE_ISSUES) and issue.level != "info" for issue in issues):
         return "The robot is near a limit here"

@@ -26,7 +26,11 @@ class _Terminal:
     def table(
         self, head: Sequence[str], rows: Sequence[Sequence[str]], right: Collection[int] = (), indent: str = ""
     ) -> str:
-        """Return a table as text; `right`: columns that are aligned to the right and not wrapped."""
+        """Return a table as text.
+
+        :param right: indices of columns that are aligned right and not wrapped.
+        :param indent: text as wide as the indentation of the table.
+        """
         from rich import box
         from rich.console import Console
         from rich.padding import Padding
@@ -48,5 +52,5 @@ class _Terminal:
 
 
 def display() -> Display:
-    """Return how summaries are to look on stdout."""
+    """Return the output for summaries on stdout: with colours on a terminal, else plain text."""
     return _Terminal() if sys.stdout.isatty() else PLAIN

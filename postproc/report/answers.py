@@ -25,7 +25,7 @@ from postproc.report.formatting import State, two_digits
 
 COLOURS: dict[State, str] = {"ok": "green", "warning": "amber", "failed": "red"}
 EXIT_CODES: dict[State, int] = {"ok": 0, "warning": 0, "failed": 3}
-_ORDER: tuple[State, ...] = ("ok", "warning", "failed")
+_STATES_BY_SEVERITY: tuple[State, ...] = ("ok", "warning", "failed")
 WORDS: dict[tuple[Mode, State], str] = {
     ("convert", "ok"): "May be run.",
     ("convert", "warning"): "Look before you run it.",
@@ -39,7 +39,7 @@ WORDS: dict[tuple[Mode, State], str] = {
 }
 """The verdict in a word."""
 LIMITS_AND_COLLISIONS = "joint limits, speeds and collisions"
-"""What a comparison leaves to a prediction of the second program."""
+"""Checks that a comparison does not make: a prediction of the second program makes them."""
 SPLINES = "splines between their points"
 RUN_TIME = "motions that are known at run time only"
 TOOL_CHANGES = "paths behind tool changes"
@@ -51,18 +51,18 @@ UNCHECKED = {
     RUN_TIME: "they are kept as they are",
     TOOL_CHANGES: "they begin where the called program leaves the robot",
 }
-"""What may be left unchecked, and why."""
+"""Checks that may be missing → the reason, or how to have them made."""
 
 
 class Remedy(Struct, frozen=True):
-    """What would lower the expected error on the part, and to what (95 %)."""
+    """A measure that would lower the expected error on the part, and the error with it (95 %)."""
 
     action: str
     expected_mm: float
 
 
 class Drive(Struct, frozen=True):
-    """May it be driven? `unchecked` names what was not looked at."""
+    """May the program be driven? `unchecked` names the checks that were not made."""
 
     state: State
     reasons: list[str]
@@ -70,10 +70,13 @@ class Drive(Struct, frozen=True):
 
 
 class Improvement(Struct, frozen=True):
-    """Is it better than the uncorrected program? Expected errors on the part (95 %) along the cutting path.
+    """Is the corrected program better than the uncorrected one?
 
-    `uncorrected_mm` and `corrected_mm` are those of the worst target, the program as read and as corrected; None where
-    the model states no uncertainty. `chance`: that correction makes the part better (RMS); None where nothing changes.
+    Expected errors on the part (95 %) along the cutting path.
+
+    `uncorrected_mm` and `corrected_mm` are the errors at the worst target, of the program as read and as corrected;
+    None if the model states no uncertainty. `chance`: chance that the correction makes the part better (RMS); None if
+    nothing is corrected.
     """
 
     state: State
@@ -86,10 +89,12 @@ class Improvement(Struct, frozen=True):
 
 
 class Tolerance(Struct, frozen=True):
-    """Does it hold the tolerance that the user gave?
+    """Does the program hold the tolerance that the user gave?
 
-    :param mm: the tolerance, and `of` what: the "part", or the "path" between the written targets.
-    :param beyond_percent: share of the length of the cutting path on which it is exceeded; None where unknown.
+    :param of: "part", or "path" for the tolerance of the path between the written targets.
+    :param mm: the tolerance.
+    :param held: None: unknown.
+    :param beyond_percent: share of the length of the cutting path on which the tolerance is exceeded; None: unknown.
     """
 
     state: State
@@ -102,13 +107,13 @@ class Tolerance(Struct, frozen=True):
 
 
 class Verdict(Struct, frozen=True):
-    """The three answers, and what joins them.
+    """The three answers on a program, with the state, the headline and the reasons that follow from them.
 
-    :param headline: in one or two sentences.
-    :param answers: each of the three questions with its answer.
-    :param reasons: what decides the state, the worst first; for "ok" what to expect.
-    :param holds: what to expect and what was checked and holds.
-    :param assumes: assumptions of all of it.
+    :param headline: the verdict in one or two sentences.
+    :param answers: each of the three questions with its answer, as text.
+    :param reasons: reasons of the state, those of the worst answer first; for "ok" what to expect.
+    :param holds: what to expect, and checks that passed.
+    :param assumes: assumptions of the verdict.
     """
 
     state: State
@@ -123,13 +128,13 @@ class Verdict(Struct, frozen=True):
 
     @property
     def exit_code(self) -> int:
-        """Exit code of the command that judged it."""
+        """Exit code of a command that has this verdict."""
         return EXIT_CODES[self.state]
 
 
 def worst_state(states: Iterable[State]) -> State:
-    """Return the worst of states, "ok" of none."""
-    return max(states, key=_ORDER.index, default="ok")
+    """Return the worst of states; "ok" without states."""
+    return max(states, key=_STATES_BY_SEVERITY.index, default="ok")
 
 
 def verdict_of(
@@ -143,17 +148,21 @@ def verdict_of(
     words: Mapping[State, str] | None = None,
     remark: str = "",
 ) -> Verdict:
-    """Return the verdict that joins three answers.
+    """Return the verdict that follows from three answers; its state is the worst of theirs.
 
-    :param words: with which the headline begins, by state; None: `WORDS`.
-    :param remark: a sentence with which the headline ends, such as an assumption that nobody has confirmed.
+    :param better: answer whether the correction makes the part better; None: not judged.
+    :param tolerance: answer on the tolerance; None: no tolerance is given.
+    :param holds: what to expect, and checks that passed; they are the reasons if no answer has one.
+    :param assumes: assumptions of the verdict.
+    :param words: state → sentence with which the headline begins; None: `WORDS`.
+    :param remark: sentence with which the headline ends, such as an assumption that nobody has confirmed.
     """
     answers = [answer for answer in (drive, better, tolerance) if answer is not None]
     state = worst_state(answer.state for answer in answers)
-    by_severity = sorted(answers, key=lambda answer: -_ORDER.index(answer.state))
+    by_severity = sorted(answers, key=lambda answer: -_STATES_BY_SEVERITY.index(answer.state))
     reasons = [reason for answer in by_severity for reason in answer.reasons]
-    word = WORDS[mode, state] if words is None else words[state]
-    sentences = (word, _improvement_sentence(mode, better), _tolerance_sentence(tolerance), remark)
+    first_sentence = WORDS[mode, state] if words is None else words[state]
+    sentences = (first_sentence, _improvement_sentence(mode, better), _tolerance_sentence(tolerance), remark)
     headline = " ".join(sentence for sentence in sentences if sentence)
     return Verdict(
         state=state,
@@ -168,7 +177,7 @@ def verdict_of(
     )
 
 
-_FORMS: dict[Mode, str] = {
+_SENTENCE_FORMS: dict[Mode, str] = {
     "convert": "Uncorrected up to {} mm, corrected up to {} mm (95 %){}.",
     "nominal": "Uncorrected, as written, up to {} mm; corrected it would be up to {} mm (95 %){}.",
     "predict": "Uncorrected up to {} mm; corrected it would be up to {} mm (95 %){}.",
@@ -176,15 +185,15 @@ _FORMS: dict[Mode, str] = {
 
 
 def _improvement_sentence(mode: Mode, better: Improvement | None) -> str:
-    """Return a sentence with both expected errors; empty where there is nothing to compare."""
+    """Return a sentence with both expected errors; empty if one of them, or the chance, is unknown."""
     if better is None or better.uncorrected_mm is None or better.corrected_mm is None or better.chance is None:
         return ""
     chance = "" if better.state == "ok" else f", better with a chance of {chance_in_words(better.chance)}"
-    return _FORMS[mode].format(two_digits(better.uncorrected_mm), two_digits(better.corrected_mm), chance)
+    return _SENTENCE_FORMS[mode].format(two_digits(better.uncorrected_mm), two_digits(better.corrected_mm), chance)
 
 
 def _tolerance_sentence(tolerance: Tolerance | None) -> str:
-    """Return a sentence on the tolerance of the part, empty without one."""
+    """Return a sentence on the tolerance of the part; empty without a tolerance of the part."""
     if tolerance is None or tolerance.of != "part":
         return ""
     if tolerance.held is None:
@@ -196,7 +205,7 @@ def _tolerance_sentence(tolerance: Tolerance | None) -> str:
 
 
 def remedies(actions: Sequence[Remedy]) -> str:
-    """Return remedies in words with the expected error [mm] of each, the smallest first."""
+    """Return remedies in words with the expected error [mm] of each, the smallest error first."""
     by_error = sorted(actions, key=lambda remedy: remedy.expected_mm)
     return ", ".join(f"{remedy.action} ({two_digits(remedy.expected_mm)} mm at best)" for remedy in by_error)
 
@@ -205,7 +214,7 @@ QUESTIONS = ("May it be driven?", "Is it better than uncorrected?", "Does it hol
 
 
 def answer_rows(drive: Drive, better: Improvement | None, tolerance: Tolerance | None) -> list[tuple[str, str, State]]:
-    """Return question, answer and state of each of the three answers."""
+    """Return question, answer in words and state of each of the three answers; an unknown answer has the state "ok"."""
     answers: tuple[tuple[str, State], ...] = (
         (_drive_text(drive), drive.state),
         (_comparison_text(better), "ok" if better is None else better.state),
@@ -224,14 +233,18 @@ def _drive_text(drive: Drive) -> str:
 
 
 def _comparison_text(better: Improvement | None) -> str:
-    """Return uncorrected and corrected error in words, with the chance that the correction helps."""
+    """Return the errors of the uncorrected and the corrected program in words, with the chance that correction helps.
+
+    "not known" if the model states no uncertainty; one error if nothing is corrected.
+    """
     if better is None or better.uncorrected_mm is None or better.corrected_mm is None:
         return "not known"
     if better.chance is None:
         return f"nothing is corrected; up to {two_digits(better.corrected_mm)} mm (95 %)"
-    pair = ((better.uncorrected_mm, better.uncorrected_rms_mm), (better.corrected_mm, better.corrected_rms_mm))
+    # largest and RMS of each program; the RMS is known where the largest is
+    errors = ((better.uncorrected_mm, better.uncorrected_rms_mm), (better.corrected_mm, better.corrected_rms_mm))
     uncorrected_text, corrected_text = (
-        f"up to {two_digits(largest)} mm, RMS {two_digits(rms or 0.0)}" for largest, rms in pair
+        f"up to {two_digits(largest)} mm, RMS {two_digits(rms or 0.0)}" for largest, rms in errors
     )
     return f"chance {chance_in_words(better.chance)}: uncorrected {uncorrected_text}; corrected {corrected_text} (95 %)"
 
@@ -254,4 +267,4 @@ def chance_in_words(chance: float) -> str:
 
 
 UNJUDGED = verdict_of("convert", Drive("ok", [], []), None, None)
-"""A placeholder until numbers are judged."""
+"""Placeholder for the verdict of a summary whose numbers are not judged yet."""

@@ -14,9 +14,9 @@ from postproc.report.formatting import State, two_digits
 from postproc.report.kit import Cell, Kind, Note, Notes, Page, Part, Row, Section, Table, Tile, Tiles
 from postproc.report.text import number_text, percent_text
 
-_STATES = ("nothing", "failed", "no forces", "warning", "ok", "called")
-"""The worst first."""
-_WORDS: dict[str, tuple[str, Kind]] = {
+_STATES_BY_SEVERITY = ("nothing", "failed", "no forces", "warning", "ok", "called")
+"""States of an entry, the worst first."""
+_STATE_WORDS: dict[str, tuple[str, Kind]] = {
     "nothing": ("nothing written", "error"),
     "failed": ("do not run", "error"),
     "no forces": ("no forces", "warning"),
@@ -24,6 +24,7 @@ _WORDS: dict[str, tuple[str, Kind]] = {
     "ok": ("may be run", "good"),
     "called": ("called by others", ""),
 }
+"""Words and style of each state."""
 
 
 class Margin(Struct, frozen=True):
@@ -48,7 +49,7 @@ class ReportedTolerance(Struct, frozen=True):
 
 
 class ReportedVerdict(Struct, frozen=True):
-    """What the overview shows of a verdict; the answers are None in reports of earlier versions."""
+    """The part of a verdict that the overview shows; the answers are None in reports of earlier versions."""
 
     state: State
     reasons: list[str]
@@ -64,7 +65,7 @@ class ReportedIssue(Struct, frozen=True):
 
 
 class ReportEntry(Struct, frozen=True):
-    """What the overview shows of a `report.json`, also of one that an earlier version wrote."""
+    """The part of a `report.json` that the overview shows; earlier versions of postproc may have written it."""
 
     program: str
     mode: Mode
@@ -85,11 +86,11 @@ class ReportEntry(Struct, frozen=True):
 class Entry(Struct, frozen=True):
     """A program of the folder.
 
-    :param name: its file.
-    :param page: name of its report, in the folder; empty where there is none.
-    :param content: from its `report.json`; None if it was not written.
-    :param message: why it was not written.
-    :param called: it was not to be written by itself.
+    :param name: file name of the program.
+    :param page: file name of its report, in the folder; empty: no report.
+    :param content: content of its `report.json`; None: the program was not written.
+    :param message: reason why the program was not written.
+    :param called: it is a subprogram, which is written with the programs that call it.
     """
 
     name: str
@@ -100,7 +101,10 @@ class Entry(Struct, frozen=True):
 
     @property
     def state(self) -> str:
-        """The verdict, or ``"nothing"``, ``"called"``, ``"no forces"`` (nothing was corrected for lack of forces)."""
+        """State of the verdict, or ``"no forces"`` if nothing was corrected for lack of forces.
+
+        Programs that were not written: ``"called"`` for subprograms, else ``"nothing"``.
+        """
         if self.content is None:
             return "called" if self.called else "nothing"
         state = self.content.verdict.state
@@ -113,15 +117,20 @@ _ERROR_HEAD = ("Uncorrected, up to (95 %)", "Corrected, up to (95 %)")
 def index_page(entries: Sequence[Entry], folder: str) -> bytes:
     """Return the page as HTML in UTF-8: one self-contained file, with links to the reports in its folder.
 
-    :param entries: in any order.
-    :param folder: its name.
+    :param entries: programs of the folder, in any order.
+    :param folder: name of the folder, for the head of the page.
     """
     sorted_entries = sorted(entries, key=_SortKey.of)
     reports = [entry.content for entry in entries if entry.content is not None]
-    counts = {state: sum(entry.state == state for entry in entries) for state in _WORDS}
+    counts = {state: sum(entry.state == state for entry in entries) for state in _STATE_WORDS}
     tiles = [Tile("Programs", str(len(entries)))]
-    tiles += [Tile(_WORDS[state][0], str(count), kind=_WORDS[state][1]) for state, count in counts.items() if count]
-    columns = zip(*(content.expected_mm for content in reports), strict=True)  # none without reports
+    tiles += [
+        Tile(_STATE_WORDS[state][0], str(count), kind=_STATE_WORDS[state][1])
+        for state, count in counts.items()
+        if count
+    ]
+    columns = zip(*(content.expected_mm for content in reports), strict=True)
+    # not strict: without reports there are no columns
     tiles += [_error_tile(title, lengths) for title, lengths in zip(_ERROR_HEAD, columns, strict=False)]
     parts: list[Part] = [Tiles(tuple(tiles)), _program_table(sorted_entries, reports)]
     failures = [entry for entry in sorted_entries if entry.state == "nothing"]
@@ -137,7 +146,7 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
 
 
 def _error_tile(title: str, lengths_mm: Sequence[float | None]) -> Tile:
-    """Return the tile of the largest of expected errors [mm], with the number of those that are unknown."""
+    """Return the tile of the largest expected error [mm], with the number of programs whose error is unknown (None)."""
     known_lengths = [length for length in lengths_mm if length is not None]
     unknown_count = len(lengths_mm) - len(known_lengths)
     note = f"unknown for {unknown_count} of {len(lengths_mm)}" if unknown_count else ""
@@ -147,7 +156,7 @@ def _error_tile(title: str, lengths_mm: Sequence[float | None]) -> Tile:
 
 
 class _SortKey(NamedTuple):
-    """Sorts the overview: by state, the worst first, then by the expected error, the largest first, then by name."""
+    """Sorting key of an entry: by state, the worst first; by expected error, the largest first; by name."""
 
     state_rank: int
     negative_error_mm: float
@@ -155,16 +164,16 @@ class _SortKey(NamedTuple):
 
     @classmethod
     def of(cls, entry: Entry) -> _SortKey:
-        """Return the key of a program; one without an expected error counts as one of 0 mm."""
+        """Return the key of an entry; an unknown expected error counts as 0 mm."""
         corrected_mm = None if entry.content is None else entry.content.expected_mm[1]
-        return cls(_STATES.index(entry.state), -(corrected_mm or 0.0), entry.name)
+        return cls(_STATES_BY_SEVERITY.index(entry.state), -(corrected_mm or 0.0), entry.name)
 
 
 def _program_table(entries: Sequence[Entry], reports: Sequence[ReportEntry]) -> Table:
-    """Return the table of the programs of a folder, a row each.
+    """Return the table of the programs of a folder, a row for each.
 
-    :param entries: sorted.
-    :param reports: contents of those that were written, whose targets the note counts.
+    :param entries: programs, in the order of the rows.
+    :param reports: contents of the programs that were written; the note counts their targets.
     """
     head = (
         "Program",
@@ -180,10 +189,12 @@ def _program_table(entries: Sequence[Entry], reports: Sequence[ReportEntry]) -> 
     )
     rows = []
     for entry in entries:
-        word, kind = _WORDS[entry.state]
+        state_text, kind = _STATE_WORDS[entry.state]
         name = Cell(entry.name, href=quote(entry.page))
         if entry.content is None:
-            rows.append(Row((name, Cell(word, kind), entry.message if entry.called else "see below", *("-",) * 7)))
+            rows.append(
+                Row((name, Cell(state_text, kind), entry.message if entry.called else "see below", *("-",) * 7))
+            )
             continue
         content = entry.content
         better, tolerance = content.verdict.better, content.verdict.tolerance
@@ -191,7 +202,7 @@ def _program_table(entries: Sequence[Entry], reports: Sequence[ReportEntry]) -> 
             Row(
                 (
                     name,
-                    Cell(word, kind),
+                    Cell(state_text, kind),
                     content.verdict.reasons[0] if entry.state != "ok" else "",
                     str(content.targets),
                     *("unknown" if length is None else two_digits(length) for length in content.expected_mm),

@@ -9,13 +9,14 @@ from postproc.machining.identification import NAMES, CutReadings, IdentifiedMate
 from postproc.report.kit import Axis, Curve, Note, Notes, Page, Plot, Points, Row, Section, Table, Tile, Tiles
 from postproc.report.kit.parts import PlotItem
 
-_COMPONENTS = ("Fx", "Fy", "Fz", "power")
+_COMPONENT_NAMES = ("Fx", "Fy", "Fz", "power")
+"""Names of `IdentifiedMaterial.component`."""
 _UNITS = ("N/mm²",) * 3 + ("N/mm",) * 3
-"""Units of the coefficients `NAMES`: of shear, then of the edge."""
+"""Units of the coefficients `NAMES`: three of shear, then three of the edge."""
 
 
 def as_text(material: IdentifiedMaterial) -> str:
-    """Return the result as lines to print."""
+    """Return identified coefficients as text to print: values with 95 % intervals, residual, errors."""
     lines = [
         f"{name} {value:.4g} ± {half:.2g} {unit}{'' if is_identified else ' (not measured)'}"
         for name, value, half, unit, is_identified in zip(
@@ -31,19 +32,19 @@ def as_text(material: IdentifiedMaterial) -> str:
 
 
 def _residual_text(material: IdentifiedMaterial) -> str:
-    """Return the RMS residual [N] as text, without rounding errors of exact readings."""
+    """Return the RMS residual [N] as text; rounded, so that exact readings have 0."""
     return f"{round(material.residual, 6):.3g}"
 
 
 def _left_out_text(material: IdentifiedMaterial) -> str:
-    """Return the error of a feed left out [%] as text, without rounding errors of exact readings."""
+    """Return the error of a feed that is left out [%] as text; rounded, so that exact readings have 0."""
     return f"{round(100 * material.cross_validation_error, 6):.2g}"
 
 
 def material_page(material: IdentifiedMaterial, readings: CutReadings, name: str) -> bytes:
     """Return the page as HTML in UTF-8: one file that loads nothing.
 
-    :param name: of the file of readings.
+    :param name: name of the file of readings.
     """
     tiles = [Tile("Residual, RMS", _residual_text(material), "N")] if np.isfinite(material.residual) else []
     if np.isfinite(material.cross_validation_error):
@@ -78,25 +79,27 @@ def _fit_section(
 ) -> Section:
     """Return the section with a plot of measured and fitted values of one component.
 
-    Over the feed if all cuts are of one mode; else measured over fitted values: the modes differ in more than the feed.
+    Cuts of one mode: both values over the feed. Cuts of several modes, which differ in more than the feed: measured
+    over fitted values.
 
-    :param fit: (n,) fitted value of each row of `material.measured` [N, or W of the power].
-    :param component: index in `_COMPONENTS`.
+    :param fit: (n,) fitted value of each row of `material.measured` [N; power: W].
+    :param component: index in `_COMPONENT_NAMES`.
+    :param has_several_modes: the cuts are of several modes (slot, up, down).
     """
     rows = np.flatnonzero(material.component == component)
     reading = material.reading[rows]
-    name, unit = _COMPONENTS[component], "W" if component == 3 else "N"
+    name, unit = _COMPONENT_NAMES[component], "W" if component == 3 else "N"  # 3: power
     texts = [f"line {int(readings.line[k])}: {readings.mode[k]}, {readings.feed[k]:g} mm/min" for k in reading.tolist()]
-    half = [1.96 * value for value in material.sigma[rows].tolist()]  # 95 % of a normal distribution
-    readings_values, fitted_values = material.measured[rows], fit[rows]
+    half_widths = [1.96 * sigma for sigma in material.sigma[rows].tolist()]  # 95 % of a normal distribution
+    measured_values, fitted_values = material.measured[rows], fit[rows]
     if has_several_modes:
         span = [
-            float(min(readings_values.min(), fitted_values.min())),
-            float(max(readings_values.max(), fitted_values.max())),
+            float(min(measured_values.min(), fitted_values.min())),
+            float(max(measured_values.max(), fitted_values.max())),
         ]
         traces: list[PlotItem] = [
             Curve(span, span, "measured = fitted", "soft", dashed=True),
-            Points(fitted_values.tolist(), readings_values.tolist(), "measured", "force", half, texts=texts),
+            Points(fitted_values.tolist(), measured_values.tolist(), "measured", "force", half_widths, texts=texts),
         ]
         x = Axis(title=f"fitted {name}, {unit}")
     else:
@@ -104,7 +107,7 @@ def _fit_section(
         feed = readings.feed[reading]
         traces = [
             Curve(feed[order].tolist(), fitted_values[order].tolist(), "fitted", "after"),
-            Points(feed.tolist(), readings_values.tolist(), "measured", "force", half, texts=texts),
+            Points(feed.tolist(), measured_values.tolist(), "measured", "force", half_widths, texts=texts),
         ]
         x = Axis(title="feed, mm/min")
     plot = Plot(label=f"Measured and fitted {name}", traces=traces, x=x, y=Axis(title=f"{name}, {unit}"))

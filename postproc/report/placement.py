@@ -29,24 +29,24 @@ _COLUMNS = (
 )
 _UNITS = ("mm", "mm", "mm", "°", "mm")
 """Units of `AXES`."""
-_SAME_PLANE = 0.5
-"""Distance of a place from the plane of a map within which it is on it [mm, deg]."""
+_PLANE_TOLERANCE = 0.5
+"""Distance of a place from the plane of a map up to which the place is on the map [mm, deg]."""
 _NO_BODIES = "Collisions do not count in this choice: the cell has no [collision]."
 _NO_STOCK = "Stock is not among these bodies: convert checks it, with --process."
-_LATER_REFUSALS = 4
-"""Reasons of the whole path or of conversions that are printed."""
+_MOST_LATER_REFUSALS = 4
+"""Largest number of reasons why places were refused after sampling that are printed."""
 _LEAST_GAIN = 0.01
-"""Share of the expected error below which a gain is none."""
-_NO_MOVE = 0.05
-"""Distance of two places on an axis that is none [mm, deg]: they are printed with one decimal."""
+"""Share of the expected error: a smaller gain does not count."""
+_MOVE_TOLERANCE = 0.05
+"""Difference of two places on an axis up to which they are equal [mm, deg]: places are printed with one decimal."""
 _NO_FORCE_NOTE = "No cutting move carries a force, so the error is not compared: give --forces or --process."
 
 
 class PlaceEntry(Struct, frozen=True):
-    """A place [mm, deg] and how the programs are there; null where they cannot be driven.
+    """A place [mm, deg], with errors and margins of the programs there; null if they cannot be driven there.
 
-    `uncorrected_mm`, `corrected_mm` and `chance` are those of `postproc.report.answers`, by a conversion at this place;
-    null where the model states no uncertainty.
+    `uncorrected_mm`, `corrected_mm` and `chance` are as in `postproc.report.answers`, from a conversion at this place;
+    null if the model states no uncertainty.
     """
 
     X: float
@@ -97,16 +97,16 @@ def summary(
     start: str | None,
     moved_frames: list[str],
 ) -> PlaceSummary:
-    """Return the result of a search as plain data.
+    """Return the result of a search as the content of `place.json`.
 
     :param programs: names of the programs.
-    :param region: in which places were tried.
-    :param margin_deg: distance from the joint limits that was kept.
-    :param clearance_mm: distance of bodies that was kept; None: they were not compared.
-    :param start: how the start was chosen; None: the cell states it.
+    :param region: region in which places were tried.
+    :param margin_deg: smallest permitted distance from the joint limits.
+    :param clearance_mm: smallest permitted distance of bodies; None: collisions were not checked.
+    :param start: sentence on how the start was chosen; None: the cell states it.
     :param moved_frames: tables of frames by number that move with `[base]`, such as ``"base_data.1"``.
     """
-    # of each reason the number of places; the first reason is that of places that can be driven
+    # number of places by reason; reason 0 is that a place can be driven
     reachable, *refusal_counts = np.bincount(
         [place.reason for place in search.trials], minlength=len(PLACE_REASONS)
     ).tolist()
@@ -130,17 +130,18 @@ def summary(
 
 
 def _finite(value: float | None, decimals: int) -> float | None:
-    """Return a number rounded to some decimals; None for None, NaN and infinity, which JSON does not have."""
+    """Return a number rounded to `decimals`; None for None, NaN and infinity, which JSON does not have."""
     return None if value is None or not np.isfinite(value) else round(value, decimals)
 
 
 def _in_mm(value: float | None) -> float | None:
-    """Return a length [m] in mm, to a nanometre; None if it is unknown."""
+    """Return a length [m] in mm, rounded to a nanometre; None for None, NaN and infinity."""
     return None if value is None else _finite(value * MM_PER_M, 6)
 
 
 def _place_entry(place: JudgedPlace) -> PlaceEntry:
     """Return a judged place as an entry of place.json [mm, deg]."""
+    # without a conversion at the place only its deflection, by samples of the path, is known
     assessment = Assessment(deflection=place.deflection) if place.assessment is None else place.assessment
     x, y, z, a, e1 = (round(value, 4) for value in place.place)
     return PlaceEntry(
@@ -162,7 +163,7 @@ def _place_entry(place: JudgedPlace) -> PlaceEntry:
 
 
 def _sentence(search: Search) -> str:
-    """Return the advice of the search in one sentence: where to move the part, and the gain."""
+    """Return the advice of the search in a sentence: where to move the part, and what that gains."""
     today, best = search.today, search.best
     if best is None:
         return _no_place_sentence(search)
@@ -183,36 +184,37 @@ def _sentence(search: Search) -> str:
 
 
 def _no_place_sentence(search: Search) -> str:
-    """Return the sentence of a search without a best place: why the first place that was tried further was refused."""
+    """Return the sentence of a search without a best place, with the reason of the first refusal after sampling."""
     if not search.refusals:
         return "No place in the region can be driven."
-    place = search.refusals[0]
+    refused_place = search.refusals[0]
     return (
         f"No place of the region was found at which the programs can be driven: {len(search.refusals)} that can be "
-        f"by samples of the path were tried further. {_coordinates(place.place)}: {place.problem}."
+        f"by samples of the path were tried further. {_coordinates(refused_place.place)}: {refused_place.problem}."
     )
 
 
 def _move_text(start: JudgedPlace, end: JudgedPlace) -> str:
-    """Return the differences of two places by axis, for example "X +100 mm, A -15°"; empty if they are the same."""
+    """Return the differences of two places by axis, for example "X +100 mm, A -15°"; empty for the same place."""
     moves = [
         f"{axis} {end_value - start_value:+.4g}{'' if unit == '°' else ' '}{unit}"
         for axis, unit, start_value, end_value in zip(AXES, _UNITS, start.place, end.place, strict=True)
-        if abs(end_value - start_value) > _NO_MOVE
+        if abs(end_value - start_value) > _MOVE_TOLERANCE
     ]
     return ", ".join(moves)
 
 
 def _cost_text(place: JudgedPlace) -> str:
-    """Return the expected error, or the deflection, that is stated of a place [mm] as text."""
+    """Return the expected error of a place, or without uncertainty its deflection, as text in mm."""
     return two_digits(place.stated_cost * MM_PER_M)
 
 
 def places_csv(search: Search) -> Iterator[bytes]:
-    """Yield place.csv: the head, and one row for each place that was tried, in order."""
+    """Yield place.csv: the head, and one row for each place that was tried, in order; unknown values are empty."""
     yield (",".join(_COLUMNS) + "\n").encode()
     for place in search.trials:
         entry = _place_entry(place)
+        # all columns but the last two are fields of an entry; u95_mm is in the CSV file alone
         values: list[object] = [
             _in_mm(place.u95) if name == "u95_mm" else getattr(entry, name) for name in _COLUMNS[:-2]
         ]
@@ -221,9 +223,9 @@ def places_csv(search: Search) -> Iterator[bytes]:
 
 
 def base_toml(search: Search, cell: Cell, content: PlaceSummary) -> bytes:
-    """Return the `[base]` of the best place, and what moves with it, ready to paste.
+    """Return `[base]` of the best place, and the tables of frames that move with it, as text for the cell file.
 
-    :param search: one that found a best place.
+    :param search: a search that found a best place.
     """
     best = search.best
     assert best is not None
@@ -234,6 +236,7 @@ def base_toml(search: Search, cell: Cell, content: PlaceSummary) -> bytes:
     if best.turn:
         lines.append(f"# With the tool turned by {best.turn * DEG_PER_RAD:+.0f}° about its axis.")
     lines += [f"# {note}" for note in _frame_notes(content)]
+    # the search leaves B and C of the cell as they are
     frame = [f"{axis} = {value:.4f}" for axis, value in zip("XYZA", (x, y, z, a), strict=True)]
     frame += [f"{axis} = {getattr(cell.base, axis):.4f}" for axis in "BC" if getattr(cell.base, axis)]
     for table in ("base", *content.moved_frames):
@@ -244,7 +247,7 @@ def base_toml(search: Search, cell: Cell, content: PlaceSummary) -> bytes:
 def place_json(content: PlaceSummary, files: list[FileEntry]) -> bytes:
     """Return the summary as `place.json`.
 
-    :param files: the files written with it.
+    :param files: entries of the files written with it.
     """
     return json_bytes(replace(content, files=files))
 
@@ -271,26 +274,27 @@ def as_text(content: PlaceSummary) -> str:
 
 
 def _later_refusal_lines(content: PlaceSummary) -> Iterator[str]:
-    """Yield why places were refused by the whole path, or by a conversion there, most frequent reason first."""
+    """Yield lines on places refused by their whole path or by a conversion, the most frequent reason first."""
     reasons = sorted(content.refused_later.items(), key=lambda item: -item[1])
-    for reason, count in reasons[:_LATER_REFUSALS]:
+    for reason, count in reasons[:_MOST_LATER_REFUSALS]:
         yield f"refused by the whole path or its conversion: {count} ({reason})"
-    if len(reasons) > _LATER_REFUSALS:
-        other_count = sum(count for _, count in reasons[_LATER_REFUSALS:])
+    if len(reasons) > _MOST_LATER_REFUSALS:
+        other_count = sum(count for _, count in reasons[_MOST_LATER_REFUSALS:])
         yield f"refused by the whole path or its conversion: {other_count} (other reasons, see place.json)"
 
 
 def _frame_notes(content: PlaceSummary) -> Iterator[str]:
-    """Yield what to do with each frame by number that moves with `[base]`."""
+    """Yield, for each table of frames by number that moves with `[base]`, what to change at the controller."""
     for table in content.moved_frames:
         name, _, number = table.partition(".")
         yield f"[{table}] moves with [base]: give {name.upper()}[{number}] of the controller these numbers too."
 
 
 def _place_line(name: str, entry: PlaceEntry | None) -> str:
-    """Return a place with its error and margin as one line; None: there is no such place.
+    """Return a place with its error and margin as one line.
 
     :param name: "today" or "best".
+    :param entry: the place; None: there is no such place, and the line says "none".
     """
     if entry is None:
         return f"{name}: none"
@@ -309,7 +313,7 @@ def _place_line(name: str, entry: PlaceEntry | None) -> str:
 
 
 def page(search: Search, content: PlaceSummary) -> Iterator[bytes]:
-    """Yield `place.html`, one file that loads nothing."""
+    """Yield `place.html` in UTF-8, one file that loads nothing."""
     sections = (_place_section(search, content), *_map_sections(search), _refusal_section(content))
     note = (
         "Expected errors and deflections are predictions of the elastostatic model of the robot under the forces "
@@ -326,7 +330,7 @@ def page(search: Search, content: PlaceSummary) -> Iterator[bytes]:
 
 
 def _collision_note(content: PlaceSummary) -> str:
-    """Return a sentence on the collisions that were, or were not, checked."""
+    """Return a sentence on the clearance that was required, or that collisions were not checked."""
     clearance_mm = content.clearance_mm
     if clearance_mm is None:
         return _NO_BODIES
@@ -346,7 +350,10 @@ def _place_section(search: Search, content: PlaceSummary) -> Section:
 
 
 def _place_tile(title: str, place: JudgedPlace | None) -> Tile:
-    """Return the tile of a place: its expected error, or why it cannot be driven; None: there is no such place."""
+    """Return the tile of a place: its expected error, or the reason why it cannot be driven.
+
+    :param place: None: there is no such place.
+    """
     if place is None or not place.reachable:
         return Tile(title, "-", "", "none" if place is None else place.problem, "warning")
     x, y, z, a, _ = place.place
@@ -358,16 +365,16 @@ def _place_tile(title: str, place: JudgedPlace | None) -> Tile:
 
 
 def _map_sections(search: Search) -> Iterator[Section]:
-    """Yield the section with the map in X and Y, and that in A and Z, both through `Search.slice_place`.
+    """Yield the section with the map in X and Y, and the section with the map in A and Z, through `Search.slice_place`.
 
-    The second is left out unless the search tried a whole grid in A and Z.
+    A map is left out unless the search tried a whole grid in its axes.
     """
     slice_x, slice_y, slice_z, slice_a, slice_e1 = search.slice_place
     x, y = search.slice
     if len(x):
         title = f"Map at Z {slice_z:.0f}, A {slice_a:.1f}°"
         yield Section("map", title, (_map_plot(search, _slice_rows(search), (0, 1), x, y, title),))
-    place_at: dict[tuple[float, float], JudgedPlace] = {}  # by Z and A; of several trials the first counts
+    place_at: dict[tuple[float, float], JudgedPlace] = {}  # (Z, A) → its place; of several trials the first counts
     for trial in search.trials:
         trial_x, trial_y, trial_z, trial_a, trial_e1 = trial.place
         if (trial_x, trial_y, trial_e1) == (slice_x, slice_y, slice_e1):
@@ -383,15 +390,16 @@ def _map_sections(search: Search) -> Iterator[Section]:
 def _slice_rows(search: Search) -> list[list[JudgedPlace]]:
     """Return the places of the map in X and Y by row (Y) and column (X).
 
-    Its trials are consecutive, column by column, from corner to corner; without a match the last ones are taken.
+    The trials of the map are consecutive, column by column. They are found by their first and last corner; if no trials
+    match, the last ones are taken.
     """
     x, y = search.slice
     count = len(x) * len(y)
     trials = search.trials[len(search.trials) - count :]
-    for first in range(len(search.trials) - count + 1):
-        begin, end = search.trials[first].place, search.trials[first + count - 1].place
-        if begin[:2] == (x[0], y[0]) and end[:2] == (x[-1], y[-1]):
-            trials = search.trials[first : first + count]
+    for begin in range(len(search.trials) - count + 1):
+        first_place, last_place = search.trials[begin].place, search.trials[begin + count - 1].place
+        if first_place[:2] == (x[0], y[0]) and last_place[:2] == (x[-1], y[-1]):
+            trials = search.trials[begin : begin + count]
             break
     return [list(trials[row :: len(y)]) for row in range(len(y))]
 
@@ -404,17 +412,18 @@ def _map_plot(
     y: Sequence[float],
     title: str,
 ) -> Plot:
-    """Return a map of the expected error over two axes of the place, with today's and the best one marked.
+    """Return a map of the expected error over two axes of the place; today's and the best place are marked.
 
     :param rows: places by row (`y`) and column (`x`).
-    :param axes: indices in `AXES` of the horizontal and the vertical axis, `x` and `y` the values on them [mm, deg].
+    :param axes: indices in `AXES` of the horizontal and the vertical axis.
+    :param x: values on the horizontal axis [mm, deg], `y` values on the vertical axis.
     """
     horizontal, vertical = axes
-    values = [[place.cost * MM_PER_M if place.reachable else None for place in row] for row in rows]
+    errors_mm = [[place.cost * MM_PER_M if place.reachable else None for place in row] for row in rows]
     reasons = [[place.reason for place in row] for row in rows]
-    is_unbounded = all(np.isnan(place.u95) for row in rows for place in row)
-    quantity = "deflection, mm" if is_unbounded else "expected error (95 %), mm"
-    grid = Map(list(x), list(y), values, reasons, PLACE_REASONS, quantity)
+    has_no_bound = all(np.isnan(place.u95) for row in rows for place in row)
+    quantity = "deflection, mm" if has_no_bound else "expected error (95 %), mm"
+    grid = Map(list(x), list(y), errors_mm, reasons, PLACE_REASONS, quantity)
     marks, notes = [], []
     today, best = search.today.place, None if search.best is None else search.best.place
     if _is_on_map(search, axes, x, y):
@@ -439,12 +448,12 @@ def _is_on_map(search: Search, axes: tuple[int, int], x: Sequence[float], y: Seq
     """Return whether today's place is in the plane of a map and between its edges; parameters as of `_map_plot`."""
     place, (horizontal, vertical) = search.today.place, axes
     normal_axes = [k for k in range(len(AXES)) if k not in axes]
-    is_in_plane = all(abs(place[k] - search.slice_place[k]) <= _SAME_PLANE for k in normal_axes)
+    is_in_plane = all(abs(place[k] - search.slice_place[k]) <= _PLANE_TOLERANCE for k in normal_axes)
     return is_in_plane and x[0] <= place[horizontal] <= x[-1] and y[0] <= place[vertical] <= y[-1]
 
 
 def _coordinates(place: Sequence[float]) -> str:
-    """Return a place [mm, deg] in words, for example "X 1500, Y 0, Z 700, A 15°"; E1 is left out where it is 0."""
+    """Return a place [mm, deg] in words, for example "X 1500, Y 0, Z 700, A 15°"; E1 is left out if it is 0."""
     return ", ".join(
         f"{axis} {value:g}{'' if unit == 'mm' else unit}"
         for axis, unit, value in zip(AXES, _UNITS, place, strict=True)
@@ -453,7 +462,7 @@ def _coordinates(place: Sequence[float]) -> str:
 
 
 def _refusal_section(content: PlaceSummary) -> Section:
-    """Return the section with the numbers of places that can be driven, and of those refused, by reason."""
+    """Return the section with the number of places that can be driven, and the numbers of refused places by reason."""
     rows = tuple(Row((name, f"{count}")) for name, count in content.refused.items())
     rows = (Row(("can be driven by samples of the path", f"{content.reachable}")), *rows)
     table = Table(("What", "places"), rows, "Places that were tried")

@@ -39,15 +39,15 @@ from postproc.robot import JOINTS, WITH_LINKS
 
 _HEADER = "config,A1,A2,A3,A4,A5,A6,Fx,Fy,Fz"
 _SPEED_PERCENT = 10
-"""Of the joint speeds, slow enough to stop by hand (assumed)."""
+"""Speed of the program in percent of the joint speeds: slow enough to stop by hand (assumed)."""
 _ANGLE_DECIMALS = 3
-"""0.001°, as the controller shows them."""
+"""Decimals of joint angles [deg], as the controller shows them."""
 
 
 def plan_csv(result: PlanResult) -> bytes:
     """Return the plan as CSV, ``config,A1…A6,Fx,Fy,Fz``, in the order of least travel.
 
-    Angles in degrees; forces in N, root axes, at the load point.
+    Angles in degrees; forces of the whole load in N, root axes, at the load point.
     """
     rows = [_HEADER]
     for number, (q, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True), 1):
@@ -57,9 +57,9 @@ def plan_csv(result: PlanResult) -> bytes:
 
 
 def krl_program(result: PlanResult, cell: CellFile, name: str) -> Document:
-    """Return the program: for each pose PTP, a halt to measure without load, one for each of the two loads.
+    """Return the KRL program: for each pose a PTP, a halt without load, and a halt for each of the two loads.
 
-    :param name: of the program, as KRL allows it.
+    :param name: name of the program; KRL must allow it.
     """
     lines = [
         *head(name, cell.output.controller),
@@ -71,8 +71,8 @@ def krl_program(result: PlanResult, cell: CellFile, name: str) -> Document:
     ]
     for row, (angles, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True)):
         lines += [
-            axis_motion(angles, _ANGLE_DECIMALS) + " ;on the way, the straight one is blocked"
-            for angles in result.via[row] * DEG_PER_RAD
+            axis_motion(via_angles, _ANGLE_DECIMALS) + " ;on the way, the straight one is blocked"
+            for via_angles in result.via[row] * DEG_PER_RAD
         ]
         if row in result.blocked:
             lines += [";THE WAY TO THE NEXT POSE IS BLOCKED: stop here, jog the robot there", "HALT"]
@@ -94,9 +94,9 @@ def _force_text(force: Array) -> str:
 
 
 def plan_summary(result: PlanResult) -> dict[str, object]:
-    """Return a plan as plain data: poses, torques, expected accuracy, and comparisons with other plans; lengths in mm.
+    """Return a plan as the content of its JSON file: poses, torques, expected accuracy, comparisons with other plans.
 
-    Criteria are given as square roots: the RMS distance that remains after compensation.
+    Lengths are in mm. Criteria are given as square roots: the RMS distance that remains after compensation.
     """
     content: dict[str, object] = {
         "robot": result.robot,
@@ -115,19 +115,19 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
         "warnings": list(result.warnings),
     }
     if result.before is not None:
-        # infinite while a parameter is unidentifiable from the readings so far
+        # infinite if a parameter is unidentifiable from the readings so far; JSON has no infinity
         is_determined = math.isfinite(result.before.rms)
         content["measured_so_far"] = {"rms_mm": result.before.rms * MM_PER_M if is_determined else None}
     return content | _comparison_content(result)
 
 
-def _criterion_mm(value: float) -> float:
-    """Return the root of the criterion of a plan [mm], the RMS distance that remains; `value` is the criterion [m²]."""
-    return float(np.sqrt(value)) * MM_PER_M
+def _criterion_root_mm(criterion: float) -> float:
+    """Return the root of the criterion [m²] of a plan in mm: the RMS distance that remains after compensation."""
+    return float(np.sqrt(criterion)) * MM_PER_M
 
 
 def _uncompensated_rms_mm(result: PlanResult) -> float:
-    """Return the RMS of the deflections at the test poses by their shares of the work, without compensation [mm]."""
+    """Return the RMS of the deflections at the test poses, weighted by their shares of the work [mm]."""
     return float(np.sqrt(result.tests.weight @ result.tests.deflection**2)) * MM_PER_M
 
 
@@ -137,7 +137,7 @@ def _accuracy_content(result: PlanResult) -> dict[str, object]:
     return {
         "criterion": {
             "kind": "grouped" if result.options.grouped else "pooled",
-            "rms_mm": _criterion_mm(result.plan.value),
+            "rms_mm": _criterion_root_mm(result.plan.value),
         },
         "expected": {
             "rms_mm": accuracy.rms * MM_PER_M,
@@ -158,10 +158,11 @@ def _accuracy_content(result: PlanResult) -> dict[str, object]:
 def _torque_entries(result: PlanResult) -> list[dict[str, object]]:
     """Return an entry for each joint: torques of the loads [N·m], poses by their sign, and torques of the work."""
     low, high = torque_extremes(result)
+    # work: sizes (6, 2) of the torques of the work to the negative and to the positive side
     counts, work = pose_counts_by_side(result), result.directions.work
 
     def by_sign(name: str, values: Iterable[float]) -> dict[str, float]:
-        """Return the two values, of the negative and of the positive side, with the sign in their keys."""
+        """Return the values of the negative and the positive side by key: `name` with the sign in place of `{}`."""
         return {name.format(sign): value for sign, value in zip(SIGNS, values, strict=True)}
 
     return [
@@ -176,8 +177,11 @@ def _torque_entries(result: PlanResult) -> list[dict[str, object]]:
 
 
 def _comparison_content(result: PlanResult) -> dict[str, object]:
-    """Return the sections that compare random plans, the serial approach, and other numbers of poses; empty without."""
-    criterion = _criterion_mm(result.plan.value)
+    """Return the parts of the content on random plans, the serial approach, and other numbers of poses.
+
+    A part is left out if it was not computed.
+    """
+    criterion = _criterion_root_mm(result.plan.value)
     random = np.sqrt(result.random) * MM_PER_M
     content: dict[str, object] = {}
     if len(random):
@@ -189,14 +193,14 @@ def _comparison_content(result: PlanResult) -> dict[str, object]:
             "gain_over_median": float(np.median(random)) / criterion,
         }
     if result.serial is not None:
-        serial = _criterion_mm(result.serial.value)
+        serial = _criterion_root_mm(result.serial.value)
         content["serial_approach"] = {"rms_mm": serial, "gain": serial / criterion}
     if result.sizes:
         content["sizes"] = [
             {
                 "configurations": size.configurations,
-                "rms_mm": _criterion_mm(size.value),
-                "random_median_rms_mm": _criterion_mm(size.random),
+                "rms_mm": _criterion_root_mm(size.value),
+                "random_median_rms_mm": _criterion_root_mm(size.random),
             }
             for size in result.sizes
         ]
@@ -204,19 +208,22 @@ def _comparison_content(result: PlanResult) -> dict[str, object]:
 
 
 def pose_counts_by_side(result: PlanResult) -> Ints:
-    """Return the numbers of poses (6, 2) that load each joint to the negative and to the positive side."""
+    """Return the numbers of poses (6, 2) that load each joint to the negative (0) and to the positive side (1)."""
     return np.asarray(result.directions.loaded_sides(result.torque).sum(axis=0))
 
 
 def torque_extremes(result: PlanResult) -> tuple[Array, Array]:
-    """Return the largest negative and positive torques (6,) of the loads, 0 where there is none [N·m]."""
+    """Return the largest negative and the largest positive torque (6,) of the loads on each joint [N·m].
+
+    0 for a joint that no load turns to that side.
+    """
     return without_negative_zero(np.minimum(result.torque.min(axis=0), 0.0)), np.maximum(result.torque.max(axis=0), 0.0)
 
 
 def plan_json(result: PlanResult, files: Sequence[FileEntry]) -> bytes:
     """Return `plan_summary` as JSON.
 
-    :param files: written with it.
+    :param files: entries of the files written with it.
     """
     content = {**plan_summary(result), "files": files}
     return json_bytes(content)
@@ -224,9 +231,9 @@ def plan_json(result: PlanResult, files: Sequence[FileEntry]) -> bytes:
 
 def plan_lines(result: PlanResult) -> list[str]:
     """Return the summary of a plan as lines to print."""
-    low, high = (value * MM_PER_M for value in result.accuracy.interval)
+    low, high = (limit * MM_PER_M for limit in result.accuracy.interval)
     force = result.site.rig.force
-    levels = ", ".join(f"{value:.1f}" for value in np.sort(np.unique(result.plan.q[:, 1])) * DEG_PER_RAD)
+    levels = ", ".join(f"{angle:.1f}" for angle in np.sort(np.unique(result.plan.q[:, 1])) * DEG_PER_RAD)
     torques = ", ".join(
         f"{joint} {smallest:.0f} … {largest:.0f}"
         for joint, smallest, largest in zip(JOINTS, *torque_extremes(result), strict=True)
@@ -247,8 +254,11 @@ def plan_lines(result: PlanResult) -> list[str]:
 
 
 def _comparison_lines(result: PlanResult) -> Iterator[str]:
-    """Yield lines on the error with the readings so far, on random plans, and on the plan of the serial approach."""
-    criterion = _criterion_mm(result.plan.value)
+    """Yield lines on the error with the readings so far, on random plans, and on the plan of the serial approach.
+
+    A line is left out if its comparison was not computed.
+    """
+    criterion = _criterion_root_mm(result.plan.value)
     if result.before is not None:
         error = f"{result.before.rms * MM_PER_M:.3g} mm RMS"
         if not math.isfinite(result.before.rms):
@@ -261,13 +271,13 @@ def _comparison_lines(result: PlanResult) -> Iterator[str]:
             f"{np.median(random):.3g} mm ({np.median(random) / criterion:.2f} × the plan's)"
         )
     if result.serial is not None:
-        serial = _criterion_mm(result.serial.value)
+        serial = _criterion_root_mm(result.serial.value)
         yield f"semi-intuitive plan of the serial approach: {serial:.3g} mm ({serial / criterion:.2f} × the plan's)"
 
 
-_ARROW = 0.45
+_ARROW_LENGTH = 0.45
 """Length of the arrow of a load in the picture [m] (assumed)."""
-_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+_BOX_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
 """Edges of a box: pairs of its corners, numbered by three bits (high or low X, Y, Z), that differ in one bit."""
 
 
@@ -310,7 +320,10 @@ def poses_section(result: PlanResult) -> Section:
 
 
 def _drawn_arms(result: PlanResult) -> tuple[Array, Array]:
-    """Return arms (n, k, 3), points from the root to the load point, and loads (n, 2, 3), arrows; [m], robot root."""
+    """Return the arms and the loads of n poses as points [m], robot root.
+
+    :returns: arms (n, k, 3), points from the root to the load point; loads (n, 2, 3), start and end of an arrow.
+    """
     arm_poses = result.site.arm.pose(result.plan.q)
     origin = arm_poses.origin
     base = np.zeros_like(origin[:, :1])
@@ -318,14 +331,14 @@ def _drawn_arms(result: PlanResult) -> tuple[Array, Array]:
     hook = arm_poses.point(result.site.load_point[None])
     arms = np.concatenate([base, column, origin[:, 1:5], arm_poses.flange[:, None, :3, 3], hook], axis=1)
     pull = result.force / np.linalg.norm(result.force, axis=1, keepdims=True)
-    return arms, np.stack([hook[:, 0], hook[:, 0] + _ARROW * pull], axis=1)
+    return arms, np.stack([hook[:, 0], hook[:, 0] + _ARROW_LENGTH * pull], axis=1)
 
 
 def _drawn_surroundings(result: PlanResult) -> list[Lines]:
-    """Return the obstacles as edges of boxes, and the tracker as a dot, as far as there are such."""
+    """Return the obstacles as edges of boxes, and the tracker as a dot; empty if the site has neither."""
     site, surroundings = result.site, list[Lines]()
     if site.obstacles:
-        edges = [_box_corners(obstacle)[[a, b]] for obstacle in site.obstacles for a, b in _EDGES]
+        edges = [_box_corners(obstacle)[[start, end]] for obstacle in site.obstacles for start, end in _BOX_EDGES]
         surroundings.append(_line_with_gaps(edges, "obstacles", "warning", 2.0))
     if site.tracker is not None:
         surroundings.append(_line_with_gaps([site.tracker[None]], "tracker", "force", 6.0, dots=True))
@@ -335,7 +348,7 @@ def _drawn_surroundings(result: PlanResult) -> list[Lines]:
 def _line_with_gaps(pieces: list[Array], name: str, colour: Colour, width: float, *, dots: bool = False) -> Lines:
     """Return pieces of any number of points (n, 3) [m] as one line in space, with gaps between the pieces.
 
-    :param width: of the line, or of the dots [px].
+    :param width: width of the line, or diameter of the dots [px].
     :param dots: draw the points as dots instead of a line.
     """
     gap = np.full((1, 3), np.nan)
@@ -345,18 +358,21 @@ def _line_with_gaps(pieces: list[Array], name: str, colour: Colour, width: float
 
 
 def _box_corners(obstacle: object) -> Array:
-    """Return the eight corners (8, 3) of a box, or of the box around a mesh [m], robot root; see `_EDGES`."""
-    # bit k of the number of a corner: low (−1) or high (1) along axis k
+    """Return the eight corners (8, 3) of a box, or of the box around a mesh [m], robot root.
+
+    Bit k of the number of a corner says whether it is at the high end along axis k, as `_BOX_EDGES` expects.
+    """
     signs = np.array([[1 if corner >> axis & 1 else -1 for axis in range(3)] for corner in range(8)])
     if isinstance(obstacle, BoxShape):
-        rotation, shift = obstacle.to_box[:3, :3], obstacle.to_box[:3, 3]
-        return np.asarray((signs * obstacle.half - shift) @ rotation)
+        # x_box = R x + t, so that x = Rᵀ (x_box − t); rows are multiplied from the left
+        rotation, translation = obstacle.to_box[:3, :3], obstacle.to_box[:3, 3]
+        return np.asarray((signs * obstacle.half - translation) @ rotation)
     vertices = obstacle.vertices  # type: ignore[attr-defined]
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     return np.asarray(0.5 * (low + high) + 0.5 * signs * (high - low))
 
 
-_GOOD = 0.1
+_WELL_KNOWN_SHARE = 0.1
 """Half width of an interval, as a share of the value, that is marked as good (assumed)."""
 _BINS = 60
 """Bars of the histogram."""
@@ -364,7 +380,7 @@ _BINS = 60
 
 def expected_section(result: PlanResult) -> Section:
     """Return the section on the expected accuracy of the planned measurements."""
-    low, high = (value * MM_PER_M for value in result.accuracy.interval)
+    low, high = (limit * MM_PER_M for limit in result.accuracy.interval)
     tiles = [
         Tile(
             "After compensation, RMS",
@@ -382,7 +398,7 @@ def expected_section(result: PlanResult) -> Section:
 
 
 def warnings_section(result: PlanResult) -> Section | None:
-    """Return the section with the warnings; None without any."""
+    """Return the section with the warnings; None if there are no warnings."""
     if not result.warnings:
         return None
     notes = tuple(Note(f"{text}.", "warning") for text in result.warnings)
@@ -397,9 +413,9 @@ def comparison_section(result: PlanResult) -> Section | None:
     if not len(result.random):
         return None
     random = np.sqrt(result.random) * MM_PER_M
-    criterion = _criterion_mm(result.plan.value)
-    serial = None if result.serial is None else _criterion_mm(result.serial.value)
-    # some random plans are hopeless: the picture ends where 97 % of them are in
+    criterion = _criterion_root_mm(result.plan.value)
+    serial = None if result.serial is None else _criterion_root_mm(result.serial.value)
+    # some random plans are hopeless: the picture shows 97 % of them; the others are counted in the last bar
     top = max(float(np.quantile(random, 0.97)), serial or 0.0, criterion) * 1.05
     counts, edges = np.histogram(np.clip(random, 0.0, top), bins=_BINS, range=(0.0, top))
     median = float(np.median(random))
@@ -423,20 +439,20 @@ def comparison_section(result: PlanResult) -> Section | None:
 
 
 def sizes_section(result: PlanResult) -> Section | None:
-    """Return the section with the criterion [mm] over the number of poses; None if one number was planned only."""
+    """Return the section with the criterion [mm] over the number of poses; None if only one number was planned."""
     if len(result.sizes) < 2:
         return None
     number = [float(size.configurations) for size in result.sizes]
     criterion = (np.sqrt([size.value for size in result.sizes]) * MM_PER_M).tolist()
     random = (np.sqrt([size.random for size in result.sizes]) * MM_PER_M).tolist()
-    plan_point = [(n, value) for n, value in zip(number, criterion, strict=True) if n == len(result.plan)]
+    plan_point = [(n, root) for n, root in zip(number, criterion, strict=True) if n == len(result.plan)]
     high = min(max(random), 4.0 * max(criterion)) * 1.05  # random plans of few poses may be hopeless
     plot = Plot(
         label="Criterion against the number of poses, for the best plans found and for random ones",
         traces=[
             Curve(number, random, "random plans, median", "before", dots=True, dashed=True),
             Curve(number, criterion, "best plan found", "after", dots=True),
-            Points([n for n, _ in plan_point], [v for _, v in plan_point], "this plan", "ink", hollow=True),
+            Points([n for n, _ in plan_point], [root for _, root in plan_point], "this plan", "ink", hollow=True),
         ],
         x=Axis(title="number of poses"),
         y=Axis(title="criterion (root), mm", range=(0.0, high)),
@@ -447,14 +463,14 @@ def sizes_section(result: PlanResult) -> Section | None:
 
 
 def angles_section(result: PlanResult) -> Section:
-    """Return the section with joint angles [deg] and loads [N] of the poses."""
+    """Return the section with the table of joint angles [deg] and loads [N] of the poses, in the order of the plan."""
     head = ("Pose", *(f"{joint}, °" for joint in JOINTS), "Fx, N", "Fy, N", "Fz, N")
     rows = tuple(
         Row(
             (
                 str(row),
                 *(f"{without_negative_zero(angle):.3f}" for angle in q),
-                *(f"{without_negative_zero(value):.1f}" for value in force),
+                *(f"{without_negative_zero(component):.1f}" for component in force),
             )
         )
         for row, (q, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True), 1)
@@ -487,7 +503,12 @@ def tests_section(result: PlanResult) -> Section:
 def parameters_section(result: PlanResult) -> Section:
     """Return the section with the expected 95 % interval of each parameter, as a share of its value."""
     rows = tuple(
-        Row((parameter.symbol, Cell(f"± {_percent_text(float(half))}", "good" if half <= _GOOD else "warning")))
+        Row(
+            (
+                parameter.symbol,
+                Cell(f"± {_percent_text(float(half))}", "good" if half <= _WELL_KNOWN_SHARE else "warning"),
+            )
+        )
         for parameter, half in zip(result.accuracy.parameters, result.accuracy.relative, strict=True)
     )
     note = (
@@ -523,9 +544,9 @@ def torques_section(result: PlanResult) -> Section:
     )
 
 
-def _percent_text(half: float) -> str:
-    """Return a half width, a share of the value, in percent; "unbounded" from ten times the value on (assumed)."""
-    return f"{100 * half:.2g} %" if half < 10.0 else "unbounded"
+def _percent_text(half_width: float) -> str:
+    """Return the half width of an interval, a share of the value, in percent; "unbounded" from 10 on (assumed)."""
+    return f"{100 * half_width:.2g} %" if half_width < 10.0 else "unbounded"
 
 
 SECTIONS: tuple[Callable[[PlanResult], Section | None], ...] = (
@@ -539,13 +560,13 @@ SECTIONS: tuple[Callable[[PlanResult], Section | None], ...] = (
     parameters_section,
     torques_section,
 )
-"""The sections of the page in order. One that has nothing to say returns None."""
+"""Functions of the sections of the page, in order; a section without content is None."""
 
 
 def plan_page(result: PlanResult, name: str) -> bytes:
-    """Return the page as HTML in UTF-8: one file that loads nothing.
+    """Return the page of a plan as HTML in UTF-8: one file that loads nothing.
 
-    :param name: of the plan.
+    :param name: name of the plan, for the head of the page.
     """
     criterion_text = (
         "Criterion as printed in the paper: each level of q2 identified alone."
@@ -559,12 +580,12 @@ def plan_page(result: PlanResult, name: str) -> bytes:
             f"Seed {result.options.seed}; the same seed and files give the same plan."
         ),
     )
-    sections = tuple(section for make in SECTIONS if (section := make(result)) is not None)
+    sections = tuple(section for section_of in SECTIONS if (section := section_of(result)) is not None)
     return b"".join(Page("Plan of measurements", name, _subtitle(result), sections, footer).render())
 
 
 def _subtitle(result: PlanResult) -> str:
-    """Return robot, poses, load and test poses of the plan in one line."""
+    """Return robot, number of poses, load and source of the test poses of a plan in one line."""
     levels = len(np.unique(result.plan.level))
     interruption = " · search interrupted: the best plan so far" if result.interrupted else ""
     addition = " in addition to those measured" if result.before is not None else ""

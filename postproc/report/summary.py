@@ -45,9 +45,9 @@ class Bound(Struct, frozen=True):
 
 
 class ExpectedError(Bound, frozen=True):
-    """Bound (95 %) by what the model and the forces state of their uncertainty, along the cutting path.
+    """Bound (95 %) of the error on the part along the cutting path, from the uncertainties of model and forces.
 
-    `basis` says where the model's uncertainty comes from.
+    `basis` says where the uncertainty of the model comes from.
     """
 
     basis: str
@@ -62,10 +62,10 @@ class Reversal(Struct, frozen=True):
 
 
 class OnPart(Struct, frozen=True):
-    """Expected error on the part (95 %) at its worst target: bound, rounding of corners and path in one; and tolerance.
+    """Expected error on the part (95 %) at its worst target, and whether it is within the tolerance.
 
-    The tolerance is exceeded on `beyond_percent` of the length of the cutting path; None where it, or the bound, is not
-    stated.
+    The error contains the bound, the rounding of corners and the error of the path. The tolerance is exceeded on
+    `beyond_percent` of the length of the cutting path; None if the tolerance or the bound is not stated.
     """
 
     tolerance_mm: float | None
@@ -76,11 +76,11 @@ class OnPart(Struct, frozen=True):
 
 
 class OnSurface(Struct, frozen=True):
-    """What the programmed path does to the mesh of the part, before any deflection.
+    """How the programmed path fits the mesh of the part, without deflection.
 
-    `cut_into_mm` is the largest depth by which it cuts into the mesh, 0 if it does not, `source_line` where.
-    `left_mm` is the distance that it keeps from the mesh on half of the surface that the tools touch; None without the
-    shapes of the tools. `reached_percent` of the surface are touched or cut into by a tool.
+    `cut_into_mm` is the largest depth by which the path cuts into the mesh, at `source_line`; 0 and None if it does not
+    cut in. `left_mm` is the median distance of the path from the surface that the tools touch; None without the shapes
+    of the tools. `reached_percent` of the surface are touched or cut into by a tool.
     """
 
     cut_into_mm: float
@@ -90,16 +90,16 @@ class OnSurface(Struct, frozen=True):
 
 
 class Ratios(Struct, frozen=True):
-    """Deviation before divided by that after; None where only the rounding of the text remains."""
+    """Deviation before divided by the deviation after; None if only the rounding of the text remains."""
 
     max: float | None
     rms: float | None
 
 
 class Blending(Struct, frozen=True):
-    """Rounding of the corners of cutting moves by approximate positioning: as written, and of the KRL input.
+    """Largest rounding of the corners of cutting moves by approximate positioning: as written, and of the program read.
 
-    `by` is what the controller calls it.
+    `by` is the controller's word for approximate positioning; `source_line` is None if no corner is rounded.
     """
 
     by: str
@@ -109,7 +109,7 @@ class Blending(Struct, frozen=True):
 
 
 class Origin(Struct, frozen=True):
-    """Origin of a KRL program: whether it is as postproc wrote it, mode and version."""
+    """Origin of a robot program: whether it is as postproc wrote it, in which mode and by which version."""
 
     state: provenance.State
     mode: str | None
@@ -117,10 +117,11 @@ class Origin(Struct, frozen=True):
 
 
 class Inputs(Struct, frozen=True):
-    """What a result was made from: the SHA-256 of its inputs, as in the line of origin of a program, and the version.
+    """Inputs of a result: their SHA-256, as in the line of origin of a program, and the version of postproc.
 
-    `program_files` are the files of the program in the order of its sum, relative to the folder of the report;
-    `needed_files` others from which it takes values, `needed` their sum. ``"-"``: there is none.
+    `program_files` are the files of the program, in the order in which its sum takes them, relative to the folder of
+    the report. `needed_files` are other files from which the program takes values, `needed` is their sum. A sum is
+    ``"-"`` if there is no such input.
     """
 
     program: str
@@ -142,7 +143,7 @@ class Limits(Struct, frozen=True):
 
 
 class Redundancy(Struct, frozen=True):
-    """Turn of the tool about its axis: "constant", "best" or "path", and its range; None where text is kept."""
+    """Turn of the tool about its axis: mode "constant", "best" or "path", and the range of the turn."""
 
     mode: str
     min_deg: float
@@ -150,7 +151,7 @@ class Redundancy(Struct, frozen=True):
 
 
 class Clearance(Struct, frozen=True):
-    """The smallest clearance of arm, tool and obstacles; None where there is nothing to compare."""
+    """Smallest clearance of arm, tool and obstacles; None if no two bodies could touch."""
 
     min_clearance_mm: float | None
     bodies: list[str]
@@ -159,7 +160,7 @@ class Clearance(Struct, frozen=True):
 
 
 class ModuleEntry(Struct, frozen=True):
-    """A module of a program that is larger than the memory: in the order in which they run; `source_line` begins it."""
+    """A module of a program that is larger than the memory; it begins with the target of `source_line`."""
 
     name: str
     size_bytes: int
@@ -167,7 +168,7 @@ class ModuleEntry(Struct, frozen=True):
 
 
 class IssueEntry(Struct, frozen=True):
-    """An issue, grouped."""
+    """An issue: `count` equal ones, the first at `source_line`."""
 
     level: str
     kind: str
@@ -208,7 +209,7 @@ class Summary(Struct, frozen=True, omit_defaults=True, kw_only=True):
     verdict: Verdict
     modules: list[ModuleEntry] | None = None  # in place of one program that is larger than the memory
     surface: OnSurface | None = None  # with a mesh of the part
-    copied: list[str] | None = None  # files that it needs and that are as they were; nothing is called there that moves
+    copied: list[str] | None = None  # unchanged files that the program needs; no motion is called in them
     inputs: Inputs | None = None  # None of a result in memory
     files: list[FileEntry] | None = None  # written with this report
 
@@ -222,13 +223,13 @@ def summary(
 ) -> Summary:
     """Return the content of `report.json`.
 
-    :param result: of one program.
-    :param tolerance: largest permitted distance of the tip from the nominal path [m]; None = not stated.
-        It must hold with the rounding of corners by approximate positioning beyond that which a KRL program itself asks
-        for. Where only that goes beyond the tolerance, `tolerance_held` is None, and `blending` says by how much.
+    :param result: result of one program.
+    :param tolerance: largest permitted distance of the tip from the nominal path [m]; None: not stated. Rounding of
+        corners by approximate positioning counts as far as it exceeds that of the program read. `tolerance_held` is
+        None if only this rounding exceeds the tolerance; `blending` states it.
     :param part_tolerance: largest permitted error of the part [m], 95 %; None = not stated.
-    :param surface: of the part; None = there is no mesh.
-    :param remedies: what would lower the expected error, besides what the result itself says.
+    :param surface: deviations of the surface of the part; None: there is no mesh.
+    :param remedies: measures that would lower the expected error, in addition to those that follow from the result.
     """
     content = _unjudged_summary(result, tolerance, part_tolerance, surface)
     return replace(content, verdict=verdict(result, content, remedies))
@@ -259,6 +260,7 @@ def _unjudged_summary(
         tolerance_mm=None if tolerance is None else stated_mm(tolerance),
         tolerance_held=_is_tolerance_held(result, prediction, tolerance),
         blending=_blending_entry(result),
+        # 0: nothing is written
         size_bytes=sum(len(piece) for document in result.documents for piece in document.pieces()) or None,
         provenance=_origin_entry(result),
         max_correction_mm=_finite_or_none(result.largest_correction * MM_PER_M),
@@ -281,12 +283,12 @@ def _limits(result: Result) -> Limits:
     return Limits(
         min_joint_margin_deg=_finite_or_none(float(margin.min())),
         min_singular_value=_finite_or_none(result.singular_value),
-        joint_margins_deg=[_finite_or_none(float(value)) for value in margin],
+        joint_margins_deg=[_finite_or_none(float(margin_deg)) for margin_deg in margin],
     )
 
 
 def _module_entries(result: Result) -> list[ModuleEntry]:
-    """Return an entry for each module that was written, in the order in which they run; none for one program."""
+    """Return an entry for each written module, in the order in which the modules run; empty for a single program."""
     return [
         ModuleEntry(name=document.name, size_bytes=len(document.to_bytes()), source_line=int(result.source_line[first]))
         for document, first in zip(result.documents if result.modules else (), result.modules, strict=True)
@@ -294,7 +296,7 @@ def _module_entries(result: Result) -> list[ModuleEntry]:
 
 
 def _redundancy_entry(result: Result) -> Redundancy | None:
-    """Return the turn of the tool about its axis, chosen or constant; None if the program fixes it."""
+    """Return the turn of the tool about its axis, chosen or constant; None if the program determines it."""
     if result.turn is None:
         constant = result.redundancy_deg
         return None if constant is None else Redundancy(mode="constant", min_deg=constant, max_deg=constant)
@@ -303,26 +305,34 @@ def _redundancy_entry(result: Result) -> Redundancy | None:
 
 
 def _is_tolerance_held(result: Result, prediction: Statistics, tolerance: float | None) -> bool | None:
-    """Return whether the path keeps a tolerance [m]; None if only the approximation of corners exceeds it."""
+    """Return whether the path holds a tolerance [m].
+
+    None if no tolerance is stated, or if only the rounding of corners by approximation exceeds it. The rounding counts
+    as far as it exceeds that of the program read.
+    """
     if tolerance is None:
         return None
     path_deviation = (
         max(prediction.largest, result.path_deviation) if math.isfinite(result.path_deviation) else math.inf
     )
-    if not path_deviation <= tolerance:
+    if not path_deviation <= tolerance:  # not ≤: an unknown deviation (NaN) does not hold it
         return False
     extra_rounding = result.rounding - result.programmed_rounding
     return True if path_deviation + extra_rounding[_is_next_to_cut(result)].max(initial=0.0) <= tolerance else None
 
 
 def _blending_entry(result: Result) -> Blending:
-    """Return the largest rounding of corners by approximation [mm], and its place."""
+    """Return the largest rounding of corners of cuts by approximation [mm], and its line.
+
+    0 without a line if no corner of a cut is rounded. The word for approximation is that of the written language; if
+    nothing is written, that of the language in which the program would be written.
+    """
     cuts = np.flatnonzero(_is_next_to_cut(result))
     worst = cuts[np.argmax(result.rounding[cuts])] if len(cuts) else None
     file_name = result.documents[0].name if result.documents else None
     dialect = result.program.dialect if file_name is None else registry.dialect_of_file(Path(file_name)).name
     _, writer = registry.written_in(dialect)
-    if worst is None or not result.rounding[worst] > 0.0:
+    if worst is None or not result.rounding[worst] > 0.0:  # not >: unknown (NaN) too
         return Blending(by=writer.approximation, max_mm=0.0, programmed_max_mm=0.0, source_line=None)
     return Blending(
         by=writer.approximation,
@@ -333,7 +343,7 @@ def _blending_entry(result: Result) -> Blending:
 
 
 def _origin_entry(result: Result) -> Origin:
-    """Return the entry on the stated origin of the program."""
+    """Return the origin that the text of the program read states; state "none" if it states none."""
     writer = registry.dialect_of_name(result.program.dialect).writer
     origin = None if writer is None else writer.origin(result.program.documents)
     if origin is None or origin.state == "none":
@@ -342,7 +352,8 @@ def _origin_entry(result: Result) -> Origin:
 
 
 def _is_next_to_cut(result: Result) -> Bools:
-    """Return which targets (K,) end or begin a cutting motion: approximation at them rounds a corner of a cut."""
+    """Return which targets (K,) end or begin a cutting motion: approximation there rounds a corner of a cut."""
+    # the motion after a target is that of the next row; after the last one there is none, as if it were rapid
     return np.asarray(~(result.rapid & np.append(result.rapid[1:], True)[: len(result)]))
 
 
@@ -370,7 +381,7 @@ def _tool_deflection(result: Result) -> Bound | None:
 
 
 def _reversal_entries(result: Result) -> list[Reversal]:
-    """Return the largest reversals of joints on cuts, with their lost motion [mm]."""
+    """Return the largest reversals of joints on cuts, with their lost motion [mm]; empty if there are none."""
     reversals = result.reversals
     if reversals is None:
         return []
@@ -385,7 +396,12 @@ def _reversal_entries(result: Result) -> list[Reversal]:
 
 
 def _part_entry(result: Result, tolerance: float | None) -> OnPart:
-    """Return the largest expected error on the part (`Result.expected`), judged by a tolerance [m]."""
+    """Return the largest expected error on the part (`Result.expected`), judged by a tolerance [m].
+
+    The error is None if the model states no uncertainty, or if nothing is cut.
+
+    :param tolerance: None: not stated.
+    """
     tolerance_mm, error = None if tolerance is None else stated_mm(tolerance), result.expected
     if error is None or result.rapid.all():
         return OnPart(tolerance_mm=tolerance_mm, expected_mm=None, source_line=None, held=None, beyond_percent=None)
@@ -402,22 +418,23 @@ def _part_entry(result: Result, tolerance: float | None) -> OnPart:
 
 def _surface_entry(result: Result, surface: Surface) -> OnSurface:
     """Return the largest depth of the programmed path in the part and material left [mm], and the reached share [%]."""
-    cut = np.flatnonzero(surface.programmed_row >= 0)
-    deepest = cut[np.argmin(surface.programmed[cut])] if len(cut) else None
+    cut_facets = np.flatnonzero(surface.programmed_row >= 0)
+    # below 0 the programmed path is inside the part
+    deepest = cut_facets[np.argmin(surface.programmed[cut_facets])] if len(cut_facets) else None
     area = surface.area
-    keeps_distance = surface.is_touched & (surface.programmed_row < 0) & np.isfinite(surface.programmed)
-    height, height_area = surface.programmed[keeps_distance], area[keeps_distance]
+    is_left = surface.is_touched & (surface.programmed_row < 0) & np.isfinite(surface.programmed)
+    height, height_area = surface.programmed[is_left], area[is_left]
     return OnSurface(
         cut_into_mm=0.0 if deepest is None else -float(surface.programmed[deepest]) * MM_PER_M,
         source_line=None if deepest is None else int(result.source_line[surface.programmed_row[deepest]]),
-        left_mm=weighted_quantile(height, height_area, 0.5) * MM_PER_M if height_area.any() else None,
+        left_mm=weighted_quantile(height, height_area, 0.5) * MM_PER_M if height_area.any() else None,  # the median
         # 1e-300 keeps a mesh without area from dividing by zero
         reached_percent=100.0 * float(area[surface.is_reached].sum() / max(float(area.sum()), 1e-300)),
     )
 
 
 def _distances_entry(values: Statistics) -> Distances:
-    """Return statistics [m] in mm."""
+    """Return statistics [m] as distances in mm."""
     return Distances(
         max_mm=values.largest * MM_PER_M,
         rms_mm=values.rms * MM_PER_M,
@@ -427,12 +444,18 @@ def _distances_entry(values: Statistics) -> Distances:
 
 
 def improvement(before_mm: float, after_mm: float) -> float | None:
-    """Return the deviation before divided by that after; None where only rounding of the text remains, or unknown."""
+    """Return the deviation before divided by the deviation after.
+
+    None if the deviation after is below the rounding of written numbers, or if a deviation is unknown (NaN).
+    """
     return _finite_or_none(before_mm / after_mm) if after_mm >= ROUNDING_MM else None
 
 
 def _compensated_percent(before_mm: float, after_mm: float) -> float | None:
-    """Return the share of the deviation that is compensated [%]; None if there was less than rounding of the text."""
+    """Return the share of the deviation that is compensated [%].
+
+    None if the deviation before is below the rounding of written numbers, or if a deviation is unknown (NaN).
+    """
     return _finite_or_none(100.0 * (1.0 - after_mm / before_mm)) if before_mm >= ROUNDING_MM else None
 
 
@@ -442,12 +465,12 @@ def _finite_or_none(value: float) -> float | None:
 
 
 def _clearance_entry(result: Result) -> Clearance | None:
-    """Return the smallest distance of bodies [mm], and where; None without a check."""
+    """Return the smallest distance of bodies [mm], its bodies and its line; None if collisions were not checked."""
     clearance = result.clearance
     if clearance is None:
         return None
     distance_mm = _finite_or_none(clearance.distance * MM_PER_M)
-    names = [name for name in clearance.bodies if name]
+    names = [name for name in clearance.bodies if name]  # empty: no two bodies could touch
     return Clearance(
         min_clearance_mm=distance_mm, bodies=names, source_line=clearance.line, remarks=list(clearance.remarks)
     )

@@ -37,15 +37,15 @@ NOTHING_MM = 1e-6
 _UNCORRECTED_KINDS = ("unresolved", "motions-elsewhere")
 """Kinds of issues about motions and calls that stay as they are."""
 NARROW_DEG = 5.0
-"""A joint that comes nearer to its limit is something to look at (assumed)."""
-_FOREMOST: dict[Mode, tuple[str, ...]] = {
+"""Distance from its limit [deg] below which a joint is a reason for a warning (assumed)."""
+_FOREMOST_KINDS: dict[Mode, tuple[str, ...]] = {
     "convert": ("motions-elsewhere", "frames-at-rest"),
     "nominal": ("motions-elsewhere",),
     "predict": ("motions-elsewhere", "frames-at-rest", "external-call"),
 }
 """Kinds of warnings that come before all others: motions that were not examined, frames that may not be those of the
 real arm, and called files that are missing, which may set the frames of a predicted program."""
-_OF_FORCES = frozenset(
+_FORCE_KINDS = frozenset(
     {
         "assumed-stock", "beyond-measured", "cuts-unseen", "deep-cut", "drilled-by-mill", "force-on-rapid",
         "force-step", "forces-by-pass", "frames-at-rest", "hollow-stock", "material", "no-force", "other-cutter",
@@ -54,27 +54,30 @@ _OF_FORCES = frozenset(
 )  # fmt: skip
 """Kinds of warnings about forces and model, which decide whether the part is better, and not whether to drive it."""
 CUT_MM = 0.01
-"""Without a stated tolerance, a cut of the programmed path into the mesh below this is none (assumed)."""
+"""Depth [mm] up to which a cut of the programmed path into the mesh does not count, without a tolerance (assumed)."""
 LEFT_MM = 0.1
-"""Material that a finishing path may leave on most of a part, between passes and by the facets of the mesh; assumed."""
+"""Height [mm] of material that a finishing path may leave between passes, and by the facets of the mesh (assumed)."""
 SOLID = "link masses"
-"""An assumed value that only weights, and with them calibrated geometry, depend on: see `assumed`."""
-_FIRST = np.inf
-"""Cost [mm] of a finding that comes first."""
-_NO_SIZE = 0.0
-"""Cost [mm] of a finding without a length."""
+"""Name of an assumed value of the model that changes only the weights of the links: see `assumed_values`."""
+_FIRST_COST = np.inf
+"""Cost [mm] of a finding that is sorted before all others."""
+_NO_COST = 0.0
+"""Cost [mm] of a finding that is not a length: it is sorted last."""
 _AFTER_TOOL_CHANGE = "after-tool-change"
 """Kind of the issue of a path that begins where a called program leaves the robot."""
 _FRAMES_AT_REST = "frames-at-rest"
 """Kind of the issue of frames that the controller measured on an arm that is not where it has it."""
 ASSUMED_STOCK = "assumed-stock"
-"""Kind of the issue of a stock that nobody stated."""
+"""Kind of the issue of a stock that is assumed, as none is stated."""
 STOCK_REMARK = "The stock is assumed: check it first."
-"""Part of the headline, so that it is next to the answer wherever that is shown."""
+"""Remark in the headline, so that it is shown wherever the answers are."""
 
 
 class Finding(Struct, frozen=True):
-    """One statement of a verdict, and how many millimetres on the part it can cost."""
+    """A statement of a verdict, with its cost: the error on the part [mm] that it can mean.
+
+    Findings are sorted by cost.
+    """
 
     cost_mm: float
     text: str
@@ -83,28 +86,31 @@ class Finding(Struct, frozen=True):
 def verdict(result: Result, content: Summary, other_remedies: Sequence[Remedy] = ()) -> Verdict:
     """Return the verdict on a result: the three answers, what holds, and the assumptions.
 
-    :param content: of `report.json` but for the verdict.
-    :param other_remedies: remedies besides those that the result itself says.
+    :param content: content of `report.json` with a placeholder as verdict.
+    :param other_remedies: remedies in addition to those that follow from the result.
     """
     warnings = [issue for issue in result.issues if issue.level == "warning"]
-    of_forces = [issue for issue in warnings if issue.kind.partition("-A")[0] in _OF_FORCES]
-    drive = _drive_answer(result, content, [issue for issue in warnings if issue not in of_forces])
+    # kinds of issues of one joint end in its name, such as "-A2"
+    force_warnings = [issue for issue in warnings if issue.kind.partition("-A")[0] in _FORCE_KINDS]
+    drive = _drive_answer(result, content, [issue for issue in warnings if issue not in force_warnings])
     tolerance = _tolerance_answer(result, content, other_remedies)
-    better = _improvement_answer(result, content, _issue_findings(of_forces, result.mode), tolerance)
+    better = _improvement_answer(result, content, _issue_findings(force_warnings, result.mode), tolerance)
     holds = _passed_findings(result, content)
     remark = STOCK_REMARK if any(issue.kind == ASSUMED_STOCK for issue in result.issues) else ""
     return verdict_of(result.mode, drive, better, tolerance, _sorted_texts(holds), _assumptions(result), remark=remark)
 
 
 def _drive_answer(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive:
-    """Return the answer whether the program may be driven.
+    """Return the answer whether the program may be driven: its state, reasons, and what was not checked.
 
-    :param warnings: about motions, not about forces.
+    :param warnings: warnings about motions, without those about forces.
     """
     errors = [issue.message for issue in result.issues if issue.level == "error"]
     doubts = _issue_findings(warnings, result.mode)
     if content.targets:
-        doubts = [*_surface_findings(content)[0], *_narrow_margin_findings(content), *doubts]
+        surface_doubts, _ = _surface_findings(content)
+        doubts = [*surface_doubts, *_narrow_margin_findings(content), *doubts]
+    # name of each check → whether it was made
     checks = {
         "collisions": content.collision is not None,
         "moves through material": result.is_stock_known,
@@ -112,7 +118,7 @@ def _drive_answer(result: Result, content: Summary, warnings: Sequence[Issue]) -
         RUN_TIME: not result.program.unresolved,
         TOOL_CHANGES: all(issue.kind != _AFTER_TOOL_CHANGE for issue in result.issues),
     }
-    unchecked = [name for name, is_known in checks.items() if not is_known]
+    unchecked = [name for name, is_checked in checks.items() if not is_checked]
     state: State = "failed" if errors else "warning" if doubts else "ok"
     return Drive(state, [*errors, *_sorted_texts(doubts)], unchecked)
 
@@ -122,10 +128,12 @@ def _improvement_answer(
 ) -> Improvement:
     """Return the answer whether the corrected program is better than the uncorrected one.
 
-    :param doubts: about forces and model.
-    :param tolerance: the answer on the tolerance: where it is held a wide bound is no doubt.
+    The errors in the answer are None if the model states no uncertainty, or if the program that is read is corrected.
+
+    :param doubts: findings about forces and model.
+    :param tolerance: answer on the tolerance: if the tolerance is held, a wide bound is no doubt. None: no answer.
     """
-    # what the correction is worth is judged under the forces that it is made for, not those of the deflected tool
+    # the correction is judged under the forces for which it is made, not under those of the deflected tool
     judged_result = result if result.engagement_result is None else result.engagement_result
     errors, failures = judged_result.errors, list[Finding]()
     doubts = [*doubts, *_doubts_of_input(result, content, is_error_known=errors is not None)]
@@ -134,11 +142,14 @@ def _improvement_answer(
     uncorrected, corrected_errors = (
         statistics(error, judged_result.cut_length) for error in (errors.before, errors.after)
     )
+    # the chance matters only if deviations are larger than the tolerance of the path, or than CUT_MM
     largest_mm = max(content.before.max_mm, content.after.max_mm)
-    counts = content.mode == "convert" and largest_mm > min(content.tolerance_mm or CUT_MM, CUT_MM)
-    if counts and errors.chance is not None and errors.chance < HARM:
-        failures.append(Finding(_FIRST, _CHANCE.format("does more harm than good", chance_in_words(errors.chance))))
-    elif counts and errors.chance is not None and errors.chance < WIDE and not (tolerance and tolerance.held):
+    is_chance_judged = content.mode == "convert" and largest_mm > min(content.tolerance_mm or CUT_MM, CUT_MM)
+    if is_chance_judged and errors.chance is not None and errors.chance < HARM:
+        failures.append(
+            Finding(_FIRST_COST, _CHANCE.format("does more harm than good", chance_in_words(errors.chance)))
+        )
+    elif is_chance_judged and errors.chance is not None and errors.chance < WIDE and not (tolerance and tolerance.held):
         wide = _CHANCE.format("is not much larger than its uncertainty", chance_in_words(errors.chance))
         actions = _remedies(result, content)
         doubts.append(
@@ -162,20 +173,22 @@ def _improvement_answer(
 
 
 def _doubts_of_input(result: Result, content: Summary, *, is_error_known: bool) -> list[Finding]:
-    """Return doubts for lack of corrected motions, forces, or a model to trust.
+    """Return doubts about what the correction is made from: motions, forces and model.
 
-    :param is_error_known: the model states the uncertainty of its parameters.
+    :param is_error_known: the model states the uncertainty of its parameters, so that the expected error is known.
     """
     doubts = list[Finding]()
     if (sentence := uncorrected_sentence(content)) is not None:
-        doubts.append(Finding(_FIRST, sentence))
+        doubts.append(Finding(_FIRST_COST, sentence))
     if content.targets and content.max_force_N == 0.0 and content.mode != "predict":
-        doubts.append(Finding(_FIRST, _no_force_sentence(result, content)))
+        doubts.append(Finding(_FIRST_COST, _no_force_sentence(result, content)))
     if content.targets and not is_error_known:
         text = "how far the part will be off is unknown: the robot model states no uncertainty of its parameters"
         doubts.append(Finding(content.before.max_mm, text))
     if result.robot.measured is not None and result.robot.measured.not_trusted:
-        doubts.append(Finding(_FIRST, f"the robot model is not to be trusted: {result.robot.measured.not_trusted}"))
+        doubts.append(
+            Finding(_FIRST_COST, f"the robot model is not to be trusted: {result.robot.measured.not_trusted}")
+        )
     return doubts
 
 
@@ -187,9 +200,12 @@ _CHANCE = "the correction {}: it makes the part better with a chance of {}"
 
 
 def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence[Remedy]) -> Tolerance | None:
-    """Return the answer on the tolerance of the part, or that the tolerance of the path is not held; else None.
+    """Return the answer on the tolerance of the part; without one, that the tolerance of the path is not held.
 
-    :param other_remedies: remedies besides those that the result itself says.
+    None if there is no tolerance of the part and the path holds its tolerance. A program that is predicted and was
+    corrected has no answer on the part: its targets are not those of the part.
+
+    :param other_remedies: remedies in addition to those that follow from the result.
     """
     part, reasons = content.part, _path_reasons(content)
     if part.tolerance_mm is None or _is_corrected_input(content):
@@ -200,14 +216,14 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
     is_frame_unknown = any(issue.kind == _FRAMES_AT_REST for issue in result.issues)
     if part.held is None or part.expected_mm is None or (part.held and is_frame_unknown):
         state: State = "failed" if reasons else "warning"
-        unknown = _UNKNOWN if part.held is None else _UNKNOWN_FRAMES
-        return Tolerance(state, "part", part.tolerance_mm, None, None, [], [*reasons, unknown])
+        unknown_reason = _UNKNOWN_UNCERTAINTY if part.held is None else _UNKNOWN_FRAMES
+        return Tolerance(state, "part", part.tolerance_mm, None, None, [], [*reasons, unknown_reason])
     if part.held:
         return Tolerance("failed" if reasons else "ok", "part", part.tolerance_mm, True, 0.0, [], reasons)
     actions = [
         remedy
         for remedy in (*_remedies(result, content), *other_remedies)
-        if remedy.expected_mm < _GAIN * part.expected_mm
+        if remedy.expected_mm < _REMEDY_SHARE * part.expected_mm
     ]
     text = (
         f"the expected error on the part is up to {above_limit_text(part.expected_mm, part.tolerance_mm)} mm (95 %, "
@@ -219,23 +235,28 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
 
 
 def _path_reasons(content: Summary) -> list[str]:
-    """Return the reason why the written path does not hold its tolerance; empty if it does, or none is judged."""
+    """Return the reason why the written path does not hold its tolerance; empty if it holds it or is not judged."""
     if not content.targets or content.tolerance_held is not False or content.mode == "predict":
         return []
     assert content.tolerance_mm is not None
-    largest_mm = max(content.between_max_mm or 0.0, content.after.max_mm)
+    largest_mm = max(content.between_max_mm or 0.0, content.after.max_mm)  # None: the path between is unknown
     deviation_text = above_limit_text(largest_mm, content.tolerance_mm)
     return [f"the predicted path leaves the nominal one by {deviation_text} mm: more than {content.tolerance_mm:g} mm"]
 
 
-_UNKNOWN = "whether [part] tolerance_mm is held is unknown: the robot model states no uncertainty of its parameters"
+_UNKNOWN_UNCERTAINTY = (
+    "whether [part] tolerance_mm is held is unknown: the robot model states no uncertainty of its parameters"
+)
 _UNKNOWN_FRAMES = "whether [part] tolerance_mm is held is unknown: the frames may not hold for this arm"
-_GAIN = 0.95
-"""A remedy is named if the expected error is below this share of today's with it (assumed)."""
+_REMEDY_SHARE = 0.95
+"""A remedy is named if the expected error with it is below this share of the present one (assumed)."""
 
 
 def _remedies(result: Result, content: Summary) -> list[Remedy]:
-    """Return measures that would lower the expected error on the part (95 %), as far as the result shows them."""
+    """Return remedies that would lower the expected error on the part (95 %) noticeably, each with that error.
+
+    Empty if the model states no uncertainty.
+    """
     errors = result.errors
     if errors is None:
         return []
@@ -246,45 +267,49 @@ def _remedies(result: Result, content: Summary) -> list[Remedy]:
     actions = [
         Remedy(action + suffix, error * MM_PER_M)
         for action, error in error_of_action.items()
-        if error < _GAIN * expected_error
+        if error < _REMEDY_SHARE * expected_error
     ]
     if not is_corrected:
         return [Remedy("correct it", expected_error * MM_PER_M), *actions]
     # the bound u95 at targets is the expected error without the rounding of corners
-    is_rounded = content.blending.max_mm > (1.0 - _GAIN) * expected_error * MM_PER_M
-    if is_rounded and content.u95 is not None and content.u95.max_mm < _GAIN * expected_error * MM_PER_M:
+    is_rounding_large = content.blending.max_mm > (1.0 - _REMEDY_SHARE) * expected_error * MM_PER_M
+    if is_rounding_large and content.u95 is not None and content.u95.max_mm < _REMEDY_SHARE * expected_error * MM_PER_M:
         actions.append(Remedy("round corners less", content.u95.max_mm))
     return actions
 
 
 def _is_corrected_input(content: Summary) -> bool:
-    """Return whether a program that is predicted was corrected: its targets are commanded poses."""
+    """Return whether a predicted program is one that postproc corrected: its targets are commanded poses."""
     return content.mode == "predict" and content.provenance.state == "intact" and content.provenance.mode == "corrected"
 
 
 def _passed_findings(result: Result, content: Summary) -> list[Finding]:
-    """Return findings on the expected error, the margins, and the checks that passed."""
+    """Return findings on the expected error, the margins, the checks that passed, and assumed values of the model."""
     holds = list[Finding]()
     if content.targets:
+        _, surface_findings = _surface_findings(content)
         holds = [
-            *_surface_findings(content)[1],
+            *surface_findings,
             *_expected_findings(result, content),
             *_margin_findings(content),
             *_clearance_findings(content),
         ]
     if content.mode != "predict" and result.documents:
         text = "the program was read back as it is written, and simulated with its rounded numbers"
-        holds.append(Finding(_NO_SIZE, text))
+        holds.append(Finding(_NO_COST, text))
     if names := assumed_values(result.robot):
-        holds.append(Finding(_NO_SIZE, f"assumed values of the robot model: {', '.join(names)}"))
+        holds.append(Finding(_NO_COST, f"assumed values of the robot model: {', '.join(names)}"))
     return holds
 
 
 def _issue_findings(issues: Sequence[Issue], mode: Mode) -> list[Finding]:
-    """Return issues as findings; those that matter most in this mode come first."""
+    """Return issues as findings, in their order.
+
+    Kinds that matter most in this mode have the cost to be sorted first.
+    """
     return [
         Finding(
-            _FIRST if issue.kind in _FOREMOST[mode] else _NO_SIZE,
+            _FIRST_COST if issue.kind in _FOREMOST_KINDS[mode] else _NO_COST,
             _with_line(issue.message, issue.source_line, issue.count),
         )
         for issue in issues
@@ -292,7 +317,7 @@ def _issue_findings(issues: Sequence[Issue], mode: Mode) -> list[Finding]:
 
 
 def uncorrected_sentence(content: Summary) -> str | None:
-    """Return a sentence if uncorrected motions remain and no other motion was corrected; else None."""
+    """Return a sentence if motions stay as they are and no other motion was corrected; else None."""
     count = sum(issue.count for issue in content.issues if issue.kind in _UNCORRECTED_KINDS)
     if content.mode != "convert" or not count or content.before.max_mm >= NOTHING_MM:
         return None
@@ -301,7 +326,7 @@ def uncorrected_sentence(content: Summary) -> str | None:
 
 
 def nothing_to_correct(content: Summary) -> str | None:
-    """Return a sentence that says why nothing is to be corrected; None if the tool deviates anywhere."""
+    """Return a sentence that says why there is nothing to correct; None if the tool deviates anywhere."""
     if (sentence := uncorrected_sentence(content)) is not None:
         return sentence
     if not (content.targets and content.before.max_mm < NOTHING_MM):
@@ -316,19 +341,25 @@ def _sorted_texts(findings: list[Finding]) -> list[str]:
 
 
 def _with_line(message: str, line: int | None, count: int = 1) -> str:
-    """Return a message that names its source line first, and how many others there are; as it is without a line."""
+    """Return a message that begins with its source line and the number of further lines; unchanged without a line.
+
+    :param count: number of lines with this message, including the one named.
+    """
     other_lines = f" and {count - 1} more" if count > 1 else ""
     return message if line is None else f"line {line}{other_lines}: {message}"
 
 
 def _percent_digits(percent: float | None) -> str:
-    """Return a percentage with two significant digits, from 10 on without decimals; only 100 is 100."""
+    """Return a percentage with two significant digits, from 10 on without decimals; less than 100 is at most "99".
+
+    :param percent: must be known, not None.
+    """
     assert percent is not None
     return f"{percent:.2g}" if percent < 9.95 else f"{percent if percent == 100.0 else min(percent, 99.0):.0f}"
 
 
 def _no_force_sentence(result: Result, content: Summary) -> str:
-    """Return a sentence for a program without forces: the deviation by other causes, and its largest size."""
+    """Return a sentence for a program without forces: nothing is corrected, or the deviation by other causes [mm]."""
     if content.before.max_mm < NOTHING_MM:
         return "no cutting move carries a force: nothing is corrected (postproc forces computes forces)"
     is_corrected = content.mode == "convert"
@@ -344,7 +375,7 @@ def _no_force_sentence(result: Result, content: Summary) -> str:
 def _expected_findings(result: Result, content: Summary) -> list[Finding]:
     """Return findings on the expected error on the part, the rounding of corners, the path and the correction [mm].
 
-    For a program that is predicted: the deviation as programmed and the uncertainty alone.
+    Mode "predict": findings on the deviation as programmed, its uncertainty and the tolerance alone.
     """
     findings = []
     bound, part, blending = content.u95, content.part, content.blending
@@ -361,7 +392,7 @@ def _expected_findings(result: Result, content: Summary) -> list[Finding]:
         findings.insert(0, Finding(part.expected_mm, text))
     if content.mode == "predict":
         text = f"predicted as programmed: up to {two_digits(content.before.max_mm)} mm off at cutting targets"
-        return [Finding(_FIRST, text), *findings]
+        return [Finding(_FIRST_COST, text), *findings]
     if blending.source_line is not None:
         programmed_mm = blending.programmed_max_mm
         itself = f", the program itself by {two_digits(programmed_mm)} mm" if programmed_mm else ""
@@ -374,22 +405,26 @@ def _expected_findings(result: Result, content: Summary) -> list[Finding]:
         findings.append(Finding(content.between_max_mm, text))
     if content.mode == "convert" and (content.max_correction_mm or 0.0) >= NOTHING_MM:
         findings.append(
-            Finding(_NO_SIZE, f"the correction is at most {two_digits(content.max_correction_mm or 0.0)} mm")
+            Finding(_NO_COST, f"the correction is at most {two_digits(content.max_correction_mm or 0.0)} mm")
         )
     return findings
 
 
 def _largest_expected_error(result: Result) -> float:
-    """Return the largest expected error on the part (95 %) after correction [mm], corners and path included."""
+    """Return the largest expected error on the part (95 %) after correction [mm], corners and path included.
+
+    0 if the model states no uncertainty.
+    """
     errors = result.errors
     return 0.0 if errors is None else statistics(errors.after, result.cut_length).largest * MM_PER_M
 
 
 def _surface_findings(content: Summary) -> tuple[list[Finding], list[Finding]]:
-    """Return doubts about the programmed path against the mesh of the part, and findings that hold.
+    """Return doubts about the programmed path and the mesh of the part, and findings that no doubt contradicts.
 
-    The first of these applies: no tool reaches the mesh; the path cuts in beyond the tolerance, alone or with the
-    expected error; it leaves material beyond the tolerance.
+    Both are empty without a mesh. Else one of both has one finding, by the first of these that applies: no tool reaches
+    the mesh; the path cuts in beyond the tolerance, alone or with the expected error; it leaves material beyond the
+    tolerance; all is well.
     """
     surface, part = content.surface, content.part
     if surface is None:
@@ -398,25 +433,25 @@ def _surface_findings(content: Summary) -> tuple[list[Finding], list[Finding]]:
     reach_text = f"tools reach {surface.reached_percent:.0f} % of its surface"
     if surface.reached_percent == 0.0:
         text = "no tool reaches the part: check that its mesh is in mm and in its frame, and the shapes of the tools"
-        return [Finding(_FIRST, text)], []
+        return [Finding(_FIRST_COST, text)], []
     if (cut_doubt := _cut_doubt(surface.cut_into_mm, part, limit)) is not None:
-        return [Finding(_FIRST, _with_line(f"{cut_doubt}; {reach_text}", surface.source_line))], []
+        return [Finding(_FIRST_COST, _with_line(f"{cut_doubt}; {reach_text}", surface.source_line))], []
     left_mm = surface.left_mm
     if left_mm is not None and left_mm > max(limit, LEFT_MM):
         text = (
             f"the programmed path itself leaves {two_digits(left_mm)} mm on the part: check that the mesh is in place "
             f"and is what this program makes; {reach_text}"
         )
-        return [Finding(_FIRST, text)], []
+        return [Finding(_FIRST_COST, text)], []
     text = f"the programmed path cuts into the part by no more than {limit:g} mm; {reach_text}"
-    return [], [Finding(_NO_SIZE, text)]
+    return [], [Finding(_NO_COST, text)]
 
 
 def _cut_doubt(cut_mm: float, part: OnPart, limit_mm: float) -> str | None:
-    """Return a doubt about how deep the programmed path cuts into the part; None where it may.
+    """Return a doubt about how deep the programmed path cuts into the part; None if that is within the limit.
 
-    :param cut_mm: largest depth without any deflection.
-    :param limit_mm: tolerance of the part, or what counts without one.
+    :param cut_mm: largest depth of the programmed path in the part, without deflection.
+    :param limit_mm: tolerance of the part; without one, that of the path or `CUT_MM`.
     """
     cut_text = f"the programmed path itself cuts {two_digits(cut_mm)} mm into the part"
     if cut_mm > limit_mm:
@@ -430,7 +465,7 @@ def _cut_doubt(cut_mm: float, part: OnPart, limit_mm: float) -> str | None:
 
 
 def clearance_text(content: Summary) -> str:
-    """Return the smallest clearance [mm] in words, or why there is none."""
+    """Return the smallest clearance [mm] in words, or why it is unknown."""
     result = content.collision
     if result is None:
         return "collisions are not checked: the cell has no [collision]"
@@ -442,33 +477,33 @@ def clearance_text(content: Summary) -> str:
 
 
 def _clearance_findings(content: Summary) -> list[Finding]:
-    """Return the smallest clearance as a finding; none if collisions were not checked."""
-    return [] if content.collision is None else [Finding(_NO_SIZE, clearance_text(content))]
+    """Return the smallest clearance as a finding; empty if collisions were not checked."""
+    return [] if content.collision is None else [Finding(_NO_COST, clearance_text(content))]
 
 
 def _narrow_margin_findings(content: Summary) -> list[Finding]:
     """Return a finding for each joint that comes nearer to a limit than `NARROW_DEG`."""
     margins = content.limits.joint_margins_deg
     return [
-        Finding(_NO_SIZE, f"{name} comes within {margin:.1f}° of a limit")
+        Finding(_NO_COST, f"{name} comes within {margin:.1f}° of a limit")
         for name, margin in zip(JOINTS, margins, strict=True)
         if margin is not None and margin < NARROW_DEG
     ]
 
 
 def _margin_findings(content: Summary) -> list[Finding]:
-    """Return one finding that all joints stay at least `NARROW_DEG` from their limits; none if one does not."""
+    """Return the finding that all joints stay at least `NARROW_DEG` from their limits; empty if a joint does not."""
     margin_deg = content.limits.min_joint_margin_deg
     return (
         []
         if margin_deg is None or margin_deg < NARROW_DEG
-        else [Finding(_NO_SIZE, f"all joints stay {margin_deg:.1f}° or more from their limits")]
+        else [Finding(_NO_COST, f"all joints stay {margin_deg:.1f}° or more from their limits")]
     )
 
 
 def assumed_values(robot: RobotModel) -> tuple[str, ...]:
-    """Return the names of the values of the model that are assumed and affect the deflection under force."""
-    # weights that the reference subtracts, at a fixed load, move nothing
+    """Return the names of the assumed values of the model that affect the deflection under force."""
+    # weights of the links that are subtracted with the reference, under a load that does not vary, deflect nothing
     weights_count = robot.has_weight and (robot.carries_weight or not robot.subtract_reference)
     return tuple(entry.name for entry in robot.sources if entry.assumed and (weights_count or entry.name != SOLID))
 

@@ -1,8 +1,8 @@
 """Where the tip of a tool is when the tool touches a facet, and the place of the path that touches.
 
-With corner radius r, radius R, spindle direction a, outward normal n, and m the part of n square to a, a tool touches a
-facet at x if its tip is at x + r·n + (R − r)·m/|m| − r·a. On a level face (m = 0) it may be anywhere within R − r of
-that, on a wall also below.
+With corner radius r, radius R, spindle direction a, outward normal n, and m the component of n square to a, a tool
+touches a facet at x if its tip is at x + r·n + (R − r)·m/|m| − r·a. On a level face (m = 0) it may be anywhere within
+R − r of that, on a wall also below.
 """
 
 from __future__ import annotations
@@ -16,70 +16,76 @@ from postproc.machining.tool import Cutter
 from postproc.program import Bools, Ints
 from postproc.report.surface.path import CutPath
 
-LONG = 4.0
+LENGTH_IN_RADII = 4.0
 """Length of a tool above its tip, in radii (assumed)."""
-OVERHANG = -0.05
-"""Facets whose normal points away from the spindle by more (cosine) are not cut from above (assumed)."""
-FLAT, UPRIGHT = 1e-3, 0.999
-"""Faces are level or walls if the part of their normal square to the spindle is smaller or larger (assumed)."""
+LEAST_COSINE = -0.05
+"""Smallest cosine of normal and spindle at which a facet can be cut from above (assumed)."""
+LEVEL_SINE, WALL_SINE = 1e-3, 0.999
+"""Sine of the angle of normal and spindle: facets are level below the first, walls above the second (assumed)."""
 _CONTACT_SHARE = 0.35
-"""Share of the tool's radius, and at least `_LEAST_CONTACT` [m], by which the path may pass next to the place of
-contact: the next pass is never further than that where a surface is finished."""
+"""Share of the tool's radius by which the path may be off the place of contact: finishing passes are closer together.
+
+It is at least `_LEAST_CONTACT`."""
 _LEAST_CONTACT = 3e-4
-"""For small tools, whose share would be less than what passes are apart (assumed)."""
-_LEVEL = 1e-6
-"""The tip is not above what its side touches [m] (assumed)."""
-_REACH = 0.025
-"""Tools of unknown shape have a radius of at most this [m]. The nearest place counts from which one can touch."""
-_PASS_HEIGHT = 5e-4
-"""Passes next to the place of contact may be this much higher or lower, or further in [m] (assumed)."""
-_STEEP = 0.7
-"""Moves that are steeper (cosine to the spindle), plunges, leave no faces that are less steep (assumed)."""
-_CANDIDATES = 96
-"""Samples of the path looked at for each facet: 1 cm on either side where there is one pass."""
+"""Smallest value of that distance [m], for small tools, whose passes are farther apart than the share (assumed)."""
+_WALL_HEIGHT_TOLERANCE = 1e-6
+"""Height [m] up to which the tip may be above the place of a wall that its side touches (assumed)."""
+_MOST_RADIUS = 0.025
+"""Largest radius of a tool of unknown shape [m] (assumed)."""
+_PASS_TOLERANCE = 5e-4
+"""Length [m] by which the tip of a tool of unknown shape may be above, below or inside its contact (assumed)."""
+_STEEP_COSINE = 0.7
+"""Cosine to the spindle above which a move is a plunge, and a facet is not steep: plunges leave none (assumed)."""
+_MOST_CANDIDATES = 96
+"""Number of samples of the path that are examined for each facet: 1 cm on either side if there is one pass."""
 
 
 def touching_tips(axis: Array, centre: Array, normal: Array, cutter: Cutter) -> Array:
-    """Return the tip positions (n, 3) [m] at which the tool touches facets at their centres.
+    """Return the tip positions (n, 3) [m] at which the tool touches facets at their centres, see the module docstring.
 
     :param axis: (n, 3) unit vectors from the tip to the spindle.
     :param centre: (n, 3) centres of the facets [m], `normal` (n, 3) their outward normals.
     """
     across_axis = normal - np.einsum("ni,ni->n", normal, axis)[:, None] * axis
     width = norm(across_axis)
-    m = across_axis / np.where(width > FLAT, width, 1.0)[:, None]
-    m[width <= FLAT] = 0.0
+    m = across_axis / np.where(width > LEVEL_SINE, width, 1.0)[:, None]
+    m[width <= LEVEL_SINE] = 0.0
     return np.asarray(centre + cutter.corner * (normal - axis) + (cutter.radius - cutter.corner) * m)
 
 
 def contact_tolerance(cutter: Cutter) -> float:
-    """Return the largest distance [m] of the path from the place of contact at which the tool counts as touching."""
+    """Return the largest distance of the path from the place of contact [m] at which the tool counts as touching."""
     return max(_LEAST_CONTACT, _CONTACT_SHARE * cutter.radius)
 
 
 def is_touching(from_contact: Array, axis: Array, normal: Array, cutter: Cutter) -> Bools:
-    """Return whether tools count as touching facets (n,): level ones, walls and others by rules of their own.
+    """Return whether tools count as touching facets (n,).
+
+    Level facets: the tip is at their height, and they are under the flat of the tool.
+    Walls: the tip is beside them or lower, within the length of the tool.
+    Other facets: the tip is at the place of contact. All up to `contact_tolerance`.
 
     :param from_contact: (n, 3) tips relative to the place of contact [m].
-    :param axis: (n, 3) unit vectors from the tip to the spindle, `normal` (n, 3) outward normals.
+    :param axis: (n, 3) unit vectors from the tip to the spindle.
+    :param normal: (n, 3) outward normals of the facets.
     """
     up = np.einsum("ni,ni->n", normal, axis)
-    width = np.sqrt(np.maximum(1.0 - up**2, 0.0))
+    sine = np.sqrt(np.maximum(1.0 - up**2, 0.0))
     height = np.einsum("ni,ni->n", from_contact, axis)
     lateral = norm(from_contact - height[:, None] * axis)
     limit = contact_tolerance(cutter)
     on_level = (np.abs(height) <= limit) & (lateral <= cutter.radius - cutter.corner + limit)
-    on_wall = (height <= _LEVEL) & (height >= -LONG * cutter.radius) & (lateral <= limit)
-    is_level, is_wall = (up > 0.0) & (width <= FLAT), width >= UPRIGHT
+    on_wall = (height <= _WALL_HEIGHT_TOLERANCE) & (height >= -LENGTH_IN_RADII * cutter.radius) & (lateral <= limit)
+    is_level, is_wall = (up > 0.0) & (sine <= LEVEL_SINE), sine >= WALL_SINE
     return np.asarray(np.where(is_level, on_level, np.where(is_wall, on_wall, np.hypot(height, lateral) <= limit)))
 
 
 class NearestPlace(NamedTuple):
     """Places of the path from which a tool can touch n facets.
 
-    :param row: (n,) of the result, at the end of the piece; −1: none.
-    :param share: (n,) of that piece.
-    :param distance: (n,) of the tip from the centre of the facet [m]; infinite without a place.
+    :param row: (n,) row of the result at the end of the piece of path; −1: no tool can touch the facet.
+    :param share: (n,) share of that piece from its start to the place.
+    :param distance: (n,) distance of the tip from the centre of the facet [m]; infinite without a place.
     """
 
     row: Ints
@@ -95,18 +101,19 @@ def nearest_place(path: CutPath, centre: Array, normal: Array) -> NearestPlace:
     _, nearest = path.tree.query(centre)
     axis = path.axis[nearest]  # one spindle direction for all candidates of a facet: it changes little between them
     up = np.einsum("ni,ni->n", normal, axis)
-    _, candidates = path.tree.query(centre, k=min(_CANDIDATES, len(path.point)))
+    # facets on the first axis of the arrays, their candidates on the second
+    _, candidates = path.tree.query(centre, k=min(_MOST_CANDIDATES, len(path.point)))
     candidates = candidates.reshape(len(centre), -1)
     point, step_share = path.nearest_points(centre, candidates)
     from_centre = point - centre[:, None]
     height = np.einsum("nki,ni->nk", from_centre, axis)
     outward_distance = np.einsum("nki,ni->nk", from_centre, normal)
     distance = np.linalg.norm(from_centre, axis=-1)
-    can_touch = (distance <= _REACH) & _can_touch(height, outward_distance, up[:, None])
+    can_touch = (distance <= _MOST_RADIUS) & _can_touch(height, outward_distance, up[:, None])
     step = path.step[candidates]
     # 1e-300 keeps zero out of the denominator
     climb = np.abs(np.einsum("nki,ni->nk", step, axis)) / np.maximum(np.linalg.norm(step, axis=-1), 1e-300)
-    can_touch &= (climb <= _STEEP) | (up <= _STEEP)[:, None]
+    can_touch &= (climb <= _STEEP_COSINE) | (up <= _STEEP_COSINE)[:, None]
     distance = np.where(can_touch, distance, np.inf)
     facets, best = np.arange(len(centre)), np.argmin(distance, axis=1)
     sample, smallest = candidates[facets, best], distance[facets, best]
@@ -116,13 +123,13 @@ def nearest_place(path: CutPath, centre: Array, normal: Array) -> NearestPlace:
 
 
 def _can_touch(height: Array, outward_distance: Array, up: Array) -> Bools:
-    """Return whether a tool of any shape, of a radius up to `_REACH`, can touch facets with its tip at places (n, k).
+    """Return whether tools of any shape, of a radius up to `_MOST_RADIUS`, can touch n facets from k places each.
 
-    The tip is outside of the facet, and lower than it by r (1 − n·a) at most, see above.
+    The tip must be outside of the facet, and lower than it by r (1 − n·a) at most, see the module docstring.
 
-    :param height: (n, k) of the tip above the facet along the spindle [m].
-    :param outward_distance: (n, k) of the tip from the facet along the normal [m].
+    :param height: (n, k) height of the tip above the facet along the spindle [m].
+    :param outward_distance: (n, k) distance of the tip from the facet along the normal [m].
     :param up: (n, 1) cosine between normal and spindle.
     """
-    reachable = (height <= _PASS_HEIGHT) & (outward_distance >= -_PASS_HEIGHT) & (up >= OVERHANG)
-    return np.asarray(reachable & (height >= -_REACH * (1.0 - up) - _PASS_HEIGHT))
+    reachable = (height <= _PASS_TOLERANCE) & (outward_distance >= -_PASS_TOLERANCE) & (up >= LEAST_COSINE)
+    return np.asarray(reachable & (height >= -_MOST_RADIUS * (1.0 - up) - _PASS_TOLERANCE))

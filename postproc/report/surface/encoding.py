@@ -9,11 +9,12 @@ import numpy as np
 from postproc.frames import MM_PER_M, Array
 from postproc.report.surface.map import Surface
 
-_UNTOUCHED = (150, 150, 150)
+_UNTOUCHED_COLOUR = (150, 150, 150)
 """Grey (red, green, blue) of facets that no tool reaches."""
-_STOPS = np.array([[179, 88, 6], [247, 247, 247], [5, 48, 97]], dtype=float)
-"""Orange where the tool gouges, white, blue where it leaves material: distinct for colour-blind eyes."""
-_HEAD = """ply
+_SCALE_COLOURS = np.array([[179, 88, 6], [247, 247, 247], [5, 48, 97]], dtype=float)
+"""Colours (red, green, blue) of the deviations −limit, 0 and limit: orange where the tool gouges, blue where it leaves
+material; distinct for colour-blind eyes."""
+_PLY_HEAD = """ply
 format binary_little_endian 1.0
 comment postproc: deviation along the normal, mm; below 0 the tool gouges
 element vertex {vertices}
@@ -36,9 +37,11 @@ _FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
 def ply(surface: Surface, limit: float) -> bytes:
-    """Return a PLY file: each facet has three corners of its own, coloured by the deviation without correction.
+    """Return a PLY file in mm, coloured by the deviation without correction.
 
-    :param limit: deviation [m] of the full colours.
+    Facets share no vertices, so that each facet has one colour.
+
+    :param limit: deviation [m] from which on the colour does not change.
     """
     count = len(surface.corners)
     bound = np.full(count, np.nan) if surface.bound is None else surface.bound
@@ -48,15 +51,15 @@ def ply(surface: Surface, limit: float) -> bytes:
     vertices["values"] = np.repeat(np.stack([surface.before, surface.after, bound], axis=1) * MM_PER_M, 3, axis=0)
     faces = np.empty(count, dtype=_FACE)
     faces["count"], faces["corners"] = 3, np.arange(3 * count).reshape(-1, 3)
-    return _HEAD.format(vertices=3 * count, faces=count).encode() + vertices.tobytes() + faces.tobytes()
+    return _PLY_HEAD.format(vertices=3 * count, faces=count).encode() + vertices.tobytes() + faces.tobytes()
 
 
 def glb(surface: Surface, limit: float) -> bytes:
     """Return a binary glTF file in mm, like the mesh of the part, with the facets and colours of `ply`.
 
-    :param limit: deviation [m] of the full colours.
+    :param limit: deviation [m] from which on the colour does not change.
     """
-    import trimesh
+    import trimesh  # takes long to import
 
     count = len(surface.corners)
     colours = np.full((3 * count, 4), 255, dtype=np.uint8)
@@ -68,11 +71,11 @@ def glb(surface: Surface, limit: float) -> bytes:
 
 
 def _colours(values: Array, limit: float) -> np.ndarray:
-    """Return colours (n, 3), 0 to 255, of deviations (n,) [m]; a colour of its own for NaN.
+    """Return colours (n, 3), 0 to 255, of deviations (n,) [m]; grey for NaN.
 
-    :param limit: deviation [m] of the full colours.
+    :param limit: deviation [m] from which on the colour does not change.
     """
     share = np.clip(np.nan_to_num(values) / limit, -1.0, 1.0)
-    colour = np.stack([np.interp(share, [-1.0, 0.0, 1.0], _STOPS[:, channel]) for channel in range(3)], axis=1)
-    colour[np.isnan(values)] = _UNTOUCHED
+    colour = np.stack([np.interp(share, [-1.0, 0.0, 1.0], _SCALE_COLOURS[:, channel]) for channel in range(3)], axis=1)
+    colour[np.isnan(values)] = _UNTOUCHED_COLOUR
     return np.round(colour).astype(np.uint8)

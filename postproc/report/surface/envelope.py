@@ -20,34 +20,33 @@ from postproc.chunks import ragged_range
 from postproc.frames import Array, norm
 from postproc.machining.tool import Cutter
 from postproc.program import Bools, Ints
-from postproc.report.surface.contact import LONG, UPRIGHT, contact_tolerance, is_touching, touching_tips
+from postproc.report.surface.contact import LENGTH_IN_RADII, WALL_SINE, contact_tolerance, is_touching, touching_tips
 from postproc.report.surface.path import CutPath
 
-_FACETS = 128
-"""Facets that are computed at once: their pairs stay small in memory (assumed)."""
-_SEEDS = 12
-"""Samples next to the contact that give the first bound: more only shorten the search."""
-_WIDER = 1.5
-"""On a convex surface with the radius of the tool, a tool touches further from a facet than on a plane by this
-(assumed)."""
-_STEEP = 0.3
-"""Facets that are steeper (cosine to the axis) are also cut by the side of a ball (assumed)."""
-_STEPS = 60
+_CHUNK_FACETS = 128
+"""Number of facets that are computed at once: their pairs stay small in memory (assumed)."""
+_SEED_COUNT = 12
+"""Number of samples next to the contact that give the first bound: more only shorten the search."""
+_SPREAD_FACTOR = 1.5
+"""Factor by which a tool touches farther from a facet on a convex surface of its radius than on a plane (assumed)."""
+_STEEP_COSINE = 0.3
+"""Cosine of normal and axis below which a facet is also cut by the side of a ball (assumed)."""
+_MOST_NEWTON_STEPS = 60
 """Limit of Newton steps to the surface of the tool (assumed): lines that graze it converge slowly."""
-_GRAZING = -1e-6
-"""Lines that approach a tool at a smaller rate than this miss it (assumed)."""
-_EXACT = 1e-9
-"""Distance from the tool at which a line enters it [m]."""
+_LEAST_APPROACH_RATE = -1e-6
+"""Derivative of the distance along a line above which the line misses the tool (assumed)."""
+_ENTRY_TOLERANCE = 1e-9
+"""Distance from the tool up to which a line is at its surface [m]."""
 
 
 class RemainingSurface(Struct, frozen=True, eq=False):
-    """Surfaces that the path of one tool leaves at n facets, along their normals; infinite where it touches none.
+    """Surfaces that the path of one tool leaves at n facets, along their normals; infinite where it does not touch.
 
     :param programmed: (n,) entry into the tool without deviation [m].
     :param deflected: (2, n) entry into the deflected tool [m]: without correction, and with the program as written.
-    :param row: (n,) row of the result at the end of the piece that leaves the surface with the program as written; −1
-        where the tool touches nothing.
-    :param share: (n,) of that piece.
+    :param row: (n,) row of the result at the end of the piece of path that leaves the surface with the program as
+        written; −1 where the tool touches nothing.
+    :param share: (n,) share of that piece from its start to the place.
     """
 
     programmed: Array
@@ -62,10 +61,11 @@ def remaining_surface(path: CutPath, centre: Array, normal: Array, cutter: Cutte
     :param centre: (n, 3) centres of the facets [m], `normal` (n, 3) their outward normals.
     """
     largest = [float(norm(deviation).max(initial=0.0)) for deviation in path.deviation]
+    # sorted by the centre of the corner radius; cells of a quarter of the tool's radius (assumed)
     grid = _Grid.of(path.point + cutter.corner * path.axis, 0.25 * cutter.radius)
     parts = []
-    for first in range(0, len(centre), _FACETS):
-        rows = slice(first, first + _FACETS)
+    for first in range(0, len(centre), _CHUNK_FACETS):
+        rows = slice(first, first + _CHUNK_FACETS)
         _, nearest = path.tree.query(centre[rows])
         facets = _Facets.of(centre[rows], normal[rows], path.axis[nearest], cutter)
         highest, offset = _seeds(path, facets, cutter)
@@ -82,7 +82,13 @@ def remaining_surface(path: CutPath, centre: Array, normal: Array, cutter: Cutte
 
 
 class _Facets(NamedTuple):
-    """Centres, outward normals, axes of the nearest tool, and tips of tools that touch; all (n, 3)."""
+    """Facets to be cut; all (n, 3).
+
+    :param centre: centres [m].
+    :param normal: outward normals.
+    :param axis: unit vectors from tip to spindle at the nearest sample of the path.
+    :param tip: tips [m] of a tool with this axis that touches the facet.
+    """
 
     centre: Array
     normal: Array
@@ -91,26 +97,27 @@ class _Facets(NamedTuple):
 
     @classmethod
     def of(cls, centre: Array, normal: Array, axis: Array, cutter: Cutter) -> _Facets:
-        """Return facets with the tips [m] at which a tool with directions to the spindle (n, 3) touches them."""
+        """Return facets with the tips at which a tool touches them; parameters as of the fields."""
         return cls(centre, normal, axis, touching_tips(axis, centre, normal, cutter))
 
 
 class _Pairs(NamedTuple):
-    """Facets (P,) and samples of the path (P,) that may cut them."""
+    """Pairs of a facet and of a sample of the path that may cut it: their indices (P,)."""
 
     facet: Ints
     sample: Ints
 
     def take(self, is_chosen: Bools) -> _Pairs:
-        """Return the pairs where (P,) is True."""
+        """Return the pairs where `is_chosen` (P,) is True."""
         return _Pairs(self.facet[is_chosen], self.sample[is_chosen])
 
 
 class _Contacts(NamedTuple):
     """The m facets that the tool touches without deviation.
 
-    :param facet: (m,) the facets; `entry`: (m,) lowest entries into the tool there [m].
-    :param sample: (m,) samples of these entries.
+    :param facet: (m,) indices of the facets.
+    :param entry: (m,) lowest entry into the tool at each of these facets [m].
+    :param sample: (m,) sample of the path of this entry.
     """
 
     facet: Ints
@@ -119,7 +126,7 @@ class _Contacts(NamedTuple):
 
 
 class _DeflectedEntries(NamedTuple):
-    """Entries (m,) into the deflected tool at the contacts [m], and row and share (m,) as of `RemainingSurface`."""
+    """Entries into the deflected tool at m contacts [m]; row and share (m,) as of `RemainingSurface`."""
 
     entry: Array
     row: Ints
@@ -131,13 +138,16 @@ def _lowest_entries(
 ) -> RemainingSurface:
     """Return the surfaces at n facets: the lowest entries into tools at samples that are paired with them.
 
+    :param pairs: facets, and samples that may cut them.
     :param highest: (n,) upper bound of the programmed surface [m].
-    :param largest: largest deviation of the tip [m] without correction, and with the program as written.
+    :param largest: largest deviation of the tip [m] without correction (0), and with the program as written (1).
     """
     count, limit = len(facets.centre), contact_tolerance(cutter)
     tip, _ = _tips(path, facets, pairs, None)
     line = _Line.of(tip, path.axis[pairs.sample], facets, pairs.facet)
+    # deviations move the tool of a facet, and those that compete with it, by the largest one each
     gap = highest + 2.0 * max(largest)
+    # _first_entry lowers its limit in place
     nominal = _first_entry(line, pairs.facet, -limit, gap.copy(), cutter)
     low_pairs = np.flatnonzero(nominal.lower_bound <= gap[pairs.facet])
     facet = pairs.facet[low_pairs]
@@ -171,18 +181,20 @@ def _deflected_entries(
     """Return the lowest entries into the deflected tool at contacts.
 
     :param pairs: facets, and samples that may cut them.
+    :param contacts: facets that the tool touches without deviation.
     :param case: 0 without correction, 1 with the program as written.
-    :param start: s at which the lines begin [m], and gap: (n,) largest entry that counts [m]; lowered in place.
+    :param start: s at which the lines begin [m].
+    :param gap: (n,) largest entry that counts [m]; lowered in place.
     """
     tip, sample_shares = _tips(path, facets, pairs, case)
     line = _Line.of(tip, path.axis[pairs.sample], facets, pairs.facet)
     entries = _first_entry(line, pairs.facet, start, gap, cutter)
-    is_hit = np.isfinite(entries.height[contacts.facet])  # elsewhere the deflected tool misses the line
+    is_hit = np.isfinite(entries.height[contacts.facet])  # False: the deflected tool misses the line
     hit_facets = contacts.facet[is_hit]
     hit_pairs = entries.line[hit_facets]
     hit_sample = pairs.sample[hit_pairs]
-    # The surface moves by no more than the tool. Along the normal it would seem to: at a sharp edge a pass beside
-    # it takes away all that the normal goes through, and where the normal misses the tool it leaves all.
+    # The surface moves by no more than the tool. Entries along the normal would move more at a sharp edge: a pass
+    # beside it removes all material on the normal, and a normal that misses the tool keeps all material.
     highest_entry = contacts.entry + norm(path.deviation[case, contacts.sample])
     lowest_entry = contacts.entry[is_hit] - norm(path.deviation[case, hit_sample])
     entry, row, share = highest_entry.copy(), path.row[contacts.sample], path.share[contacts.sample]
@@ -193,9 +205,11 @@ def _deflected_entries(
 
 
 def _tips(path: CutPath, facets: _Facets, pairs: _Pairs, case: int | None) -> tuple[Array, Array]:
-    """Return the tips (P, 3) nearest to the place of contact, and places (P,) along steps of samples (−0.5 … 0.5).
+    """Return the tips (P, 3) on the steps of samples that are nearest to the place of contact [m], and their shares.
 
-    :param case: of the deviations; None: without deviation.
+    The shares (P,) are the places along the steps, −0.5 … 0.5.
+
+    :param case: 0 with the deviation without correction, 1 with that of the program as written; None: no deviation.
     """
     sample = pairs.sample
     point, step = path.point[sample], path.step[sample]
@@ -210,9 +224,9 @@ def _tips(path: CutPath, facets: _Facets, pairs: _Pairs, case: int | None) -> tu
 class _Line(NamedTuple):
     """P lines c + s·n relative to tools with their tip at the origin; all (P,).
 
-    :param square: of the distance of c from the tip [m²].
-    :param normal_distance: of c from the tip along n [m].
-    :param height: of c over the tip along the axis [m].
+    :param square: square of the distance of c from the tip [m²].
+    :param normal_distance: distance of c from the tip along n [m].
+    :param height: height of c over the tip along the axis [m].
     :param up: cosine between n and the axis.
     """
 
@@ -223,18 +237,23 @@ class _Line(NamedTuple):
 
     @classmethod
     def of(cls, tip: Array, axis: Array, facets: _Facets, facet: Ints) -> _Line:
-        """Return the lines through facets (P,), for tools with tips (P, 3) [m] and axes (P, 3)."""
+        """Return the lines through the centres of facets, along their normals.
+
+        :param tip: (P, 3) tips of the tools [m].
+        :param axis: (P, 3) unit vectors from tip to spindle.
+        :param facet: (P,) index of the facet of each line.
+        """
         normal, c = facets.normal[facet], facets.centre[facet] - tip
         return cls(*(np.einsum("ni,ni->n", a, b) for a, b in ((c, c), (c, normal), (c, axis), (normal, axis))))
 
     def take(self, rows: Bools | Ints) -> _Line:
-        """Return the lines of rows."""
+        """Return the lines of some rows."""
         return _Line(self.square[rows], self.normal_distance[rows], self.height[rows], self.up[rows])
 
     def distance(self, s: Array, cutter: Cutter) -> tuple[Array, Array]:
         """Return the distances (P,) [m] from the tool at s (P,) [m], 0 and below inside, and their derivatives by s.
 
-        The formula of the module docstring, along c + s·n; 1e-300 only keeps 0/0 from the axis and from the inside.
+        By the formula of the module docstring, along c + s·n. 1e-300: no division by zero on the axis and inside.
         """
         height = self.height + s * self.up
         projection = self.normal_distance + s
@@ -249,8 +268,8 @@ class _Line(NamedTuple):
 class _Entries(NamedTuple):
     """Lowest entries of P lines into tools, at n facets.
 
-    :param height: (n,) lowest entry at each facet [m]; infinite if there is none below the limit.
-    :param line: (n,) its line; −1 without one.
+    :param height: (n,) lowest entry at each facet [m]; infinite if no line enters a tool below the limit.
+    :param line: (n,) index of the line of this entry; −1 without an entry.
     :param lower_bound: (P,) lower bound of the entry of each line [m]; infinite if it begins in the tool or does not
         approach it.
     """
@@ -265,39 +284,41 @@ def _first_entry(line: _Line, facet: Ints, start: float, limit: Array, cutter: C
 
     Newton's method on all lines at once; a line ends when it enters, passes its limit, or no longer approaches.
 
-    :param facet: (P,) facet of each line, and start: s at which all begin [m].
-    :param limit: (n,) largest entry that counts [m]; lowered in place to the lowest entry, so that lines above end.
+    :param facet: (P,) facet of each line.
+    :param start: s at which all lines begin [m].
+    :param limit: (n,) largest entry that counts [m]; lowered in place to the lowest entry found, which ends other
+        lines.
     """
     distance, slope = line.distance(np.full(len(facet), start), cutter)
-    approaches = (distance > 0.0) & (slope < _GRAZING)
+    approaches = (distance > 0.0) & (slope < _LEAST_APPROACH_RATE)
     s = np.where(approaches, start - distance / np.where(approaches, slope, -1.0), np.inf)
     lower_bound = s.copy()
     active, rows = np.flatnonzero(s <= limit[facet]), list[Ints]()
-    for _ in range(_STEPS):
+    for _ in range(_MOST_NEWTON_STEPS):
         distance, slope = line.take(active).distance(s[active], cutter)
-        is_entered = np.abs(distance) <= _EXACT
+        is_entered = np.abs(distance) <= _ENTRY_TOLERANCE
         entered_rows = active[is_entered]
         rows.append(entered_rows)
         np.minimum.at(limit, facet[entered_rows], s[entered_rows])
-        is_approaching = ~is_entered & (distance > 0.0) & (slope < _GRAZING)
+        is_approaching = ~is_entered & (distance > 0.0) & (slope < _LEAST_APPROACH_RATE)
         active, distance, slope = active[is_approaching], distance[is_approaching], slope[is_approaching]
         s[active] -= distance / slope
         active = active[s[active] <= limit[facet[active]]]
         if not len(active):
             break
     entry, best, entered_rows = np.full(len(limit), np.inf), np.full(len(limit), -1), np.concatenate(rows)
-    # reversed: the lowest of each facet is written last
+    # reversed: the lowest entry of each facet is assigned last
     order = entered_rows[np.lexsort((s[entered_rows], facet[entered_rows]))][::-1]
     entry[facet[order]], best[facet[order]] = s[order], order
     return _Entries(entry, best, lower_bound)
 
 
 def _seeds(path: CutPath, facets: _Facets, cutter: Cutter) -> tuple[Array, Array]:
-    """Return an upper bound (n,) of the programmed surface above facets [m], by the samples next to the contact.
+    """Return an upper bound of the programmed surface above facets, by the samples next to the place of contact.
 
-    :returns: the bound, and the distance (n,) of the nearest sample from the place of contact [m].
+    :returns: (n,) bound [m]; (n,) distance of the nearest sample from the place of contact [m].
     """
-    distance, index = path.tree.query(facets.tip, k=min(_SEEDS, len(path.point)))
+    distance, index = path.tree.query(facets.tip, k=min(_SEED_COUNT, len(path.point)))
     index = index.reshape(len(facets.tip), -1)
     facet = np.repeat(np.arange(len(index)), index.shape[1])
     pairs = _Pairs(facet, index.ravel())
@@ -305,7 +326,7 @@ def _seeds(path: CutPath, facets: _Facets, cutter: Cutter) -> tuple[Array, Array
     limit = np.full(len(index), contact_tolerance(cutter))
     line = _Line.of(tip, path.axis[pairs.sample], facets, facet)
     entry, _, _ = _first_entry(line, facet, -contact_tolerance(cutter), limit.copy(), cutter)
-    return np.maximum(np.minimum(entry, limit), 0.0) + _EXACT, distance.reshape(len(index), -1)[:, 0]
+    return np.maximum(np.minimum(entry, limit), 0.0) + _ENTRY_TOLERANCE, distance.reshape(len(index), -1)[:, 0]
 
 
 def _region(facets: _Facets, cutter: Cutter, gap: Array, offset: Array) -> tuple[Array, Array]:
@@ -321,11 +342,11 @@ def _region(facets: _Facets, cutter: Cutter, gap: Array, offset: Array) -> tuple
     limit = contact_tolerance(cutter)
     # boxes may be too large, not too small: 1.1, 0.1 and 1.5 below are margins for the spacing of samples (assumed)
     # on a plane a tool of radius R enters up to the gap h within √(2Rh) of the contact: the height of a chord
-    spread = _WIDER * np.sqrt(2.0 * cutter.radius * gap) + gap + np.minimum(offset, 1.5 * limit)
+    spread = _SPREAD_FACTOR * np.sqrt(2.0 * cutter.radius * gap) + gap + np.minimum(offset, 1.5 * limit)
     low, high = (centre + cutter.radius * normal + sign * spread[:, None] for sign in (-1.0, 1.0))
-    is_wall = up**2 <= 1.0 - UPRIGHT**2
-    by_side = np.ones(len(up), dtype=bool) if cutter.corner < cutter.radius else up < _STEEP
-    reach = np.minimum(LONG * cutter.radius, cutter.corner + (gap + limit) / np.maximum(up, 1e-6))
+    is_wall = up**2 <= 1.0 - WALL_SINE**2
+    by_side = np.ones(len(up), dtype=bool) if cutter.corner < cutter.radius else up < _STEEP_COSINE
+    reach = np.minimum(LENGTH_IN_RADII * cutter.radius, cutter.corner + (gap + limit) / np.maximum(up, 1e-6))
     middle = np.where(is_wall[:, None], centre + cutter.radius * normal, centre)
     lateral = np.where(is_wall, spread + limit, 1.1 * cutter.radius + gap)
     half = lateral[:, None] * np.sqrt(np.maximum(1.0 - axis**2, 0.0)) + 0.1 * cutter.radius

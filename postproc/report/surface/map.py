@@ -14,29 +14,31 @@ from postproc.machining.tool import Cutter
 from postproc.program import Bools, Ints, distinct
 from postproc.report.surface.contact import nearest_place
 from postproc.report.surface.envelope import RemainingSurface, remaining_surface
-from postproc.report.surface.path import CHORD, CutPath, Frames, piece_start, tool_path
+from postproc.report.surface.path import CHORD_DISTANCE, CutPath, Frames, piece_start, tool_path
 from postproc.report.surface.programmed import Mesh, add_tips, cut_depths
 
-_CHUNK = 20_000
-"""Facets computed at once: arrays of their candidates are 46 MB each."""
+_CHUNK_FACETS = 20_000
+"""Number of facets that are computed at once: arrays of their candidates are 46 MB each."""
 
 
 class Surface(Struct, frozen=True, eq=False):
-    """F facets of a part, in the frame of its mesh [m]. NaN where no tool touches.
+    """Deviations of the surface of a part at the F facets of its mesh [m], in the frame of the mesh.
 
-    :param corners: (F, 3, 3) of each facet.
-    :param normal: (F, 3) outward.
-    :param before: (F,) by how much the surface is changed along the normal if nothing is corrected, relative to that of
-        the programmed path: what remains after all passes, less what would remain if no tool deviated. Below 0 the tool
-        gouges, above 0 it leaves material.
-    :param after: (F,) the same with the program as written.
-    :param bound: (F,) 95 % bound of what will remain, or None where the model has none.
+    Deviations are along the outward normal: below 0 the tool gouges, above 0 it leaves material. NaN where no tool
+    touches a facet.
+
+    :param corners: (F, 3, 3) three corners of each facet.
+    :param normal: (F, 3) outward normals.
+    :param before: (F,) deviation of the surface if nothing is corrected: the surface after all passes, less the surface
+        if no tool deviated.
+    :param after: (F,) deviation of the surface with the program as written, likewise.
+    :param bound: (F,) 95 % bound of the error with the program as written; None if the model states no uncertainty.
     :param row: (F,) row of the result at the end of the piece of path that leaves the surface with the program as
-        written, −1 where no tool touches.
-    :param programmed: (F,) distance of the surface that the programmed path makes from the mesh along the normal; below
-        0 the programmed path itself cuts into the part. NaN where no tool reaches, and without shapes of the tools
-        where no tip is inside the mesh.
-    :param programmed_row: (F,) row of the result that cuts into the facet as programmed, −1 where none does.
+        written; −1 where no tool touches.
+    :param programmed: (F,) distance of the surface that the programmed path makes from the mesh; below 0 the programmed
+        path itself cuts into the part. NaN where no tool reaches, and without shapes of the tools where no tip is
+        inside the mesh.
+    :param programmed_row: (F,) row of the result that cuts into the facet as programmed; −1 where no tool cuts in.
     """
 
     corners: Array
@@ -73,23 +75,25 @@ def surface(
     *,
     tool: Ints | None = None,
 ) -> Surface:
-    """Return the deviations along the facets of a part.
+    """Return the deviations of the surface of a part at its facets.
 
-    :param result: of one program.
-    :param corners: (F, 3, 3) of each facet, counter-clockwise seen from outside, in the frame of the mesh [m].
-    :param cutters: shape of each tool by its number in `tool`; None: unknown, the nearest place of the path counts.
-    :param mesh_frame: (4, 4) frame of the mesh in the robot root [m]; None: it is in the `$BASE` of the program,
-        its only one.
-    :param coarse: (F,) distance of the facets from the surface that they approximate [m]; None: 0. What the programmed
-        path cuts into them by less is not counted.
-    :param tool: (K,) number of the tool of each target; None: 0, one tool.
+    :param result: result of one program.
+    :param corners: (F, 3, 3) three corners of each facet, counter-clockwise seen from outside, in the frame of the
+        mesh [m].
+    :param cutters: number of each tool in `tool` → its shape; tools that are not in it are left out. None: shapes are
+        unknown, and the nearest place of the path counts.
+    :param mesh_frame: (4, 4) frame of the mesh in the robot root [m]; None: the mesh is in the only `$BASE` of the
+        program.
+    :param coarse: (F,) distance of each facet from the surface that it approximates [m]; smaller cuts of the programmed
+        path do not count. None: 0.
+    :param tool: (K,) number of the tool of each target; None: all targets have tool 0.
     """
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(norm(normal), 1e-300)[:, None]  # a facet without area keeps a normal of zero
     frames = Frames.of(result, mesh_frame)
     paths = list(_tool_paths(result, frames, cutters, np.zeros(len(result), dtype=np.int64) if tool is None else tool))
     depth, cut_row = _programmed_cuts(paths, corners, normal)
-    cut_row[depth <= (CHORD if coarse is None else coarse + CHORD)] = -1
+    cut_row[depth <= (CHORD_DISTANCE if coarse is None else coarse + CHORD_DISTANCE)] = -1
     centre = corners.mean(axis=1)
     if cutters is None:
         place = _nearest_places(paths, centre, normal)
@@ -97,7 +101,7 @@ def surface(
             np.einsum("fi,fi->f", _interpolated(result, place, frames.to_mesh(values)), normal)
             for values in (result.deviation_before, result.deviation_after)
         )
-        remaining_height = np.full(len(corners), np.nan)  # the tip alone does not tell what remains on the part
+        remaining_height = np.full(len(corners), np.nan)  # unknown: the tool has no shape
     else:
         surfaces = [remaining_surface(path, centre, normal, cutter) for path, cutter in paths if cutter is not None]
         remaining_height, uncorrected_change, corrected_change, place = _deepest_surfaces(surfaces, len(corners))
@@ -114,7 +118,11 @@ def surface(
 
 
 class _Place(NamedTuple):
-    """Row of the result at the end of a piece of path (F,), −1 for none, and share (F,) of the piece."""
+    """Places of the path that leave F facets.
+
+    :param row: (F,) row of the result at the end of the piece of path; −1: no piece leaves the facet.
+    :param share: (F,) share of the piece from its start to the place.
+    """
 
     row: Ints
     share: Array
@@ -123,7 +131,11 @@ class _Place(NamedTuple):
 def _tool_paths(
     result: Result, frames: Frames, cutters: Mapping[int, Cutter] | None, tool: Ints
 ) -> Iterator[tuple[CutPath, Cutter | None]]:
-    """Yield the cutting path of each tool with its shape, which is None for all if shapes are unknown."""
+    """Yield the cutting path of each tool with its shape; parameters as of `surface`.
+
+    If shapes are known, tools without a shape are left out; else each shape is None. Tools that cut nothing are left
+    out.
+    """
     for number in distinct(tool[~result.rapid]).tolist():
         cutter = None if cutters is None else cutters.get(number)
         if cutters is None or cutter is not None:
@@ -138,19 +150,19 @@ def _ball_radius(cutter: Cutter | None) -> float | None:
 
 
 def _programmed_cuts(paths: list[tuple[CutPath, Cutter | None]], corners: Array, normal: Array) -> tuple[Array, Ints]:
-    """Return the depth [m] by which the programmed path cuts into each facet (F,), 0 without a cut, and where.
+    """Return the depth by which the programmed path cuts into each facet, and its row of the result.
 
-    :param corners: (F, 3, 3) of the facets [m], `normal` (F, 3) their outward normals.
-    :returns: depths, and rows of the result (F,) that cut there, −1 for none.
+    :param corners: (F, 3, 3) corners of the facets [m], `normal` (F, 3) their outward normals.
+    :returns: (F,) depth [m], 0 without a cut; (F,) row of the result that cuts deepest, −1 without a cut.
     """
     depth, row = np.zeros(len(corners)), np.full(len(corners), -1)
     mesh, centre = Mesh.of(corners, normal), corners.mean(axis=1)
     for path, cutter in paths:
         if cutter is None:
-            add_tips(mesh, path, depth, row)
+            add_tips(mesh, path, depth, row)  # changes depth and row
             continue
-        for first in range(0, len(centre), _CHUNK):
-            part = slice(first, first + _CHUNK)
+        for first in range(0, len(centre), _CHUNK_FACETS):
+            part = slice(first, first + _CHUNK_FACETS)
             tool_depth, tool_row = cut_depths(mesh, path, centre[part], normal[part], cutter)
             deeper = tool_depth > depth[part]
             row[part] = np.where(deeper, tool_row, row[part])
@@ -165,8 +177,8 @@ def _nearest_places(paths: list[tuple[CutPath, Cutter | None]], centre: Array, n
     """
     row, share, distance = np.full(len(centre), -1), np.zeros(len(centre)), np.full(len(centre), np.inf)
     for path, _ in paths:
-        for first in range(0, len(centre), _CHUNK):
-            part = slice(first, first + _CHUNK)
+        for first in range(0, len(centre), _CHUNK_FACETS):
+            part = slice(first, first + _CHUNK_FACETS)
             place = nearest_place(path, centre[part], normal[part])
             is_nearer = place.distance < distance[part]
             row[part] = np.where(is_nearer, place.row, row[part])
@@ -176,12 +188,12 @@ def _nearest_places(paths: list[tuple[CutPath, Cutter | None]], centre: Array, n
 
 
 class _DeepestSurface(NamedTuple):
-    """The surface that remains at F facets after all tools; heights are NaN where no tool touches.
+    """The surface that remains at F facets after all tools; heights and changes are NaN where no tool touches.
 
     :param programmed: (F,) height of the programmed surface over the facet [m].
-    :param uncorrected_change: (F,) its change by the deviation without correction [m].
-    :param corrected_change: (F,) the same with the program as written [m].
-    :param place: that leaves the surface as written.
+    :param uncorrected_change: (F,) change of the surface by deviations without correction [m].
+    :param corrected_change: (F,) change of the surface by deviations with the program as written [m].
+    :param place: place of the path that leaves the surface with the program as written.
     """
 
     programmed: Array
@@ -193,13 +205,13 @@ class _DeepestSurface(NamedTuple):
 def _deepest_surfaces(surfaces: list[RemainingSurface], count: int) -> _DeepestSurface:
     """Return the surface that remains at F facets after all tools.
 
-    :param surfaces: of each tool.
-    :param count: F.
+    :param surfaces: surface that each tool leaves at the facets.
+    :param count: F, the number of facets.
     """
     programmed_height, deflected_heights = np.full(count, np.inf), np.full((2, count), np.inf)
     row, share = np.full(count, -1), np.zeros(count)
     for tool in surfaces:
-        is_deeper = tool.deflected[1] < deflected_heights[1]
+        is_deeper = tool.deflected[1] < deflected_heights[1]  # 1: with the program as written
         row, share = np.where(is_deeper, tool.row, row), np.where(is_deeper, tool.share, share)
         programmed_height = np.minimum(programmed_height, tool.programmed)
         deflected_heights = np.minimum(deflected_heights, tool.deflected)
@@ -216,7 +228,7 @@ def _deepest_surfaces(surfaces: list[RemainingSurface], count: int) -> _DeepestS
 def _interpolated(result: Result, place: _Place, values: Array) -> Array:
     """Return values (F, …) at places of the path, linear between targets; NaN where there is no place.
 
-    :param values: (K, …) at the targets.
+    :param values: (K, …) values at the targets.
     """
     facets = np.flatnonzero(place.row >= 0)
     end = place.row[facets]
