@@ -881,7 +881,7 @@ class Flow:
         plain_rounds = PlainRounds(
             begin=begin,
             step=counter.step,
-            first=recorder.count + 1,
+            first=recorder.row_count + 1,
             count=rounds,
             length=block.last - block.first,  # the assignment to the counter, and the lines between head and ENDFOR
             source=source,

@@ -51,18 +51,20 @@ from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import MAX_ERRORS, ProgramError, combined_error
 from postproc.program import Bools, Ints
 
-_MOST_SETTINGS = 1000
+_MOST_FREE_SETTINGS = 1000
 """Most plain settings outside of control structures that are run one by one."""
-_INSTRUCTIONS = MOTION_WORDS | RESERVED | {"BAS"}
-"""What begins a statement and is no variable that a fault would leave without a value."""
+_INSTRUCTION_WORDS = MOTION_WORDS | RESERVED | {"BAS"}
+"""Words that begin a statement and are no variables, which a fault would leave without a value."""
 
 
 class Start(Struct, frozen=True, eq=False):
-    """What a program begins with.
+    """What the run of a program begins with.
 
+    :param library: finds called routines.
+    :param main: the main routine.
     :param obstacles: see `Run.obstacles`.
-    :param variables: as they are before it.
-    :param joints: angles at the start [deg].
+    :param variables: the variables before the first statement.
+    :param joints: joint angles at the start [deg].
     """
 
     library: Library
@@ -73,9 +75,9 @@ class Start(Struct, frozen=True, eq=False):
     joints: tuple[float, ...]
 
     def collected(self, trace: Trace | None = None, *, has_rows: bool = True) -> CollectedMotions:
-        """Return an empty collection of motions for a run of the program.
+        """Return an empty collection of motions for a run of the program, which gets its own copy of the variables.
 
-        :param trace: the execution trace; None: that of a program whose lines run one after the other.
+        :param trace: the execution trace; None: the lines of the main file, one after the other.
         :param has_rows: see `Run.has_rows`.
         """
         settings = Settings(self.variables.copy_for_run(), self.cell)
@@ -87,22 +89,22 @@ class Start(Struct, frozen=True, eq=False):
 def course_of(start: Start) -> tuple[Course, CollectedMotions | None]:
     """Return the execution trace of a program, and the motions that its statements have made.
 
-    The motions are None if the statements must run once more, along the complete trace. That is so if branches meet
-    that may both run, if something is left as it is, if rounds are taken as columns, or if a statement is wrong.
-
+    :returns: None for the motions if the statements must run once more, along the complete trace: if the lines run one
+        after the other, branches meet of which it is not known which one runs, a structure is left uncorrected, rounds
+        are taken as columns, or a statement has an error.
     :raises ProgramError: the order of execution is not known before the program runs, or a control structure is not
         closed.
     """
     if not start.cell.krl.keep_unresolved:
-        with suppress(ProgramError):  # its message may depend on the trace, which is not complete
+        with suppress(ProgramError):  # raised again below, with a message that does not depend on collected motions
             return _course(start, collects=True)
     return _course(start, collects=False)
 
 
 def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions | None]:
-    """Return what `course_of` does.
+    """Return the execution trace of a program, and its motions or None, as `course_of` does.
 
-    :param collects: whether motions are read too.
+    :param collects: False to record the trace alone; the motions are None then.
     :raises ProgramError: see `course_of`.
     """
     main, recorder = start.main, Recorder(start.main)
@@ -110,7 +112,8 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     run, settings = collected_motions.run, collected_motions.run.settings
     lines, free_settings = _split_plain_settings(main.source, main.other_lines, main.setting_lines)
     nodes = checked_nodes(main.source, nodes_of(main.source, lines))
-    settings.follows_numbers = len(free_settings) <= _MOST_SETTINGS  # else plain ones are no statements here
+    # many plain settings are not run one by one here, so that speeds and distances have no values
+    settings.follows_numbers = len(free_settings) <= _MOST_FREE_SETTINGS
     run.is_final = collects and settings.follows_numbers
     flow = _collecting_flow(collected_motions, recorder)
     if _is_straight(main, flow, nodes):
@@ -125,34 +128,31 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
         recorder.record_run_lines(main.last - 1)
     recorder.record_passed_lines(main.last - 1, is_live=False)
     course = _with_used_names(recorder.course(run.unfollowed_routines), start)
-    # else statements must run once more, along the complete trace
-    is_complete = run.is_final and recorder.is_final and not settings.lacked_numbers
-    if (
-        not is_complete
-        or fault_of(main.name)
-        or collected_motions.splines.open_block is not None
-        or run.level.open_structures
-    ):
-        return course, None
+    has_all_motions = run.is_final and recorder.is_final and not settings.lacked_numbers
+    has_open_part = collected_motions.splines.open_block is not None or bool(run.level.open_structures)
+    if not has_all_motions or fault_of(main.name) or has_open_part:
+        return course, None  # errors are reported when the statements run once more
     run.trace, run.shown_line = course.trace, 0
     return course, collected_motions
 
 
 def _collecting_flow(collected_motions: CollectedMotions, recorder: Recorder) -> Flow:
-    """Return what follows a program, records its trace, and collects its motions while nothing is in doubt.
+    """Return a `Flow` that follows a program, records its trace, and collects its motions.
+
+    Motions are collected only as long as `Run.is_final` and `Recorder.is_final` are True.
 
     :param collected_motions: gets the motions.
     """
     run = collected_motions.run
 
     def take_motion(place: Place, stmt: Statement) -> None:
-        """Follow the functions in a motion, and collect it while nothing is in doubt."""
+        """Follow the functions in a motion, and collect the motion as long as run and trace are final."""
         flow.interpreter.follow_functions(place, stmt.values)  # they may change what a condition depends on
         if run.is_final and recorder.is_final:
             collected_motions.take_motion(place, stmt)
 
     def note_fault(_place: Place, _cause: ProgramError) -> None:
-        """Note that a statement has an error; it is reported when the recorded trace is followed."""
+        """Note that a statement has an error, which is reported when the recorded trace is followed."""
         run.is_final = False
 
     flow = Flow(run, take_motion, note_fault, recorder)
@@ -160,11 +160,14 @@ def _collecting_flow(collected_motions: CollectedMotions, recorder: Recorder) ->
 
 
 def _is_straight(main: Routine, flow: Flow, nodes: Sequence[Node]) -> bool:
-    """Return whether the lines of the main routine run one after the other, as far as motions and forces go."""
+    """Return whether the lines of the main routine with motions or force comments run one after the other, once each.
+
+    :param nodes: the statements and control structures of the routine other than plain lines.
+    """
     if _returns_early(main):
         return False
-    control = (node for node in nodes if isinstance(node, Block) or _may_leave_line(main, node))
-    return not any(flow.belongs_in_trace(main.source, node) for node in control)
+    control_nodes = (node for node in nodes if isinstance(node, Block) or _may_leave_line(main, node))
+    return not any(flow.belongs_in_trace(main.source, node) for node in control_nodes)
 
 
 def _straight_course(main: Routine, trace: Trace) -> Course:
@@ -173,7 +176,10 @@ def _straight_course(main: Routine, trace: Trace) -> Course:
 
 
 def _with_used_names(course: Course, start: Start) -> Course:
-    """Return an execution trace with the names that copies of routines and parts of programs must not have."""
+    """Return an execution trace with the names that copies of routines, and parts of a divided program, must not have.
+
+    With inlined routines of other files it also gets the programs that call them.
+    """
     library = start.library
     foreign_routines = {routine for routine in course.inlined_routines if routine.source is not start.main.source}
     if foreign_routines:
@@ -191,7 +197,10 @@ def _jump_error(main: Routine, flow: Flow, line: int) -> ProgramError:
 
 
 def _may_leave_line(main: Routine, line: int) -> bool:
-    """Return whether a statement may run other lines before the next one: it is a GOTO, or calls something."""
+    """Return whether a statement, by its text, may run other lines before the next one: a GOTO, or a call.
+
+    :param line: line of the statement.
+    """
     stmt = statement(main.source, line)
     return isinstance(stmt, Goto) or ("(" in main.source.text[stmt.start : stmt.stop] and not isinstance(stmt, Motion))
 
@@ -213,16 +222,18 @@ def _note_submit_programs(run: Run) -> None:
 class MainRoutine:
     """Follows the execution trace of a program through the lines that are not plain motions.
 
-    :param collected_motions: its motions, if its statements have run.
+    :param collected_motions: the motions of the program if its statements have run; else an empty collection.
+    :param course: the execution trace.
+    :param plain: the plain lines, or plain rows of the trace.
     :ivar run: the program as far as it has run.
-    :ivar motions: those of the course, in order.
-    :ivar rounds: those of loops over the points of an array, read in bulk.
-    :ivar idle_rows: lines of motions to where the robot is already.
+    :ivar motions: motions that are read as statements, in order.
+    :ivar rounds: motions of loops over the points of an array, read in bulk.
+    :ivar idle_rows: rows of the trace with motions to where the robot is already.
     :ivar splines: the spline blocks.
     """
 
     def __init__(self, collected_motions: CollectedMotions, course: Course, plain: PlainLines) -> None:
-        """Begin before the first statement; `_broken` are variables whose statements had errors."""
+        """Begin before the first statement."""
         self.course = course
         self.run, self.reader = collected_motions.run, collected_motions.reader
         self._collected = collected_motions
@@ -233,41 +244,41 @@ class MainRoutine:
         )
         self._flow = Flow(self.run, self._take_motion, self._note_fault)
         self._errors: list[ProgramError] = []
-        self._broken: set[str] = set()
+        self._faulty_names: set[str] = set()  # variables whose statements had errors
         self.rounds: list[ElementMotions] = []
-        self._moving, self._settings = plain.motion_lines, plain.settings
+        self._plain_motion_lines, self._plain_settings = plain.motion_lines, plain.settings
 
     @cached_property
-    def _setting_lines(self) -> list[int]:
-        """Lines of plain settings."""
-        lines: list[int] = self._settings.line.tolist()
+    def _plain_setting_lines(self) -> list[int]:
+        """Rows of the trace with plain settings, in order."""
+        lines: list[int] = self._plain_settings.line.tolist()
         return lines
 
     @cached_property
-    def _others(self) -> Bools:
-        """Which lines are not plain."""
-        return is_not_plain(len(self.run.trace), self._moving, self._settings)
+    def _is_other_row(self) -> Bools:
+        """(L,) True for the rows of the trace that are not plain."""
+        return is_not_plain(len(self.run.trace), self._plain_motion_lines, self._plain_settings)
 
     @cached_property
     def _trigger_lines(self) -> frozenset[int]:
-        """Lines of TRIGGER statements, when all statements have run."""
+        """Rows of the trace with TRIGGER statements; to be read when all statements have run."""
         return frozenset(self.run.triggers)
 
     @cached_property
-    def _rounds(self) -> list[PlainRounds]:
+    def _plain_rounds(self) -> list[PlainRounds]:
         """The rounds of FOR loops whose bodies are plain, in order."""
         return self.course.plain_rounds()
 
     @cached_property
-    def _lines(self) -> Sequence[int]:
-        """The lines that have code and are neither plain nor in plain rounds."""
+    def _other_lines(self) -> Sequence[int]:
+        """The rows of the trace that have code and are neither plain nor in plain rounds."""
         return self.run.routine.other_lines if self.course.is_straight else self._lines_outside_rounds()
 
     def follow(self, faults: Sequence[ProgramError]) -> None:
         """Run the statements of the execution trace in order: collect motions, settings and errors.
 
-        :param faults: errors in the bounds of routines.
-        :raises ProgramError: something that changes motion is not understood; all such lines together.
+        :param faults: errors in the bounds of routines, which are reported too.
+        :raises ProgramError: the statements have errors; all of them together, as far as `MAX_ERRORS`.
         """
         run = self.run
         fault = fault_of(run.routine.name)
@@ -296,7 +307,7 @@ class MainRoutine:
             )
 
     def _unclosed_errors(self) -> list[ProgramError]:
-        """Return the error that a spline block or a control structure is not closed; nothing if all are."""
+        """Return the error that a spline block or a control structure is not closed; empty if all are closed."""
         if self.splines.open_block is not None:
             problem, advice = "the spline block is not closed", "Write ENDSPLINE behind its last motion."
             return [self.splines.open_block.place.error(problem, advice)]
@@ -307,23 +318,23 @@ class MainRoutine:
         return []
 
     def _lines_of_step(self, step: Lines | UnresolvedStructure) -> tuple[Sequence[int], Sequence[int]]:
-        """Return the lines of a step that are not plain, and those with plain settings, both in order."""
-        lines, setting_lines = self._lines, self._setting_lines
+        """Return the rows of a step that are not plain, and the rows of its plain settings, both in order."""
+        lines, setting_lines = self._other_lines, self._plain_setting_lines
         step_settings = setting_lines[bisect_left(setting_lines, step.first) : bisect_right(setting_lines, step.last)]
         return lines[bisect_left(lines, step.first) : bisect_right(lines, step.last)], step_settings
 
     def _split_settings(self) -> dict[Lines, Sequence[int]]:
-        """Return the lines of each step that are run one by one.
+        """Return step → rows of the step that are run one by one, for steps that are `Lines`.
 
-        Plain settings that are not among them come into force at their lines.
+        The other plain settings become `Settings.plain_assignments`, which come into force at their rows.
         """
-        step_lines, is_free_line = {}, np.zeros(len(self.run.trace) + 1, dtype=np.bool_)
+        step_lines, is_free_line = {}, np.zeros(len(self.run.trace) + 1, dtype=np.bool_)  # rows count from 1
         for step in self.course.steps:
             if isinstance(step, Lines):
                 step_lines[step], free_lines = _split_plain_settings(self.run.trace, *self._lines_of_step(step))
                 if len(free_lines):
                     is_free_line[free_lines] = True
-        settings = self._settings
+        settings = self._plain_settings
         is_free = is_free_line[settings.line]
         self.run.settings.plain_assignments = PlainAssignments(
             PlainSettings(settings.line[is_free], settings.values[:, is_free])
@@ -331,18 +342,21 @@ class MainRoutine:
         return step_lines
 
     def _run_step(self, step: Lines, lines: Sequence[int]) -> None:
-        """Run the lines of a step that are not plain, and its plain rounds, in order.
+        """Run the rows of a step that are not plain, and its plain rounds, in order, up to RETURN.
 
-        :param lines: those of its lines that are run one by one.
+        :param lines: the rows of the step that are run one by one.
         """
         run = self.run
         nodes: list[tuple[int, Node | PlainRounds]] = [
             (node if isinstance(node, int) else node.first, node) for node in nodes_of(run.trace, lines)
         ]
-        first, last = (bisect_left(self._rounds, line, key=attrgetter("first")) for line in (step.first, step.last))
+        # plain rounds that begin in the step
+        first, last = (
+            bisect_left(self._plain_rounds, line, key=attrgetter("first")) for line in (step.first, step.last)
+        )
         if first < last:
             nodes = sorted(
-                [*nodes, *((rounds.first, rounds) for rounds in self._rounds[first:last])], key=itemgetter(0)
+                [*nodes, *((rounds.first, rounds) for rounds in self._plain_rounds[first:last])], key=itemgetter(0)
             )
         for line, node in nodes:
             run.settings.come_to(line)
@@ -355,7 +369,7 @@ class MainRoutine:
         run.settings.come_to(step.last + 1)
 
     def _follow_rounds(self, rounds: PlainRounds) -> None:
-        """Take all plain rounds of a FOR at once if that is possible, else one by one."""
+        """Take all plain rounds of a FOR at once if that is possible, else run their rows one by one."""
         run = self.run
         moves = computed_motions(run, self.reader, rounds) if rounds.body.is_computed else None
         if moves is not None:
@@ -375,52 +389,53 @@ class MainRoutine:
         run.settings.plain_assignments.insert(settings)
         trigger_rows = [rounds.rows_of_statement(line) for line in rounds.body.triggers]
         trigger_count = len(run.triggers)
-        last_round = rounds.stop_row - rounds.length
+        last_round = rounds.stop_row - rounds.length  # row that sets the counter for the last round
         self._follow_lines(np.array([rounds.first, last_round, *(rows[-1] for rows in trigger_rows)]), rounds)
-        if trigger_rows:  # those of the last round have run; all rounds have them
+        if trigger_rows:  # triggers of the last round alone have been run: note those of all rounds
             run.triggers[trigger_count:] = np.sort(np.concatenate(trigger_rows)).tolist()
 
     def _follow_node(self, node: Node, number: int | None = None) -> None:
         """Run a row of the trace, or a control structure given by its rows.
 
-        :param number: value of the counter that the row sets in plain rounds; None for other rows.
+        :param number: value to which the row sets the counter of plain rounds; None for other rows.
         """
         row = node.first if isinstance(node, Block) else node
         place = self.run.come_to(row)
         if number is None:
             number = self.course.count_of_row.get(row)
         if number is None:
+            # `Flow` takes lines of the file in place of rows
             self._flow.follow(place.source, (node.shifted(-self.run.shift) if isinstance(node, Block) else place.line,))
-            self.run.level.is_left = False  # the next row is the one that runs behind EXIT
+            self.run.level.is_left = False  # the next row of the trace is the one that runs after EXIT
             return
         stmt = statement(place.source, place.line)
         if isinstance(stmt, For) and stmt.counter is not None:
             self._flow.set_counter(place, stmt.counter, number)
 
     def _follow_lines(self, lines: Ints, rounds: PlainRounds | None = None) -> None:
-        """Run those of some rows of the trace that are not read in bulk.
+        """Run some rows of the trace, without rows that are plain or have no code.
 
         :param lines: (n,) the rows, in order.
-        :param rounds: the plain rounds that contain them, whose counter they set; None outside of such rounds.
+        :param rounds: the plain rounds that contain the rows; None outside of such rounds.
         """
-        for line in _rows_with_code(self.run.trace, lines[self._others[lines - 1]]):
+        for line in _rows_with_code(self.run.trace, lines[self._is_other_row[lines - 1]]):
             self.run.settings.come_to(line)
             self._follow_node(line, None if rounds is None else rounds.counter_value(line))
 
     def _lines_outside_rounds(self) -> list[int]:
         """Return the rows of the trace that have code and are neither plain nor in plain rounds."""
-        is_other = self._others.copy()
-        for rounds in self._rounds:
+        is_other = self._is_other_row.copy()
+        for rounds in self._plain_rounds:
             is_other[rounds.first - 1 : rounds.stop_row - 1] = False
         return _rows_with_code(self.run.trace, np.flatnonzero(is_other) + 1)
 
-    def which_run(self, motion_lines: Ints) -> Bools:
-        """Return which of n plain motions run (n,).
+    def executed_motions(self, motion_lines: Ints) -> Bools:
+        """Return which of n plain motions run (n,): those in `Lines` of the trace.
 
-        A running sum of +1 where steps of the trace begin and −1 behind their ends is above zero inside them.
+        A running sum of +1 where these steps begin and −1 behind their ends is above zero inside them.
 
-        :param motion_lines: (n,) lines of the motions in the trace.
-        :raises ProgramError: one of them is outside of DEF … END.
+        :param motion_lines: (n,) rows of the motions in the trace, ascending.
+        :raises ProgramError: a motion is outside of DEF … END.
         """
         steps = np.array([(step.first, step.last) for step in self.course.steps if isinstance(step, Lines)]).reshape(
             -1, 2
@@ -444,10 +459,10 @@ class MainRoutine:
         return is_executed
 
     def are_in_one_block(self, first: int, last: int) -> bool:
-        """Return whether no spline block ends between two lines."""
+        """Return whether no spline block ends between two rows of the trace, given from 1."""
         return not any(first < line < last for line in self.splines.end_rows)
 
-    def contain_only_comments(self, first: int, last: int) -> bool:
+    def has_only_comments(self, first: int, last: int) -> bool:
         """Return whether the rows first … last of the trace contain nothing but comments and TRIGGERs."""
         trace = self.run.trace
         for row in range(first, last + 1):
@@ -458,7 +473,7 @@ class MainRoutine:
         return True
 
     def _enter_routine(self, step: RoutineEntry) -> None:
-        """Enter a called routine: set its parameters."""
+        """Make a called routine the running routine and set its parameters; functions in the arguments are followed."""
         place = self.run.come_to(step.row)
         stmt = statement(place.source, place.line)
         if isinstance(stmt, CallStatement):
@@ -467,7 +482,7 @@ class MainRoutine:
             self._flow.interpreter.calls.enter_routine(place, stmt.call, step.module, step.routine)
 
     def _follow_division(self, step: Fork | Branch | Join) -> None:
-        """Store, restore or merge the values of variables, at a fork, a branch or a join."""
+        """Follow a fork (store values and settings), a branch (restore them) or a join (merge them)."""
         self.run.row = step.row
         if isinstance(step, Fork):
             self.run.begin_fork()
@@ -487,17 +502,18 @@ class MainRoutine:
             if isinstance(node, Block):
                 place = run.come_to(node.first)
                 self._flow.follow_roughly(place.source, node.shifted(-run.shift))
-        moving = self._moving
-        moving = moving[np.searchsorted(moving, step.first) : np.searchsorted(moving, step.last, "right")]
-        run.unresolved_motions += [(line, step.why) for line in moving.tolist()]
-        run.unresolved_motions = [*dict(run.unresolved_motions).items()]
+        motion_lines = self._plain_motion_lines  # ascending
+        first, stop = np.searchsorted(motion_lines, [step.first, step.last + 1])
+        run.unresolved_motions += [(line, step.why) for line in motion_lines[first:stop].tolist()]
+        run.unresolved_motions = [*dict(run.unresolved_motions).items()]  # one reason for each line
 
     def _note_fault(self, place: Place, cause: ProgramError) -> None:
-        """Note an error of a statement, unless it names a variable whose own statement had an error."""
+        """Note an error of a statement, unless the statement names a variable whose own statement had an error."""
         names = [name.upper() for name in NAME.findall(place.source.text, *place.source.code_span(place.line))]
-        if self._broken.isdisjoint(names):
+        if self._faulty_names.isdisjoint(names):
             self._errors.append(cause)
-        self._broken.update(name for name in names[:1] if name not in FIELDS and name not in _INSTRUCTIONS)
+        # the first name is the variable that the statement sets
+        self._faulty_names.update(name for name in names[:1] if name not in FIELDS and name not in _INSTRUCTION_WORDS)
 
     def _take_motion(self, place: Place, stmt: Statement) -> None:
         """Run the functions in a motion, and collect it."""
@@ -508,9 +524,13 @@ class MainRoutine:
 def _split_plain_settings(
     source: Source | Trace, lines: Sequence[int], settings: Sequence[int]
 ) -> tuple[Sequence[int], Ints]:
-    """Return the lines, or rows, that are run one by one, and those of plain settings that are not.
+    """Return the lines that are run one by one, and the lines (n,) of plain settings that are not.
 
-    The former are `lines` and the settings inside control structures.
+    Run one by one are the given `lines`, and the plain settings inside control structures.
+
+    :param source: a file, whose lines the numbers are; or the trace, whose rows they are.
+    :param lines: lines that are not plain.
+    :param settings: lines of plain settings.
     """
     setting_lines = np.array(settings, dtype=np.int64)
     if not settings:
@@ -520,8 +540,8 @@ def _split_plain_settings(
 
 
 def _rows_with_code(trace: Trace, rows: Ints) -> list[int]:
-    """Return those of some rows of a trace that have code, in order."""
-    has_code = trace.is_count[rows - 1].copy()
+    """Return the rows of a trace that have code, of some rows (n,), in order; each line of a file is examined once."""
+    has_code = trace.is_count[rows - 1].copy()  # rows that set the counter of a FOR
     file, line = trace.file[rows - 1], trace.line[rows - 1]
     for number, source in enumerate(trace.sources):
         indices = np.flatnonzero((file == number) & ~has_code)

@@ -1,4 +1,4 @@
-"""Motions as columns: what a line says, before it is known what that means."""
+"""Motions as columns: the contents of their lines, before components are completed and frames applied."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from postproc.dialects.krl.read.state import State
 from postproc.frames import Array
 from postproc.program import Bools, Ints
 
-_BATCH = 1000
+_BATCH_SIZE = 1000
 """Motions that are collected before they become columns."""
 
 
 class MotionColumns(Columns, frozen=True, eq=False):
     """R motions.
 
-    :param line: (R,) 1-based line, or row of the execution trace; offsets are those of its file.
+    :param line: (R,) line of the file, or row of the execution trace, from 1; offsets are those in its file.
     :param kind: (R,) `LIN`, `CIRC`, `PTP` or `SPL`.
     :param numbers: (R, 6) X, Y, Z [mm], A, B, C [deg] as the text gives them; NaN where missing.
     :param posture: (R, 2) S and T; −1 where missing.
@@ -33,11 +33,11 @@ class MotionColumns(Columns, frozen=True, eq=False):
         they need; 0 where missing.
     :param keyword: (R,) offset of the instruction.
     :param target: (R, 2) span of the target.
-    :param tail: (R, 2) span of what follows it: approximation, WITH.
+    :param tail: (R, 2) span of the text behind the target: approximation, WITH.
     :param approximated: (R,) True where `$APO.CDIS` applies.
     :param via: (R, 3) X, Y, Z of the auxiliary point of a circle [mm]; NaN elsewhere.
-    :param via_spans: (R, 3, 2) spans of their texts; −1 where missing.
-    :param via_target: (R, 2) span of that point; −1 where it is not in the line.
+    :param via_spans: (R, 3, 2) spans of the texts of X, Y, Z of the auxiliary point; −1 where missing.
+    :param via_target: (R, 2) span of the auxiliary point; −1 where it is not in the line.
     """
 
     line: Ints
@@ -64,18 +64,18 @@ class MotionColumns(Columns, frozen=True, eq=False):
 
 
 class MotionCollector:
-    """Takes statements one by one; keeps the plain ones as rows only.
+    """Collects motion statements one by one, as rows of columns.
 
     :ivar states: state in force at each statement.
-    :ivar special: those that are not plain: number of each among all statements, from 0, and the statement.
+    :ivar special: the statements that are not plain, which are kept too: index among all statements, and statement.
     """
 
     def __init__(self) -> None:
-        """Begin without statements; the latest wait until there are enough for columns."""
+        """Begin without statements; they are converted to columns in batches."""
         self.states: list[State] = []
         self.special: list[tuple[int, MotionStatement]] = []
-        self._waiting: list[MotionStatement] = []
-        self._done: list[MotionColumns] = []
+        self._unconverted: list[MotionStatement] = []
+        self._converted_parts: list[MotionColumns] = []
 
     def __len__(self) -> int:
         """Return the number of statements."""
@@ -86,28 +86,29 @@ class MotionCollector:
         if not move.is_plain:
             self.special.append((len(self.states), move))
         self.states.append(state)
-        self._waiting.append(move)
-        if len(self._waiting) == _BATCH:
+        self._unconverted.append(move)
+        if len(self._unconverted) == _BATCH_SIZE:
             self._convert()
 
     def _convert(self) -> None:
-        """Convert the waiting statements to columns."""
-        self._done.append(_columns_of(self._waiting))
-        self._waiting = []
+        """Convert the latest statements to columns."""
+        self._converted_parts.append(_columns_of(self._unconverted))
+        self._unconverted = []
 
     def rows(self) -> MotionColumns:
-        """Return all statements as columns; those of plain lines equal what `plain_lines` reads.
+        """Return all statements as columns; rows of plain lines equal what `plain_lines` reads.
 
-        Numbers of axis and relative targets are left out, except E1…E6.
+        Numbers of axis and relative targets are NaN, except E1…E6.
         """
         self._convert()
-        return merged_motions([*self._done], np.arange(len(self.states)))
+        return merged_motions([*self._converted_parts], np.arange(len(self.states)))
 
 
 def _columns_of(moves: Sequence[MotionStatement]) -> MotionColumns:
     """Return motion statements as columns.
 
-    Spans of components count from the beginning of their target, which takes fewer bytes.
+    Numbers of axis and relative targets are NaN. Spans of components count from the start of their target, which takes
+    fewer bytes.
     """
     numbers, external = (np.full((len(moves), 6), np.nan) for _ in range(2))
     component_spans = np.zeros((len(moves), len(COLUMNS), 2), dtype=np.int32)
@@ -142,7 +143,7 @@ def _columns_of(moves: Sequence[MotionStatement]) -> MotionColumns:
 
 
 def _via_points_of(moves: Sequence[MotionStatement]) -> ViaPoints:
-    """Return the auxiliary points of motion statements."""
+    """Return the auxiliary points of motion statements; spans only for statements that are plain."""
     points = no_via_points(len(moves))
     if all(move.via is None for move in moves):
         return points
@@ -158,12 +159,12 @@ def _via_points_of(moves: Sequence[MotionStatement]) -> ViaPoints:
 
 
 def compact_if_missing(column: Array) -> Array:
-    """Return a copy of a column (n, …); one that is NaN throughout becomes a read-only one that takes no memory."""
+    """Return a copy of a column (n, …); if it is NaN throughout, a read-only column that takes no memory."""
     return np.broadcast_to(np.nan, column.shape) if np.isnan(column).all() else column.copy()
 
 
 def compact_postures(numbers: NDArray[Any]) -> Ints:
-    """Return S and T (R, 2) as integers of two bytes; as a read-only column that takes no memory if all are −1."""
+    """Return S and T (R, 2) as integers of two bytes; a read-only column that takes no memory if all are −1."""
     return compact(np.broadcast_to(np.int64(-1), numbers.shape) if (numbers == -1).all() else numbers, np.int16)
 
 
@@ -175,7 +176,9 @@ def narrow_integers(numbers: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
 class ViaPoints(NamedTuple):
     """Auxiliary points of R motions, see `MotionColumns`.
 
-    :ivar numbers: (R, 3) its `via`; `spans` (R, 3, 2) its `via_spans`; `targets` (R, 2) its `via_target`.
+    :ivar numbers: (R, 3) column `via`.
+    :ivar spans: (R, 3, 2) column `via_spans`.
+    :ivar targets: (R, 2) column `via_target`.
     """
 
     numbers: Array
@@ -201,9 +204,8 @@ def _offsets(values: Sequence[object]) -> Offsets:
 def merged_motions(parts: list[MotionColumns], place: Ints) -> MotionColumns:
     """Return the motions of at least one part, each at its place among all R motions.
 
-    The list is emptied, so that each column of the parts can be released when it has been copied.
-
-    :param place: (R,) places of the motions of the first part, then of those of the next, …
+    :param parts: the motions in parts; the list is emptied, so that each column can be released when it is copied.
+    :param place: (R,) places, from 0, of the motions of the first part, then of the motions of the next part, …
     """
     destinations = _destinations([len(rows) for rows in parts], place)
     remaining_columns = [rows.columns()[::-1] for rows in parts]  # the first column last, to be popped
@@ -212,7 +214,7 @@ def merged_motions(parts: list[MotionColumns], place: Ints) -> MotionColumns:
     while remaining_columns[0]:
         values = [columns.pop() for columns in remaining_columns]
         column = _empty_column(len(place), values)
-        if column.flags.writeable:
+        if column.flags.writeable:  # else it is complete
             for destination, part_values in zip(destinations, values, strict=True):
                 column[destination] = part_values
         merged_columns.append(column)
@@ -220,7 +222,7 @@ def merged_motions(parts: list[MotionColumns], place: Ints) -> MotionColumns:
 
 
 def _destinations(counts: Sequence[int], place: Ints) -> list[Ints | slice]:
-    """Return the places of the motions of each part; a slice, which is faster, where they follow each other.
+    """Return the places of the motions of each part; as a slice, which is faster, if they follow each other.
 
     :param counts: number of motions of each part.
     :param place: (R,) see `merged_motions`.
@@ -229,7 +231,8 @@ def _destinations(counts: Sequence[int], place: Ints) -> list[Ints | slice]:
     begin = 0
     for count in counts:
         end = begin + count
-        is_contiguous = count > 0 and place[end - 1] - place[begin] == count - 1  # no motion of another part
+        # places ascend within a part: no motion of another part is between its first and its last
+        is_contiguous = count > 0 and place[end - 1] - place[begin] == count - 1
         destinations.append(slice(place[begin], place[begin] + count) if is_contiguous else place[begin:end])
         begin = end
     return destinations
@@ -238,7 +241,8 @@ def _destinations(counts: Sequence[int], place: Ints) -> list[Ints | slice]:
 def _empty_column(count: int, parts: Sequence[Any]) -> Any:
     """Return a column of `count` motions that is to be filled.
 
-    If all parts have a column that takes no memory, so does the result; it is read-only, and complete.
+    If the columns of all parts hold one value throughout and take no memory, the result does so too: it is complete,
+    and read-only. The value of the first part stands for all: it is the one for missing numbers.
 
     :param parts: the column of each part.
     """

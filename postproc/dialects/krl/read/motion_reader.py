@@ -22,7 +22,7 @@ from postproc.errors import ProgramError
 from postproc.program import CIRC, LIN, PTP, SPL
 
 KINDS = {"LIN": LIN, "SLIN": LIN, "PTP": PTP, "SPTP": PTP, "CIRC": CIRC, "SCIRC": CIRC, "SPL": SPL}
-_NO_EFFECT = (
+_NAMES_WITHOUT_EFFECT = (
     "$LOAD",
     "$ACC",
     "$VEL_AXIS",
@@ -34,10 +34,10 @@ _NO_EFFECT = (
     "$TORQMON",
     "$SPL_VEL_",
 )
-"""What names in WITH begin with that change how fast a path is driven, and nothing else."""
+"""Beginnings of the names of variables in WITH that change how fast a path is driven, and nothing else."""
 ROBOT_POSITIONS = frozenset({"$POS_ACT", "$POS_ACT_MES", "$AXIS_ACT", "$AXIS_ACT_MEAS"})
-"""Where the robot is now (KUKA, System Variables)."""
-_HOME = frozenset({"XHOME", "HOME", "$H_POS"})
+"""Variables that hold the present robot position (KUKA, System Variables)."""
+_HOME_NAMES = frozenset({"XHOME", "HOME", "$H_POS"})
 RUN_TIME_ADVICE = (
     "Targets must be known before the program runs: write them as numbers or as points of the .dat, or leave such "
     "motions as they are by --keep-unresolved."
@@ -45,19 +45,20 @@ RUN_TIME_ADVICE = (
 
 
 def depends_on_position(motion: Motion) -> bool:
-    """Return whether the target of a motion depends on the robot position before it.
+    """Return whether the target of a motion, by its text, depends on the robot position before it.
 
-    It does if it is relative, lacks components, or is computed from that position.
+    It does if it is relative, lacks some components, or is computed from that position.
     """
     points = [point for point in (motion.via, motion.end) if isinstance(point, Aggregate)]
-    cartesian = [point.items.keys() & CARTESIAN for point in points]  # an auxiliary point needs no A, B, C
-    axes = [point.items.keys() & AXES for point in points]
-    is_incomplete = any(0 < len(names) < len(CARTESIAN) for names in (*cartesian[-1:], *axes))
+    cartesian_names = [point.items.keys() & CARTESIAN for point in points]
+    axis_names = [point.items.keys() & AXES for point in points]
+    # of the last point alone: an auxiliary point needs no A, B, C
+    is_incomplete = any(0 < len(names) < len(CARTESIAN) for names in (*cartesian_names[-1:], *axis_names))
     return is_incomplete or motion.word.endswith("_REL") or reads_robot_position(motion)
 
 
 def keeps_position(motion: Motion) -> bool:
-    """Return whether a motion leads to the present robot position, as ``PTP $POS_ACT`` does.
+    """Return whether a motion leads to the present robot position, as ``PTP $POS_ACT`` does; False for circles.
 
     :raises ProgramError: its target cannot be read.
     """
@@ -69,7 +70,7 @@ def keeps_position(motion: Motion) -> bool:
 
 
 def reads_robot_position(stmt: Statement) -> bool:
-    """Return whether a statement reads the present robot position."""
+    """Return whether a statement reads the present robot position; False if the statement cannot be read."""
     try:
         return any(isinstance(value, Reference) and value.name in ROBOT_POSITIONS for value in walk(stmt.values))
     except ProgramError:
@@ -77,22 +78,22 @@ def reads_robot_position(stmt: Statement) -> bool:
 
 
 def has_plain_tail(motion: Motion) -> bool:
-    """Return whether nothing but approximation follows the points of a motion."""
+    """Return whether no text but approximation (C_DIS …) follows the points of a motion."""
     tail = motion.tail
     return not tail.assignments and tail.unknown_text is None and tail.error is None
 
 
 def may_be_point_name(name: str) -> bool:
-    """Return whether a name, upper case, may be that of a point of the program: the controller accepts it."""
+    """Return whether a name, upper case, may name a point: it is no robot position, and not too long."""
     return name not in ROBOT_POSITIONS and len(name) <= MAX_LENGTH
 
 
 class MotionReading(NamedTuple):
-    """A motion as it is read.
+    """A motion that has been read.
 
-    :ivar move: the motion; None if it only leads to the present position.
-    :ivar state: settings in force for it.
-    :ivar name_offsets: offsets in the file of the names whose values it uses.
+    :ivar move: the motion; None if it leads to the present robot position.
+    :ivar state: settings in force for the motion.
+    :ivar name_offsets: offsets in the file of the names of its points.
     """
 
     move: MotionStatement | None
@@ -103,20 +104,23 @@ class MotionReading(NamedTuple):
 class MotionReader:
     """Reads motion statements.
 
-    :ivar home_used: line of the first motion to a home position that only the cell knows; 0 if there is none.
+    :ivar home: (6,) joint angles of the home position [deg].
+    :ivar home_used: row of the trace with the first motion to a home position that only the cell knows; 0 if there is
+        none.
     """
 
     def __init__(self, settings: Settings, home: tuple[float, ...]) -> None:
-        """Keep the settings, and the joint angles [deg] of the home position."""
+        """Keep the settings, and the joint angles of the home position."""
         self.settings, self.variables = settings, settings.variables
         self.home = home
         self.home_used = 0
 
     def read_motion(self, place: Place, motion: Motion, row: int) -> MotionReading:
-        """Return the motion of a statement with the settings for it.
+        """Return the motion of a statement with the settings in force for it.
 
-        :param row: row of the execution trace.
-        :raises ProgramError: it is not understood, or its target is not known before the program runs.
+        :param row: row of the execution trace with the statement.
+        :raises UnresolvedError: the target, or a setting that the motion depends on, is not known before run time.
+        :raises ProgramError: the statement is not understood, or a coordinate is out of reach.
         """
         name = motion.word.removesuffix("_REL")
         is_relative = motion.word != name
@@ -159,9 +163,10 @@ class MotionReader:
         return MotionReading(move, state, name_offsets)
 
     def block_state(self, place: Place, spline: Spline) -> State:
-        """Return the settings within a spline block; those of its WITH hold in this block only.
+        """Return the settings inside a spline block: the present ones, changed by its WITH.
 
-        :raises ProgramError: its WITH or its approximation is not understood.
+        :param spline: the first line of the block.
+        :raises ProgramError: the WITH or the approximation is not understood.
         """
         state, _ = self.tail_settings(place, LIN, spline.tail)
         return replace(state, spline_block=spline.word)
@@ -169,9 +174,11 @@ class MotionReader:
     def _point(self, place: Place, value: Value, name_offsets: list[int], row: int) -> Point | None:
         """Return a point of a motion; None if it is the present robot position.
 
-        :param name_offsets: gets the offset of the variable, if the point is one.
-        :param row: row of the execution trace.
-        :raises ProgramError: it is not known before the program runs, or out of reach.
+        :param value: the point as the text gives it.
+        :param name_offsets: gets the offset of the name, if the point is a variable.
+        :param row: row of the execution trace with the motion.
+        :raises UnresolvedError: the point is not known before run time.
+        :raises ProgramError: a coordinate is out of reach, or the name is too long.
         """
         source = place.source
         name = ""
@@ -185,8 +192,8 @@ class MotionReader:
         try:
             position = self.variables.position(value)
         except NotANumberError as cause:
-            raise unresolved_error(self._explained(source, value, cause)) from None
-        if position is None and name in _HOME and self.variables.evaluate(value) == NO_VALUE:
+            raise unresolved_error(self._explained_error(source, value, cause)) from None
+        if position is None and name in _HOME_NAMES and self.variables.evaluate(value) == NO_VALUE:
             self.home_used = self.home_used or row
             position = Position(self.home, is_axis=True)
         if position is None:
@@ -196,8 +203,11 @@ class MotionReader:
             raise out_of_reach_error(place, position.largest_coordinate)
         return Point(position, value.start, value.stop, name)
 
-    def _explained(self, source: Source, value: Value, cause: NotANumberError) -> ProgramError:
-        """Return the error of a component that is not a number, with the reason why its value is not known."""
+    def _explained_error(self, source: Source, value: Value, cause: NotANumberError) -> ProgramError:
+        """Return the error of a component that is not a number, with the reason why its value is not known.
+
+        :param value: the point; `cause` names its component. If the point is not written there, `cause` is returned.
+        """
         item = value.items.get(cause.component) if isinstance(value, Aggregate) else None
         if item is None:
             return cause
@@ -207,7 +217,7 @@ class MotionReader:
     def _angle(self, place: Place, value: Value) -> float:
         """Return CA of a circle [deg].
 
-        :raises ProgramError: it is unknown, 0, or larger than any angle of a program.
+        :raises ProgramError: the angle is unknown, 0, or larger than `LARGEST_COORDINATE`.
         """
         angle = self.variables.number(value)
         if angle is None or not 0.0 < abs(angle) <= LARGEST_COORDINATE:
@@ -220,17 +230,21 @@ class MotionReader:
     def _check_axis_target(self, place: Place, word: str, kind: int, end: Point, via: Point | None) -> None:
         """Refuse joint angles as the target or auxiliary point of a motion other than PTP.
 
-        :param word: instruction, for the message; `kind` the kind of motion.
-        :raises ProgramError: there are such.
+        :param word: the instruction, for the message.
+        :param kind: LIN, PTP, CIRC or SPL.
+        :raises ProgramError: a point is given by joint angles.
         """
         if kind != PTP and (end.position.is_axis or (via and via.position.is_axis)):
             raise place.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
 
     def _check_independence_of_with(self, place: Place, subject: str, value: Value | None) -> None:
-        """Refuse a value that reads a setting which WITH of the same motion may change.
+        """Refuse a value that reads a setting of motions, in a motion whose WITH changes settings.
 
-        :param subject: name of the setting or WITH, for the message.
-        :raises ProgramError: no source says whether the value before WITH or after it is read.
+        No source says whether the setting is read before or after WITH changes it.
+
+        :param subject: name of the assigned setting, or WITH, for the message.
+        :param value: an expression of the motion or of its WITH; None: a point that the motion lacks.
+        :raises ProgramError: the value reads a setting.
         """
         variable_names = [part.name for part in walk([] if value is None else [value]) if isinstance(part, Reference)]
         if not RELEVANT.isdisjoint(variable_names):
@@ -241,11 +255,13 @@ class MotionReader:
     def tail_settings(
         self, place: Place, kind: int, tail: Tail, points: Sequence[Value | None] = ()
     ) -> tuple[State, bool]:
-        """Return the settings of a single motion, from its WITH, and whether `$APO.CDIS` applies.
+        """Return the settings in force for one motion, changed by its WITH, and whether `$APO.CDIS` applies to it.
 
-        :param kind: of the motion: `LIN`, `CIRC`, `PTP` or `SPL`.
-        :param tail: its WITH and approximation.
-        :param points: its target and auxiliary point.
+        `$APO.CDIS` applies with C_DIS, and with C_SPL to motions other than PTP.
+
+        :param kind: kind of the motion: `LIN`, `CIRC`, `PTP` or `SPL`.
+        :param tail: WITH and approximation of the motion.
+        :param points: target and auxiliary point of the motion; None for a point that it lacks.
         :raises ProgramError: WITH or the approximation is not understood.
         """
         text, state = place.source.text, self.settings.state
@@ -259,7 +275,7 @@ class MotionReader:
             if item.target.name in RELEVANT:
                 self._check_independence_of_with(place, item.target.name, item.value)
                 state = self.settings.state_after_assignment(state, place, item.target, item.value)
-            elif not item.target.name.startswith(_NO_EFFECT):
+            elif not item.target.name.startswith(_NAMES_WITHOUT_EFFECT):
                 raise place.error(f"{item.target.name} in WITH is not understood", advice="Check its spelling.")
         if state.without_turn_speeds() != self.settings.state.without_turn_speeds():
             for value in points:

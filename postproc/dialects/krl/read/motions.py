@@ -43,16 +43,16 @@ from postproc.errors import Issue, ProgramError, combined_error
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
 from postproc.program import CIRC, LIN, PTP, Bools, Carriage, Ints, Motions, Starts, constant, distinct
 
-_ONE_ROTATION = (FREE, CONSTANT)
+_ONE_ROTATION_MODES = (FREE, CONSTANT)
 """Values of `$ORI_TYPE` under which the orientation changes by one rotation, or not at all."""
-_SMALL_TURN = 0.5 * RAD_PER_DEG
-"""By less than this [rad] the wrist turns the tool as one rotation does, to 0.001° away from singular poses: the square
-of half of it."""
-_END_TOLERANCE = 1e-6
-"""A circle with CA that ends this close [rad] to its end point ends there."""
-_REST_TOLERANCE = 1e-7
-"""An external axis that moves by less [m] stays where it is: the tenth of a micrometre of the text."""
-_UNKNOWN_TURNS = {
+_TURN_TOLERANCE = 0.5 * RAD_PER_DEG
+"""Turns below this [rad] are the same by the wrist axes and by one rotation, within 0.001° away from singular poses:
+their difference is about the square of half the turn."""
+_ARC_TOLERANCE = 1e-6
+"""The arc of a circle with CA ends at its end point if its angle differs by less than this [rad]."""
+_TRAVEL_TOLERANCE = 1e-7
+"""An external axis that moves by less than this [m] does not move: the tenth of a micrometre of the text."""
+_UNKNOWN_TURN_MESSAGES = {
     JOINT: "the orientation changes under $ORI_TYPE=#JOINT on another path than a line, or while E1 moves: how the "
     "wrist axes lead it is not known",
     IGNORE: "the orientation changes at a target under $ORI_TYPE=#IGNORE: the controller chooses it there",
@@ -62,12 +62,13 @@ _SPEED_WORDS = frozenset({"C_VEL", "C_ORI"})
 
 
 class OrderedMotions(NamedTuple):
-    """All motions in order: the contents of their lines, and the settings in force.
+    """All R motions in order: the contents of their lines, and the settings in force.
 
-    :ivar rows: (R,) motions.
-    :ivar in_force: settings in force at each; but for the `numbers`, since plain settings have no states of their own.
-    :ivar numbers: (R, 4) speed, distance of approximation, turn speeds (`plain_settings.NUMBERS`), as runs.
-    :ivar moves: row → statement, of those that are not plain.
+    :ivar rows: the motions.
+    :ivar in_force: settings in force at each motion; for the fields `plain_settings.NUMBERS` see `numbers`.
+    :ivar numbers: (R, 4) speed, distance of approximation, two turn speeds (`plain_settings.NUMBERS`), as runs. Plain
+        settings change these, and create no states.
+    :ivar moves: row → statement, for motions that are not plain.
     """
 
     rows: MotionColumns
@@ -79,8 +80,9 @@ class OrderedMotions(NamedTuple):
 class _MergedSettings(NamedTuple):
     """The order of all R motions, and the settings in force.
 
-    :ivar places: (R,) places in execution order of the plain motions, and then of the statements.
-    :ivar in_force: settings at each motion, in execution order; `numbers` (R, 4) its `NUMBERS`.
+    :ivar places: (R,) places in execution order, from 0, of the plain motions, then of the statements.
+    :ivar in_force: settings in force at each motion, in execution order.
+    :ivar numbers: (R, 4) see `OrderedMotions.numbers`.
     """
 
     places: Ints
@@ -92,20 +94,21 @@ def ordered_motions(main: MainRoutine, plain_parts: list[MotionColumns]) -> Orde
     """Return all motions of a program in order: plain lines and statements together.
 
     :param main: has followed all lines that are not plain.
-    :param plain_parts: plain motions, in parts; the list is emptied, see `merged_motions`.
+    :param plain_parts: plain motions, in parts; the list is emptied, so that their memory is released.
     """
     plain_parts += [rounds.rows for rounds in main.rounds]
     statement_rows = main.motions.rows()
     places, in_force, numbers = _merged_settings(main, [rows.line for rows in plain_parts], statement_rows.line)
-    first = sum(map(len, plain_parts))
+    first = sum(map(len, plain_parts))  # index in `places` of the first statement
     moves = {places.item(first + index): move for index, move in main.motions.special}
     plain_parts.append(statement_rows)
     return OrderedMotions(merged_motions(plain_parts, places), in_force, numbers, moves)
 
 
 def _merged_settings(main: MainRoutine, plain_lines: list[Ints], statement_lines: Ints) -> _MergedSettings:
-    """Return the order of plain motions and statements, and the settings in force at each.
+    """Return the order of plain motions and statements, and the settings in force at each motion.
 
+    :param main: has followed all lines that are not plain.
     :param plain_lines: lines of the plain motions in the trace, in parts.
     :param statement_lines: (S,) lines of the motions that were read as statements.
     """
@@ -129,10 +132,11 @@ def _merged_settings(main: MainRoutine, plain_lines: list[Ints], statement_lines
 def _merged_places(plain_lines: Ints, statement_lines: Ints) -> tuple[Ints, Ints]:
     """Return the places in execution order, from 0, of P plain motions (P,) and of S statements (S,) among them.
 
-    :param plain_lines: (P,) their lines in the trace, in any order; `statement_lines` (S,) ascending.
+    :param plain_lines: (P,) lines of the plain motions in the trace, in any order.
+    :param statement_lines: (S,) lines of the statements in the trace, ascending.
     """
     order = compact(np.argsort(plain_lines, kind="stable"), np.int32)
-    # as many motions precede a statement as plain ones with smaller lines, and statements before it
+    # before a statement are the plain motions with smaller lines, and the statements before it
     plain_count = np.searchsorted(plain_lines, statement_lines, sorter=order)
     statement_places = plain_count + np.arange(len(statement_lines))
     plain_places = np.empty_like(plain_lines)
@@ -149,8 +153,11 @@ class MotionsAndLayout(NamedTuple):
 
 
 def stated_turn_speeds(numbers: Runs) -> Runs | None:
-    """Return `Program.turn_speeds` of the `NUMBERS` (R, 4) of motions; None if no motion has one."""
-    speeds = numbers.values[:, 2:]
+    """Return `Program.turn_speeds`; None if no motion has a turn speed.
+
+    :param numbers: see `OrderedMotions.numbers`.
+    """
+    speeds = numbers.values[:, 2:]  # behind speed and distance
     if not np.isfinite(speeds).any():
         return None
     return Runs(np.column_stack([np.full(len(speeds), np.inf), speeds]), numbers.run)
@@ -166,10 +173,10 @@ def motions_and_layout(
     """Return the motions of a program in order, and the layout of their text.
 
     :param main: has followed all lines that are not plain.
-    :param sequence: all motions.
+    :param sequence: all motions; the missing numbers of their targets are filled in in place.
     :param start_joints: (6,) joint angles at the start [rad].
     :param kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
-    :param predecessors: (M,) the motion at whose end each begins, see `Program.after`.
+    :param predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
     :raises ProgramError: a frame, a component or an axis is not known; external axes move; an orientation or a circle
         is not what the controller could follow.
     """
@@ -178,10 +185,10 @@ def motions_and_layout(
     rows, in_force, _, moves = sequence
     _check_settings(settings, sequence)
     targets, axis_issues = _text_targets(main, sequence, predecessors)
-    text_ends = rows.numbers[rows.kind == CIRC, :3]  # before they are completed
+    text_ends = rows.numbers[rows.kind == CIRC, :3]  # a copy: `end_poses` completes the numbers in place
     ends = end_poses(targets, start_joints, kinematics, predecessors)
     is_wrist_led = _wrist_led_rows(trace, rows, in_force, ends, targets.carriage)
-    _check_by_wrist(trace, rows, in_force, ends, settings)
+    _check_automatic_wrist_mode(trace, rows, in_force, ends, settings)
     path = _Path(targets, ends, _circle_columns(sequence, targets, ends, text_ends, settings))
     motions = _motions(trace, sequence, path)
     layout = _layout(main, sequence, motions, path, is_wrist_led)
@@ -197,9 +204,11 @@ def motions_and_layout(
 
 
 def _with_approximation(main: MainRoutine, sequence: OrderedMotions) -> OrderedMotions:
-    """Return the motions, with those marked as approximated that are at their place in or outside of a spline block.
+    """Return the motions with `approximated` as it holds in spline blocks.
 
-    :raises ProgramError: a motion is not allowed there.
+    Inside a block only the last motion can be approximated, by ENDSPLINE C_SPL.
+
+    :raises ProgramError: a motion is not allowed inside, or outside, of a spline block.
     """
     rows, block = sequence.rows, sequence.in_force.column(lambda state: state.spline_block)
     check_words(main.course.trace, rows, block)
@@ -212,12 +221,13 @@ def _text_targets(
 ) -> tuple[TextTargets, list[Issue]]:
     """Return the targets as the text gives them, and issues about external axes.
 
-    :param predecessors: (M,) the motion at whose end each begins, see `Program.after`.
+    :param predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
     :raises ProgramError: an external axis moves, or a circle turns the tool in a way that is not known.
     """
     trace, settings, (rows, in_force, _, moves) = main.course.trace, main.run.settings, sequence
     base, tool = (
-        np.where(column < 0, 0, column) if (column < 0).any() else column  # unknown ones are those of axis targets
+        # only motions to axis targets have unknown frames here: they get row 0
+        np.where(column < 0, 0, column) if (column < 0).any() else column
         for column in (in_force.column(lambda state: state.base), in_force.column(lambda state: state.tool))
     )
     frames = FrameColumns(base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools))
@@ -247,9 +257,9 @@ def _text_targets(
 class _Path(NamedTuple):
     """The path of M motions.
 
-    :ivar targets: as the text gives them.
-    :ivar ends: the same, complete.
-    :ivar circles: the circles among them.
+    :ivar targets: the targets as the text gives them.
+    :ivar ends: the complete targets.
+    :ivar circles: the circles among the motions.
     """
 
     targets: TextTargets
@@ -258,7 +268,7 @@ class _Path(NamedTuple):
 
 
 def _motions(trace: Trace, sequence: OrderedMotions, path: _Path) -> Motions:
-    """Return the motions of a program."""
+    """Return the `Motions` of a program from its ordered motions and their path."""
     (rows, _, numbers, _), frames, ends, circles = sequence, path.targets.frames, path.ends, path.circles
     return Motions(
         kind=rows.kind,
@@ -322,32 +332,33 @@ def _layout(main: MainRoutine, sequence: OrderedMotions, motions: Motions, path:
 
 
 def _elements_of_program(rows: MotionColumns, rounds: ElementMotions) -> Elements:
-    """Return the points of an array to which a loop moves, by the rows of their motions in the program.
+    """Return the array elements to which a loop moves, with the rows of these motions in the program.
 
-    :param rows: the motions of the program; those of the loop that are not among them are left out.
-    :param rounds: the motions of the loop.
+    :param rows: the motions of the program.
+    :param rounds: the motions of the loop; uncorrected ones, which are not in `rows`, are left out.
     """
     row = np.searchsorted(rows.line, rounds.rows.line)
-    is_present = rows.line[np.minimum(row, len(rows) - 1)] == rounds.rows.line
+    is_present = rows.line[np.minimum(row, len(rows) - 1)] == rounds.rows.line  # else another motion is at that place
     return Elements(row[is_present], rounds.literal[is_present], rounds.source, rounds.name)
 
 
 def _target_starts(target: Offsets, elements: tuple[Elements, ...]) -> Offsets:
-    """Return the offsets (R,) at which the points of motions begin: their targets, or elements of data lists.
+    """Return the offsets (R,) at which the points of motions begin, in the `.src` or in a data list.
 
-    :param target: (R,) offsets of the targets in their statements.
+    :param target: (R,) offsets of the targets in the statements of the motions.
+    :param elements: the motions whose points are array elements of data lists.
     """
     starts = target.copy() if elements else target
-    for part in elements:
-        starts[part.row] = part.literal[:, 0]
+    for loop_elements in elements:
+        starts[loop_elements.row] = loop_elements.literal[:, 0]  # start of the span
     return starts
 
 
 class _LineStates(NamedTuple):
     """Settings in force at n lines.
 
-    :ivar in_force: their states.
-    :ivar change_lines: (n,) lines of the trace after which these states hold.
+    :ivar in_force: states at the lines.
+    :ivar change_lines: (n,) line of the trace from which on the state holds.
     """
 
     in_force: MotionStates
@@ -355,22 +366,22 @@ class _LineStates(NamedTuple):
 
 
 def _states_of_lines(settings: Settings, line: Ints) -> _LineStates:
-    """Return the states in force at plain lines.
+    """Return the states in force before lines of the trace.
 
-    :param line: (n,) lines of the trace.
+    :param line: (n,) the lines.
     """
-    change_lines = np.array([line for line, _ in settings.changes])
-    index = compact(np.searchsorted(change_lines, line) - 1, np.int32)
+    change_lines = np.array([line for line, _ in settings.changes])  # ascending, from 0
+    index = compact(np.searchsorted(change_lines, line) - 1, np.int32)  # the last change on a line before
     states = [state for _, state in settings.changes]
     return _LineStates(MotionStates(states, index), compact(change_lines, np.int32)[index])
 
 
 def _with_statement_states(states: list[State], statement_states: list[State]) -> tuple[list[State], Ints]:
-    """Return some states followed by those of k statements, and the indices in them of the latter (k,).
+    """Return some states and, behind them, the states of k statements; and the index of each statement's state (k,).
 
     Equal states of statements are added once.
 
-    :param statement_states: states of the statements that were read one by one.
+    :param statement_states: state in force at each of the k statements.
     """
     all_states = list(states)
     index_of_state: dict[State, int] = {}
@@ -384,9 +395,10 @@ def _with_statement_states(states: list[State], statement_states: list[State]) -
 
 
 class LineSettings(NamedTuple):
-    """Settings in force before a line.
+    """Settings in force before a line, to be compared.
 
-    :ivar state: with rows 0 for known frames; an unknown one has its reason, see `State.base`.
+    :ivar state: the state without turn speeds; known frames have row 0, an unknown frame holds the index of its reason,
+        see `State.base`.
     :ivar base: `$BASE` (4, 4) in the robot root [m]; zeros if it is not known.
     :ivar tool: `$TOOL` (4, 4) in the flange frame [m]; zeros if it is not known.
     """
@@ -411,6 +423,7 @@ def settings_at(settings: Settings, line: Ints) -> list[LineSettings]:
         state = in_force.states[index]
         base = _frame_or_zeros(settings.frames.bases, state.base)
         tool = _frame_or_zeros(settings.frames.tools, state.tool)
+        # frames are compared by their numbers: only unknown ones keep their row
         state = replace(
             state,
             base=min(state.base, 0),
@@ -435,7 +448,7 @@ def _orientation_index(state: State) -> object:
 def _check_settings(settings: Settings, sequence: OrderedMotions) -> None:
     """Refuse motions that depend on unknown frames, speeds or modes.
 
-    :raises ProgramError: there are some; all reasons together.
+    :raises ProgramError: there are such motions; all reasons together.
     """
     faults = list(_setting_errors(settings, sequence))
     if faults:
@@ -445,6 +458,7 @@ def _check_settings(settings: Settings, sequence: OrderedMotions) -> None:
 def setting_errors(main: MainRoutine, plain_parts: list[MotionColumns]) -> Iterator[ProgramError]:
     """Yield the errors of the motions of a program that depend on unknown settings, once for each reason.
 
+    :param main: has followed all lines that are not plain.
     :param plain_parts: plain motions, in parts; the list is emptied.
     """
     yield from _setting_errors(main.run.settings, ordered_motions(main, plain_parts))
@@ -460,7 +474,10 @@ def _setting_errors(settings: Settings, sequence: OrderedMotions) -> Iterator[Pr
 
 
 def uncertain_motions(settings: Settings, sequence: OrderedMotions) -> Iterator[tuple[int, ProgramError]]:
-    """Yield the motions that depend on unknown frames, speeds or modes: the row of each, and the error."""
+    """Yield the motions that depend on unknown frames, speeds or modes: the row of each, and its error.
+
+    They are grouped by their states, not in the order of the program.
+    """
     rows, in_force, _, moves = sequence
     for index, state in enumerate(in_force.states):
         if not state.uncertain_fields and state.base >= 0 and state.tool >= 0:
@@ -479,35 +496,35 @@ def uncertain_motions(settings: Settings, sequence: OrderedMotions) -> Iterator[
 def _orientation_control(trace: Trace, rows: MotionColumns, in_force: MotionStates) -> OrientationControl:
     """Return how the orientation of each motion is controlled: KUKA, KSS 8.x, `$ORI_TYPE` and `$CIRC_TYPE`.
 
-    Under #CONSTANT the orientation of the start stays and the programmed one is disregarded. Under #PATH a circle turns
-    the tool with the path: the orientation that stays, or changes by one rotation, is the one relative to the path.
-    `$CIRC_TYPE` has no effect under #JOINT.
+    `$ORI_TYPE` #CONSTANT: the orientation of the start stays, and A, B, C of the target are disregarded. `$CIRC_TYPE`
+    #PATH: a circle turns the tool with the path; the orientation relative to the path stays, or changes by one
+    rotation. `$CIRC_TYPE` has no effect under `$ORI_TYPE` #JOINT.
 
-    :raises ProgramError: a circle under #PATH whose orientation changes otherwise.
+    :raises ProgramError: a circle is under #PATH and an `$ORI_TYPE` other than `_ONE_ROTATION_MODES`.
     """
     is_circle = rows.kind == CIRC
     is_unsupported = is_circle & in_force.column(
-        lambda state: state.circle == "#PATH" and state.orientation not in _ONE_ROTATION
+        lambda state: state.circle == "#PATH" and state.orientation not in _ONE_ROTATION_MODES
     )
     if is_unsupported.any():
         first = int(np.argmax(is_unsupported))
         problem = f"a circle under $ORI_TYPE={in_force.at(first).orientation} and $CIRC_TYPE=#PATH"
         raise trace.error(problem, int(rows.line[first]), "Use $CIRC_TYPE=#BASE, or $ORI_TYPE=#VAR.")
     is_constant = in_force.column(lambda state: state.orientation == CONSTANT) & (rows.kind != PTP)
-    is_path_mode = in_force.column(lambda state: state.circle == "#PATH" and state.orientation in _ONE_ROTATION)
+    is_path_mode = in_force.column(lambda state: state.circle == "#PATH" and state.orientation in _ONE_ROTATION_MODES)
     return OrientationControl(is_constant, is_circle & is_path_mode, rows.via)
 
 
 def _wrist_led_rows(
     trace: Trace, rows: MotionColumns, in_force: MotionStates, ends: EndPoses, carriage: Carriage | None
 ) -> Bools:
-    """Return the motions (R,) on which the wrist axes turn the tool: lines under `$ORI_TYPE=#JOINT`.
+    """Return which motions (R,) turn the tool by the wrist axes: lines under `$ORI_TYPE=#JOINT` that change it.
 
-    :raises ProgramError: the controller would lead the orientation in a way that is not known.
+    :raises ProgramError: the orientation changes under #JOINT or #IGNORE on another motion, in a way that is not known.
     """
     is_wrist_led = np.zeros(len(rows), dtype=np.bool_)
     candidates = np.flatnonzero(
-        in_force.column(lambda state: state.orientation not in _ONE_ROTATION) & (rows.kind != PTP)
+        in_force.column(lambda state: state.orientation not in _ONE_ROTATION_MODES) & (rows.kind != PTP)
     )
     if not len(candidates):
         return is_wrist_led
@@ -517,25 +534,27 @@ def _wrist_led_rows(
         ~same_orientation(ends.start.at(subset)[:, :3, :3], ends.pose[subset, :3, :3])
         for subset in (candidates, next_rows)
     )
-    is_turned |= is_next_turned & (modes == IGNORE)  # the next motion begins with the orientation that is chosen
+    # under #IGNORE the next motion begins with the orientation that the controller has chosen
+    is_turned |= is_next_turned & (modes == IGNORE)
     is_led_by_wrist = (modes == JOINT) & (rows.kind[candidates] == LIN)
     if carriage is not None:
-        is_led_by_wrist &= carriage.travel[candidates] <= _REST_TOLERANCE
+        is_led_by_wrist &= carriage.travel[candidates] <= _TRAVEL_TOLERANCE
     is_wrist_led[candidates[is_turned & is_led_by_wrist]] = True
     is_unknown = is_turned & ~is_led_by_wrist
     if is_unknown.any():
         first = int(np.argmax(is_unknown))
         advice = "Use $ORI_TYPE=#VAR: the orientation then changes by one rotation, from target to target."
-        raise trace.error(_UNKNOWN_TURNS[str(modes[first])], int(rows.line[candidates[first]]), advice)
+        raise trace.error(_UNKNOWN_TURN_MESSAGES[str(modes[first])], int(rows.line[candidates[first]]), advice)
     return is_wrist_led
 
 
-def _check_by_wrist(
+def _check_automatic_wrist_mode(
     trace: Trace, rows: MotionColumns, in_force: MotionStates, ends: EndPoses, settings: Settings
 ) -> None:
     """Refuse spline motions whose orientation the controller may lead by the wrist axes.
 
-    Under `$SPL_ORI_JOINT_AUTO` #ON it decides that itself for each motion under `$ORI_TYPE=#VAR` (KUKA, KSS 8.x).
+    Under `$SPL_ORI_JOINT_AUTO` #ON the controller decides that itself for each spline motion under `$ORI_TYPE=#VAR`
+    (KUKA, KSS 8.x).
 
     :raises ProgramError: the orientation changes on such a motion.
     """
@@ -548,8 +567,8 @@ def _check_by_wrist(
     free_rows = np.flatnonzero(is_free)
     spline_rows = free_rows[is_spline(trace, rows, free_rows)]
     turn = angle_between(ends.start.at(spline_rows)[:, :3, :3], ends.pose[spline_rows, :3, :3])
-    for row in spline_rows[turn > _SMALL_TURN].tolist():
-        settings.refuse_uncertain(in_force.at(row), ["by_wrist"])
+    for row in spline_rows[turn > _TURN_TOLERANCE].tolist():
+        settings.refuse_uncertain(in_force.at(row), ["by_wrist"])  # the stored reason, if the mode is not known
         problem = "the orientation changes under $SPL_ORI_JOINT_AUTO=#ON: the wrist axes may lead it, not one rotation"
         raise trace.error(problem, int(rows.line[row]), "Use $SPL_ORI_JOINT_AUTO=#OFF.")
 
@@ -557,8 +576,9 @@ def _check_by_wrist(
 class _CircleColumns(NamedTuple):
     """The circles among M motions; NaN, or False, for other motions.
 
-    :ivar centre: (M, 3) [m]; `normal` (M, 3) the axis of the turn, see `Motions`.
-    :ivar sweep: (M,) [rad].
+    :ivar centre: (M, 3) [m].
+    :ivar normal: (M, 3) unit vectors; the arc turns about it by the right hand, see `Motions`.
+    :ivar sweep: (M,) angle of the arc [rad], above 0.
     :ivar drops_via_orientation: (M,) see `Layout`.
     """
 
@@ -585,8 +605,8 @@ def _circle_columns(
         return _CircleColumns(nan_rows, nan_rows, nan_rows[:, 0], drops_via_orientation)
     circles = _circles(trace, rows, circle_rows, ends, text_ends)
     angle = _programmed_angles(moves, circle_rows, len(rows))
-    has_angle = ~np.isnan(angle)
-    ends_elsewhere = has_angle & ~(np.abs(angle - circles.arcs.angle) < _END_TOLERANCE)
+    has_angle = ~np.isnan(angle)  # circles with CA
+    ends_elsewhere = has_angle & ~(np.abs(angle - circles.arcs.angle) < _ARC_TOLERANCE)
     _check_circular_angles(targets, circle_rows[ends_elsewhere], ends)
     orientations = auxiliary_orientations(trace, rows, moves, circle_rows, in_force.take(circle_rows))
     _check_turns(circles, orientations, targets, in_force, settings)
@@ -607,9 +627,9 @@ def _check_turns(
 ) -> None:
     """Refuse circles on which the tool does not turn by the shorter rotation, or may not.
 
-    :param orientations: of the auxiliary points of the circles.
+    :param orientations: orientations of the auxiliary points of the circles.
     :param in_force: settings in force at all motions.
-    :raises ProgramError: there is one.
+    :raises ProgramError: there is such a circle; with the stored reason if the mode of its orientation is not known.
     """
     index = first_other_rotation(circles, orientations, targets.control.turns_with_path[circles.rows])
     if index >= 0:
@@ -620,14 +640,15 @@ def _check_turns(
 
 
 def _circles(trace: Trace, rows: MotionColumns, circle_rows: Ints, ends: EndPoses, text_ends: Array) -> Circles:
-    """Return the circles through the points of the text; components that it lacks are those of the start.
+    """Return the circles through the points of the text; components that a point lacks are those of the start.
 
-    :param circle_rows: (n,) rows of the circles; `text_ends` see `_circle_columns`.
-    :raises ProgramError: the points of a circle do not define one.
+    :param circle_rows: (n,) rows of the circles.
+    :param text_ends: (n, 3) X, Y, Z of the ends of the circles as the text gives them [mm].
+    :raises ProgramError: the points of a circle do not define a circle.
     """
     start = ends.start.at(circle_rows)
     via, end = rows.via[circle_rows] * M_PER_MM, text_ends * M_PER_MM
-    for row, points in ends.circles.items():  # relative ones
+    for row, points in ends.circles.items():  # relative circles
         index = np.searchsorted(circle_rows, row)
         via[index], end[index] = points * M_PER_MM
     via, end = (np.where(np.isnan(points), start[:, :3, 3], points) for points in (via, end))
@@ -636,13 +657,13 @@ def _circles(trace: Trace, rows: MotionColumns, circle_rows: Ints, ends: EndPose
 
 
 def _programmed_angles(moves: Mapping[int, MotionStatement], circle_rows: Ints, count: int) -> Array:
-    """Return CA (n,) [rad] of n circles; NaN without it.
+    """Return the angle CA (n,) [rad] of n circles; NaN for circles without CA.
 
     :param circle_rows: (n,) rows of the circles.
     :param count: number of motions of the program.
     """
     angles = np.full(count, np.nan)
-    for row, move in moves.items():  # only these may have one: circles that are read in bulk have none
+    for row, move in moves.items():  # circles that are read in bulk have no CA
         if move.angle is not None:
             angles[row] = move.angle * RAD_PER_DEG
     return angles[circle_rows]
@@ -652,7 +673,7 @@ def _check_circular_angles(targets: TextTargets, circle_rows: Ints, ends: EndPos
     """Refuse a change of orientation or of E1 on circles whose CA leads to another point than the end point.
 
     :param circle_rows: (n,) rows of these circles.
-    :raises ProgramError: one changes.
+    :raises ProgramError: the orientation or E1 changes on such a circle.
     """
     trace, line, control, carriage = targets.trace, targets.line, targets.control, targets.carriage
     start, end = ends.start.at(circle_rows)[:, :3, :3], ends.pose[circle_rows, :3, :3]
@@ -666,7 +687,7 @@ def _check_circular_angles(targets: TextTargets, circle_rows: Ints, ends: EndPos
         )
     if carriage is None:
         return
-    is_travelling = np.abs(carriage.end[circle_rows] - carriage.begin[circle_rows]) > _REST_TOLERANCE
+    is_travelling = np.abs(carriage.end[circle_rows] - carriage.begin[circle_rows]) > _TRAVEL_TOLERANCE
     if is_travelling.any():
         raise trace.error(
             "E1 moves along a circle with CA: where it reaches its end is not certain",
@@ -678,11 +699,13 @@ def _check_circular_angles(targets: TextTargets, circle_rows: Ints, ends: EndPos
 def _triggers_of_motions(main: MainRoutine, line: Ints, motions: Motions, start: Starts) -> tuple[Trigger, ...]:
     """Return the TRIGGERs that refer to a motion, in order.
 
+    A TRIGGER refers to the next motion, unless a spline block ends between the two.
+
     :param line: (M,) lines of the motions in the trace.
     :param start: poses at which the motions start.
     """
     lines = np.array(main.run.triggers, dtype=np.int64)
-    rows = np.searchsorted(line, lines)  # of the motions that follow
+    rows = np.searchsorted(line, lines)  # the next motion after each TRIGGER
     lines, rows = lines[rows < len(motions)], rows[rows < len(motions)]
     is_in_block = [
         main.are_in_one_block(trigger_line, motion_line)
@@ -692,11 +715,12 @@ def _triggers_of_motions(main: MainRoutine, line: Ints, motions: Motions, start:
     if not len(rows):
         return ()
     is_attached = [
-        main.contain_only_comments(trigger_line + 1, motion_line - 1)
+        main.has_only_comments(trigger_line + 1, motion_line - 1)
         for trigger_line, motion_line in zip(lines.tolist(), line[rows].tolist(), strict=True)
     ]
     begin, end = start.at(rows)[:, :3, 3], motions.target.position[rows]
     is_arc = motions.kind[rows] == CIRC
+    # lengths of the motions [m]
     length = np.where(is_arc, norm(begin - motions.centre[rows]) * motions.sweep[rows], norm(end - begin))
     return tuple(
         triggers(main.course.trace, list(zip(lines.tolist(), rows.tolist(), is_attached, strict=True)), length)
@@ -704,7 +728,8 @@ def _triggers_of_motions(main: MainRoutine, line: Ints, motions: Motions, start:
 
 
 def _speed_blending_issues(trace: Trace, rows: MotionColumns) -> list[Issue]:
-    """Return the information that paths are approximated by speed or orientation (C_VEL, C_ORI); none if none is."""
+    """Return the issue that paths are approximated by speed or orientation (C_VEL, C_ORI); empty if none is."""
+    # path motions with text behind the target that `$APO.CDIS` does not apply to
     exact_rows = np.flatnonzero((rows.kind != PTP) & ~rows.approximated & (rows.tail[:, 1] > rows.tail[:, 0]))
     tails = zip(exact_rows.tolist(), rows.line[exact_rows].tolist(), rows.tail[exact_rows].tolist(), strict=True)
     speed_rows = [
@@ -724,7 +749,7 @@ def _speed_blending_issues(trace: Trace, rows: MotionColumns) -> list[Issue]:
 
 
 def _wrist_led_issues(motions: Motions, is_wrist_led: Bools) -> list[Issue]:
-    """Return the warning on lines on which the wrist axes turn the tool; none if there are none.
+    """Return the warning on lines on which the wrist axes turn the tool; empty if there are no such lines.
 
     :param is_wrist_led: (M,) True for these lines.
     """
@@ -741,12 +766,12 @@ def _wrist_led_issues(motions: Motions, is_wrist_led: Bools) -> list[Issue]:
 def _assumption_issues(
     line: Ints, is_missing: Bools, has_assumed_speed: Bools, moves: Mapping[int, MotionStatement]
 ) -> list[Issue]:
-    """Return the information on missing components and on missing speeds, with the lines of the motions.
+    """Return an issue on missing components and one on missing speeds, with the lines of the motions, if there are any.
 
-    :param line: (M,) lines of the motions.
-    :param is_missing: (M, 6) components that the text lacks, which keep their value.
-    :param has_assumed_speed: (M,) motions before which no speed is set.
-    :param moves: row → statement, of those that are not plain.
+    :param line: (M,) lines of the motions, to be reported.
+    :param is_missing: (M, 6) True for components that the text lacks, which keep their value.
+    :param has_assumed_speed: (M,) True for motions before which no speed is set.
+    :param moves: row → statement, for motions that are not plain.
     """
     issues = []
     incomplete = any_column(is_missing)

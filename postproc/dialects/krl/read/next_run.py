@@ -1,7 +1,8 @@
-"""The next run of a program: whether it does the same as the first.
+"""The next run of a program: whether it moves like the first run.
 
-Values of a `.dat`, BASE_DATA and TOOL_DATA stay as a run leaves them. Where a program changes some of them, it is
-followed once more from there. If it then moves differently, the output holds only for runs that begin with the files.
+Values of a `.dat`, BASE_DATA and TOOL_DATA stay as a run leaves them. A program that changes some of them is followed
+once more with the changed values. If it then moves differently, the output holds only for runs that begin with the
+values in the files.
 """
 
 from __future__ import annotations
@@ -31,15 +32,16 @@ def changed_data_issues(
     plain_lines: PlainLines,
     start_joints: tuple[float, ...],
 ) -> Iterator[Issue]:
-    """Yield a warning if the next run of the program moves differently, or is not known.
+    """Yield a warning if the next run of the program moves differently, or cannot be followed.
 
-    The next run begins with the data that this run leaves.
+    The next run begins with the data that the first run leaves.
 
-    :param main: has followed the program.
-    :param change_places: values that it leaves to the next run, see `kept_values`.
-    :param first: its motions.
-    :param plain_lines: its plain lines.
-    :param start_joints: joint angles at the start [deg].
+    :param main: has followed the first run.
+    :param change_places: variables whose values the first run leaves to the next, see `kept_values`; nothing is yielded
+        if there are none.
+    :param first: motions of the first run.
+    :param plain_lines: plain lines of the trace; its `motions` are emptied.
+    :param start_joints: (6,) joint angles at the start [deg].
     """
     if not change_places:
         return
@@ -70,9 +72,9 @@ def changed_data_issues(
 
 
 def kept_values(main: MainRoutine) -> dict[str, str]:
-    """Return the variables whose values a run leaves to the next one, which may use them, and where they are changed.
+    """Return variable → place that changes it, for variables whose values the next run of the program may use.
 
-    Variables that the program sets before it uses them are left out, and counters that nothing else uses.
+    Variables that the program sets before it uses them are left out, and counters that no other statement uses.
     """
     run, change_places = main.run, main.run.settings.variables.changed_data()
     uses = Uses(run, run.routine.source, run.nodes(run.routine)) if change_places else None
@@ -85,8 +87,11 @@ def kept_values(main: MainRoutine) -> dict[str, str]:
 
 
 def _first_differing_row(first: Course, second: Course) -> int | None:
-    """Return the first row, from 1, at which the traces of two runs differ; None if they are equal."""
-    rows = min(len(first.trace), len(second.trace))
+    """Return the first row, from 1, at which the traces of two runs differ; None if they are equal.
+
+    It is 1 if they differ in their steps or their length alone.
+    """
+    rows = min(len(first.trace), len(second.trace))  # the rows that both have
     columns = [(*_file_and_line_columns(course), course.counter_values()) for course in (first, second)]
     differs = np.zeros(rows, dtype=np.bool_)
     for first_column, second_column in zip(*columns, strict=True):
@@ -99,7 +104,7 @@ def _first_differing_row(first: Course, second: Course) -> int | None:
 
 
 def _file_and_line_columns(course: Course) -> tuple[Array, Array]:
-    """Return the file (L,), as a number, and the line (L,) that each row of a trace is."""
+    """Return the file (L,), as a number, and the line (L,) of each of the L rows of a trace."""
     trace = course.trace
     files = np.array([float(id(source)) for source in trace.sources])  # the two runs share their sources
     return files[trace.file], trace.line.astype(np.float64)
@@ -108,7 +113,12 @@ def _file_and_line_columns(course: Course) -> tuple[Array, Array]:
 def _first_difference(
     first_settings: Settings, first: OrderedMotions, second_settings: Settings, second: OrderedMotions
 ) -> int | None:
-    """Return the line of the first motion that differs between two runs; None if there is none."""
+    """Return the line of the trace with the first motion that differs between two runs; None if all are equal.
+
+    :param first_settings: settings of the first run, with its frames; `second_settings` those of the second.
+    :param first: motions of the first run; `second` those of the second. If their numbers differ, the line of the first
+        motion is returned.
+    """
     if len(first.rows) != len(second.rows):
         return int((first.rows if len(first.rows) else second.rows).line[0])
     is_same = np.ones(len(first.rows), dtype=np.bool_)
@@ -121,7 +131,7 @@ def _first_difference(
             _settings_by_state(first_settings, first)[first.in_force.index],
             _settings_by_state(second_settings, second)[second.in_force.index],
         ),
-        (first.numbers[:, :2], second.numbers[:, :2]),
+        (first.numbers[:, :2], second.numbers[:, :2]),  # speed and distance, without turn speeds
     ):
         is_same &= ((first_values == second_values) | (np.isnan(first_values) & np.isnan(second_values))).all(axis=1)
     for row, move in first.moves.items():
@@ -140,7 +150,10 @@ def _are_equal(position: Position, other_position: Position) -> bool:
 
 
 def _settings_by_state(settings: Settings, sequence: OrderedMotions) -> Array:
-    """Return the frames and modes of each of S states (S, 36); NaN for unknown frames."""
+    """Return the frames and modes of each of S states (S, 36): base (16), tool (16), four modes by their hashes.
+
+    Unknown frames are NaN.
+    """
     return np.array(
         [
             np.concatenate(

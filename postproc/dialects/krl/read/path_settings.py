@@ -16,36 +16,36 @@ from postproc.frames import M_PER_MM, RAD_PER_DEG
 
 FASTEST = 100.0
 """A speed above this [m/s] is a slip of the unit."""
-_IN_A_FILE = "have the .dat that declares it next to the program, in [krl] search or as config_dat of the cell"
-_RUN_TIME = f"Write it as a number, or {_IN_A_FILE}."
+_FILE_ADVICE = "have the .dat that declares it next to the program, in [krl] search or as config_dat of the cell"
+_RUN_TIME_ADVICE = f"Write it as a number, or {_FILE_ADVICE}."
 MODES = {
     "$ORI_TYPE": ORIENTATIONS,
     "$CIRC_TYPE": ("#BASE", "#PATH"),
     "$SPL_ORI_JOINT_AUTO": ("#OFF", "#ON"),
     "$IPO_MODE": ("#BASE", "#TCP"),
 }
-"""Modes and their values (KUKA, System Variables); the first where a structure that gives them has none."""
-_AUXILIARY = ("#CONSIDER", "#IGNORE", "#INTERPOLATE")
+"""Modes and their values (KUKA, System Variables). The first value holds if a structure that can give it lacks it."""
+_AUXILIARY_MODES = ("#CONSIDER", "#IGNORE", "#INTERPOLATE")
 """Values of `$CIRC_MODE.AUX_PT.ORI` and `.E1`, likewise."""
-_MODE_OF = {
+_MODE_FUNCTIONS = {
     "SIPO_MODE": "IPO_FRAME",
     "SORI_TYP": "ORI_TYP",
     "SORI_TYPE": "ORI_TYP",
     "SCIRC_TYP": "CIRC_TYP",
     "SCIRC_TYPE": "CIRC_TYP",
 }
-"""These functions, which inline forms use, and which component of their argument they return."""
-_OF_PTP = frozenset({"SAPO_PTP"})
+"""Functions that inline forms use to set modes → the component of their argument that they return."""
+_PTP_FUNCTIONS = frozenset({"SAPO_PTP"})
 """Functions that give `$APO` no distance for paths."""
 
 
 def turn_speed(number: float | None) -> float:
-    """Return the turn speed [rad/s] of a number [deg/s]; infinite if it is not known, or no speed."""
+    """Return a turn speed [rad/s] given in [deg/s]; infinite if the number is None (not known) or not above 0."""
     return number * RAD_PER_DEG if number is not None and number > 0.0 else math.inf
 
 
 class PathSettings:
-    """Follows assignments to these variables."""
+    """Follows assignments to `$VEL`, `$APO`, `$CIRC_MODE` and the `MODES`."""
 
     def __init__(self, variables: Variables, reasons: Reasons, *, has_carriage: bool) -> None:
         """Keep the variables, and whether E1 carries the robot."""
@@ -54,8 +54,10 @@ class PathSettings:
     def state_with_speed(self, state: State, place: Place, field: str | None, value: Value | VariableValue) -> State:
         """Return the state after ``$VEL.CP = value``.
 
-        :param field: CP, ORI1 or ORI2; None for ``$VEL = {…}``.
-        :raises ProgramError: no path can be driven at that speed.
+        A speed that is not known makes the field unknown. A turn speed that is not known is infinite.
+
+        :param field: the component that is assigned: CP, ORI1 or ORI2; None for ``$VEL = {…}``. Others change nothing.
+        :raises ProgramError: the speed of the path is not above 0, or beyond `FASTEST`.
         """
         for component_name, name in zip(("ORI1", "ORI2"), TURN_SPEEDS, strict=True):
             component = self._assigned_component(place, field, component_name, value)
@@ -76,11 +78,11 @@ class PathSettings:
         return state.with_values(speed=number, is_speed_assumed=False)
 
     def state_with_distance(self, state: State, place: Place, field: str | None, value: Value | VariableValue) -> State:
-        """Return the state after ``$APO.CDIS = value``.
+        """Return the state after ``$APO.CDIS = value``; a distance that is not known makes the field unknown.
 
-        :param field: CDIS; None for ``$APO = {…}``; an assignment to another component changes nothing.
+        :param field: the component that is assigned: CDIS; None for ``$APO = {…}``. Others change nothing.
         """
-        if isinstance(value, Call) and value.name in _OF_PTP:
+        if isinstance(value, Call) and value.name in _PTP_FUNCTIONS:
             return state
         if isinstance(value, Call) and value.name == "SAPO" and field in (None, "CDIS"):
             argument = self.variables.first_argument(value, "APO_DIST")
@@ -98,13 +100,16 @@ class PathSettings:
         return state.with_values(cdis=number * M_PER_MM)
 
     def state_with_mode(self, state: State, place: Place, name: str, value: Value | VariableValue) -> State:
-        """Return the state after ``$ORI_TYPE = value``, or an assignment to another of the `MODES`.
+        """Return the state after an assignment to one of the `MODES`, such as ``$ORI_TYPE = value``.
 
-        :raises ProgramError: ``$IPO_MODE`` of a robot that moves the workpiece.
+        A value that is not known makes the mode unknown, except for `$IPO_MODE`.
+
+        :param name: name of the variable.
+        :raises ProgramError: `$IPO_MODE` is not known, or is that of a robot that moves the workpiece.
         """
         argument: Value | VariableValue | None = value
-        if isinstance(value, Call) and value.name in _MODE_OF:
-            argument = self.variables.first_argument(value, _MODE_OF[value.name])
+        if isinstance(value, Call) and value.name in _MODE_FUNCTIONS:
+            argument = self.variables.first_argument(value, _MODE_FUNCTIONS[value.name])
         word = self._mode_word(place, name, argument, MODES[name])
         if isinstance(word, ProgramError):
             if name == "$IPO_MODE":
@@ -122,16 +127,17 @@ class PathSettings:
     ) -> State:
         """Return the state after ``$CIRC_MODE = value``: how SCIRC uses the orientation of auxiliary points.
 
-        How it uses that of end points (TARGET_PT) matters for circles with CA only, see `motions`.
+        A value that is not known makes the mode unknown. How SCIRC uses the orientation of end points (TARGET_PT)
+        matters for circles with CA only, see `motions`.
 
-        :param field: the component that is assigned; None: all.
+        :param field: path of the component that is assigned, such as ``AUX_PT.ORI``; None: the whole structure.
         :raises ProgramError: E1, which carries the robot, is led through the auxiliary point.
         """
         argument: Value | VariableValue | None = value
         if isinstance(value, Call) and value.name == "SCIRC_M":
             argument = self.variables.first_argument(value, "CB")
         word = self._mode_word(
-            place, "$CIRC_MODE.AUX_PT.E1", self._auxiliary_component(place, field, argument, "E1"), _AUXILIARY
+            place, "$CIRC_MODE.AUX_PT.E1", self._auxiliary_component(place, field, argument, "E1"), _AUXILIARY_MODES
         )
         if self.has_carriage and word == "#INTERPOLATE":
             problem = (
@@ -141,7 +147,7 @@ class PathSettings:
         if field not in (None, "AUX_PT", "AUX_PT.ORI"):
             return state
         word = self._mode_word(
-            place, "$CIRC_MODE.AUX_PT.ORI", self._auxiliary_component(place, field, argument, "ORI"), _AUXILIARY
+            place, "$CIRC_MODE.AUX_PT.ORI", self._auxiliary_component(place, field, argument, "ORI"), _AUXILIARY_MODES
         )
         if isinstance(word, ProgramError):
             return self.reasons.state_with_unknown(state, "auxiliary", word)
@@ -152,7 +158,11 @@ class PathSettings:
     ) -> Value | VariableValue | None:
         """Return the value that an assignment to `$CIRC_MODE`, or to a component of it, gives a component of AUX_PT.
 
-        :param field: the component that is assigned; None: all. None is returned if it is another one.
+        :param field: path of the component that is assigned; None: the whole structure.
+        :param value: the assigned value.
+        :param component: ORI or E1.
+        :returns: None if another component is assigned, or the value lacks this one. A value that is not known to be a
+            structure is returned itself.
         """
         path = [] if field is None else field.split(".")
         names = ["AUX_PT", component]
@@ -168,22 +178,30 @@ class PathSettings:
     def _mode_word(
         self, place: Place, name: str, value: Value | VariableValue | None, words: tuple[str, ...]
     ) -> str | ProgramError:
-        """Return the word of a mode, or the error that it is not known.
+        """Return the word of a mode, or the error that the mode is not known.
 
-        :param words: allowed words; the first is returned if there is no value.
+        :param name: name of the mode, for the message.
+        :param value: the assigned value; None if the structure that gives it lacks it.
+        :param words: allowed words; the first is returned for None.
         """
         result = None if value is None else self.variables.evaluate(value)
         word = words[0] if result is None else result.text if isinstance(result, Word) else ""
         if word in words:
             return word
         reason = f"there is no {word}" if word else why_unknown(self.variables, place.source, value or NO_VALUE)
-        advice = f"Write its value, one of {', '.join(words)}{'.' if word else f', or {_IN_A_FILE}.'}"
+        advice = f"Write its value, one of {', '.join(words)}{'.' if word else f', or {_FILE_ADVICE}.'}"
         return place.error(f"{name} is not known: {reason}", advice)
 
     def _assigned_component(
         self, place: Place, field: str | None, component: str, value: Value | VariableValue
     ) -> Value | VariableValue | None:
-        """Return the value assigned to one component of a structure; None if another is assigned, or it is left out."""
+        """Return the value that an assignment to a structure, or to one of its components, gives a component.
+
+        :param field: the component that is assigned; None: the whole structure.
+        :param component: the component whose value is returned.
+        :returns: None if another component is assigned, or the structure lacks this one. A value that is not known
+            to be a structure is returned itself.
+        """
         if field is not None:
             return value if field == component else None
         result = self.variables.evaluate(value)
@@ -192,6 +210,9 @@ class PathSettings:
     def _unknown_state(
         self, state: State, field: str, place: Place, problem: str, value: Value | VariableValue
     ) -> State:
-        """Return a state in which a field is not known, because `value` is not."""
+        """Return a state in which a field is not known, because the value assigned to it is not.
+
+        :param problem: what is not known, for the message.
+        """
         reason = why_unknown(self.variables, place.source, value)
-        return self.reasons.state_with_unknown(state, field, place.error(f"{problem}: {reason}", _RUN_TIME))
+        return self.reasons.state_with_unknown(state, field, place.error(f"{problem}: {reason}", _RUN_TIME_ADVICE))

@@ -1,9 +1,9 @@
 """Plain motion lines, all at once: ``LIN {X …,Y …,Z …,A …,B …,C …} C_DIS`` a hundred thousand times, and circles.
 
-One regular expression decides which lines are plain: it is the fence. Lines that differ in their numbers only are
-decided at once; the numbers are then found and converted by numpy. What the fence leaves out (other orders of
-components, names, CA) is read statement by statement (`interpreter`, `motion_reader`), and so could plain lines be:
-tests read generated programs, and such with slips, both ways and compare.
+A line is plain if the regular expression `_line_pattern` accepts it. Lines of one form, which differ in their numbers
+only, are decided at once; the numbers are then found and converted by numpy. Other lines (other orders of components,
+names, CA) are read statement by statement (`interpreter`, `motion_reader`). Plain lines could be read so too: tests
+read generated programs, also with errors, both ways and compare.
 """
 
 from __future__ import annotations
@@ -42,57 +42,62 @@ from postproc.program import CIRC, LIN, PTP, Bools, Ints
 # possessive quantifiers (``*+``) never go back, so that a line that is not plain is refused in one pass
 _STRICT_NUMBER = r"[-+]?+(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)(?:[eE][-+]?+[0-9]++)?"
 _LOOSE_NUMBER = r"[-+.0-9][-+.0-9eE]*+"
-_STRAIGHT = r"[ \t]*+[Ss]?+(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])"
+_STRAIGHT_MOTION = r"[ \t]*+[Ss]?+(?:[Ll][Ii][Nn]|[Pp][Tt][Pp])"
 _SEPARATOR = r"[ \t]*+(?:,[ \t]*+(?=[A-Za-z])|(?=\}))"
 
 
-_CIRCLE = re.compile(r"[ \t]*+[Ss]?+[Cc][Ii][Rr][Cc]")
+_CIRCLE_PATTERN = re.compile(r"[ \t]*+[Ss]?+[Cc][Ii][Rr][Cc]")
 
 
 @cache
 def _line_pattern(number: str, *, circle: bool) -> re.Pattern[str]:
     """Return the regular expression of a plain LIN or PTP, or of a plain CIRC.
 
-    :param number: expression of its numbers: strict, or loose to accept anything that looks like one.
+    :param number: expression of the numbers in it: `_STRICT_NUMBER`, or `_LOOSE_NUMBER` to accept also texts that look
+        like numbers, such as 1.2.3.
+    :param circle: True for CIRC, with an auxiliary point before the target.
     """
     position = [rf"[{name}{name.lower()}][ \t]++{number}" for name in "XYZABC"]
     components = [r"[Ss][ \t]++(?:[12][0-9]|3[01]|[0-9])", r"[Tt][ \t]++(?:[1-5][0-9]|6[0-3]|[0-9])"]
     components += [rf"[Ee]{axis}[ \t]++{number}" for axis in range(1, 7)]
     begin = r"\{[ \t]*+(?:(?i:E6POS|POS|FRAME)[ \t]*+:[ \t]*+)?(?=[XYZABCxyzabc])"
-    required_count = 3 if circle else 0
+    required_count = 3 if circle else 0  # X, Y, Z of both points of a circle
     point = begin + "".join(f"{component}{_SEPARATOR}" for component in position[:required_count])
     point += "".join(f"(?:{component}{_SEPARATOR})?" for component in position[required_count:])
     other_components = "".join(f"(?:{component}{_SEPARATOR})?" for component in components) + r"\}"
-    prefix = rf"{_CIRCLE.pattern}[ \t]*+{point}\}}[ \t]*+,[ \t]*+" if circle else rf"{_STRAIGHT}[ \t]*+"
+    prefix = rf"{_CIRCLE_PATTERN.pattern}[ \t]*+{point}\}}[ \t]*+,[ \t]*+" if circle else rf"{_STRAIGHT_MOTION}[ \t]*+"
     suffix = r"(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}[ \t]*+(?:;[^\r\n]*+)?\r{0,2}+\n"
     return re.compile(f"{prefix}{point}{other_components}{suffix}")
 
 
 def _is_plain(text: str, begin: int, number: str) -> bool:
-    """Return whether a plain line begins at an offset; `number` is the expression of its numbers."""
-    circle = _CIRCLE.match(text, begin) is not None
+    """Return whether a plain line begins at an offset of a text.
+
+    :param number: expression of its numbers, see `_line_pattern`.
+    """
+    circle = _CIRCLE_PATTERN.match(text, begin) is not None
     return _line_pattern(number, circle=circle).match(text, begin) is not None
 
 
-_MARK = 1
-"""Code that stands for a character of a number where lines are compared by their form."""
-_NUMBER = bytes.maketrans(b"\1" + b"0123456789+-.", b"?" + b"\1" * 13)
+_NUMBER_MARK = 1
+"""Code that replaces each character of a number, so that lines of one form are equal."""
+_MARK_NUMBERS = bytes.maketrans(b"\1" + b"0123456789+-.", b"?" + b"\1" * 13)
 _LIMITED_COMPONENT = re.compile(rb"[SsTtEe][ \t]*\x01")
-"""Components that may have certain values or names only, so that lines with them are decided one by one."""
-_COMMENT = re.compile(rb";[^\r\n]*")
-_NUMBERS = len(COLUMNS) + 6
+"""Components with a limited range or number in their name (S, T, E1 …): lines with them are decided one by one."""
+_COMMENT_PATTERN = re.compile(rb";[^\r\n]*")
+_NUMBERS_OF_TARGET = len(COLUMNS) + 6
 """Numbers of a target: X … T, and E1 … E6."""
-_COLUMN = np.full(256, -1, dtype=np.int64)
-_COLUMN[np.frombuffer(b"XYZABCST123456", dtype=np.uint8)] = np.arange(_NUMBERS)
-_COLUMN[np.frombuffer(b"xyzabcst", dtype=np.uint8)] = np.arange(8)
+_COLUMN_OF_CHARACTER = np.full(256, -1, dtype=np.int64)
+_COLUMN_OF_CHARACTER[np.frombuffer(b"XYZABCST123456", dtype=np.uint8)] = np.arange(_NUMBERS_OF_TARGET)
+_COLUMN_OF_CHARACTER[np.frombuffer(b"xyzabcst", dtype=np.uint8)] = np.arange(8)
 """Column of a number by the last character of the name before it, as its code: the digit for E1 … E6."""
-_NUMBER_CODES = bytes(byte if byte in b"0123456789+-.eE" else 32 for byte in range(256))
-_BLANK = np.zeros(256, dtype=np.bool_)
-_BLANK[[9, 10, 13, 32]] = True
+_KEEP_NUMBERS = bytes(byte if byte in b"0123456789+-.eE" else 32 for byte in range(256))
+_IS_BLANK = np.zeros(256, dtype=np.bool_)
+_IS_BLANK[[9, 10, 13, 32]] = True
 
 
 def scan(source: Source) -> list[MotionColumns]:
-    """Return all plain motions of a document, in consecutive parts."""
+    """Return all plain motions of a file, in consecutive parts."""
     text, starts = source.text, source.starts
     columns = []
     for lines in chunks(len(starts)):
@@ -103,23 +108,26 @@ def scan(source: Source) -> list[MotionColumns]:
     return columns
 
 
-def _plain_motions(text: str, starts: Ints, lines: int, characters: int) -> MotionColumns:
-    """Return the plain motions of a piece of a document.
+def _plain_motions(text: str, starts: Ints, line_count: int, character_count: int) -> MotionColumns:
+    """Return the plain motions of a piece of a file.
 
-    :param text: the piece.
-    :param starts: offsets of its lines in it.
-    :param lines: number of lines before it in the document; `characters` number of characters.
+    :param text: the piece, which begins with a line.
+    :param starts: (n,) offsets in the piece at which its lines begin.
+    :param line_count: number of lines of the file before the piece.
+    :param character_count: number of characters of the file before the piece.
     """
-    codes = text.encode("ascii", "replace")
+    codes = text.encode("ascii", "replace")  # one byte for each character: offsets stay
     line_indices = _plain_line_indices(text, codes, starts)
-    motions = _motions_of_lines(codes, starts, line_indices, lines, characters)
-    if motions is None:  # something that looks like a number is none, such as 1.2.3
+    motions = _motions_of_lines(codes, starts, line_indices, line_count, character_count)
+    if motions is None:  # a text that looks like a number is none, such as 1.2.3
         strict_indices = [
             index for index in line_indices.tolist() if _is_plain(text, int(starts[index]), _STRICT_NUMBER)
         ]
-        strict_motions = _motions_of_lines(codes, starts, np.array(strict_indices, dtype=np.int64), lines, characters)
+        strict_motions = _motions_of_lines(
+            codes, starts, np.array(strict_indices, dtype=np.int64), line_count, character_count
+        )
         motions = no_motions() if strict_motions is None else strict_motions
-    # numbers such as 1E999 are refused where statements are read
+    # lines with infinite numbers, such as 1E999, are left to `motion_reader`, which refuses them
     infinite_masks = [np.isinf(values) for values in (motions.numbers, motions.external, motions.via)]
     if any(mask.any() for mask in infinite_masks):
         motions = motions.take(~np.logical_or.reduce([any_column(mask) for mask in infinite_masks]))
@@ -127,20 +135,23 @@ def _plain_motions(text: str, starts: Ints, lines: int, characters: int) -> Moti
 
 
 def _plain_line_indices(text: str, codes: bytes, starts: Ints) -> Ints:
-    """Return the indices of lines (P,) that are plain if all that looks like a number is one.
+    """Return the indices (P,) of the lines of a text that are plain, if all that looks like a number in them is one.
 
-    Lines that differ only in their numbers have one form; one line of each form is examined.
+    The form of a line is its text with each number replaced by one mark. Lines of one form are all plain, or none is:
+    one line of each form is matched with the loose `_line_pattern`. Forms with S, T or E1 … E6 are an exception, since
+    these have a limited range: all their lines are matched.
 
-    :param text: as characters, and `codes` as bytes.
-    :param starts: offsets of its lines.
+    :param text: the text as characters; `codes` the same as bytes.
+    :param starts: (n,) offsets at which its lines begin.
     """
-    marked_codes = np.frombuffer(codes.translate(_NUMBER), dtype=np.uint8)
-    is_number_tail = marked_codes == _MARK
+    marked_codes = np.frombuffer(codes.translate(_MARK_NUMBERS), dtype=np.uint8)
+    # characters of a number behind its first are left out, so that each number is one mark
+    is_number_tail = marked_codes == _NUMBER_MARK
     is_number_tail[1:] &= is_number_tail[:-1].copy()
     is_number_tail[:1] = False
-    forms = marked_codes[~is_number_tail].tobytes().split(b"\n")  # each number is one mark
+    forms = marked_codes[~is_number_tail].tobytes().split(b"\n")
     begins = np.append(0, np.flatnonzero(marked_codes == ord("\n")) + 1)
-    line_of_form = dict(zip(forms, range(len(forms)), strict=True))
+    line_of_form = dict(zip(forms, range(len(forms)), strict=True))  # the last line of each form
     verdicts = {form: _is_plain(text, int(begins[index]), _LOOSE_NUMBER) for form, index in line_of_form.items()}
     is_plain_line = np.fromiter(map(verdicts.__getitem__, forms), np.bool_, len(forms))
     limited_forms = {form for form, is_plain in verdicts.items() if is_plain and _LIMITED_COMPONENT.search(form)}
@@ -151,31 +162,34 @@ def _plain_line_indices(text: str, codes: bytes, starts: Ints) -> Ints:
 
 
 def _motions_of_lines(
-    codes: bytes, line_starts: Ints, index: Ints, lines: int, characters: int
+    codes: bytes, line_starts: Ints, index: Ints, line_count: int, character_count: int
 ) -> MotionColumns | None:
     """Return the motions of P plain lines; None if one of their numbers cannot be read.
 
-    :param codes: text with these and other lines; `line_starts` the offsets of all its lines.
-    :param index: (P,) of the plain lines in the text.
-    :param lines: number of lines before the text in the document; `characters` number of characters.
+    :param codes: a text with these and other lines.
+    :param line_starts: (n,) offsets at which the lines of the text begin.
+    :param index: (P,) indices of the plain lines in it.
+    :param line_count: number of lines of the file before the text.
+    :param character_count: number of characters of the file before the text.
     """
     if not len(index):
         return no_motions()
     body, begins, shift = _plain_body(codes, line_starts, index)
-    shift += characters
+    shift += character_count  # from offsets in `body` to offsets in the file
     raw = np.frombuffer(body, dtype=np.uint8)
     tokens = _number_tokens(body)
     if tokens is None:
         return None
-    numbers, spans, points, via_points = _points(raw, begins, shift, tokens)
+    numbers, spans, points, via_points = _points_of_lines(raw, begins, shift, tokens)
     keyword = _skip_blanks(raw, begins, 1)
     kind = _kinds(raw, keyword)
     ends = np.concatenate([begins[1:], [len(raw)]])
     stop = _skip_blanks(raw, ends - 1, -1) + 1
-    target_start = points[:, :1, None] + shift[:, None, None]
+    target_start = points[:, :1, None] + shift[:, None, None]  # (P, 1, 1), in the file
     return MotionColumns(
-        line=compact(index + 1 + lines, np.int32),
+        line=compact(index + 1 + line_count, np.int32),
         kind=compact(kind, np.int8),
+        # columns of `numbers`: X … C, S and T, E1 … E6
         numbers=numbers[:, :6].copy(),
         posture=compact_postures(np.nan_to_num(numbers[:, 6:8], nan=-1.0).astype(np.int64)),
         external=compact_if_missing(numbers[:, 8:]),
@@ -183,7 +197,7 @@ def _motions_of_lines(
         keyword=(keyword + shift).astype(np.int32),
         target=(points + shift[:, None]).astype(np.int32),
         tail=(np.stack([points[:, 1], stop], axis=1) + shift[:, None]).astype(np.int32),
-        approximated=_approximated(raw, begins, kind == PTP),
+        approximated=_is_approximated(raw, begins, kind == PTP),
         via=via_points.numbers,
         via_spans=via_points.spans,
         via_target=via_points.targets,
@@ -193,19 +207,20 @@ def _motions_of_lines(
 def _kinds(raw: Bytes, keyword: Ints) -> Ints:
     """Return the kinds of P motions (P,): `LIN`, `CIRC` or `PTP`.
 
-    :param raw: the text of the lines; `keyword` (P,) offsets of the instructions in it.
+    :param raw: the text of the lines as codes.
+    :param keyword: (P,) offsets of the instructions in it.
     """
-    is_spline = (raw[keyword] | 32) == ord("s")  # lower case
-    letter = raw[keyword + is_spline] | 32  # of LIN, CIRC or PTP, behind the S of splines
+    is_spline = (raw[keyword] | 32) == ord("s")  # | 32: lower case
+    letter = raw[keyword + is_spline] | 32  # first letter of LIN, CIRC or PTP, behind the S of splines
     return np.where(letter == ord("p"), PTP, np.where(letter == ord("c"), CIRC, LIN))
 
 
 class _PlainBody(NamedTuple):
     """The text of P plain lines alone, with comments blanked out.
 
-    :ivar text: of these lines.
-    :ivar begins: (P,) offsets of the lines in it.
-    :ivar shift: (P,) what to add to offsets on each line to get those in the whole text.
+    :ivar text: the lines, one after the other.
+    :ivar begins: (P,) offsets in `text` at which the lines begin.
+    :ivar shift: (P,) offset in the whole text minus offset in `text`, for each line.
     """
 
     text: bytes
@@ -214,20 +229,21 @@ class _PlainBody(NamedTuple):
 
 
 def _plain_body(codes: bytes, line_starts: Ints, index: Ints) -> _PlainBody:
-    """Return the text of P lines alone.
+    """Return the text of P lines of a text alone.
 
-    :param codes: the whole text; `line_starts` the offsets of all its lines.
-    :param index: (P,) of the lines.
+    :param codes: the whole text.
+    :param line_starts: (n,) offsets at which its lines begin.
+    :param index: (P,) indices of the lines to return.
     """
     line_ends = np.append(line_starts[1:], len(codes))
     length = (line_ends - line_starts)[index]
     begins = np.cumsum(length) - length
     shift = line_starts[index] - begins
     body = codes
-    if len(index) < len(line_starts):
+    if len(index) < len(line_starts):  # not all lines are plain: copy the characters of those that are
         body = np.frombuffer(codes, dtype=np.uint8)[np.repeat(shift, length) + np.arange(length.sum())].tobytes()
     if b";" in body:
-        body = _COMMENT.sub(lambda comment: b" " * len(comment[0]), body)
+        body = _COMMENT_PATTERN.sub(lambda comment: b" " * len(comment[0]), body)
     return _PlainBody(body, begins, shift)
 
 
@@ -235,7 +251,8 @@ class _NumberTokens(NamedTuple):
     """The T numbers in a text.
 
     :ivar values: (T,) the numbers.
-    :ivar starts: (T,) their offsets; `stops` (T,) the offsets behind them.
+    :ivar starts: (T,) offsets of their first characters.
+    :ivar stops: (T,) offsets behind their last characters.
     """
 
     values: Array
@@ -244,16 +261,16 @@ class _NumberTokens(NamedTuple):
 
 
 def _number_tokens(body: bytes) -> _NumberTokens | None:
-    """Return the numbers in a text; None if one cannot be read."""
-    digits = _digits(body)
-    starts, stops = numbers_in(digits)
-    values = parsed_numbers(digits, starts, stops)
-    if values is None:
-        values = _parsed_numbers(digits)
+    """Return the numbers in a text; None if a number cannot be read."""
+    number_codes = _codes_of_numbers(body)
+    starts, stops = numbers_in(number_codes)
+    values = parsed_numbers(number_codes, starts, stops)
+    if values is None:  # a number is not plain, as with an exponent
+        values = _parsed_numbers(number_codes)
     return None if len(values) != len(starts) else _NumberTokens(values, starts, stops)
 
 
-class _Points(NamedTuple):
+class _LinePoints(NamedTuple):
     """The points of P plain lines.
 
     :ivar numbers: (P, 14) X … T, E1 … E6 of the targets; NaN where there is none.
@@ -268,23 +285,25 @@ class _Points(NamedTuple):
     via_points: ViaPoints
 
 
-def _points(raw: Bytes, begins: Ints, shift: Ints, tokens: _NumberTokens) -> _Points:
+def _points_of_lines(raw: Bytes, begins: Ints, shift: Ints, tokens: _NumberTokens) -> _LinePoints:
     """Return the targets of plain lines, and the auxiliary points of their circles.
 
-    :param raw: the text of the lines.
-    :param begins: (P,) their offsets in it; `shift` (P,) what to add for offsets in the document.
-    :param tokens: numbers of the text.
+    :param raw: the text of the lines as codes.
+    :param begins: (P,) offsets in it at which the lines begin.
+    :param shift: (P,) offset in the file minus offset in the text, for each line.
+    :param tokens: the numbers of the text.
     """
     values, starts, stops = tokens
+    # spans of all points: a line has one point, a circle two
     points = np.stack([np.flatnonzero(raw == ord("{")), np.flatnonzero(raw == ord("}")) + 1], axis=1)
-    column = _COLUMN[_characters_before(raw, starts)]
+    column = _COLUMN_OF_CHARACTER[_characters_before(raw, starts)]
     has_circles = len(points) > len(begins)
     if has_circles:  # auxiliary points have columns of their own, before those of the targets
-        line = np.searchsorted(begins, points[:, 0], side="right") - 1
+        line = np.searchsorted(begins, points[:, 0], side="right") - 1  # index of the line of each point
         is_target = np.append(line[1:] != line[:-1], True)  # the last point of its line
         number_count = np.diff(np.searchsorted(starts, points[:, 0]), append=len(starts))  # of each point
-        column += np.repeat(np.where(is_target, _NUMBERS, 0), number_count)
-    numbers = np.full((len(begins), _NUMBERS * (1 + has_circles)), np.nan)
+        column += np.repeat(np.where(is_target, _NUMBERS_OF_TARGET, 0), number_count)
+    numbers = np.full((len(begins), _NUMBERS_OF_TARGET * (1 + has_circles)), np.nan)
     spans = np.full((*numbers.shape, 2), -1, dtype=np.int32)
     row, column = _rows_and_columns(column, begins, starts)
     # all rows with the same columns: the numbers are a table with one row for each line
@@ -297,9 +316,9 @@ def _points(raw: Bytes, begins: Ints, shift: Ints, tokens: _NumberTokens) -> _Po
         via_targets = via_points.targets.copy()
         via_targets[line[~is_target]] = points[~is_target] + shift[line[~is_target], None]
         via_points = ViaPoints(numbers[:, :3].copy(), spans[:, :3].copy(), via_targets)
-        numbers, spans = numbers[:, _NUMBERS:], spans[:, _NUMBERS:]
+        numbers, spans = numbers[:, _NUMBERS_OF_TARGET:], spans[:, _NUMBERS_OF_TARGET:]
         points = points[is_target]
-    return _Points(numbers, spans, points, via_points)
+    return _LinePoints(numbers, spans, points, via_points)
 
 
 def _rows_and_columns(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints | slice, Ints]:
@@ -307,61 +326,70 @@ def _rows_and_columns(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints | 
 
     If all lines have the same C columns, the row is a slice of all rows, and the columns are (C,).
 
-    :param column: (T,) column of each number; `starts` (T,) its offset.
-    :param begins: (P,) offsets of the lines.
+    :param column: (T,) column of each number.
+    :param begins: (P,) offsets at which the lines begin.
+    :param starts: (T,) offsets of the numbers.
     """
     width, remainder = divmod(len(starts), len(begins))
     if remainder == 0:
         groups = column.reshape(-1, width)
         if (groups == groups[0]).all():  # columns increase within a line, so that no line reaches into the next group
             return slice(None), groups[0]
-    first = np.searchsorted(starts, begins)
+    first = np.searchsorted(starts, begins)  # index of the first number of each line
     return np.repeat(np.arange(len(begins)), np.diff(first, append=len(starts))), column
 
 
-def _digits(body: bytes) -> Bytes:
-    """Return a text as codes, with everything but numbers replaced by blanks."""
-    digits = np.frombuffer(bytearray(body.translate(_NUMBER_CODES)), dtype=np.uint8)
-    exponent = np.flatnonzero((digits | 32) == ord("e"))
-    if len(exponent):  # the E of E1, E6POS and C_VEL is no exponent, and the digit behind it no number
-        letters = exponent[(digits[exponent - 1] == ord(" ")) | (digits[exponent - 1] > ord("9"))]
-        digits[letters] = digits[letters + 1] = ord(" ")
-    return digits
+def _codes_of_numbers(body: bytes) -> Bytes:
+    """Return a text as codes, with all characters that are not part of a number replaced by blanks."""
+    codes = np.frombuffer(bytearray(body.translate(_KEEP_NUMBERS)), dtype=np.uint8)
+    letters = np.flatnonzero((codes | 32) == ord("e"))  # | 32: lower case
+    if len(letters):  # the E of E1, E6POS and C_VEL is no exponent, and the digit behind it no number
+        names = letters[(codes[letters - 1] == ord(" ")) | (codes[letters - 1] > ord("9"))]
+        codes[names] = codes[names + 1] = ord(" ")
+    return codes
 
 
-def _parsed_numbers(digits: Bytes) -> Array:
-    """Return the numbers in a text of numbers and blanks; an empty array if one of them cannot be read."""
+def _parsed_numbers(codes: Bytes) -> Array:
+    """Return the numbers in a text of numbers and blanks, as far as they can be read.
+
+    At a number that cannot be read numpy stops, or raises an error: then the result is empty.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # numpy before 2.4 stops at what it cannot read
         try:
-            return np.fromstring(digits.tobytes(), sep=" ")
+            return np.fromstring(codes.tobytes(), sep=" ")
         except ValueError:
             return np.zeros(0)
 
 
 def _characters_before(raw: Bytes, position: Ints) -> Ints:
-    """Return the codes (n,) of the characters before offsets of a text (`position`, (n,)), blanks skipped."""
+    """Return the codes (n,) of the last characters other than blanks before offsets of a text (`position`, (n,))."""
     return raw[_skip_blanks(raw, position - 1, -1)].astype(np.int64)
 
 
 def _skip_blanks(raw: Bytes, position: Ints, step: int) -> Ints:
-    """Return for each offset of a text (`position`, (n,)) the next one without a blank; `step`: 1 forward, −1 back."""
-    is_blank = _BLANK[raw[position]]
+    """Return the offset of the next character that is no blank, for each offset of a text (n,).
+
+    :param position: (n,) the offsets; those of other characters than blanks stay.
+    :param step: 1: forward; −1: back.
+    """
+    is_blank = _IS_BLANK[raw[position]]
     while is_blank.any():
         position = position + (step * is_blank if not is_blank.all() else step)
-        is_blank = _BLANK[raw[position]]
+        is_blank = _IS_BLANK[raw[position]]
     return position
 
 
-def _approximated(raw: Bytes, begins: Ints, is_ptp: Bools) -> Bools:
-    """Return the lines (P,) that are approximated by `$APO.CDIS`: with C_DIS, and for path motions C_SPL.
+def _is_approximated(raw: Bytes, begins: Ints, is_ptp: Bools) -> Bools:
+    """Return which lines (P,) are approximated by `$APO.CDIS`: with C_DIS, and with C_SPL if they are no PTP.
 
-    :param raw: the text of the lines; `begins` (P,) their offsets in it.
+    :param raw: the text of the lines as codes.
+    :param begins: (P,) offsets in it at which the lines begin.
     :param is_ptp: (P,) True for PTP.
     """
     underscore = np.flatnonzero(raw == ord("_"))
-    letter = raw[underscore + 1] | 32  # lower case: D of C_DIS, S of C_SPL
-    row = np.searchsorted(begins, underscore, side="right") - 1
+    letter = raw[underscore + 1] | 32  # D of C_DIS, S of C_SPL, as lower case
+    row = np.searchsorted(begins, underscore, side="right") - 1  # index of the line
     is_approximated = np.zeros(len(begins), dtype=np.bool_)
     is_approximated[row[letter == ord("d")]] = True
     is_approximated[row[(letter == ord("s")) & ~is_ptp[row]]] = True
@@ -371,8 +399,8 @@ def _approximated(raw: Bytes, begins: Ints, is_ptp: Bools) -> Bools:
 class PlainLines(Struct, frozen=True):
     """Plain lines of a file, or plain rows of an execution trace.
 
-    :ivar motions: in parts.
-    :ivar settings: assignments to system variables.
+    :ivar motions: the plain motions, in parts.
+    :ivar settings: the plain assignments to system variables.
     """
 
     motions: list[MotionColumns]
@@ -380,7 +408,7 @@ class PlainLines(Struct, frozen=True):
 
     @property
     def motion_lines(self) -> Ints:
-        """(P,) 1-based lines of the motions."""
+        """Lines of the motions (P,), from 1."""
         return np.concatenate([rows.line for rows in self.motions])
 
     def is_other(self, count: int) -> Bools:
@@ -402,21 +430,21 @@ def is_not_plain(count: int, motion_lines: Ints, settings: PlainSettings) -> Boo
 def plain_of(source: Source, *, bulk: bool = True) -> PlainLines:
     """Return the plain lines of a file.
 
-    :param bulk: False to find none, so that all lines are read one by one.
+    :param bulk: False to return none, so that all lines are read one by one.
     """
     return PlainLines(scan(source), plain_settings.scan(source)) if bulk else PlainLines([no_motions()], no_settings())
 
 
 def plain_rows_of_trace(trace: Trace, plain_by_source: Mapping[Source, PlainLines], *, bulk: bool = True) -> PlainLines:
-    """Return the plain rows of an execution trace, taken from the plain lines of its files.
+    """Return the plain rows of an execution trace, in order, taken from the plain lines of its files.
 
-    :param plain_by_source: plain lines of files that have been scanned, so that none is scanned twice.
+    :param plain_by_source: file → plain lines, for files that have been scanned already.
     :param bulk: see `plain_of`.
     """
     motions, settings = [no_motions()], [no_settings()]
     for number, source in enumerate(trace.sources if bulk else ()):
         source_lines = plain_by_source.get(source) or plain_of(source)
-        rows = np.flatnonzero(trace.file == number)
+        rows = np.flatnonzero(trace.file == number)  # from 0
         lines = trace.line[rows]
         columns = merged_motions([*source_lines.motions], np.arange(sum(map(len, source_lines.motions))))
         motion_indices = _index_of_line(columns.line, len(source.starts))[lines - 1]
@@ -427,7 +455,7 @@ def plain_rows_of_trace(trace: Trace, plain_by_source: Mapping[Source, PlainLine
         values = source_lines.settings.values[:, setting_indices[is_setting]]
         settings.append(PlainSettings(rows[is_setting] + 1, values))
     motion_line = np.concatenate([part.line for part in motions])
-    places = np.empty(len(motion_line), dtype=np.int64)
+    places = np.empty(len(motion_line), dtype=np.int64)  # rank of each motion by its row
     places[np.argsort(motion_line, kind="stable")] = np.arange(len(motion_line))
     setting_line = np.concatenate([part.line for part in settings])
     values = np.concatenate([part.values for part in settings], axis=1)
@@ -436,7 +464,7 @@ def plain_rows_of_trace(trace: Trace, plain_by_source: Mapping[Source, PlainLine
 
 
 def _index_of_line(lines: Ints, count: int) -> Ints:
-    """Return the index in `lines` of each of the 1-based lines 1 … count (count,); −1 for lines that are not in it."""
+    """Return the index in `lines` of each of the lines 1 … count (count,); −1 for lines that are not in it."""
     indices = np.full(count, -1, dtype=np.int64)
     indices[lines - 1] = np.arange(len(lines))
     return indices

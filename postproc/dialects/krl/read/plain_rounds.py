@@ -33,13 +33,13 @@ from postproc.dialects.krl.read.state import FIELDS
 from postproc.frames import M_PER_MM
 from postproc.program import Ints
 
-_FARTHEST_STEP = 1_000_000
-"""Largest number that is added to the counter: sums of INT stay far from their limits."""
-_SETTINGS = {"$VEL": "CP", "$APO": "CDIS"}
-"""Settings whose numbers may differ from round to round, and the component."""
+_LARGEST_OFFSET = 1_000_000
+"""Largest k in ``P[I+k]``: sums of INTs stay far from their limits."""
+_SETTING_COMPONENTS = {"$VEL": "CP", "$APO": "CDIS"}
+"""Settings whose numbers may differ from round to round → the component with that number."""
 _OUTPUTS = frozenset({"$OUT", "$ANOUT"})
-_PREFIX = "LIN "
-"""Put before each point, so that it is read as the line of a motion."""
+_MOTION_PREFIX = "LIN "
+"""Text put before each point, so that it is read as the line of a motion."""
 
 
 def plain_body(source: Source, block: Block) -> PlainBody | None:
@@ -47,10 +47,10 @@ def plain_body(source: Source, block: Block) -> PlainBody | None:
 
     Elements have an index such as ``I`` or ``I+1``; speeds and approximation distances may be such elements too.
 
-    :returns: None if the loop does anything else.
+    :returns: None if the loop does anything else, or has no motion.
     """
     head = simple_head(source, block)
-    if head is None or bounds_name(head, {head.name}):
+    if head is None or bounds_name(head, {head.name}):  # the bounds use the counter
         return None
     motions, settings, triggers = [], [], []
     for node in block.parts[0].nodes:
@@ -65,18 +65,20 @@ def plain_body(source: Source, block: Block) -> PlainBody | None:
             triggers.append(line)
         elif not plain_settings.is_plain(source, line):
             return None
-    return PlainBody((*motions,), (*settings,), (*triggers,)) if motions else None
+    return PlainBody(motions=(*motions,), settings=(*settings,), triggers=(*triggers,)) if motions else None
 
 
 def _sets_from_array(stmt: Statement, counter: str) -> bool:
     """Return whether a statement sets a speed or an approximation distance to an array element: ``$VEL.CP=V[I]``.
 
-    :param counter: name of I, upper case.
+    :param counter: name of the counter I, upper case.
     """
     if not isinstance(stmt, Assignment) or not isinstance(stmt.value, Reference):
         return False
     target, value = stmt.target, stmt.value
-    is_set = target.indices is None and target.field is not None and _SETTINGS.get(target.name) == target.field
+    is_set = (
+        target.indices is None and target.field is not None and _SETTING_COMPONENTS.get(target.name) == target.field
+    )
     is_element = value.name[0] != "$" and value.field is None and len(value.name) <= MAX_LENGTH
     return is_set and is_element and _counter_offset(value, counter) is not None
 
@@ -92,7 +94,9 @@ def _is_switching_trigger(stmt: Statement) -> bool:
 def _is_motion_to_element(stmt: Statement, counter: str) -> bool:
     """Return whether a statement is a motion to an array element, as ``LIN P[I+1] C_DIS`` is, without WITH.
 
-    :param counter: name of I, upper case.
+    Circles and SPL do not count.
+
+    :param counter: name of the counter I, upper case.
     """
     if not isinstance(stmt, Motion) or stmt.word not in KINDS or stmt.word in (*CIRCLES, "SPL"):
         return False
@@ -105,15 +109,15 @@ def _is_motion_to_element(stmt: Statement, counter: str) -> bool:
 
 
 def _counter_offset(point: Reference, counter: str) -> int | None:
-    """Return k for ``P[I+k]``, 0 for ``P[I]``; None if the index is something else.
+    """Return k for ``P[I+k]``, −k for ``P[I-k]``, 0 for ``P[I]``; None for any other index.
 
-    :param counter: name of I, upper case.
+    :param counter: name of the counter I, upper case.
     """
     index: Value | None = point.indices[0] if point.indices and len(point.indices) == 1 else None
     offset = 0
     if isinstance(index, Operation) and index.operator in "+-" and isinstance(index.right, Number):
         number = index.right
-        if not number.is_integer or not 0 <= number.value <= _FARTHEST_STEP:
+        if not number.is_integer or not 0 <= number.value <= _LARGEST_OFFSET:
             return None
         offset, index = int(number.value) if index.operator == "+" else -int(number.value), index.left
     is_counter = (
@@ -125,10 +129,10 @@ def _counter_offset(point: Reference, counter: str) -> int | None:
 class ElementMotions(Struct, frozen=True, eq=False):
     """The motions that one statement of a plain body makes, one each round.
 
-    :param rows: the motions.
+    :param rows: the N motions.
     :param source: the data list that declares the points.
-    :param literal: (N, 2) spans of the points in it.
-    :param name: of the array, upper case.
+    :param literal: (N, 2) spans of the points in the data list.
+    :param name: name of the array, upper case.
     """
 
     rows: MotionColumns
@@ -142,7 +146,8 @@ def columns_of(
 ) -> tuple[list[ElementMotions], PlainSettings] | None:
     """Return the motions that the statements of plain rounds make, and the settings of the rounds.
 
-    :param run: the program as far as it has run, before the first round.
+    :param run: the program as far as it has run, before the first round; the variables that the motions depend on are
+        noted in it.
     :returns: the motions of each statement, and the settings; None if the rounds must be followed one by one.
     """
     if not run.may_take_rounds_at_once:
@@ -164,7 +169,10 @@ def columns_of(
 
 
 def _settings_of_rounds(run: Run, rounds: PlainRounds) -> PlainSettings | None:
-    """Return the speeds and approximation distances that rounds set; None if one is not known or not allowed."""
+    """Return the speeds and approximation distances that rounds set, in execution order.
+
+    :returns: None if a number is not known, or not allowed.
+    """
     head, setting_rows, values = statement(rounds.source, rounds.head), [], []
     for line in rounds.body.settings:
         stmt = statement(rounds.source, line)
@@ -174,12 +182,12 @@ def _settings_of_rounds(run: Run, rounds: PlainRounds) -> PlainSettings | None:
         numbers = run.variables.numbers(run.stored_name(stmt.value.name), element_numbers)
         if numbers is None:
             return None
-        is_speed = FIELDS[stmt.target.name] == NUMBERS[0]
-        is_allowed = (numbers > 0.0) & (numbers <= FASTEST) if is_speed else numbers >= 0.0
+        field = FIELDS[stmt.target.name]
+        is_allowed = (numbers > 0.0) & (numbers <= FASTEST) if field == "speed" else numbers >= 0.0
         if not is_allowed.all():
             return None
         columns = np.full((len(NUMBERS), len(numbers)), np.nan)
-        columns[0 if is_speed else 1] = numbers if is_speed else numbers * M_PER_MM
+        columns[NUMBERS.index(field)] = numbers if field == "speed" else numbers * M_PER_MM
         setting_rows.append(rounds.rows_of_statement(line))
         values.append(columns)
     if not setting_rows:
@@ -211,7 +219,7 @@ def _element_motions(
     _, is_approximated = reader.tail_settings(Place(rounds.source, motion_line), kind, motion.tail)
 
     def in_each_round(*offsets: int) -> Offsets:
-        """Return offsets that are the same in all rounds, one row for each (count, n)."""
+        """Return offsets that are the same in all rounds: (rounds, n), n given offsets in each row."""
         return np.tile(np.array(offsets, dtype=np.int32), (rounds.count, 1))
 
     rows = replace(
@@ -227,11 +235,13 @@ def _element_motions(
 
 
 def _scanned_points(source: Source, spans: Sequence[tuple[int, int]]) -> ElementMotions | None:
-    """Return points of a data list as if each were the target of a LIN; None if one is no plain literal.
+    """Return points of a data list as if each were the target of a LIN; None if a point is no plain literal.
 
-    :param spans: of the points in the data list; the motions have no name of the array yet.
+    :param source: the data list.
+    :param spans: spans of the points in it.
+    :returns: motions whose `name`, that of the array, is empty yet.
     """
-    texts = [f"{_PREFIX}{source.text[start:stop]}\n" for start, stop in spans]
+    texts = [f"{_MOTION_PREFIX}{source.text[start:stop]}\n" for start, stop in spans]
     text = "".join(texts)
     ends = np.cumsum([len(part) for part in texts])
     starts = np.append(0, ends[:-1])
@@ -240,5 +250,6 @@ def _scanned_points(source: Source, spans: Sequence[tuple[int, int]]) -> Element
     rows = merged_motions(parts, np.arange(sum(map(len, parts))))
     if len(rows) != len(spans):
         return None
-    shift = np.array([start for start, _ in spans]) - starts - len(_PREFIX)  # from the text of these lines to the file
-    return ElementMotions(rows, source, rows.target + shift[:, None], "")
+    # from offsets in the text of these lines to offsets in the file
+    shift = np.array([start for start, _ in spans]) - starts - len(_MOTION_PREFIX)
+    return ElementMotions(rows, source, literal=rows.target + shift[:, None], name="")

@@ -19,7 +19,7 @@ from postproc.frames import M_PER_MM, Array
 from postproc.program import Ints
 
 _NUMBER = r"[0-9]{1,6}+(?:\.[0-9]{0,9}+)?"
-# system variables whose value a motion depends on, and others of which it does not; possessive, for one pass
+# variables on whose value motions depend, and others without effect on motion; possessive quantifiers, for one pass
 _SETTING = re.compile(
     rf"""\$(?:
     (?P<name>VEL\.(?:CP|ORI[12]) | APO\.CDIS)[ \t]*+=[ \t]*+(?P<number>{_NUMBER})
@@ -29,29 +29,32 @@ _SETTING = re.compile(
     re.ASCII | re.IGNORECASE | re.VERBOSE,
 )
 NUMBERS = ("speed", "cdis", *TURN_SPEEDS)
-"""Fields of the `State` that plain assignments set."""
-_ROWS = {"VEL.CP": 0, "APO.CDIS": 1, "VEL.ORI1": 2, "VEL.ORI2": 3}
-"""Which of the `NUMBERS` a variable sets."""
+"""Fields of the `State` that plain assignments set, in the order of their rows in `PlainSettings.values`."""
+_ROW_OF_VARIABLE = {"VEL.CP": 0, "APO.CDIS": 1, "VEL.ORI1": 2, "VEL.ORI2": 3}
+"""Variable → index in `NUMBERS` of the field that it sets."""
 
 
 class PlainSettings(Struct, frozen=True, eq=False):
-    """Plain assignments, S of them.
+    """S plain assignments.
 
-    :param line: (S,) 1-based lines, in order.
-    :param values: (4, S) what they give the `NUMBERS`, in the unit of the `State`; NaN where they give none.
+    :param line: (S,) lines of the assignments, from 1, ascending.
+    :param values: (4, S) value that each assignment gives each of the `NUMBERS`, in the unit of the `State`; NaN: none.
     """
 
     line: Ints
     values: Array
 
     def assigned_values(self, row: int) -> tuple[Ints, Array]:
-        """Return the lines (G,) that assign one of the `NUMBERS`, and the values (G,)."""
-        is_given = ~np.isnan(self.values[row])
-        return self.line[is_given], self.values[row, is_given]
+        """Return the lines (G,) with assignments to one of the `NUMBERS`, and the assigned values (G,).
+
+        :param row: index of the field in `NUMBERS`.
+        """
+        is_assigned = ~np.isnan(self.values[row])
+        return self.line[is_assigned], self.values[row, is_assigned]
 
 
 def no_settings() -> PlainSettings:
-    """Return no assignments."""
+    """Return `PlainSettings` without an assignment."""
     return PlainSettings(np.zeros(0, dtype=np.int64), np.zeros((len(NUMBERS), 0)))
 
 
@@ -66,29 +69,32 @@ def scan(source: Source) -> PlainSettings:
     if not starts:
         return no_settings()
     offsets = np.array(starts)
-    line = np.searchsorted(source.starts, offsets, side="right")
+    line = np.searchsorted(source.starts, offsets, side="right")  # lines that begin at or before each offset
     begin = source.starts[line - 1]
     values = np.full((len(NUMBERS), len(starts)), np.nan)
     is_plain_line = np.ones(len(starts), dtype=bool)
     for index, (name, number) in enumerate(zip(names, numbers, strict=True)):
         if name is not None:
-            row, value = _ROWS[name.upper()], float(number)
-            values[row, index] = _in_unit_of_state(row, value)
-            is_plain_line[index] = row != 0 or 0.0 < value <= FASTEST
-    for index in np.flatnonzero(begin != offsets).tolist():
+            row, value = _ROW_OF_VARIABLE[name.upper()], float(number)
+            values[row, index] = _value_in_state_unit(row, value)
+            is_plain_line[index] = row != 0 or 0.0 < value <= FASTEST  # other speeds are refused as statements
+    for index in np.flatnonzero(begin != offsets).tolist():  # only blanks may precede the assignment
         is_plain_line[index] &= not text[begin[index] : starts[index]].strip(" \t")
     return PlainSettings(line[is_plain_line], values[:, is_plain_line])
 
 
-def _in_unit_of_state(row: int, number: float) -> float:
-    """Return a number of the text in the unit of the `State`; `row` is its place in `NUMBERS`."""
+def _value_in_state_unit(row: int, number: float) -> float:
+    """Return a number of the text [m/s, mm, deg/s] in the unit of the `State` [m/s, m, rad/s].
+
+    :param row: index in `NUMBERS` of the field that it sets.
+    """
     if row == 0:
         return number
     return number * M_PER_MM if row == 1 else turn_speed(number)
 
 
 def is_plain(source: Source, line: int) -> bool:
-    """Return whether a line is a plain assignment: ``$OUT[1]=TRUE``, ``$VEL.CP=0.1``."""
+    """Return whether a line is a plain assignment, such as ``$OUT[1]=TRUE`` or ``$VEL.CP=0.1``."""
     start, _ = source.code_span(line)
     match = _SETTING.match(source.text, start)
     if match is None:
@@ -98,25 +104,26 @@ def is_plain(source: Source, line: int) -> bool:
 
 
 class PlainAssignments:
-    """Plain assignments, in execution order.
+    """Plain assignments that come into force while a program is followed.
 
-    :param settings: those that run, in order.
+    :param settings: the assignments that run, by rows of the trace.
     """
 
     def __init__(self, settings: PlainSettings) -> None:
-        """Begin before the first assignment; counts of passed ones are kept for each of the `NUMBERS`."""
-        self._given = [settings.assigned_values(row) for row in range(len(NUMBERS))]
-        self._lines = [lines.tolist() for lines, _ in self._given]
+        """Begin before the first assignment."""
+        # for each of the `NUMBERS`: lines and values, the lines as a list, and the number of passed assignments
+        self._assigned = [settings.assigned_values(row) for row in range(len(NUMBERS))]
+        self._lines = [lines.tolist() for lines, _ in self._assigned]
         self._passed_counts = [0] * len(NUMBERS)
         self._is_finished = not any(self._lines)
 
     def values_before(self, line: int) -> list[tuple[int, str, float]]:
-        """Return the values to put into force before a line, and note that they are.
+        """Return the assignments since the previous call that come into force before a line, and pass them.
 
-        For each field, these are its first and its last value since the line of the previous call; at the places of
-        both, the values of the other fields are returned too.
+        Only the first and the last assignment to each field are returned: motions between them get their values from
+        `values_at`. At the lines of both, the latest values of the other fields are returned too.
 
-        :returns: (line, field, value), in order.
+        :returns: (line, field, value), by ascending lines.
         """
         if self._is_finished:
             return []
@@ -132,9 +139,10 @@ class PlainAssignments:
         assignments = []
         for assignment_line in sorted(assignment_lines):
             for row, (first, stop) in enumerate(spans):
-                index = bisect_right(self._lines[row], assignment_line, first, stop) - 1  # the latest one there
+                index = bisect_right(self._lines[row], assignment_line, first, stop) - 1  # the latest at that line
                 if index >= first:
-                    assignments.append((assignment_line, NUMBERS[row], float(self._given[row][1][index])))
+                    _, values = self._assigned[row]
+                    assignments.append((assignment_line, NUMBERS[row], float(values[index])))
         self._passed_counts = [stop for _, stop in spans]
         self._is_finished = all(
             stop == len(lines) for stop, lines in zip(self._passed_counts, self._lines, strict=True)
@@ -142,27 +150,29 @@ class PlainAssignments:
         return assignments
 
     def insert(self, settings: PlainSettings) -> None:
-        """Add assignments to those that are not yet in force."""
+        """Add assignments to those that are not passed yet; their lines are not passed either."""
         for row in range(len(NUMBERS)):
             new_lines, new_values = settings.assigned_values(row)
             if len(new_lines):
-                lines, values = self._given[row]
+                lines, values = self._assigned[row]
                 place = np.searchsorted(lines, new_lines)
-                self._given[row] = np.insert(lines, place, new_lines), np.insert(values, place, new_values)
-                self._lines[row] = self._given[row][0].tolist()
+                all_lines = np.insert(lines, place, new_lines)
+                self._assigned[row] = all_lines, np.insert(values, place, new_values)
+                self._lines[row] = all_lines.tolist()
                 self._is_finished = False
 
     def values_at(self, row: int, line: Ints, change_lines: Ints, state_values: Array) -> Array:
-        """Return the values of one of the `NUMBERS` on n lines (n,).
+        """Return the values of one of the `NUMBERS` before n lines (n,).
 
-        :param row: its place in `NUMBERS`.
+        A plain assignment replaces the value of a state that came into force on an earlier line.
+
+        :param row: index of the field in `NUMBERS`.
         :param line: (n,) the lines.
-        :param change_lines: (n,) lines at which the states in force were created; later plain assignments replace their
-            values.
-        :param state_values: (n,) values in these states.
+        :param change_lines: (n,) line after which the state in force at each of them holds.
+        :param state_values: (n,) values of the field in these states.
         """
-        lines, values = self._given[row]
+        lines, values = self._assigned[row]
         if not len(lines):
             return state_values
-        previous = np.searchsorted(lines, line) - 1
+        previous = np.searchsorted(lines, line) - 1  # the last assignment before each line; −1: none
         return np.where((previous >= 0) & (lines[previous] > change_lines), values[previous], state_values)

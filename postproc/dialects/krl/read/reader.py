@@ -75,12 +75,12 @@ def read_program(
     kinematics: Callable[[Array], Array],
     name: str,
     *,
-    _bulk: bool = True,
+    _bulk: bool = True,  # False in tests: plain lines are read one by one too, and the results compared
 ) -> Program:
     """Read a KRL program.
 
     :param documents: the `.src` first, then its `.dat` if there is one, and files of routines that it calls, which
-        count instead of those of the same name in its folder.
+        replace files of the same name in its folder.
     :param cell: frames for programs that set none of their own, frames by number, the start position of the robot.
     :param kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the controller's nominal geometry.
     :param name: name of the program.
@@ -100,15 +100,17 @@ def _read_program(
 ) -> Program:
     """Read a KRL program, see `read_program`.
 
-    Parts that cannot be corrected are left as they are: the program is followed again without them, until none is new.
+    Routines of other files and branches that cannot be corrected become obstacles: the program is followed again
+    without them, until no new one is found.
 
     :param bulk: False to read plain lines one by one.
     :raises ProgramError: see `read_program`.
     """
     source = Source.of(documents[0], 0)
-    scanned_lines = [plain_of(source, bulk=bulk)]  # taken out where it is used up, so that its memory is released
+    # a list, from which they are taken for the first reading: that releases their memory
+    scanned_lines = [plain_of(source, bulk=bulk)]
     module, entry, faults = _main_routine(source, scanned_lines[0], name)
-    other_documents = [document for document in documents[1:] if not _belongs(document, documents[0])]
+    other_documents = [document for document in documents[1:] if not _is_data_of(document, documents[0])]
     library = Library(module, FolderFiles(_folders(documents[0], cell), other_documents))
     code = text_of_lines(source, (np.flatnonzero(scanned_lines[0].is_other(len(source.starts))) + 1).tolist())
     reading = _Reading(documents, cell, kinematics, name, library=library, entry=entry, faults=faults, code=code)
@@ -124,17 +126,18 @@ def _read_program(
             problem = "calls, control structures and brackets are nested too deeply"
             raise source.line_error(problem, entry.first, "Write fewer of them into each other.") from None
         except ProgramError as cause:
-            culprits = _uncorrectable_parts(cause, library, keep=cell.krl.keep_unresolved) - obstacles.keys()
+            keeps_branches = cell.krl.keep_unresolved
+            culprits = _uncorrectable_parts(cause, library, keeps_branches=keeps_branches) - obstacles.keys()
             if not culprits:
                 raise
-            obstacles |= {culprit: _error_about(cause, culprit) for culprit in culprits}
+            obstacles |= {culprit: _error_of_culprit(cause, culprit) for culprit in culprits}
 
 
 class _Reading(Struct, frozen=True, eq=False):
-    """A program before it is followed; see `read_program`.
+    """A program before it is followed; for the first four parameters see `read_program`.
 
-    :param library: its routines and folders.
-    :param entry: its main routine.
+    :param library: finds the routines that the program calls.
+    :param entry: the main routine.
     :param faults: errors in the bounds of routines.
     :param code: text of all lines of the main file that are not plain.
     """
@@ -153,8 +156,9 @@ class _Reading(Struct, frozen=True, eq=False):
     ) -> _ExecutedProgram:
         """Follow the program, and read its motions.
 
-        :param plain_lines: plain lines of the `.src`.
-        :param obstacles: routines and forks that are not followed, with the reason.
+        :param plain_lines: plain lines of the `.src`; their motions are emptied.
+        :param obstacles: routines and visits to forks that are not followed, each with the reason.
+        :param bulk: False to read plain lines one by one.
         :raises ProgramError: something that changes motion is not understood or not known before the program runs.
         """
         joints = tuple(float(angle) for angle in self.cell.start_joints * DEG_PER_RAD)
@@ -165,22 +169,24 @@ class _Reading(Struct, frozen=True, eq=False):
             plain_lines = plain_rows_of_trace(course.trace, {self.entry.source: plain_lines}, bulk=bulk)
         if collected_motions is None or self.faults:
             main = MainRoutine(start.collected(course.trace), course, plain_lines)
-            self._follow(main, plain_lines)
+            self._run_statements(main, plain_lines)
         else:
             main = MainRoutine(collected_motions, course, plain_lines)
         if not self.cell.krl.keep_unresolved:
             refuse_routines_with_force_comments(main.run)
         plain_lines = self._executed_lines(main, plain_lines)
         change_places = kept_values(main)
-        parts = [*plain_lines.motions] if change_places else plain_lines.motions  # emptied; a second run needs them
+        # the list is emptied: a second run needs its own
+        parts = [*plain_lines.motions] if change_places else plain_lines.motions
         sequence = ordered_motions(main, parts)
         data_issues = list(changed_data_issues(main, change_places, sequence, plain_lines, joints))
         return _ExecutedProgram(start, main, without_unresolved(main, sequence), data_issues)
 
-    def _follow(self, main: MainRoutine, plain_lines: PlainLines) -> None:
+    def _run_statements(self, main: MainRoutine, plain_lines: PlainLines) -> None:
         """Run the statements along the complete trace.
 
-        :raises ProgramError: all errors in them, and missing settings of motions.
+        :param plain_lines: the plain lines; their motions are emptied if statements have errors.
+        :raises ProgramError: all errors in the statements, and of motions that depend on unknown settings.
         """
         try:
             main.follow(self.faults)
@@ -203,11 +209,11 @@ class _Reading(Struct, frozen=True, eq=False):
             raise combined_error([*faults, *setting_faults]) from None
 
     def _executed_lines(self, main: MainRoutine, plain_lines: PlainLines) -> PlainLines:
-        """Return those plain lines that run.
+        """Return the plain lines without motions that do not run.
 
-        :raises ProgramError: there are no motions at all.
+        :raises ProgramError: the program has no motion that runs.
         """
-        is_executed = main.which_run(plain_lines.motion_lines)
+        is_executed = main.executed_motions(plain_lines.motion_lines)
         if not is_executed.any() and not len(main.motions) and not main.rounds and not main.run.unresolved_motions:
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
@@ -221,8 +227,9 @@ class _Reading(Struct, frozen=True, eq=False):
     def program(self, executed_program: _ExecutedProgram) -> Program:
         """Return the program with its motions and the layout of its text.
 
-        :raises ProgramError: motions cannot be corrected where branches meet or rounds repeat, or a target is not
-            certain.
+        :param executed_program: the program with its ordered motions.
+        :raises ProgramError: motions cannot be corrected where branches meet or rounds repeat, a target is not certain,
+            or a coordinate is out of reach.
         """
         main, separation = executed_program.main, executed_program.separation
         run, course, sequence = main.run, main.course, separation.sequence
@@ -267,6 +274,7 @@ class _Reading(Struct, frozen=True, eq=False):
     def _motion_order(self, main: MainRoutine, separation: SeparatedMotions) -> _MotionOrder:
         """Return which motions of a program follow each other, and under which force comments.
 
+        :param separation: the motions that are corrected.
         :raises ProgramError: the force on a motion is not known, or an unfollowed routine is called under force.
         :raises BranchError: a motion in or after a branch depends on more than its start pose.
         """
@@ -284,36 +292,40 @@ class _Reading(Struct, frozen=True, eq=False):
         return _MotionOrder(notes, predecessors, joins, unchecked_joins, uncorrected_lines)
 
     def _program_files(self, main: MainRoutine) -> tuple[tuple[Document, ...], tuple[NeededFile, ...]]:
-        """Return the files of the program, those of inlined routines included, and other files that it needs."""
+        """Return the files that are written: of the program and of inlined routines; and other files that it needs."""
         library = self.library
         first = self.documents[0]
-        own_documents = (d for d in self.documents if d.name == first.name or _belongs(d, first))
-        documents = *own_documents, *main.course.files
-        files = {document.name for document in main.course.files}
-        other_modules = (module for module in library.read_modules() if module.source.document.name in files)
-        code = (code for module in (self._with_data(library.program), *other_modules) for code in codes_of(module))
-        moving = {
+        program_documents = (d for d in self.documents if d.name == first.name or _is_data_of(d, first))
+        documents = *program_documents, *main.course.files
+        inlined_files = {document.name for document in main.course.files}
+        inlined_modules = (module for module in library.read_modules() if module.source.document.name in inlined_files)
+        modules = self._module_with_data(library.program), *inlined_modules
+        code = (code for module in modules for code in codes_of(module))
+        moving_files = {
             module.source.document.name.upper()
             for module, routine in library.called_routines()
             if main.run.analysis.effects_of(module, routine).motion
         }
-        return documents, needed(documents, code, library.files, moving)
+        return documents, needed(documents, code, library.files, moving_files)
 
-    def _with_data(self, program: Module) -> Module:
-        """Return the module of the program with its `.dat`, if it has one."""
-        data = [document for document in self.documents[1:] if _belongs(document, self.documents[0])]
+    def _module_with_data(self, program: Module) -> Module:
+        """Return the module of the program with its `.dat`, if there is one."""
+        data = [document for document in self.documents[1:] if _is_data_of(document, self.documents[0])]
         return replace(program, data=Source.of(data[0], 1)) if data else program
 
     def _initial_variables(self) -> Variables:
         """Return the variables as they are before the program runs: from the `.dat`, `$config.dat` and the cell."""
         variables = Variables(self.cell)
         for document in self.documents[1:]:
-            if _belongs(document, self.documents[0]):
+            if _is_data_of(document, self.documents[0]):
                 read_data(variables, Source.of(document, 1))
         if self.cell.config_dat is not None:
             read_data(variables, _config_source(self.cell, self.cell.config_dat), fill=True, is_global=True)
         program = self.documents[0]
-        program_names = [program.name, *(document.name for document in self.documents if _belongs(document, program))]
+        program_names = [
+            program.name,
+            *(document.name for document in self.documents if _is_data_of(document, program)),
+        ]
         read_shared(variables, self.code, program_names, self.library.files, self.entry.local_names)
         variables.take_cell_values()
         return variables
@@ -322,10 +334,10 @@ class _Reading(Struct, frozen=True, eq=False):
 class _MotionOrder(NamedTuple):
     """Which of M motions follow each other, and under which force.
 
-    :ivar notes: force comments, by lines of the trace.
-    :ivar predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the one before it.
+    :ivar notes: force comments, each with its line of the trace.
+    :ivar predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
     :ivar joins: control-flow joins at which branches must end in one pose.
-    :ivar unchecked_joins: those at which they may end in different poses.
+    :ivar unchecked_joins: control-flow joins at which branches may end in different poses.
     :ivar uncorrected_lines: lines of the trace with uncorrected motions.
     """
 
@@ -339,9 +351,11 @@ class _MotionOrder(NamedTuple):
 def _checked_ends(
     main: MainRoutine, order: _MotionOrder, motions: Motions, layout: Layout, path: FramesAndStart
 ) -> tuple[tuple[int, ...], ...]:
-    """Return the motions that end in one pose: at each join, and before each round of a LOOP without EXIT.
+    """Return the groups of motions that end in one pose: before each join, and before a round of a LOOP without EXIT.
 
-    :raises ProgramError: they do not, or a round ends with other settings, or under another force, than it began.
+    :param path: frames of the program and flange at its start.
+    :raises ProgramError: motions of a group end in different poses, or a round ends with other settings, or under
+        another force, than it began.
     """
     course = main.course
     check_joins(course, order.joins, motions, layout.carriage, path)
@@ -357,8 +371,10 @@ def _checked_ends(
 class _ExecutedProgram(Struct, frozen=True, eq=False):
     """A program whose statements have run.
 
-    :param separation: its motions, those that stay as they are apart.
-    :param data_issues: warnings that its next run moves differently.
+    :param start: what the run began with.
+    :param main: has followed the program.
+    :param separation: the motions, separated by whether they can be corrected.
+    :param data_issues: warnings that the next run moves differently.
     """
 
     start: Start
@@ -372,6 +388,7 @@ def _program_issues(
 ) -> Iterator[Issue]:
     """Yield the issues about a program that has been followed, in the order in which they are reported.
 
+    :param layout: the layout of the text of its motions.
     :param assumptions: issues about assumptions on its motions.
     :raises ProgramError: a called program is known to move the robot by a sensor.
     """
@@ -386,13 +403,13 @@ def _program_issues(
 def _frames_and_start(settings: Settings, start_flange: Array) -> FramesAndStart:
     """Return the frames that a program has used, and the flange at its start.
 
-    :param start_flange: (4, 4) in the robot root [m].
+    :param start_flange: (4, 4) flange at the start of the program, in the robot root [m].
     """
     return FramesAndStart(np.stack(settings.frames.bases), np.stack(settings.frames.tools), start_flange)
 
 
 def _tool_keys(settings: Settings) -> tuple[tuple[str, ...], ...]:
-    """Return the numbers of TOOL_DATA that each tool frame of a program has, as text, see `Program.tool_keys`."""
+    """Return `Program.tool_keys`: for each tool frame of a program the numbers n of its `TOOL_DATA[n]`, as text."""
     numbers = settings.frames.tool_numbers
     return tuple(tuple(map(str, sorted(numbers.get(row, ())))) for row in range(len(settings.frames.tools)))
 
@@ -411,18 +428,20 @@ def _cell_value_issues(executed_program: _ExecutedProgram) -> Iterator[Issue]:
         yield Issue("warning", "values-from-cell", message)
 
 
-def _belongs(data: Document, source: Document) -> bool:
-    """Return whether a file is the `.dat` of a program, by its name."""
+def _is_data_of(data: Document, source: Document) -> bool:
+    """Return whether a file is the `.dat` of a `.src`, by its name."""
     return PurePath(data.name).suffix.upper() == ".DAT" and data.name[:-4].upper() == PurePath(source.name).stem.upper()
 
 
-def _uncorrectable_parts(cause: ProgramError, library: Library, *, keep: bool) -> frozenset[Routine | Occasion]:
-    """Return the routines of other files, or the visits to forks, whose motions stay as they are because of an error.
+def _uncorrectable_parts(
+    cause: ProgramError, library: Library, *, keeps_branches: bool
+) -> frozenset[Routine | Occasion]:
+    """Return the routines of other files, or the visits to forks, that are left uncorrected because of an error.
 
-    :param keep: whether motions in branches may be left as they are (`--keep-unresolved`).
-    :returns: nothing if the error is in the program itself.
+    :param keeps_branches: True if motions in branches may be left uncorrected (`--keep-unresolved`).
+    :returns: empty if the error is in the program itself, which is then refused.
     """
-    if isinstance(cause, BranchError) and keep:
+    if isinstance(cause, BranchError) and keeps_branches:
         return cause.occasions
     if isinstance(cause, InexactError) and cause.routine is not None:
         return frozenset({cause.routine} if cause.routine.source is not library.program.source else ())
@@ -435,20 +454,24 @@ def _uncorrectable_parts(cause: ProgramError, library: Library, *, keep: bool) -
     )
 
 
-def _error_about(cause: ProgramError, culprit: Routine | Occasion) -> ProgramError:
-    """Return that one of several errors which concerns a routine; the first error if none does, or for a fork."""
+def _error_of_culprit(cause: ProgramError, culprit: Routine | Occasion) -> ProgramError:
+    """Return the error in the file of a routine, of an error and its `further_errors`.
+
+    :param culprit: the routine; or a visit to a fork.
+    :returns: the error itself if none is in that file, and for a fork.
+    """
     errors = [error for error in (cause, *cause.further_errors) if isinstance(error, ProgramError)]
-    own_errors = [
+    errors_in_file = [
         error for error in errors if isinstance(culprit, Routine) and error.file == culprit.source.document.name
     ]
-    return own_errors[0] if own_errors else cause
+    return errors_in_file[0] if errors_in_file else cause
 
 
 def _config_source(cell: Cell, path: str) -> Source:
     """Return the `$config.dat` of a cell.
 
-    :param path: relative to the folder of the cell.
-    :raises CellError: it cannot be read.
+    :param path: path of the file, relative to the folder of the cell.
+    :raises CellError: the file cannot be read.
     """
     file = Path(cell.folder) / path
     try:
@@ -464,7 +487,7 @@ class _MainRoutine(NamedTuple):
     """The main routine of a program.
 
     :ivar module: the file with all its routines.
-    :ivar routine: the one that has the name of the program; if none has, the first.
+    :ivar routine: the routine with the name of the program; if there is none, the first routine.
     :ivar faults: errors in the bounds of routines.
     """
 
@@ -476,8 +499,9 @@ class _MainRoutine(NamedTuple):
 def _main_routine(source: Source, plain_lines: PlainLines, name: str) -> _MainRoutine:
     """Return the main routine of a program.
 
-    :param name: of the program.
-    :raises ProgramError: there is no routine.
+    :param plain_lines: plain lines of the file.
+    :param name: name of the program.
+    :raises ProgramError: the file has no routine.
     """
     other_lines = np.flatnonzero(plain_lines.is_other(len(source.starts))) + 1
     by_name, faults = routines(
@@ -501,9 +525,10 @@ def _folders(document: Document, cell: Cell) -> list[Path]:
 
 
 def _check_size(trace: Trace, rows: MotionColumns) -> None:
-    """Refuse coordinates that no robot reaches.
+    """Refuse coordinates beyond `LARGEST_COORDINATE`, which no robot reaches.
 
-    :raises ProgramError: for the first motion with one.
+    :param rows: all motions of the program.
+    :raises ProgramError: a motion has such a coordinate; the first one is named.
     """
     is_too_far = any_column(np.abs(rows.numbers) > LARGEST_COORDINATE) | any_column(
         np.abs(rows.via) > LARGEST_COORDINATE
@@ -515,17 +540,19 @@ def _check_size(trace: Trace, rows: MotionColumns) -> None:
 
 
 def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:
-    """Refuse a motion whose start is not known, since a called program has moved the robot, and which depends on it.
+    """Refuse motions that depend on their start, if that is not known.
 
-    :raises ProgramError: there is one.
+    It is not known after a call that RESUME may break off, or that moves the robot and is not followed.
+
+    :raises ProgramError: there is such a motion.
     """
     if main.run.keeps_unresolved:
-        return  # such motions stay as they are
+        return  # such motions have been left out as uncorrected
     for line, reason in main.run.interruptible_calls:
         row = int(np.searchsorted(sequence.rows.line, line))  # the next motion
         if row < len(sequence.rows) and depends_on_start(sequence, row):
             raise reason
     for call in main.run.untraced_calls:
-        row = int(np.searchsorted(sequence.rows.line, call.row))
+        row = int(np.searchsorted(sequence.rows.line, call.row))  # the next motion
         if row < len(sequence.rows) and not is_ptp_to_joints(sequence, row):
             raise call.reason

@@ -16,41 +16,50 @@ from postproc.dialects.krl.read.variables import Snapshot
 
 
 def carried_variables(run: Run, source: Source, block: Block, start_values: Snapshot) -> list[str]:
-    """Return the variables that one iteration of a loop changes and the next one may use.
+    """Return the variables that the iteration which has just run changed, and that the next iteration may use.
 
-    :param start_values: their values at the start of the iteration.
+    Variables that are used only to compute their own next value are left out.
+
+    :param block: the loop.
+    :param start_values: values of all variables at the start of the iteration.
     """
-    statements = Uses(run, source, block.parts[0].nodes)
+    uses = Uses(run, source, block.parts[0].nodes)
     names: list[str] = sorted(run.variables.differing_names(start_values))
-    return [name for name in names if statements.may_use(name) and not statements.only_counts(name)]
+    return [name for name in names if uses.may_use(name) and not uses.only_counts(name)]
 
 
 class Uses:
     """The variables that some statements use.
 
-    :param nodes: statements that all run, in order, except those inside control structures.
+    :param nodes: statements and control structures, in order; of statements inside control structures it is not certain
+        that they run.
     """
 
     def __init__(self, run: Run, source: Source, nodes: Sequence[Node]) -> None:
         """Read the words on all lines of the statements."""
         self.run, self.source = run, source
-        self._certain = {node if isinstance(node, int) else node.first for node in nodes}
+        self._certain_lines = {node if isinstance(node, int) else node.first for node in nodes}
         lines = [line for node in nodes for line in ([node] if isinstance(node, int) else node.lines())]
-        self._words = {line: _words_of_line(source, line) for line in lines}
+        self._words_by_line = {line: _words_of_line(source, line) for line in lines}
 
     def may_use(self, name: str) -> bool:
-        """Return whether the statements may use the value that a variable has before them."""
-        for line, words in self._words.items():
+        """Return whether the statements may use the value that a variable has before them.
+
+        The first statement that names the variable decides: it does not use the value if it surely runs and sets the
+        whole variable. A GOTO, a RETURN, or a called routine that names the variable before counts as use.
+        """
+        for line, words in self._words_by_line.items():
             stmt = statement(self.source, line)
             if self._is_named_in_callees(stmt, name) or "GOTO" in words or "RETURN" in words:
                 return True
             if name in words:
-                return not (line in self._certain and words.count(name) == 1 and _sets_whole_variable(stmt, name))
+                is_set = words.count(name) == 1 and _sets_whole_variable(stmt, name)  # named once: not in its own value
+                return not (line in self._certain_lines and is_set)
         return False
 
     def only_counts(self, name: str) -> bool:
-        """Return whether a variable is used only in assignments to itself."""
-        statements = ((statement(self.source, line), name in words) for line, words in self._words.items())
+        """Return whether a variable is named only in assignments to itself, and in no called routine."""
+        statements = ((statement(self.source, line), name in words) for line, words in self._words_by_line.items())
         return not any(
             self._is_named_in_callees(stmt, name)
             or (has_name and not (isinstance(stmt, Assignment) and stmt.target.name == name))
@@ -64,9 +73,9 @@ class Uses:
 
 
 def _sets_whole_variable(stmt: Statement, name: str) -> bool:
-    """Return whether a statement sets a whole variable.
+    """Return whether a statement sets a whole variable: an assignment, or a FOR with that counter.
 
-    An aggregate does not count: it may lack components, which the variable then keeps.
+    The assignment of an aggregate does not count: it may lack components, which the variable then keeps.
     """
     target = stmt.counter if isinstance(stmt, For) else None
     if isinstance(stmt, Assignment) and not isinstance(stmt.value, Aggregate):

@@ -21,14 +21,14 @@ from postproc.frames import M_PER_MM
 
 
 class Settings:
-    """The settings of motions while a program is followed. `variables` asks them for present values.
+    """The settings of motions while a program is followed; `variables` reads their present values here.
 
     :ivar state: the present state.
-    :ivar changes: (line of the program, state in force after it), in order.
-    :ivar plain_assignments: those not in force yet; the first and the last between two statements create a state each.
-    :ivar follows_numbers: whether plain assignments are followed; if not, speeds and distances have no values.
-    :ivar lacked_numbers: whether such a value was asked for nevertheless.
-    :ivar frames: the frames that are used.
+    :ivar changes: each line of the program after which the state changes, and the state then in force, in order.
+    :ivar plain_assignments: plain assignments, which come into force before the next statement is followed.
+    :ivar follows_numbers: True if plain assignments are followed; if False, speeds and distances have no values.
+    :ivar lacked_numbers: True if the value of a speed or a distance was read although they are not followed.
+    :ivar frames: the frames that the program uses.
     """
 
     def __init__(self, variables: Variables, cell: Cell) -> None:
@@ -39,7 +39,7 @@ class Settings:
         self.changes: list[tuple[int, State]] = [(0, self.state)]
         self.plain_assignments = PlainAssignments(no_settings())
         self.follows_numbers, self.lacked_numbers = True, False
-        self._reasons = Reasons()  # shared: whichever part makes a field uncertain, its reason is found by the state
+        self._reasons = Reasons()  # one list for all parts, since states hold indices of reasons
         self.frames = Frames(variables, cell, self._reasons)
         self._path = PathSettings(variables, self._reasons, has_carriage=cell.carriage is not None)
         self._bas = Bas(variables, cell, self.frames, self._path)
@@ -69,12 +69,16 @@ class Settings:
         return NO_VALUE
 
     def _followed(self, value: float) -> VariableValue:
-        """Return `value`, which plain assignments may set, as a number of KRL; `NO_VALUE` if these are not followed."""
+        """Return the value of a speed or a distance as a number of KRL.
+
+        :returns: `NO_VALUE` if plain assignments are not followed, since one of them may have set another value; this
+            is noted in `lacked_numbers`.
+        """
         self.lacked_numbers |= not self.follows_numbers
         return Number(value, 0, 0) if self.follows_numbers else NO_VALUE
 
     def change_state(self, line: int, state: State) -> None:
-        """Put a state into force after a line of the program."""
+        """Put a state into force after a line of the program, or row of the trace."""
         if state != self.state:
             self.state = state
             self.changes.append((line, state))
@@ -86,17 +90,19 @@ class Settings:
             self.change_state(setting_line, self.state.with_values(**fields))
 
     def may_become(self, line: int, state: State, reason: ProgramError) -> None:
-        """Mark as uncertain the fields that differ in a state which may or may not come into force.
+        """Mark as unknown the fields that differ between the present state and a state that may come into force.
 
-        :param reason: the error for motions that depend on them.
+        :param line: line of the program, or row of the trace, after which it may come into force.
+        :param state: that state; the fields that are unknown in it become unknown too.
+        :param reason: the error for motions that depend on these fields.
         """
         fields = self.state.differing_fields(state) | {field for field, _ in state.uncertain_fields}
         self.make_uncertain(line, sorted(fields), reason)
 
     def make_uncertain(self, line: int, fields: Iterable[str], reason: ProgramError) -> None:
-        """Mark fields of the state as not known from a line of the program on.
+        """Mark fields of the state as unknown from a line of the program, or row of the trace, on.
 
-        :param reason: the error for motions that depend on them.
+        :param reason: the error for motions that depend on these fields.
         """
         state = self.state
         for field in fields:
@@ -104,7 +110,7 @@ class Settings:
         self.change_state(line, state)
 
     def forget_turn_speeds(self, line: int) -> None:
-        """Take `$VEL.ORI1` and `$VEL.ORI2` for not stated from a line of the program on."""
+        """Treat `$VEL.ORI1` and `$VEL.ORI2` as not stated (infinite) from a line of the program on."""
         self.change_state(line, self.state.with_values(**dict.fromkeys(TURN_SPEEDS, math.inf)))
 
     def refuse_uncertain(self, state: State, fields: Iterable[str]) -> None:
@@ -119,7 +125,11 @@ class Settings:
     ) -> State:
         """Return the state after ``target = value``, for a setting of motions such as `$BASE`.
 
-        :raises ProgramError: the value moves the robot in a way that is not modelled.
+        The variables in the value are noted as used.
+
+        :param state: the state before.
+        :raises ProgramError: the effect of the value is not modelled, or the setting is one that programs must not
+            change.
         """
         name = target.name
         self.variables.note_dependence(value)
@@ -136,9 +146,9 @@ class Settings:
         raise place.error(f"{name} is changed by the program", "Leave it as the controller has it.")
 
     def state_after_bas(self, place: Place, call: Call) -> State:
-        """Return the state after ``BAS(#COMMAND, value)``.
+        """Return the state after ``BAS(#COMMAND, value)``; `place` is the statement with the call.
 
-        :raises ProgramError: the command is not known.
+        :raises ProgramError: the command is not understood.
         """
         return self._bas.state_after_call(self.state, place, call)
 

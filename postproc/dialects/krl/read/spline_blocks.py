@@ -1,8 +1,8 @@
 """Spline blocks: ``SPLINE … ENDSPLINE`` and ``PTP_SPLINE … ENDSPLINE``.
 
 The robot passes the points of a block without a stop and without approximation; ``ENDSPLINE C_SPL`` approximates the
-last one. SLIN and SCIRC are in it what they are elsewhere, the path of SPL is known at its points alone (KUKA, KSS 8.x,
-'spline motion').
+last point. SLIN and SCIRC have the same path as outside of a block; the path of SPL is known at its points alone (KUKA,
+KSS 8.x, 'spline motion').
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from postproc.program import SPL, Bools, Ints, Motions, distinct
 
 
 class OpenBlock(Struct, frozen=True):
-    """A block that is open.
+    """A spline block that is not closed yet.
 
-    :ivar row: of the trace, with its first line; `place` the place of that line.
-    :ivar outer_state: state in force outside of it.
-    :ivar block_state: state in force behind its first line.
+    :ivar row: row of the trace with the first line of the block; `place` is that line in its file.
+    :ivar outer_state: state in force before the block.
+    :ivar block_state: state in force behind the first line of the block.
     """
 
     row: int
@@ -41,9 +41,9 @@ class OpenBlock(Struct, frozen=True):
 class SplineBlocks:
     """Follows the spline blocks of a program.
 
-    :ivar open_block: the one that is open.
-    :ivar approximated_ends: lines of ENDSPLINE C_SPL.
-    :ivar end_rows: lines of ENDSPLINE.
+    :ivar open_block: the block that is not closed yet; None if there is none.
+    :ivar approximated_ends: rows of the trace with ENDSPLINE C_SPL.
+    :ivar end_rows: rows of the trace with ENDSPLINE.
     """
 
     def __init__(self, settings: Settings, reader: MotionReader) -> None:
@@ -56,8 +56,9 @@ class SplineBlocks:
     def follow_line(self, place: Place, stmt: Statement, row: int) -> None:
         """Open or close a spline block.
 
-        :param stmt: SPLINE, PTP_SPLINE or ENDSPLINE; `row` its row of the execution trace.
-        :raises ProgramError: the line is not understood, a block is open already, or none is.
+        :param stmt: SPLINE, PTP_SPLINE or ENDSPLINE.
+        :param row: row of the execution trace with the statement.
+        :raises ProgramError: the line is not understood, a block is opened inside another, or no block is open.
         """
         if isinstance(stmt, Spline):
             if self.open_block is not None:
@@ -82,9 +83,11 @@ class SplineBlocks:
         self._close_block(place, self.open_block, row)
 
     def _close_block(self, place: Place, block: OpenBlock, row: int) -> None:
-        """Close a spline block: the settings outside of it are in force again, but for those that functions change.
+        """Close a spline block: the settings before it are in force again.
 
-        :param row: row of the trace with ENDSPLINE, which is at `place`.
+        Settings that functions in the motions of the block have changed become unknown.
+
+        :param place: place of ENDSPLINE, in row `row` of the trace.
         """
         end_state = self.settings.state
         changed_fields = block.block_state.differing_fields(end_state) | {
@@ -101,8 +104,9 @@ class SplineBlocks:
 def check_words(trace: Trace, rows: MotionColumns, block: np.ndarray) -> None:
     """Refuse motions that are not allowed inside or outside of a spline block.
 
+    :param rows: the R motions.
     :param block: (R,) word of the block that contains each motion, such as SPLINE; empty outside of blocks.
-    :raises ProgramError: SPL outside of a block, or in a block a motion that it may not hold.
+    :raises ProgramError: SPL is outside of a block, or a block contains a motion of a kind that it may not contain.
     """
     for row in np.flatnonzero((block != "") | (rows.kind == SPL)).tolist():
         line, start = rows.line.item(row), rows.keyword.item(row)
@@ -117,32 +121,34 @@ def check_words(trace: Trace, rows: MotionColumns, block: np.ndarray) -> None:
 
 
 def is_spline(trace: Trace, rows: MotionColumns, indices: Ints) -> Bools:
-    """Return which motions are spline motions (n,): SLIN, SCIRC, SPL.
+    """Return which motions (n,) are spline motions: SLIN, SCIRC, SPTP, SPL.
 
-    :param rows: all motions; `indices` (n,) are the rows of those in question.
+    :param rows: all motions of the program.
+    :param indices: (n,) rows of the motions in question.
     """
     file, is_spline_row = trace.file[rows.line[indices] - 1], np.zeros(len(indices), dtype=np.bool_)
     for number, source in enumerate(trace.sources):
         keywords = rows.keyword[indices[file == number]].tolist()
-        # no other word of a motion begins with S
+        # the words of other motions do not begin with S
         is_spline_row[file == number] = [source.text[offset] in "sS" for offset in keywords]
     return is_spline_row
 
 
 def approximated_motions(rows: MotionColumns, in_block: Bools, end_lines: list[int]) -> Bools:
-    """Return which motions are approximated (R,): at their ends the robot rounds the corner.
+    """Return which motions (R,) are approximated: at their ends the robot rounds the corner.
 
-    :param in_block: (R,) True in a spline block, where only the last motion can be approximated.
-    :param end_lines: lines of ENDSPLINE C_SPL.
+    :param rows: the R motions, with their own approximation.
+    :param in_block: (R,) True for motions in a spline block, of which only the last can be approximated.
+    :param end_lines: rows of the trace with ENDSPLINE C_SPL.
     """
     is_approximated = rows.approximated & ~in_block
-    last_rows = np.searchsorted(rows.line, end_lines) - 1
+    last_rows = np.searchsorted(rows.line, end_lines) - 1  # the motion before each; −1: none
     is_approximated[last_rows[last_rows >= 0]] = True
     return np.asarray(is_approximated)
 
 
 def unknown_path_warning(motions: Motions) -> list[Issue]:
-    """Return the warning that the path of SPL motions is not known between their points; empty without any."""
+    """Return the warning that the path of SPL motions is not known between their points; empty without SPL."""
     spline_rows = np.flatnonzero(motions.kind == SPL)
     if not len(spline_rows):
         return []

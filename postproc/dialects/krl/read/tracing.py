@@ -36,9 +36,9 @@ from postproc.program import Document
 class _OpenRoutine(Struct, eq=False):
     """A routine of the trace that has not ended yet.
 
-    :ivar cursor: its first line that is not recorded yet.
-    :ivar shown_line: line of the `.src` to report for its lines; 0 if that is their own.
-    :ivar bodies: its own body and those of the loops that have not ended, the innermost last.
+    :ivar cursor: first line of the routine that is not recorded yet.
+    :ivar shown_line: line of the `.src` to report for all lines of the routine; 0: each line itself.
+    :ivar bodies: body of the routine, and bodies of its loops that have not ended, the innermost last.
     """
 
     source: Source
@@ -48,13 +48,13 @@ class _OpenRoutine(Struct, eq=False):
 
 
 class _Piece(NamedTuple):
-    """Consecutive rows of the trace.
+    """Consecutive rows of the trace that are consecutive lines of one file.
 
-    :ivar file: number of their file.
-    :ivar first: line of the first row; `last` that of the last.
-    :ivar shown_line: line of the `.src` to report for all rows; 0: each its own.
-    :ivar for_line: line of the FOR whose counter the row sets; 0 for rows that are lines of the file.
-    :ivar is_live: whether they run.
+    :ivar file: number of the file.
+    :ivar first: line of the first row; `last` is the line of the last row.
+    :ivar shown_line: line of the `.src` to report for all rows; 0: the line of each row itself.
+    :ivar for_line: line of the FOR whose counter the only row sets; 0 for rows that are lines of the file.
+    :ivar is_live: True if the rows run.
     """
 
     file: int
@@ -68,9 +68,9 @@ class _Piece(NamedTuple):
 class Mark(NamedTuple):
     """The state of a recorder, for `Recorder.back_to`.
 
-    :ivar row_count: number of rows; the next five: lengths of its lists and dictionaries.
-    :ivar last_step: None without steps; later rows may extend it.
-    :ivar open_routines: cursor, number of bodies, and number of parts of each body, of each open routine.
+    :ivar row_count: number of rows. The next five are the lengths of the lists and dictionaries of the recorder.
+    :ivar last_step: the last step, which later rows may extend; None without steps.
+    :ivar open_routines: for each open routine its cursor, number of bodies, and number of parts of each body.
     """
 
     row_count: int
@@ -87,163 +87,179 @@ class Recorder:
     """The execution trace of a program so far.
 
     :param main: the main routine.
-    :ivar may_call_originals: True if routines of the trace may also be called by code that stays as it is.
-    :ivar is_final: False after something was dropped, is kept, or forks: rows and what ran differ then.
+    :ivar row_count: number of rows.
+    :ivar may_call_originals: True if routines of the trace may also be called by code that is left uncorrected.
+    :ivar is_final: False once rows were dropped, left uncorrected, taken at once or divided into branches: the rows are
+        then not those of the statements that have been followed.
+    :ivar body: body of the main routine.
     """
 
     def __init__(self, main: Routine) -> None:
-        """Begin with the lines of the file up to the DEF of the main routine."""
+        """Begin with the lines of the file up to and including the DEF of the main routine."""
         self.main = main
-        self.count = 0
+        self.row_count = 0
         self.may_call_originals = False
         self.is_final = True
         self._sources: dict[Source, int] = {main.source: 0}
         self._pieces: list[_Piece] = []
         self._steps: list[Step] = []
-        self._counts: list[tuple[int, int]] = []  # row that sets the counter of a FOR, and the number
+        self._counter_values: list[tuple[int, int]] = []  # row that sets the counter of a FOR, and the number
         self._inlined: dict[Routine, None] = {}
         self._files: dict[Document, None] = {}
         self._record_lines(main.source, 1, main.first, 0, is_live=False)
-        self.body = Body(self.count + 1)
-        self._open = [_OpenRoutine(main.source, main.first + 1, 0, [self.body])]
+        self.body = Body(self.row_count + 1)
+        self._open_routines = [_OpenRoutine(main.source, main.first + 1, 0, [self.body])]
 
     def shift_and_shown_line(self, line: int) -> tuple[int, int]:
-        """Return what a row of the trace has in addition to its line of the present routine, and the line to report.
+        """Return the row of the trace minus the line, and the line to report, for a line of the present routine.
 
-        :param line: a line of the present routine that is recorded next.
-        :returns: row of the trace minus line; line of the main `.src`, for routines of other files that of the call.
+        :param line: a line that will be recorded next, or after lines up to it.
+        :returns: the line to report is the line itself; in routines of other files it is that of their call in the
+            main `.src`.
         """
-        open_routine = self._open[-1]
-        return self.count + 1 - open_routine.cursor, open_routine.shown_line or line
+        open_routine = self._open_routines[-1]
+        return self.row_count + 1 - open_routine.cursor, open_routine.shown_line or line
 
     def record_run_lines(self, line: int) -> None:
-        """Record the lines of the present routine up to `line`, as lines that run."""
-        first = self.count + 1
+        """Record the lines of the present routine up to `line`, as lines that run; do nothing if all are recorded."""
+        first = self.row_count + 1
         if self._record_to(line, is_live=True):
             self._add_run_lines(first)
 
     def record_passed_lines(self, line: int, *, is_live: bool = True) -> None:
-        """Record the lines of the present routine up to `line` that only control execution.
+        """Record the lines of the present routine up to `line` as lines that are in no step of the trace.
 
-        :param is_live: False for lines that do not run.
+        :param is_live: True for lines that control execution; False for lines that do not run.
         """
         self._record_to(line, is_live=is_live)
 
     def record_unresolved(self, line: int, cause: ProgramError) -> None:
-        """Record the lines of a control structure, up to `line`, that is left as it is.
+        """Record the lines of a control structure, up to its last line `line`, that is left uncorrected.
 
         :param cause: why the branch taken is not known before run time.
         """
-        first = self.count + 1
+        first = self.row_count + 1
         self._record_to(line, is_live=True)
-        self._steps.append(UnresolvedStructure(first, self.count, cause))
+        self._steps.append(UnresolvedStructure(first, self.row_count, cause))
         self.may_call_originals = True
         self.is_final = False
 
     def record_division(self, step: Fork | Branch | Join) -> None:
-        """Record a fork, the begin of a branch or a join after the last recorded row."""
-        self._steps.append(replace(step, row=self.count))
+        """Record a fork, the begin of a branch or a join after the last recorded row; `step.row` is filled in."""
+        self._steps.append(replace(step, row=self.row_count))
         self.is_final = False
 
     def mark(self) -> Mark:
-        """Return what `back_to` needs to drop all that is recorded from now on."""
+        """Return the present state of the recorder, to which `back_to` can return."""
         return Mark(
-            row_count=self.count,
+            row_count=self.row_count,
             piece_count=len(self._pieces),
             step_count=len(self._steps),
-            assignment_count=len(self._counts),
+            assignment_count=len(self._counter_values),
             inlined_count=len(self._inlined),
             file_count=len(self._files),
             last_step=self._steps[-1] if self._steps else None,
             open_routines=[
                 (routine.cursor, len(routine.bodies), [len(body.parts) for body in routine.bodies])
-                for routine in self._open
+                for routine in self._open_routines
             ],
         )
 
     def back_to(self, mark: Mark) -> None:
         """Drop everything recorded since a `mark`."""
         self.is_final = False
-        self.count = mark.row_count
+        self.row_count = mark.row_count
         for routine in list(self._inlined)[mark.inlined_count :]:
             del self._inlined[routine]
         for document in list(self._files)[mark.file_count :]:
             del self._files[document]
-        del self._pieces[mark.piece_count :], self._steps[mark.step_count :], self._counts[mark.assignment_count :]
+        del (
+            self._pieces[mark.piece_count :],
+            self._steps[mark.step_count :],
+            self._counter_values[mark.assignment_count :],
+        )
         if mark.last_step is not None:
             self._steps[-1] = mark.last_step
-        del self._open[len(mark.open_routines) :]
-        for open_routine, (cursor, body_count, part_counts) in zip(self._open, mark.open_routines, strict=True):
+        del self._open_routines[len(mark.open_routines) :]
+        for open_routine, (cursor, body_count, part_counts) in zip(
+            self._open_routines, mark.open_routines, strict=True
+        ):
             open_routine.cursor = cursor
             del open_routine.bodies[body_count:]
             for body, part_count in zip(open_routine.bodies, part_counts, strict=True):
                 del body.parts[part_count:]
 
     def enter_routine(self, place: Place, name: tuple[int, int], module: Module, routine: Routine) -> None:
-        """Begin a routine that the present line calls.
+        """Begin a routine that the present routine calls.
 
-        :param name: span of its name in the file of that line.
+        :param place: the line with the call, which is recorded as the last of the caller.
+        :param name: span of the name of the called routine in the file of that line.
         """
-        caller = self._open[-1]
+        caller = self._open_routines[-1]
         self.record_passed_lines(place.line)
-        self._steps.append(RoutineEntry(self.count, module, routine))
-        body = Body(self.count + 1)
-        caller.bodies[-1].parts.append(InlinedRoutine(self.count, name, routine, body))
-        is_own = routine.source is self.main.source
-        shown_line = 0 if is_own else caller.shown_line or place.line
-        self._open.append(_OpenRoutine(routine.source, routine.first + 1, shown_line, [body]))
+        self._steps.append(RoutineEntry(self.row_count, module, routine))
+        body = Body(self.row_count + 1)
+        caller.bodies[-1].parts.append(InlinedRoutine(self.row_count, name, routine, body))
+        is_in_main_file = routine.source is self.main.source
+        shown_line = 0 if is_in_main_file else caller.shown_line or place.line
+        self._open_routines.append(_OpenRoutine(routine.source, routine.first + 1, shown_line, [body]))
         self._inlined[routine] = None
-        if not is_own:
+        if not is_in_main_file:
             self._files |= {file.document: None for file in (module.source, module.data) if file is not None}
 
     def leave_routine(self) -> None:
         """End the routine that was entered last."""
-        body = self._open.pop().bodies[0]
-        body.stop = self.count + 1
+        body = self._open_routines.pop().bodies[0]
+        body.stop = self.row_count + 1
         self._steps.append(RoutineExit())
 
     def begin_loop(self, block: Block, counter: str, step: int, *, has_exit: bool, closing: int = 0) -> UnrolledLoop:
         """Begin to unroll a loop, and return its record.
 
-        :param counter: of FOR, as it is spelled, and `step` of FOR; empty and 0 for other loops.
-        :param has_exit: whether the loop contains EXIT.
-        :param closing: first of the lines that close it; 0: its last line does alone.
+        :param counter: counter of FOR, as it is spelled; empty for other loops.
+        :param step: step of FOR; 0 for other loops.
+        :param has_exit: True if the loop contains EXIT.
+        :param closing: first of the lines that close the loop; 0: its last line alone closes it.
         """
         self.record_run_lines(block.first - 1)
-        source = self._open[-1].source
+        source = self._open_routines[-1].source
         loop = UnrolledLoop(
             opener=source.lines_text(block.first, block.first),
             closer=source.lines_text(closing or block.last, block.last),
             counter=counter,
             step=step,
             has_exit=has_exit,
-            first=self.count + 1,
+            first=self.row_count + 1,
         )
-        self._open[-1].bodies[-1].parts.append(loop)
+        self._open_routines[-1].bodies[-1].parts.append(loop)
         return loop
 
     def begin_round(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
-        """Begin an iteration of a loop: its body is the innermost one, and the line behind its head is recorded next.
+        """Begin an iteration of a loop: a new innermost body, recorded from the line behind the head of the loop on.
 
-        :param loop: gets the new body.
-        :param number: value of the counter of FOR in it; None for other loops.
+        :param loop: the record of the loop, which gets the new body.
+        :param number: value of the counter of FOR in this iteration; None for other loops.
         """
-        body = Body(self.count + 1)
+        body = Body(self.row_count + 1)
         loop.bodies.append(body)
-        self._open[-1].bodies.append(body)
+        self._open_routines[-1].bodies.append(body)
         self._record_assignment(block, number)
-        self._open[-1].cursor = block.first + 1
+        self._open_routines[-1].cursor = block.first + 1
 
     def record_plain_rounds(self, loop: UnrolledLoop, block: Block, rounds: PlainRounds) -> None:
-        """Record at once all rounds of a FOR that differ only in the value of its counter."""
-        file, shown_line = self._present_file(), self._open[-1].shown_line
+        """Record at once all rounds of a FOR that differ only in the value of its counter.
+
+        :param loop: the record of the loop, which gets the bodies of the rounds.
+        """
+        file, shown_line = self._present_file(), self._open_routines[-1].shown_line
+        # each round: a row that sets the counter, and the lines between FOR and ENDFOR
         assignment = _Piece(file, 1, 1, shown_line, for_line=block.first, is_live=True)
         body_lines = _Piece(file, block.first + 1, block.last - 1, shown_line, for_line=0, is_live=True)
         self._pieces += [assignment, body_lines] * rounds.count
         starts = range(rounds.first, rounds.stop_row, rounds.length)
         loop.bodies += [Body(start, start + rounds.length) for start in starts]
         loop.plain_rounds = rounds
-        self.count = rounds.stop_row - 1
+        self.row_count = rounds.stop_row - 1
         self.is_final = False
         self._add_run_lines(rounds.first)
 
@@ -255,34 +271,39 @@ class Recorder:
         if is_whole:
             self.record_run_lines(block.last - 1)
         self.record_passed_lines(block.last - 1, is_live=False)
-        self._open[-1].bodies.pop().stop = self.count + 1
+        self._open_routines[-1].bodies.pop().stop = self.row_count + 1
 
     def end_loop(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
-        """End a loop.
+        """End a loop; recording continues behind its last line.
 
+        :param loop: the record of the loop.
         :param number: value of the counter of FOR after the loop; None if the loop was left early, and for other loops.
         """
         if not loop.bodies:
             self.record_passed_lines(block.last, is_live=False)
         self._record_assignment(block, number)
-        self._open[-1].cursor = block.last + 1
-        loop.stop = self.count + 1
+        self._open_routines[-1].cursor = block.last + 1
+        loop.stop = self.row_count + 1
 
     def course(self, callees: Set[Routine]) -> Course:
         """Return the complete trace.
 
-        :param callees: routines reached by calls that are not followed.
+        The other lines of the main file are added as rows that do not run, but for inlined routines behind the main
+        routine, whose lines are in the trace already.
+
+        :param callees: routines reached by calls that are not followed: if inlined too, they must stay unchanged.
         """
         main = self.main
-        self.body.stop = self.count + 1
+        self.body.stop = self.row_count + 1
         next_line = main.last
         for routine in sorted(self._inlined, key=lambda routine: routine.first):
             if routine.source is main.source and routine.first > main.last:
                 self._record_lines(main.source, next_line, routine.first - 1, 0, is_live=False)
                 next_line = routine.last + 1
         self._record_lines(main.source, next_line, len(main.source.starts), 0, is_live=False)
-        columns = np.array(self._pieces, dtype=np.int64).T
-        lengths = columns[2] - columns[1] + 1  # last and first line
+        columns = np.array(self._pieces, dtype=np.int64).T  # one for each field of `_Piece`
+        _, first_lines, last_lines, *_ = columns
+        lengths = last_lines - first_lines + 1
         file, first, _, shown_line, for_line, is_live = (np.repeat(values, lengths) for values in columns)
         line = np.where(for_line > 0, for_line, first + ragged_range(lengths))
         shown = np.where(shown_line > 0, shown_line, line)
@@ -295,12 +316,12 @@ class Recorder:
             inlined_routines=frozenset(self._inlined),
             unchanged_routines=frozenset(self._inlined if self.may_call_originals else self._inlined.keys() & callees),
             files=tuple(self._files),
-            count_of_row=dict(self._counts),
+            count_of_row=dict(self._counter_values),
         )
 
     def _record_to(self, line: int, *, is_live: bool) -> bool:
         """Record the lines of the present routine up to `line`; return whether there were any."""
-        open_routine = self._open[-1]
+        open_routine = self._open_routines[-1]
         if line < open_routine.cursor:
             return False
         self._record_lines(open_routine.source, open_routine.cursor, line, open_routine.shown_line, is_live=is_live)
@@ -308,35 +329,38 @@ class Recorder:
         return True
 
     def _record_lines(self, source: Source, first: int, last: int, shown_line: int, *, is_live: bool) -> None:
-        """Record lines first … last of a file.
+        """Record lines first … last of a file; nothing if last < first.
 
-        :param shown_line: line of the `.src` to report for all of them; 0: each its own.
-        :param is_live: whether they run.
+        :param shown_line: line of the `.src` to report for all these lines; 0: each line itself.
+        :param is_live: True if the lines run.
         """
         if last < first:
             return
         file = self._sources.setdefault(source, len(self._sources))
         self._pieces.append(_Piece(file, first, last, shown_line, for_line=0, is_live=is_live))
-        self.count += last - first + 1
+        self.row_count += last - first + 1
 
     def _present_file(self) -> int:
         """Return the number of the file of the present routine."""
-        return self._sources.setdefault(self._open[-1].source, len(self._sources))
+        return self._sources.setdefault(self._open_routines[-1].source, len(self._sources))
 
     def _record_assignment(self, block: Block, number: int | None) -> None:
-        """Record that a FOR sets its counter to a number; do nothing for None, which other loops pass."""
+        """Record a row that sets the counter of a FOR to a number, as a row that runs.
+
+        :param number: None, for other loops: nothing is recorded.
+        """
         if number is None:
             return
-        shown_line = self._open[-1].shown_line
+        shown_line = self._open_routines[-1].shown_line
         self._pieces.append(_Piece(self._present_file(), 1, 1, shown_line, for_line=block.first, is_live=True))
-        self.count += 1
-        self._counts.append((self.count, number))
-        self._add_run_lines(self.count)
+        self.row_count += 1
+        self._counter_values.append((self.row_count, number))
+        self._add_run_lines(self.row_count)
 
     def _add_run_lines(self, first: int) -> None:
-        """Record that the rows from `first` up to the last one run, as one step with run rows directly before them."""
+        """Add the rows from `first` to the last as `Lines` that run, joined with `Lines` that end directly before."""
         last_step = self._steps[-1] if self._steps else None
         if isinstance(last_step, Lines) and last_step.last == first - 1:
-            self._steps[-1] = Lines(last_step.first, self.count)
+            self._steps[-1] = Lines(last_step.first, self.row_count)
         else:
-            self._steps.append(Lines(first, self.count))
+            self._steps.append(Lines(first, self.row_count))

@@ -24,16 +24,19 @@ from postproc.dialects.krl.read.variables import PARTLY_GIVEN
 from postproc.errors import Issue, ProgramError
 from postproc.program import CIRC, PTP, SPL, Bools, Ints, UnresolvedMotion, distinct
 
-_WAITING, _OTHER_WORD = "#PROGSYNC", "?"
-_PIECE = 1_000_000
+_WAIT_WORD = "#PROGSYNC"
+"""First argument of a SYNCCMD at which the programs of the robots only wait for each other."""
+_OTHER_WORD = "?"
+"""Stands for a SYNCCMD whose first argument is no word."""
+_PIECE_LENGTH = 1_000_000
 """Characters of a text that are searched at once."""
 _SYNC_ADVICE = (
     "Motions before the first SYNCCMD of a program and behind the last are corrected; --keep-unresolved leaves those "
     "between as they are."
 )
-_BEGIN = "where it begins is not known, and its path depends on that"
+_UNKNOWN_START = "where it begins is not known, and its path depends on that"
 _SHIFT_TEXT = ". It starts from the current robot position: the correction of the motion before it moves it too"
-_OPEN = (
+_OPEN_START_MESSAGE = (
     "Where this motion begins is not known, because the one before stays as it is: no targets are inserted into it, "
     "and its path is not checked."
 )
@@ -42,9 +45,10 @@ _OPEN = (
 class SeparatedMotions(Struct, frozen=True, eq=False):
     """The motions of a program, separated by whether they can be corrected.
 
-    :param sequence: those that can.
-    :param predecessors: the motion at whose end each of them begins, see `Program.after`.
-    :param unresolved: the others.
+    :param sequence: the M motions that can be corrected.
+    :param predecessors: (M,) the motion at whose end each of them begins, see `Program.after`; the motion itself if its
+        start is not known. None: the motion before it.
+    :param unresolved: the motions that stay uncorrected.
     :param issues: warnings for the user.
     """
 
@@ -55,15 +59,19 @@ class SeparatedMotions(Struct, frozen=True, eq=False):
 
 
 def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> SeparatedMotions:
-    """Take out the motions that stay as they are, where that is wanted, and note which motions follow them.
+    """Separate the motions that stay uncorrected under `--keep-unresolved` from those that can be corrected.
 
-    :param sequence: motions whose targets are known.
-    :raises ProgramError: there are none that can be corrected; a motion is synchronised with another robot.
+    A motion behind an uncorrected one has an unknown start; it stays uncorrected too if it depends on that.
+
+    :param sequence: the motions of the program whose targets are known.
+    :raises ProgramError: no motion can be corrected; or, without that option, a motion is synchronised with another
+        robot.
     """
     run, rows = main.run, sequence.rows
     sync_motions = list(_synchronised_motions(main, rows.line))
     if sync_motions and not run.keeps_unresolved:
-        raise sync_motions[0][1]
+        _, error = sync_motions[0]
+        raise error
     unknown_motions = list(uncertain_motions(run.settings, sequence)) if run.keeps_unresolved else []
     reasons = dict(run.unresolved_motions)
     is_dropped = np.zeros(len(rows), dtype=np.bool_)
@@ -76,15 +84,16 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     gap_lines = sorted({*reasons, *(call.row for call in run.untraced_calls), *stop_lines})
     open_rows = _drop_dependent_motions(main, sequence, gap_lines, is_dropped, reasons)
     if is_dropped.all():
-        raise min(reasons.items())[1]  # that of the first line
-    for row in sequence.moves.keys() & np.flatnonzero(is_dropped).tolist():  # their points must keep their values
+        raise reasons[min(reasons)]  # the reason of the first line
+    # the use of a point by an uncorrected motion is not followed: the point must keep its value
+    for row in sequence.moves.keys() & np.flatnonzero(is_dropped).tolist():
         move = sequence.moves[row]
         run.followed_names -= {(move.line, point.start) for point in (move.end, move.via) if point is not None}
     corrected_motions = _without_rows(sequence, is_dropped)
-    new_row = np.cumsum(~is_dropped) - 1
+    new_row = np.cumsum(~is_dropped) - 1  # row of each corrected motion among the corrected ones
     begins = [int(new_row[row]) for row in sorted(open_rows) if row < len(rows)]
     predecessors = np.arange(len(corrected_motions.rows)) - 1
-    predecessors[begins] = begins
+    predecessors[begins] = begins  # the motion itself: its start is not known
     unresolved, issues = _report_unresolved(main, reasons)
     return SeparatedMotions(
         corrected_motions, predecessors, unresolved, (*issues, *_open_start_warnings(main, corrected_motions, begins))
@@ -98,20 +107,20 @@ def _drop_dependent_motions(
     is_dropped: Bools,
     reasons: dict[int, ProgramError],
 ) -> set[int]:
-    """Drop the motions that depend on a start which is not known, and return the rows of those that follow them.
+    """Drop the motions that depend on an unknown start, and return the rows of motions with an unknown start that stay.
 
-    Those begin where it is not known, but do not depend on it; a row may be behind the last motion.
+    The latter do not depend on their start. A returned row may be behind the last motion.
 
     :param gap_lines: lines of the trace after which the robot position is not known.
-    :param is_dropped: (M,) True for motions that stay as they are; more are added.
-    :param reasons: line → why its motion stays as it is; more are added.
+    :param is_dropped: (M,) True for motions that stay uncorrected; set to True for dropped motions.
+    :param reasons: line of the trace → why its motion stays uncorrected; dropped motions are added.
     """
     rows, open_rows = sequence.rows, set[int]()
     for line in gap_lines:
-        row = int(np.searchsorted(rows.line, line, side="right"))
+        row = int(np.searchsorted(rows.line, line, side="right"))  # the next motion
         while row < len(rows) and (is_dropped[row] or depends_on_start(sequence, row)):
             if not is_dropped[row]:
-                reasons[int(rows.line[row])] = main.run.trace.error(_BEGIN, int(rows.line[row]))
+                reasons[int(rows.line[row])] = main.run.trace.error(_UNKNOWN_START, int(rows.line[row]))
             is_dropped[row] = True
             row += 1
         open_rows.add(row)
@@ -121,27 +130,28 @@ def _drop_dependent_motions(
 def _without_rows(sequence: OrderedMotions, is_dropped: Bools) -> OrderedMotions:
     """Return the motions that are not dropped.
 
-    :param is_dropped: (M,) True for those that are.
+    :param is_dropped: (M,) True for motions that are dropped.
     """
-    new_row, is_kept = np.cumsum(~is_dropped) - 1, ~is_dropped
+    is_kept = ~is_dropped
+    new_row = np.cumsum(is_kept) - 1  # row of each kept motion among the kept ones
     return OrderedMotions(
-        sequence.rows.take(is_kept),
-        sequence.in_force.take(is_kept),
-        sequence.numbers.of_rows(is_kept),
-        {int(new_row[row]): move for row, move in sequence.moves.items() if is_kept[row]},
+        rows=sequence.rows.take(is_kept),
+        in_force=sequence.in_force.take(is_kept),
+        numbers=sequence.numbers.of_rows(is_kept),
+        moves={int(new_row[row]): move for row, move in sequence.moves.items() if is_kept[row]},
     )
 
 
 def _synchronised_motions(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramError]]:
-    """Yield the motions during which another robot may move in time with this one: the row of each, and the error.
+    """Yield the motions during which another robot may move in time with this robot: the row of each, and its error.
 
     These are the motions between two SYNCCMD. `SYNCCMD(#PROGSYNC, …)` only lets the programs of the robots wait for
-    each other: behind the last of them each goes on alone. Any other, also one in a called routine, is taken to hold to
-    the end (KUKA.RoboTeam; its manual is not public).
+    each other: behind the last of these each robot goes on alone. Any other SYNCCMD, also in a called routine, is taken
+    to hold to the end of the program (KUKA.RoboTeam; its manual is not public).
 
     :param line: (R,) lines of the motions in the trace.
     """
-    trace, marks = main.run.trace, _marks(main)
+    trace, marks = main.run.trace, _sync_lines(main)
     if not marks:
         return
     sections = [
@@ -152,16 +162,18 @@ def _synchronised_motions(main: MainRoutine, line: Ints) -> Iterator[tuple[int, 
     if not waits:
         sections.append((last, len(trace) + 1, f"behind SYNCCMD ({trace.place(last)})"))
     for begin, end, section_text in sections:
-        for row in np.flatnonzero((line > begin) & (line <= end)).tolist():  # the motion before a LOOP too
+        for row in np.flatnonzero((line > begin) & (line <= end)).tolist():  # `end` may be the motion before a LOOP
             problem = f"the motion is {section_text}: another robot may move in time with it"
             yield row, trace.error(problem, int(line[row]), _SYNC_ADVICE)
 
 
-def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
-    """Return the lines of the trace that synchronise robots, in order, and whether the programs only wait there.
+def _sync_lines(main: MainRoutine) -> list[tuple[int, bool]]:
+    """Return the lines of the trace that synchronise robots, in order, each with whether the programs only wait there.
 
-    A SYNCCMD in the action of an INTERRUPT or a TRIGGER may run at any time behind its declaration. If an endless loop
-    contains some, the lines before and behind its round are returned too.
+    A SYNCCMD in the action of an INTERRUPT or a TRIGGER may run at any time behind its declaration: no line only waits
+    then. If a LOOP without EXIT contains such lines, the lines before and behind its round are returned too.
+
+    :returns: empty if no file that has been read synchronises robots.
     """
     run, course = main.run, main.course
     modules = [run.library.program, *run.library.read_modules()]
@@ -178,7 +190,7 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
         for module, routine in routines
         if not sync_routines.isdisjoint(run.analysis.reachable_routines(module, routine))
     }
-    only_waits = set().union(*sync_words_of.values()) <= {_WAITING}
+    only_waits = set().union(*sync_words_of.values()) <= {_WAIT_WORD}
     may_run_later = any(
         isinstance(statement(routine.source, line), Event) and _sync_word(routine.source, line, names)
         for _, routine in routines
@@ -190,18 +202,19 @@ def _marks(main: MainRoutine) -> list[tuple[int, bool]]:
         if not trace.is_count[row - 1] and (course.may_run is None or course.may_run[row - 1]):
             word = _sync_word(*trace.place(row), names, is_entered=row in entry_rows)
             if word:
-                marks.append((row, not may_run_later and (only_waits or word == _WAITING)))
+                marks.append((row, not may_run_later and (only_waits or word == _WAIT_WORD)))
     loop = course.endless_loop
     if loop is not None and any(loop.first <= row < loop.stop for row, _ in marks):
         marks += [(loop.first - 1, True), (loop.stop, True)]
     return sorted(marks)
 
 
-def _synchronises(text: str, size: int = _PIECE) -> bool:
+def _synchronises(text: str, size: int = _PIECE_LENGTH) -> bool:
     """Return whether a text has one of the words that synchronise robots, also in comments and strings.
 
-    :param size: characters that are searched at once.
+    :param size: number of characters that are searched at once.
     """
+    # pieces overlap by the length of a word
     pieces = (
         text[offset : offset + size + max(map(len, SYNCHRONISING))].upper() for offset in range(0, len(text), size)
     )
@@ -209,10 +222,12 @@ def _synchronises(text: str, size: int = _PIECE) -> bool:
 
 
 def _sync_word(source: Source, line: int, names: Collection[str] = (), *, is_entered: bool = False) -> str:
-    """Return how a line synchronises robots: the first argument of SYNCCMD, else `_OTHER_WORD`; empty if it does not.
+    """Return how a line synchronises robots: the first argument of its SYNCCMD, if that is a word.
 
-    :param names: of routines that synchronise robots.
-    :param is_entered: True if the called routine is in the trace itself.
+    :param names: names of the routines that synchronise robots: a line that names one does so too.
+    :param is_entered: True if the routine that the line calls is in the trace itself; its name does not count then.
+    :returns: `_OTHER_WORD` for another argument, another such line, and a line that cannot be read; empty if the line
+        does not synchronise robots.
     """
     start, stop = source.code_span(line)
     if not (names or _synchronises(source.text[start:stop])):
@@ -231,9 +246,12 @@ def _sync_word(source: Source, line: int, names: Collection[str] = (), *, is_ent
 
 
 def depends_on_start(sequence: OrderedMotions, row: int, *, arcs: bool = True) -> bool:
-    """Return whether the target of a motion, or the shape of an arc, depends on where the motion begins.
+    """Return whether the target of a motion, or the shape of its arc, depends on where the motion begins.
 
-    :param arcs: False to disregard the shape of arcs.
+    It does under #CONSTANT, for circles, SPL and relative motions, and if the target lacks components.
+
+    :param row: row of the motion.
+    :param arcs: False to disregard the shape of arcs: circles with complete points and without CA do not count then.
     """
     move = sequence.moves.get(row)
     if sequence.rows.kind[row] != PTP and sequence.in_force.at(row).orientation == CONSTANT:
@@ -251,9 +269,9 @@ def depends_on_start(sequence: OrderedMotions, row: int, *, arcs: bool = True) -
 def _report_unresolved(
     main: MainRoutine, reasons: dict[int, ProgramError]
 ) -> tuple[tuple[UnresolvedMotion, ...], list[Issue]]:
-    """Return each uncorrected line once, and a warning for it.
+    """Return each uncorrected line of a file once, and a warning on each.
 
-    :param reasons: line of the trace → why it stays uncorrected.
+    :param reasons: line of the trace → why its motion stays uncorrected.
     """
     by_place: dict[str, UnresolvedMotion] = {}
     issues = []
@@ -273,22 +291,28 @@ def _report_unresolved(
 
 
 def _depends_on_position(main: MainRoutine, line: int, reason: ProgramError) -> bool:
-    """Return whether the target of an uncorrected motion, or of a called routine, depends on the robot position."""
+    """Return whether an uncorrected motion, or the first target of a called routine, depends on the robot position.
+
+    :param line: line of the trace with the motion or the call.
+    :param reason: why it stays uncorrected; its text may name a variable with the robot position.
+    """
     stmt = statement(*main.run.trace.place(line))
     if line in main.run.position_dependent_calls or (isinstance(stmt, Motion) and depends_on_position(stmt)):
         return True
-    is_here = PARTLY_GIVEN in reason.problem or any(name in reason.problem.upper() for name in ROBOT_POSITIONS)
-    return isinstance(stmt, Motion) and is_here
+    may_use_position = PARTLY_GIVEN in reason.problem or any(name in reason.problem.upper() for name in ROBOT_POSITIONS)
+    return isinstance(stmt, Motion) and may_use_position
 
 
 def _open_start_warnings(main: MainRoutine, sequence: OrderedMotions, start_rows: list[int]) -> Iterator[Issue]:
-    """Yield warnings on motions with an unknown start: one for each line of other files, one for the program."""
+    """Yield warnings on motions with an unknown start: one for each line of other files, one for the program itself.
+
+    :param start_rows: rows of these motions in `sequence`.
+    """
     trace = main.run.trace
     origins = {line: trace.place(line) for line in sequence.rows.line[start_rows].tolist()}
     own_lines = [line for line, origin in origins.items() if origin.source is main.run.routine.source]
     for name in {str(origin): None for line, origin in origins.items() if line not in own_lines}:
-        yield Issue("warning", "start-unknown", f"{name}: {_OPEN}", subject=name)
+        yield Issue("warning", "start-unknown", f"{name}: {_OPEN_START_MESSAGE}", subject=name)
     if own_lines:
         lines = distinct(trace.shown[np.array(own_lines) - 1]).tolist()
-        start_rows = own_lines
-        yield Issue("warning", "start-unknown", _OPEN, lines[0], count=len(start_rows), lines=tuple(lines))
+        yield Issue("warning", "start-unknown", _OPEN_START_MESSAGE, lines[0], count=len(own_lines), lines=tuple(lines))

@@ -44,7 +44,7 @@ from postproc.errors import CellError, ProgramError
 from postproc.frames import Array, inverse
 
 _COMPONENTS = frozenset({*CARTESIAN, *AXES, "S", "T"})
-_REAL = frozenset({*CARTESIAN, *AXES})
+_REAL_COMPONENTS = frozenset({*CARTESIAN, *AXES})
 FUNCTIONS: dict[str, Callable[..., float]] = {
     "ABS": abs,
     "SQRT": math.sqrt,
@@ -54,15 +54,15 @@ FUNCTIONS: dict[str, Callable[..., float]] = {
     "ACOS": lambda number: math.degrees(math.acos(number)),
     "ATAN2": lambda y, x: math.degrees(math.atan2(y, x)),
 }
-"""Functions of the controller that give a number of numbers; angles in degrees."""
+"""Functions of the controller that compute a number from numbers; angles in degrees."""
 ZERO = Position((0.0,) * 6)
-_SCALAR = (Number, Word)
-_CONSTANT = (Number, Word, OpaqueText)
-_EVALUATED = (Number, Position, Word, UnknownValue)
-_WITHOUT_PARTS = (Number, Word, Position, UnknownValue, OpaqueText, UnreadableText)
+_SCALAR_TYPES = (Number, Word)
+_CONSTANT_TYPES = (Number, Word, OpaqueText)
+_EVALUATED_TYPES = (Number, Position, Word, UnknownValue)
+_TYPES_WITHOUT_PARTS = (Number, Word, Position, UnknownValue, OpaqueText, UnreadableText)
 ANGLES = CARTESIAN[3:]
 WHOLE = "INT or REAL"
-"""Type of a parameter without ``:IN`` whose argument has the other of these types: no source says which it is."""
+"""Type of a parameter without ``:IN`` that is INT with a REAL argument, or the reverse: no source says which holds."""
 LARGEST_INT = 2.0**31
 """INTs are below this: they have 32 bits."""
 _OPERATIONS: dict[str, Callable[[float, float], float]] = {
@@ -73,36 +73,40 @@ _OPERATIONS: dict[str, Callable[[float, float], float]] = {
 }
 _UNKNOWN_ROUNDING = UnknownValue(reason="to which side the quotient of negative INTs is rounded is in no source")
 PARTLY_GIVEN = "not all of its components are given, and it had others"
-"""Why a position is not known: it may keep the others or lack them, and a motion then keeps those of the robot."""
+"""Why a position is not known: the variable may keep the missing components, or lack them, so that a motion keeps the
+components of the robot position."""
 _LONE_MEMBER = "its structure had no value as a whole: give all members at once before"
 _BEYOND_INT = UnknownValue(reason="what becomes of an INT beyond 32 bits is in no source")
-_HALF = 1e-5
-"""REALs that are closer than this share to the middle between two INTs may be rounded to either: they have fewer
-digits on a controller."""
-_TURN = 1e-3
-"""Angles closer than this [deg] to 90° or 180° may be those of another set: a REAL has seven digits."""
+_ROUNDING_TOLERANCE = 1e-5
+"""A REAL closer to the middle between two INTs than this share of its size may be rounded to either: a controller has
+fewer digits."""
+_ANGLE_TOLERANCE = 1e-3
+"""If B is closer than this [deg] to ±90°, or A or C to ±180°, the controller may have another set of A, B, C of the
+orientation: a REAL has seven digits."""
 _SET_BY_PROGRAMS = frozenset({"$OUT", "$ANOUT", "$ACC", "$VEL_AXIS", "$ACC_AXIS", "$ACT_BASE", "$ACT_TOOL", "$LOAD"})
-_MOVING = ("$POS_", "$AXIS_")
-"""What names of variables begin with that say where the robot is."""
+_POSITION_PREFIXES = ("$POS_", "$AXIS_")
+"""Beginnings of the names of variables that hold the robot position."""
 FRAME_ARRAYS = frozenset({"BASE_DATA", "TOOL_DATA"})
 """Frames by number, which the cell and files may give."""
-_SAME_PLACE = 1e-6
-"""Frames closer than this [m] are equal: files and displays give three decimals of a millimetre."""
-_SAME_ANGLE = math.radians(1e-3)
-"""The same for orientations [rad]."""
+_POSITION_TOLERANCE = 1e-6
+"""Positions closer than this [m] are equal: files and displays give three decimals of a millimetre."""
+_ORIENTATION_TOLERANCE = math.radians(1e-3)
+"""Orientations closer than this [rad] are equal: files and displays give three decimals of a degree."""
 
 
 def operation_result(operator: str, a: float, b: float, *, integer: bool) -> float | VariableValue:
-    """Return a sum, difference, product or quotient of two numbers; an `UnknownValue` if it is not known.
+    """Return a sum, difference, product or quotient of two numbers.
 
-    The quotient of two INTs has no decimal places (KUKA, Expert Programming). No source says to which side that of a
-    negative INT is rounded, nor what becomes of an INT beyond 32 bits.
+    The quotient of two INTs has no decimal places (KUKA, Expert Programming). No source says to which side the quotient
+    of a negative INT is rounded, nor what becomes of an INT beyond 32 bits.
 
     :param operator: ``+ - * /``, or ``B_NOT`` of `b` alone.
-    :param integer: both are INTs.
+    :param integer: True if both numbers are INTs.
+    :returns: an `UnknownValue` if the result is not known; `NO_VALUE` for a division by 0, an infinite result, and
+        ``B_NOT`` of a REAL.
     """
     if operator == "B_NOT":
-        return -1.0 - b if integer else NO_VALUE
+        return -1.0 - b if integer else NO_VALUE  # all bits of a two's complement flipped
     if operator == "/" and b == 0.0:
         return NO_VALUE
     if operator == "/" and integer and a % b != 0.0:
@@ -117,17 +121,17 @@ class Functions(Protocol):
     """The functions that a program declares."""
 
     def is_pure(self, call: Call) -> bool:
-        """Return whether a call gives a value and changes nothing, so that it does not matter when and how often."""
+        """Return whether a call gives a value and changes nothing, so that it may run at any time, and repeatedly."""
 
     def value(self, call: Call) -> VariableValue:
-        """Return what a call gives that is `is_pure`."""
+        """Return the value of a call that `is_pure`."""
 
 
 class Snapshot(NamedTuple):
     """Values of variables at one moment.
 
-    :ivar values: by stored name; elements as ``P[3]``.
-    :ivar volatile_values: names that may change at any time, and what changes them.
+    :ivar values: stored name → value; elements have names such as ``P[3]``.
+    :ivar volatile_values: stored names of variables that may change at any time → what changes them.
     """
 
     values: dict[str, VariableValue | UnparsedValue]
@@ -147,34 +151,38 @@ class _NoFunctions:
 
 
 class Variables:
-    """Values by name (upper case; elements as ``P[3]``), at one moment of the program's run.
+    """Values of variables at one moment of the run of a program.
 
-    :ivar change_count: how often a value was replaced by another one.
-    :ivar types: declared type by name, upper case.
-    :ivar structures: types of the members of each STRUC, upper case.
+    A variable is given by its stored name, see `Scope`; an array element by the name of the array and its index:
+    ``P[3]``. Both are called keys.
+
+    :ivar change_count: number of times that a value was replaced by another value.
+    :ivar types: stored name → declared type, upper case.
+    :ivar structures: name of a STRUC → types of its members by name, upper case.
     :ivar global_names: names declared GLOBAL.
-    :ivar scope: which variables the names of the present routine mean.
-    :ivar volatile_values: names that may change at any time, and what changes them.
-    :ivar used_names: names that a motion, a frame or a speed depends on.
-    :ivar change_places: names that the program gives another value, and where first.
-    :ivar cell_values: values that the cell gives, by key.
-    :ivar used_cell_values: keys of these that any run has read.
-    :ivar persistent_names: names that keep their values from run to run: those of data lists, BASE_DATA and TOOL_DATA.
+    :ivar scope: resolves the names in the present routine.
+    :ivar volatile_values: stored names of variables that may change at any time → what changes them.
+    :ivar used_names: stored names of variables that a motion, a frame or a speed depends on.
+    :ivar change_places: stored names of variables that the program changes → the place of the first change.
+    :ivar cell_values: key → value that the cell gives.
+    :ivar used_cell_values: keys of `cell_values` that any run has read.
+    :ivar persistent_names: stored names of variables that keep their values from run to run: those of data lists,
+        BASE_DATA and TOOL_DATA.
     :ivar setting_value: function that returns the present value of one of the `RELEVANT` variables, or of one of its
         components, by name and component (None: the whole); see `Settings.current_value`.
-    :ivar functions: those of the program, see `calls`.
-    :ivar late_values: initial values, by key, of data lists that are read when the program first calls their file; they
-        have held since the program began.
-    :ivar reads_late_list: True while such a list is read.
+    :ivar functions: the functions of the program, see `calls`.
+    :ivar late_values: key → initial value, from data lists that are read when the program first calls their file; these
+        values have held since the program began.
+    :ivar reads_late_list: True while such a data list is read.
     """
 
     def __init__(self, cell: Cell) -> None:
         """Begin with the values that the cell gives: variables, BASE_DATA and TOOL_DATA.
 
-        :raises CellError: it gives a variable that it may not.
+        :raises CellError: the cell gives a variable that it may not give, or two frames for one number.
         """
         self._values: dict[str, VariableValue | UnparsedValue] = {}
-        self._elements: defaultdict[str, list[str]] = defaultdict(list)
+        self._elements: defaultdict[str, list[str]] = defaultdict(list)  # array → keys of its elements
         self.change_count = 0
         self.types: dict[str, str] = {}
         self.structures: dict[str, dict[str, str]] = {}
@@ -188,7 +196,10 @@ class Variables:
         self.functions: Functions = _NoFunctions()
         self.late_values: dict[str, VariableValue | UnparsedValue] = {}
         self.reads_late_list = False
-        self._stated = {f"{name}[0]": (ZERO, "the controller, whose number 0 is $NULLFRAME") for name in FRAME_ARRAYS}
+        # key of BASE_DATA or TOOL_DATA → its frame, and the first place that gives it
+        self._stated_frames = {
+            f"{name}[0]": (ZERO, "the controller, whose number 0 is $NULLFRAME") for name in FRAME_ARRAYS
+        }
         self.cell_values = {key.upper(): _cell_value(value) for key, value in cell.krl.values.items()}
         _check_cell_values(self.cell_values)
         self.used_cell_values: set[str] = set()
@@ -200,27 +211,32 @@ class Variables:
             self._values.setdefault(name, ZERO)
 
     def _put_frame(self, key: str, frame: Position, place: str) -> None:
-        """Store a frame that the cell gives; `place` is its table in the cell."""
+        """Store a frame that the cell gives.
+
+        :param key: stored name of the element of BASE_DATA or TOOL_DATA.
+        :param place: the table of the frame in the cell, for messages.
+        """
         self.note_frame(key, frame, place)
         self.put(key, frame)
 
     def note_frame(self, key: str, value: VariableValue | UnparsedValue, place: str) -> None:
-        """Note the frame that the cell or a file gives for ``BASE_DATA[n]`` or ``TOOL_DATA[n]``.
+        """Check the frame that the cell or a file gives for ``BASE_DATA[n]`` or ``TOOL_DATA[n]`` against other places.
 
-        Components that one of two frames lacks do not count. A value that cannot be read is not noted.
+        The first frame of each element is kept for this. Components that one of two frames lacks do not count. A value
+        that cannot be read, or is not known, is passed over.
 
         :param key: stored name of the element.
-        :param place: for a message: the file and line, or the table of the cell.
+        :param place: file and line, or the table of the cell, for messages.
         :raises CellError: another place gives another frame.
         """
         try:
             parsed_value = value.value if isinstance(value, UnparsedValue) else value
             frame = self.position(parsed_value)
-        except ProgramError:  # an error where it is used
+        except ProgramError:  # raised again where the value is used
             return
         if frame is None:
             return
-        stated_frame, other_place = self._stated.setdefault(key, (frame, place))
+        stated_frame, other_place = self._stated_frames.setdefault(key, (frame, place))
         if not _are_equal_frames(stated_frame, frame):
             raise CellError(
                 f"{key} has two values: {_frame_text(stated_frame)} by {other_place}, "
@@ -229,7 +245,7 @@ class Variables:
             )
 
     def copy_for_run(self) -> Variables:
-        """Return a copy for another run; both note in one set which values of the cell they rely on."""
+        """Return a copy for another run of the program; `used_cell_values` is shared by all runs."""
         duplicate = copy(self)
         duplicate._values, duplicate._elements = dict(self._values), defaultdict(list)
         for name, keys in self._elements.items():
@@ -241,9 +257,9 @@ class Variables:
         return duplicate
 
     def take_cell_values(self, name: str = "") -> None:
-        """Set variables to the values that the cell gives.
+        """Set variables to the values that the cell gives, converted to their types.
 
-        :param name: stored name of the only variable to set, with its elements; empty: all.
+        :param name: stored name of a variable, to set it and its elements alone; empty: set all.
         """
         for key, value in self.cell_values.items():
             root = key.partition("[")[0]
@@ -251,7 +267,7 @@ class Variables:
                 self.put(key, convert_to_type(value, self.types.get(root, "")))
 
     def put(self, key: str, value: VariableValue | UnparsedValue) -> None:
-        """Store a value unchanged; `set` converts the values of assignments to the type of the variable.
+        """Store a value unchanged. Assignments of the program use `set`, which converts the value to the type.
 
         :param key: stored name of the variable, or of an element, as ``P[3]``.
         """
@@ -265,7 +281,9 @@ class Variables:
         self._values[key] = value
 
     def set(self, key: str, value: VariableValue, place: Place) -> None:
-        """Set a variable to the value of an assignment, converted to its type.
+        """Set a variable to the value of an assignment, converted to its type, and note the change.
+
+        A position that lacks components which the variable may have makes the variable unknown.
 
         :param key: stored name of the variable, or of an element, as ``P[3]``.
         :param place: the assignment.
@@ -280,12 +298,14 @@ class Variables:
         self.put(key, value)
 
     def _is_ambiguous(self, key: str, new_position: Aggregate) -> bool:
-        """Return whether a new position lacks components that the variable may have.
+        """Return whether an aggregate is a position that lacks components which the variable may have.
 
-        It is not certain what becomes of these: they may stay, or count as missing.
+        It is not certain what becomes of these components: they may stay, or be missing.
+
+        :param key: stored name of the variable that gets `new_position`.
         """
         names: tuple[str, ...] = ()
-        if not new_position.items.keys().isdisjoint(_REAL):
+        if not new_position.items.keys().isdisjoint(_REAL_COMPONENTS):
             names = AXES if not new_position.items.keys().isdisjoint(AXES) else CARTESIAN
         missing_names = [name for name in names if name not in new_position.items]
         old_value = self.value(key)
@@ -294,9 +314,11 @@ class Variables:
         return not isinstance(old_value, Aggregate) or any(name in old_value.items for name in missing_names)
 
     def set_field(self, key: str, field: str, value: VariableValue, place: Place) -> None:
-        """Set one component of a variable, as ``XP1.X=5`` does.
+        """Set one component of a variable, as ``XP1.X=5`` does, and note the change.
 
-        :param key: of the variable.
+        A variable that is unknown for a stated reason stays so.
+
+        :param key: stored name of the variable, or of an element.
         :param field: path of the component, such as ``X`` or ``F.X``.
         :param place: the assignment.
         """
@@ -305,15 +327,18 @@ class Variables:
         if name not in self.change_places:
             self.change_places[name] = str(place)
         if not isinstance(old_value, UnknownValue) or not old_value.reason:
-            self.put(key, self._with_field(old_value, field, value, place))
+            self.put(key, self._value_with_component(old_value, field, value, place))
 
-    def _with_field(
+    def _value_with_component(
         self, old_value: VariableValue | None, field: str, value: VariableValue, place: Place
     ) -> VariableValue:
-        """Return the value that a variable has after an assignment to one of its components, see `set_field`.
+        """Return the value of a variable after an assignment to one of its components, see `set_field`.
 
-        :param old_value: of the whole variable; None if it has none.
-        :returns: an `UnknownValue` if it is not known.
+        A member that is no component of a position becomes unknown by itself; the other members keep their values.
+
+        :param old_value: value of the whole variable before; None if it has none.
+        :param field: path of the component; `value` is its new value.
+        :returns: an `UnknownValue` if the value of the whole variable is not known.
         """
         unknown = UnknownValue(str(place), value.reason if isinstance(value, UnknownValue) else "")
         if isinstance(old_value, Position) and not old_value.is_axis and field in CARTESIAN:
@@ -338,7 +363,8 @@ class Variables:
 
         Variables of the controller that have no value stay as they are.
 
-        :param place: what changes the variable, for messages.
+        :param name: stored name of the variable.
+        :param place: place of the statement that changes the variable, for messages.
         """
         if name[0] == "$" and name not in self._values and name not in self._elements:
             return
@@ -355,8 +381,9 @@ class Variables:
         self._values, self.volatile_values = self.late_values | snapshot.values, dict(snapshot.volatile_values)
 
     def merge(self, snapshot: Snapshot, place: str) -> None:
-        """Mark as unknown the variables whose values differ from those of a snapshot: that of another branch.
+        """Mark as unknown the variables whose values differ from those of a snapshot.
 
+        :param snapshot: the values at the end of another branch.
         :param place: the join of the branches, for messages.
         """
         values, volatile_names = self.late_values | snapshot.values, snapshot.volatile_values
@@ -366,7 +393,7 @@ class Variables:
                 self._values[key] = UnknownValue(place)
 
     def differing_names(self, snapshot: Snapshot) -> frozenset[str]:
-        """Return the names of variables whose values differ from those of a snapshot."""
+        """Return the stored names of variables that differ from a snapshot in a value, or in being volatile."""
         values, volatile_names = self.late_values | snapshot.values, snapshot.volatile_values
         keys = self._values.keys() | values.keys()
         names = {
@@ -375,7 +402,11 @@ class Variables:
         return frozenset(names | (self.volatile_values.keys() ^ volatile_names.keys()))
 
     def _have_same_value(self, first: object, second: object) -> bool:
-        """Return whether two stored values are equal; an aggregate equals the unparsed text that it was read from."""
+        """Return whether two stored values are equal.
+
+        Aggregates are equal if their numbers are those of one text, at one row of the trace: they are corrected there.
+        An aggregate equals the unparsed text that it was read from; so does a number of the same value.
+        """
         if first is second or (not isinstance(first, Aggregate) and first == second):
             return True
         if isinstance(second, UnparsedValue):
@@ -398,8 +429,8 @@ class Variables:
 
         :param name: stored name of the array.
         :param numbers: indices of the elements.
-        :returns: the file, and first offset and offset behind of each value; None if an element has another value, or
-            may have.
+        :returns: the data list, and for each element the offset of the first character of its value and the offset
+            behind its last. None if an element has, or may have, a value from elsewhere.
         """
         if name in self.volatile_values or any(key.partition("[")[0] == name for key in self.cell_values):
             return None
@@ -409,16 +440,17 @@ class Variables:
             if not isinstance(value, UnparsedValue | Aggregate) or (isinstance(value, Aggregate) and value.is_computed):
                 return None
             source = source or value.source
-            if value.source is not source or source.index == 0 or value.row > 0:  # the program itself assigns it
+            # the values are in several files, or the `.src` (index 0, or a row of the trace) gives one
+            if value.source is not source or source.index == 0 or value.row > 0:
                 return None
             spans.append((value.start, value.stop))
         return None if source is None else (source, spans)
 
     def numbers(self, name: str, indices: Iterable[int]) -> Array | None:
-        """Return the numbers (n,) in n elements of an array; None if one of them is not known.
+        """Return the numbers (n,) in n elements of an array; None if the value of an element is no known number.
 
         :param name: stored name of the array.
-        :param indices: of the elements, as the program counts them.
+        :param indices: indices of the elements, as the program counts them.
         """
         numbers = []
         for index in indices:
@@ -429,9 +461,9 @@ class Variables:
         return np.array(numbers)
 
     def changed_data(self) -> dict[str, str]:
-        """Return the variables that keep their values from run to run and that the program changes.
+        """Return the variables that keep their values from run to run and that the program changes, sorted by name.
 
-        :returns: stored name → the place that changes it, as text.
+        :returns: stored name → the place that changes the variable, as text.
         """
         change_places = self.change_places | {name: value.change_place for name, value in self.volatile_values.items()}
         return {name: change_places[name] for name in sorted(self.persistent_names & change_places.keys())}
@@ -439,7 +471,8 @@ class Variables:
     def next_run(self) -> Variables:
         """Return the variables as the next run of the program finds them.
 
-        Variables of data lists and of the controller keep the values that this run leaves; others have none.
+        Variables of data lists and of the controller keep the values that this run leaves. Others have no value, or the
+        value of the cell. Variables of data lists that may change at any time are unknown.
         """
         next_variables = copy(self)
         next_variables._values = {key: value for key, value in self._values.items() if self._is_kept_between_runs(key)}
@@ -454,7 +487,7 @@ class Variables:
         return next_variables
 
     def _is_kept_between_runs(self, key: str) -> bool:
-        """Return whether a variable keeps its value from one run of the program to the next."""
+        """Return whether a variable, given by its key, keeps its value from one run of the program to the next."""
         return key[0] == "$" or key.partition("[")[0] in self.persistent_names
 
     def __contains__(self, key: str) -> bool:
@@ -462,11 +495,11 @@ class Variables:
         return key in self._values
 
     def value(self, key: str) -> VariableValue | None:
-        """Return the value of a variable or an element by its stored name; None if it has none.
+        """Return the value of a variable or an element by its stored name; None if it has no value.
 
-        A value that is not parsed yet is parsed, and stored.
+        A value that is not parsed yet is parsed, and stored. That a value of the cell is read is noted.
 
-        :raises ProgramError: it cannot be read.
+        :raises ProgramError: the value cannot be read.
         """
         if key[0] == "$" and (root := key.partition("[")[0]) in RELEVANT:
             return self.setting_value(root, None)
@@ -483,11 +516,12 @@ class Variables:
         return value
 
     def evaluate(self, value: Value | VariableValue) -> VariableValue:
-        """Return the value that an expression has now; an `UnknownValue` if it is not known before the program runs.
+        """Return the present value of an expression; values of variables are returned as they are.
 
+        :returns: an `UnknownValue` if the value is not known before the program runs; `NO_VALUE` without a reason.
         :raises ProgramError: the expression cannot be read.
         """
-        if isinstance(value, _EVALUATED):
+        if isinstance(value, _EVALUATED_TYPES):
             return value
         if isinstance(value, Reference):
             return self.value_of(value)
@@ -508,13 +542,14 @@ class Variables:
     def _evaluate_aggregate(self, aggregate: Aggregate) -> Aggregate:
         """Return an aggregate with the present values of its components.
 
-        Components without a known value become `OpaqueText`.
+        Components without a known value become `OpaqueText`. The aggregate itself is returned if no component differs;
+        else the result counts as computed.
         """
         for item in aggregate.items.values():  # a loop: `all` takes longer, and nearly all aggregates are constant
-            if not isinstance(item, _CONSTANT):
+            if not isinstance(item, _CONSTANT_TYPES):
                 break
         else:
-            return aggregate
+            return aggregate  # all components are constant
         items: dict[str, Value] = {}
         for name, item in aggregate.items.items():
             result = self.evaluate(item)
@@ -524,7 +559,10 @@ class Variables:
         return replace(aggregate, items=items, is_computed=True)
 
     def truth(self, condition: Value | None) -> bool | None:
-        """Return whether a condition holds; None if that is not known before the program runs."""
+        """Return whether a condition holds; None if that is not known before the program runs.
+
+        :param condition: the condition; None if a statement lacks it.
+        """
         try:
             if condition is None or not all(map(self.functions.is_pure, calls([condition]))):
                 return None
@@ -534,7 +572,11 @@ class Variables:
         return value if isinstance(value, bool) else None
 
     def is_chosen_case(self, value: VariableValue, cases: Sequence[Value]) -> bool | None:
-        """Return whether a value of a SWITCH is among the values behind one CASE (`cases`); None if it is not known."""
+        """Return whether the value of a SWITCH is among the values behind one CASE.
+
+        :param cases: the values behind CASE.
+        :returns: None if none of them certainly equals the value, but one may.
+        """
         is_chosen: bool | None = False
         for case in cases:
             is_equal = matches_case(value, self.evaluate(case))
@@ -544,20 +586,27 @@ class Variables:
         return is_chosen
 
     def _evaluate_condition(self, condition: Condition) -> VariableValue:
-        """Return the value of terms joined by comparisons and logic, or of a single term in brackets."""
+        """Return the value of terms joined by comparisons and logic, or of a single term in brackets.
+
+        :returns: the first unknown value of a term if the value is not known; else `NO_VALUE`.
+        """
         term_values = [self.evaluate(term) for term in condition.terms]
         if not condition.operators and not (condition.negated and condition.negated[0]):
             return term_values[0]
         value = condition_value(term_values, condition)
         if isinstance(value, bool):
             return Word(str(value).upper(), condition.start, condition.stop)
-        if isinstance(value, _SCALAR):
+        if isinstance(value, _SCALAR_TYPES):
             return value
         return next((term_value for term_value in term_values if isinstance(term_value, UnknownValue)), NO_VALUE)
 
     def _evaluate_operation(self, operation: Operation) -> VariableValue:
-        """Return a sum, difference, product or quotient, see `operation_result`."""
-        left = Number(0.0, 0, 0, True) if operation.left is None else self.evaluate(operation.left)
+        """Return a sum, difference, product or quotient, see `operation_result`.
+
+        :returns: the unknown value of a side if a side is no known number; else `NO_VALUE`.
+        """
+        # −x is 0 − x
+        left = Number(0.0, 0, 0, is_integer=True) if operation.left is None else self.evaluate(operation.left)
         right = self.evaluate(operation.right)
         if not isinstance(left, Number) or not isinstance(right, Number):
             return next((side for side in (left, right) if isinstance(side, UnknownValue)), NO_VALUE)
@@ -568,7 +617,8 @@ class Variables:
     def _evaluate_call(self, call: Call) -> VariableValue:
         """Return the value of a function call, angles in degrees.
 
-        :returns: `NO_VALUE` if its arguments alone do not determine it.
+        :returns: `NO_VALUE` if the function has side effects, is not known, or an argument has not its type or is
+            outside of its domain.
         """
         function = FUNCTIONS.get(call.name)
         if function is None and call.name != "INV_POS":
@@ -586,12 +636,15 @@ class Variables:
             result = function(*(number.value for number in numbers))
         except ValueError:  # outside of its domain, as the root of −1
             return NO_VALUE
-        return Number(result, call.start, call.stop, call.name == "ABS" and numbers[0].is_integer)
+        is_integer = call.name == "ABS" and numbers[0].is_integer  # all other functions give REALs
+        return Number(result, call.start, call.stop, is_integer)
 
     def _evaluate_chain(self, chain: Chain) -> VariableValue:
-        """Return the position of frames that are joined by ``:``; `NO_VALUE` if it is not known.
+        """Return the position of frames that are joined by ``:``, the product of their poses.
 
-        Status, turn and external axes are those of the last operand.
+        Status, turn and external axes are those of the last frame.
+
+        :returns: `NO_VALUE` if a frame is not known, given by joint angles, or a variable that lacks components.
         """
         pose, position = np.eye(4), None
         for operand in chain.operands:
@@ -604,7 +657,10 @@ class Variables:
         return replace(position_from_pose(pose), status=position.status, turn=position.turn, external=position.external)
 
     def key_of(self, reference: Reference) -> str | None:
-        """Return the key of a variable, its index resolved; None if the index is not known."""
+        """Return the key of a variable or an array element, with the value of its index.
+
+        :returns: None if an index is not known, and for a whole array ``P[]``.
+        """
         name = self.scope.stored_name(reference.name)
         if reference.indices is None:
             return name
@@ -614,7 +670,7 @@ class Variables:
         return f"{name}[{','.join(map(str, indices))}]"
 
     def index(self, value: Value) -> int | None:
-        """Return the value of one index of an array; None if it is not known, or is no whole number."""
+        """Return the number of one index of an array; None if it is not known, or no whole number."""
         index = self.number(value)
         return None if index is None or index != int(index) else int(index)
 
@@ -625,7 +681,8 @@ class Variables:
         key = self.key_of(reference)
         value = self.value(key) if key is not None else None
         if value is None and key is not None and reference.indices is not None:
-            value = self.value(self.scope.stored_name(reference.name))  # unknown where any element may have changed
+            # `forget` marks the array itself as unknown if any element may have changed
+            value = self.value(self.scope.stored_name(reference.name))
         if isinstance(value, Aggregate) and reference.indices is not None and reference.name in self.scope.array_names:
             value = replace(value, is_computed=True)  # the text of its numbers belongs to a variable of another name
         if isinstance(value, Position) and reference.field in CARTESIAN and not value.is_axis:
@@ -639,7 +696,9 @@ class Variables:
     def _member_of(self, value: VariableValue | None, path: str) -> VariableValue | None:
         """Return a member of a structure by its path, such as ``F.X``; None if it has no value.
 
-        A member of a computed structure counts as computed too: its text may be that of another variable.
+        A member of a computed structure counts as computed too: its text may belong to another variable.
+
+        :param value: the structure; an `UnknownValue` is returned itself.
         """
         is_computed = False
         for name in path.split("."):
@@ -653,25 +712,28 @@ class Variables:
         return replace(value, is_computed=True) if is_computed and isinstance(value, Aggregate) else value
 
     def _convert_member(self, reference: Reference, number: Number) -> VariableValue:
-        """Return a number converted to the type of a member of a structure."""
-        kind = self.type_of(reference)
-        return convert_to_type(number, kind) if kind else number
+        """Return a number converted to the declared type of a member of a structure, if that is known.
+
+        :param reference: the member.
+        """
+        member_type = self.type_of(reference)
+        return convert_to_type(number, member_type) if member_type else number
 
     def type_of(self, reference: Reference) -> str:
         """Return the declared type of a variable, an element or a member, upper case; empty if it is not known."""
-        kind = self.types.get(self.scope.stored_name(reference.name), "")
+        type_name = self.types.get(self.scope.stored_name(reference.name), "")
         for name in () if reference.field is None else reference.field.split("."):
-            members = self.structures.get(kind)
+            members = self.structures.get(type_name)
             if members is not None:
-                kind = members.get(name, "")
-            else:
-                kind = "REAL" if name in _REAL else ""
-        return kind
+                type_name = members.get(name, "")
+            else:  # a position of the controller's own types
+                type_name = "REAL" if name in _REAL_COMPONENTS else ""
+        return type_name
 
     def position(self, value: Value | VariableValue) -> Position | None:
-        """Return the position that a value gives, or None when it is not known before the program runs.
+        """Return the position that an expression gives; None if it gives none, or is not known before the program runs.
 
-        :raises ProgramError: it is known but not a valid position.
+        :raises ProgramError: the value is a known aggregate but not a valid position.
         """
         result = self.evaluate(value)
         if isinstance(result, Aggregate):
@@ -679,23 +741,24 @@ class Variables:
         return result if isinstance(result, Position) else None
 
     def number(self, value: Value | VariableValue) -> float | None:
-        """Return a number, or None when it is not known before the program runs."""
+        """Return the number that an expression gives; None if it is not known before the program runs, or no number."""
         result = self.evaluate(value)
         return result.value if isinstance(result, Number) else None
 
     def note_dependence(self, value: Value | VariableValue) -> None:
-        """Note the variables in a value on which a motion, a frame or a speed depends."""
+        """Add the variables in an expression to `used_names`: a motion, a frame or a speed depends on it."""
         if isinstance(value, Reference):
             self.used_names.add(self.scope.stored_name(value.name))
-        if not isinstance(value, _WITHOUT_PARTS):
+        if not isinstance(value, _TYPES_WITHOUT_PARTS):
             for part in parts(value):
                 self.note_dependence(part)
 
     def first_argument(self, call: Call, field: str) -> Value | VariableValue | None:
         """Return the first argument of a call; if it is a structure, one component of it.
 
-        :param field: that component.
-        :returns: `NO_VALUE` without an argument; None if the structure lacks the component.
+        :param field: name of the component.
+        :returns: `NO_VALUE` if the call has no argument; None if the structure lacks the component; the expression of
+            the argument if its value is not known.
         """
         if not call.arguments:
             return NO_VALUE
@@ -707,7 +770,8 @@ class Variables:
     def check_name(self, source: Source, reference: Reference) -> None:
         """Refuse a variable whose name is longer than the controller accepts.
 
-        :raises ProgramError: it is.
+        :param source: the file that contains the reference.
+        :raises ProgramError: the name is too long.
         """
         if len(reference.name) > MAX_LENGTH:
             raise source.error(
@@ -718,18 +782,19 @@ class Variables:
 
 
 def _unknown_setting(name: str, field: str | None) -> VariableValue:
-    """Return `NO_VALUE` for a setting of motions: settings are not followed yet."""
+    """Return `NO_VALUE` for a setting of motions, in place of `Settings.current_value` before settings are followed."""
     return NO_VALUE
 
 
 def _check_cell_values(keys: Iterable[str]) -> None:
     """Refuse cell values for variables that programs set, or that describe the robot position.
 
-    :raises CellError: there is one.
+    :param keys: keys of the cell values.
+    :raises CellError: the cell gives such a variable.
     """
     for key in keys:
         name = key.partition("[")[0].partition(".")[0]
-        if name in RELEVANT or name in _SET_BY_PROGRAMS or name.startswith(_MOVING):
+        if name in RELEVANT or name in _SET_BY_PROGRAMS or name.startswith(_POSITION_PREFIXES):
             raise CellError(
                 f"[krl.values] cannot give {key}: the program changes it while it runs",
                 advice="Give inputs such as $IN[5], parameters and variables of the program.",
@@ -737,46 +802,53 @@ def _check_cell_values(keys: Iterable[str]) -> None:
 
 
 def component(position: Position, field: str) -> VariableValue:
-    """Return a component (`field`: X … C) of a computed Cartesian position [mm, deg].
+    """Return a component of a computed Cartesian position [mm, deg].
 
-    A, B and C are known only if one set of them describes the orientation: no source says which of two sets a
-    controller has.
+    A, B and C are unknown if two sets of them describe the orientation: no source says which set a controller has.
+
+    :param field: name of the component, X … C.
     """
     value = position.values[CARTESIAN.index(field)]
     if field in ANGLES and not _has_unique_angles(position):
         return UnknownValue(reason=f"two sets of A, B, C describe this orientation, and {field} may be that of either")
-    return Number(value, 0, 0, False)
+    return Number(value, 0, 0)  # a REAL, in no text
 
 
 def with_component(position: Position, field: str, value: float) -> Position | None:
     """Return a computed Cartesian position with another value of one component.
 
-    :param field: X … C; `value` is its new number [mm or deg].
-    :returns: None if the component is an angle, and the others may be those of another set of A, B, C.
+    :param field: name of the component, X … C; `value` is its new number [mm or deg].
+    :returns: None if the component is an angle, and the controller may have the other angles of another set of A, B, C.
     """
-    if field in ANGLES and not _has_unique_angles(position, whole_turns=True):
+    if field in ANGLES and not _has_unique_angles(position, ignores_whole_turns=True):
         return None
     values = list(position.values)
     values[CARTESIAN.index(field)] = value
     return replace(position, values=tuple(values), aggregate=None)
 
 
-def _has_unique_angles(position: Position, *, whole_turns: bool = False) -> bool:
-    """Return whether only one set of A, B, C describes the orientation of a position.
+def _has_unique_angles(position: Position, *, ignores_whole_turns: bool = False) -> bool:
+    """Return whether the controller certainly has the same A, B, C for the orientation of a position.
 
-    :param whole_turns: True if sets that differ by whole turns of an angle count as one.
+    At B = ±90° infinitely many sets of angles describe the orientation. A or C of ±180° may have either sign.
+
+    :param ignores_whole_turns: True if sets count as equal whose A or C differ by a whole turn.
     """
     a, b, c = position.values[3:]
-    return abs(b) < 90.0 - _TURN and (whole_turns or (abs(a) < 180.0 - _TURN and abs(c) < 180.0 - _TURN))
+    has_unique_b = abs(b) < 90.0 - _ANGLE_TOLERANCE
+    has_unique_signs = max(abs(a), abs(c)) < 180.0 - _ANGLE_TOLERANCE
+    return has_unique_b and (ignores_whole_turns or has_unique_signs)
 
 
 def _structure_with_member(
     variables: Variables, structure: Aggregate, path: Sequence[str], value: VariableValue
 ) -> Aggregate | None:
-    """Return a structure with another value of a member, or of a member of that member.
+    """Return a structure with another value of a member, or of a member inside a member.
 
     :param path: names of the members, the outermost first.
-    :returns: None if the result is not known, as where a position loses components that it had.
+    :param value: new value of the innermost member.
+    :returns: None if the result is not known: the value or an outer member is not known, or the new value lacks
+        components that the old value has.
     """
     name, *inner_path = path
     item = structure.items.get(name)
@@ -793,17 +865,17 @@ def _structure_with_member(
 
 
 def _are_equal_frames(frame: Position, other_frame: Position) -> bool:
-    """Return whether two frames are equal within rounding; a component that one lacks counts as that of the other.
+    """Return whether two frames are equal within rounding; a component that one frame lacks is taken from the other.
 
     Frames given by joint angles count as different.
     """
     if frame.is_axis or other_frame.is_axis:
         return False
     pairs = list(zip(frame.values, other_frame.values, strict=True))
-    pose = Position(tuple(x if x == x else y for x, y in pairs)).pose()
-    other_pose = Position(tuple(y if y == y else x for x, y in pairs)).pose()
+    pose = Position(tuple(y if math.isnan(x) else x for x, y in pairs)).pose()
+    other_pose = Position(tuple(x if math.isnan(y) else y for x, y in pairs)).pose()
     difference = np.abs(pose - other_pose)
-    return bool(difference[:3, 3].max() < _SAME_PLACE and difference[:3, :3].max() < _SAME_ANGLE)
+    return bool(difference[:3, 3].max() < _POSITION_TOLERANCE and difference[:3, :3].max() < _ORIENTATION_TOLERANCE)
 
 
 def _frame_text(frame: Position) -> str:
@@ -817,17 +889,19 @@ def _frame_text(frame: Position) -> str:
 
 
 def _cell_value(value: float) -> Number | Word:
-    """Return a value of the cell as a value of KRL: a BOOL, an INT or a REAL."""
+    """Return a bool, int or float of the cell as a value of KRL: a BOOL, an INT or a REAL; it is in no text."""
     if isinstance(value, bool):
-        return Word(str(value).upper(), 0, 0)
-    return Number(float(value), 0, 0, isinstance(value, int))
+        return Word(str(value).upper(), start=0, stop=0)
+    return Number(float(value), start=0, stop=0, is_integer=isinstance(value, int))
 
 
 def convert_to_type(value: VariableValue, kind: str) -> VariableValue:
     """Return a value converted to the type of a variable: a REAL is rounded to an INT (KUKA, Expert Programming).
 
-    :param kind: that type, upper case; empty if it is not known; `WHOLE` if it is REAL or INT.
-    :returns: an `UnknownValue` if the rounding is not certain.
+    Values other than numbers are returned unchanged. For a type that is not known, a whole number may be an INT.
+
+    :param kind: the type, upper case; empty if it is not known; `WHOLE` if it is REAL or INT.
+    :returns: an `UnknownValue` if the rounding is not certain, or the number is beyond 32 bits.
     """
     if not isinstance(value, Number) or kind == "REAL":
         return replace(value, is_integer=False) if isinstance(value, Number) else value
@@ -838,7 +912,7 @@ def convert_to_type(value: VariableValue, kind: str) -> VariableValue:
         return _BEYOND_INT
     if kind == "INT" and not is_whole:
         nearest = round(value.value)
-        if abs(abs(value.value - nearest) - 0.5) < _HALF * max(1.0, abs(value.value)):
+        if abs(abs(value.value - nearest) - 0.5) < _ROUNDING_TOLERANCE * max(1.0, abs(value.value)):
             return UnknownValue(reason=f"to which side {value.value:g} is rounded is in no source")
         return replace(value, value=float(nearest), is_integer=True)
     return replace(value, is_integer=is_whole)
