@@ -160,7 +160,7 @@ RARE = {
 
 
 def test_the_attack_finds_a_reader_that_passes_over_synchronised_robots(monkeypatch):
-    monkeypatch.setattr(unresolved, "_marks", lambda main: [])
+    monkeypatch.setattr(unresolved, "_sync_lines", lambda main: [])
     with pytest.raises(Wrong, match="is between two SYNCCMD"):
         Counter(attack(seed) for seed in range(MIXED + 280, MIXED + 290))
 

@@ -56,7 +56,7 @@ class Circles(Struct, frozen=True, eq=False):
 
     :param rows: (n,) rows of their motions.
     :param start: (n, 4, 4) tool frames at their starts, in `$BASE` [m].
-    :param end: (n, 4, 4) tool frames at their targets, likewise.
+    :param end: (n, 4, 4) tool frames at their targets, in `$BASE` [m].
     :param via: (n, 3) auxiliary points in `$BASE` [m].
     :param arcs: arcs through start, auxiliary point and end point as the text gives them.
     """
@@ -158,16 +158,18 @@ def _has_other_rotation(circles: Circles, via_angles: Array, turns_with_path: Bo
     numbers = xyzabc_from_pose(circles.start)  # X…C; A, B, C are replaced by those of the auxiliary points
     numbers[:, 3:] = np.where(np.isnan(via_angles), numbers[:, 3:], via_angles)
     start_radius, via_radius = circles.start[:, :3, 3] - centre, circles.via - centre
+    # angle of the arc from its start to the auxiliary point
     via_turn = np.arctan2(
         np.einsum("ij,ij->i", axis, np.cross(start_radius, via_radius)), np.einsum("ij,ij->i", start_radius, via_radius)
     )
-    via_turn %= 2.0 * np.pi  # from the start, in the direction of the arc
+    via_turn %= 2.0 * np.pi
     # undoes the rotation of the path, so that orientations are relative to the path if they are kept so
     path_axis = np.where(turns_with_path, -1.0, 0.0)[:, None] * axis
     start_orientation = circles.start[:, :3, :3]
     via_orientation = rotation_from_vector(via_turn[:, None] * path_axis) @ pose_from_xyzabc(numbers)[:, :3, :3]
     end_orientation = rotation_from_vector(angle[:, None] * path_axis) @ circles.end[:, :3, :3]
     shorter_rotation = rotation_vector(end_orientation @ np.swapaxes(start_orientation, 1, 2))
+    # the shorter rotation is in proportion to the path
     passed_orientation = rotation_from_vector((via_turn / angle)[:, None] * shorter_rotation) @ start_orientation
     return np.where(
         is_led_through,

@@ -129,7 +129,7 @@ class Bas:
 
         A setting whose field LDAT_ACT lacks stays. If LDAT_ACT itself is not known, none of the three is known.
         """
-        data = self._structure_value("LDAT_ACT", place)
+        data = self._structure_value("LDAT_ACT", place)  # a reference to a field of an unknown structure is unknown too
         for name, field in (("$APO", "APO_DIST"), ("$ORI_TYPE", "ORI_TYP"), ("$CIRC_TYPE", "CIRC_TYP")):
             value = self._reference("LDAT_ACT", field, place)
             if isinstance(data, Aggregate) and field not in data.items:

@@ -46,9 +46,13 @@ class Calls:
     def evaluate_with_calls(self, place: Place, expression: Value, *, is_copied: bool = False) -> VariableValue:
         """Return the value of an expression, and run the functions in it.
 
-        :param place: the statement that contains it.
-        :param is_copied: True if a point that it names keeps the text of its numbers, see `Run.note_copy`.
-        :returns: an `UnknownValue` if it is not known before run time.
+        Only a function that is the whole expression, or a pure one, surely runs.
+
+        :param place: the statement that contains the expression.
+        :param is_copied: True if a variable keeps the text of the point that the expression names, so that its numbers
+            are corrected there, see `Run.note_copy`.
+        :returns: an `UnknownValue` if the value is not known before run time; `NO_VALUE` for a variable of the program
+            without a value.
         :raises ProgramError: a function moves the robot where this cannot be corrected, or the text cannot be read.
         """
         if isinstance(expression, Call):
@@ -62,7 +66,8 @@ class Calls:
         value = self.run.variables.evaluate(expression)
         if isinstance(value, Aggregate):
             return self._with_text_place(expression, value, is_copied=is_copied)
-        if value == NO_VALUE and not (isinstance(expression, Reference) and expression.name[0] != "$"):
+        is_program_variable = isinstance(expression, Reference) and expression.name[0] != "$"
+        if value == NO_VALUE and not is_program_variable:
             return UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
         return value
 
@@ -150,11 +155,13 @@ class Calls:
             self.run.absent_calls.append((call.spelling(place.source), self.run.reported_line))
         self._forget_arguments(place, call, None)
 
-    def note_lasting_effects(self, place: Place, subject: str, effects: Effects, source: str | None = None) -> None:
+    def note_lasting_effects(
+        self, place: Place, subject: str, effects: Effects, later_subject: str | None = None
+    ) -> None:
         """Note effects that last: routines in no file, variables that may change at any time from now on, and RESUME.
 
         :param subject: the routine or statement that has these effects, as errors on this line name it.
-        :param source: the routine or statement as errors on later lines name it; None: `subject`.
+        :param later_subject: the routine or statement as errors on later lines name it; None: `subject`.
         :raises ProgramError: frames or speeds may change at any time, or a variable that a caller gave as an argument.
         """
         if not (effects.lasting_write or effects.absent_calls or effects.resume or effects.volatile_writes):
@@ -169,7 +176,7 @@ class Calls:
             problem = f"{subject} changes what motions depend on at any time: {', '.join(relevant)}"
             change_place = str(effects.volatile_writes[relevant[0]])
             raise place.error(problem if change_place == str(place) else f"{problem} ({change_place})", SETTING_ADVICE)
-        self.run.note_possible_changes(effects.volatile_writes, source or subject)
+        self.run.note_possible_changes(effects.volatile_writes, later_subject or subject)
 
     def _forget_arguments(self, place: Place, call: Call, routine: Routine | None) -> None:
         """Mark as unknown the variables and settings that are arguments of a call which it may write.
@@ -237,7 +244,7 @@ class Calls:
             return
         problem = f"{call.name} is called, which moves the robot ({motion_place})"
         run.unfollowed_routines |= run.analysis.reachable_routines(module, routine)
-        if run.routine in run.unfollowed_routines:
+        if run.routine in run.unfollowed_routines:  # the main routine itself
             raise place.error(f"{problem} and calls this program again", _INLINE_ADVICE)
         dependent_place = run.analysis.first_dependent_place(module, routine)
         if dependent_place is not None:
@@ -314,8 +321,8 @@ class Calls:
     def _run_exactly(self, place: Place, call: Call, module: Module, routine: Routine) -> VariableValue | None:
         """Run a called routine that is not in the trace, and return its value.
 
-        :returns: an `UnknownValue` if the routine gives no value; None if the routine cannot be run exactly. After None
-            variables may have values that the routine has given them.
+        :returns: an `UnknownValue` if the routine gives no value; None if an error ended it. After None variables may
+            have values that the routine has given them.
         """
         bound = self._bound_call(place, call, module, routine)
         level = self._begin_routine(bound, is_traced=False)
@@ -325,7 +332,7 @@ class Calls:
             self._leave_routine(bound)
             return None
         finally:
-            self.run.place = place
+            self.run.place = place  # the statement with the call
         self._end_routine(bound)
         return level.result if level.result != NO_VALUE else UnknownValue(str(place))
 
@@ -376,15 +383,17 @@ class Calls:
         """
         variables, parameters = self.run.variables, routine.parameters
         writable_arguments = self._writable_arguments(place, call, routine)
+        # whole arrays (no index in the brackets) are not copied: the parameter stands for the array of the caller
         arrays = {
             parameters[index].name: self.run.stored_name(reference.name)
             for index, reference in writable_arguments
             if reference.indices == ()
         }
         self.run.call_count += 1
-        scope = self.run.scopes.of_call(module, routine, self.run.call_count, arrays)
+        scope = self.run.scopes.scope_of_call(module, routine, self.run.call_count, arrays)
         references = [
-            _Argument(index, reference, variables.key_of(reference))  # before functions in the arguments run
+            # the key before functions in the arguments run: they may change an index
+            _Argument(index, reference, variables.key_of(reference))
             for index, reference in writable_arguments
             if reference.indices != () and index < len(parameters)
         ]

@@ -17,8 +17,8 @@ class CollectedMotions:
 
     :param run: the program as far as it has run.
     :param reader: reads motions with the settings of the run.
-    :ivar motions: those read, in order, with the state in force.
-    :ivar idle_rows: rows of motions to where the robot is already.
+    :ivar motions: the motions that have been read, in order, each with the state in force.
+    :ivar idle_rows: rows of the trace with motions to where the robot is already.
     :ivar splines: the spline blocks.
     """
 
@@ -53,7 +53,7 @@ class CollectedMotions:
                 raise
             run.unresolved_motions.append((run.row, cause))
             return
-        run.understand(*name_offsets)
+        run.note_followed_names(*name_offsets)
         if move is None:  # the robot is at the target already
             self.idle_rows.append(run.row)
         else:

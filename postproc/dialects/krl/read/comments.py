@@ -54,7 +54,7 @@ def force_notes(
     """
     trace = course.trace
     lines, comments = _force_comments(course)
-    if course.may_run is not None:
+    if course.may_run is not None:  # leave out comments on rows that do not run
         is_run = course.may_run[lines - 1]
         lines, comments = lines[is_run], comments[is_run]
     unknown_reasons = dict(unknown_reasons)
@@ -87,9 +87,10 @@ def _parsed_notes(
     for comment, line, file_line, row in zip(comments.tolist(), lines.tolist(), lines_in_files, rows, strict=True):
         if comment not in note_of_text:
             origin = trace.place(line)
+            # errors name the first place with the text
             note_of_text[comment] = parse_force_note(comment, origin.line, origin.source.document.name)
         note = note_of_text[comment]
-        if note is not None:
+        if note is not None:  # None: the comment is not about forces
             yield line, ForceNote(file_line, note.wrench, note.frame, row)
 
 
@@ -104,7 +105,7 @@ class _ActiveForce:
     """The force comment in force, from line to line.
 
     :ivar active_force: the comment in force; None: no force; a text: the reason why the force is not known.
-    :ivar motion_force: the force on the last motion, likewise; None if that motion carries no force.
+    :ivar motion_force: the force on the last motion, in the same form; None if that motion carries no force.
     :ivar passed_line: last line of the trace whose motions have been passed.
     """
 
@@ -313,7 +314,8 @@ def remarks(course: Course, motions: Ints) -> tuple[Event, ...]:
         name = _FOLD.sub("", comment[0]).strip(" \t-=*") if comment else ""
         if comment and name and not _EDITOR_COMMENT.match(comment[0].rstrip()):
             shown_line = course.trace.shown_line(row)
-            events.append(Event(int(np.searchsorted(motions, row)), "comment", shown_line, 0.0, name))
+            next_motion = int(np.searchsorted(motions, row))
+            events.append(Event(before=next_motion, kind="comment", line=shown_line, text=name))
     return tuple(events)
 
 
@@ -328,5 +330,6 @@ def _lines_of_comments(source: Source) -> tuple[Ints, Ints]:
     for index, begin, start in zip(
         candidates.tolist(), begins[candidates].tolist(), starts[candidates].tolist(), strict=True
     ):
+        # the first character decides most lines
         is_alone[index] = text[begin] in _BLANKS and not text[begin:start].strip(_BLANKS)
     return starts[is_alone], lines[is_alone]

@@ -25,12 +25,13 @@ from postproc.dialects.krl.read import plain_settings
 from postproc.dialects.krl.read.motion_reader import KINDS, MotionReader, has_plain_tail, may_be_point_name
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.state import RELEVANT
-from postproc.dialects.krl.read.variables import FUNCTIONS, convert_to_type, operation_result
+from postproc.dialects.krl.read.variables import FUNCTIONS, convert_to_type, operation_result, variable_of
 from postproc.errors import ProgramError
 
 FEWEST_ROUNDS = 64
 """Rounds from which on columns are worth a second run of the program."""
 _TAGS = ("", "E6POS", "E3POS", "POS", "FRAME")
+"""Types of Cartesian positions that may precede an aggregate; empty: none does."""
 _OUTPUTS = ("$OUT", "$ANOUT")
 _OPERATORS = "+-*/"
 
@@ -47,8 +48,9 @@ def computed_body(source: Source, block: Block) -> PlainBody | None:
     assigned_names = {
         stmt.target.name for stmt in (statement(source, line) for line in lines) if isinstance(stmt, Assignment)
     }
-    if bounds_name(head, {*assigned_names, head.name}):
+    if bounds_name(head, {*assigned_names, head.name}):  # the bounds may change
         return None
+    # names that the round has set up to the present line, and names that it sets later
     motions, assignments, set_names = [], [], set[str]()
     unset_names = {name for name in assigned_names if name[0] != "$"}
     for line in lines:
@@ -121,9 +123,8 @@ def _leads_to_computed_point(stmt: Motion, set_names: set[str], unset_names: set
     if not isinstance(end, Aggregate) or end.tag not in _TAGS or set(end.items) != set(CARTESIAN):
         return False
     values = end.items.values()
-    return all(_is_computable(value, unset_names) for value in values) and not all(
-        isinstance(component, Number) for component in values
-    )
+    has_computed_number = not all(isinstance(value, Number) for value in values)
+    return has_computed_number and all(_is_computable(value, unset_names) for value in values)
 
 
 class _Column(Struct, frozen=True, eq=False):
@@ -160,12 +161,12 @@ class _Rounds:
         :raises _NoColumnError: the values are neither all numbers of one type, nor all complete positions.
         """
         name, stored_name = stmt.target.name, self._stored_name(stmt.target.name)
-        self.columns.pop(name, None)
+        self.columns.pop(name, None)  # values of an earlier assignment in the round
         self.positions.pop(name, None)
         if isinstance(stmt.value, Reference) and stmt.value.indices is not None:
             values = self._element_values(stmt.value)
             points = [value for value in values if isinstance(value, Aggregate)]
-            if len(points) == len(values):
+            if len(points) == len(values):  # all elements are points
                 self.positions[name] = [_cartesian_position(point) for point in points]
                 if any(not point.is_computed for point in points):
                     self.copied_elements.append((line, stmt.value, name))
@@ -215,6 +216,7 @@ class _Rounds:
                 numbers = [function(*row) for row in zip(*(column.numbers for column in arguments), strict=True)]
             except (ValueError, OverflowError):
                 raise _NoColumnError from None
+            # all functions but ABS give REALs
             return _Column(numbers, value.name == "ABS" and all(column.is_integer for column in arguments))
         raise _NoColumnError
 
@@ -254,8 +256,8 @@ class _Rounds:
         """
         variables = self.run.variables
         stored_name = self.run.stored_name(name)
-        is_given = any(key.partition("[")[0] == stored_name for key in variables.cell_values)
-        if name in variables.scope.array_names or stored_name in variables.volatile_values or is_given:
+        is_in_cell = any(variable_of(key) == stored_name for key in variables.cell_values)
+        if name in variables.scope.array_names or stored_name in variables.volatile_values or is_in_cell:
             raise _NoColumnError
         return stored_name
 
@@ -336,6 +338,7 @@ def computed_motions(run: Run, reader: MotionReader, rounds: PlainRounds) -> lis
     for line, point, name in values.copied_elements:
         run.copies.add((point.name, name))
         _note_followed_name(run, rounds, line, point)
+    # from one list for each statement to the order of execution
     return [move for moves_of_round in zip(*motions, strict=True) for move in moves_of_round]
 
 

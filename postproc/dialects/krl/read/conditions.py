@@ -32,7 +32,9 @@ def condition_value(values: Sequence[VariableValue], condition: Condition) -> Te
     terms: list[Term] = []
     for value, is_negated in zip(values, condition.negated, strict=True):
         term = as_term(value)
-        terms.append((not term if isinstance(term, bool) else None) if is_negated else term)
+        if is_negated:
+            term = not term if isinstance(term, bool) else None
+        terms.append(term)
     if any(
         (is_negated or is_next_negated) and operator not in _LOGIC_OPERATORS
         for (is_negated, is_next_negated), operator in zip(
@@ -44,7 +46,7 @@ def condition_value(values: Sequence[VariableValue], condition: Condition) -> Te
 
 
 def matches_case(value: VariableValue, case: VariableValue) -> bool | None:
-    """Return whether the value of a SWITCH equals one behind CASE; None if that is not known."""
+    """Return whether the value of a SWITCH equals a value behind CASE; None if that is not known."""
     return _comparison_holds("==", as_term(value), as_term(case))
 
 
@@ -65,7 +67,7 @@ def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None
             if not isinstance(value, Number) or not value.is_integer:
                 return None
             table.setdefault(value.value, index)
-    return {None: -2, **table}
+    return {None: -2, **table}  # −2 is replaced if there is a DEFAULT
 
 
 def _combined_value(terms: list[Term], operators: list[str]) -> Term:
@@ -153,7 +155,7 @@ def _comparison_holds(operator: str, left: Term, right: Term) -> bool | None:
     if left is None or right is None or operator not in ("==", "<>") or type(left) is not type(right):
         return None
     left_value, right_value = (side.text if isinstance(side, Word) else side for side in (left, right))
-    return (left_value == right_value) == (operator == "==")
+    return left_value == right_value if operator == "==" else left_value != right_value
 
 
 def _number_comparison_holds(operator: str, left: Number, right: Number) -> bool | None:

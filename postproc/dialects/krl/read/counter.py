@@ -18,7 +18,8 @@ from postproc.dialects.krl.read.run import Run
 def undecided_error(run: Run, place: Place, bounds: Sequence[Value] = ()) -> InexactError:
     """Return the error for the condition of a statement, or the bounds of a FOR, that are not known before run time.
 
-    :param bounds: those bounds that may be unknown; empty: all values of the statement.
+    :param place: the statement.
+    :param bounds: the bounds of a FOR that may be unknown; empty: all values of the statement.
     """
     stmt = statement(place.source, place.line)
     values = bounds or stmt.values

@@ -18,7 +18,7 @@ from postproc.dialects.krl.language.tokens import DECLARATION, ELEMENT, INDEX, N
 from postproc.dialects.krl.language.tree import Declaration, Import
 from postproc.dialects.krl.read.folder import FolderFiles
 from postproc.dialects.krl.read.known import UnknownValue, UnparsedValue, stored_originals
-from postproc.dialects.krl.read.variables import FRAME_ARRAYS, Variables
+from postproc.dialects.krl.read.variables import FRAME_ARRAYS, Variables, variable_of
 from postproc.errors import ProgramError
 
 
@@ -58,14 +58,14 @@ class _DataReader(Struct, frozen=True, eq=False):
         """
         source, text = self.source, self.source.text
         has_defdat = has_enddat = False
-        takes_all = self.wanted_names is None and not self.fill
+        takes_all = self.wanted_names is None and not self.fill  # `_note_element` checks neither
         for line, (start, stop) in enumerate(zip(source.starts.tolist(), source.stops.tolist(), strict=True), 1):
             while start < stop and text[start] in " \t\r":
                 start += 1
             if takes_all and (element := ELEMENT.match(text, start, stop)):  # most lines of long data lists
                 self._note_element(element, line, stop)
                 continue
-            if text[start : start + 1] in ("", ";", "&", "\r"):
+            if text[start : start + 1] in ("", ";", "&", "\r"):  # empty lines, comments, and headers such as &ACCESS
                 continue
             word = text[start : start + len("DEFDAT")].upper()
             if word == "DEFDAT":
@@ -119,12 +119,13 @@ class _DataReader(Struct, frozen=True, eq=False):
                 continue
             is_global = declarator.is_global or self.is_global
             key = _note_declaration(variables, replace(declarator, is_global=is_global), fill=self.fill)
+            # STRUC declares a type with its members
             if declarator.kind == "STRUC" and (named_structure := structure(source, *source.code_span(line))):
                 variables.structures.setdefault(named_structure.name, named_structure.members)
             if declarator.value_start < 0:  # no initial value
                 continue
             value = UnparsedValue(source, declarator.value_start, stop)
-            if key.partition("[")[0] in FRAME_ARRAYS:
+            if variable_of(key) in FRAME_ARRAYS:
                 variables.note_frame(key, value, f"{source.document.name}, line {line}")
             if not (self.fill and key in variables):
                 variables.persistent_names.add(variables.scope.stored_name(declarator.name))
@@ -198,6 +199,7 @@ def read_shared(
         return
     declaration_counts = Counter(name for names in global_names.values() for name in names)
     used_names = set().union(*(NAME.findall(text) for text in files.called_code(code)))
+    # used variables, and types of variables (STRUC), that no file read so far declares
     missing_names = ({name.upper() for name in used_names} | set(variables.types.values())) - variables.types.keys()
     unique_names = {name for name in missing_names - local_names if declaration_counts[name] == 1}
     for name in (name for name in missing_names - local_names if declaration_counts[name] > 1):

@@ -145,7 +145,10 @@ class Analysis:
         self._stored_names: dict[Routine, frozenset[str]] = {}
 
     def effects_of(self, module: Module, routine: Routine) -> Effects:
-        """Return the effects of a routine and of all routines that it may call."""
+        """Return the effects of a routine and of all routines that it may call.
+
+        `jump` and `parameter_write` are those of the routine itself.
+        """
         total = self._totals.get(routine)
         if total is not None:
             return total
@@ -169,7 +172,10 @@ class Analysis:
         return {callee for _, callee in self._reachable_callees([Callee(module, routine)])}
 
     def variable_names(self, module: Module, routine: Routine) -> frozenset[str]:
-        """Return the stored names of all variables in the code of a routine and of the routines that it calls."""
+        """Return the stored names of all variables in the code of a routine and of the routines that it calls.
+
+        Local variables of these routines are left out; words that are no variables are returned as well.
+        """
         stored_names: set[str] = set()
         for callee in self._reachable_callees([Callee(module, routine)]):
             if callee.routine not in self._stored_names:
@@ -204,9 +210,10 @@ class Analysis:
     def _first_dependent_place(
         self, module: Module, routine: Routine, checked_routines: set[Routine]
     ) -> tuple[Place | None, bool]:
-        """Return the statement of `first_dependent_place`, and whether a complete target certainly comes first.
+        """Return the statement of `first_dependent_place`, and whether a complete target certainly precedes any.
 
         :param checked_routines: routines that are not searched again; `routine` is added.
+        :returns: None and True, None and False (neither a statement nor a certain target), or the statement and False.
         """
         checked_routines.add(routine)
         depth = 0  # of control structures: a target inside one may not be reached
@@ -287,7 +294,7 @@ class Analysis:
         direct = self._direct.get(routine)
         if direct is None:
             direct = self._direct[routine] = _DirectEffects()
-            if routine.first_motion_line:
+            if routine.first_motion_line:  # plain motions, which are no statements here
                 direct.effects.motion = Place(routine.source, routine.first_motion_line)
             comment_lines = self.force_comment_lines(routine.source)
             # comments after the line of DEF and before the line of END
@@ -315,6 +322,7 @@ class Analysis:
             _Statement(self, *node, place, direct.effects, direct.callees).note_effects(stmt)
             return
         direct.has_actions = True
+        # its effects come at any time after the declaration
         later_statement = _Statement(self, *node, place, direct.action_effects, direct.action_callees)
         if isinstance(stmt, Event):
             later_statement.note_event_effects(stmt)
@@ -373,7 +381,7 @@ class _Statement(Struct, eq=False):
         elif isinstance(stmt, For) and stmt.name:
             self.note_write(stmt.name)
         elif isinstance(stmt, Assignment):
-            component = _PATH_COMPONENTS.get(stmt.target.name)
+            component = _PATH_COMPONENTS.get(stmt.target.name)  # other components have no effect on the path
             if stmt.target.name == "$VEL" and stmt.target.field in _TURN_SPEEDS:
                 self.effects.turn_speed = self.effects.turn_speed or self.place
             if component is None or stmt.target.field in (None, component):

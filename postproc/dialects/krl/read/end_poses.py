@@ -216,8 +216,8 @@ class _Follower:
         if is_missing.any():
             self._check_frames(first, last, any_column(is_missing))
             position = self.present_numbers(first)
-            first_row = np.where(is_missing[:1], position, block[:1])
-            # for each component, the latest row of the block that gives it; row 0 is complete
+            first_row = np.where(is_missing[:1], position, block[:1])  # complete
+            # for each component, the latest row of the block that gives it; row 0 gives all
             latest = np.maximum.accumulate(np.where(is_missing, 0, np.arange(len(block))[:, None]), axis=0)
             previous_numbers = np.vstack(
                 [position, np.take_along_axis(np.vstack([first_row, block[1:]]), latest, axis=0)]
@@ -270,7 +270,7 @@ class _Follower:
         if move is not None and move.end.position.is_axis:
             self._follow_axis_target(row, move)
             return
-        start, control = self.present_numbers(row).copy(), self.control
+        start, control = self.present_numbers(row).copy(), self.control  # the array itself may be filled in
         if move is not None and move.relative_axes:
             self.starts_from_joints[row] = self.present.numbers is None
             self.numbers[row] = self._relative_target(move, start)
@@ -298,6 +298,7 @@ class _Follower:
         :raises ProgramError: the points do not define a circle.
         """
         begin, end = start[:3] * M_PER_MM, self.numbers[row, :3] * M_PER_MM
+        # auxiliary point [mm] of a relative or another circle; missing components are those of the start
         via = self.circles[row][0] if row in self.circles else self.control.via[row]
         via = np.where(np.isnan(via), begin, via * M_PER_MM)
         arcs = circle_geometry(self.trace, self.line[row : row + 1], begin[None], via[None], end[None])
@@ -390,7 +391,7 @@ def end_poses(
     if targets.carriage is not None:
         start_flange = flange_on_track(start_flange, targets.carriage, float(targets.carriage.begin[0]))
     programmed_angles, is_incomplete = numbers[keeps_orientation, 3:], any_column(np.isnan(numbers[:, 3:]))
-    numbers[keeps_orientation, 3:] = np.nan  # missing components keep their previous value
+    numbers[keeps_orientation, 3:] = np.nan  # #CONSTANT: filled in from the previous target, as missing components are
     follower = _Follower(targets, _RobotPosition(start_flange, start_joints), kinematics)
     row = 0
     for special_row in _special_rows(targets):
@@ -447,6 +448,7 @@ def _check_ignored(targets: TextTargets, is_incomplete: Bools, is_ignored: Bools
     if not is_ignored.any():
         return
     all_rows, keeps_orientation = np.arange(len(is_ignored)), targets.control.keeps_orientation
+    # up to each motion: the last with ignored angles, and the last that does not keep the orientation; −1: none
     last_ignored_row = np.maximum.accumulate(np.where(is_ignored, all_rows, -1))
     last_free_row = np.maximum.accumulate(np.where(keeps_orientation, -1, all_rows))
     is_incomplete[targets.axis_rows()] = False

@@ -23,7 +23,7 @@ from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableVal
 from postproc.dialects.krl.read.state import RELEVANT
 from postproc.dialects.krl.read.variables import Variables
 
-_MAX_LENGTH = 80
+_MAX_TEXT_LENGTH = 80
 """Characters of an expression that a message shows."""
 
 
@@ -52,15 +52,15 @@ def why_unknown(variables: Variables, source: Source, value: Value | VariableVal
 
     :param source: the file that contains the expression.
     :param value: the expression; a position or an `UnknownValue` stands for a value that is in no text.
-    :returns: that the value has the wrong type, if it is known.
+    :returns: the text that the value has the wrong type, if the value is known.
     :raises ProgramError: a part of the expression cannot be read.
     """
     if isinstance(value, Position | UnknownValue):
         return "it is computed while the program runs"
     if isinstance(value, Chain) and (reason := _why_chain_unknown(variables, source, value)):
         return reason
-    text = source.text[value.start : value.stop].strip()[:_MAX_LENGTH]
-    if not text and isinstance(value, Reference):  # one that a program of the controller reads
+    text = source.text[value.start : value.stop].strip()[:_MAX_TEXT_LENGTH]
+    if not text and isinstance(value, Reference):  # a variable that KUKA's BAS reads: the program does not name it
         text = value.name if value.field is None else f"{value.name}.{value.field}"
     parts = [side for side in (value.left, value.right) if side is not None] if isinstance(value, Operation) else []
     if isinstance(value, Call) and value.name in PURE:
@@ -101,6 +101,7 @@ def _why_variable_unknown(variables: Variables, source: Source, reference: Refer
     :param reference: the variable, an array element or a field; `spelling` is its name in the message.
     """
     if variables.key_of(reference) is None:  # which element is meant is not known
+        # an empty text is the index of a whole array
         unknown_indices = [
             index for index in reference.indices or () if index.start < index.stop and variables.index(index) is None
         ]

@@ -35,6 +35,7 @@ def external_axes(
     external = rows.external
     if np.isnan(external).all():
         return [], None
+    # steps of relative targets, and positions at the other targets
     steps = np.zeros(external.shape)
     steps[relative_rows] = np.nan_to_num(external[relative_rows])
     external = external.copy()

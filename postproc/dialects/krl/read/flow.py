@@ -56,7 +56,7 @@ class Flow:
     """Follows a program statement by statement.
 
     :param run: the program as far as it has run.
-    :param motion: takes a motion of the program.
+    :param take_motion: takes a motion of the program, or a line that begins or ends a spline block.
     :param note_fault: takes the error of a statement of the program.
     :param recorder: records the execution trace; None if a recorded trace is followed.
     """
@@ -64,13 +64,13 @@ class Flow:
     def __init__(
         self,
         run: Run,
-        motion: Callable[[Place, tree.Statement], None],
+        take_motion: Callable[[Place, tree.Statement], None],
         note_fault: Callable[[Place, ProgramError], None],
         recorder: Recorder | None = None,
     ) -> None:
         """Begin before the first statement."""
         self.run, self.recorder, self._note_fault = run, recorder, note_fault
-        self.interpreter = Interpreter(run, motion, self.run_called_routine, self._inline_call)
+        self.interpreter = Interpreter(run, take_motion, self.run_called_routine, self._inline_call)
         self._moving_blocks: dict[tuple[Block, Module], bool] = {}  # results of `_block_moves`
         self._plain_bodies: dict[Block, PlainBody | None] = {}  # body of a FOR; None if it is not plain
         self._case_tables: dict[Block, dict[float | None, int] | None] = {}  # of a SWITCH, see `constant_cases`
@@ -80,7 +80,7 @@ class Flow:
         self._least_statements = LeastStatements(run)
 
     def follow(self, source: Source, nodes: tuple[Node, ...], *, ends_routine: bool = False) -> None:
-        """Run statements and control structures one by one, up to RETURN, EXIT, or a GOTO whose label is elsewhere.
+        """Run statements and control structures one by one, up to RETURN, EXIT, or a GOTO to a label not among them.
 
         :param ends_routine: True if the routine ends after the nodes.
         :raises InexactError: the branch taken is not known before run time.
@@ -98,11 +98,12 @@ class Flow:
             elif isinstance(stmt := statement(source, node), tree.Label) and (
                 end := self._follow_back_jump(source, nodes, index, stmt)
             ):
-                index, node = end, nodes[end]
+                index, node = end, nodes[end]  # continue behind the IF
             else:
                 self._follow_statement(Place(source, node), stmt)
             index = self._label_index(source, nodes, index) if level.jump_line else index + 1
             if level.is_broken_off:
+                # a GOTO has recorded its lines itself
                 if self.recorder is not None and level.is_traced and not level.jump_line:
                     self.recorder.record_run_lines(node if isinstance(node, int) else node.last)
                 return
@@ -129,7 +130,7 @@ class Flow:
         for number in range(index + 1, len(nodes)):
             line = nodes[number]
             if isinstance(line, int) and recorder is not None and label in self.labels(source, [line]):
-                if level.loop_depth:  # its rounds may be written one after the other, and the label with each
+                if level.loop_depth:  # the rounds may be written one after the other: the label more than once
                     raise inexact_error(
                         Place(source, level.jump_line), "GOTO leads to a label in a loop", _JUMP_IN_LOOP_ADVICE
                     )
@@ -159,12 +160,15 @@ class Flow:
         return has_comment or self._block_moves(source, node)
 
     def _block_moves(self, source: Source, node: Block) -> bool:
-        """Return whether a control structure moves the robot or calls a routine that does; the result is stored."""
+        """Return whether a control structure contains a motion, a call of a routine of the trace, or a GOTO.
+
+        The result is stored for each module that calls routines.
+        """
         module = self.run.level.module
         key = node, module
         if key not in self._moving_blocks:
             is_in_routine = source is self.run.level.routine.source
-            # plain motions of the routine, ascending, between the first and the last line
+            # indices of the plain motions of the routine, which ascend, from the first to the last line
             begin, end = np.searchsorted(self.run.level.routine.motion_lines, [node.first, node.last])
             has_plain_motion = is_in_routine and bool(begin < end)
             self._moving_blocks[key] = has_plain_motion or any(
@@ -173,13 +177,16 @@ class Flow:
         return self._moving_blocks[key]
 
     def _statement_moves(self, source: Source, line: int) -> bool:
-        """Return whether a statement moves the robot, calls a routine that does, or is a GOTO."""
+        """Return whether a statement belongs in the trace: a motion, a call of a routine of the trace, or a GOTO.
+
+        False for a statement that cannot be read.
+        """
         stmt = statement(source, line)
         if isinstance(stmt, (tree.Goto, tree.Spline)):
             return True  # the motions after a GOTO depend on it
         if isinstance(stmt, tree.Motion):
             return not keeps_position(stmt)
-        if isinstance(stmt, tree.Event):
+        if isinstance(stmt, tree.Event):  # its action does not run here
             return False
         try:
             return any(self.interpreter.calls.traced_callee(call) is not None for call in calls(stmt.values))
@@ -203,13 +210,14 @@ class Flow:
     # --- statements --------------------------------------------------------------------------------------------------
 
     def _follow_statement(self, place: Place, stmt: tree.Statement) -> None:
-        """Follow one statement. EXIT and GOTO set `Level.is_left` and `Level.jump_line`: the next one does not run."""
+        """Follow one statement. EXIT sets `Level.is_left`, GOTO `Level.jump_line`: the next statement does not run."""
         level, word = self.run.level, stmt.word
         if level.is_traced:
             self._come_to(place.line)
         self._count_statement(place)
+        # a recorded trace that is followed has no loops, whose rounds are its rows: an EXIT there is that of a round
         if word == "EXIT" and (level.loop_depth or (level.is_traced and self.recorder is None)):
-            level.is_left = True  # a recorded trace that is followed has no loops: its rows are their rounds
+            level.is_left = True
             return
         if word == "GOTO" and self.recorder is not None and level.is_traced:
             self.recorder.record_run_lines(place.line - 1)
@@ -279,10 +287,10 @@ class Flow:
         """Follow the call of a routine with motions or force comments, as part of the execution trace.
 
         :returns: False if the call is not part of the trace: no trace is recorded, the routine has neither motions nor
-            force comments, the call may not run, an argument moves the robot, or the routine cannot be followed and is
-            left as it is under `--keep-unresolved`.
-        :raises InexactError: the order of its statements is not known before run time, and the call is not left as it
-            is.
+            force comments, the call may not run, an argument moves the robot, or a routine of the program itself cannot
+            be followed and is left uncorrected (`--keep-unresolved`).
+        :raises InexactError: otherwise, if the order of the statements of the routine is not known before run time.
+        :raises ProgramError: a statement of the call has an error.
         """
         run, recorder = self.run, self.recorder
         if recorder is None or not run.level.is_traced or not run.is_certain:
@@ -351,10 +359,10 @@ class Flow:
         recorder.enter_routine(place, (call.start, call.start + len(call.name)), module, routine)
         self.interpreter.calls.enter_routine(place, call, module, routine)
         level = run.level
-        self._enclosing.append((place, 0))
+        self._enclosing.append((place, 0))  # 0: no loop
         self.run_called_routine()
         self._enclosing.pop()
-        if not level.return_line:
+        if not level.return_line:  # it has run to its END
             recorder.record_run_lines(routine.last - 1)
         recorder.record_passed_lines(routine.last - 1, is_live=False)
         self.interpreter.calls.leave_routine()
@@ -371,12 +379,12 @@ class Flow:
         if self.recorder is not None and self.run.level.is_traced and self.belongs_in_trace(source, block):
             self._follow_or_keep(source, block, self.recorder)
             return
-        marks = self.run.finding_counts()
+        counts = self.run.finding_counts()
         self._motionless_depth += 1
         try:
-            self._follow_exactly(source, block, None)
+            self._follow_exactly(source, block, recorder=None)
         except InexactError:
-            self.run.drop_findings(marks)
+            self.run.drop_findings(counts)
             self.follow_roughly(source, block)
         finally:
             self._motionless_depth -= 1
@@ -440,7 +448,7 @@ class Flow:
             part_index = self._part_taken(source, block)
         except InexactError as cause:
             occasion = Occasion(Place(source, block.first), tuple(self._enclosing))
-            if recorder is None or occasion in self.run.obstacles:
+            if recorder is None or occasion in self.run.obstacles:  # branches that could not be corrected before
                 raise
             self._follow_branches(source, block, recorder, occasion, cause)
             return
@@ -479,7 +487,7 @@ class Flow:
             raise inexact_error(Place(source, block.first), problem, _LENGTH_ADVICE)
         recorder.record_run_lines(block.first - 1)
         recorder.record_passed_lines(block.first)
-        recorder.record_division(Fork(0, occasion))
+        recorder.record_division(Fork(0, occasion))  # 0: the row is filled in
         run.begin_fork()
         branches = block.parts[1:] if block.word == "SWITCH" else block.parts  # part 0 precedes the first CASE
         for part in branches:
@@ -491,7 +499,7 @@ class Flow:
                 raise inexact_error(
                     Place(source, level.jump_line), *undecided_jump_message(run.variables, Place(source, block.first))
                 )
-            if level.is_broken_off:
+            if level.is_broken_off:  # RETURN or EXIT
                 raise cause
             recorder.record_run_lines(part.end - 1)
         recorder.record_passed_lines(block.last)
@@ -504,7 +512,7 @@ class Flow:
 
         :param index: index of the node with the IF.
         :param ends_routine: True if the routine ends after the nodes.
-        :returns: the index of the node after the skipped code; 0 if nothing was followed: the IF is no such one, its
+        :returns: the index of the node after the skipped code; 0 if nothing was followed: the node is no such IF, its
             condition is known, or the two branches cannot be followed and are left as they are (`--keep-unresolved`).
         :raises InexactError: without that option, if a condition in one of the branches is not known.
         """
@@ -520,7 +528,7 @@ class Flow:
         try:
             recorder.record_run_lines(block.first - 1)
             recorder.record_passed_lines(part.head)
-            recorder.record_division(Fork(0, occasion))
+            recorder.record_division(Fork(0, occasion))  # 0: the row is filled in
             run.begin_fork()
             # one branch: the statements of the IF up to its jump
             self._follow_branch(source, part.nodes[:-1], recorder, ends_routine=False)
@@ -571,10 +579,10 @@ class Flow:
         :raises InexactError: the branch is left before its end.
         """
         level = self.run.level
-        recorder.record_division(Branch(0))
+        recorder.record_division(Branch(0))  # 0: the row is filled in
         self.run.begin_branch()
         self.follow(source, nodes, ends_routine=ends_routine)
-        if level.is_broken_off:
+        if level.is_broken_off:  # by a GOTO or a RETURN
             raise inexact_error(
                 Place(source, level.jump_line or level.return_line), *undecided_jump_message(self.run.variables, None)
             )
@@ -597,7 +605,7 @@ class Flow:
         stmt = statement(source, jump[0])
         if isinstance(stmt, tree.Return) and stmt.value is None:
             is_skip = ends_routine and len(self.run.stack) > 1
-            return (len(nodes), self.run.level.routine.last - 1) if is_skip else (0, 0)
+            return (len(nodes), self.run.level.routine.last - 1) if is_skip else (0, 0)  # up to the line before END
         if not isinstance(stmt, tree.Goto):
             return 0, 0
         label = self.label_of(source, jump[0])
@@ -672,7 +680,7 @@ class Flow:
         :raises InexactError: the number of rounds is not known, or too large.
         """
         level = self.run.level
-        words = {statement(source, line).word for line in block.lines()}
+        words = {statement(source, line).word for line in block.lines()}  # first words of the statements
         if block.word == "LOOP" and words.isdisjoint(ENDS_LOOPS):
             self._follow_endless(source, block, recorder)
             return
@@ -714,11 +722,12 @@ class Flow:
             or a label would be recorded more than once.
         """
         level, place = self.run.level, Place(source, block.first)
-        start_count, depth = self._traced_count, len(self._enclosing) - 1
+        start_count, depth, iteration = self._traced_count, len(self._enclosing) - 1, 0
         while self._runs_again(source, block, counter):
             self._count_statement(place)
-            self._enclosing[depth] = place, self._enclosing[depth][1] + 1
-            if recorder is not None and self._enclosing[depth][1] == 2:
+            iteration += 1
+            self._enclosing[depth] = place, iteration
+            if recorder is not None and iteration == 2:
                 self._check_labels(source, block.lines())
             counts_at_begin = self._change_counts()
             if counter is None and self._traced_count - start_count > MOST_UNCOUNTED:
@@ -758,7 +767,7 @@ class Flow:
             if not run.keeps_unresolved:
                 raise
             undo()
-            run.variables.restore(values)  # the same statements are followed again
+            run.variables.restore(values)  # the statements of the first round are followed again, by the caller
             run.settings.change_state(run.row, state)
             return 0
         return end
@@ -766,7 +775,8 @@ class Flow:
     def _back_jump_index(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
         """Return the index of the IF that does nothing but jump back to a label; 0 if there is none.
 
-        No other GOTO may lead to the label: if the rounds are written one after the other, the label is left out.
+        No other GOTO may lead to the label: if the rounds are written one after the other, the label is left out. The
+        label must not be in a loop or in a structure that may not run.
 
         :param index: index of the node with the label.
         """
@@ -777,6 +787,7 @@ class Flow:
         if len(jumps) != 1:
             return 0
         for number, block in enumerate(nodes[index + 1 :], start=index + 1):
+            # an IF with one part, which holds the GOTO alone
             if isinstance(block, Block) and block.word == "IF" and [part.nodes for part in block.parts] == [(*jumps,)]:
                 return number
         return 0
@@ -797,14 +808,15 @@ class Flow:
         round_block = Block("REPEAT", first, jump.first, loop_block.parts)
         self._check_comments(source, loop_block, range(jump.first, jump.last))
         loop = recorder.begin_loop(loop_block, "", 0, has_exit=False, closing=jump.first)
-        start_count, depth = self._traced_count, len(self._enclosing)
+        start_count, depth, iteration = self._traced_count, len(self._enclosing), 0
         level.loop_depth += 1
-        self._enclosing.append((Place(source, first), 0))
+        self._enclosing.append((Place(source, first), iteration))
         try:
             while True:
                 self._count_statement(place)
-                self._enclosing[depth] = Place(source, first), self._enclosing[depth][1] + 1
-                if self._enclosing[depth][1] == 2:
+                iteration += 1
+                self._enclosing[depth] = Place(source, first), iteration
+                if iteration == 2:
                     self._check_labels(source, range(first + 1, jump.first))
                 counts_at_begin = self._change_counts()
                 if self._traced_count - start_count > MOST_UNCOUNTED:
@@ -833,6 +845,7 @@ class Flow:
         self.run.place = place
         holds = self.run.variables.truth(head.condition) if isinstance(head, tree.If) else None
         if holds is None:
+            # on the line of the GOTO, before ENDIF
             raise inexact_error(Place(source, jump.last - 1), *undecided_jump_message(self.run.variables, place))
         return holds
 
@@ -939,6 +952,7 @@ class Flow:
             problem = f"FOR has {counter.round_count} rounds, more than {limit}"
             raise inexact_error(Place(source, block.first), problem, "Check its bounds.")
         module = self.run.level.module
+        # of nested loops the outermost one is counted, with the rounds of those inside it
         if not self.run.level.loop_depth and not self._least_statements.may_write(
             source, block, counter.statement.name, module
         ):

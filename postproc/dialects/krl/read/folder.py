@@ -243,9 +243,10 @@ class Library:
         return self.program_names().union(*(self.files.declared_names(path, scan.global_routines) for path in paths))
 
     def users(self, routines: Collection[Routine]) -> Mapping[str, tuple[str, ...]]:
-        """Return which programs call some routines, of the programs that were not read.
+        """Return which programs of the folders, other than those that were read, call some routines.
 
-        :returns: file name of the routines → names of the programs that call one of them, sorted; empty if none does.
+        :returns: name of each file with such routines → names of the programs that call one of them, sorted; empty if
+            none does.
         """
         read_files = {module.source.document.name.upper() for module in (self.program, *self.read_modules())}
         unread_paths = [
@@ -260,7 +261,7 @@ class Library:
         return user_names
 
     def writers(self, names: Set[str]) -> dict[str, tuple[str, ...]]:
-        """Return which programs set GLOBAL variables, of the programs that were not read.
+        """Return which programs of the folders, other than those that were read, set some GLOBAL variables.
 
         :param names: names of the variables, upper case.
         :returns: variable → names of the programs that set it, sorted; variables that none sets are left out.
@@ -335,7 +336,7 @@ def module_of(source: Source, data: Source | None = None) -> Module:
     return Module(source, by_name, data)
 
 
-def needed(
+def find_needed_files(
     documents: Sequence[Document], code: Iterable[Code], files: FolderFiles, moving: Collection[str]
 ) -> tuple[NeededFile, ...]:
     """Return the files that a program needs from its folder to run, sorted by name.
@@ -423,6 +424,7 @@ class _Links:
         text = scan.without_comments(code.text)
         for path in sorted(self.files.called_files(text, code.routines)):
             name = f"{path.stem.upper()}.SRC"
+            # files in other folders, which the cell names, are on the controller already
             if name in self.siblings and name not in self.called_files:
                 self.called_files.add(name)
                 self._follow_file(name)

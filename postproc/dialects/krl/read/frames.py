@@ -63,7 +63,7 @@ class Frames:
         :raises ProgramError: the base is moved while the program runs, or a component is out of reach.
         """
         name = target.name
-        if isinstance(value, Call) and value.name in ("SBASE", "STOOL", "STOOL2"):
+        if isinstance(value, Call) and value.name in ("SBASE", "STOOL", "STOOL2"):  # functions of inline forms
             number = self.variables.first_argument(value, "BASE_NO" if value.name == "SBASE" else "TOOL_NO")
             if not isinstance(number, Number):
                 text = place.source.text[value.start : value.stop]
@@ -75,7 +75,7 @@ class Frames:
         if target.indices is not None or (target.field is not None and target.field not in CARTESIAN):
             return self.state_with_unknown_frame(state, name, place, "its component is not understood")
         if isinstance(value, Reference) and value.name in ("BASE_DATA", "TOOL_DATA") and value.field is None:
-            key = self.variables.key_of(value)
+            key = self.variables.key_of(value)  # None: the index is not known
             return self._state_with_named_frame(state, place, name, value, key or value.name)
         if target.field is not None:
             position = self._frame_with_component(state, target, value)
@@ -173,7 +173,7 @@ class Frames:
         if not position.is_complete:
             return self.state_with_unknown_frame(state, name, place, f"{_missing_components(position)} in {key}")
         state = self._state_with_frame(state, name, position)
-        if name == "$TOOL" and (number := _ELEMENT.search(key)):
+        if name == "$TOOL" and (number := _ELEMENT.search(key)):  # ``TOOL_DATA[n]``
             self.tool_numbers.setdefault(state.tool, set()).add(int(number[1]))
         return state
 
@@ -189,7 +189,7 @@ class Frames:
             row = next(
                 (row for row, frame in enumerate(frames) if np.abs(frame - pose).max() < _FRAME_TOLERANCE), len(frames)
             )
-            if row == len(frames):
+            if row == len(frames):  # a new frame
                 frames.append(pose)
             self._rows[name, position.values] = row
         if not _has_angles_in_range(position):

@@ -65,7 +65,7 @@ class Interpreter:
     """Runs the statements of a program, and of the routines that it calls.
 
     :param run: the program as far as it has run.
-    :param motion: takes a motion of the program, or a line that begins or ends a spline block.
+    :param take_motion: takes a motion of the program, or a line that begins or ends a spline block.
     :param run_routine: runs the routine that was called last.
     :param inline_call: follows the call of a routine with motions as part of the trace; returns False if the call is
         not part of the trace.
@@ -74,12 +74,12 @@ class Interpreter:
     def __init__(
         self,
         run: Run,
-        motion: Callable[[Place, tree.Statement], None],
+        take_motion: Callable[[Place, tree.Statement], None],
         run_routine: Callable[[], None],
         inline_call: Callable[[Place, Call], bool],
     ) -> None:
         """Keep the functions that take motions and calls."""
-        self.run, self._motion, self._inline_call = run, motion, inline_call
+        self.run, self._take_motion, self._inline_call = run, take_motion, inline_call
         self.calls = Calls(run, run_routine)
 
     def follow_statement(self, place: Place, stmt: tree.Statement) -> None:
@@ -90,7 +90,7 @@ class Interpreter:
         self.run.place = place
         if isinstance(stmt, _MOTION_STATEMENTS):
             if self.run.is_traced:
-                self._motion(place, stmt)
+                self._take_motion(place, stmt)
             else:
                 self.follow_functions(place, stmt.values)
         elif (isinstance(stmt, _SIMPLE_STATEMENTS) and stmt.word not in _ASYNCHRONOUS) or not self._follow_control(
@@ -108,7 +108,7 @@ class Interpreter:
             axes.
         """
         level, word = self.run.level, stmt.word
-        if word in OPENING or word == "REPEAT":
+        if word in OPENING or word == "REPEAT":  # REPEAT ends with UNTIL
             level.open_structures.append((word, place.line))
         elif word in _CLOSING:
             if not level.open_structures or level.open_structures[-1][0] != _CLOSING[word]:
@@ -117,6 +117,7 @@ class Interpreter:
                 )
             level.open_structures.pop()
         elif isinstance(stmt, tree.Goto):
+            # the innermost open structure with a condition
             lines = [line for word, line in level.open_structures if word in _CONDITION_WORDS]
             control = Place(place.source, lines[-1]) if lines else None
             raise place.error(*undecided_jump_message(self.run.variables, control))
@@ -197,7 +198,7 @@ class Interpreter:
             row = self.run.row if self.run.is_traced and self.run.has_rows else 0  # 0: not in the trace
             names = declare_variables(self.run.variables, place.source, stmt, row)
             if self.run.is_traced:
-                self.run.understand(*(declarator.name_start for declarator in names))
+                self.run.note_followed_names(*(declarator.name_start for declarator in names))
         elif stmt.word == "EXIT":
             self._check_exit(place)
         elif isinstance(stmt, tree.IdleDeclaration):
@@ -271,6 +272,7 @@ class Interpreter:
             self._assign_setting(place, target, expression)
             return
         old_key = self.run.variables.key_of(target)
+        # only in the file of the program are the numbers of a copied point corrected where they are written
         is_copied = target.field is None and self.run.is_traced and place.source is self.run.routine.source
         value = self.calls.evaluate_with_calls(place, expression, is_copied=is_copied)
         if (
@@ -285,11 +287,11 @@ class Interpreter:
             self.run.variables.forget(name, str(place))
             return
         if target.field is None and self.run.is_traced:
-            self.run.understand(target.start)
+            self.run.note_followed_names(target.start)
         key, stored_name = self.run.variables.key_of(target), self.run.stored_name(name)
-        if key != old_key:
+        if key != old_key:  # a call in the value has changed the index
             self.run.variables.forget(stored_name, self._unknown_element_reason(place, target, expression))
-        elif not self.run.is_certain or key is None or target.indices == ():
+        elif not self.run.is_certain or key is None or target.indices == ():  # the last: a whole array ``P[]``
             self.run.variables.forget(stored_name, str(place))
         elif value != NO_VALUE or name != "$H_POS" or target.field is not None:
             self._store(place, target, key, expression, value)

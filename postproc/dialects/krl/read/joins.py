@@ -192,13 +192,14 @@ def predecessors_and_joins(
     branch_predecessors, fork_lines, joins = _branch_predecessors(steps, line, predecessors)
     faults: list[BranchError] = []
     for join, ends in joins:
-        rows = slice(*np.searchsorted(line, [ends.fork, join.row], side="right"))
+        rows = slice(*np.searchsorted(line, [ends.fork, join.row], side="right"))  # motions between fork and join
         if any(ends.fork < kept_line <= join.row for kept_line in kept_lines):
             faults.append(_branch_error(course, forks, ends.fork, "an uncorrected motion is inside a branch"))
         elif join not in unchecked_joins and (row := _first_ambiguous_ptp(sequence, rows)) >= 0:
             problem = f"a PTP to X, Y, Z without S and T is inside a branch ({course.trace.place(int(line[row]))})"
             faults.append(_branch_error(course, forks, ends.fork, problem, _PTP_ADVICE))
     _raise_combined(faults)
+    # motions that do not begin at the end of the motion before them; those with an unknown start are checked elsewhere
     for row in np.flatnonzero(branch_predecessors != np.arange(len(line)) - 1).tolist():
         if branch_predecessors[row] != row and depends_on_start(sequence, row, arcs=False):
             problem = f"{_start_dependence(sequence, row)} where branches begin or meet"
@@ -254,7 +255,7 @@ def _branch_predecessors(
     open_forks: list[_OpenFork] = []
     joins: list[tuple[Join, JoinedEnds]] = []
     fork_lines = np.full(count + 1, 0)
-    previous_row, row_count = -1, 0
+    previous_row, row_count = -1, 0  # last motion before the present step on its branch; number of motions passed
 
     def run_to(row: int) -> None:
         """Pass the motions up to, not including, `row`; the first of them begins at the end of `previous_row`."""
@@ -276,6 +277,7 @@ def _branch_predecessors(
             open_forks.append(_OpenFork(fork, entry, [*ends, previous_row] if is_begun else ends, is_begun=True))
             previous_row = entry
         else:
+            # if all branches may be skipped, the motion before the fork is an end too
             ends = [*ends, previous_row, *([] if step.is_exhaustive else [entry])]
             joins.append((step, JoinedEnds(fork, tuple(sorted(set(ends))))))
             previous_row = min(ends)
@@ -293,11 +295,11 @@ def branches(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
     for step in course.steps:
         if not isinstance(step, Fork | Branch | Join):
             continue
-        row = int(np.searchsorted(line, step.row, side="right"))
+        row = int(np.searchsorted(line, step.row, side="right"))  # the first motion after the step
         if isinstance(step, Fork):
             branch_begins.append(-1)
             continue
-        if (begin := branch_begins.pop()) >= 0 and row > begin:
+        if (begin := branch_begins.pop()) >= 0 and row > begin:  # a branch with motions ends here
             rows.append((begin, row))
         if isinstance(step, Branch):
             branch_begins.append(row)
@@ -347,7 +349,7 @@ def transitions(
     for step in course.steps:
         if not isinstance(step, Fork | Branch | Join):
             continue
-        run_to(int(np.searchsorted(line, step.row, side="right")))
+        run_to(int(np.searchsorted(line, step.row, side="right")))  # motions up to the line of the step
         if isinstance(step, Fork):
             open_forks.append(_Transitions(ends, set(), is_begun=False))
             continue
@@ -358,6 +360,7 @@ def transitions(
             open_forks.append(_Transitions(entries, branch_ends, is_begun=True))
             ends = entries
         else:
+            # if all branches may be skipped, the motions before the fork are ends too
             branch_ends = branch_ends if step.is_exhaustive else branch_ends | entries
             ends = branch_ends if step in unchecked_joins else {min(branch_ends)}
     run_to(len(line))
@@ -454,7 +457,7 @@ def _raise_combined(faults: Sequence[BranchError]) -> None:
 
 
 def _start_dependence(sequence: OrderedMotions, row: int) -> str:
-    """Return why a motion depends on more than its start pose, as text for a message."""
+    """Return why a motion, for which `depends_on_start` holds, depends on its start, as text for a message."""
     kind, move = int(sequence.rows.kind[row]), sequence.moves.get(row)
     if kind != PTP and sequence.in_force.at(row).orientation == CONSTANT:
         return "$ORI_TYPE=#CONSTANT keeps the orientation"
@@ -506,7 +509,7 @@ class EndlessRounds(NamedTuple):
         :returns: empty if the LOOP has no motions, or if its first motion leads to joint angles: it does not matter
             then where that begins.
         """
-        if self.first == self.stop or not np.isnan(self.motions.joints[self.first, 0]):
+        if self.first == self.stop or not np.isnan(self.motions.joints[self.first, 0]):  # NaN: a Cartesian target
             return ()
         return ((self.first - 1, self.stop - 1),)
 
@@ -518,7 +521,7 @@ class EndlessRounds(NamedTuple):
         motions, carriage, first, last = self.motions, self.carriage, self.first, self.stop - 1
         if carriage is not None and abs(carriage.end[last] - carriage.begin[first]) > _POSE_TOLERANCE:
             return "with E1 elsewhere than it began"
-        if not np.isnan(motions.joints[first, 0]):
+        if not np.isnan(motions.joints[first, 0]):  # NaN: a Cartesian target
             return ""
         begin, second_begin = self.start.at(np.array([first, len(motions)]))  # the last is that of the second round
         if np.abs(second_begin[:3] - begin[:3]).max() < _POSE_TOLERANCE:
@@ -536,7 +539,7 @@ def check_endless_loop(course: Course, rounds: EndlessRounds, settings: Settings
     :raises ProgramError: the pose or the settings differ.
     """
     loop = rounds.loop
-    if rounds.first == rounds.stop:
+    if rounds.first == rounds.stop:  # no motions
         return
     if problem := rounds.pose_difference():
         raise _loop_error(course, loop, f"its round ends {problem}", _LOOP_ADVICE)

@@ -62,6 +62,8 @@ class LeastStatements:
     def may_write(self, source: Source, block: Block, name: str, module: Module) -> bool:
         """Return whether statements of a FOR may write its counter, by assignments, inner FORs or calls.
 
+        True for a call with the name anywhere in its arguments, and for a call of a routine in no file.
+
         :param name: name of the counter, upper case.
         """
         for line in list(block.lines())[1:]:  # without the FOR itself

@@ -96,7 +96,7 @@ def course_of(start: Start) -> tuple[Course, CollectedMotions | None]:
         closed.
     """
     if not start.cell.krl.keep_unresolved:
-        with suppress(ProgramError):  # raised again below, with a message that does not depend on collected motions
+        with suppress(ProgramError):  # raised again below: this message may depend on the trace, which is not complete
             return _course(start, collects=True)
     return _course(start, collects=False)
 
@@ -118,13 +118,13 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     flow = _collecting_flow(collected_motions, recorder)
     if _is_straight(main, flow, nodes):
         return _with_used_names(_straight_course(main, run.trace), start), None
-    if settings.follows_numbers and len(free_settings):
+    if settings.follows_numbers and len(free_settings):  # with plain settings among the statements
         nodes = nodes_of(main.source, main.statement_lines)
     _note_submit_programs(run)
     flow.follow(main.source, nodes)
     if run.level.jump_line:
         raise _jump_error(main, flow, run.level.jump_line)
-    if not run.level.return_line:
+    if not run.level.return_line:  # the lines up to END run
         recorder.record_run_lines(main.last - 1)
     recorder.record_passed_lines(main.last - 1, is_live=False)
     course = _with_used_names(recorder.course(run.unfollowed_routines), start)
@@ -296,12 +296,13 @@ class MainRoutine:
                 self._follow_division(step)
             elif isinstance(step, RoutineEntry):
                 self._enter_routine(step)
-            else:
+            else:  # RoutineExit
                 self._flow.interpreter.calls.leave_routine()
             if len(self._errors) > MAX_ERRORS:
                 break
         errors = self._errors or self._unclosed_errors()
         if errors:
+            # of equal errors, which rounds of a loop repeat, the first
             raise combined_error(
                 {(error.file, error.line, error.problem): error for error in reversed(errors)}.values()
             )
@@ -354,19 +355,19 @@ class MainRoutine:
         first, last = (
             bisect_left(self._plain_rounds, line, key=attrgetter("first")) for line in (step.first, step.last)
         )
-        if first < last:
+        if first < last:  # by their first rows
             nodes = sorted(
                 [*nodes, *((rounds.first, rounds) for rounds in self._plain_rounds[first:last])], key=itemgetter(0)
             )
         for line, node in nodes:
-            run.settings.come_to(line)
+            run.settings.apply_assignments_before(line)
             if isinstance(node, PlainRounds):
                 self._follow_rounds(node)
                 continue
             self._follow_node(node)
             if run.level.return_line:
                 return
-        run.settings.come_to(step.last + 1)
+        run.settings.apply_assignments_before(step.last + 1)
 
     def _follow_rounds(self, rounds: PlainRounds) -> None:
         """Take all plain rounds of a FOR at once if that is possible, else run their rows one by one."""
@@ -419,7 +420,7 @@ class MainRoutine:
         :param rounds: the plain rounds that contain the rows; None outside of such rounds.
         """
         for line in _rows_with_code(self.run.trace, lines[self._is_other_row[lines - 1]]):
-            self.run.settings.come_to(line)
+            self.run.settings.apply_assignments_before(line)
             self._follow_node(line, None if rounds is None else rounds.counter_value(line))
 
     def _lines_outside_rounds(self) -> list[int]:
@@ -440,7 +441,7 @@ class MainRoutine:
         steps = np.array([(step.first, step.last) for step in self.course.steps if isinstance(step, Lines)]).reshape(
             -1, 2
         )
-        depth = np.zeros(len(motion_lines) + 1, dtype=np.int64)
+        depth = np.zeros(len(motion_lines) + 1, dtype=np.int64)  # `add.at` adds repeated indices repeatedly
         np.add.at(depth, np.searchsorted(motion_lines, steps[:, 0]), 1)
         np.add.at(depth, np.searchsorted(motion_lines, steps[:, 1], side="right"), -1)
         is_executed: Bools = np.cumsum(depth[:-1]) > 0

@@ -123,7 +123,7 @@ def _columns_of(moves: Sequence[MotionStatement]) -> MotionColumns:
                 item = position.aggregate.items.get(name)
                 if isinstance(item, Number):
                     component_spans[row, column] = item.start - move.end.start, item.stop - move.end.start
-    postures = [(move.end.position.status, move.end.position.turn) for move in moves]
+    postures = [(move.end.position.status, move.end.position.turn) for move in moves]  # −1 where missing
     via_points = _via_points_of(moves)
     return MotionColumns(
         line=compact(np.array([move.line for move in moves], dtype=np.int64), np.int32),

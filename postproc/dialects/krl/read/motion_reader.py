@@ -58,7 +58,9 @@ def depends_on_position(motion: Motion) -> bool:
 
 
 def keeps_position(motion: Motion) -> bool:
-    """Return whether a motion leads to the present robot position, as ``PTP $POS_ACT`` does; False for circles.
+    """Return whether a motion leads to the present robot position, as ``PTP $POS_ACT`` does.
+
+    False for circles and relative motions.
 
     :raises ProgramError: its target cannot be read.
     """
@@ -124,6 +126,7 @@ class MotionReader:
         """
         name = motion.word.removesuffix("_REL")
         is_relative = motion.word != name
+        # axes of the offset of a relative motion; empty for an absolute one
         kind, relative_axes = KINDS[name], motion.frame or ("#BASE" if is_relative else "")
         name_offsets: list[int] = []
         via = None if motion.via is None else self._point(place, motion.via, name_offsets, row)
@@ -193,6 +196,7 @@ class MotionReader:
             position = self.variables.position(value)
         except NotANumberError as cause:
             raise unresolved_error(self._explained_error(source, value, cause)) from None
+        # a home position that is in no file: that of the cell
         if position is None and name in _HOME_NAMES and self.variables.evaluate(value) == NO_VALUE:
             self.home_used = self.home_used or row
             position = Position(self.home, is_axis=True)
@@ -277,6 +281,7 @@ class MotionReader:
                 state = self.settings.state_after_assignment(state, place, item.target, item.value)
             elif not item.target.name.startswith(_NAMES_WITHOUT_EFFECT):
                 raise place.error(f"{item.target.name} in WITH is not understood", advice="Check its spelling.")
+        # the points of the motion must not read what its WITH has changed
         if state.without_turn_speeds() != self.settings.state.without_turn_speeds():
             for value in points:
                 self._check_independence_of_with(place, "WITH", value)

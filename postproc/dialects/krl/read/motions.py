@@ -113,7 +113,7 @@ def _merged_settings(main: MainRoutine, plain_lines: list[Ints], statement_lines
     :param statement_lines: (S,) lines of the motions that were read as statements.
     """
     line = np.concatenate(plain_lines)
-    plain_states = _states_of_lines(main.run.settings, line)
+    plain_states = _states_of_lines(main.run.settings, line)  # statements have their states with them
     states, statement_index = _with_statement_states(plain_states.in_force.states, main.motions.states)
     plain_places, statement_places = _merged_places(line, statement_lines)
     places = compact(np.concatenate([plain_places, statement_places]), np.int32)
@@ -233,7 +233,7 @@ def _text_targets(
     frames = FrameColumns(base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools))
     relative_rows = np.array([row for row, move in moves.items() if move.relative_axes], dtype=np.int64)
     uses_root = np.ones(len(rows), dtype=np.bool_)
-    uses_root[[row for row, move in moves.items() if move.end.position.is_axis]] = False
+    uses_root[[row for row, move in moves.items() if move.end.position.is_axis]] = False  # axis targets
     issues, carriage = external_axes(
         trace, rows, relative_rows, uses_root, direction=settings.cell.carriage, predecessors=predecessors
     )
@@ -279,20 +279,21 @@ def _motions(trace: Trace, sequence: OrderedMotions, path: _Path) -> Motions:
         centre=circles.centre,
         normal=circles.normal,
         sweep=circles.sweep,
-        feed=np.where(rows.kind == PTP, np.nan, numbers[:, 0]),
+        feed=np.where(rows.kind == PTP, np.nan, numbers[:, 0]),  # column 0: speed, 1: distance of approximation
         base=frames.base,
         tool=frames.tool,
         blend=np.where(rows.approximated, numbers[:, 1], 0.0),
-        rounding=constant(np.inf, len(rows)),
+        rounding=constant(np.inf, len(rows)),  # no limit but `blend`
         status=rows.posture[:, 0],
         turn=rows.posture[:, 1],
     )
 
 
 def _layout(main: MainRoutine, sequence: OrderedMotions, motions: Motions, path: _Path, is_wrist_led: Bools) -> Layout:
-    """Return the places of the numbers of the motions in the text.
+    """Return the places of the numbers of the motions in the text; `notes` are added by the reader.
 
-    :param is_wrist_led: see `Layout`.
+    :param sequence: all motions; `motions` and `path` are what has been computed from them.
+    :param is_wrist_led: (M,) True for motions on which the wrist axes turn the tool.
     """
     rows, in_force, _, moves = sequence
     targets, ends, circles = path
@@ -312,6 +313,7 @@ def _layout(main: MainRoutine, sequence: OrderedMotions, motions: Motions, path:
         via_spans=rows.via_spans,
         via_target=rows.via_target,
         starts_from_joints=ends.starts_from_joints,
+        # PTP has no orientation control: index 0
         orientation=np.where(rows.kind == PTP, np.int8(0), in_force.column(_orientation_index)),
         ignores_orientation=ends.ignores_orientation,
         turns_with_path=targets.control.turns_with_path,
@@ -483,7 +485,7 @@ def uncertain_motions(settings: Settings, sequence: OrderedMotions) -> Iterator[
         if not state.uncertain_fields and state.base >= 0 and state.tool >= 0:
             continue
         for row in np.flatnonzero(in_force.index == index).tolist():
-            has_axis_target = row in moves and moves[row].end.position.is_axis
+            has_axis_target = row in moves and moves[row].end.position.is_axis  # plain motions have none
             fields = fields_used(
                 int(rows.kind[row]), has_axis_target=has_axis_target, is_approximated=bool(rows.approximated[row])
             )
@@ -512,7 +514,7 @@ def _orientation_control(trace: Trace, rows: MotionColumns, in_force: MotionStat
         raise trace.error(problem, int(rows.line[first]), "Use $CIRC_TYPE=#BASE, or $ORI_TYPE=#VAR.")
     is_constant = in_force.column(lambda state: state.orientation == CONSTANT) & (rows.kind != PTP)
     is_path_mode = in_force.column(lambda state: state.circle == "#PATH" and state.orientation in _ONE_ROTATION_MODES)
-    return OrientationControl(is_constant, is_circle & is_path_mode, rows.via)
+    return OrientationControl(keeps_orientation=is_constant, turns_with_path=is_circle & is_path_mode, via=rows.via)
 
 
 def _wrist_led_rows(
@@ -591,9 +593,13 @@ class _CircleColumns(NamedTuple):
 def _circle_columns(
     sequence: OrderedMotions, targets: TextTargets, ends: EndPoses, text_ends: Array, settings: Settings
 ) -> _CircleColumns:
-    """Return the circles of a program.
+    """Return the circles of a program, with the arcs that the robot drives.
 
-    :param ends: the completed targets.
+    With CA the arc has this angle; a negative CA reverses its direction. Without CA it ends at the end point.
+
+    :param sequence: all motions.
+    :param targets: the targets as the text gives them; `ends` the completed targets.
+    :param settings: has the reasons of unknown modes.
     :param text_ends: (n, 3) X, Y, Z of the ends of the n circles as the text gives them [mm].
     :raises ProgramError: a circle is not defined by its points, or it is not known how the tool turns on it.
     """
@@ -718,7 +724,7 @@ def _triggers_of_motions(main: MainRoutine, line: Ints, motions: Motions, start:
         main.has_only_comments(trigger_line + 1, motion_line - 1)
         for trigger_line, motion_line in zip(lines.tolist(), line[rows].tolist(), strict=True)
     ]
-    begin, end = start.at(rows)[:, :3, 3], motions.target.position[rows]
+    begin, end = start.at(rows)[:, :3, 3], motions.target.position[rows]  # positions [m]
     is_arc = motions.kind[rows] == CIRC
     # lengths of the motions [m]
     length = np.where(is_arc, norm(begin - motions.centre[rows]) * motions.sweep[rows], norm(end - begin))

@@ -58,7 +58,7 @@ def changed_data_issues(
             second = ordered_motions(second_run, plain_lines.motions)
             line = _first_difference(main.run.settings, first, second_run.run.settings, second)
         line = None if line is None else main.course.trace.shown_line(line)
-    except ProgramError as cause:
+    except ProgramError as cause:  # the next run cannot be followed
         line = cause.line or main.run.routine.first
     if line is None:
         return
@@ -94,7 +94,7 @@ def _first_differing_row(first: Course, second: Course) -> int | None:
     rows = min(len(first.trace), len(second.trace))  # the rows that both have
     columns = [(*_file_and_line_columns(course), course.counter_values()) for course in (first, second)]
     differs = np.zeros(rows, dtype=np.bool_)
-    for first_column, second_column in zip(*columns, strict=True):
+    for first_column, second_column in zip(*columns, strict=True):  # NaN equals NaN
         differs |= (first_column[:rows] != second_column[:rows]) & ~(
             np.isnan(first_column[:rows]) & np.isnan(second_column[:rows])
         )
@@ -133,6 +133,7 @@ def _first_difference(
         ),
         (first.numbers[:, :2], second.numbers[:, :2]),  # speed and distance, without turn speeds
     ):
+        # NaN equals NaN
         is_same &= ((first_values == second_values) | (np.isnan(first_values) & np.isnan(second_values))).all(axis=1)
     for row, move in first.moves.items():
         is_same[row] &= row in second.moves and _are_equal(move.end.position, second.moves[row].end.position)

@@ -52,7 +52,7 @@ class PathSettings:
         self.variables, self.reasons, self.has_carriage = variables, reasons, has_carriage
 
     def state_with_speed(self, state: State, place: Place, field: str | None, value: Value | VariableValue) -> State:
-        """Return the state after ``$VEL.CP = value``.
+        """Return the state after ``$VEL.CP = value``; inline forms write ``$VEL = SVEL_CP(value, …)``.
 
         A speed that is not known makes the field unknown. A turn speed that is not known is infinite.
 
@@ -64,7 +64,7 @@ class PathSettings:
             if component is not None:
                 state = state.with_values(**{name: turn_speed(self.variables.number(component))})
         if isinstance(value, Call) and value.name == "SVEL_CP" and value.arguments:
-            value = value.arguments[0]
+            value = value.arguments[0]  # the speed
         component = self._assigned_component(place, field, "CP", value)
         if component is None:
             return state
@@ -82,9 +82,9 @@ class PathSettings:
 
         :param field: the component that is assigned: CDIS; None for ``$APO = {…}``. Others change nothing.
         """
-        if isinstance(value, Call) and value.name in _PTP_FUNCTIONS:
+        if isinstance(value, Call) and value.name in _PTP_FUNCTIONS:  # inline forms of PTP set no distance
             return state
-        if isinstance(value, Call) and value.name == "SAPO" and field in (None, "CDIS"):
+        if isinstance(value, Call) and value.name == "SAPO" and field in (None, "CDIS"):  # inline forms of LIN, CIRC
             argument = self.variables.first_argument(value, "APO_DIST")
             if argument is None:
                 return state
@@ -134,7 +134,7 @@ class PathSettings:
         :raises ProgramError: E1, which carries the robot, is led through the auxiliary point.
         """
         argument: Value | VariableValue | None = value
-        if isinstance(value, Call) and value.name == "SCIRC_M":
+        if isinstance(value, Call) and value.name == "SCIRC_M":  # inline forms
             argument = self.variables.first_argument(value, "CB")
         word = self._mode_word(
             place, "$CIRC_MODE.AUX_PT.E1", self._auxiliary_component(place, field, argument, "E1"), _AUXILIARY_MODES
@@ -144,7 +144,7 @@ class PathSettings:
                 "$CIRC_MODE.AUX_PT.E1 #INTERPOLATE: E1, which carries the robot, is led through the auxiliary point"
             )
             raise place.error(problem, "Only circles on which E1 goes from start to end are understood: use #CONSIDER.")
-        if field not in (None, "AUX_PT", "AUX_PT.ORI"):
+        if field not in (None, "AUX_PT", "AUX_PT.ORI"):  # the orientation of auxiliary points is not assigned
             return state
         word = self._mode_word(
             place, "$CIRC_MODE.AUX_PT.ORI", self._auxiliary_component(place, field, argument, "ORI"), _AUXILIARY_MODES
@@ -168,7 +168,7 @@ class PathSettings:
         names = ["AUX_PT", component]
         if path != names[: len(path)]:
             return None
-        for name in names[len(path) :]:
+        for name in names[len(path) :]:  # from the assigned component down to the one that is returned
             result = NO_VALUE if value is None else self.variables.evaluate(value)
             if value is None or not isinstance(result, Aggregate):
                 return value

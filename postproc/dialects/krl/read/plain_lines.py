@@ -60,12 +60,14 @@ def _line_pattern(number: str, *, circle: bool) -> re.Pattern[str]:
     position = [rf"[{name}{name.lower()}][ \t]++{number}" for name in "XYZABC"]
     components = [r"[Ss][ \t]++(?:[12][0-9]|3[01]|[0-9])", r"[Tt][ \t]++(?:[1-5][0-9]|6[0-3]|[0-9])"]
     components += [rf"[Ee]{axis}[ \t]++{number}" for axis in range(1, 7)]
+    # an optional type, and at least one of X … C
     begin = r"\{[ \t]*+(?:(?i:E6POS|POS|FRAME)[ \t]*+:[ \t]*+)?(?=[XYZABCxyzabc])"
     required_count = 3 if circle else 0  # X, Y, Z of both points of a circle
     point = begin + "".join(f"{component}{_SEPARATOR}" for component in position[:required_count])
     point += "".join(f"(?:{component}{_SEPARATOR})?" for component in position[required_count:])
     other_components = "".join(f"(?:{component}{_SEPARATOR})?" for component in components) + r"\}"
     prefix = rf"{_CIRCLE_PATTERN.pattern}[ \t]*+{point}\}}[ \t]*+,[ \t]*+" if circle else rf"{_STRAIGHT_MOTION}[ \t]*+"
+    # up to two words of approximation, a comment, the end of the line
     suffix = r"(?:[ \t]++(?i:C_(?:DIS|VEL|ORI|PTP|SPL))){0,2}[ \t]*+(?:;[^\r\n]*+)?\r{0,2}+\n"
     return re.compile(f"{prefix}{point}{other_components}{suffix}")
 
@@ -150,7 +152,7 @@ def _plain_line_indices(text: str, codes: bytes, starts: Ints) -> Ints:
     is_number_tail[1:] &= is_number_tail[:-1].copy()
     is_number_tail[:1] = False
     forms = marked_codes[~is_number_tail].tobytes().split(b"\n")
-    begins = np.append(0, np.flatnonzero(marked_codes == ord("\n")) + 1)
+    begins = np.append(0, np.flatnonzero(marked_codes == ord("\n")) + 1)  # of the line of each form
     line_of_form = dict(zip(forms, range(len(forms)), strict=True))  # the last line of each form
     verdicts = {form: _is_plain(text, int(begins[index]), _LOOSE_NUMBER) for form, index in line_of_form.items()}
     is_plain_line = np.fromiter(map(verdicts.__getitem__, forms), np.bool_, len(forms))
@@ -184,7 +186,7 @@ def _motions_of_lines(
     keyword = _skip_blanks(raw, begins, 1)
     kind = _kinds(raw, keyword)
     ends = np.concatenate([begins[1:], [len(raw)]])
-    stop = _skip_blanks(raw, ends - 1, -1) + 1
+    stop = _skip_blanks(raw, ends - 1, -1) + 1  # behind the last character that is neither blank nor comment
     target_start = points[:, :1, None] + shift[:, None, None]  # (P, 1, 1), in the file
     return MotionColumns(
         line=compact(index + 1 + line_count, np.int32),
@@ -193,6 +195,7 @@ def _motions_of_lines(
         numbers=numbers[:, :6].copy(),
         posture=compact_postures(np.nan_to_num(numbers[:, 6:8], nan=-1.0).astype(np.int64)),
         external=compact_if_missing(numbers[:, 8:]),
+        # from the start of the target; 0 where missing
         relative_spans=narrow_integers(np.where(spans < 0, 0, spans - target_start)[:, : len(COLUMNS)]),
         keyword=(keyword + shift).astype(np.int32),
         target=(points + shift[:, None]).astype(np.int32),
@@ -237,7 +240,7 @@ def _plain_body(codes: bytes, line_starts: Ints, index: Ints) -> _PlainBody:
     """
     line_ends = np.append(line_starts[1:], len(codes))
     length = (line_ends - line_starts)[index]
-    begins = np.cumsum(length) - length
+    begins = np.cumsum(length) - length  # lengths of the lines before
     shift = line_starts[index] - begins
     body = codes
     if len(index) < len(line_starts):  # not all lines are plain: copy the characters of those that are
@@ -296,7 +299,7 @@ def _points_of_lines(raw: Bytes, begins: Ints, shift: Ints, tokens: _NumberToken
     values, starts, stops = tokens
     # spans of all points: a line has one point, a circle two
     points = np.stack([np.flatnonzero(raw == ord("{")), np.flatnonzero(raw == ord("}")) + 1], axis=1)
-    column = _COLUMN_OF_CHARACTER[_characters_before(raw, starts)]
+    column = _COLUMN_OF_CHARACTER[_characters_before(raw, starts)]  # of each number
     has_circles = len(points) > len(begins)
     if has_circles:  # auxiliary points have columns of their own, before those of the targets
         line = np.searchsorted(begins, points[:, 0], side="right") - 1  # index of the line of each point

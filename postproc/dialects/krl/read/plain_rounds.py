@@ -178,8 +178,8 @@ def _settings_of_rounds(run: Run, rounds: PlainRounds) -> PlainSettings | None:
         stmt = statement(rounds.source, line)
         if not isinstance(stmt, Assignment) or not isinstance(stmt.value, Reference) or not isinstance(head, For):
             return None
-        element_numbers = rounds.indices(_counter_offset(stmt.value, head.name) or 0)
-        numbers = run.variables.numbers(run.stored_name(stmt.value.name), element_numbers)
+        indices = rounds.indices(_counter_offset(stmt.value, head.name) or 0)  # `plain_body` allows no other index
+        numbers = run.variables.numbers(run.stored_name(stmt.value.name), indices)
         if numbers is None:
             return None
         field = FIELDS[stmt.target.name]
@@ -203,14 +203,15 @@ def _element_motions(
     """Return the motions of one statement, one for each round.
 
     :param motion_line: line of the statement in its file.
-    :returns: None if their points are not all literals of one data list.
+    :param motion: the statement.
+    :returns: None if the points are not all literals of one data list, or a coordinate is out of reach.
     """
     head = statement(rounds.source, rounds.head)
     if not isinstance(motion.end, Reference) or not isinstance(head, For):
         return None
-    if motion.end.name in run.variables.scope.array_names:
+    if motion.end.name in run.variables.scope.array_names:  # a parameter: the array has another name
         return None
-    indices = rounds.indices(_counter_offset(motion.end, head.name) or 0)
+    indices = rounds.indices(_counter_offset(motion.end, head.name) or 0)  # `plain_body` allows no other index
     literals = run.variables.data_spans(run.stored_name(motion.end.name), indices)
     points = None if literals is None else _scanned_points(*literals)
     if points is None or (np.abs(points.rows.numbers) > LARGEST_COORDINATE).any():
@@ -243,12 +244,12 @@ def _scanned_points(source: Source, spans: Sequence[tuple[int, int]]) -> Element
     """
     texts = [f"{_MOTION_PREFIX}{source.text[start:stop]}\n" for start, stop in spans]
     text = "".join(texts)
-    ends = np.cumsum([len(part) for part in texts])
+    ends = np.cumsum([len(line) for line in texts])
     starts = np.append(0, ends[:-1])
-    lines = Source(replace(source.document, text=text), text, source.index, starts, ends - 1)
+    lines = Source(replace(source.document, text=text), text, source.index, starts, stops=ends - 1)  # without "\n"
     parts = plain_lines.scan(lines)
     rows = merged_motions(parts, np.arange(sum(map(len, parts))))
-    if len(rows) != len(spans):
+    if len(rows) != len(spans):  # not all lines are plain
         return None
     # from offsets in the text of these lines to offsets in the file
     shift = np.array([start for start, _ in spans]) - starts - len(_MOTION_PREFIX)

@@ -59,7 +59,7 @@ def no_settings() -> PlainSettings:
 
 
 def scan(source: Source) -> PlainSettings:
-    """Return all plain assignments of a document."""
+    """Return all plain assignments of a file, in order."""
     text = source.text
     starts, names, numbers = [], [], []
     for match in _SETTING.finditer(text):
@@ -155,7 +155,7 @@ class PlainAssignments:
             new_lines, new_values = settings.assigned_values(row)
             if len(new_lines):
                 lines, values = self._assigned[row]
-                place = np.searchsorted(lines, new_lines)
+                place = np.searchsorted(lines, new_lines)  # keeps the order of lines
                 all_lines = np.insert(lines, place, new_lines)
                 self._assigned[row] = all_lines, np.insert(values, place, new_values)
                 self._lines[row] = all_lines.tolist()

@@ -25,7 +25,7 @@ from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read.comments import force_notes, remarks
 from postproc.dialects.krl.read.data_lists import read_data, read_shared
-from postproc.dialects.krl.read.folder import FolderFiles, Library, codes_of, needed, text_of_lines
+from postproc.dialects.krl.read.folder import FolderFiles, Library, codes_of, find_needed_files, text_of_lines
 from postproc.dialects.krl.read.frames import out_of_reach_error
 from postproc.dialects.krl.read.issues import (
     issues_of,
@@ -106,7 +106,7 @@ def _read_program(
     :param bulk: False to read plain lines one by one.
     :raises ProgramError: see `read_program`.
     """
-    source = Source.of(documents[0], 0)
+    source = Source.of(documents[0], index=0)
     # a list, from which they are taken for the first reading: that releases their memory
     scanned_lines = [plain_of(source, bulk=bulk)]
     module, entry, faults = _main_routine(source, scanned_lines[0], name)
@@ -195,6 +195,7 @@ class _Reading(Struct, frozen=True, eq=False):
             advice = "Write fewer of them into each other."
             raise main.run.trace.error(problem, main.run.row, advice) from None
         except ProgramError as cause:
+            # under `--keep-unresolved` unknown settings are no errors; the other two errors end the run early
             if self.cell.krl.keep_unresolved or isinstance(cause, InexactError | BranchError):
                 raise
             faults = [cause, *(error for error in cause.further_errors if isinstance(error, ProgramError))]
@@ -214,7 +215,8 @@ class _Reading(Struct, frozen=True, eq=False):
         :raises ProgramError: the program has no motion that runs.
         """
         is_executed = main.executed_motions(plain_lines.motion_lines)
-        if not is_executed.any() and not len(main.motions) and not main.rounds and not main.run.unresolved_motions:
+        has_statements = bool(len(main.motions) or main.rounds or main.run.unresolved_motions)
+        if not is_executed.any() and not has_statements:
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
             )
@@ -279,6 +281,7 @@ class _Reading(Struct, frozen=True, eq=False):
         :raises BranchError: a motion in or after a branch depends on more than its start pose.
         """
         run, course, sequence = main.run, main.course, separation.sequence
+        # E1 must be in one position at each join
         unchecked_joins = frozenset() if self.cell.carriage is not None else free_joins(course, sequence)
         notes = force_notes(
             course, sequence.rows.line, sequence.rows.kind == PTP, run.unknown_force_reasons, unchecked_joins
@@ -306,7 +309,7 @@ class _Reading(Struct, frozen=True, eq=False):
             for module, routine in library.called_routines()
             if main.run.analysis.effects_of(module, routine).motion
         }
-        return documents, needed(documents, code, library.files, moving_files)
+        return documents, find_needed_files(documents, code, library.files, moving_files)
 
     def _module_with_data(self, program: Module) -> Module:
         """Return the module of the program with its `.dat`, if there is one."""
@@ -314,11 +317,17 @@ class _Reading(Struct, frozen=True, eq=False):
         return replace(program, data=Source.of(data[0], 1)) if data else program
 
     def _initial_variables(self) -> Variables:
-        """Return the variables as they are before the program runs: from the `.dat`, `$config.dat` and the cell."""
+        """Return the variables as they are before the program runs: from the `.dat`, `$config.dat` and the cell.
+
+        Values of the cell replace those of files; the `.dat` comes before the `$config.dat`, and GLOBAL variables of
+        other files come last.
+
+        :raises CellError: the `$config.dat` cannot be read, or two places give different frames for one number.
+        """
         variables = Variables(self.cell)
         for document in self.documents[1:]:
             if _is_data_of(document, self.documents[0]):
-                read_data(variables, Source.of(document, 1))
+                read_data(variables, Source.of(document, index=1))
         if self.cell.config_dat is not None:
             read_data(variables, _config_source(self.cell, self.cell.config_dat), fill=True, is_global=True)
         program = self.documents[0]
@@ -446,6 +455,7 @@ def _uncorrectable_parts(
     if isinstance(cause, InexactError) and cause.routine is not None:
         return frozenset({cause.routine} if cause.routine.source is not library.program.source else ())
     files = {error.file for error in (cause, *cause.further_errors)}
+    # all routines of other files with errors
     return frozenset(
         routine
         for module in library.read_modules()
@@ -480,7 +490,7 @@ def _config_source(cell: Cell, path: str) -> Source:
         raise CellError(
             f"config_dat cannot be read ({cause.strerror})", file=str(file), advice="The path is relative to the cell."
         ) from cause
-    return Source.of(decode(file.name, data), 2)
+    return Source.of(decode(file.name, data), index=2)
 
 
 class _MainRoutine(NamedTuple):
@@ -501,7 +511,7 @@ def _main_routine(source: Source, plain_lines: PlainLines, name: str) -> _MainRo
 
     :param plain_lines: plain lines of the file.
     :param name: name of the program.
-    :raises ProgramError: the file has no routine.
+    :raises ProgramError: the file has no routine, or the bounds of all routines are wrong.
     """
     other_lines = np.flatnonzero(plain_lines.is_other(len(source.starts))) + 1
     by_name, faults = routines(
@@ -519,7 +529,7 @@ def _main_routine(source: Source, plain_lines: PlainLines, name: str) -> _MainRo
 
 
 def _folders(document: Document, cell: Cell) -> list[Path]:
-    """Return the folders that are searched for called programs: that of the program, then those that the cell names."""
+    """Return the folders that are searched for called programs: the program's own, then those that the cell names."""
     own_folders = [Path(document.folder)] if document.folder else []
     return own_folders + [Path(cell.folder) / folder for folder in cell.krl.search]
 

@@ -30,10 +30,12 @@ SETTING_ADVICE = "Set $BASE, $TOOL, speeds and modes outside of loops, branches 
 
 
 class Scopes:
-    """The scopes of routines; those of another file are made, and its data read, when they are first needed.
+    """The scopes of routines.
+
+    The scope of another file is made, and its data list read, when one of its routines is first called.
 
     :param program: the file of the program.
-    :param main: the routine that is followed; its names need no scope.
+    :param main: the routine that is followed; its names are the stored names.
     """
 
     def __init__(self, program: Module, main: Routine, variables: Variables) -> None:
@@ -43,7 +45,7 @@ class Scopes:
         self._routines: dict[Routine, Scope] = {}
         self._prefix = f"{program.name}/"
 
-    def of(self, module: Module, routine: Routine) -> Scope:
+    def scope_of(self, module: Module, routine: Routine) -> Scope:
         """Return the scope that resolves the names of a routine other than its local names.
 
         The main routine needs none: its names are the stored names. Other routines of its file do not see its local
@@ -61,7 +63,7 @@ class Scopes:
             self._modules[module] = self._module_scope(module)
         return self._modules[module]
 
-    def of_call(self, module: Module, routine: Routine, number: int, arrays: Mapping[str, str]) -> Scope:
+    def scope_of_call(self, module: Module, routine: Routine, number: int, arrays: Mapping[str, str]) -> Scope:
         """Return the scope of one call of a routine; its local variables are stored separately from other calls.
 
         :param number: number of the call, from 1; it is part of the stored names of the local variables.
@@ -70,8 +72,8 @@ class Scopes:
         local_names = {name: f"{name}@{number}" for name in routine.local_names}
         if arrays:
             local_names |= arrays
-            return replace(self.of(module, routine), local_names=local_names, array_names=frozenset(arrays))
-        return replace(self.of(module, routine), local_names=local_names)
+            return replace(self.scope_of(module, routine), local_names=local_names, array_names=frozenset(arrays))
+        return replace(self.scope_of(module, routine), local_names=local_names)
 
     def _module_scope(self, module: Module) -> Scope:
         """Return the scope of the routines in another file, and store the variables of the data list of that file.
@@ -80,6 +82,7 @@ class Scopes:
         program declares, which the other file does not see.
         """
         variables, data = self.variables, module.data
+        # names that are declared for the file itself, and GLOBAL names
         data_names, global_names = (frozenset(), frozenset()) if data is None else declared_names(data)
         main_names = (frozenset(variables.types) - variables.global_names) | self.main.local_names
         prefixed_names = (main_names | data_names) - global_names - CONTROLLER_DATA
@@ -182,8 +185,8 @@ class Run:
     """State shared by the classes that follow a program.
 
     :ivar routine: the main routine.
-    :ivar trace: the rows of the program; those of the `.src` until they are complete.
-    :ivar has_rows: whether `row` is a row of the trace while statements run; else it is a line of the `.src`.
+    :ivar trace: the execution trace; until it is complete, the lines of the `.src`.
+    :ivar has_rows: True if `row` is a row of the trace while statements run; False if it is a line of the `.src`.
     :ivar row: the present row of the trace.
     :ivar shift: row of the present statement minus its line in the file, if the statement is traced.
     :ivar shown_line: line of the program's own `.src` to report for the present row; 0 if the trace is complete: the
@@ -199,14 +202,14 @@ class Run:
     :ivar resume_place: RESUME that returns to the program or to an unknown routine; None if there is none.
     :ivar triggers: lines of TRIGGER statements of the main routine.
     :ivar untraced_calls: calls after which the robot position is not known.
-    :ivar interruptible_calls: rows of calls that an interrupt may break off, and with them the motion before; each with
-        the error for a motion that then depends on where it begins.
+    :ivar interruptible_calls: rows of calls that an interrupt may break off, and with them the motion before; each row
+        with the error for a motion that depends on its start.
     :ivar unfollowed_routines: routines reached by calls that move the robot and are not followed.
     :ivar position_dependent_calls: rows of calls of unfollowed routines whose first target depends on the robot
         position.
     :ivar unknown_force_reasons: row → reason: after such a row the acting force is not known.
     :ivar followed_names: rows of the trace and offsets of names whose use is followed.
-    :ivar copies: pairs of names, upper case: a variable that was copied as a point, and the one that it was copied to.
+    :ivar copies: pairs of names, upper case: a variable whose point was copied, and the variable that got the copy.
     :ivar absent_calls: calls of programs that are in no file: name as spelled, and line.
     :ivar called_routines: routines of the program's own file that have been called.
     :ivar issues: warnings and remarks for the user.
@@ -221,7 +224,7 @@ class Run:
         self.library, self.routine, self.settings = library, routine, settings
         self.trace, self.has_rows, self.variables = trace, has_rows, settings.variables
         self.scopes = Scopes(library.program, routine, self.variables)
-        self.analysis = Analysis(library, self.scopes.of)
+        self.analysis = Analysis(library, self.scopes.scope_of)
         self.row = self.shift = self.shown_line = 0
         self.is_final = True
         self.place: Place | None = None
@@ -260,7 +263,7 @@ class Run:
         """
         return replace(aggregate, row=self.row) if self.has_rows else aggregate
 
-    def understand(self, *offsets: int) -> None:
+    def note_followed_names(self, *offsets: int) -> None:
         """Add names in the present statement to `followed_names`.
 
         :param offsets: offsets of the names in the file.
@@ -276,7 +279,7 @@ class Run:
         :param name: name of the variable or parameter that gets the value, upper case.
         """
         if isinstance(expression, Reference) and isinstance(value, Aggregate) and not value.is_computed:
-            self.understand(expression.start)
+            self.note_followed_names(expression.start)
             self.copies.add((expression.name, name))
 
     def nodes(self, routine: Routine) -> tuple[Node, ...]:

@@ -61,14 +61,14 @@ class Settings:
         if name in ("$WORLD", "$ROBROOT"):
             return ZERO if field is None else component(ZERO, field) if field in CARTESIAN else NO_VALUE
         if (name, field) == ("$VEL", "CP") and not state.is_speed_assumed:
-            return self._followed(state.speed)
+            return self._followed_number(state.speed)
         if (name, field) == ("$APO", "CDIS"):
-            return self._followed(state.cdis / M_PER_MM)
+            return self._followed_number(state.cdis / M_PER_MM)
         if field is None and name in MODES:
             return Word("#BASE" if name == "$IPO_MODE" else str(getattr(state, FIELDS[name])), 0, 0)
         return NO_VALUE
 
-    def _followed(self, value: float) -> VariableValue:
+    def _followed_number(self, value: float) -> VariableValue:
         """Return the value of a speed or a distance as a number of KRL.
 
         :returns: `NO_VALUE` if plain assignments are not followed, since one of them may have set another value; this
@@ -83,8 +83,8 @@ class Settings:
             self.state = state
             self.changes.append((line, state))
 
-    def come_to(self, line: int) -> None:
-        """Put into force the plain assignments before a line of the program."""
+    def apply_assignments_before(self, line: int) -> None:
+        """Put into force the plain assignments before a line of the program, or row of the trace."""
         for setting_line, field, value in self.plain_assignments.values_before(line):
             fields = {field: value, "is_speed_assumed": False} if field == "speed" else {field: value}
             self.change_state(setting_line, self.state.with_values(**fields))

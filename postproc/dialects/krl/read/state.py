@@ -47,7 +47,7 @@ class State(Struct, frozen=True):
     """Settings in force between two statements.
 
     :ivar base: row of `Frames.bases`; −1−k when it is not known, for the reason `Reasons.errors[k]`.
-    :ivar tool: row of `Frames.tools`; likewise.
+    :ivar tool: row of `Frames.tools`; −1−k when it is not known, for the reason `Reasons.errors[k]`.
     :ivar speed: `$VEL.CP` [m/s].
     :ivar swivel_speed: `$VEL.ORI1`, largest speed of the tool direction [rad/s]; infinite where it is not stated.
     :ivar rotation_speed: `$VEL.ORI2`, largest speed about the tool direction [rad/s]; infinite where it is not stated.
@@ -133,7 +133,7 @@ class MotionStates(Struct, frozen=True, eq=False):
 class Reasons:
     """Why something in force is not known.
 
-    :ivar errors: what to raise for a motion that depends on it.
+    :ivar errors: the errors for motions that depend on unknown settings; states hold their indices.
     """
 
     def __init__(self) -> None:
@@ -178,7 +178,7 @@ def fields_used(kind: int, *, has_axis_target: bool, is_approximated: bool) -> l
     """Return the fields of its `State` on which a motion depends.
 
     :param kind: PTP, LIN, CIRC or SPL.
-    :param has_axis_target: True if its target is given by joint angles.
+    :param has_axis_target: True if the target is given by joint angles: it needs no frames.
     :param is_approximated: True if `$APO.CDIS` applies.
     """
     fields = [] if has_axis_target else ["base", "tool"]

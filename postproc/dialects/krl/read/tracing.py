@@ -104,7 +104,7 @@ class Recorder:
         self._pieces: list[_Piece] = []
         self._steps: list[Step] = []
         self._counter_values: list[tuple[int, int]] = []  # row that sets the counter of a FOR, and the number
-        self._inlined: dict[Routine, None] = {}
+        self._inlined: dict[Routine, None] = {}  # inlined routines and their files, as ordered sets
         self._files: dict[Document, None] = {}
         self._record_lines(main.source, 1, main.first, 0, is_live=False)
         self.body = Body(self.row_count + 1)
@@ -166,7 +166,7 @@ class Recorder:
         )
 
     def back_to(self, mark: Mark) -> None:
-        """Drop everything recorded since a `mark`."""
+        """Drop everything recorded since a `mark`; `is_final` stays False from then on."""
         self.is_final = False
         self.row_count = mark.row_count
         for routine in list(self._inlined)[mark.inlined_count :]:
@@ -178,7 +178,7 @@ class Recorder:
             self._steps[mark.step_count :],
             self._counter_values[mark.assignment_count :],
         )
-        if mark.last_step is not None:
+        if mark.last_step is not None:  # later rows may have extended it
             self._steps[-1] = mark.last_step
         del self._open_routines[len(mark.open_routines) :]
         for open_routine, (cursor, body_count, part_counts) in zip(
@@ -237,6 +237,8 @@ class Recorder:
     def begin_round(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
         """Begin an iteration of a loop: a new innermost body, recorded from the line behind the head of the loop on.
 
+        FOR: a row that sets the counter precedes these lines.
+
         :param loop: the record of the loop, which gets the new body.
         :param number: value of the counter of FOR in this iteration; None for other loops.
         """
@@ -252,7 +254,7 @@ class Recorder:
         :param loop: the record of the loop, which gets the bodies of the rounds.
         """
         file, shown_line = self._present_file(), self._open_routines[-1].shown_line
-        # each round: a row that sets the counter, and the lines between FOR and ENDFOR
+        # each round: a row that sets the counter, whose line is `for_line`, and the lines between FOR and ENDFOR
         assignment = _Piece(file, 1, 1, shown_line, for_line=block.first, is_live=True)
         body_lines = _Piece(file, block.first + 1, block.last - 1, shown_line, for_line=0, is_live=True)
         self._pieces += [assignment, body_lines] * rounds.count
@@ -279,7 +281,7 @@ class Recorder:
         :param loop: the record of the loop.
         :param number: value of the counter of FOR after the loop; None if the loop was left early, and for other loops.
         """
-        if not loop.bodies:
+        if not loop.bodies:  # no round has run
             self.record_passed_lines(block.last, is_live=False)
         self._record_assignment(block, number)
         self._open_routines[-1].cursor = block.last + 1
@@ -297,6 +299,7 @@ class Recorder:
         self.body.stop = self.row_count + 1
         next_line = main.last
         for routine in sorted(self._inlined, key=lambda routine: routine.first):
+            # those before the main routine are among the rows that precede it
             if routine.source is main.source and routine.first > main.last:
                 self._record_lines(main.source, next_line, routine.first - 1, 0, is_live=False)
                 next_line = routine.last + 1

@@ -61,7 +61,8 @@ class SeparatedMotions(Struct, frozen=True, eq=False):
 def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> SeparatedMotions:
     """Separate the motions that stay uncorrected under `--keep-unresolved` from those that can be corrected.
 
-    A motion behind an uncorrected one has an unknown start; it stays uncorrected too if it depends on that.
+    A motion behind an uncorrected one, or behind a call that is not followed, has an unknown start. If it depends on
+    that, it stays uncorrected too.
 
     :param sequence: the motions of the program whose targets are known.
     :raises ProgramError: no motion can be corrected; or, without that option, a motion is synchronised with another
@@ -78,6 +79,7 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     for row, reason in (*unknown_motions, *sync_motions):
         reasons[int(rows.line[row])] = reason
         is_dropped[row] = True
+    # without the option, motions that depend on such calls are refused later
     stop_lines = [line for line, _ in run.interruptible_calls] if run.keeps_unresolved else []
     if not reasons and not run.untraced_calls and not stop_lines:
         return SeparatedMotions(sequence)
@@ -154,6 +156,7 @@ def _synchronised_motions(main: MainRoutine, line: Ints) -> Iterator[tuple[int, 
     trace, marks = main.run.trace, _sync_lines(main)
     if not marks:
         return
+    # between two marks, and behind the last one unless the programs only wait there
     sections = [
         (begin, end, f"between SYNCCMD ({trace.place(begin)}) and SYNCCMD ({trace.place(end)})")
         for (begin, _), (end, _) in pairwise(marks)
@@ -185,6 +188,7 @@ def _sync_lines(main: MainRoutine) -> list[tuple[int, bool]]:
         for _, routine in routines
     }
     sync_routines = {routine for routine, routine_words in sync_words_of.items() if routine_words}
+    # names of the routines that synchronise robots, themselves or by calls
     names = {
         routine.name.upper()
         for module, routine in routines
@@ -199,6 +203,7 @@ def _sync_lines(main: MainRoutine) -> list[tuple[int, bool]]:
     entry_rows = {step.row for step in course.steps if isinstance(step, RoutineEntry)}
     marks, trace = [], course.trace
     for row in range(course.body.first, course.body.stop):
+        # rows that set the counter of a FOR are no lines of the file
         if not trace.is_count[row - 1] and (course.may_run is None or course.may_run[row - 1]):
             word = _sync_word(*trace.place(row), names, is_entered=row in entry_rows)
             if word:
@@ -224,10 +229,11 @@ def _synchronises(text: str, size: int = _PIECE_LENGTH) -> bool:
 def _sync_word(source: Source, line: int, names: Collection[str] = (), *, is_entered: bool = False) -> str:
     """Return how a line synchronises robots: the first argument of its SYNCCMD, if that is a word.
 
-    :param names: names of the routines that synchronise robots: a line that names one does so too.
-    :param is_entered: True if the routine that the line calls is in the trace itself; its name does not count then.
-    :returns: `_OTHER_WORD` for another argument, another such line, and a line that cannot be read; empty if the line
-        does not synchronise robots.
+    :param names: names of the routines that synchronise robots: a line that names one of them synchronises too.
+    :param is_entered: True if the statements of the called routine are in the trace themselves; then the call does not
+        count, but its arguments do.
+    :returns: empty if the line does not synchronise robots. `_OTHER_WORD` if it does so otherwise than by SYNCCMD with
+        a word, or cannot be read.
     """
     start, stop = source.code_span(line)
     if not (names or _synchronises(source.text[start:stop])):
@@ -277,14 +283,14 @@ def _report_unresolved(
     issues = []
     for line, reason in sorted(reasons.items()):
         origin = main.run.trace.place(line)
-        if str(origin) in by_place:
+        if str(origin) in by_place:  # a line that runs more than once
             continue
         shown_line: int | None = main.run.trace.shown_line(line)
         text = origin.source.text[slice(*origin.source.code_span(origin.line))]
         by_place[str(origin)] = UnresolvedMotion(origin.source.document.name, origin.line, text, reason.problem)
         suffix = _SHIFT_TEXT if _depends_on_position(main, line, reason) else ""
-        is_elsewhere = origin.source is not main.run.routine.source
-        prefix, shown_line = (f"{origin}: ", None) if is_elsewhere else ("", shown_line)
+        is_in_other_file = origin.source is not main.run.routine.source
+        prefix, shown_line = (f"{origin}: ", None) if is_in_other_file else ("", shown_line)
         message = f"{prefix}stays as it is, uncorrected: {text!r} ({reason.problem}){suffix}"
         issues.append(Issue("warning", "unresolved", message, shown_line, subject=str(origin)))
     return tuple(by_place.values()), issues

@@ -117,6 +117,11 @@ def operation_result(operator: str, a: float, b: float, *, integer: bool) -> flo
     return value if math.isfinite(value) else NO_VALUE
 
 
+def variable_of(key: str) -> str:
+    """Return the stored name of the variable with a key: the key without the index of an element."""
+    return key.partition("[")[0]
+
+
 class Functions(Protocol):
     """The functions that a program declares."""
 
@@ -262,9 +267,9 @@ class Variables:
         :param name: stored name of a variable, to set it and its elements alone; empty: set all.
         """
         for key, value in self.cell_values.items():
-            root = key.partition("[")[0]
-            if not name or name == root:
-                self.put(key, convert_to_type(value, self.types.get(root, "")))
+            variable = variable_of(key)
+            if not name or name == variable:
+                self.put(key, convert_to_type(value, self.types.get(variable, "")))
 
     def put(self, key: str, value: VariableValue | UnparsedValue) -> None:
         """Store a value unchanged. Assignments of the program use `set`, which converts the value to the type.
@@ -276,8 +281,7 @@ class Variables:
         if self.reads_late_list:
             self.late_values[key] = value
         if is_new and key.endswith("]"):
-            array, _, _ = key.partition("[")
-            self._elements[array].append(key)
+            self._elements[variable_of(key)].append(key)
         self._values[key] = value
 
     def set(self, key: str, value: VariableValue, place: Place) -> None:
@@ -288,7 +292,7 @@ class Variables:
         :param key: stored name of the variable, or of an element, as ``P[3]``.
         :param place: the assignment.
         """
-        name = key.partition("[")[0]
+        name = variable_of(key)
         if name not in self.change_places:
             self.change_places[name] = str(place)
         if isinstance(value, Number):
@@ -304,7 +308,7 @@ class Variables:
 
         :param key: stored name of the variable that gets `new_position`.
         """
-        names: tuple[str, ...] = ()
+        names: tuple[str, ...] = ()  # of all components; none for other structures
         if not new_position.items.keys().isdisjoint(_REAL_COMPONENTS):
             names = AXES if not new_position.items.keys().isdisjoint(AXES) else CARTESIAN
         missing_names = [name for name in names if name not in new_position.items]
@@ -323,7 +327,7 @@ class Variables:
         :param place: the assignment.
         """
         old_value = self.value(key)
-        name = key.partition("[")[0]
+        name = variable_of(key)
         if name not in self.change_places:
             self.change_places[name] = str(place)
         if not isinstance(old_value, UnknownValue) or not old_value.reason:
@@ -348,11 +352,11 @@ class Variables:
             return UnknownValue(str(place), _LONE_MEMBER)
         if not isinstance(old_value, Aggregate):
             return unknown
-        if "[" not in field:
+        if "[" not in field:  # elements of arrays in structures are not followed
             new_structure = _structure_with_member(self, old_value, field.split("."), value)
             if new_structure is not None:
                 return new_structure
-        member = field.partition(".")[0].partition("[")[0]
+        member = field.partition(".")[0].partition("[")[0]  # the outermost member, without an index
         if member in _COMPONENTS:
             return unknown
         items = {**old_value.items, member: OpaqueText(old_value.start, old_value.stop)}
@@ -396,10 +400,8 @@ class Variables:
         """Return the stored names of variables that differ from a snapshot in a value, or in being volatile."""
         values, volatile_names = self.late_values | snapshot.values, snapshot.volatile_values
         keys = self._values.keys() | values.keys()
-        names = {
-            key.partition("[")[0] for key in keys if not self._have_same_value(self._values.get(key), values.get(key))
-        }
-        return frozenset(names | (self.volatile_values.keys() ^ volatile_names.keys()))
+        names = {variable_of(key) for key in keys if not self._have_same_value(self._values.get(key), values.get(key))}
+        return frozenset(names | (self.volatile_values.keys() ^ volatile_names.keys()))  # volatile in one of the two
 
     def _have_same_value(self, first: object, second: object) -> bool:
         """Return whether two stored values are equal.
@@ -432,7 +434,7 @@ class Variables:
         :returns: the data list, and for each element the offset of the first character of its value and the offset
             behind its last. None if an element has, or may have, a value from elsewhere.
         """
-        if name in self.volatile_values or any(key.partition("[")[0] == name for key in self.cell_values):
+        if name in self.volatile_values or any(variable_of(key) == name for key in self.cell_values):
             return None
         spans, source = [], None
         for number in numbers:
@@ -481,14 +483,14 @@ class Variables:
         next_variables.volatile_values, next_variables.change_places, next_variables.late_values = {}, {}, {}
         for name in self.persistent_names & self.volatile_values.keys():
             next_variables.forget(name, self.volatile_values[name].change_place)
-        for name in {key.partition("[")[0] for key in self.cell_values} - self.persistent_names:
+        for name in {variable_of(key) for key in self.cell_values} - self.persistent_names:
             next_variables.take_cell_values(name)
         next_variables.change_places = {}  # without those that `forget` has noted: they are of this run
         return next_variables
 
     def _is_kept_between_runs(self, key: str) -> bool:
         """Return whether a variable, given by its key, keeps its value from one run of the program to the next."""
-        return key[0] == "$" or key.partition("[")[0] in self.persistent_names
+        return key[0] == "$" or variable_of(key) in self.persistent_names
 
     def __contains__(self, key: str) -> bool:
         """Return whether a value is stored under a name."""
@@ -501,8 +503,9 @@ class Variables:
 
         :raises ProgramError: the value cannot be read.
         """
-        if key[0] == "$" and (root := key.partition("[")[0]) in RELEVANT:
-            return self.setting_value(root, None)
+        # `variable_of` is written out: values are read very often
+        if key[0] == "$" and (name := key.partition("[")[0]) in RELEVANT:
+            return self.setting_value(name, None)
         if self.volatile_values and (name := key.partition("[")[0]) in self.volatile_values:
             return self.volatile_values[name]
         if key in self.cell_values:
@@ -511,12 +514,12 @@ class Variables:
         if isinstance(value, UnparsedValue):
             value = self.evaluate(value.value)
             if isinstance(value, Number):
-                value = convert_to_type(value, self.types.get(key.partition("[")[0], ""))
+                value = convert_to_type(value, self.types.get(variable_of(key), ""))
             self._values[key] = value
         return value
 
     def evaluate(self, value: Value | VariableValue) -> VariableValue:
-        """Return the present value of an expression; values of variables are returned as they are.
+        """Return the present value of an expression; numbers, words, positions and unknown values stay as they are.
 
         :returns: an `UnknownValue` if the value is not known before the program runs; `NO_VALUE` without a reason.
         :raises ProgramError: the expression cannot be read.
@@ -591,7 +594,7 @@ class Variables:
         :returns: the first unknown value of a term if the value is not known; else `NO_VALUE`.
         """
         term_values = [self.evaluate(term) for term in condition.terms]
-        if not condition.operators and not (condition.negated and condition.negated[0]):
+        if not condition.operators and not (condition.negated and condition.negated[0]):  # a term in brackets
             return term_values[0]
         value = condition_value(term_values, condition)
         if isinstance(value, bool):
@@ -649,6 +652,7 @@ class Variables:
         pose, position = np.eye(4), None
         for operand in chain.operands:
             position = self.position(operand)
+            # in an aggregate of the chain itself, missing components are 0
             if position is None or position.is_axis or (isinstance(operand, Reference) and not position.is_complete):
                 return NO_VALUE
             pose = pose @ position.pose()
