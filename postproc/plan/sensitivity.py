@@ -30,11 +30,10 @@ class Arm(Struct, frozen=True, eq=False):
     def pose(self, q: Array) -> ArmPoses:
         """Return joint origins, axes and flange poses at configurations q (N, 6) [rad]."""
         state = kinematics.posture(self.chain, q.T)
-        origin, axis = (
-            np.array([np.broadcast_to(vector, (3, len(q))) for vector in vectors]).transpose(2, 0, 1)
-            for vectors in (state.origin, state.axis)
-        )
-        return ArmPoses(origin, axis, kinematics.matrices(state.pose))
+        origin, axis = np.empty((2, 6, 3, len(q)))
+        for joint in range(6):
+            origin[joint], axis[joint] = state.origin[joint], state.axis[joint]
+        return ArmPoses(origin.transpose(2, 0, 1), axis.transpose(2, 0, 1), kinematics.matrices(state.pose))
 
 
 class ArmPoses(Columns, frozen=True, eq=False):

@@ -57,8 +57,15 @@ def after_the_run(page):
     page.get_by_role("heading", name="May it be run?").wait_for()
 
 
-def test_look_for_a_place_and_take_it(browser, window):
-    """Without bodies in the cell, which `tests.placement` has: they take four fifths of the search."""
+def test_look_for_a_place_and_take_it(browser, window, monkeypatch):
+    """Without bodies in the cell, and in a small region: `tests.placement` searches with both."""
+    begin = window.runs.begin
+
+    def begin_in_region(key, title, arguments, **options):
+        region = ["--region", "X=1300:1600"] if arguments[0] == "place" else []
+        return begin(key, title, [*arguments, *region], **options)
+
+    monkeypatch.setattr(window.runs, "begin", begin_in_region)
     cell = window.workspace.cell.read_text().partition("[collision]")[0]
     window.workspace.cell.write_text(cell)
     with opened(browser, window) as page:

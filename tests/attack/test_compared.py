@@ -14,10 +14,10 @@ module = import_module("postproc.comparison.compare")
 
 
 def test_every_difference_planted_is_told_and_nothing_else():
-    outcomes = Counter(attack(seed) for seed in range(30))
+    outcomes = Counter(attack(seed) for seed in range(20))
     planted = {name: number for name, number in outcomes.items() if name not in ("refused", "nothing to plant")}
-    assert sum(planted.values()) > 15
-    assert len(planted) >= 10
+    assert sum(planted.values()) > 10
+    assert len(planted) >= 6
 
 
 FAULTS = {

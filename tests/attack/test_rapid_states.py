@@ -16,13 +16,13 @@ from tests.attack.rapid_states import StateGenerator, attack
 
 
 def test_the_package_makes_the_moves_of_the_controller_or_refuses():
-    outcomes = Counter(attack(seed).partition(":")[0] for seed in range(150))
-    assert outcomes["read"] > 40
+    outcomes = Counter(attack(seed).partition(":")[0] for seed in range(100))
+    assert outcomes["read"] > 27
     assert outcomes["read, with inputs"] >= 1
 
 
 def test_corrected_modules_lead_the_loaded_tool_along_the_path():
-    outcomes = Counter(attack(seed, correct=True).partition(":")[0] for seed in range(1000, 1020))
+    outcomes = Counter(attack(seed, correct=True).partition(":")[0] for seed in range(1000, 1013))
     assert outcomes["corrected"] >= 1
 
 

@@ -23,6 +23,16 @@ def part(tmp_path_factory):
     return trial.part(tmp_path_factory.mktemp("weight"), box=BLOCK, count=4, mass=MASS)
 
 
+SCALE = 1.15
+
+
+@pytest.fixture(scope="module")
+def milled(part):
+    """The part milled and probed, under forces larger than computed: the name of the file."""
+    rng = np.random.default_rng(4)
+    return trial.probed(part, trial.truth(rng), rng, SCALE)
+
+
 def only(part):
     (program,) = part.programs.values()
     return program
@@ -62,19 +72,16 @@ def test_the_gauge_reads_what_the_independent_arm_deflects_under_the_weight(part
     np.testing.assert_array_equal(found.slopes[:, -1], 0.0)  # the cutting forces have no part in it
 
 
-def test_the_weight_tells_forces_from_compliances(part):
+def test_the_weight_tells_forces_from_compliances(part, milled):
     """The same part with and without the rows of the gauge."""
-    rng = np.random.default_rng(4)
-    arm, scale = trial.truth(rng), 1.15
-    path = trial.probed(part, arm, rng, scale)
-    found, left_out = trial.identified(part, path)
-    rows = path.read_text().splitlines()
+    found, left_out = trial.identified(part, milled)
+    rows = milled.read_text().splitlines()
     (part.folder / "without.csv").write_text("\n".join(row for row in rows if not row.startswith("W")) + "\n")
     without, _ = trial.identified(part, part.folder / "without.csv")
     assert not left_out
     sigma = [float(np.sqrt(each.covariance[-1, -1])) for each in (found, without)]
     assert sigma[0] < 0.85 * sigma[1]
-    assert abs(found.scale - scale) < 3.0 * sigma[0]
+    assert abs(found.scale - SCALE) < 3.0 * sigma[0]
     assert part.chosen.sigma[-1] < 0.85 * part.chosen.sigma_without_weight[-1]  # the design says so before
     assert part.chosen.sigma[-1] == pytest.approx(found.sigma[-1], rel=0.3)
 
@@ -89,8 +96,8 @@ def test_the_weight_shows_changes_of_joint_2_that_cutting_hides(part):
     assert "k2 (" not in said[0]
 
 
-def test_the_position_of_the_part_does_not_move_the_gauge(part):
-    read = probing.read(trial.probed(part, trial.truth(np.random.default_rng(1)), np.random.default_rng(1)))
+def test_the_position_of_the_part_does_not_move_the_gauge(part, milled):
+    read = probing.read(milled)
     where = surfaces(only(part), part.robot_in_cell, read, 0.005)
     added = Readings.of(read, where, trial.SIGMA).part_covariance(np.zeros(len(read)))
     hung = read.mass > 0.0
