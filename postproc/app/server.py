@@ -27,8 +27,8 @@ from postproc.jobs.cell_edit import (
     edit,
     fields_of,
     frame_tables,
-    kept_frames,
     missing_frames,
+    robot_and_frames_text,
     set_feed_rule,
     set_robot,
     use_model,
@@ -262,7 +262,7 @@ class _Handler(BaseHTTPRequestHandler):
             except InputError as cause:
                 fault = str(cause)
         cutters = [named_text(number, cutter.text) for number, cutter in needs.cutters.items() if cutter.text]
-        kept_cell = "" if is_asked["cell"] else kept_frames(workspace.cell, needs.tools)
+        kept_cell = "" if is_asked["cell"] else robot_and_frames_text(workspace.cell, needs.tools)
         frames = () if is_asked["cell"] else missing_frames(workspace.cell, needs)
         page = screens.setup(
             name,

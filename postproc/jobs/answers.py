@@ -270,13 +270,14 @@ def points(texts: Sequence[str]) -> dict[str, Numbers]:
 
     :raises InputError: a text has another form, or an axis is given twice.
     """
-    places: dict[str, Numbers] = {}
+    axis_points: dict[str, Numbers] = {}
     for text in texts:
-        letter, _, words = text.partition("=")
-        if letter.strip().upper() not in ("A", "B", "C"):
+        name, _, words = text.partition("=")
+        letter = name.strip().upper()
+        if letter not in ("A", "B", "C"):
             raise InputError(f"{text!r}: give the axis and its point, such as A=0,0,-120")
-        _add_frame(places, letter.strip().upper(), place(words), letter.strip().upper())
-    return places
+        _add_frame(axis_points, letter, place(words), letter)
+    return axis_points
 
 
 def material(text: str) -> str:

@@ -1,7 +1,6 @@
-"""Programs of a folder that wait to be corrected: quiet, with a cell and with forces; the window corrects them so.
+"""Programs of a folder that are ready to be corrected by the window: unchanged for some time, with cell and forces.
 
-Like `watching`, it scans: what a scan finds is what counts. `programs.process_of` says for both which process a program
-has.
+As in `watching`, only scans of the folder decide. Both find the process of a program by `programs.process_of`.
 """
 
 from __future__ import annotations

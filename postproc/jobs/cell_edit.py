@@ -79,7 +79,7 @@ def missing_frames(path: Path, needs: ProgramNeeds) -> tuple[str, ...]:
     return tuple(table for table in (*tools, *offsets, *by_number) if table not in stated_frames)
 
 
-def kept_frames(path: Path, tools: Sequence[int]) -> str:
+def robot_and_frames_text(path: Path, tools: Sequence[int]) -> str:
     """Return robot, `$BASE` and `$TOOL` of a cell as a line of text; the error text if the cell is unusable.
 
     :param tools: numbers of the tools of a program; only these of [tools] are named.

@@ -69,10 +69,9 @@ def mark_origin(
         return _mark_modules(result, job, origin)
     documents, first_shifted_line = job.writer.mark(_mark_subprograms(result, job, origin, own_names or {}), origin)
     line = result.output_line
-    # lines from `first_shifted_line` on have moved down by the inserted line; 0: no line has moved
-    return replace(
-        result, documents=documents, output_line=line + (line >= first_shifted_line) if first_shifted_line else line
-    )
+    if first_shifted_line:  # lines from this one on have moved down by the inserted line; 0: no line has moved
+        line = line + (line >= first_shifted_line)
+    return replace(result, documents=documents, output_line=line)
 
 
 def _file_contents(documents: Sequence[Document]) -> list[tuple[bytes, str, str]]:
@@ -235,7 +234,7 @@ def convert(
 
 
 def force_source(path: Path | None, cell: Cell) -> ForceSource | None:
-    """Return the source of forces in a file: a table of forces, or a process.toml; None without a file.
+    """Return the source of forces in a file, `path`: a table of forces, or a process.toml; None without a file.
 
     :raises ForceError: the file is unusable.
     """

@@ -100,7 +100,7 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     :param robot: name of a shipped robot, or path of a model folder (relative to the working folder).
     :param base: `$BASE` in the robot root: X, Y, Z[, A, B, C] in mm and degrees, or the number of a BASE_DATA.
     :param tool: `$TOOL` in the flange frame, likewise, or the number of a TOOL_DATA.
-    :param axis: of the tool frame that points from the spindle to the tip.
+    :param axis: axis of the tool frame that points from the spindle to the tip.
     :param start: A1…A6 where programs start [deg]; None: above the origin of `$BASE`, 50 mm above `clearance`.
     :param config_dat: `$config.dat` of the controller, for frames by number.
     :param clearance: Z of `$BASE` to which G28, G30 and G53 retract [mm].
@@ -114,10 +114,10 @@ class CellRequest(Struct, frozen=True, kw_only=True):
     :param m_codes: M codes that programs use (``M31``) → lines to write for them; none: no effect on the robot.
     :param home: X, Y, Z of `$BASE` where the machine is first, and after G28 and G53 [mm]; None: not stated.
     :param rotary: rotary axes of the programs; None: there are none.
-    :param radius_offsets: what the radius offsets (D) of the control hold: "radius" or "wear".
-    :param dwell_unit: what the control counts in P of G4 and of cycles: "s" or "ms"; None: not stated.
-    :param part_tolerance: what the part may be off, 95 % [mm]; None: nobody says so, and the cell does not judge by it.
-    :param payload: mass [kg] and centre X, Y, Z in the flange frame [mm] of what the flange carries; None: not stated.
+    :param radius_offsets: content of the radius offsets (D) of the control: "radius" or "wear".
+    :param dwell_unit: unit of P of G4 and of cycles on the control: "s" or "ms"; None: not stated.
+    :param part_tolerance: allowed error of the part (95 %) [mm]; None: not stated, and the verdict does not use it.
+    :param payload: mass [kg] and centre X, Y, Z in the flange frame [mm] of the load of the flange; None: not stated.
     :param overwrite: replace a file that is there.
     """
 

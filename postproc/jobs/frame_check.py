@@ -137,7 +137,7 @@ def check_frames(path: Path, cell_file: Path, sigma_mm: float) -> FrameCheck:
     cell = cells.load(cell_file)
     robot = load_robot(cell.robot, cell.folder)
     touches = read_touches(path)
-    flange = kinematics.tcp(robot.nominal, touches.joints, np.eye(4))[0]
+    flange, _ = kinematics.tcp(robot.nominal, touches.joints, np.eye(4))  # poses (n, 4, 4)
     tool, base = cell.tool.pose(), cell.base.pose()
     if cell.frames == "model":
         no_load = np.zeros((len(touches.joints), 6))

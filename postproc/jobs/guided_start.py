@@ -42,7 +42,7 @@ from postproc.program import tool_text
 _ABOVE_MM = 50.0
 """Offered height of retracts above the highest cutting move [mm] (assumed)."""
 _CELL_COUNT = 500.0
-"""The map of the stock has at most this many cells across, between the limits of `_RESOLUTIONS` [mm] (assumed)."""
+"""Largest number of cells of the stock map across, within the limits of `_RESOLUTIONS` (assumed)."""
 _RESOLUTIONS = (0.25, 1.0)
 """Finest and coarsest cells that are proposed [mm] (assumed)."""
 _USUAL_TOOL = "0,0,350"
@@ -417,8 +417,8 @@ def stock_lines(folder: Path, stock: StockTable, *, is_assumed: bool) -> Iterato
         return
     spans = {axis: getattr(stock.box, axis) for axis in "XYZ"}
     yield "box = { " + ", ".join(f"{axis} = [{low:g}, {high:g}]" for axis, (low, high) in spans.items()) + " }"
-    largest_span = max(high - low for low, high in spans.values())
-    yield f"resolution_mm = {min(max(largest_span / _CELL_COUNT, _RESOLUTIONS[0]), _RESOLUTIONS[1]):.2g}"
+    largest_span, (finest, coarsest) = max(high - low for low, high in spans.values()), _RESOLUTIONS
+    yield f"resolution_mm = {min(max(largest_span / _CELL_COUNT, finest), coarsest):.2g}"
 
 
 class AnswerFile(Struct, forbid_unknown_fields=True):

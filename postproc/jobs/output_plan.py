@@ -294,8 +294,11 @@ class OutputPlan:
             self._folders[job.output].add(job)
         self._check(settings.cell)
         self._waiting = deque([job] for job in self.jobs)
+        """Groups of jobs that have not begun; the jobs of a group are converted in sequence."""
         self._later: dict[Path, deque[Job]] = {}
+        """Program in work → further jobs of its group."""
         self._complete: list[_PendingOutput] = []
+        """Converted programs whose files wait for those of other programs."""
 
     def divide(self, cell: Cell) -> None:
         """Group programs that may correct a file in common, so that they wait for each other; keep the order of jobs.

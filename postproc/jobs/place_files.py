@@ -69,7 +69,6 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     """Look for the best place of the part and write the result: all files or none.
 
     :param progress: called with the number of places done, and of all places; None: not reported.
-
     :raises PostprocError: an input is unusable, a program has a `$BASE` of its own, or an output must not be written.
     """
     cell = cells.load(request.cell)

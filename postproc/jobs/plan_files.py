@@ -205,7 +205,6 @@ def check_same_arm(measured_robot: RobotModel, milling_robot: RobotModel) -> Non
     """Check that two models are of one arm, by placements and axes of their joints; their compliances may differ.
 
     :param measured_robot: robot of the experiment; `milling_robot`: robot of the cell.
-
     :raises InputError: the arms differ.
     """
     measured_arm, milling_arm = measured_robot.nominal, milling_robot.nominal

@@ -412,10 +412,8 @@ def _real_cut(path: PathUnderLoad, source: ProcessSource, deviation: Array) -> _
 
 def _deviation(path: PathUnderLoad) -> Array:
     """Return the deviation (N, 3) [m] of the uncorrected tip from the N samples of a path, `$BASE` axes."""
-    theta = np.broadcast_to(
-        0.0, (len(path), path.robot_in_cell.robot.actual.nv)
-    )  # first guess of the joint deflections
-    return correction.uncorrected_deviations(path, np.arange(len(path)), theta)[0]
+    joint_deflections = np.broadcast_to(0.0, (len(path), path.robot_in_cell.robot.actual.nv))  # first guess
+    return correction.uncorrected_deviations(path, np.arange(len(path)), joint_deflections).deviation
 
 
 def _weights(path: PathUnderLoad) -> Array:
@@ -533,7 +531,6 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     """Compute the forces of a program and write them: all files or none.
 
     :param progress: see `read`.
-
     :raises PostprocError: an input is unusable, or an output must not be written.
     """
     process = machining.load(request.process)
@@ -542,7 +539,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     program, cell = read_with_start(request.program, robot, cell, request.dialect)
     robot_in_cell = RobotInCell.of(robot, cell)
     path = segments_in_cell(program, robot_in_cell)
-    folder, names = _output_names(request)
+    folder, names = _output_folder_and_names(request)
     protect(filter(None, (request.program, request.cell, request.process, request.stock)), folder, names)
     if not request.overwrite:
         refuse(foreign(folder, names, names[-1]))
@@ -573,7 +570,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     return ForcesFiles(content, issues, tuple(write_whole(folder, record)))
 
 
-def _output_names(request: ForcesRequest) -> tuple[Path, list[str]]:
+def _output_folder_and_names(request: ForcesRequest) -> tuple[Path, list[str]]:
     """Return the output folder and the names of the files to write: table, remaining stock if any, and JSON.
 
     :raises InputError: table and stock are in different folders, or the stock is of an unknown kind of mesh.
@@ -610,8 +607,9 @@ def identify_forces(
     :param process: process.toml with the tool.
     :param output: TOML file to write.
     :param tool: number or name of the tool; None: the process has a single tool.
-    :raises PostprocError: the readings are unusable, or the file must not be replaced.
+    :param overwrite: replace a file that postproc did not write.
     :returns: the coefficients, and the written files.
+    :raises PostprocError: the readings are unusable, or the file must not be replaced.
     """
     page = output.with_suffix(".html")
     protect([readings_path, process], output.parent, [output.name, page.name])
@@ -633,6 +631,7 @@ def propose_cuts(process: Path, output: Path, tool: str | None, *, overwrite: bo
 
     :param process: process.toml with the tool; `output`: G-code file to write.
     :param tool: number or name of the tool; None: the process has a single tool.
+    :param overwrite: replace existing files.
     :raises PostprocError: the process has no such tool, or a file must not be replaced.
     """
     process_file = machining.load(process, tools_only=True)

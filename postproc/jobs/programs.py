@@ -255,7 +255,7 @@ def _force_files(programs: Sequence[Path], forces: Path | None) -> dict[Path, Pa
     if forces is None:
         return dict.fromkeys(programs)
     if not forces.is_dir():
-        if len(programs) > 1 and forces.suffix.lower() != ".toml":
+        if len(programs) > 1 and forces.suffix.lower() != PROCESS:
             raise ForceError(
                 f"one force file for {len(programs)} programs",
                 file=str(forces),

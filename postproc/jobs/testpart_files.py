@@ -163,7 +163,6 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
     """Choose a test part and write it: programs, table to fill in, process and page; all files or none.
 
     :param progress: called with the name of each step.
-
     :raises PostprocError: an input is unusable, no feature fits, or an output must not be written.
     """
     cell = cells.load(request.cell)
@@ -270,6 +269,7 @@ def _chosen_part(
 def questions(weight_kg: float, robot: RobotModel, cutting: Cutting, flutes: int) -> tuple[str, ...]:
     """Return warnings for the user: of a weight above the rating of the robot, and of unusual feeds and chips.
 
+    :param weight_kg: mass of the weight, 0 for none; `robot`: robot on whose tool it is hung.
     :param flutes: number of cutting edges of the tool.
     """
     warnings = []
@@ -608,6 +608,7 @@ def identify_part(request: PartRequest, output: Path | None, *, overwrite: bool 
     """Identify a model from a probed part, and write the model folder.
 
     :param output: model folder to write; None: the model of the cell is only compared with the part.
+    :param overwrite: replace files that postproc did not write.
     :raises PostprocError: an input is unusable, or the folder must not be replaced.
     """
     cell = cells.load(request.cell)

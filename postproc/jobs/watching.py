@@ -105,9 +105,9 @@ def watch(
 ) -> Iterator[tuple[Outcome, Job]]:
     """Convert programs of a folder as they arrive or change, until `stop` is set; return an iterator of the outcomes.
 
-    :param output: folder to write into.
+    :param folder: folder of the programs; `output`: folder to write into.
     :param options: further arguments of `find_jobs`: dialect, forces, to.
-    :param workers: local processes.
+    :param workers: number of local processes.
     :param say: called with a sentence for the user, such as that a folder is missing or a file locked.
     :param stop: event that ends the watch; None: it never ends.
     :raises InputError: the folder does not exist at the beginning, or is the folder of the results.
@@ -146,11 +146,13 @@ def _pause(folder: Path, stop: Event) -> Callable[[], object]:
         """Wait until something in the folder changes, or a scan is due."""
         start = time.monotonic()
         try:
+            # times in ms; changes within 200 ms are one notification
             options = {"yield_on_timeout": True, "recursive": False, "rust_timeout": int(1e3 * SCAN), "debounce": 200}
             next(changes(folder, stop_event=stop, raise_interrupt=True, **options), None)
         except (OSError, RuntimeError):  # the folder is gone, or the system has no notifications left
             stop.wait(SCAN)
-        stop.wait(max(0.0, 0.2 * SCAN - (time.monotonic() - start)))  # five scans per `SCAN` at most
+        # wait a fifth of `SCAN` at least, so that many changes do not cause scan after scan
+        stop.wait(max(0.0, 0.2 * SCAN - (time.monotonic() - start)))
 
     return wait
 
@@ -226,7 +228,7 @@ class _Watcher:
         """Return the programs to convert: they are new or have changed, and can be read.
 
         The files of the program and of the set-up must not have changed for `QUIET`. None is returned while a folder
-        cannot be read or the output folder cannot be written; the user is told so once.
+        cannot be read or the output folder cannot be written; a sentence says so once.
 
         :param time_s: monotonic time [s].
         """
@@ -270,7 +272,7 @@ class _Watcher:
         self.same_named.clear()
 
     def _can_write(self) -> bool:
-        """Return whether the output folder can be written at present; if not, tell the user once."""
+        """Return whether the output folder can be written at present; if not, report it once."""
         waiting = f"{self.output} cannot be written at present. Waiting for it."
         try:
             self.output.mkdir(parents=True, exist_ok=True)
@@ -361,7 +363,7 @@ class _Watcher:
     def _write_overview(self) -> None:
         """Write the overview of the output folder, with the programs that could not be converted.
 
-        If it cannot be written, or would replace a file that postproc did not write, the user is told once.
+        If it cannot be written, or would replace a file that postproc did not write, a sentence says so once.
         """
         if files.foreign_single(self.output / OVERVIEW) and not self.settings.overwrite:
             self._report_new(f"{self.output / OVERVIEW} was not written by postproc: there is no overview.")

@@ -10,7 +10,7 @@ import pytest
 
 from postproc import cell as cells
 from postproc.app.screens import posted_answers
-from postproc.jobs.cell_edit import edit, fields_of, frame_tables, kept_frames, missing_frames
+from postproc.jobs.cell_edit import edit, fields_of, frame_tables, missing_frames, robot_and_frames_text
 from postproc.jobs.program_needs import ProgramNeeds, needs_of
 from postproc.jobs.setup_form import CHECKED_KEY, OFFERED_KEY, setup_form, start_arguments
 from tests.app.test_window import looked_at, opened
@@ -103,13 +103,16 @@ def test_tools_of_a_program_get_frames_of_their_own_in_the_cell(tmp_path):
     path.write_text(CELL_TEXT.split("[tools")[0])
     two, other = (ProgramNeeds(Path("two.nc"), "gcode", tools=tools) for tools in ((1, 5), (3,)))
     assert (missing_frames(path, two), missing_frames(path, other)) == (("tools.1", "tools.5"), ())
-    assert kept_frames(path, (1, 5)) == "KUKA KR 270-2 (2000 series), $BASE X 1500 Y -200 Z 700, $TOOL X 0 Y 0 Z 350"
-    assert kept_frames(path, (5,)).endswith("$TOOL of T5 X 0 Y 0 Z 350")
+    assert (
+        robot_and_frames_text(path, (1, 5))
+        == "KUKA KR 270-2 (2000 series), $BASE X 1500 Y -200 Z 700, $TOOL X 0 Y 0 Z 350"
+    )
+    assert robot_and_frames_text(path, (5,)).endswith("$TOOL of T5 X 0 Y 0 Z 350")
     assert edit(path, {"tools.1.Z": "350", "tools.5.Z": "301.5"}, ("tools.1", "tools.5"))
     assert {name: tool.Z for name, tool in cells.load(path).tools.items()} == {"1": 350.0, "5": 301.5}
     assert [field.text for field in fields_of(path) if field.name == "tools.5.Z"] == ["301.5"]
     assert (missing_frames(path, two), missing_frames(path, other)) == ((), ("tools.3",))
-    assert "$TOOL of T5 X 0 Y 0 Z 301.5" in kept_frames(path, (1, 5))
+    assert "$TOOL of T5 X 0 Y 0 Z 301.5" in robot_and_frames_text(path, (1, 5))
 
 
 def test_frames_by_number_and_work_offsets_that_a_cell_lacks_are_named_and_can_be_given(tmp_path):

@@ -202,10 +202,12 @@ def _faults(
 ) -> tuple[ArcFault, ...]:
     """Return the first fault of each arc that has one.
 
-    Of each kind of fault at most `MAX_ERRORS` + 1 arcs are listed, since no more are shown.
+    Of each kind of fault at most `MAX_ERRORS` + 1 arcs are listed, since no more are shown. Faults of words precede
+    faults of sizes.
 
     :param is_given_by_radius: (A,) arcs given by R.
     :param is_full_circle: (A,) arcs that end where they begin.
+    :param sizes: radii and half chords, which problems name.
     """
     faults: dict[int, ArcFault] = {}
     for checks, depends_on_start in (
@@ -254,6 +256,7 @@ def _size_checks(
 
     :param is_given_by_radius: (A,) arcs given by R.
     :param is_full_circle: (A,) arcs that end where they begin.
+    :param sizes: radii and half chords of the arcs.
     """
     r1, r2, half_chord = sizes
     difference, larger = np.abs(r1 - r2), np.maximum(r1, r2)

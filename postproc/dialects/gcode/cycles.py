@@ -236,6 +236,7 @@ class Cycle:
 def _repeats(line_words: Mapping[str, float]) -> int:
     """Return the number of holes of a line with a cycle: its L, or 1.
 
+    :param line_words: words of the line by letter.
     :raises BlockError: L is negative or not a whole number.
     """
     repeats = line_words.get("L", 1.0)
@@ -247,6 +248,7 @@ def _repeats(line_words: Mapping[str, float]) -> int:
 def _check_undrilled_position(line_words: Mapping[str, float], place: tuple[float, float]) -> None:
     """Check that a line without a hole (L0) has no word U or V that would move the tool.
 
+    :param line_words: words of the line by letter.
     :param place: the words U and V that leave the tool where it is [mm].
     :raises BlockError: the line has another word.
     """

@@ -363,21 +363,23 @@ class _Run:
         raise _EndError
 
     def _execute_percent(self, row: int) -> None:
-        """Execute %: the first one of a file opens it, the next one ends it.
+        """Execute %: before the first words of a file it opens the file, else it ends the file.
 
-        In a subprogram the end counts as the end of its file, where M99 or ENDSUB is missing.
+        An opening % has no effect in a subprogram. A closing % in a subprogram leads to the end of its file, where M99
+        or ENDSUB is missing.
 
+        :param row: row of the % in the present file.
         :raises _EndError: it ends the program, or coordinates follow it.
         """
         source = self.units[self.unit].source
-        opens = not source.code[: source.ends[row] + 1].strip(b"\n" + MARK.encode())
-        if not opens and self.calls:
+        has_words_before = bool(source.code[: source.ends[row] + 1].strip(b"\n" + MARK.encode()))
+        if has_words_before and self.calls:
             self.row = len(source)
-        elif not opens and source.is_cut_short(row):
+        elif has_words_before and source.is_cut_short(row):
             self._stop(row, *CUT_SHORT)
         elif not self.calls:
             self._add_rows(row, row + 1)
-            if not opens:
+            if has_words_before:
                 raise _EndError
 
     def _execute_block(self, row: int, line: Block) -> None:
@@ -386,6 +388,7 @@ class _Run:
         Expressions are replaced by their numbers. M98 calls a subprogram, M99 returns from it. M2 and M30 end the
         program.
 
+        :param row: row of the line in the present file.
         :raises BlockError: a value is not known, or a call is impossible.
         :raises _EndError: the program ends.
         """

@@ -118,7 +118,7 @@ class Switching:
     def _read_machine_code(self, row: int, code: float, values: dict[str, float]) -> None:
         """Record an M code for which the cell has KRL lines; accept a code without effect.
 
-        :param code: number of the M code.
+        :param row: row of the block; `code`: number of the M code.
         :param values: words of the block by letter; P and Q are removed if they belong to the code.
         :raises BlockError: the code is unknown or impossible.
         """
@@ -138,6 +138,7 @@ class Switching:
 
         In a cell with [tools], H selects the tool before the first M6.
 
+        :param row: row of the block.
         :param length: number of the stored tool length (H); None or 0: the block has none.
         """
         tools = self.cell.tools
@@ -193,7 +194,7 @@ class Switching:
 
         A block with further words than P and S is left alone, because P may belong to a code.
 
-        :param m: M codes of the block; `values`: its other words by letter, from which P is removed.
+        :param row: row of the block; `m`: its M codes; `values`: its other words by letter, from which P is removed.
         :raises BlockError: the lines of the cell need the speed in rpm.
         """
         if "P" not in values or not set(m) & set(codes.SPINDLE[:2]) or set(values) - {"P", "S"}:
@@ -210,7 +211,7 @@ class Switching:
     def _read_spindle(self, row: int, m: Sequence[float], speed: float | None) -> None:
         """Record the spindle speed, and M3, M4 or M5; a new speed of a turning spindle is an event too.
 
-        :param m: M codes of the block; `speed`: its S [1/min], or None.
+        :param row: row of the block; `m`: its M codes; `speed`: its S [1/min], or None.
         :raises BlockError: the speed is negative.
         """
         if speed is not None:
@@ -332,7 +333,7 @@ class FrameCodes:
     def read(self, row: int, g: Sequence[float], motion: float, values: dict[str, float], mm_per_unit: float) -> None:
         """Record the code of a block that changes the program frame or goes to a machine position, if it has one.
 
-        :param g: G codes of the block; `motion`: its motion code, or NaN.
+        :param row: row of the block; `g`: its G codes; `motion`: its motion code, or NaN.
         :param values: its words by letter; X, Y, Z and words of G10 are removed, rotary axes are set to 0.
         :param mm_per_unit: length of the active unit [mm].
         :raises BlockError: the code cannot be executed on the robot.
@@ -365,7 +366,7 @@ class FrameCodes:
     def _add_shift(self, row: int, code: float, axes: Mapping[int, float]) -> None:
         """Record G52, G92 or G92.1 to G92.3.
 
-        :param code: number of the G code; `axes`: axis 0…2 → its word [mm].
+        :param row: row of the block; `code`: number of the G code; `axes`: axis 0…2 → its word [mm].
         :raises BlockError: G52 or G92 has no axis, or G92.3 has no earlier G52 or G92.
         """
         if code in (codes.LOCAL, codes.SHIFT) and not axes:
@@ -380,7 +381,7 @@ class FrameCodes:
     def _add_return(self, row: int, code: float, motion: float, axes: Mapping[int, float]) -> None:
         """Record G28, G30 or G53.
 
-        :param code: number of the G code; `motion`: motion code of the block, or NaN.
+        :param row: row of the block; `code`: number of the G code; `motion`: motion code of the block, or NaN.
         :param axes: axis 0…2 → its word [mm].
         :raises BlockError: the cell states neither home nor a clearance height, or G53 is in a block with G1 to G3.
         """
@@ -396,7 +397,8 @@ class FrameCodes:
     def _add_work_offset(self, row: int, axes: Mapping[int, float], values: dict[str, float]) -> None:
         """Record a work offset that the program sets: G10 L2 by its frame, G10 L20 by the present coordinates.
 
-        :param axes: axis 0…2 → its word [mm]; `values`: other words by letter, from which L, P and R are removed.
+        :param row: row of the block; `axes`: axis 0…2 → its word [mm].
+        :param values: other words of the block by letter, from which L, P and R are removed.
         :raises BlockError: G10 sets something else, or P names no work offset.
         """
         target, system, turn = values.pop("L", 0.0), values.pop("P", -1.0), values.pop("R", None)
@@ -595,7 +597,7 @@ class _Reader:
     def read(self, row: int, code: str) -> None:
         """Read the codes and words of a block; its valid parts count even if it has a fault.
 
-        :param code: packed text of the block.
+        :param row: row of the block; `code`: its packed text.
         :raises BlockError: the first fault of the block.
         """
         if code.lstrip(MARK).startswith("%"):
@@ -761,7 +763,7 @@ class _Reader:
     def _change_units(self, row: int, code: float, *, has_feed: bool) -> None:
         """Apply G20 or G21; warn if F is in a block that changes the units, since controls differ in the units of F.
 
-        :param code: 20 or 21; `has_feed`: whether the block has F.
+        :param row: row of the block; `code`: 20 or 21; `has_feed`: whether the block has F.
         """
         if has_feed and MM_PER_UNIT[code] != self.mm_per_unit:
             message = "F in the block of G20 or G21 is in the new units. LinuxCNC reads it in those before."

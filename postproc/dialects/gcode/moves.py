@@ -396,6 +396,7 @@ class _Walk:
     def _is_next_hole(self, begin: int, end: int, spindle: Sequence[EventKind]) -> Bools:
         """Return which lines (n,) state only the position of the next hole: words, modes and spindle are as before.
 
+        :param begin: first row of the lines, all with cycles; `end`: row after the last.
         :param spindle: state of the spindle on each line.
         """
         lines = self.lines
@@ -437,8 +438,11 @@ class _Walk:
         return cycle_moves
 
     def _cycle_words(self, row: int, axes: list[int]) -> dict[str, float]:
-        """Return the words of a line with a cycle as `Cycle.hole_moves` takes them; add a fault if its time is unclear.
+        """Return the words of a line with a cycle as `Cycle.hole_moves` takes them.
 
+        If the unit of the dwell P is unclear, a fault is added, and P is 0.
+
+        :param row: row of the line.
         :param axes: indices of the axes in the plane and across it, whose words become U, V and Z.
         """
         lines = self.lines
@@ -499,6 +503,8 @@ class _Walk:
     def _check_drilling(self, begin: int, end: int) -> None:
         """Add a fault if a rotary axis turns in lines with cycles, or the tool does not point along the hole.
 
+        `angles` is set to those after the last line.
+
         :param begin: first row of the lines; `end`: row after the last.
         """
         angles = self._rotary_angles(begin, end)
@@ -522,30 +528,32 @@ class _Walk:
         event_counts = np.searchsorted(self.spindle_rows, np.arange(begin, end), side="right").tolist()
         return [self.spindle_kinds[count] for count in event_counts]
 
-    def _add_return(self, row: int, to: Return) -> None:
+    def _add_return(self, row: int, command: Return) -> None:
         """Add the moves of G28, G30 or G53: through the intermediate point, up to the clearance height, and home.
 
-        The cell gives a position of home: the named axes go there. It gives joint angles: the robot retracts to the
-        clearance height and goes to these joints, but stays above its position on G53 with Z alone. It gives no home:
-        the robot stays above its position. Without letters all axes are named.
+        If the cell gives a position of home, the named axes go there. If it gives joint angles of home, the robot
+        retracts to the clearance height and goes to these joints, except on G53 with Z alone. Without home, the robot
+        retracts and stays above its position. A code without letters names all axes.
+
+        :param row: row of the line; `command`: its code and words.
         """
         cell_frames = self.cell_frames
         self.cycle.end()
         axis_mask = np.zeros(3, dtype=bool)
-        axis_mask[list(to.axes) or [0, 1, 2]] = True  # the named axes
-        if to.code != codes.MACHINE and self.is_known.all():
-            self._add_intermediate_move(row, to)
+        axis_mask[list(command.axes) or [0, 1, 2]] = True  # the named axes
+        if command.code != codes.MACHINE and self.is_known.all():
+            self._add_intermediate_move(row, command)
         if cell_frames.home_place is not None:
-            self._add_home_move(row, to, axis_mask, cell_frames.home_place)
+            self._add_home_move(row, command, axis_mask, cell_frames.home_place)
             return
-        is_retract = not axis_mask[:2].any()
+        is_retract = not axis_mask[:2].any()  # Z alone
         if cell_frames.clearance is not None and self.is_known.all():
             previous_number = self.move_count
             self._add_retract(row, cell_frames.clearance)
             self.is_lifted = not axis_mask[2] and (self.is_lifted or self.move_count > previous_number)
             self.is_displaced[2] |= self.is_lifted
         if cell_frames.home_poses is None or (
-            to.code == codes.MACHINE and is_retract and cell_frames.clearance is not None
+            command.code == codes.MACHINE and is_retract and cell_frames.clearance is not None
         ):
             if not self.is_known.all():
                 message = "A retract before X, Y and Z are known is left out: the robot is at [start]."
@@ -565,45 +573,45 @@ class _Walk:
         self.is_known &= ~axis_mask
         self.losses.append((row + 1, axis_mask))
 
-    def _add_intermediate_move(self, row: int, to: Return) -> None:
+    def _add_intermediate_move(self, row: int, command: Return) -> None:
         """Add the move to the intermediate point that the words of G28 or G30 give, unless the tool is there already.
 
         Letters without a number (NaN) leave the coordinate as it is.
         """
         point = self.position.copy()
-        for axis, word in to.axes.items():
+        for axis, word in command.axes.items():
             if not np.isnan(word):
                 point[axis] = word + (point[axis] if self.lines.is_incremental[row] else 0.0)
         if np.abs(point - self.position).max() > _LENGTH_TOLERANCE_MM:
             self._add_rapid(row, point)
 
-    def _add_home_move(self, row: int, to: Return, axis_mask: Bools, home: Array) -> None:
+    def _add_home_move(self, row: int, command: Return, axis_mask: Bools, home: Array) -> None:
         """Add a rapid that moves the named axes to home, as the machine does.
 
         Words of G53 other than 0 are machine positions that the cell does not give: the robot goes home, and the axes
         count as displaced.
 
-        :param axis_mask: (3,) the named axes.
+        :param row: row of the line; `command`: its code and words; `axis_mask`: (3,) the named axes.
         :param home: (3,) position of the machine at home in `$BASE` [mm].
         """
         if self.angles.any() and not self.cell_frames.rotary.turns_part:
             advice = "Turn the rotary axes to zero before, or give A1 to A6 as [machine] home."
-            self.faults.append(Fault(row, f"G{to.code:g} with tilted axes, and home is a place", advice))
+            self.faults.append(Fault(row, f"G{command.code:g} with tilted axes, and home is a place", advice))
             return
         frame = self.machine_frames[-1]
         place = frame[:3, :3] @ self.position + frame[:3, 3] / M_PER_MM
         place[axis_mask] = home[axis_mask]
         self._add_rapid(row, frame[:3, :3].T @ (place - frame[:3, 3] / M_PER_MM))
-        stray = np.zeros(3, dtype=bool)
-        if to.code == codes.MACHINE:
-            stray[[axis for axis, word in to.axes.items() if word != 0.0]] = True
-        self.is_displaced = (self.is_displaced & ~axis_mask) | stray
+        is_elsewhere = np.zeros(3, dtype=bool)  # axes that the machine moves to another position than home
+        if command.code == codes.MACHINE:
+            is_elsewhere[[axis for axis, word in command.axes.items() if word != 0.0]] = True
+        self.is_displaced = (self.is_displaced & ~axis_mask) | is_elsewhere
         self.is_lifted = bool(self.is_displaced[2])
-        if stray[:2].any():
-            self.parkings.append((row, stray & [True, True, False]))
+        if is_elsewhere[:2].any():
+            self.parkings.append((row, is_elsewhere & [True, True, False]))
 
     def _add_retract(self, row: int, clearance: float) -> None:
-        """Add a rapid to the height `clearance` in `$BASE` [mm], along the tool if it is tilted.
+        """Add a rapid of the line `row` to the height `clearance` in `$BASE` [mm], along the tool if it is tilted.
 
         No move is added if the tool is at this height or above; a fault if the tool is nearly horizontal.
         """
@@ -669,7 +677,9 @@ class _Walk:
     def _change_tool(self, row: int, number: float) -> None:
         """Change the tool, and add a rapid that brings its tip to the position of the tip before.
 
-        :param number: tool number; no move is added if it has the same `$TOOL`, or if the position is not known.
+        No move is added if both tools have one `$TOOL`, or if the position is not known.
+
+        :param row: row of the line with M6; `number`: tool number.
         """
         tool_row = self.cell_frames.tools[number]
         if tool_row != self.tool:
@@ -682,16 +692,18 @@ class _Walk:
         self._add_moves(np.array([row]), np.zeros(1), place[None])
         self.position = place
 
-    def _add_moves(self, row: Ints, code: Array | NDArray[np.int8], end: Array, turn: Array | None = None) -> None:
+    def _add_moves(self, row: Ints, code: Array | NDArray[np.int8], end: Array, angles: Array | None = None) -> None:
         """Add a run of moves (n,), which begins at the current position; the position itself is not changed.
 
         :param row: (n,) row of the line of each move; `code`: (n,) 0 to 3.
         :param end: (n, 3) ends in the program frame [mm].
-        :param turn: (n, 2, k) angles of the rotary axes before and after each move [deg]; None: `angles` for all.
+        :param angles: (n, 2, k) angles of the rotary axes before and after each move [deg]; None: they keep their present
+            angles.
         """
-        if turn is None:
-            turn = np.broadcast_to(self.angles, (len(row), 2, len(self.angles)))
-        columns: tuple[NDArray[Any], ...] = compact(row, np.int32), code.astype(np.int8), end, turn
+        if angles is None:
+            angles = np.broadcast_to(self.angles, (len(row), 2, len(self.angles)))
+        # in the order of `column_parts`
+        columns: tuple[NDArray[Any], ...] = compact(row, np.int32), code.astype(np.int8), end, angles
         for parts, column in zip(self.column_parts.values(), columns, strict=True):
             parts.append(column)
         self.first_moves.append(self.move_count)

@@ -230,12 +230,12 @@ def _rotation_rates(motion_moves: _MotionMoves, lines: LineStates, axes: Array) 
     if not len(rotations):
         return rate
     index = motion_moves.index[rotations]
-    row, turn = motion_moves.moves.row[index], motion_moves.moves.rotary_angles[index]
-    degrees = norm(turn[:, 1] - turn[:, 0])
-    if turn.shape[2] == COMPONENTS:
-        degrees = np.full(len(rotations), np.nan)  # what F means while a direction turns alone is stated nowhere
+    row, angles = motion_moves.moves.row[index], motion_moves.moves.rotary_angles[index]
+    degrees = norm(angles[:, 1] - angles[:, 0])
+    if angles.shape[2] == COMPONENTS:  # directions: no control states the unit of F for their turns
+        degrees = np.full(len(rotations), np.nan)
     minutes = np.where(lines.is_inverse_time[row], 1.0, degrees) / lines.written_feed[row]
-    swept_angles = _swept_angles(axes, turn[:, 0] * RAD_PER_DEG, turn[:, 1] * RAD_PER_DEG)
+    swept_angles = _swept_angles(axes, angles[:, 0] * RAD_PER_DEG, angles[:, 1] * RAD_PER_DEG)
     rate[rotations] = swept_angles / (minutes * S_PER_MIN)
     return rate
 
@@ -376,6 +376,8 @@ def _repeats_advice(lines: LineStates, row: int) -> str | None:
     """Return advice for a line of a cycle whose K may be the number of holes, as on Fanuc.
 
     None: the line has I, J or L, or its K is not a positive whole number.
+
+    :param row: row of the line.
     """
     i, j, k = (lines.ijk[row] / MM_PER_UNIT[float(lines.units[row])]).tolist()  # back in the units of the program
     count = 0.0 if isnan(k) else round(k, 9)  # without the rounding of the conversion to mm
@@ -462,14 +464,14 @@ class Speeds(Struct, frozen=True):
     :param rapid: speed of G0 [m/s].
     :param approximation: approximation distance [m].
     :param rounding: tolerance of rounded corners [m], unless the program gives it (G64 P).
-    :param home: (6,) joint angles of [machine] home [rad], or NaN.
+    :param home_joints: (6,) joint angles of [machine] home [rad], or NaN.
     :param chord: tolerance of chords of an arc along which rotary axes turn [mm].
     """
 
     rapid: float
     approximation: float
     rounding: float
-    home: Array
+    home_joints: Array
     chord: float
 
 
@@ -636,7 +638,7 @@ def _motions(
     joints = np.broadcast_to(np.nan, (len(index), 6))  # takes no memory
     if home.any() and cell_frames.home_poses is not None:
         joints = joints.copy()
-        joints[home] = speeds.home
+        joints[home] = speeds.home_joints
     arcs = _arcs_in_base(motion_moves, kind, frame)
     feed = _speeds_of(
         lines,
@@ -648,7 +650,7 @@ def _motions(
     )
     feed[kind == PTP] = np.nan
     blend, rounding = _corner_distances(modes, row, moves.is_in_hole[index], speeds)
-    unset = constant(-1, len(index))
+    unset = constant(-1, len(index))  # the program states neither status nor turn of the joints
     motions = Motions(
         kind=kind,
         rapid=code == 0.0,
@@ -688,8 +690,8 @@ def _targets(moves: Moves, motion_moves: Ints, frame: Ints, swivel: Swivel | Non
 def _corner_distances(modes: Modes, row: Ints, is_bottom: Bools, speeds: Speeds) -> tuple[Array, Array]:
     """Return approximation distance (M,) [m] and permitted rounding of corners (M,) [m] at the ends of motions.
 
-    :param row: (M,) line of each motion.
-    :param is_bottom: (M,) motions to the bottom of a hole, which are exact stops.
+    :param row: (M,) row of the line of each motion.
+    :param is_bottom: (M,) motions in a hole, which are exact stops.
     """
     approximation = take_rows(active_values(modes.blends, speeds.approximation, modes.row_count), row)
     if is_bottom.any():

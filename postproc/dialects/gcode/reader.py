@@ -224,7 +224,7 @@ def _checked_path(
     if not modes.is_complete:
         advice = "Check that the file was transferred completely."
         faults.append(Fault(modes.row_count - 1, "the program begins with % but ends without %, M2 or M30", advice))
-    if faults or force_faults or isinstance(path, list):
+    if faults or force_faults or isinstance(path, list):  # the last for the type: a list has faults
         raise combined_error([*_errors(run, faults), *force_faults])
     if not len(path.motions):
         advice = "Check that the file is the right one and complete."
@@ -275,7 +275,7 @@ def _speeds(cell: Cell) -> Speeds:
         rapid=cell.gcode.rapid_m_per_s,
         approximation=cell.gcode.approximation_mm * M_PER_MM,
         rounding=cell.gcode.corner_tolerance_mm * M_PER_MM,
-        home=_home_joints(cell),
+        home_joints=_home_joints(cell),
         chord=CHORD_TOLERANCE_SHARE * cell.output.tolerance_mm,
     )
 

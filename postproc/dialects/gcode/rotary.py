@@ -41,7 +41,7 @@ class RotaryAxes(Struct, frozen=True, eq=False):
 
     @classmethod
     def from_cell(cls, rotary: Rotary | None) -> RotaryAxes:
-        """Return the axes that a cell states; None: no axes.
+        """Return the rotary axes of `rotary`, the table of a cell; None: the cell has no axes.
 
         Directions of the tool count as "angles" without axes, which are (0, 0, 1) where the tool is upright.
         """

@@ -133,7 +133,11 @@ class Unit(Struct, eq=False):
 
     @classmethod
     def from_source(cls, document: Document, source: Source) -> Unit:
-        """Return a file with its structure."""
+        """Return a file with its structure.
+
+        Rows are notable if they need more than copying: they have an O-word, a parameter, an expression, a % or an M
+        code that affects the execution order.
+        """
         unit = cls(document, source)
         positions = np.array([match.start() for match in _NOTABLE.finditer(source.code)], dtype=np.int64)
         notable = distinct(np.searchsorted(source.ends, positions) - 1)  # line i begins after line feed i
@@ -233,7 +237,7 @@ class Unit(Struct, eq=False):
             open_structures[indices[-1]].rows.append(row)
         elif keyword.startswith("END"):
             self._close(row, open_structures, indices[-1])
-        elif keyword != "RETURN":
+        elif keyword != "RETURN":  # BREAK or CONTINUE
             self.links[row] = (open_structures[indices[-1]].rows[0],)
 
     def _close(self, row: int, open_structures: list[_OpenStructure], index: int) -> None:
@@ -250,7 +254,7 @@ class Unit(Struct, eq=False):
         del open_structures[index:]
 
     def _rows_with_orders(self, notable: Ints) -> Iterator[tuple[int, Order]]:
-        """Yield row and O-word of the rows (n,) that have an O-word; unreadable lines are left out."""
+        """Yield row and O-word of notable rows (n,) that have an O-word; unreadable lines are left out."""
         for row in notable.tolist():
             if "O" in self.source.line(row):
                 try:
@@ -337,6 +341,7 @@ def _word_text(letter: str, value: float) -> str:
 
     M, N, T, L, H and O must be whole, G a whole number of tenths, as rs274 requires. D may be a diameter.
 
+    :param value: the number that the expression after the letter has given.
     :raises BlockError: such a number is not whole.
     """
     if letter in "MNTLHO":
