@@ -124,7 +124,7 @@ def edit(path: Path, texts: Mapping[str, str], frames: Sequence[str] = ()) -> bo
 
 
 def robot_of(path: Path, model: Path) -> tuple[str, bool]:
-    """Return the robot that a cell file names, and whether a model folder is its model.
+    """Return the name or path of the robot in a cell file, and whether a model folder is its model.
 
     If the cell is unusable, an empty text and False are returned.
 

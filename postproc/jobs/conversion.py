@@ -250,7 +250,7 @@ def programs_under_force(
 ) -> Iterator[tuple[Path, Program, ForceSource | None]]:
     """Yield path, program and source of forces of each program.
 
-    Subprograms that other programs call are left out: they are read as parts of these.
+    Subprograms that other programs call are left out: they are read as parts of their callers.
 
     :param programs: files, folders, patterns.
     :param force_path: CSV file of forces, a folder of such files, or process.toml they are computed from.
@@ -272,7 +272,7 @@ def convert_program(
 ) -> tuple[Result, ProcessForces | None]:
     """Return the result of one program before anything is written, and the forces that its process computes.
 
-    The forces are None without a process, and if the program cannot be corrected for another reason.
+    The forces are None without a process, and if the program has an error that was found before they were computed.
 
     :param program: program of the job, as `read_with_start` returns it with the cell.
     :param progress: called during sweeps of the stock, see `process_forces.read`; None: not reported.
@@ -307,7 +307,7 @@ def _convert_with_process(
     """Return the result of a program under the forces of its process, and these forces.
 
     "predict" cuts with the deflected tool; "convert" holds the tolerance by the feeds if the cell says so. The forces
-    are None if they were not computed, because the program cannot be corrected for another reason.
+    are None if they were not computed: the program has an error that was found before.
 
     :param process: process.toml; other parameters: see `convert_program`.
     :raises PostprocError: the process is unusable, or the program cannot be corrected.

@@ -542,7 +542,7 @@ def problems_of(program: Path, cell: Path, to: str | None) -> list[str]:
     """
     with TemporaryDirectory() as folder:
         jobs = find_jobs([str(program)], output=Path(folder), to=to)
-        (outcome,) = convert_all(jobs, Settings(cell=cell))
+        (outcome,) = convert_all(jobs, Settings(cell=cell))  # one program
     if outcome.summary is not None:
         return []
     issues = [

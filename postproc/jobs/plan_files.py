@@ -190,7 +190,7 @@ def _test_poses(request: PlanRequest, robot: RobotModel, cell: Cell) -> TestPose
 def cutting_states(programs: Sequence[str], force_path: Path | None, robot: RobotModel, cell: Cell) -> list[TestPoses]:
     """Return poses and forces along the cutting moves of each program, as test poses.
 
-    :param programs: files, folders, patterns; subprograms that others call are read as parts of these.
+    :param programs: files, folders, patterns; subprograms are read as parts of their callers.
     :param force_path: CSV file of forces, a folder of such files, or process.toml that computes them; None: the
         programs state their forces in comments.
     :raises PostprocError: a program or its forces cannot be read or followed, or none of its moves carries a force.

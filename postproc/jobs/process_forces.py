@@ -188,7 +188,7 @@ class _Search:
         self.limit, self.uses_min_feed = tolerance, uses_min_feed
         self.high, self.error_high = tip_speed.copy(), error
         self.min_feeds = np.minimum(tip_speed, np.ceil(min_feed / _FEED_STEP) * _FEED_STEP)
-        self.low, self.error_low = self.min_feeds.copy(), np.zeros(len(motions))
+        self.low, self.error_low = self.min_feeds.copy(), np.zeros(len(motions))  # see `take_least_feed_errors`
         self.was_raised, self.was_lowered = np.zeros(len(motions), dtype=bool), np.zeros(len(motions), dtype=bool)
         self.is_open: Bools = np.asarray(~motions.rapid & (error > tolerance) & (self.low < self.high))
 

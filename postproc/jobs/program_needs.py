@@ -233,11 +233,10 @@ def _low_rapids(program: Program) -> tuple[tuple[float, float], ...]:
 def _exclude_points(low: Array, high: Array, points: Sequence[tuple[float, float]], margin: float) -> None:
     """Move sides of a box inwards, in place, so that a tool at some points does not touch it.
 
-    Each point moves the side that is nearest to it.
+    Each point moves the side that is nearest to it. Points more than a margin outside move no side. Nor do points more
+    than two margins inside, which are taken to be in material that was cut before.
 
-    Points more than two margins inside are taken to be in material that was cut before, and move no side.
-
-    :param low: (3,) smallest corner of the box [mm], changed; `high` (3,): its largest corner, changed.
+    :param low: (3,) smallest corner of the box [mm], changed; `high`: (3,) its largest corner, changed.
     :param points: X, Y of the tool axis [mm].
     :param margin: distance of the tool axis to keep from the box [mm].
     """

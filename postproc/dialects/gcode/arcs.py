@@ -244,6 +244,7 @@ def _word_checks(words: ArcWords, is_given_by_radius: Bools) -> Iterator[_Check]
         "arc with an incomplete absolute centre",
         "With G90.1 both coordinates of the centre are needed.",
     )
+    # an arc without P (NaN) passes both checks
     yield _Check(np.abs(np.rint(words.turns) - words.turns) > _TURNS_TOLERANCE, "P of an arc is not a whole number")
     yield _Check(np.rint(words.turns) < 1.0, "P of an arc is below 1")
     yield _Check(is_given_by_radius & ~has_end, "arc with R but without an end point in its plane", _FULL_CIRCLE)

@@ -340,7 +340,7 @@ def _binary_value(name: str, function: Callable[[float, float], float], left: Va
 
     The returned function raises `BlockError` if the result is not defined or beyond the range of floats.
 
-    :param name: the operator, for messages; `function`: what it computes.
+    :param name: the operator, for messages; `function`: its function of two numbers.
     """
 
     def apply(parameters: Parameters) -> float:

@@ -170,7 +170,8 @@ def _in_mm(group_words: Array, factor: Array | None) -> Array:
 
     :param factor: (L, 1) millimetres per unit of each line; None: all lines are in millimetres.
     """
-    return group_words if factor is None or not group_words.strides[0] else group_words * factor
+    is_broadcast = not group_words.strides[0]  # one NaN for all lines
+    return group_words if factor is None or is_broadcast else group_words * factor
 
 
 def _tip_control(modes: Modes, rotary: Rotary | None, count: int) -> Bools:
@@ -212,11 +213,11 @@ def _feeds(feed_words: Array, written_feed: Array, factor: Array | None, is_inve
     :param is_inverse_time: (L,) lines in G93.
     """
     if factor is None and not is_inverse_time.any():
-        return written_feed  # F is in mm/min everywhere: a column less
+        return written_feed  # F is in mm/min everywhere: no further column is needed
     feeds_mm = _in_mm(feed_words[:, None], factor)[:, 0]
     if not is_inverse_time.any():
         return carry_forward(feeds_mm, 0.0)
     # the feed before G93 is not valid after it
     is_after_g93 = np.append(False, is_inverse_time[:-1] & ~is_inverse_time[1:])
-    plain = np.where(is_inverse_time, np.nan, np.where(is_after_g93 & np.isnan(feeds_mm), 0.0, feeds_mm))
-    return np.where(is_inverse_time, np.nan_to_num(feed_words), carry_forward(plain, 0.0))
+    g94_words = np.where(is_inverse_time, np.nan, np.where(is_after_g93 & np.isnan(feeds_mm), 0.0, feeds_mm))
+    return np.where(is_inverse_time, np.nan_to_num(feed_words), carry_forward(g94_words, 0.0))

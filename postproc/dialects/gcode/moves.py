@@ -284,7 +284,7 @@ class _Walk:
         is_upright = bool((self.angles == self.cell_frames.rotary.upright).all())
         if (
             last_swing >= 0 and is_upright
-        ):  # the tip may be anywhere; with tilted axes `check_turning` refuses the next move
+        ):  # the tip may be anywhere; with tilted axes `turning_faults` refuses the next move
             row = last_swing + 1
             self.losses.append((row, np.ones(3, dtype=bool)))
             self.is_known = np.asarray(~np.isnan(lines.xyz[row:end]).all(axis=0))
@@ -697,8 +697,8 @@ class _Walk:
 
         :param row: (n,) row of the line of each move; `code`: (n,) 0 to 3.
         :param end: (n, 3) ends in the program frame [mm].
-        :param angles: (n, 2, k) angles of the rotary axes before and after each move [deg]; None: they keep their present
-            angles.
+        :param angles: (n, 2, k) angles of the rotary axes before and after each move [deg]; None: they keep
+            their present angles.
         """
         if angles is None:
             angles = np.broadcast_to(self.angles, (len(row), 2, len(self.angles)))
@@ -920,7 +920,7 @@ class _Walk:
         return bool(
             lines.motion[first + int(np.argmax(is_placed))] == 1.0  # the first of the moves
             and not (is_low & ~is_xy_known).any()  # else the place of a plunge is not known
-            and not np.isnan(lines.xyz).all(axis=0).any()
+            and not np.isnan(lines.xyz).all(axis=0).any()  # X, Y and Z are programmed somewhere
             and not (is_placed & lines.is_incremental[row_range]).any()
             and not is_other_motion.any()
             and (offsets == offsets[0]).all()
@@ -942,11 +942,11 @@ class _Walk:
         ends = [row for row, _ in self.losses[1:]] + [self.line_count]
         for (first, lost_axes), end in zip(self.losses, ends, strict=True):
             unknown_axes = unknown_axes | lost_axes
-            if not unknown_axes.any():  # home is known
+            if not unknown_axes.any():  # the program begins at a known home
                 ranges.append((first, first - 1))
                 continue
             part = has_word[first:end]
-            # row of the next word of each axis; `count`: none before the next loss
+            # row of the next word of each axis; `line_count`: there is none before the next loss
             next_word_row = np.where(
                 part.any(axis=0), first + part.argmax(axis=0) if len(part) else end, self.line_count
             )

@@ -79,7 +79,7 @@ class Block(Struct, frozen=True):
         text = "".join(
             [part if isinstance(part, str) else _word_text(part[0], part[1](parameters)) for part in self.parts]
         )
-        if self.settings:
+        if self.settings:  # all values are computed before the first parameter is set
             for key, value in [(key(parameters), value(parameters)) for key, value in self.settings]:
                 parameters.put(key, value)
         return text

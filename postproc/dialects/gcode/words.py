@@ -168,11 +168,14 @@ def split(document: Document) -> Source:
 
 
 def _mark_comments(text: str) -> tuple[str, tuple[str, ...]]:
-    """Return a text with `MARK` in place of each comment, and the comments in order, without brackets or semicolon."""
+    """Return a text with `MARK` in place of each comment, and the comments in order, without brackets or semicolon.
+
+    A comment with brackets inside stays in the text if some controls would read part of it as a block.
+    """
     is_nested = _NESTED_BRACKET.search(text) is not None
     forms = [form for begin, form in _COMMENTS.items() if begin in text]
     if is_nested:
-        forms[0] = _NESTED_COMMENT
+        forms[0] = _NESTED_COMMENT  # in place of the form with brackets, which is the first
     if not forms:
         return text, ()
     parts: list[str] = []
@@ -181,7 +184,7 @@ def _mark_comments(text: str) -> tuple[str, tuple[str, ...]]:
     for match in re.finditer("|".join(forms), text):
         if is_nested and not _is_comment(match[0]):
             continue
-        comments.append(match[match.lastindex or 1])
+        comments.append(match[match.lastindex or 1])  # each form has one group
         parts.append(text[text_start : match.start()])
         text_start = match.end()
     return MARK.join([*parts, text[text_start:]]), tuple(comments)
