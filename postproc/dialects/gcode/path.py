@@ -255,12 +255,12 @@ def _swept_angles(axes: Array, begin: Array, end: Array) -> Array:
 
 
 def turning_faults(
-    lines: LineStates, moves: Moves, is_early: Bools, rotary_axes: RotaryAxes, tip_code_names: str
+    lines: LineStates, moves: Moves, is_early: Bools, rotary_axes: RotaryAxes, code_names: str
 ) -> list[Fault]:
     """Return faults of rotary axes, in order of lines.
 
     :param is_early: (N,) moves that are left out while X, Y, Z are not all known.
-    :param tip_code_names: codes that switch tool-centre-point control on, for the advice.
+    :param code_names: codes that switch tool-centre-point control on, for the advice.
     """
     is_tilted = (moves.rotary_angles != rotary_axes.upright).any(axis=(1, 2))
     axes = rotary_axes.directions
@@ -280,7 +280,7 @@ def turning_faults(
         (
             is_tilted & has_position & ~lines.is_tip_controlled[moves.row] & ~moves.is_home_move & ~is_early,
             "coordinates with tilted axes, but without tool-centre-point control",
-            f"They depend on the machine: program {tip_code_names} before, or retract by G53 Z or G28 Z as [machine] says.",
+            f"They depend on the machine: program {code_names} before, or retract by G53 Z or G28 Z as [machine] says.",
         ),
     ):
         for row in moves.row[is_invalid][: MAX_ERRORS + 1].tolist():
