@@ -1,4 +1,4 @@
-"""Which requests are answered: of this machine, with the token, and changes only from the window's own pages."""
+"""Access to the window: requests of this machine with the token; changes only from pages of the window."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from msgspec import Struct
 
 
 class Access(Struct, frozen=True):
-    """Who may use the window.
+    """Access to the window: its port and its secret.
 
-    :param port: on 127.0.0.1.
-    :param token: in the address that is opened first, afterwards in a cookie.
+    :param port: port on 127.0.0.1.
+    :param token: secret in the address that is opened first, afterwards in a cookie.
     """
 
     port: int
@@ -22,43 +22,50 @@ class Access(Struct, frozen=True):
 
     @classmethod
     def at(cls, port: int) -> Access:
-        """Return access by a new random token."""
+        """Return the access to a window on a port, with a new random token."""
         return cls(port, secrets.token_urlsafe(32))
 
     @property
     def hosts(self) -> tuple[str, str]:
-        """Host names with port that browsers may use, by address and by name; others are refused (DNS rebinding)."""
+        """Hosts with port that requests may name.
+
+        Other names are refused, as they may be of another site (DNS rebinding).
+        """
         return (f"127.0.0.1:{self.port}", f"localhost:{self.port}")
 
     @property
     def cookie_name(self) -> str:
-        """Name of the cookie: browsers send cookies to all ports of a machine."""
+        """Name of the cookie; it contains the port, as browsers send a cookie to all ports of a machine."""
         return f"postproc-{self.port}"
 
     @property
     def cookie(self) -> str:
-        """The header that sets the cookie; other sites and scripts do not get it."""
+        """Value of the header that sets the cookie: not for scripts, and not sent with requests from other sites."""
         return f"{self.cookie_name}={self.token}; HttpOnly; SameSite=Strict; Path=/"
 
     @property
     def address(self) -> str:
-        """The address to open first."""
+        """Address to open first, with the token."""
         return f"http://{self.hosts[0]}/?token={self.token}"
 
     def is_token(self, text: str) -> bool:
-        """Return whether a text is the token, in a time that does not depend on the text."""
+        """Return whether a text is the token; the time of the comparison does not depend on the text."""
         return hmac.compare_digest(text.encode(errors="replace"), self.token.encode())
 
-    def refusal(self, headers: Mapping[str, str], *, changes: bool, token: str = "") -> str:
-        """Return the reason to refuse a request; empty if it is answered.
+    def refusal(self, headers: Mapping[str, str], *, is_change: bool, token: str = "") -> str:
+        """Return the reason to refuse a request; empty if the request may be answered.
 
-        :param changes: it changes something: then it must come from a page of the window.
-        :param token: of the address; a request that changes something needs the cookie.
+        It needs the token in its cookie. A request that changes nothing may have the token in its address instead; a
+        request that changes something must come from a page of the window.
+
+        :param headers: headers of the request.
+        :param is_change: the request changes something.
+        :param token: token in the address; empty: none.
         """
         host = headers.get("Host") or ""
         if host not in self.hosts:
             return "this address is not one of the window"
-        if changes and headers.get("Origin") != f"http://{host}":
+        if is_change and headers.get("Origin") != f"http://{host}":
             return "another page asked for this change"
         try:
             cookie = SimpleCookie(headers.get("Cookie") or "").get(self.cookie_name)
@@ -66,4 +73,4 @@ class Access(Struct, frozen=True):
             cookie = None
         if cookie is not None and self.is_token(cookie.value):
             return ""
-        return "" if token and not changes and self.is_token(token) else "open the address that postproc app printed"
+        return "" if token and not is_change and self.is_token(token) else "open the address that postproc app printed"

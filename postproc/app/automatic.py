@@ -1,4 +1,4 @@
-"""Programs of the folder are corrected by themselves while the switch is on, one after the other."""
+"""Automatic correction of the programs of a folder while its switch is on, one program after the other."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from postproc.errors import PostprocError
 from postproc.jobs.arrivals import Arrivals
 from postproc.jobs.watching import SCAN
 
-_STATE = ".postproc-app.json"
+_STATE_FILE = ".postproc-app.json"
 _CONVERSIONS = ("convert", "start")
-"""Commands after which a program is finished, whatever came of it; others only read it."""
+"""Commands that convert a program: after them it is finished, also if they fail. Other commands only read it."""
 
 
 class AutomaticConversion:
     """Automatic conversion of the programs of a window, which a switch on its page turns on and off.
 
-    :ivar is_on: whether programs are converted; that it is off is saved in the folder of the results.
+    :ivar is_on: programs are converted; the switch is saved in the folder of the results.
     """
 
     def __init__(self, workspace: Workspace, runs: Runs) -> None:
@@ -32,7 +32,7 @@ class AutomaticConversion:
         self._oldest_number = 0
         """Number of the first command that may have run since the last step."""
         self._end = threading.Event()
-        self._state = workspace.results / _STATE
+        self._state = workspace.results / _STATE_FILE
         self.is_on = self._read_state()
 
     def _read_state(self) -> bool:
@@ -52,26 +52,28 @@ class AutomaticConversion:
             self._state.write_text(json.dumps({"automatic": False}), encoding="utf-8")
 
     def start(self) -> None:
-        """Look after the folder until `stop`."""
+        """Begin to scan the folder, in a thread, until `stop`."""
         threading.Thread(target=self._run, daemon=True).start()
 
     def stop(self) -> None:
-        """Begin nothing more."""
+        """End the scans: no further command begins; a running one goes on."""
         self._end.set()
 
     def _run(self) -> None:
-        """Scan the folder every `SCAN` seconds until the end is asked for."""
+        """Scan the folder every `SCAN` seconds until `stop`."""
         while not self._end.wait(SCAN):
-            # the folder may be gone for a moment, as on a network drive, and the next scan finds it
+            # the folder may be missing for a moment, as on a network drive: the next scan finds it again
             with contextlib.suppress(OSError, PostprocError):
                 self.step(time.monotonic())
 
     def step(self, time_s: float) -> None:
-        """Begin to correct the first program that is ready, if the switch is on and no command runs.
+        """Begin to correct the first program that is ready and has no current results.
+
+        Nothing begins while the switch is off or a command runs. Programs with current results are finished.
 
         :param time_s: monotonic time [s].
         """
-        is_idle, busy = self._commands()
+        is_idle, busy = self._idle_and_busy()
         paths = [path for path in self._arrivals.ready(time_s, busy) if not self._workspace.name_fault(path.name)]
         if not (self.is_on and is_idle and paths):
             return
@@ -87,10 +89,11 @@ class AutomaticConversion:
                 self._arrivals.finish(path)
             return
 
-    def _commands(self) -> tuple[bool, set[str]]:
-        """Return whether no command runs, and the names of programs that users have corrected since the last step.
+    def _idle_and_busy(self) -> tuple[bool, set[str]]:
+        """Return whether no command runs, and the names of programs that users have converted since the last call.
 
-        Commands begun by `step` are left out: if a program changes during such a command, it is converted again.
+        Programs that `step` converts are not among them: if such a program changes meanwhile, it is converted again.
+        Commands that still run count at the next call too.
         """
         recent = self._runs.runs_since(self._oldest_number)
         active = [run for run in recent if run.code is None]

@@ -1,7 +1,7 @@
-"""The command line as a process of a window: it ends when the window closes its pipe, or is gone.
+"""A command as a process of a window: it ends when the window closes the pipe to it, or ends.
 
-The pipe is its stdin. Whoever ends the window, a signal or the task manager, closes it: nothing goes on unseen. It is
-the same on all systems: Windows has no signal that ends another process in order.
+The pipe is the stdin of the process. The operating system closes it however the window ends, so that no command goes
+on unseen. Windows has no signal by which another process ends in order; a closed pipe works on all systems.
 """
 
 from __future__ import annotations
@@ -18,11 +18,14 @@ from pathlib import Path
 from postproc import interrupts
 
 PATIENCE_S = 20.0
-"""What is being written is finished in this time."""
+"""Time in which the process finishes the files that it writes, before it is ended [s]."""
 
 
 def _end_with_pipe(number: int) -> None:
-    """Wait for the end of the pipe, then end this process as a signal that asks for it does."""
+    """Wait until a pipe is closed; then interrupt the main thread as SIGTERM does, and end the process after a while.
+
+    :param number: file descriptor of the pipe.
+    """
     try:
         while os.read(number, 1):
             pass

@@ -10,12 +10,13 @@ from postproc.errors import InputError
 from postproc.jobs.experiments import Readings
 
 
-def identification(workspace: Workspace, entry: Readings, form: Mapping[str, str]) -> list[str]:
+def identify_arguments(workspace: Workspace, entry: Readings, form: Mapping[str, str]) -> list[str]:
     """Return the arguments of the command that identifies a model.
 
     :param entry: the experiment with its files of readings.
-    :param form: names of the files `readings` (default: the first) and `compensator` (default: none), and `geometry`.
-    :raises InputError: there is no such file next to the experiment.
+    :param form: values of the form: `readings` and `compensator` are names of files (default: the first file of
+        readings, and no compensator); `geometry`, if not empty, calibrates the geometry too.
+    :raises InputError: a file is not next to the experiment.
     """
     readings = model_path(entry.files, form.get("readings", "") or next((path.name for path in entry.files), ""))
     arguments = ["identify", "elastostatics", workspace.relative(readings)]
@@ -28,9 +29,9 @@ def identification(workspace: Workspace, entry: Readings, form: Mapping[str, str
 
 
 def model_path(paths: Sequence[Path], name: str) -> Path:
-    """Return the path whose file has a name.
+    """Return the path with a file name.
 
-    :raises InputError: none of `paths` has it.
+    :raises InputError: no path has this file name.
     """
     for path in paths:
         if path.name == name:

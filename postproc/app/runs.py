@@ -1,4 +1,4 @@
-"""Commands that run for a window: each is the command line, as a process of its own."""
+"""Commands that run for a window: each is `postproc` with arguments, in its own process."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from postproc.errors import InputError, argument
 from postproc.progress import LINES, VARIABLE, read
 
 MAX_COMMANDS = 4
-"""Commands at the same time; more would only share the processors."""
+"""Largest number of commands at the same time; more would only share the processors."""
 PATIENCE_S = 25.0
-"""A command that is stopped has ended after this time: it ends itself a little earlier."""
-_OF_WINDOWS = 0x200 | 0x0800_0000
+"""Longest time to wait for a stopped command [s]: it ends itself a little earlier, see `child.PATIENCE_S`."""
+_WINDOWS_FLAGS = 0x200 | 0x0800_0000
 """CREATE_NEW_PROCESS_GROUP and CREATE_NO_WINDOW: a window that pythonw started opens no console for each command."""
-_MAX_OUTPUT = 200_000
-"""Characters of output that are kept."""
+_MAX_OUTPUT_CHARACTERS = 200_000
+"""Largest number of characters of output that are kept: the last ones."""
 
 
 def command_line(arguments: Sequence[str]) -> str:
@@ -31,12 +31,14 @@ def command_line(arguments: Sequence[str]) -> str:
 class Run:
     """A command that runs, or has run.
 
-    :ivar number: its place in the order of the commands of the window, from 0; `title`: heading of its page.
+    :ivar number: number of the command in the order of the window, from 0.
+    :ivar title: heading of its page.
     :ivar arguments: words after `postproc`.
-    :ivar key: what it is about, such as ``"part.nc"``; one command at a time has a key.
-    :ivar code: exit code; None while it runs.
+    :ivar key: subject of the command, such as ``"part.nc"``; two commands with one key do not run at the same time.
     :ivar page: address that shows its result; empty: the page of the program `key`.
-    :ivar share: how much of the present step is done, 0 to 1; None: unknown. `step`: what it counts.
+    :ivar is_stopped: the user stopped it.
+    :ivar step: present step of its work, such as "moves".
+    :ivar share: share of this step that is done, 0 to 1; None: unknown.
     """
 
     def __init__(
@@ -50,22 +52,22 @@ class Run:
         self._text = ""
         variables = {"PYTHONIOENCODING": "utf-8", "PYTHONUNBUFFERED": "1", "NO_COLOR": "1", VARIABLE: LINES}
         self._process: subprocess.Popen[bytes] = subprocess.Popen(
-            # -P: a numpy.py in the folder is not what Python imports
+            # -P: Python does not import modules from the folder, such as a numpy.py
             [sys.executable, "-P", "-m", "postproc.app.child", *arguments],
             cwd=folder,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             env={**os.environ, **variables},
-            # Ctrl-C is for the window, which ends its commands in order
-            creationflags=_OF_WINDOWS if os.name == "nt" else 0,
+            # Ctrl-C goes to the window alone, which stops its commands
+            creationflags=_WINDOWS_FLAGS if os.name == "nt" else 0,
             start_new_session=os.name != "nt",
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     def _read(self) -> None:
-        """Read the output of the command until it ends, and keep its progress and its last characters."""
+        """Read the output of the command until it ends; keep its progress and the last characters of its text."""
         assert self._process.stdout is not None
         with self._process.stdout as stream:
             for data in stream:
@@ -73,7 +75,7 @@ class Run:
                 if (progress := read(line)) is not None:
                     self.share, self.step = progress
                 else:
-                    self._text = (self._text + line)[-_MAX_OUTPUT:]
+                    self._text = (self._text + line)[-_MAX_OUTPUT_CHARACTERS:]
         self._process.wait()
         self._close_pipe()
 
@@ -85,38 +87,38 @@ class Run:
 
     @property
     def code(self) -> int | None:
-        """Return the exit code; None while it runs."""
+        """Exit code; None while the command runs."""
         return None if self._reader.is_alive() else self._process.returncode
 
     @property
     def text(self) -> str:
-        """Return the last characters that the command has printed so far."""
+        """Last characters that the command has printed so far."""
         return self._text
 
     @property
     def is_failure(self) -> bool:
-        """Return whether the command has ended with an error, and not because it was stopped."""
+        """True if the command has ended with an error, and not because it was stopped."""
         # exit code 3: the files are written, and the verdict is red
         return self.code not in (None, 0, 3) and not self.is_stopped
 
     @property
     def progress(self) -> str:
-        """Return the present step of the command and the share done, as text; empty: unknown."""
+        """Present step of the command and share done, as text; without the share if it is unknown."""
         return self.step if self.share is None else f"{self.step}: {100 * self.share:.0f} %"
 
     @property
     def command(self) -> str:
-        """Return a command as a user would type it in a terminal."""
+        """The command as a user would type it in a terminal."""
         return command_line(self.arguments)
 
     def stop(self) -> None:
-        """Ask the command to end by closing its standard input; files that it has written are complete."""
+        """Ask the command to end by closing its standard input, if it runs; files that it has written are complete."""
         if self.code is None:
             self.is_stopped = True
             self._close_pipe()
 
     def wait(self, seconds: float | None = None) -> None:
-        """Wait until the command has ended, for `seconds` at most; None: without a limit."""
+        """Wait until the command has ended, at most for `seconds`; None: without a limit."""
         self._reader.join(seconds)
 
 
@@ -136,12 +138,13 @@ class Runs:
         change: Callable[[], object] | None = None,
         page: str = "",
     ) -> Run:
-        """Begin a command; if the same runs already, as from another window, return that one.
+        """Begin a command and return it; return the running command if it has the same key and arguments.
 
-        :param change: changes a file that commands read, before this one begins; see `edit`.
-        :param page: address that shows the result, see `Run`.
-        :raises InputError: too many run already, or another one with this key; with `change`: any runs, and nothing is
-            changed.
+        Parameters as of `Run`.
+
+        :param change: function that changes a file which commands read, before this command begins; None: no change.
+        :raises InputError: too many commands run already, or another one with this key. With `change`: a command runs,
+            and nothing is changed.
         """
         with self._lock:
             if change is not None:
@@ -162,16 +165,17 @@ class Runs:
             return self._runs[-1]
 
     def edit(self, change: Callable[[], object]) -> None:
-        """Change a file that commands read, while none runs: a result is made of one content of it.
+        """Change a file that commands read, if no command runs: a result must come from one content of the file.
 
-        :raises InputError: one runs; nothing is changed.
+        :param change: function that changes the file.
+        :raises InputError: a command runs; nothing is changed.
         """
         with self._lock:
             self._check_idle()
             change()
 
     def _check_idle(self) -> None:
-        """Refuse a change of the cell while a command reads it.
+        """Check that no command runs, which would read the cell while it is changed.
 
         :raises InputError: a command runs.
         """
@@ -180,18 +184,18 @@ class Runs:
             raise InputError(problem, advice="Wait until it has ended, or stop it.")
 
     def run_of_number(self, number: str) -> Run:
-        """Return the command of a number, as an address states it.
+        """Return the command with a number, a text from an address.
 
-        :raises InputError: there is none of this number.
+        :raises InputError: there is no command with this number.
         """
-        is_number = number.isascii() and number.isdecimal() and len(number) < 10  # as anybody may type an address
+        is_number = number.isascii() and number.isdecimal() and len(number) < 10  # an address may contain anything
         if not is_number or int(number) >= len(self._runs):
             raise InputError("no such run", advice="The window was started anew: results are in the list of programs.")
         return self._runs[int(number)]
 
     @property
     def count(self) -> int:
-        """Number of commands that have begun so far."""
+        """Number of commands begun so far."""
         return len(self._runs)
 
     def active(self) -> list[Run]:
@@ -199,15 +203,16 @@ class Runs:
         return [run for run in self._runs if run.code is None]
 
     def runs_since(self, number: int) -> list[Run]:
-        """Return the commands with this number or a greater one."""
+        """Return the commands with `number` or a greater number, in order."""
         return self._runs[number:]
 
     def latest(self, key: str) -> Run | None:
-        """Return the latest command with a key, see `Run`; None: there is none."""
+        """Return the latest command with a key, see `Run`; None if no command has it."""
         return next((run for run in reversed(self._runs) if run.key == key), None)
 
     def stop_all(self) -> None:
-        """Stop what runs, and wait for its end."""
+        """Stop all running commands, and wait for the end of each, at most `PATIENCE_S`."""
+        # all are asked to end before the first is waited for
         for run in self._runs:
             run.stop()
         for run in self._runs:

@@ -1,4 +1,4 @@
-"""The pages of the window: what jobs return, as HTML in the look of the reports."""
+"""The pages of the window: results of jobs as HTML, in the style of the reports."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from msgspec.structs import replace
 
 from postproc import actions, robot
 from postproc.app.arm_view import arm_view
-from postproc.app.models import identification
+from postproc.app.models import identify_arguments
 from postproc.app.runs import Run, command_line
-from postproc.app.testpart import SENT_FILES as FILES_OF_PART
+from postproc.app.testpart import SENT_FILES as PART_FILES
 from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Item, Workspace
 from postproc.errors import InputError, PostprocError
@@ -36,21 +36,26 @@ from postproc.report.formatting import two_digits
 from postproc.report.verdict import ASSUMED_STOCK, STOCK_REMARK
 
 FORM_OPTIONS = tuple(option for option in actions.CONVERSION if option.label)
-"""Options of `convert` that its form has."""
+"""Options of `convert` that the form of a program has."""
 _FRAME_KEYS = ("base", "tool", "work_offset", "base_data", "tool_data")
+"""Questions whose answer is a frame: first parts of their keys."""
 _NUMBER_KEYS = ("flutes", "rpm", "clearance", "part_tolerance")
-_WORDS = {
+"""Questions whose answer is a number."""
+_CHOICES = {
     "rotary_kind": ("tcp", "indexed"),
     "radius_offsets": ("radius", "wear"),
     "dwell_unit": ("s", "ms"),
     "cutter": ("flat", "ball", "bull", "drill"),
 }
-_VERDICTS = {"ok": "Yes", "warning": "Look first", "no forces": "No forces", "failed": "No"}
-_KINDS = {"ok": "good", "warning": "warning", "no forces": "warning", "failed": "error"}
+"""Question → words to choose from."""
+_STATE_TEXTS = {"ok": "Yes", "warning": "Look first", "no forces": "No forces", "failed": "No"}
+"""State of a result → answer to the question whether the program may be run."""
+_STATE_KINDS = {"ok": "good", "warning": "warning", "no forces": "warning", "failed": "error"}
+"""State of a result → style of this answer."""
 
 
 class Page(Struct, frozen=True):
-    """A page and the nonce of its script."""
+    """A page as HTML, and the nonce of its script: the number by which the browser knows that it may run."""
 
     html: bytes
     nonce: str
@@ -58,7 +63,7 @@ class Page(Struct, frozen=True):
 
 @cache
 def _environment() -> Environment:
-    """Return the template environment with the style and the script of the pages."""
+    """Return the environment of the templates; it contains the style and the script of all pages."""
     environment = Environment(
         autoescape=True,
         loader=PackageLoader("postproc.app"),
@@ -85,9 +90,10 @@ def _page(template: str, **context: Any) -> Page:
 
 
 def answers_of(item: Item) -> dict[str, Any]:
-    """Return the answers about a program as texts by name, for the templates.
+    """Return what the templates show of the result of a program: name → text.
 
-    They say whether it may be run (`run`, `kind`: its colour), what the correction gains, and the expected errors.
+    `run` says whether the program may be run, `kind` is its style. Without a result, or with a name that the window
+    cannot use, only the first names are in it.
     """
     content = None if item.entry is None else item.entry.content
     if item.name_fault:
@@ -95,19 +101,19 @@ def answers_of(item: Item) -> dict[str, Any]:
         return {"state": "unusable name", "run": problem, "kind": "error", "headline": "", "reasons": []}
     if item.entry is None or content is None:
         return {"state": "new", "run": "Not corrected yet", "kind": "soft", "headline": "", "reasons": []}
-    uncorrected, corrected_text = (
+    uncorrected_text, corrected_text = (
         "unknown" if length is None else f"{two_digits(length)} mm" for length in content.expected_mm
     )
     better, state = content.verdict.better, item.entry.state
     return {
         "state": state if item.is_current else "changed",
-        "run": _VERDICTS.get(state, state) if item.is_current else "Changed since: correct it again",
+        "run": _STATE_TEXTS.get(state, state) if item.is_current else "Changed since: correct it again",
         "changes": ", ".join(item.changes),
-        "kind": _KINDS.get(state, "") if item.is_current else "warning",
+        "kind": _STATE_KINDS.get(state, "") if item.is_current else "warning",
         "headline": content.verdict.headline,
         "remark": STOCK_REMARK if any(issue.kind == ASSUMED_STOCK for issue in content.issues) else "",
         "reasons": content.verdict.reasons,
-        "uncorrected": uncorrected,
+        "uncorrected": uncorrected_text,
         "corrected": corrected_text,
         "better": "unknown" if better is None or better.chance is None else f"chance {chance_in_words(better.chance)}",
         "tolerance": "" if content.verdict.tolerance is None else f"{content.verdict.tolerance.mm:g} mm",
@@ -117,8 +123,8 @@ def answers_of(item: Item) -> dict[str, Any]:
 class Row(Struct, frozen=True):
     """A program of the list.
 
-    :param run: the latest command about it.
-    :param waits_for: what is not stated yet; empty: it can be corrected.
+    :param run: latest command about the program; None: there was none.
+    :param waits_for: input that is not stated yet; empty: the program can be corrected.
     """
 
     item: Item
@@ -129,7 +135,8 @@ class Row(Struct, frozen=True):
 def programs(workspace: Workspace, programs: Sequence[Row], stamp: str, *, is_automatic: bool) -> Page:
     """Return the page of all programs.
 
-    :param stamp: changes with what the page shows.
+    :param programs: rows of the list, in order.
+    :param stamp: text that changes when the content of the page changes.
     :param is_automatic: programs are corrected as they arrive.
     """
     rows = [
@@ -158,7 +165,11 @@ def programs(workspace: Workspace, programs: Sequence[Row], stamp: str, *, is_au
 
 
 def _controls(field: Field) -> dict[str, Any]:
-    """Return the form fields of a question: a list, numbers, or a line of text."""
+    """Return the controls of a question as values for the template; `kind` says which it shows.
+
+    Kinds are: frame, cutter, box (of the stock), number, choice, and text, a line for anything else.
+    """
+    # the key of a question is such as "tool.3"
     question, kind = field.question, field.question.key.partition(".")[0]
     control = {"key": question.key, "text": question.text, "fault": field.fault, "value": field.text}
     control["id"], control["hint"] = question.key.replace(".", "-"), ""
@@ -188,23 +199,27 @@ def _controls(field: Field) -> dict[str, Any]:
 
 
 def _spans(text: str) -> list[tuple[str, str, str]] | None:
-    """Return axis, smallest and largest coordinate of a box as texts, one for each axis; None: the text is a file.
+    """Return axis, smallest and largest coordinate of a box as texts, for each axis; None if the text is not a box.
 
-    :param text: see `answers.stock`; empty: a box without numbers.
+    :param text: answer as of `answers.stock`: a box or a file; empty: a box without numbers.
     """
     parts = [part.partition("=") for part in (text or "X=,Y=,Z=").split(",")]
     if [axis for axis, _, _ in parts] != list("XYZ"):
         return None
+    # [::2]: without the colon between the ends
     return [(axis, *ends.partition(":")[::2]) for axis, _, ends in parts]
 
 
 def _choices(kind: str) -> dict[str, str]:
-    """Return the words that a question is answered with, and how they are shown; empty: any text."""
+    """Return the possible answers to a question: word → its title; empty: any text is possible.
+
+    :param kind: first part of the key of the question.
+    """
     if kind == "robot":
         return _robot_titles()
     if kind == "material":
         return {name: entry.title or name for name, entry in table().items()}
-    return {word: word for word in _WORDS.get(kind, ())}
+    return {word: word for word in _CHOICES.get(kind, ())}
 
 
 @cache
@@ -214,16 +229,19 @@ def _robot_titles() -> dict[str, str]:
 
 
 def posted_answers(form: dict[str, str]) -> dict[str, str]:
-    """Return the texts by key of the question from the fields of a form: ``base/X`` and its like become one text."""
+    """Return the answers of a posted form: key of the question → text.
+
+    Fields such as ``base/X`` and ``base/Y`` are parts of one answer, which are joined.
+    """
     texts: dict[str, str] = {}
-    frames: dict[str, dict[str, str]] = {}
+    parts_of_answer: dict[str, dict[str, str]] = {}
     for name, value in form.items():
         key, slash, part = name.partition("/")
         if slash:
-            frames.setdefault(key, {})[part] = value.strip()
+            parts_of_answer.setdefault(key, {})[part] = value.strip()
         else:
             texts[key] = value
-    for key, parts in frames.items():
+    for key, parts in parts_of_answer.items():
         texts[key] = (
             _cutter_text(parts) if "shape" in parts else _box_text(parts) if key == "stock" else _frame_text(parts)
         )
@@ -231,18 +249,18 @@ def posted_answers(form: dict[str, str]) -> dict[str, str]:
 
 
 def _cutter_text(parts: Mapping[str, str]) -> str:
-    """Return a posted cutter as `answers.cutter` takes it; empty: it has no diameter.
+    """Return a posted cutter as `answers.cutter` takes it; empty if it has no diameter.
 
-    :param parts: shape, diameter and corner radius by the last part of the name of the field.
+    :param parts: texts of "shape", "diameter" and "corner"; only a bull nose has a corner radius.
     """
     corner = f",{parts.get('corner', '')}" if parts["shape"] == "bull" else ""
     return f"{parts['shape']},{parts.get('diameter', '')}{corner}" if parts.get("diameter") else ""
 
 
 def _box_text(parts: Mapping[str, str]) -> str:
-    """Return a posted box as `answers.stock` takes it; empty: all its fields are empty.
+    """Return a posted box as `answers.stock` takes it; empty if all fields are empty.
 
-    :param parts: ends of the spans by name: ``X/from``, ``X/to`` and so on.
+    :param parts: ends of the box by name of the field: ``X/from``, ``X/to`` and so on.
     """
     spans = {axis: (parts.get(f"{axis}/from", ""), parts.get(f"{axis}/to", "")) for axis in "XYZ"}
     box = ",".join(f"{axis}={low}:{high}" for axis, (low, high) in spans.items())
@@ -250,9 +268,9 @@ def _box_text(parts: Mapping[str, str]) -> str:
 
 
 def _frame_text(parts: Mapping[str, str]) -> str:
-    """Return a posted frame as ``X,Y,Z`` or, if it has angles, ``X,Y,Z,A,B,C``; empty: all its fields are empty.
+    """Return a posted frame as ``X,Y,Z`` or, if it has angles, ``X,Y,Z,A,B,C``; empty if all fields are empty.
 
-    :param parts: the numbers by axis; an empty one is 0.
+    :param parts: texts of the numbers by axis; an empty one counts as 0.
     """
     values = [parts.get(axis, "") for axis in "XYZABC"]
     has_turn = any(values[3:])
@@ -271,15 +289,17 @@ def setup(
     kept_cell: str = "",
     frames: Sequence[str] = (),
 ) -> Page:
-    """Return the page that asks what a program needs.
+    """Return the page of the set-up of a program: the questions that it raises.
 
-    :param name: of the program; `facts`: what its comments say of tools.
-    :param refusal: why the program cannot be read at all; empty: it can.
-    :param form: questions and answers; `command`: what they amount to in a terminal.
+    :param name: file name of the program.
+    :param facts: sentences on tools from the comments of the program.
+    :param refusal: reason why the program cannot be read at all; empty: it can.
+    :param form: questions and answers.
+    :param command: the command of these answers, as it is typed in a terminal.
+    :param fault: reason why the command did not begin though all answers can be used; empty: no such reason.
+    :param is_posted: the user has sent the form: faults of its answers are shown.
     :param kept_cell: robot and frames of the cell that is used as it is; empty: the page asks for them.
-    :param frames: tables of frames that the program needs and that cell lacks, such as ``"tools.2"``.
-    :param fault: why nothing was begun though all answers can be used; empty: there is no reason.
-    :param is_posted: the form came back: faults are shown.
+    :param frames: tables of frames that the program needs and this cell lacks, such as ``"tools.2"``.
     """
     groups: dict[str, list[dict[str, Any]]] = {"Robot and cell": [], "Tool, material and stock": [], "Details": []}
     if is_posted and not fault and (count := sum(bool(field.fault) for field in form.fields)):
@@ -309,9 +329,9 @@ def setup(
 def program(item: Item, workspace: Workspace, other_programs: Sequence[str], *, run: Run | None, command: str) -> Page:
     """Return the page of one program.
 
-    :param other_programs: results and programs that it may be compared with.
-    :param run: the latest command about it; None: there was none.
-    :param command: the command that corrects it, as it is typed in a terminal.
+    :param other_programs: results and programs with which it can be compared.
+    :param run: latest command about the program; None: there was none.
+    :param command: the command that corrects the program, as it is typed in a terminal.
     """
     stem = Path(item.entry.page.removesuffix(".report.html") if item.entry else item.name).stem
     file_names = sorted(path.name for path in workspace.results.glob(f"{stem}*")) if item.entry else []
@@ -337,7 +357,10 @@ def program(item: Item, workspace: Workspace, other_programs: Sequence[str], *, 
 
 
 def _feed_rule(workspace: Workspace, name: str) -> str:
-    """Return by which rule feeds are written, see `feed_rule`; empty: they cannot be lowered."""
+    """Return the rule of feeds of the cell, see `feed_rule`; empty without a process or a readable cell.
+
+    Without a process feeds cannot be lowered.
+    """
     try:
         return feed_rule(workspace.cell) if workspace.process(name) is not None else ""
     except PostprocError:
@@ -345,7 +368,7 @@ def _feed_rule(workspace: Workspace, name: str) -> str:
 
 
 def _menu_of(run: Run) -> str:
-    """Return the entry of the menu that a command belongs to."""
+    """Return the entry of the menu to which the page of a command belongs."""
     return "testpart" if run.page == "/testpart" else "robots" if run.page else "programs"
 
 
@@ -362,17 +385,20 @@ def running(run: Run) -> Page:
 
 
 def _posted_fields(fields: Sequence[FormField], texts: Mapping[str, str]) -> list[FormField]:
-    """Return fields with the texts that were posted, which are not in the file."""
+    """Return fields with posted texts in place of those of the file.
+
+    :param texts: posted texts by name of the field; fields without one keep their text.
+    """
     return [replace(field, text=texts.get(field.name, field.text)) for field in fields]
 
 
 def _hidden_text(fields: Sequence[FormField]) -> str:
-    """Return what a form shows of the file, for the form to send along; see `shown_texts`."""
+    """Return the texts of the file that a form shows, as JSON for a hidden field of the form; see `shown_texts`."""
     return json.dumps({field.name: field.text for field in fields})
 
 
 def shown_texts(form: Mapping[str, str]) -> dict[str, str]:
-    """Return what a posted form showed when it was opened, by name of the field; empty: it does not say."""
+    """Return the texts that a form showed when it was opened, by name of the field; empty if the form lacks them."""
     try:
         return msgspec.json.decode(form.get("shown", "{}"), type=dict[str, str])
     except msgspec.DecodeError:
@@ -390,9 +416,12 @@ _CELL_TITLES = {
 
 
 def _table_title(table: str) -> str:
-    """Return the heading of a table of the cell."""
+    """Return the heading of a table of the cell.
+
+    :param table: name of the table, such as "base" or "tools.2".
+    """
     name, _, number = table.partition(".")
-    return FRAMES[name][0].format(number) if number else _CELL_TITLES[name]
+    return FRAMES[name][0].format(number) if number else _CELL_TITLES[name]  # [0]: the title
 
 
 def cell(
@@ -406,9 +435,11 @@ def cell(
 ) -> Page:
     """Return the page of the cell.
 
-    :param fault: why the posted numbers were not written; empty: none were posted.
+    :param fields: fields of the form, with the texts of the file.
+    :param fault: reason why posted numbers were not written; empty: none were refused.
     :param texts: posted numbers that were not written, by name of the field.
-    :param frames: tables of frames that the form has fields for, with commas between.
+    :param is_saved: posted numbers were written: the page says so.
+    :param frames: names of further tables of frames in the form, with commas between.
     """
     filled_fields = _posted_fields(fields, texts)
     tables = [
@@ -438,17 +469,21 @@ def cell(
     )
 
 
-_TITLES = {"material": "Material", "stock": "Stock before the program", "spindle": "Spindle"}
-_DETAILS = {
+_PROCESS_TITLES = {"material": "Material", "stock": "Stock before the program", "spindle": "Spindle"}
+_FOLDED_KEYS = {
     "material": ("A material of your own", lambda key: key != "name"),
     "tools": ("Details", lambda key: key in ("helix_deg", "rpm", "spindle")),
     "stock": ("A mesh instead of the box, and the map", lambda key: key in ("file", "resolution_mm", *"ABC")),
 }
-"""Keys of a table that are folded away, and what they are for."""
+"""Table → title of its details, and whether a key belongs to them: details are shown on request."""
 
 
 def posted_fields(form: Mapping[str, str], fields: Sequence[FormField]) -> dict[str, str]:
-    """Return the texts by name of the field from a posted form; a box that is not ticked is not in it."""
+    """Return the texts of fields from a posted form: name of the field → text.
+
+    Span: both ends, joined by a comma, or empty. Flag: empty if it is not ticked, as forms then do not send it. Other
+    fields that the form does not contain are left out.
+    """
     texts = {}
     for field in fields:
         if field.kind == "span":
@@ -471,10 +506,13 @@ def process(
     texts: Mapping[str, str],
     is_saved: bool,
 ) -> Page:
-    """Return the page of a process file.
+    """Return the page of the process file of a program.
 
-    :param fault: why the posted values were not written; empty: none were posted.
+    :param name: file name of the program.
+    :param path: process file, which may not exist yet.
+    :param fault: reason why posted values were not written; empty: none were refused.
     :param texts: posted values that were not written, by name of the field.
+    :param is_saved: posted values were written: the page says so.
     """
     file = f"{RESULTS}/{path.name}"
     return _page(
@@ -495,16 +533,16 @@ def process(
 
 
 def _shown_table(item: ProcessTable) -> dict[str, Any]:
-    """Return a table as the template shows it: keys that few need are folded away."""
+    """Return a table of the process as values for the template; keys that few users need are among its details."""
     kind, _, number = item.name.partition(".")
-    title, is_detail = _DETAILS.get(kind, ("", lambda _: False))
+    title, is_detail = _FOLDED_KEYS.get(kind, ("", lambda _: False))
 
     def is_folded(field: FormField) -> bool:
         """Return whether a field is among the details."""
         return field.table == "stock.place" or (field.table != "stock.box" and is_detail(field.key))
 
     return {
-        "title": _TITLES.get(kind) or ("Every tool" if number == "default" else f"Tool {number}"),
+        "title": _PROCESS_TITLES.get(kind) or ("Every tool" if number == "default" else f"Tool {number}"),
         "help": item.help,
         "comment": item.comment,
         "is_new": item.is_new,
@@ -515,15 +553,18 @@ def _shown_table(item: ProcessTable) -> dict[str, Any]:
 
 
 def processes(rows: Sequence[tuple[str, str]]) -> Page:
-    """Return the list of programs with their process files.
+    """Return the page with the list of programs and the sources of their forces.
 
-    :param rows: names of programs, and what is there.
+    :param rows: name and source of each program, such as its process file.
     """
     return _page("processes.html", here="process", title="What cuts", rows=rows, command="")
 
 
 def _picture(path: Path) -> dict[str, Any]:
-    """Return the robot of a cell in two views; none of a cell that is unusable, whose numbers can be mended."""
+    """Return the values for the template of the robot of a cell in two views.
+
+    If the cell is unusable, there are no views, and `unusable` is the reason.
+    """
     try:
         picture = cell_picture(path)
     except PostprocError as cause:
@@ -539,9 +580,10 @@ def _picture(path: Path) -> dict[str, Any]:
 
 
 def robots(name: str, workspace: Workspace, readings: Sequence[Readings]) -> Page:
-    """Return the page of the robot models; of one, where each of its values comes from.
+    """Return the page of all robot models, or of one with the source of each value.
 
-    :param readings: from which a model can be made.
+    :param name: name of the model; empty: all models.
+    :param readings: readings from which a model can be identified.
     :raises InputError: there is no model of this name.
     """
     folders = robot.shipped_models()
@@ -561,7 +603,7 @@ def robots(name: str, workspace: Workspace, readings: Sequence[Readings]) -> Pag
 
 
 def _readings_row(workspace: Workspace, entry: Readings) -> dict[str, Any]:
-    """Return the template's entry for one experiment: its name, its files of readings and the verdict on its model."""
+    """Return the values for the template of an experiment: name, files of readings and verdict on its model."""
     model = model_of(workspace.model(entry.experiment))
     verdict = "not identified yet" if model is None else model.verdict or "geometry only"
     return {
@@ -572,7 +614,10 @@ def _readings_row(workspace: Workspace, entry: Readings) -> dict[str, Any]:
 
 
 def readings(name: str, workspace: Workspace, entry: Readings) -> Page:
-    """Return the page of readings: how a model is identified from them, its verdict and plots, and its use."""
+    """Return the page of the readings of an experiment: commands that identify a model, its verdict and its use.
+
+    :param name: path of the experiment in the folder of the window.
+    """
     names = [path.name for path in entry.files]
     return _page(
         "readings.html",
@@ -583,14 +628,15 @@ def readings(name: str, workspace: Workspace, entry: Readings) -> Page:
         other_files=names[1:],
         compensators=[path.name for path in entry.compensators],
         use=_use_of_model(name, workspace, workspace.model(entry.experiment)),
-        command=command_line(identification(workspace, entry, {})) if entry.files else "",
+        command=command_line(identify_arguments(workspace, entry, {})) if entry.files else "",
     )
 
 
 def _use_of_model(name: str, workspace: Workspace, folder: Path) -> dict[str, Any] | None:
-    """Return the template's data on a model and its use; None without a model.
+    """Return the values for the template of a model and its use; None if there is no model yet.
 
-    :param name: of its experiment; empty: it is that of the test part.
+    :param name: path of its experiment in the folder of the window; empty: the model of the test part.
+    :param folder: folder of the model.
     """
     model = model_of(folder)
     if model is None:
@@ -609,10 +655,10 @@ def _use_of_model(name: str, workspace: Workspace, folder: Path) -> dict[str, An
 
 
 def testpart(part: TestPart) -> Page:
-    """Return the page of the test part: its program, what to probe, what was probed, the model."""
+    """Return the page of the test part: its program, the points to probe, the probed deviations, the model."""
     workspace = part.workspace
     is_written, is_probed = (part.folder / "testpart.nc").is_file(), part.probing_path.is_file()
-    command = part.identification() if is_probed else part.writing({})
+    command = part.identify_arguments() if is_probed else part.write_arguments({})
     return _page(
         "testpart.html",
         here="testpart",
@@ -621,7 +667,7 @@ def testpart(part: TestPart) -> Page:
         processes=part.processes(),
         is_written=is_written,
         is_probed=is_probed,
-        downloads=[name for name in FILES_OF_PART if (part.folder / name).is_file() and not name.endswith(".html")],
+        downloads=[name for name in PART_FILES if (part.folder / name).is_file() and not name.endswith(".html")],
         points=probing_list(part.folder / "probing.csv"),
         use=_use_of_model("", workspace, part.model) if is_written else None,
         command=command_line(command),

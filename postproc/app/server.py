@@ -16,7 +16,7 @@ from urllib.parse import parse_qsl, quote, urlsplit
 from postproc.app import screens
 from postproc.app.access import Access
 from postproc.app.automatic import AutomaticConversion
-from postproc.app.models import identification, model_path
+from postproc.app.models import identify_arguments, model_path
 from postproc.app.runs import Run, Runs, command_line
 from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Workspace
@@ -44,11 +44,11 @@ from postproc.machining.tool_comments import named_text
 from postproc.robot import shipped_models
 
 _LARGEST_FORM = 1 << 16
-"""Bytes of a form: its fields are a few kilobytes; a page of another site could send any number."""
-_COMPARED_SUFFIXES = (".src", ".mod")
-"""Written programs that another one is compared with."""
+"""Largest size of a form [bytes]: its fields are a few kilobytes, but another program could send any number."""
+_PROGRAM_SUFFIXES = (".src", ".mod")
+"""Extensions of written programs, with which a program can be compared."""
 _TIMEOUT_S = 60.0
-"""A browser that says nothing for so long is left."""
+"""Time [s] after which the connection to a silent browser is closed."""
 _WINDOW_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'nonce-{}'; img-src data:; connect-src 'self'; "
     "frame-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
@@ -57,23 +57,22 @@ _REPORT_POLICY = (
     "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' blob:; "
     "style-src 'unsafe-inline'; img-src data: blob:; frame-ancestors 'self'"
 )
-"""A report has the texts of programs in it: its scripts reach neither the window nor its cookie."""
-
-
+"""A report contains texts of programs: its scripts must not have access to the window or its cookie."""
 _NO_TEXTS: Mapping[str, str] = {}
 
 
 class Window(ThreadingHTTPServer):
     """A window on a folder, on a port of 127.0.0.1.
 
-    :param port: 0 = any that is free.
+    :param folder: folder of the programs.
+    :param port: 0: a free port.
     """
 
     daemon_threads = True
     allow_reuse_address = False
 
     def __init__(self, folder: Path, port: int) -> None:
-        """Open the port; see the class.
+        """Open the port; parameters as of the class.
 
         :raises InputError: there is no such folder.
         :raises PostprocError: the port is in use.
@@ -92,15 +91,17 @@ class Window(ThreadingHTTPServer):
         self.access = Access.at(self.server_address[1])
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Print a fault; a browser that hangs up is none."""
+        """Print a fault of a request; a browser that closes the connection is no fault."""
         if not isinstance(sys.exc_info()[1], (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers one request; an `InputError` becomes a page that says what to do.
+    """Answers one request; an error becomes a page that says what to do.
 
-    :ivar query: values of the address by name.
+    Methods without parameters answer the request for one address, see `_PAGES` and `_CHANGES`.
+
+    :ivar query: name → value of the fields in the address, but for the token.
     """
 
     server: Window
@@ -110,21 +111,22 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Send a page or a result."""
-        self._answer(_PAGES, changes=False)
+        self._answer(_PAGES, is_change=False)
 
     def do_POST(self) -> None:
         """Carry out a posted command, and redirect the browser to the page that shows its result."""
-        self._answer(_CHANGES, changes=True)
+        self._answer(_CHANGES, is_change=True)
 
-    def _answer(self, routes: dict[str, Callable[[_Handler], None]], *, changes: bool) -> None:
+    def _answer(self, routes: dict[str, Callable[[_Handler], None]], *, is_change: bool) -> None:
         """Answer a request; if it fails, send a page that says what to do.
 
         :param routes: address → method that answers it.
-        :param changes: whether the request may change files.
+        :param is_change: the request may change files.
+        :raises OSError: the browser has closed the connection.
         """
         try:
-            return self._route(routes, changes=changes)
-        except (ConnectionError, TimeoutError):  # the browser has hung up
+            return self._route(routes, is_change=is_change)
+        except (ConnectionError, TimeoutError):  # the browser has closed the connection
             raise
         except PostprocError as cause:
             text, status = str(cause), 400
@@ -132,20 +134,22 @@ class _Handler(BaseHTTPRequestHandler):
             text, status = f"{cause}. Try again.", 500
         except Exception as cause:
             text, status = _report_fault(cause), 500
-        self.close_connection = True
+        self.close_connection = True  # a body that was not read would be taken for the next request
         return self._page(screens.message("That did not work", text), status)
 
-    def _route(self, routes: dict[str, Callable[[_Handler], None]], *, changes: bool) -> None:
-        """Answer a request by the method for its address, or refuse it.
+    def _route(self, routes: dict[str, Callable[[_Handler], None]], *, is_change: bool) -> None:
+        """Answer a request by the method for its address; refuse it without access, or if there is no such page.
+
+        A token in the address is moved into a cookie, and the browser redirected to the address without it.
 
         :param routes: address → method that answers it.
-        :param changes: whether the request may change files.
+        :param is_change: the request may change files.
         """
         address = urlsplit(self.path)
         self.query = dict(parse_qsl(address.query, keep_blank_values=True, max_num_fields=20))
         token = self.query.pop("token", "")
-        if reason := self.server.access.refusal(dict(self.headers.items()), changes=changes, token=token):
-            self.close_connection = True
+        if reason := self.server.access.refusal(dict(self.headers.items()), is_change=is_change, token=token):
+            self.close_connection = True  # as in _answer
             return self._send(403, reason.encode(), "text/plain; charset=utf-8")
         if token:  # the address of a page may be copied: the secret goes into a cookie instead
             return self._redirect(
@@ -157,9 +161,9 @@ class _Handler(BaseHTTPRequestHandler):
         return route(self)
 
     def form(self) -> dict[str, str]:
-        """Return the fields of a posted form.
+        """Return the fields of a posted form: name → value.
 
-        :raises InputError: it is too large.
+        :raises InputError: the form is too large, or does not state its size.
         """
         size = self._size()
         if size > _LARGEST_FORM:
@@ -167,9 +171,9 @@ class _Handler(BaseHTTPRequestHandler):
         return dict(parse_qsl(self.rfile.read(size).decode(errors="replace"), keep_blank_values=True))
 
     def _size(self) -> int:
-        """Return the size of the body [bytes].
+        """Return the size of the body of the request [bytes].
 
-        :raises InputError: the request does not state it.
+        :raises InputError: the request does not state the size.
         """
         text = self.headers.get("Content-Length") or "0"
         if not (text.isascii() and text.isdecimal()) or self.headers.get("Transfer-Encoding"):
@@ -177,20 +181,22 @@ class _Handler(BaseHTTPRequestHandler):
         return int(text)
 
     def _page(self, page: screens.Page, status: int = 200) -> None:
-        """Send a page; only scripts with its nonce may run in it."""
+        """Send a page with an HTTP status; only the script with the nonce of the page may run in it."""
         policy = ("Content-Security-Policy", _WINDOW_POLICY.format(page.nonce))
         self._send(status, page.html, "text/html; charset=utf-8", policy)
 
     def _redirect(self, path: str, *headers: tuple[str, str]) -> None:
-        """Redirect the browser to a page, which it gets by GET (status 303).
+        """Redirect the browser to a page, which it requests by GET (status 303).
 
+        :param path: address of the page.
         :param headers: name and value of further headers.
         """
         self._send(303, b"", "text/plain", ("Location", path), *headers)
 
     def _send(self, status: int, content: bytes, kind: str, *headers: tuple[str, str]) -> None:
-        """Send a response whose content browsers neither store nor guess the type of.
+        """Send a response. Browsers do not store it, and take its type as stated.
 
+        :param status: HTTP status.
         :param kind: media type of the content.
         :param headers: name and value of further headers.
         """
@@ -208,7 +214,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Log nothing."""
+        """Log nothing; the base class would print each request."""
 
     # pages
 
@@ -228,24 +234,24 @@ class _Handler(BaseHTTPRequestHandler):
         return workspace.process(name) is not None or states_forces(workspace.folder / name)
 
     def _stamp(self) -> str:
-        """Return a text that changes with what the list of programs shows.
+        """Return a text that changes when the content of the list of programs changes.
 
-        The number of commands that have begun is in it: one may begin, fail and write nothing between two looks.
+        It contains the number of commands begun: one may begin, fail and write nothing between two requests.
         """
         server = self.server
         active = "-".join(str(run.number) for run in server.runs.active())
         return f"{server.workspace.stamp()}-{server.automatic.is_on}-{server.runs.count}-{active}"
 
     def programs_state(self) -> None:
-        """Send as JSON the stamp of the list of programs, and how far each running command is."""
-        shares = {run.key: run.progress for run in self.server.runs.active()}
-        self._send(200, json.dumps({"stamp": self._stamp(), "working": shares}).encode(), "application/json")
+        """Send as JSON the stamp of the list of programs, and the progress of each running command."""
+        progress_texts = {run.key: run.progress for run in self.server.runs.active()}
+        self._send(200, json.dumps({"stamp": self._stamp(), "working": progress_texts}).encode(), "application/json")
 
     def questions(self, texts: dict[str, str] | None = None) -> None:
-        """Send the questions that a program raises; begin to correct it when all are answered.
+        """Send the page with the questions about a program; begin to correct it once all posted answers can be used.
 
-        :param texts: posted answers; None: the page is opened.
-        :raises InputError: the program cannot be read.
+        :param texts: posted answers by key of the question; None: the page is opened, with the answers saved earlier.
+        :raises InputError: there is no such program.
         """
         workspace, name = self.server.workspace, self.query.get("name", "")
         program = workspace.sole_program(name)
@@ -289,8 +295,9 @@ class _Handler(BaseHTTPRequestHandler):
         if item is None:
             raise InputError(f"{name} is no program")
         results = list(workspace.results.iterdir()) if workspace.results.is_dir() else []
-        results.sort(key=lambda path: (path.stem.lower() != Path(name).stem.lower(), path.name))  # its own one first
-        other_programs = [f"{RESULTS}/{path.name}" for path in results if path.suffix in _COMPARED_SUFFIXES]
+        # results of this program first
+        results.sort(key=lambda path: (path.stem.lower() != Path(name).stem.lower(), path.name))
+        other_programs = [f"{RESULTS}/{path.name}" for path in results if path.suffix in _PROGRAM_SUFFIXES]
         other_programs += [other_program.name for other_program in workspace.items() if other_program.name != name]
         command = command_line(workspace.conversion(name))
         run = self.server.runs.latest(name)
@@ -304,7 +311,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._page(screens.running(self.server.runs.run_of_number(self.query.get("number", ""))))
 
     def run_state(self) -> None:
-        """Send as JSON the exit code of a command, what it has printed, and how far it is.
+        """Send as JSON the exit code of a command, its output, and its progress.
 
         :raises InputError: there is no such command.
         """
@@ -313,10 +320,10 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(200, json.dumps(content).encode(), "application/json")
 
     def cell(self, fault: str = "", texts: Mapping[str, str] = _NO_TEXTS) -> None:
-        """Send the numbers of the cell.
+        """Send the form with the numbers of the cell, or a message if there is no cell yet.
 
-        :param fault: why posted numbers were not written; empty: none were refused.
-        :param texts: these numbers as they were typed, by name, to be corrected.
+        :param fault: reason why posted numbers were not written; empty: none were refused.
+        :param texts: the refused numbers as typed, by name of the field.
         """
         workspace = self.server.workspace
         if not workspace.cell.is_file():
@@ -330,9 +337,10 @@ class _Handler(BaseHTTPRequestHandler):
         return self._page(page, 400 if fault else 200)
 
     def process(self, fault: str = "", texts: Mapping[str, str] = _NO_TEXTS) -> None:
-        """Send tools, material and stock of a program, with posted values as `cell` does, or the list of programs.
+        """Send the form with tools, material and stock of a program; without a name, the list of programs.
 
-        :param fault: why posted values were not written; `texts`: these values, by the name of the field.
+        :param fault: reason why posted values were not written; empty: none were refused.
+        :param texts: the refused values as typed, by name of the field.
         :raises InputError: there is no such program, or it cannot be read.
         """
         workspace, name = self.server.workspace, self.query.get("name", "")
@@ -348,7 +356,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self._page(page, 400 if fault else 200)
 
     def _process_in_words(self, name: str) -> str:
-        """Return the source of a program's forces as a phrase."""
+        """Return the source of the forces of a program in words: its process file, its comments, or none yet."""
         path = self.server.workspace.process(name)
         if path is not None:
             return f"{RESULTS}/{path.name}"
@@ -356,7 +364,7 @@ class _Handler(BaseHTTPRequestHandler):
         return "forces in its comments" if has_forces else "not stated yet"
 
     def robots(self) -> None:
-        """Send the robot models, and the readings from which one can be made."""
+        """Send the page of all robot models, or of one, with the readings from which a model can be identified."""
         workspace = self.server.workspace
         self._page(screens.robots(self.query.get("name", ""), workspace, readings_of(workspace.folder)))
 
@@ -369,12 +377,19 @@ class _Handler(BaseHTTPRequestHandler):
         self._page(screens.readings(name, workspace, workspace.readings(name)))
 
     def model_page(self) -> None:
-        """Send the report of a model."""
+        """Send the report of the model of an experiment, or of the test part without a name.
+
+        :raises InputError: there is no such experiment, or its model has no report.
+        """
         path = self.server.workspace.model_page(self._model(self.query.get("name", "")))
         self._send(200, path.read_bytes(), MEDIA_TYPES[".html"], ("Content-Security-Policy", _REPORT_POLICY))
 
     def _model(self, name: str) -> Path:
-        """Return the folder of the model of an experiment; of an empty name that of the test part."""
+        """Return the folder of the model of an experiment; for an empty name, of the model of the test part.
+
+        :param name: path of the experiment in the folder of the window.
+        :raises InputError: there is no such experiment.
+        """
         workspace = self.server.workspace
         return workspace.model(workspace.readings(name).experiment) if name else self.server.part.model
 
@@ -383,7 +398,10 @@ class _Handler(BaseHTTPRequestHandler):
         self._page(screens.testpart(self.server.part))
 
     def testpart_file(self) -> None:
-        """Send a file of the test part."""
+        """Send a file of the test part.
+
+        :raises InputError: there is no such file.
+        """
         self._file(self.server.part.file(self.query.get("name", "")))
 
     def result(self) -> None:
@@ -394,7 +412,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._file(self.server.workspace.result(self.query.get("name", "")))
 
     def _file(self, path: Path) -> None:
-        """Send a file: HTML is shown by the browser, other files are saved."""
+        """Send a file of a type in `MEDIA_TYPES`: the browser shows HTML, and saves other files."""
         kind, name = MEDIA_TYPES[path.suffix.lower()], quote(path.name)
         headers = [("Content-Security-Policy", _REPORT_POLICY)]
         if path.suffix.lower() != ".html":
@@ -404,11 +422,11 @@ class _Handler(BaseHTTPRequestHandler):
     # changes
 
     def add(self) -> None:
-        """Add a program that was dropped on the page."""
+        """Save a program that was dropped on the page, and send the address of the next page."""
         workspace, name = self.server.workspace, self.query.get("name", "")
 
         def next_page() -> str:
-            """Return the list of programs if the program will be corrected by itself, else its set-up."""
+            """Return the address of the list of programs if conversion is automatic, else of the set-up."""
             is_automatic = self.server.automatic.is_on and workspace.cell.is_file() and self._has_forces(name)
             return "/" if is_automatic else f"/setup?name={quote(name)}"
 
@@ -417,8 +435,8 @@ class _Handler(BaseHTTPRequestHandler):
     def _add_upload(self, add: Callable[[], object], next_page: Callable[[], str]) -> None:
         """Add a file that was dropped on the page; send as JSON the address of the next page, or the fault.
 
-        :param add: reads the file and saves it; raises `InputError` if it is refused.
-        :param next_page: returns that address, once the file is saved.
+        :param add: function that reads the file and saves it; raises `InputError` if the file is refused.
+        :param next_page: function that returns the address, called once the file is saved.
         """
         try:
             add()
@@ -429,7 +447,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self._send(200, json.dumps({"next": next_page()}).encode(), "application/json")
 
     def submit_answers(self) -> None:
-        """Save the answers of the set-up, see `questions`."""
+        """Take posted answers of the set-up, see `questions`."""
         self.questions(screens.posted_answers(self.form()))
 
     def convert(self) -> None:
@@ -460,6 +478,8 @@ class _Handler(BaseHTTPRequestHandler):
         """Write the frames of the best place into the cell, and begin to correct the program again.
 
         These are `$BASE` and the frames by number that move with it. Nothing is written if the command cannot begin.
+
+        :raises InputError: there is no such program or no best place, or the command cannot begin.
         """
         name = self._program_name(self.form())
         workspace = self.server.workspace
@@ -472,9 +492,11 @@ class _Handler(BaseHTTPRequestHandler):
         self.begin(name, f"Correct {name}", arguments, lambda: edit(workspace.stated_cell(), texts, [*frames]))
 
     def feed(self) -> None:
-        """Write the rule of feeds into the cell, and correct a program again.
+        """Write the rule of feeds into the cell, and begin to correct a program again.
 
-        "hold" lowers feeds where the tolerance of the part would be exceeded, "program" keeps those of the program.
+        "hold" lowers feeds where the tolerance of the part would be exceeded; "program" keeps the feeds of the program.
+
+        :raises InputError: there is no such program or no cell, or the command cannot begin.
         """
         form, workspace = self.form(), self.server.workspace
         name, rule = self._program_name(form), "hold" if form.get("rule") == "hold" else "program"
@@ -487,7 +509,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._redirect("/")
 
     def compare(self) -> None:
-        """Begin to compare a program with another one, of the folder or of its results.
+        """Begin to compare a program with another program of the folder, or with a written program of its results.
 
         :raises InputError: there is no such program, or the command cannot begin.
         """
@@ -499,7 +521,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.server.workspace.program(other_program)
         arguments = self.server.workspace.cell_arguments("compare", name)
         arguments.insert(2, other_program)  # after "compare" and the first program
-        if "--process" in arguments:  # `compare` has one option for both
+        if "--process" in arguments:  # `compare` takes process files by --forces too
             arguments[arguments.index("--process")] = "--forces"
         self.begin(name, f"Compare {name}", arguments)
 
@@ -510,11 +532,11 @@ class _Handler(BaseHTTPRequestHandler):
         """
         form, workspace = self.form(), self.server.workspace
         name = form.get("name", "")
-        arguments = identification(workspace, workspace.readings(name), form)
+        arguments = identify_arguments(workspace, workspace.readings(name), form)
         self.begin(f"model {name}", f"Model from {name}", arguments, page=f"/readings?name={quote(name)}")
 
     def validate(self) -> None:
-        """Begin to check a model with readings that it was not identified from.
+        """Begin to check a model with readings that were not used to identify it.
 
         :raises InputError: there are no such readings, or the command cannot begin.
         """
@@ -527,9 +549,9 @@ class _Handler(BaseHTTPRequestHandler):
         self.begin(f"model {name}", f"Check of the model from {name}", arguments, page=f"/readings?name={quote(name)}")
 
     def use_identified_model(self) -> None:
-        """Write the name of an identified model into the cell.
+        """Write an identified model into the cell as its robot.
 
-        :raises InputError: there is no model, or it was refused.
+        :raises InputError: there is no such model, it was refused, or a command runs.
         """
         workspace, name = self.server.workspace, self.form().get("name", "")
         model = model_of(self._model(name))
@@ -539,8 +561,11 @@ class _Handler(BaseHTTPRequestHandler):
         self._redirect(f"/readings?name={quote(name)}" if name else "/testpart")
 
     def write_part(self) -> None:
-        """Begin to write the test part."""
-        arguments = self.server.part.writing(self.form())
+        """Begin to write the test part.
+
+        :raises InputError: there is no such process file, or the command cannot begin.
+        """
+        arguments = self.server.part.write_arguments(self.form())
         self.begin("testpart", "Test part", arguments, page="/testpart")
 
     def add_probed(self) -> None:
@@ -548,22 +573,28 @@ class _Handler(BaseHTTPRequestHandler):
         self._add_upload(lambda: self.server.part.add_probed(self.rfile, self._size()), lambda: "/testpart")
 
     def identify_part(self) -> None:
-        """Begin to identify a model from the test part, or to check the model of the cell by it."""
+        """Begin to identify a model from the test part, or to check the model of the cell by the test part.
+
+        :raises InputError: the command cannot begin.
+        """
         compare = bool(self.form().get("compare"))
         title = "Check of the cell's model by the part" if compare else "Model from the test part"
-        self.begin("testpart", title, self.server.part.identification(compare=compare), page="/testpart")
+        self.begin("testpart", title, self.server.part.identify_arguments(compare=compare), page="/testpart")
 
     def stop(self) -> None:
-        """Stop a command, and wait up to 5 s for its end."""
+        """Stop a command, and wait up to 5 s for its end.
+
+        :raises InputError: there is no such command.
+        """
         run = self.server.runs.run_of_number(self.form().get("number", ""))
         run.stop()
         run.wait(5.0)
         self._redirect(f"/run?number={run.number}")
 
     def change_robot(self) -> None:
-        """Write the name of a shipped robot into the cell.
+        """Write the name of a shipped robot into the cell; if a command runs, send the form of the cell with the fault.
 
-        :raises InputError: no shipped robot has that name.
+        :raises InputError: no shipped robot has that name, or there is no cell.
         """
         name, path = self.form().get("robot", ""), self.server.workspace.stated_cell()
         if name not in shipped_models():
@@ -575,7 +606,10 @@ class _Handler(BaseHTTPRequestHandler):
         return self._redirect("/cell?saved")
 
     def change_start(self) -> None:
-        """Write a start above the part into the cell."""
+        """Write start joints with the tip above the part into the cell.
+
+        If refused, send the form again with the fault.
+        """
         path = self.server.workspace.stated_cell()
         try:
             self.server.runs.edit(lambda: choose_start(path))
@@ -584,12 +618,12 @@ class _Handler(BaseHTTPRequestHandler):
         return self._redirect("/cell?saved")
 
     def change_cell(self) -> None:
-        """Write changed numbers into the cell; if they are refused, send the form again with the fault."""
+        """Write changed numbers of the form into the cell; if refused, send the form again with the fault."""
         form, path, frames = self.form(), self.server.workspace.stated_cell(), self._frames()
         texts = screens.posted_fields(form, fields_of(path, frames))
 
         def write() -> None:
-            """Write what the user changed in the form, not what others have changed in the file meanwhile."""
+            """Write the fields that the user changed; changes of the file since the form was sent stay."""
             edit(path, changes_of_user(fields_of(path, frames), texts, screens.shown_texts(form)), frames)
 
         try:
@@ -599,7 +633,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self._redirect(f"/cell?saved&frames={','.join(frames)}" if frames else "/cell?saved")
 
     def _frames(self) -> tuple[str, ...]:
-        """Return the names of the tables of frames that the form of the cell adds, as the address states them."""
+        """Return the names of the tables of frames, from the address, that the form of the cell has in addition."""
         return frame_tables(self.query.get("frames", ""))
 
     def change_process(self) -> None:
@@ -630,10 +664,10 @@ class _Handler(BaseHTTPRequestHandler):
     ) -> None:
         """Begin a command of postproc, and redirect the browser to its page.
 
-        :param key: two commands with one key do not run at the same time.
+        :param key: subject of the command: two commands with one key do not run at the same time.
         :param title: heading of the page.
         :param arguments: words after `postproc`.
-        :param change: changes a file that commands read, before the command begins.
+        :param change: function that changes a file which commands read, before the command begins; None: no change.
         :param page: address that shows the result; empty: the page of the program.
         :raises InputError: the command cannot begin now, see `Runs.begin`; nothing was changed.
         """
@@ -651,7 +685,7 @@ class _Handler(BaseHTTPRequestHandler):
 def _report_fault(fault: Exception) -> str:
     """Write the traceback of a fault of postproc to stderr and into a file; return the message for the user.
 
-    Nothing is raised if neither can be written: the message then names no file.
+    If the file cannot be written, the message does not name it; a fault of stderr is ignored.
     """
     text = "".join(traceback.format_exception(fault))
     with contextlib.suppress(OSError, ValueError, AttributeError):  # a window without a console has no stderr

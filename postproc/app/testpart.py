@@ -15,9 +15,9 @@ from postproc.jobs.probing_list import LARGEST_BYTES, check_probed
 FOLDER = "testpart"
 PROBED_FILE = "probed.csv"
 SENT_FILES = ("testpart.src", "testpart.nc", "probing.csv", "testpart.html")
-"""Files that the window sends."""
-_NUMBERS = {"count": "--features", "depth": "--depth", "weight": "--weight"}
-"""Fields of the form, and their options."""
+"""Files of the test part that the window sends to the browser."""
+_NUMBER_FLAGS = {"count": "--features", "depth": "--depth", "weight": "--weight"}
+"""Field of the form → option of the command."""
 
 
 class TestPart(Struct, frozen=True):
@@ -29,23 +29,23 @@ class TestPart(Struct, frozen=True):
 
     @property
     def folder(self) -> Path:
-        """The folder of its files."""
+        """Folder of the files of the test part."""
         return self.workspace.folder / FOLDER
 
     @property
     def probing_path(self) -> Path:
-        """The file with the deviations that were probed."""
+        """File with the probed deviations."""
         return self.folder / PROBED_FILE
 
     @property
     def model(self) -> Path:
-        """The folder of the model that is identified from the test part."""
+        """Folder of the model that is identified from the test part."""
         return self.workspace.folder / MODELS / FOLDER
 
     def file(self, name: str) -> Path:
-        """Return the path of a file that is sent.
+        """Return the path of a file that the window sends.
 
-        :raises InputError: there is none of this name.
+        :raises InputError: the name is not in `SENT_FILES`, or the file is not written yet.
         """
         path = self.folder / name
         if name not in SENT_FILES or not path.is_file():
@@ -53,38 +53,44 @@ class TestPart(Struct, frozen=True):
         return self.workspace.path_in_folder(path)
 
     def processes(self) -> list[str]:
-        """Return the names of the process files that it can be made with."""
+        """Return the names of the process files from which the test part can be made, sorted."""
         paths = sorted(self.workspace.results.glob("*.toml")) if self.workspace.results.is_dir() else []
         return [path.name for path in paths if path.name.endswith("process.toml") and not path.name.startswith(".")]
 
-    def writing(self, form: Mapping[str, str]) -> list[str]:
-        """Return the arguments of the command that writes it.
+    def write_arguments(self, form: Mapping[str, str]) -> list[str]:
+        """Return the arguments of the command that writes the test part.
 
-        :param form: `process` (default: the first), `block`, and numbers; empty ones are left out.
-        :raises InputError: there is no such process file.
+        :param form: values of the form: `process` (default: the first process file), `block`, and numbers as of
+            `_NUMBER_FLAGS`; empty values are left out.
+        :raises InputError: there is no process file of this name.
         """
         names = self.processes()
         process = form.get("process", "") or next(iter(names), "process.toml")
         if names and process not in names:
             raise InputError(f"no process file {process!r} in {RESULTS}")
         arguments = ["testpart", "--cell", f"{RESULTS}/cell.toml", "--process", f"{RESULTS}/{process}"]
-        for field, flag in (("block", "--block"), *_NUMBERS.items()):
+        for field, flag in (("block", "--block"), *_NUMBER_FLAGS.items()):
             if text := form.get(field, "").strip():
                 arguments.append(f"{flag}={text}")
         return [*arguments, "-o", FOLDER]
 
-    def identification(self, *, compare: bool = False) -> list[str]:
-        """Return the arguments of the command that makes a model of it; `compare`: that checks the cell's model."""
+    def identify_arguments(self, *, compare: bool = False) -> list[str]:
+        """Return the arguments of the command that identifies a model from the test part.
+
+        :param compare: of the command that checks the model of the cell by the test part instead.
+        """
         arguments = ["identify", "part", f"{FOLDER}/{PROBED_FILE}", "--cell", f"{RESULTS}/cell.toml"]
         arguments += ["--process", f"{FOLDER}/testpart.process.toml", "--program", f"{FOLDER}/testpart.nc"]
         return [*arguments, *(["--compare"] if compare else ["-o", f"{MODELS}/{FOLDER}"])]
 
     def add_probed(self, content: Bytes, size: int) -> None:
-        """Take a probing file that was filled in: whole, or not at all; it replaces an earlier one.
+        """Save a probing file that was filled in, in place of an earlier one; nothing is changed if it is refused.
 
-        :raises InputError: the part is not written, or it is no such file.
+        :param content: stream from which the file is read.
+        :param size: its size [bytes].
+        :raises InputError: the test part is not written, or the file is no probing file, incomplete or too large.
         """
-        self.file("testpart.nc")
+        self.file("testpart.nc")  # raises if the test part is not written
         if not 0 < size <= LARGEST_BYTES:
             raise InputError("the file is empty or too large", advice="Choose probing.csv with its deviations.")
         with tempfile.NamedTemporaryFile(dir=self.folder, prefix=".postproc-", suffix=".csv", delete=False) as file:

@@ -1,4 +1,7 @@
-"""The folder of a window: its programs, their results, and files that are added. No path leads out of it."""
+"""The folder of a window: its programs, their results, and files that are added.
+
+Paths that lead out of the folder, also by symbolic links, are refused.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +27,9 @@ from postproc.report.index import Entry
 
 RESULTS = "corrected"
 MODELS = "models"
-"""Folder of the models that are identified, each in a folder of the name of its readings."""
+"""Folder of the identified models, each in a folder with the name of its readings."""
 LARGEST_BYTES = 256 * 2**20
-"""Size of a program that is added; CAM systems write up to 100 MB."""
+"""Largest size of a program that is added; CAM systems write up to 100 MB."""
 MEDIA_TYPES = {
     ".html": "text/html; charset=utf-8",
     ".nc": "text/plain; charset=utf-8",
@@ -36,30 +39,31 @@ MEDIA_TYPES = {
     ".csv": "text/csv; charset=utf-8",
     ".json": "application/json",
 }
-"""Results that the window sends, with their types."""
-_FOREIGN = re.compile(r'[\x00-\x1f<>:"/\\|?*]|^[-.~]|[. ]$|^(con|prn|aux|nul|com\d|lpt\d)(\.|$)', re.IGNORECASE)
-"""Names that lead elsewhere, are options of a command, or devices of Windows."""
-_PIECE = 1 << 20
-"""Bytes read at once of a file that is added, so that a long one is not held in memory."""
+"""Extensions of results that the window sends → media type."""
+_REFUSED_NAME = re.compile(r'[\x00-\x1f<>:"/\\|?*]|^[-.~]|[. ]$|^(con|prn|aux|nul|com\d|lpt\d)(\.|$)', re.IGNORECASE)
+"""File names that contain folders, look like options of a command, or are devices of Windows."""
+_PIECE_BYTES = 1 << 20
+"""Bytes of an added file that are read at once, so that a large file is not held in memory."""
 
 
 _LANGUAGES = ("krl", "rapid")
-"""Languages that programs are written in."""
+"""Languages in which programs are written."""
 
 
 class Bytes(Protocol):
-    """What is read from: a socket, a file."""
+    """A stream of bytes to read: a socket or a file."""
 
     def read(self, size: int, /) -> bytes:
-        """Return that many bytes; fewer at the end."""
+        """Return `size` bytes; fewer at the end of the stream."""
         ...
 
 
 class Item(Struct, frozen=True):
     """A program of the folder and its results.
 
-    :param changes: what differs from what the results were made from, see `currency.changes`; empty: they are current.
-    :param name_fault: why the window cannot use its name; empty: it can.
+    :param entry: result of the program; None: there is none.
+    :param changes: inputs that have changed since the result was made, see `currency.changes`; empty: it is current.
+    :param name_fault: reason why the window cannot use the name; empty: it can.
     """
 
     name: str
@@ -69,46 +73,46 @@ class Item(Struct, frozen=True):
 
     @property
     def is_current(self) -> bool:
-        """Return whether the results are those of the present inputs."""
+        """True if there is a result, and it was made from the present inputs."""
         return self.entry is not None and not self.changes and not self.name_fault
 
 
 class Workspace(Struct, frozen=True):
-    """A folder.
+    """The folder of a window.
 
-    :param folder: absolute, without symbolic links.
+    :param folder: absolute path, without symbolic links.
     """
 
     folder: Path
 
     @property
     def results(self) -> Path:
-        """The folder of the results."""
+        """Folder of the results."""
         return self.folder / RESULTS
 
     @property
     def cell(self) -> Path:
-        """The cell that all programs are corrected with."""
+        """Path of the cell for all programs; the file may not exist yet."""
         return self.results / "cell.toml"
 
     def program(self, name: str) -> Path:
         """Return the path of a program of the folder.
 
-        :raises InputError: there is none of this name in it.
+        :raises InputError: the folder has no file of this name.
         """
         return _path_in_folder(self.folder, name)
 
     def sole_program(self, name: str) -> Path:
-        """Return the path of a program whose results are its own.
+        """Return the path of a program whose name the window can use, see `name_fault`.
 
-        :raises InputError: there is none of this name, or another program would be written to the same files.
+        :raises InputError: the folder has no file of this name, or the window cannot use the name.
         """
         if fault := self.name_fault(name):
             raise InputError(f"{name}: {fault}", advice="Rename it.")
         return self.program(name)
 
     def name_fault(self, name: str) -> str:
-        """Return why the window cannot use the name of a program; empty: it can."""
+        """Return the reason why the window cannot use the name of a program; empty: it can."""
         return _name_fault(name, self._names())
 
     def _names(self) -> list[str]:
@@ -121,43 +125,46 @@ class Workspace(Struct, frozen=True):
     def result(self, name: str) -> Path:
         """Return the path of a result, in `RESULTS` or a folder of it: ``part.report.html``, ``place/place.html``.
 
-        :raises InputError: there is none of this name in it.
+        :raises InputError: there is no such result, or the window does not send files of its type.
         """
         folder, _, file = name.rpartition("/")
-        if _FOREIGN.search(folder) or Path(file).suffix.lower() not in MEDIA_TYPES:
+        if _REFUSED_NAME.search(folder) or Path(file).suffix.lower() not in MEDIA_TYPES:
             raise InputError(f"no result {name!r}")
         return self.path_in_folder(_path_in_folder(self.results / folder, file))
 
     def stated_cell(self) -> Path:
-        """Return the path of the cell, which is there.
+        """Return the path of the cell; unlike `cell`, the file exists and is in the folder.
 
-        :raises InputError: it is not, or it is elsewhere.
+        :raises InputError: there is no cell, or a symbolic link leads out of the folder.
         """
         return self.path_in_folder(_path_in_folder(self.results, self.cell.name))
 
     def place(self, name: str) -> Path:
-        """Return the file of the best place for a program.
+        """Return the path of `place.toml`, the best place for a program.
 
-        :raises InputError: there is none.
+        :raises InputError: no best place was found for it yet.
         """
         return self.path_in_folder(_path_in_folder(self.results / f"place-{Path(name).stem}", "place.toml"))
 
     def path_in_folder(self, path: Path) -> Path:
-        """Return a path that no link of a folder leads out of `folder`.
+        """Return a path unchanged, after checking that no symbolic link leads out of `folder`.
 
-        :raises InputError: one does.
+        :raises InputError: a link leads out of it.
         """
         if not path.resolve().is_relative_to(self.folder):
             raise InputError(f"{path.name} is not in {self.folder.name}")
         return path
 
     def process(self, name: str) -> Path | None:
-        """Return the process file of a program; None: there is none."""
+        """Return the process file of a program; None if it has none.
+
+        :raises InputError: a symbolic link leads out of the folder.
+        """
         path = process_of(self.folder / name, self.results)
         return None if path is None else self.path_in_folder(path)
 
     def process_to_edit(self, name: str) -> Path:
-        """Return the process file of a program, or the path at which it will be made."""
+        """Return the process file of a program, or the path at which it will be written if it has none."""
         return self.process(name) or self.results / f"{self.program(name).stem}.process.toml"
 
     def conversion(self, name: str) -> list[str]:
@@ -165,21 +172,26 @@ class Workspace(Struct, frozen=True):
         return self.cell_arguments("convert", name)
 
     def cell_arguments(self, command: str, name: str, output: str = RESULTS) -> list[str]:
-        """Return the arguments of a command about a program, with the cell and the process of it."""
+        """Return the arguments of a command about a program, with the cell, its process if it has one, and the output.
+
+        :param command: name of the command.
+        :param output: output folder.
+        """
         process = self.process(name)
         process_option = [] if process is None else ["--process", f"{RESULTS}/{process.name}"]
         return [command, name, "--cell", f"{RESULTS}/{self.cell.name}", *process_option, "-o", output]
 
     def stamp(self) -> str:
-        """Return a text that changes when a program, a result, the cell or a process does."""
+        """Return a text that changes when a program, a result, the cell or a process file changes."""
         kinds = (*registry.extensions(), ".toml")
         content = stamps({self.folder: kinds, self.results: (".toml", ".report.json")})
         return hashlib.sha256(repr(content).encode(errors="replace")).hexdigest()
 
     def readings(self, name: str) -> Readings:
-        """Return the readings of an experiment, such as ``"demo/experiment.toml"``.
+        """Return the readings of an experiment.
 
-        :raises InputError: there is none of this name in the folder.
+        :param name: path of the experiment in the folder, such as ``"demo/experiment.toml"``.
+        :raises InputError: the folder has no experiment of this name.
         """
         for entry in readings_of(self.folder):
             if self.relative(entry.experiment) == name:
@@ -188,23 +200,27 @@ class Workspace(Struct, frozen=True):
         raise InputError(f"no experiment {name!r} in {self.folder.name}")
 
     def model(self, experiment: Path) -> Path:
-        """Return the folder of the model that is identified from an experiment."""
+        """Return the folder of the model that is identified from an experiment.
+
+        It has the name of the folder of the experiment; directly in `folder`, that of its file.
+        """
         name = experiment.stem if experiment.parent == self.folder else experiment.parent.name
         return self.folder / MODELS / name
 
     def model_page(self, model: Path) -> Path:
-        """Return the report of a model.
+        """Return the path of the report of a model.
 
-        :raises InputError: there is none.
+        :param model: folder of the model.
+        :raises InputError: the model has no report.
         """
         return self.path_in_folder(_path_in_folder(model, "report.html"))
 
     def relative(self, path: Path) -> str:
-        """Return the path of a file of the folder as commands name it, with ``/``."""
+        """Return the path of a file relative to the folder, with ``/``, as commands name it."""
         return path.relative_to(self.folder).as_posix()
 
     def items(self) -> list[Item]:
-        """Return the programs of the folder, sorted by name."""
+        """Return the programs of the folder with their results, sorted by name."""
         entries = {entry.name: entry for entry in reported_programs(self.results)} if self.results.is_dir() else {}
         setup, names = Setup.of(self.cell), self._names()
         return [
@@ -213,18 +229,23 @@ class Workspace(Struct, frozen=True):
         ]
 
     def _changes(self, name: str, entry: Entry | None, setup: Setup) -> tuple[str, ...]:
-        """Return what has changed since the result of a program; empty without a result."""
+        """Return the inputs that have changed since the result of a program was made; empty without a result.
+
+        :param setup: cell and robot as they are now.
+        """
         if entry is None:
             return ()
         report = self.results / f"{entry.page.removesuffix('.html')}.json"
         return changes(report, self.folder / name, setup, self.process(name))
 
     def add(self, name: str, content: Bytes, size: int) -> Path:
-        """Write a program into the folder: whole, or not at all.
+        """Write a program into the folder and return its path; nothing is written if it is refused.
 
-        :raises InputError: its name or size is refused, a file of this name is there, or it did not come whole.
+        :param content: stream from which the program is read.
+        :param size: its size [bytes].
+        :raises InputError: the name or size is refused, the folder has a file of this name, or the stream ends early.
         """
-        if _FOREIGN.search(name) or len(name.encode(errors="replace")) > 200:
+        if _REFUSED_NAME.search(name) or len(name.encode(errors="replace")) > 200:
             raise InputError(f"{name!r} is no name of a program", advice="Rename the file.")
         if Path(name).suffix.lower() not in registry.extensions():
             kinds = " ".join(sorted(registry.extensions()))
@@ -241,13 +262,13 @@ class Workspace(Struct, frozen=True):
         with tempfile.NamedTemporaryFile(dir=self.folder, prefix=".postproc-", delete=False) as file:
             upload_path = Path(file.name)
             missing_bytes = size
-            while missing_bytes and (piece := content.read(min(_PIECE, missing_bytes))):
+            while missing_bytes and (piece := content.read(min(_PIECE_BYTES, missing_bytes))):
                 file.write(piece)
                 missing_bytes -= len(piece)
         try:
             if missing_bytes:
                 raise InputError(f"{name} did not come whole", advice="Drop it again.")
-            if os.path.lexists(path):
+            if os.path.lexists(path):  # added while this one was read
                 raise InputError(f"{name} is in the folder already", advice="Another window added it.")
             upload_path.replace(path)
         finally:
@@ -256,11 +277,13 @@ class Workspace(Struct, frozen=True):
 
 
 def _name_fault(name: str, names: Sequence[str]) -> str:
-    """Return why the window cannot use the name of a program; empty: it can.
+    """Return the reason why the window cannot use the name of a program; empty: it can.
 
-    :param names: of all programs: two must not be written to the same files, in a robot's language or by the window.
+    Reasons are characters of the name, and another program whose results would have the same file names.
+
+    :param names: names of all programs.
     """
-    if _FOREIGN.search(name):
+    if _REFUSED_NAME.search(name):
         return "its name has a character, a beginning or an end that Windows or a command line would not take"
     stems = _written_stems(name)
     same_stem_names = (
@@ -272,19 +295,20 @@ def _name_fault(name: str, names: Sequence[str]) -> str:
 
 @cache
 def _written_stems(name: str) -> frozenset[str]:
-    """Return the names without extension, lower case, that the files of a program may have."""
+    """Return the names, without extension and in lower case, that written files of a program may have."""
     stem = Path(name).stem
+    # reports have the name of the program, written programs a name that their language allows
     return frozenset(
         text.lower() for text in (stem, *(registry.written_in(language)[1].valid_name(stem) for language in _LANGUAGES))
     )
 
 
 def _path_in_folder(folder: Path, name: str) -> Path:
-    """Return the path of a file of a folder.
+    """Return the path of a file directly in a folder.
 
-    :raises InputError: the name leads elsewhere, also by a symbolic link, or there is no such file.
+    :raises InputError: there is no such file, or its name or a symbolic link leads out of the folder.
     """
     path = folder / name
-    if _FOREIGN.search(name) or not name or not path.is_file() or path.resolve().parent != folder.resolve():
+    if _REFUSED_NAME.search(name) or not name or not path.is_file() or path.resolve().parent != folder.resolve():
         raise InputError(f"no file {name!r} in {folder.name}")
     return path
