@@ -85,7 +85,7 @@ class AutomaticConversion:
                 continue
             if not self._end.is_set():
                 title = f"Correct {path.name}"
-                self._last_run = self._runs.begin(path.name, title, self._workspace.conversion(path.name))
+                self._last_run = self._runs.begin(path.name, title, self._workspace.conversion_arguments(path.name))
                 self._arrivals.finish(path)
             return
 

@@ -19,13 +19,13 @@ def identify_arguments(workspace: Workspace, entry: Readings, form: Mapping[str,
     :raises InputError: a file is not next to the experiment.
     """
     readings = model_path(entry.files, form.get("readings", "") or next((path.name for path in entry.files), ""))
-    arguments = ["identify", "elastostatics", workspace.relative(readings)]
-    arguments += ["--experiment", workspace.relative(entry.experiment)]
+    arguments = ["identify", "elastostatics", workspace.relative_name(readings)]
+    arguments += ["--experiment", workspace.relative_name(entry.experiment)]
     if compensator := form.get("compensator", ""):
-        arguments += ["--compensator", workspace.relative(model_path(entry.compensators, compensator))]
+        arguments += ["--compensator", workspace.relative_name(model_path(entry.compensators, compensator))]
     if form.get("geometry"):
         arguments.append("--geometry")
-    return [*arguments, "-o", workspace.relative(workspace.model(entry.experiment))]
+    return [*arguments, "-o", workspace.relative_name(workspace.model_folder(entry.experiment))]
 
 
 def model_path(paths: Sequence[Path], name: str) -> Path:

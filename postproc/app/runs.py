@@ -150,7 +150,7 @@ class Runs:
             if change is not None:
                 self._check_idle()
                 change()
-            active = self.active()
+            active = self.active_runs()
             for run in active:
                 if run.key == key and run.arguments == tuple(arguments):
                     return run
@@ -179,7 +179,7 @@ class Runs:
 
         :raises InputError: a command runs.
         """
-        for run in self.active():
+        for run in self.active_runs():
             problem = f"{run.title!r} runs and reads the cell: nothing was changed"
             raise InputError(problem, advice="Wait until it has ended, or stop it.")
 
@@ -198,7 +198,7 @@ class Runs:
         """Number of commands begun so far."""
         return len(self._runs)
 
-    def active(self) -> list[Run]:
+    def active_runs(self) -> list[Run]:
         """Return the commands that run now."""
         return [run for run in self._runs if run.code is None]
 
@@ -206,7 +206,7 @@ class Runs:
         """Return the commands with `number` or a greater number, in order."""
         return self._runs[number:]
 
-    def latest(self, key: str) -> Run | None:
+    def latest_run(self, key: str) -> Run | None:
         """Return the latest command with a key, see `Run`; None if no command has it."""
         return next((run for run in reversed(self._runs) if run.key == key), None)
 

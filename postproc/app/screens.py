@@ -362,7 +362,7 @@ def _feed_rule(workspace: Workspace, name: str) -> str:
     Without a process feeds cannot be lowered.
     """
     try:
-        return feed_rule(workspace.cell) if workspace.process(name) is not None else ""
+        return feed_rule(workspace.cell) if workspace.process_file(name) is not None else ""
     except PostprocError:
         return ""
 
@@ -604,10 +604,10 @@ def robots(name: str, workspace: Workspace, readings: Sequence[Readings]) -> Pag
 
 def _readings_row(workspace: Workspace, entry: Readings) -> dict[str, Any]:
     """Return the values for the template of an experiment: name, files of readings and verdict on its model."""
-    model = model_of(workspace.model(entry.experiment))
+    model = model_of(workspace.model_folder(entry.experiment))
     verdict = "not identified yet" if model is None else model.verdict or "geometry only"
     return {
-        "name": workspace.relative(entry.experiment),
+        "name": workspace.relative_name(entry.experiment),
         "files": [path.name for path in entry.files],
         "model": verdict,
     }
@@ -627,7 +627,7 @@ def readings(name: str, workspace: Workspace, entry: Readings) -> Page:
         files=names,
         other_files=names[1:],
         compensators=[path.name for path in entry.compensators],
-        use=_use_of_model(name, workspace, workspace.model(entry.experiment)),
+        use=_use_of_model(name, workspace, workspace.model_folder(entry.experiment)),
         command=command_line(identify_arguments(workspace, entry, {})) if entry.files else "",
     )
 
@@ -650,7 +650,9 @@ def _use_of_model(name: str, workspace: Workspace, folder: Path) -> dict[str, An
         "cell_robot": cell_robot,
         "is_used": is_used,
         "page": f"/model?name={quote(name)}",
-        "material": f"../{workspace.relative(folder)}/material.toml" if (folder / "material.toml").is_file() else "",
+        "material": f"../{workspace.relative_name(folder)}/material.toml"
+        if (folder / "material.toml").is_file()
+        else "",
     }
 
 

@@ -223,7 +223,7 @@ class _Handler(BaseHTTPRequestHandler):
         workspace, runs = self.server.workspace, self.server.runs
         stamp, items = self._stamp(), workspace.items()
         rows = [
-            screens.Row(item, runs.latest(item.name), waits_for="" if self._has_forces(item.name) else "what cuts")
+            screens.Row(item, runs.latest_run(item.name), waits_for="" if self._has_forces(item.name) else "what cuts")
             for item in items
         ]
         self._page(screens.programs(workspace, rows, stamp, is_automatic=self.server.automatic.is_on))
@@ -231,7 +231,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _has_forces(self, name: str) -> bool:
         """Return whether the forces of a program are known: by a process file, or by comments in the program."""
         workspace = self.server.workspace
-        return workspace.process(name) is not None or states_forces(workspace.folder / name)
+        return workspace.process_file(name) is not None or states_forces(workspace.folder / name)
 
     def _stamp(self) -> str:
         """Return a text that changes when the content of the list of programs changes.
@@ -239,12 +239,12 @@ class _Handler(BaseHTTPRequestHandler):
         It contains the number of commands begun: one may begin, fail and write nothing between two requests.
         """
         server = self.server
-        active = "-".join(str(run.number) for run in server.runs.active())
+        active = "-".join(str(run.number) for run in server.runs.active_runs())
         return f"{server.workspace.stamp()}-{server.automatic.is_on}-{server.runs.count}-{active}"
 
     def programs_state(self) -> None:
         """Send as JSON the stamp of the list of programs, and the progress of each running command."""
-        progress_texts = {run.key: run.progress for run in self.server.runs.active()}
+        progress_texts = {run.key: run.progress for run in self.server.runs.active_runs()}
         self._send(200, json.dumps({"stamp": self._stamp(), "working": progress_texts}).encode(), "application/json")
 
     def questions(self, texts: dict[str, str] | None = None) -> None:
@@ -254,7 +254,7 @@ class _Handler(BaseHTTPRequestHandler):
         :raises InputError: there is no such program.
         """
         workspace, name = self.server.workspace, self.query.get("name", "")
-        program = workspace.sole_program(name)
+        program = workspace.usable_program(name)
         answers = load_answers(workspace.results / f"{program.stem}.answers.toml", program)
         process = workspace.results / f"{program.stem}.process.toml"
         needs = needs_of(program)
@@ -290,7 +290,7 @@ class _Handler(BaseHTTPRequestHandler):
         :raises InputError: there is no such program.
         """
         workspace, name = self.server.workspace, self.query.get("name", "")
-        workspace.program(name)
+        workspace.program_file(name)
         item = next((item for item in workspace.items() if item.name == name), None)
         if item is None:
             raise InputError(f"{name} is no program")
@@ -299,8 +299,8 @@ class _Handler(BaseHTTPRequestHandler):
         results.sort(key=lambda path: (path.stem.lower() != Path(name).stem.lower(), path.name))
         other_programs = [f"{RESULTS}/{path.name}" for path in results if path.suffix in _PROGRAM_SUFFIXES]
         other_programs += [other_program.name for other_program in workspace.items() if other_program.name != name]
-        command = command_line(workspace.conversion(name))
-        run = self.server.runs.latest(name)
+        command = command_line(workspace.conversion_arguments(name))
+        run = self.server.runs.latest_run(name)
         self._page(screens.program(item, workspace, other_programs, run=run, command=command))
 
     def run(self) -> None:
@@ -330,7 +330,7 @@ class _Handler(BaseHTTPRequestHandler):
             text = "There is no cell yet: the set-up of the first program asks for robot, base and tool."
             return self._page(screens.message("Cell", text))
         frames = self._frames()
-        fields = fields_of(workspace.stated_cell(), frames)
+        fields = fields_of(workspace.existing_cell(), frames)
         page = screens.cell(
             workspace, fields, fault=fault, texts=texts, is_saved="saved" in self.query, frames=",".join(frames)
         )
@@ -347,7 +347,7 @@ class _Handler(BaseHTTPRequestHandler):
         if not name:
             rows = [(item.name, self._process_in_words(item.name)) for item in workspace.items()]
             return self._page(screens.processes(rows))
-        program = workspace.sole_program(name)
+        program = workspace.usable_program(name)
         path, needs = workspace.process_to_edit(name), needs_of(program)
         if needs.refusal:
             raise InputError(f"{name} cannot be read: {needs.refusal}")
@@ -357,10 +357,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _process_in_words(self, name: str) -> str:
         """Return the source of the forces of a program in words: its process file, its comments, or none yet."""
-        path = self.server.workspace.process(name)
+        path = self.server.workspace.process_file(name)
         if path is not None:
             return f"{RESULTS}/{path.name}"
-        has_forces = states_forces(self.server.workspace.program(name))
+        has_forces = states_forces(self.server.workspace.program_file(name))
         return "forces in its comments" if has_forces else "not stated yet"
 
     def robots(self) -> None:
@@ -391,7 +391,7 @@ class _Handler(BaseHTTPRequestHandler):
         :raises InputError: there is no such experiment.
         """
         workspace = self.server.workspace
-        return workspace.model(workspace.readings(name).experiment) if name else self.server.part.model
+        return workspace.model_folder(workspace.readings(name).experiment) if name else self.server.part.model
 
     def testpart(self) -> None:
         """Send the page of the test part."""
@@ -409,7 +409,7 @@ class _Handler(BaseHTTPRequestHandler):
 
         :raises InputError: there is no such file.
         """
-        self._file(self.server.workspace.result(self.query.get("name", "")))
+        self._file(self.server.workspace.result_file(self.query.get("name", "")))
 
     def _file(self, path: Path) -> None:
         """Send a file of a type in `MEDIA_TYPES`: the browser shows HTML, and saves other files."""
@@ -456,7 +456,7 @@ class _Handler(BaseHTTPRequestHandler):
         :raises InputError: there is no such program, or the command cannot begin.
         """
         form = self.form()
-        arguments = self.server.workspace.conversion(self._program_name(form))
+        arguments = self.server.workspace.conversion_arguments(self._program_name(form))
         for option in screens.FORM_OPTIONS:
             text = form.get(option.name, "").strip()
             if text and option.kind == "flag":
@@ -483,13 +483,13 @@ class _Handler(BaseHTTPRequestHandler):
         """
         name = self._program_name(self.form())
         workspace = self.server.workspace
-        place = tomllib.loads(workspace.place(name).read_text(encoding="utf-8"))
+        place = tomllib.loads(workspace.best_place_file(name).read_text(encoding="utf-8"))
         frames = {f"base_data.{number}": frame for number, frame in place.get("base_data", {}).items()}
         tables = {"base": place["base"], **frames}
         # fields of the form of the cell, such as base.X
         texts = {f"{table}.{axis}": str(value) for table, frame in tables.items() for axis, value in frame.items()}
-        arguments = workspace.conversion(name)
-        self.begin(name, f"Correct {name}", arguments, lambda: edit(workspace.stated_cell(), texts, [*frames]))
+        arguments = workspace.conversion_arguments(name)
+        self.begin(name, f"Correct {name}", arguments, lambda: edit(workspace.existing_cell(), texts, [*frames]))
 
     def feed(self) -> None:
         """Write the rule of feeds into the cell, and begin to correct a program again.
@@ -500,8 +500,8 @@ class _Handler(BaseHTTPRequestHandler):
         """
         form, workspace = self.form(), self.server.workspace
         name, rule = self._program_name(form), "hold" if form.get("rule") == "hold" else "program"
-        cell = workspace.stated_cell()
-        self.begin(name, f"Correct {name}", workspace.conversion(name), lambda: set_feed_rule(cell, rule))
+        cell = workspace.existing_cell()
+        self.begin(name, f"Correct {name}", workspace.conversion_arguments(name), lambda: set_feed_rule(cell, rule))
 
     def automatic(self) -> None:
         """Turn the automatic correction of programs on or off."""
@@ -516,9 +516,9 @@ class _Handler(BaseHTTPRequestHandler):
         form = self.form()
         name, other_program = self._program_name(form), form.get("other", "")
         if other_program.startswith(f"{RESULTS}/"):
-            self.server.workspace.result(other_program.removeprefix(f"{RESULTS}/"))
+            self.server.workspace.result_file(other_program.removeprefix(f"{RESULTS}/"))
         else:
-            self.server.workspace.program(other_program)
+            self.server.workspace.program_file(other_program)
         arguments = self.server.workspace.cell_arguments("compare", name)
         arguments.insert(2, other_program)  # after "compare" and the first program
         if "--process" in arguments:  # `compare` takes process files by --forces too
@@ -543,9 +543,9 @@ class _Handler(BaseHTTPRequestHandler):
         form, workspace = self.form(), self.server.workspace
         name = form.get("name", "")
         entry = workspace.readings(name)
-        arguments = ["identify", "validate", workspace.relative(workspace.model(entry.experiment))]
-        arguments += [workspace.relative(model_path(entry.files, form.get("readings", "")))]
-        arguments += ["--experiment", workspace.relative(entry.experiment)]
+        arguments = ["identify", "validate", workspace.relative_name(workspace.model_folder(entry.experiment))]
+        arguments += [workspace.relative_name(model_path(entry.files, form.get("readings", "")))]
+        arguments += ["--experiment", workspace.relative_name(entry.experiment)]
         self.begin(f"model {name}", f"Check of the model from {name}", arguments, page=f"/readings?name={quote(name)}")
 
     def use_identified_model(self) -> None:
@@ -557,7 +557,7 @@ class _Handler(BaseHTTPRequestHandler):
         model = model_of(self._model(name))
         if model is None or model.refused:
             raise InputError(f"{name}: there is no model that may be used", advice="Identify one first.")
-        self.server.runs.edit(lambda: use_model(workspace.stated_cell(), model.folder))
+        self.server.runs.edit(lambda: use_model(workspace.existing_cell(), model.folder))
         self._redirect(f"/readings?name={quote(name)}" if name else "/testpart")
 
     def write_part(self) -> None:
@@ -596,7 +596,7 @@ class _Handler(BaseHTTPRequestHandler):
 
         :raises InputError: no shipped robot has that name, or there is no cell.
         """
-        name, path = self.form().get("robot", ""), self.server.workspace.stated_cell()
+        name, path = self.form().get("robot", ""), self.server.workspace.existing_cell()
         if name not in shipped_models():
             raise InputError(f"no robot {name!r}", advice="Choose one of the list.")
         try:
@@ -610,7 +610,7 @@ class _Handler(BaseHTTPRequestHandler):
 
         If refused, send the form again with the fault.
         """
-        path = self.server.workspace.stated_cell()
+        path = self.server.workspace.existing_cell()
         try:
             self.server.runs.edit(lambda: choose_start(path))
         except InputError as cause:
@@ -619,7 +619,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def change_cell(self) -> None:
         """Write changed numbers of the form into the cell; if refused, send the form again with the fault."""
-        form, path, frames = self.form(), self.server.workspace.stated_cell(), self._frames()
+        form, path, frames = self.form(), self.server.workspace.existing_cell(), self._frames()
         texts = screens.posted_fields(form, fields_of(path, frames))
 
         def write() -> None:
@@ -639,7 +639,7 @@ class _Handler(BaseHTTPRequestHandler):
     def change_process(self) -> None:
         """Write changed tools, material and stock of a program; if refused, send the form again with the fault."""
         workspace, name, form = self.server.workspace, self.query.get("name", ""), self.form()
-        path, needs = workspace.process_to_edit(name), needs_of(workspace.sole_program(name))
+        path, needs = workspace.process_to_edit(name), needs_of(workspace.usable_program(name))
 
         def fields() -> list[FormField]:
             """Return the fields of the process file as it is now."""
@@ -679,7 +679,7 @@ class _Handler(BaseHTTPRequestHandler):
 
         :raises InputError: there is no such program.
         """
-        return self.server.workspace.sole_program(form.get("name", "")).name
+        return self.server.workspace.usable_program(form.get("name", "")).name
 
 
 def _report_fault(fault: Exception) -> str:

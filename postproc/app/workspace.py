@@ -95,21 +95,21 @@ class Workspace(Struct, frozen=True):
         """Path of the cell for all programs; the file may not exist yet."""
         return self.results / "cell.toml"
 
-    def program(self, name: str) -> Path:
+    def program_file(self, name: str) -> Path:
         """Return the path of a program of the folder.
 
         :raises InputError: the folder has no file of this name.
         """
         return _path_in_folder(self.folder, name)
 
-    def sole_program(self, name: str) -> Path:
+    def usable_program(self, name: str) -> Path:
         """Return the path of a program whose name the window can use, see `name_fault`.
 
         :raises InputError: the folder has no file of this name, or the window cannot use the name.
         """
         if fault := self.name_fault(name):
             raise InputError(f"{name}: {fault}", advice="Rename it.")
-        return self.program(name)
+        return self.program_file(name)
 
     def name_fault(self, name: str) -> str:
         """Return the reason why the window cannot use the name of a program; empty: it can."""
@@ -122,7 +122,7 @@ class Workspace(Struct, frozen=True):
             path.name for path in self.folder.iterdir() if path.suffix.lower() in extensions and path.is_file()
         )
 
-    def result(self, name: str) -> Path:
+    def result_file(self, name: str) -> Path:
         """Return the path of a result, in `RESULTS` or a folder of it: ``part.report.html``, ``place/place.html``.
 
         :raises InputError: there is no such result, or the window does not send files of its type.
@@ -132,14 +132,14 @@ class Workspace(Struct, frozen=True):
             raise InputError(f"no result {name!r}")
         return self.path_in_folder(_path_in_folder(self.results / folder, file))
 
-    def stated_cell(self) -> Path:
+    def existing_cell(self) -> Path:
         """Return the path of the cell; unlike `cell`, the file exists and is in the folder.
 
         :raises InputError: there is no cell, or a symbolic link leads out of the folder.
         """
         return self.path_in_folder(_path_in_folder(self.results, self.cell.name))
 
-    def place(self, name: str) -> Path:
+    def best_place_file(self, name: str) -> Path:
         """Return the path of `place.toml`, the best place for a program.
 
         :raises InputError: no best place was found for it yet.
@@ -155,7 +155,7 @@ class Workspace(Struct, frozen=True):
             raise InputError(f"{path.name} is not in {self.folder.name}")
         return path
 
-    def process(self, name: str) -> Path | None:
+    def process_file(self, name: str) -> Path | None:
         """Return the process file of a program; None if it has none.
 
         :raises InputError: a symbolic link leads out of the folder.
@@ -165,9 +165,9 @@ class Workspace(Struct, frozen=True):
 
     def process_to_edit(self, name: str) -> Path:
         """Return the process file of a program, or the path at which it will be written if it has none."""
-        return self.process(name) or self.results / f"{self.program(name).stem}.process.toml"
+        return self.process_file(name) or self.results / f"{self.program_file(name).stem}.process.toml"
 
-    def conversion(self, name: str) -> list[str]:
+    def conversion_arguments(self, name: str) -> list[str]:
         """Return the arguments of the command that corrects a program."""
         return self.cell_arguments("convert", name)
 
@@ -177,7 +177,7 @@ class Workspace(Struct, frozen=True):
         :param command: name of the command.
         :param output: output folder.
         """
-        process = self.process(name)
+        process = self.process_file(name)
         process_option = [] if process is None else ["--process", f"{RESULTS}/{process.name}"]
         return [command, name, "--cell", f"{RESULTS}/{self.cell.name}", *process_option, "-o", output]
 
@@ -194,12 +194,12 @@ class Workspace(Struct, frozen=True):
         :raises InputError: the folder has no experiment of this name.
         """
         for entry in readings_of(self.folder):
-            if self.relative(entry.experiment) == name:
+            if self.relative_name(entry.experiment) == name:
                 self.path_in_folder(entry.experiment)
                 return entry
         raise InputError(f"no experiment {name!r} in {self.folder.name}")
 
-    def model(self, experiment: Path) -> Path:
+    def model_folder(self, experiment: Path) -> Path:
         """Return the folder of the model that is identified from an experiment.
 
         It has the name of the folder of the experiment; directly in `folder`, that of its file.
@@ -215,7 +215,7 @@ class Workspace(Struct, frozen=True):
         """
         return self.path_in_folder(_path_in_folder(model, "report.html"))
 
-    def relative(self, path: Path) -> str:
+    def relative_name(self, path: Path) -> str:
         """Return the path of a file relative to the folder, with ``/``, as commands name it."""
         return path.relative_to(self.folder).as_posix()
 
@@ -236,7 +236,7 @@ class Workspace(Struct, frozen=True):
         if entry is None:
             return ()
         report = self.results / f"{entry.page.removesuffix('.html')}.json"
-        return changes(report, self.folder / name, setup, self.process(name))
+        return changes(report, self.folder / name, setup, self.process_file(name))
 
     def add(self, name: str, content: Bytes, size: int) -> Path:
         """Write a program into the folder and return its path; nothing is written if it is refused.

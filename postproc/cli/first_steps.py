@@ -207,7 +207,7 @@ def init(files: tuple[Path, ...], robodk: str | None, **options: Any) -> None:
     if programs:
         request = _request_for_programs(cell, programs, options)
     else:
-        values = {key: value for key, value in _ask(options).items() if not key.startswith("rotary")}
+        values = {key: value for key, value in _complete_options(options).items() if not key.startswith("rotary")}
         request = CellRequest(
             output=cell, **values | {"m_codes": {code: [] for code in options["m_codes"]}}, **_rotary(options)
         )
@@ -388,7 +388,7 @@ def _station_warnings(station: Station, robot: str) -> tuple[str, ...]:
     return (*station.remarks, *(() if warning is None else (warning,)))
 
 
-def _ask(options: dict[str, Any]) -> dict[str, Any]:
+def _complete_options(options: dict[str, Any]) -> dict[str, Any]:
     """Return `options`, in which missing values are set: asked if robot, base or tool is missing, else by default.
 
     :raises click.UsageError: robot, base or tool is missing, and there is no terminal.
@@ -401,7 +401,7 @@ def _ask(options: dict[str, Any]) -> dict[str, Any]:
             f"Give {', '.join(f'--{name}' for name in absent_names)} (there is no terminal to ask on)."
         )
 
-    def ask(name: str, text: str, default: Any, kind: str) -> None:
+    def set_option(name: str, text: str, default: Any, kind: str) -> None:
         """Set `options[name]` if it is None: ask the user if robot, base or tool is missing, else take the default.
 
         :param text: the question.
@@ -420,16 +420,18 @@ def _ask(options: dict[str, Any]) -> dict[str, Any]:
         from postproc.robot import shipped_models
 
         click.echo(f"Robots: {', '.join(shipped_models())}")
-    ask("robot", "Robot, or the path of a model folder", "kuka_kr270", "robot")
+    set_option("robot", "Robot, or the path of a model folder", "kuka_kr270", "robot")
     if options["base"] is None:
         default_base = ",".join(f"{value:g}" for value in first_steps.usual_base(options["robot"]))
-        ask("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", default_base, "frame")
-    ask("tool", "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]", "0,0,350", "frame")
+        set_option("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", default_base, "frame")
+    set_option("tool", "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]", "0,0,350", "frame")
     if absent_names:
         _ask_for_program(options)
-    ask("clearance", "Z of $BASE to which programs retract (G28, G30, G53)", f"{first_steps.CLEARANCE_MM:g}", "number")
+    set_option(
+        "clearance", "Z of $BASE to which programs retract (G28, G30, G53)", f"{first_steps.CLEARANCE_MM:g}", "number"
+    )
     text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
-    ask("tool_change", text, answers.BY_HAND, "line")
+    set_option("tool_change", text, answers.BY_HAND, "line")
     if absent_names:
         _ask_for_shop(options, answers.BY_HAND)
     return options

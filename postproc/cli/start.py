@@ -100,11 +100,11 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
     kept_files = [file for file, is_kept in (("cell", keep_cell), ("process", keep_process)) if is_kept]
     is_asked = {"cell": not keep_cell, "process": not keep_process and process is not None}
     option_texts = _option_answers(options, needs)
-    _ask(needs, answers, answer_file, answers_path, option_texts, is_asked=is_asked, kept_files=kept_files)
+    _collect_answers(needs, answers, answer_file, answers_path, option_texts, is_asked=is_asked, kept_files=kept_files)
     files = write_files(
         needs, answers, answer_file, cell=cell, process=process, keep_cell=keep_cell, keep_process=keep_process
     )
-    _save(answers_path, answer_file)
+    _save_answers(answers_path, answer_file)
     for remark in files.remarks:
         click.echo(f"warning: {remark}", err=True)
     outcome = _convert_and_print(ctx, program, folder, files.cell, files.process, options)
@@ -145,7 +145,7 @@ def _frame_name(table: str) -> str:
 def _option_answers(options: Mapping[str, Any], needs: ProgramNeeds) -> dict[str, str]:
     """Return the answers that options give: name of the answer → text.
 
-    `$TOOL` of the only tool of the program also answers for the option `--tool`, unless that is given.
+    `--tools` for the only tool of the program is the answer to the question for `$TOOL`, unless `--tool` is given.
     """
     # --to is an option of the conversion, not an answer
     texts = {
@@ -189,7 +189,7 @@ def _answers_of_option(option: str, name: str, text: str, needs: ProgramNeeds) -
         yield f"{name}.{key}", f"0,0,{value}" if option == "tools" and "," not in value else value
 
 
-def _ask(
+def _collect_answers(
     needs: ProgramNeeds,
     answers: Answers,
     answer_file: Any,
@@ -234,7 +234,7 @@ def _ask(
         is_unchecked_stock = question.key == "stock" and "stock" in answers.offered_keys
         if (on_terminal and not is_unchecked_stock) or question.key in option_texts:
             answer_file.answers[question.key] = text
-            _save(answers_path, answer_file)
+            _save_answers(answers_path, answer_file)
     _report_unused(option_texts, option_texts.keys() - question_keys, answer_file, kept_files)
     if unanswered:
         lines = [f"  {item.option}    {item.text}" for item in unanswered]
@@ -271,7 +271,7 @@ def _file_of(name: str) -> str:
     return "process" if name.partition(".")[0] in _PROCESS_ANSWERS else "cell"
 
 
-def _save(path: Path, answer_file: Any) -> None:
+def _save_answers(path: Path, answer_file: Any) -> None:
     """Write the answers to a file; its folder is created if needed."""
     from postproc.jobs.guided_start import save_answers
 
@@ -337,7 +337,10 @@ def _convert_and_print(
 
 
 def _offer_place(outcome: Outcome, program: Path, cell: Path, process: Path | None) -> None:
-    """Offer to search another place of the part if that may help: print the command, and run it if the user agrees."""
+    """Offer to search another place of the part if that may help: print the command, and run it if the user agrees.
+
+    :param process: process file or file of forces; None: no forces.
+    """
     from postproc.errors import argument
 
     if (reason := _reason_to_search_place(outcome)) is None:

@@ -201,10 +201,14 @@ def _tolerance_sentence(tolerance: Tolerance | None) -> str:
     if tolerance.held:
         return f"Your tolerance of {tolerance.mm:g} mm is held."
     sentence = f"Your tolerance of {tolerance.mm:g} mm is not held"
-    return f"{sentence}. What would help: {remedies(tolerance.would_help)}." if tolerance.would_help else f"{sentence}."
+    return (
+        f"{sentence}. What would help: {remedies_text(tolerance.would_help)}."
+        if tolerance.would_help
+        else f"{sentence}."
+    )
 
 
-def remedies(actions: Sequence[Remedy]) -> str:
+def remedies_text(actions: Sequence[Remedy]) -> str:
     """Return remedies in words with the expected error [mm] of each, the smallest error first."""
     by_error = sorted(actions, key=lambda remedy: remedy.expected_mm)
     return ", ".join(f"{remedy.action} ({two_digits(remedy.expected_mm)} mm at best)" for remedy in by_error)

@@ -125,18 +125,18 @@ def summary(
         refused={name: count for name, count in zip(PLACE_REASONS[1:], refusal_counts, strict=True) if count},
         refused_later=dict(Counter(place.problem for place in search.refusals)),
         moved_frames=moved_frames,
-        sentence=_sentence(search),
+        sentence=_advice_sentence(search),
     )
 
 
-def _finite(value: float | None, decimals: int) -> float | None:
+def _rounded_or_none(value: float | None, decimals: int) -> float | None:
     """Return a number rounded to `decimals`; None for None, NaN and infinity, which JSON does not have."""
     return None if value is None or not np.isfinite(value) else round(value, decimals)
 
 
-def _in_mm(value: float | None) -> float | None:
+def _rounded_mm_or_none(value: float | None) -> float | None:
     """Return a length [m] in mm, rounded to a nanometre; None for None, NaN and infinity."""
-    return None if value is None else _finite(value * MM_PER_M, 6)
+    return None if value is None else _rounded_or_none(value * MM_PER_M, 6)
 
 
 def _place_entry(place: JudgedPlace) -> PlaceEntry:
@@ -151,18 +151,18 @@ def _place_entry(place: JudgedPlace) -> PlaceEntry:
         A=a,
         E1=e1,
         turn_deg=round(place.turn * DEG_PER_RAD, 3),
-        deflection_mm=_in_mm(assessment.deflection),
-        uncorrected_mm=_in_mm(assessment.uncorrected),
-        corrected_mm=_in_mm(assessment.corrected),
-        chance=_finite(assessment.chance, 6),
-        min_joint_margin_deg=_finite(place.margin * DEG_PER_RAD, 3),
-        min_singular_value=_finite(place.singular, 6),
+        deflection_mm=_rounded_mm_or_none(assessment.deflection),
+        uncorrected_mm=_rounded_mm_or_none(assessment.uncorrected),
+        corrected_mm=_rounded_mm_or_none(assessment.corrected),
+        chance=_rounded_or_none(assessment.chance, 6),
+        min_joint_margin_deg=_rounded_or_none(place.margin * DEG_PER_RAD, 3),
+        min_singular_value=_rounded_or_none(place.singular, 6),
         reachable=place.reachable,
         reason=place.problem or None,
     )
 
 
-def _sentence(search: Search) -> str:
+def _advice_sentence(search: Search) -> str:
     """Return the advice of the search in a sentence: where to move the part, and what that gains."""
     today, best = search.today, search.best
     if best is None:
@@ -190,7 +190,7 @@ def _no_place_sentence(search: Search) -> str:
     refused_place = search.refusals[0]
     return (
         f"No place of the region was found at which the programs can be driven: {len(search.refusals)} that can be "
-        f"by samples of the path were tried further. {_coordinates(refused_place.place)}: {refused_place.problem}."
+        f"by samples of the path were tried further. {_coordinate_text(refused_place.place)}: {refused_place.problem}."
     )
 
 
@@ -216,7 +216,7 @@ def places_csv(search: Search) -> Iterator[bytes]:
         entry = _place_entry(place)
         # all columns but the last two are fields of an entry; u95_mm is in the CSV file alone
         values: list[object] = [
-            _in_mm(place.u95) if name == "u95_mm" else getattr(entry, name) for name in _COLUMNS[:-2]
+            _rounded_mm_or_none(place.u95) if name == "u95_mm" else getattr(entry, name) for name in _COLUMNS[:-2]
         ]
         values += [int(place.reachable), entry.reason]
         yield (",".join("" if value is None else str(value) for value in values) + "\n").encode()
@@ -430,10 +430,10 @@ def _map_plot(
         marks.append(Points([today[horizontal]], [today[vertical]], "today", "before", hollow=True))
         notes.append("Ring: today's place.")
     else:
-        notes.append(f"Today's place is not on this map: {_coordinates(today)}.")
+        notes.append(f"Today's place is not on this map: {_coordinate_text(today)}.")
     if best is not None:
         marks.append(Points([best[horizontal]], [best[vertical]], "best", "warning"))
-        notes.append(f"Dot: the best place, {_coordinates(best)}.")
+        notes.append(f"Dot: the best place, {_coordinate_text(best)}.")
     return Plot(
         label=f"{title}: expected error by place, and why places are refused.",
         traces=[grid, *marks],
@@ -452,7 +452,7 @@ def _is_on_map(search: Search, axes: tuple[int, int], x: Sequence[float], y: Seq
     return is_in_plane and x[0] <= place[horizontal] <= x[-1] and y[0] <= place[vertical] <= y[-1]
 
 
-def _coordinates(place: Sequence[float]) -> str:
+def _coordinate_text(place: Sequence[float]) -> str:
     """Return a place [mm, deg] in words, for example "X 1500, Y 0, Z 700, A 15°"; E1 is left out if it is 0."""
     return ", ".join(
         f"{axis} {value:g}{'' if unit == 'mm' else unit}"

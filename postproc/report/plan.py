@@ -161,16 +161,16 @@ def _torque_entries(result: PlanResult) -> list[dict[str, object]]:
     # work: sizes (6, 2) of the torques of the work to the negative and to the positive side
     counts, work = pose_counts_by_side(result), result.directions.work
 
-    def by_sign(name: str, values: Iterable[float]) -> dict[str, float]:
+    def values_by_sign(name: str, values: Iterable[float]) -> dict[str, float]:
         """Return the values of the negative and the positive side by key: `name` with the sign in place of `{}`."""
         return {name.format(sign): value for sign, value in zip(SIGNS, values, strict=True)}
 
     return [
         {
             "joint": joint,
-            **by_sign("{}_Nm", (float(low[k]), float(high[k]))),
-            **by_sign("{}_poses", counts[k].tolist()),
-            **by_sign("work_{}_Nm", (float(without_negative_zero(-work[k, 0])), float(work[k, 1]))),
+            **values_by_sign("{}_Nm", (float(low[k]), float(high[k]))),
+            **values_by_sign("{}_poses", counts[k].tolist()),
+            **values_by_sign("work_{}_Nm", (float(without_negative_zero(-work[k, 0])), float(work[k, 1]))),
         }
         for k, joint in enumerate(JOINTS)
     ]

@@ -161,7 +161,7 @@ def as_text(content: ForcesSummary) -> str:
 def materials(entries: dict[str, Entry]) -> str:
     """Return the table of materials as text: coefficients, source and warning of each.
 
-    :param entries: by name of the material.
+    :param entries: name of each material → its coefficients, of one of two cutting laws.
     """
     lines = []
     for name, entry in entries.items():

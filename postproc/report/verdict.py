@@ -23,7 +23,7 @@ from postproc.report.answers import (
     Tolerance,
     Verdict,
     chance_in_words,
-    remedies,
+    remedies_text,
     verdict_of,
 )
 from postproc.report.formatting import State, above_limit_text, two_digits
@@ -155,7 +155,7 @@ def _improvement_answer(
         doubts.append(
             Finding(
                 corrected_errors.largest * MM_PER_M,
-                f"{wide}. What would help: {remedies(actions)}" if actions else wide,
+                f"{wide}. What would help: {remedies_text(actions)}" if actions else wide,
             )
         )
     if content.mode == "convert" and (corrected_errors.largest - uncorrected.largest) * MM_PER_M > CUT_MM:

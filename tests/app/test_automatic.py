@@ -271,7 +271,7 @@ def test_a_program_that_is_copied_into_the_folder_is_corrected_and_shown(browser
         row.get_by_text("Not corrected yet").wait_for()  # the page has shown it by itself
         looked_at(page, "40-off")
         page.wait_for_timeout(2500)
-        assert window.runs.latest("other.nc") is None
+        assert window.runs.latest_run("other.nc") is None
         page.get_by_role("button", name="Turn it on").click()
         row.get_by_role("link", name="Working").or_(row.get_by_role("link", name="look at it")).wait_for()
         looked_at(page, "41-working")

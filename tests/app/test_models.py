@@ -60,7 +60,7 @@ def test_readings_lead_to_nothing_outside(window, tmp_path, name):
         assert ask(window, "POST", path, form)[0] == 400
     form = urlencode({"name": NAME, "readings": "../corrected/cell.toml"}).encode()
     assert ask(window, "POST", "/identify", form)[0] == 400
-    assert window.runs.active() == []
+    assert window.runs.active_runs() == []
 
 
 def test_a_model_that_may_not_be_used_is_not_taken(window):

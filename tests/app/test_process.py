@@ -158,11 +158,11 @@ def test_the_process_is_not_changed_while_a_command_runs(window):
 def test_the_process_for_all_programs_is_that_of_a_program_without_one(shop):
     results = shop / "corrected"
     with Window(shop, 0) as window:
-        assert window.workspace.process("part.nc") == results / "part.process.toml"
-        assert window.workspace.process("other.nc") is None
+        assert window.workspace.process_file("part.nc") == results / "part.process.toml"
+        assert window.workspace.process_file("other.nc") is None
         shutil.copy(results / "part.process.toml", results / "process.toml")
-        assert window.workspace.process("other.nc") == results / "process.toml"
-        assert window.workspace.process("part.nc") == results / "part.process.toml"
+        assert window.workspace.process_file("other.nc") == results / "process.toml"
+        assert window.workspace.process_file("part.nc") == results / "part.process.toml"
 
 
 def test_each_tool_of_a_module_gets_a_table_by_its_name(tmp_path):

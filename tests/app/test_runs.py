@@ -184,10 +184,10 @@ def test_programs_that_would_be_written_to_the_same_files_are_refused(shop, name
     workspace = Workspace(shop.resolve())
     (shop / name).write_text("x")
     with pytest.raises(InputError, match="its files would be those of"):
-        workspace.sole_program("part.nc")
+        workspace.usable_program("part.nc")
     assert [item.is_current for item in workspace.items()] == [False, False]
     (shop / name).unlink()
-    assert workspace.sole_program("part.nc").name == "part.nc"
+    assert workspace.usable_program("part.nc").name == "part.nc"
     with open(shop / "part.nc", "rb") as file, pytest.raises(InputError, match="its files would be those of"):  # noqa: PTH123
         workspace.add(name, file, 10)
 
@@ -198,7 +198,7 @@ def test_names_that_become_one_on_the_controller_are_the_same(shop):
     for name in ("my part.nc", "my_part.nc"):
         (shop / name).write_text("G0 X1\n")
     with pytest.raises(InputError, match="its files would be those of"):
-        Workspace(shop.resolve()).sole_program("my part.nc")
+        Workspace(shop.resolve()).usable_program("my part.nc")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no files of these names")

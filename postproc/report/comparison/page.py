@@ -458,7 +458,7 @@ def _operations_section(
         cells = [
             operation.name or f"operation {number}",
             tool_text(comparison.nominal, operation.tool) or "-",
-            names[0].line((operation.nominal_file, operation.nominal_line)),
+            names[0].line_text((operation.nominal_file, operation.nominal_line)),
             str(operation.pairs),
             millimetres(operation.offset.max_mm),
             *([millimetres(cut.nominal.max_mm), millimetres(cut.corrected.max_mm)] if cut is not None else []),
@@ -493,7 +493,7 @@ def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequenc
     nominal_places = comparison.nominal.places(comparison.pair[worst, 0])
     corrected_places = comparison.corrected.places(comparison.pair[worst, 1])
     for k, row in enumerate(worst.tolist()):
-        cells = [names[0].line(nominal_places.of(k)), names[1].line(corrected_places.of(k))]
+        cells = [names[0].line_text(nominal_places.of(k)), names[1].line_text(corrected_places.of(k))]
         cells.append(millimetres(float(comparison.distance[row]) * MM_PER_M))
         cells += [f"{value:.4f}" for value in without_negative_zero(comparison.offset[row] * MM_PER_M)]
         cells.append(f"{np.degrees(comparison.rotation[row]):.4f}")

@@ -41,13 +41,13 @@ class Names(Struct, frozen=True):
     prefix: str
     has_several_files: bool
 
-    def place(self, file_and_line: tuple[str, int]) -> str:
+    def location_text(self, file_and_line: tuple[str, int]) -> str:
         """Return file and line as text, such as `folder/part.src:12`."""
         return f"{self.prefix}{file_and_line[0]}:{file_and_line[1]}"
 
-    def line(self, file_and_line: tuple[str, int]) -> str:
+    def line_text(self, file_and_line: tuple[str, int]) -> str:
         """Return a line number for tables, preceded by its file if the program has several files."""
-        return self.place(file_and_line) if self.has_several_files else str(file_and_line[1])
+        return self.location_text(file_and_line) if self.has_several_files else str(file_and_line[1])
 
 
 def names_of(comparison: Comparison) -> tuple[Names, Names]:
@@ -453,7 +453,7 @@ def _cut_distances(comparison: Comparison, names: Sequence[Names], rows: slice) 
 
 
 def _largest_gap(comparison: Comparison, names: Sequence[Names]) -> PathGap:
-    """Return the largest distance of the paths between targets [mm], and its pair.
+    """Return the largest distance of the paths between targets [mm], and its pair; 0 without a pair if none counts.
 
     :param names: display names of the files of both programs.
     """
@@ -641,7 +641,7 @@ def _numbers_of_targets(comparison: Comparison, targets: _TableTargets) -> Array
     unpaired = pair_count + np.flatnonzero(corrected_row[pair_count:] >= 0)
     corrected_pose[unpaired] = xyzabc_from_pose(corrected_motions.target[corrected_row[unpaired]])
 
-    def of_pairs(values: Array | None) -> Array:
+    def pair_column(values: Array | None) -> Array:
         """Return a column (n,) with the values of the pairs, NaN for other targets; None: NaN for all targets."""
         column = np.full(len(targets.state), np.nan)
         if values is not None:
@@ -653,14 +653,14 @@ def _numbers_of_targets(comparison: Comparison, targets: _TableTargets) -> Array
         [
             nominal_pose,
             corrected_pose,
-            of_pairs(comparison.distance * MM_PER_M),
-            of_pairs(comparison.rotation * DEG_PER_RAD),
+            pair_column(comparison.distance * MM_PER_M),
+            pair_column(comparison.rotation * DEG_PER_RAD),
             np.where(nominal_row >= 0, comparison.nominal_feed[nominal_row], np.nan) * MM_PER_M,
             np.where(corrected_row >= 0, corrected_motions.feed[corrected_row], np.nan) * MM_PER_M,
-            of_pairs(None if cuts is None else norm(cuts.nominal) * MM_PER_M),
-            of_pairs(None if cuts is None else norm(cuts.corrected_deviation) * MM_PER_M),
-            of_pairs(comparison.path_distance * MM_PER_M),
-            of_pairs(comparison.cut_length * MM_PER_M),
+            pair_column(None if cuts is None else norm(cuts.nominal) * MM_PER_M),
+            pair_column(None if cuts is None else norm(cuts.corrected_deviation) * MM_PER_M),
+            pair_column(comparison.path_distance * MM_PER_M),
+            pair_column(comparison.cut_length * MM_PER_M),
         ]
     )
 
@@ -719,7 +719,7 @@ def comparison_text(content: ComparisonSummary, display: Display = PLAIN) -> str
 
 
 def _distance_table(content: ComparisonSummary, display: Display) -> str:
-    """Return the table of offsets, and of the deviations of both programs where forces are known [mm]."""
+    """Return the table of offsets, and of the deviations of both programs if forces are known [mm], as text."""
     cut, between_targets = content.cut, content.between
     head = ["along the cuts [mm]", "offset"] + (["nominal cuts", "corrected cuts"] if cut is not None else [])
     distances = [content.offset] + ([cut.nominal, cut.corrected] if cut is not None else [])

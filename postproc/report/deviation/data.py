@@ -202,7 +202,7 @@ class Deviation(Struct, frozen=True, dict=True):
         _, first = np.unique(self.result.source_line[surface.row[deepest_first]], return_index=True)
         return deepest_first[np.sort(first)[:_MOST_GOUGES]]
 
-    def row_of(self, issue: Issue) -> int | None:
+    def first_row_of_issue(self, issue: Issue) -> int | None:
         """Return the row of the first target on the source line of an issue; None if the line has no target."""
         rows = np.flatnonzero(self.result.source_line == issue.source_line)
         return int(rows[0]) if len(rows) else None
@@ -210,7 +210,7 @@ class Deviation(Struct, frozen=True, dict=True):
     def _linked_rows(self) -> Ints:
         """Return the rows of the result to which tables of the page lead: thinning of the targets must keep them."""
         result = self.result
-        issue_rows = [row for issue in result.issues if (row := self.row_of(issue)) is not None]
+        issue_rows = [row for issue in result.issues if (row := self.first_row_of_issue(issue)) is not None]
         operation_rows = [operation.first for operation in self.operations]
         rows = [self.worst_rows, np.array([*operation_rows, *issue_rows], dtype=np.int64)]
         if self.surface is not None:
@@ -220,7 +220,7 @@ class Deviation(Struct, frozen=True, dict=True):
             rows.append(result.reversals.row[result.largest_reversals])
         return np.concatenate(rows)
 
-    def stock(self) -> dict[str, Columns]:
+    def stock_columns(self) -> dict[str, Columns]:
         """Return the columns of the remaining stock: vertices with their depth below its top [mm], faces, sharp edges.
 
         Empty without a process.
@@ -241,7 +241,7 @@ class Deviation(Struct, frozen=True, dict=True):
     def columns(self) -> dict[str, Columns]:
         """Return the columns of the page by name: places, path, stock, meshes of links and bodies, surface."""
         tables = {"places": self.places.columns, "drawn": self.places.path_columns}
-        tables |= self.stock()
+        tables |= self.stock_columns()
         meshes: list[LinkShape | Body] = [*self.links, *self.bodies]
         if meshes:
             points = np.concatenate([mesh.points for mesh in meshes]) * MM_PER_M
@@ -289,11 +289,11 @@ class Deviation(Struct, frozen=True, dict=True):
             worst=worst,
             lower=(result.robot.lower * DEG_PER_RAD).tolist(),
             upper=(result.robot.upper * DEG_PER_RAD).tolist(),
-            bases=[_in_mm(base) for base in program.bases],
-            tools=[_in_mm(tool) for tool in program.tools],
-            placement=[_in_mm(joint) for joint in nominal.placement],
+            bases=[_pose_entries_mm(base) for base in program.bases],
+            tools=[_pose_entries_mm(tool) for tool in program.tools],
+            placement=[_pose_entries_mm(joint) for joint in nominal.placement],
             axis=nominal.axis.tolist(),
-            flange=_in_mm(nominal.flange),
+            flange=_pose_entries_mm(nominal.flange),
             # carriers are numbered from −1, the base
             links=[(mesh.carrier + 1, len(mesh.points), len(mesh.faces)) for mesh in self.links],
             bodies=[(mesh.carrier + 1, len(mesh.points), len(mesh.faces)) for mesh in self.bodies],
@@ -375,7 +375,7 @@ def _histogram(values: Array, cut_length: Array) -> Histogram:
     return Histogram(edges.tolist(), heights.tolist())
 
 
-def _in_mm(pose: Array) -> list[float]:
+def _pose_entries_mm(pose: Array) -> list[float]:
     """Return the 16 entries of a pose (4, 4) [m] row by row, its translation in mm."""
     pose_mm = pose.copy()
     pose_mm[:3, 3] *= MM_PER_M

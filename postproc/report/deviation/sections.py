@@ -664,7 +664,7 @@ def issues_section(data: Deviation) -> Section:
                 Cell(_line_ranges(issue), sort=issue.source_line),
                 str(issue.count),
             ),
-            None if (row := data.row_of(issue)) is None else data.places.place_of_row(row),
+            None if (row := data.first_row_of_issue(issue)) is None else data.places.place_of_row(row),
             issue.source_line,
         )
         for issue in issues

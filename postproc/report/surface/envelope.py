@@ -68,9 +68,9 @@ def remaining_surface(path: CutPath, centre: Array, normal: Array, cutter: Cutte
         rows = slice(first, first + _CHUNK_FACETS)
         _, nearest = path.tree.query(centre[rows])
         facets = _Facets.of(centre[rows], normal[rows], path.axis[nearest], cutter)
-        highest, offset = _seeds(path, facets, cutter)
+        highest, offset = _surface_bounds(path, facets, cutter)
         # deviations move the tool of a facet, and those that compete with it, by the largest one each
-        low, high = _region(facets, cutter, highest + 2.0 * max(largest), offset)
+        low, high = _search_boxes(facets, cutter, highest + 2.0 * max(largest), offset)
         pairs = _Pairs(*grid.points_in_boxes(low, high))
         parts.append(_lowest_entries(path, facets, cutter, pairs, highest, largest))
     return RemainingSurface(
@@ -313,7 +313,7 @@ def _first_entry(line: _Line, facet: Ints, start: float, limit: Array, cutter: C
     return _Entries(entry, best, lower_bound)
 
 
-def _seeds(path: CutPath, facets: _Facets, cutter: Cutter) -> tuple[Array, Array]:
+def _surface_bounds(path: CutPath, facets: _Facets, cutter: Cutter) -> tuple[Array, Array]:
     """Return an upper bound of the programmed surface above facets, by the samples next to the place of contact.
 
     :returns: (n,) bound [m]; (n,) distance of the nearest sample from the place of contact [m].
@@ -329,7 +329,7 @@ def _seeds(path: CutPath, facets: _Facets, cutter: Cutter) -> tuple[Array, Array
     return np.maximum(np.minimum(entry, limit), 0.0) + _ENTRY_TOLERANCE, distance.reshape(len(index), -1)[:, 0]
 
 
-def _region(facets: _Facets, cutter: Cutter, gap: Array, offset: Array) -> tuple[Array, Array]:
+def _search_boxes(facets: _Facets, cutter: Cutter, gap: Array, offset: Array) -> tuple[Array, Array]:
     """Return boxes, low and high corners (n, 3) [m], with the corner centres of all tools that may matter for facets.
 
     These are the tools that enter the normal of a facet up to a gap above it. An empty box has a high corner of −∞.

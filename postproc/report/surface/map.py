@@ -15,7 +15,7 @@ from postproc.program import Bools, Ints, distinct
 from postproc.report.surface.contact import nearest_place
 from postproc.report.surface.envelope import RemainingSurface, remaining_surface
 from postproc.report.surface.path import CHORD_DISTANCE, CutPath, Frames, piece_start, tool_path
-from postproc.report.surface.programmed import Mesh, add_tips, cut_depths
+from postproc.report.surface.programmed import Mesh, add_tip_depths, cut_depths
 
 _CHUNK_FACETS = 20_000
 """Number of facets that are computed at once: arrays of their candidates are 46 MB each."""
@@ -93,12 +93,13 @@ def surface(
     frames = Frames.of(result, mesh_frame)
     paths = list(_tool_paths(result, frames, cutters, np.zeros(len(result), dtype=np.int64) if tool is None else tool))
     depth, cut_row = _programmed_cuts(paths, corners, normal)
+    # cuts up to the distance of arcs from their chords are not certain
     cut_row[depth <= (CHORD_DISTANCE if coarse is None else coarse + CHORD_DISTANCE)] = -1
     centre = corners.mean(axis=1)
     if cutters is None:
         place = _nearest_places(paths, centre, normal)
         uncorrected_change, corrected_change = (
-            np.einsum("fi,fi->f", _interpolated(result, place, frames.to_mesh(values)), normal)
+            np.einsum("fi,fi->f", _interpolated_values(result, place, frames.to_mesh(values)), normal)
             for values in (result.deviation_before, result.deviation_after)
         )
         remaining_height = np.full(len(corners), np.nan)  # unknown: the tool has no shape
@@ -110,7 +111,7 @@ def surface(
         normal=normal,
         before=uncorrected_change,
         after=corrected_change,
-        bound=None if result.bound is None else _interpolated(result, place, result.bound),
+        bound=None if result.bound is None else _interpolated_values(result, place, result.bound),
         row=place.row,
         programmed=np.where(cut_row >= 0, -depth, np.maximum(remaining_height, 0.0)),
         programmed_row=cut_row,
@@ -159,7 +160,7 @@ def _programmed_cuts(paths: list[tuple[CutPath, Cutter | None]], corners: Array,
     mesh, centre = Mesh.of(corners, normal), corners.mean(axis=1)
     for path, cutter in paths:
         if cutter is None:
-            add_tips(mesh, path, depth, row)  # changes depth and row
+            add_tip_depths(mesh, path, depth, row)  # changes depth and row
             continue
         for first in range(0, len(centre), _CHUNK_FACETS):
             part = slice(first, first + _CHUNK_FACETS)
@@ -225,7 +226,7 @@ def _deepest_surfaces(surfaces: list[RemainingSurface], count: int) -> _DeepestS
     )
 
 
-def _interpolated(result: Result, place: _Place, values: Array) -> Array:
+def _interpolated_values(result: Result, place: _Place, values: Array) -> Array:
     """Return values (F, …) at places of the path, linear between targets; NaN where there is no place.
 
     :param values: (K, …) values at the targets.

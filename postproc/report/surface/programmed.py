@@ -160,7 +160,7 @@ def _is_inside(from_tip: Array, axis: Array, cutter: Cutter) -> Bools:
     )
 
 
-def add_tips(mesh: Mesh, path: CutPath, depth: Array, row: Ints) -> None:
+def add_tip_depths(mesh: Mesh, path: CutPath, depth: Array, row: Ints) -> None:
     """Increase `depth` and set `row` in place at facets next to which a tip of the path is deeper inside the mesh.
 
     For tools of unknown shape, of which only the tip is known.
