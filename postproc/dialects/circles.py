@@ -66,9 +66,8 @@ def arcs_through(start: Array, via: Array, end: Array) -> ArcsThroughPoints:
     Centre: circumcentre of the triangle, c = s + ((v·v) e − (e·e) v) × (v × e) / (2 |v × e|²), v and e seen from s.
     """
     to_via, to_end = via - start, end - start
-    via_square, end_square, chord_square = (
-        np.einsum("ni,ni->n", v, v) for v in (to_via, to_end, to_end - to_via)
-    )  # squared lengths
+    # squared lengths
+    via_square, end_square, chord_square = (np.einsum("ni,ni->n", v, v) for v in (to_via, to_end, to_end - to_via))
     cross = np.cross(to_via, to_end)
     size = np.linalg.norm(cross, axis=1)
     longest_square = np.maximum(np.maximum(via_square, end_square), chord_square)
@@ -105,7 +104,7 @@ class Circle(Struct, frozen=True, eq=False):
 
     def fault_at(self, point: Array) -> str | None:
         """Return the reason that a point (3,) is not on the circle, or None if it is on it."""
-        length = self.polar_components(point)[1]
+        _, length = self.polar_components(point)
         deviation = abs(length - self.radius)
         if self.radius < _MIN_RADIUS_MM or deviation > max(TOLERANCE_MM, _RADIUS_TOLERANCE * self.radius):
             return f"{length:.4f} mm from the axis of a circle with radius {self.radius:.4f} mm"
@@ -113,7 +112,7 @@ class Circle(Struct, frozen=True, eq=False):
 
     def sweep(self, start: Array, end: Array) -> float:
         """Return the angle from `start` (3,) to `end` (3,) [rad], in (0, 2π]; 2π if the points coincide."""
-        start_vector, end_vector = self.polar_components(start)[0], self.polar_components(end)[0]
+        (start_vector, _), (end_vector, _) = self.polar_components(start), self.polar_components(end)
         if norm(end_vector - start_vector) <= _COINCIDENCE_TOLERANCE_MM:
             return 2.0 * np.pi
         angle = float(np.arctan2(self.axis @ np.cross(start_vector, end_vector), start_vector @ end_vector))
@@ -125,7 +124,8 @@ class Circle(Struct, frozen=True, eq=False):
 
     def centre_at_height(self, point: Array) -> Array:
         """Return the point (3,) of the axis that is nearest to a point (3,)."""
-        return np.asarray(point - self.polar_components(point)[0])
+        radial, _ = self.polar_components(point)
+        return np.asarray(point - radial)
 
 
 def tangent_circle(start: Array, direction: Array, centre: Array, radius: float) -> Circle | None:
@@ -161,9 +161,11 @@ def arc_point_count(circle: Circle, start: Array, points: Array, digit_mm: float
         return 1
     path = np.vstack([start[None], points[:count]])
     sweeps = np.array([circle.sweep(begin, end) for begin, end in pairwise(path)])
+    # angle of each point from the start, and its height along the axis
     total_sweep, height = np.cumsum(sweeps), (points[:count] - start) @ circle.axis
     off_helix = np.abs(height - height[0] * total_sweep / total_sweep[0]) > TOLERANCE_MM
-    deviation = np.array([abs(circle.polar_components(point)[1] - circle.radius) for point in path])
+    lengths = (length for _, length in map(circle.polar_components, path))
+    deviation = np.array([abs(length - circle.radius) for length in lengths])
     is_beside = deviation[1:] > max(digit_mm, _OFF_CIRCLE_FACTOR * float(deviation[:2].max()))  # path[0] is the start
     is_off_circle = off_helix | is_beside
     if is_off_circle.any():

@@ -44,6 +44,7 @@ def needs_comment(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[
     row = np.flatnonzero(kind != PTP)
     state = rounded_states(row)  # code of the frame, then the wrench
     state_before = np.concatenate([np.full((1, state.shape[1]), start), state])[:-1]
+    # the program has a note between this target and the one before
     follows_note = np.diff(note[row], prepend=-1) != 0
     state_before[follows_note] = states[note[row[follows_note]]]
     # both are rounded: different values differ by one unit of the last decimal or more; NaN needs a comment

@@ -106,14 +106,14 @@ class NewProgram:
         Each goes before the first target of the motion that it precedes. Dwells, stops, lines of the cell and motions
         to joint angles are added to `stop_targets`. Events without lines of the cell get a comment and one warning.
         """
-        waiting = -1  # the target before which the advance run already stops; −1: none
+        stopped_before = -1  # the target before which the advance run already stops; −1: none
         words = self.words
         for event in self._ordered_events():
-            if isinstance(event, int):
+            if isinstance(event, int):  # a motion to joint angles
                 k = self._first_target_of(event)
                 self.lines_before[k].append(words.axis_motion(self.program.motions.joints[event]))
                 self.stop_targets.add(k)
-                waiting = -1
+                stopped_before = -1
                 continue
             k = self.first_target(event)
             if event.kind == "comment":
@@ -123,12 +123,12 @@ class NewProgram:
                     words.halt if event.kind == "stop" else words.dwell.format(number_text(event.value))
                 )
                 self.stop_targets.add(k)
-                waiting = k
+                stopped_before = k
             else:
                 cell_lines = self._lines_or_warning(event)
-                if cell_lines and waiting != k and words.wait:
+                if cell_lines and stopped_before != k and words.wait:
                     self.lines_before[k].append(words.wait)
-                    waiting = k
+                    stopped_before = k
                 if cell_lines:
                     self.stop_targets.add(k)
                     self.cell_lines[k] += cell_lines
@@ -201,12 +201,13 @@ class NewProgram:
     def path_speeds(self) -> tuple[Ints, Array]:
         """Return the targets of lines and circles (n,), and their speeds (n,) [1e-6 m/s], whole numbers.
 
-        :raises ProgramError: a move has no feed, or one that would be printed as 0.
+        :raises ProgramError: a move has no feed, or a feed that would be printed as 0.
         """
         motions = self.program.motions
         path = np.flatnonzero(self.targets.kind != PTP)
         feed = motions.feed[self.motion_of_target[path]]
         millionths = np.rint(feed * 10.0**_DECIMALS)
+        # NaN without a feed is invalid too
         invalid_rows = np.flatnonzero(~(millionths > 0.0))
         if len(invalid_rows):
             line, speed = int(motions.line[self.motion_of_target[path[invalid_rows[0]]]]), feed[invalid_rows[0]]
@@ -238,9 +239,12 @@ class NewProgram:
         """
         count = len(self.motion_of_target)
         note_targets = np.array(sorted(self.lines_before), dtype=np.int64)
-        step = np.ones(count + 1, dtype=np.int32)
-        step[note_targets] += np.array([len(self.lines_before[k]) for k in note_targets.tolist()], dtype=np.int32)
-        step[0] += len(head)
+        # number of lines of each target: its own, and those before it
+        line_counts = np.ones(count + 1, dtype=np.int32)
+        line_counts[note_targets] += np.array(
+            [len(self.lines_before[k]) for k in note_targets.tolist()], dtype=np.int32
+        )
+        line_counts[0] += len(head)
         text = "".join(line + LINE_END for line in head)
         for part in chunks(count):
             rows = np.arange(part.start, min(part.stop, count))
@@ -248,7 +252,7 @@ class NewProgram:
                 rows, print_lines, note_targets[(note_targets >= part.start) & (note_targets < part.stop)]
             )
         text += "".join(line + LINE_END for line in (*self.lines_before.get(count, ()), *end))
-        return text, np.cumsum(step[:count], dtype=step.dtype)
+        return text, np.cumsum(line_counts[:count], dtype=line_counts.dtype)
 
     def _chunk(self, rows: Ints, print_lines: Callable[[int, Ints], bytes], note_targets: Ints) -> str:
         """Return the lines of consecutive targets, with the lines that precede them.

@@ -55,9 +55,8 @@ def line_spans(text: str, piece: int = _PIECE) -> tuple[Ints, Ints]:
     """
     starts, stops, begin = [], [], 0
     while True:
-        piece_end = text.find("\n", begin + piece) + 1 or len(
-            text
-        )  # behind LF no line end is cut in two: LF is always its last character
+        # behind LF no line end is cut in two: LF is always its last character
+        piece_end = text.find("\n", begin + piece) + 1 or len(text)
         first, last = _spans(text[begin:piece_end])
         starts.append(first + begin)
         stops.append(last + begin)
@@ -78,9 +77,8 @@ def _spans(text: str) -> tuple[Ints, Ints]:
     stops = ends = np.flatnonzero(units == _LF)
     carriage_returns = np.flatnonzero(units == _CR)
     if len(carriage_returns):
-        following = np.concatenate(
-            [units, np.zeros(2, units.dtype)]
-        )  # so that a CR at the end has two characters behind it
+        # with two zeros, so that a CR at the end has two characters behind it
+        following = np.concatenate([units, np.zeros(2, units.dtype)])
         next_unit, second_unit = following[carriage_returns + 1], following[carriage_returns + 2]
         lone_returns = carriage_returns[(next_unit != _LF) & ((next_unit != _CR) | (second_unit != _LF))]
         # ends - 1 and ends - 2 wrap round at the beginning of the text: the conditions below exclude that

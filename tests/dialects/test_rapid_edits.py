@@ -49,12 +49,15 @@ def rewritten(code, targets, data="", forces=None, lowered=None, line_end="\n"):
     )  # fmt: skip
     joints = SimpleNamespace(q=np.zeros((count, 6)), status=np.zeros(count, dtype=np.int64))
     writer = _Rewriter(program, program.layout, made, joints, None)
-    writer.turn, writer.conf = np.tile([0.0, 1.0, 0.0, 0.0], (count, 1)), np.zeros((count, 4), dtype=np.int64)
+    writer.quaternion, writer.configuration = (
+        np.tile([0.0, 1.0, 0.0, 0.0], (count, 1)),
+        np.zeros((count, 4), dtype=np.int64),
+    )
     writer.degrees = np.full((count, 6), 45.0)
     for motion, feed in (lowered or {}).items():
         program.motions.feed[motion] = feed
-        writer.lowered.add(motion)
-    writer._forces = lambda: forces or {}
+        writer.lowered_moves.add(motion)
+    writer._missing_force_comments = lambda: forces or {}
     result = writer.write()
     lines = result.documents[0].text.split(line_end)
     home = next(k for k, line in enumerate(lines) if line.strip().startswith("MoveAbsJ"))
@@ -270,10 +273,10 @@ def test_an_inserted_axis_target_is_a_movej_with_numbers():
 def test_external_axes_of_numbers_that_are_written_anew_are_those_as_read(axes, written):
     writer = object.__new__(_Rewriter)
     writer._configuration = lambda numbers, k: [1, -2, 3, 4]
-    writer.turn = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.6, -0.8, 0.0]])
+    writer.quaternion = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.6, -0.8, 0.0]])
     numbers = [0.0] * 11 + [float(value) for value in axes.strip("[]").split(",")]
     place = np.array([1.23456, -7.0, 0.0])
     start = "[[1.2346,-7.0000,0.0000]"
     turns = ["[0.00000000,0.60000000,-0.80000000,0.00000000]", "[0.50000000,0.50000000,0.50000000,0.50000000]"]
-    assert writer._whole(numbers, place, 1) == f"{start},{turns[0]},[1,-2,3,4],{written}]"
-    assert writer._whole(numbers, place, 1, np.full(4, 0.5)) == f"{start},{turns[1]},[1,-2,3,4],{written}]"
+    assert writer._target_text(numbers, place, 1) == f"{start},{turns[0]},[1,-2,3,4],{written}]"
+    assert writer._target_text(numbers, place, 1, np.full(4, 0.5)) == f"{start},{turns[1]},[1,-2,3,4],{written}]"

@@ -202,11 +202,14 @@ def _tools(moves: _Moves, numbers: dict[float, int]) -> Ints:
 
 
 def _motion_moves(moves: _Moves, numbers: dict[float, int]) -> Ints:
-    """Return the moves (M,) that are motions: the first move, and all moves that change the position or the tool.
+    """Return the moves (M,) that are motions: the first move, and all moves that are not of zero length.
+
+    An arc, a joint motion, a turn and a change of the tool are motions even if the tip does not move.
 
     :param numbers: number of each tool of the program → its index.
     """
     tool = _tools(moves, numbers)
+    # the first move changes no tool
     is_tool_change = np.diff(tool, prepend=tool[:1]) != 0
     is_long = norm(moves.end - moves.begin) > _MOVE_TOLERANCE_MM
     is_first = np.arange(len(tool)) == 0
@@ -323,6 +326,7 @@ def _opposite_directions(moves: _Moves, source: Statements) -> list[Fault]:
 
 def _notes_before_motions(notes: Sequence[ForceNote], motions: Motions) -> tuple[ForceNote, ...]:
     """Return the force notes, each with the index of the first motion behind it."""
+    # lines of motions ascend: index of the first motion on or behind the line of each note
     indices = np.searchsorted(motions.line, [note.line for note in notes]).tolist()
     return tuple(replace(note, before=index) for note, index in zip(notes, indices, strict=True))
 
@@ -347,6 +351,7 @@ def _events(
         for event in course.events
         if event.kind != "comment" or parse_force_note(event.text, 1, "") is None
     ]
+    # index of the first motion on or behind the line of each comment
     motion_index = np.searchsorted(motions.line, [line for line, _ in comments]).tolist()
     comment_events = [
         Event(before, "comment", line, 0.0, text) for (line, text), before in zip(comments, motion_index, strict=True)

@@ -162,6 +162,7 @@ def _join_lines(chars: np.typing.NDArray[np.uint8]) -> tuple[bytes, Ints]:
     keep = np.ones(len(chars), dtype=np.bool_)
     keep[ends[is_continued]] = False
     keep[ends[is_continued] - 1] = False
+    # a statement begins on a line if the line before it is not continued
     return chars[keep].tobytes(), np.flatnonzero(np.append(True, ~is_continued[:-1])) + 1
 
 
@@ -178,6 +179,7 @@ def _plain_gotos(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, 
         text = _numbers_text(chars, ends, rows)
         first, last = numbers_in(text)
         length = np.diff(ends)[rows] - len(_GOTO)
+        # offset in `text` at which the numbers of each statement begin, and its end
         begin = np.concatenate([[0], np.cumsum(length)])
         word_count = np.diff(np.searchsorted(first, begin))  # numbers that begin within each statement
         is_complete = word_count == count
@@ -242,6 +244,7 @@ def _counts(is_counted: np.typing.NDArray[np.bool_], ends: Ints, rows: Ints) -> 
     :param ends: (S + 1,) offsets, see `Statements`.
     :param rows: (n,) the statements.
     """
+    # number of counted characters before each character
     preceding_count = np.cumsum(np.append(0, is_counted), dtype=np.int64)
     return np.asarray(preceding_count[ends[rows + 1]] - preceding_count[ends[rows]])
 

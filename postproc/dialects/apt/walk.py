@@ -200,6 +200,7 @@ class _Walk:
             other_rows = [
                 row for row in statements.others.tolist() if row > self.end_row and statements.of(row) != "FINI"
             ]
+            # points are ascending rows
             goto_rows = statements.points[np.searchsorted(statements.points, self.end_row) :].tolist()
             course.after_end = (*other_rows, *goto_rows)
         elif self.partno_row >= 0 and not course.faults:
@@ -212,6 +213,7 @@ class _Walk:
     def _run_plain_gotos(self, begin: int, end: int) -> None:
         """Execute the plain GOTO statements from row `begin` to row `end` (exclusive); add an error to the faults."""
         statements = self.statements
+        # points are ascending rows: indices of the first one in the range, and behind the last
         first, last = np.searchsorted(statements.points, [begin, end]).tolist()
         if first < last and self.end_row < 0:
             self.has_path_ended = False
@@ -548,6 +550,7 @@ class _Walk:
         :param words: numbers behind ``GOTO/``: x, y, z, and perhaps i, j, k; or several points.
         :raises StatementError: the numbers are not those of points, or the move cannot be executed.
         """
+        # up to 100 points of three numbers
         points = numbers_of(words, *((3, 6) if self.pending_arc is None else range(3, 301, 3)))
         if len(points) in (3, 6) and (len(points) == 3 or abs(norm(points[3:]) - 1.0) < LENGTH_TOLERANCE):
             numbers = np.append(points, np.full(6 - len(points), np.nan))[None]
@@ -1008,6 +1011,7 @@ class _Walk:
         """
         del row
         rows = numbers_of(words, 12).reshape(3, 4)
+        # the matrix of the axes is orthogonal
         if np.abs(rows[:, :3] @ rows[:, :3].T - np.eye(3)).max() > LENGTH_TOLERANCE:
             raise StatementError("CSYS has no axes of length 1 at right angles", "Check its twelve numbers.")
         if not self.in_fixture and not np.array_equal(rows, np.eye(3, 4)):

@@ -151,6 +151,7 @@ class PlainRounds(Struct, frozen=True, eq=False):
 
         :param statement: line of that statement in its file.
         """
+        # each round is the row that sets the counter, in place of the line of FOR, and the lines of the body
         return np.asarray(self.first + statement - self.head + self.length * np.arange(self.count))
 
     def indices(self, offset: int) -> range:

@@ -187,9 +187,8 @@ class Krl:
         except OSError:
             return []
         stems = [path.stem, *_part_names(path, names)]
-        file_names = [f"{stem}{end}".lower() for stem in stems for end in (".src", ".dat")][
-            1:
-        ]  # without the .src itself
+        # without the first: the .src itself
+        file_names = [f"{stem}{end}".lower() for stem in stems for end in (".src", ".dat")][1:]
         path_of: dict[str, Path] = {}
         for name in sorted(names):
             key = name.lower()

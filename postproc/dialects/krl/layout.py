@@ -120,6 +120,7 @@ class Layout(Struct, frozen=True, eq=False):
         :param columns: the components to return; all eight by default.
         """
         offsets = self.relative_spans[rows, columns].astype(np.int32)
+        # 0 in `relative_spans`: missing
         return np.where(offsets > 0, offsets + self.target_start[rows, None, None], -1)
 
     def places(self, rows: Ints) -> Places | None:

@@ -32,7 +32,7 @@ from postproc.dialects.rapid.instructions import (
     is_unfollowed_motion,
 )
 from postproc.dialects.rapid.loaded import LoadedModules, name_clash, named_like_rapid
-from postproc.dialects.rapid.moves import Move, Setting, equal, stated_move
+from postproc.dialects.rapid.moves import Move, Setting, are_equal, stated_move
 from postproc.dialects.rapid.syntax import (
     Assignment,
     Comment,
@@ -50,7 +50,7 @@ from postproc.dialects.rapid.syntax import (
     calls,
 )
 from postproc.dialects.rapid.values import (
-    ROUNDING,
+    SINGLE_PRECISION_TOLERANCE,
     Scope,
     UnknownValueError,
     Value,
@@ -621,7 +621,7 @@ class Execution:
         rounds_after_first = {start: list(runs) for start, runs in self.result.rounds.items()}
         self._execute_block(loop.body, scope, routine, depth)
         first, second = self.result.moves[move_count:first_end], self.result.moves[first_end:]
-        is_same = len(first) == len(second) and all(map(equal, first, second))
+        is_same = len(first) == len(second) and all(map(are_equal, first, second))
         if not is_same or self._state(scope) != state_after_first or self.setting != setting_after_first:
             problem = "the rounds of this loop without end differ"
             raise RapidError(problem, loop.start, "Put the moves of the part into a routine of its own.")
@@ -720,14 +720,13 @@ class Execution:
         ConfL has no effect here. Unknown speeds of VelSet are an error.
         """
         switches = {argument.name for argument in statement.arguments if argument.name}
-        setting, name = self.setting, statement.name
-        fields = {"follows": setting.follows, "area": setting.area, "circles": setting.circles, "speed": setting.speed}
+        name = statement.name
         if name == "CONFJ":
-            fields["follows"] = "ON" in switches
+            self.setting = replace(self.setting, follows_configuration="ON" in switches)
         elif name == "SINGAREA":
-            fields["area"] = next(iter(switches), "OFF")
+            self.setting = replace(self.setting, singularity_mode=next(iter(switches), "OFF"))
         elif name == "CIRPATHMODE":
-            fields["circles"] = next(iter(switches), "PATHFRAME")
+            self.setting = replace(self.setting, circle_mode=next(iter(switches), "PATHFRAME"))
         elif name == "VELSET":
             try:
                 percent, limit = (
@@ -736,8 +735,7 @@ class Execution:
             except (UnknownValueError, ValueError):
                 self._refuse(statement, "the speeds of VelSet are not known", "Write them as numbers.")
                 return
-            fields["speed"] = (percent / 100.0, limit)
-        self.setting = Setting(**fields)  # type: ignore[arg-type]
+            self.setting = replace(self.setting, speed_share=percent / 100.0, speed_limit=limit)
 
     def _execute_call(self, statement: Instruction, routine: Routine, scope: Scope, depth: int) -> None:
         """Call a routine: bind its parameters, execute it, and make data unknown that it may have changed otherwise.
@@ -750,7 +748,7 @@ class Execution:
         :param depth: number of calls around the calling routine.
         :raises RapidError: the routine cannot be followed.
         """
-        inner = Scope(self.data)
+        callee_scope = Scope(self.data)
         bound = list(bound_arguments(routine, statement.arguments, scope))
         handler_names = self.effects.changed_by_handler(routine)
         for parameter, expression, is_given in bound:
@@ -767,11 +765,11 @@ class Execution:
                     variable.why = cause.problem
             if parameter.name in handler_names:
                 _interrupt_variable(variable, f"the handler of {routine.name}")
-            inner.inner[parameter.name] = variable
-            inner.presence[parameter.name] = is_given
+            callee_scope.inner[parameter.name] = variable
+            callee_scope.presence[parameter.name] = is_given
         if self._routine_moves(routine):
             self.result.calls.setdefault(routine.name, []).append(statement)
-        self._execute_routine(routine, inner, depth + 1)
+        self._execute_routine(routine, callee_scope, depth + 1)
         for parameter, expression, _ in bound:
             if parameter.changeable and expression is not None and not _is_data_name(expression, scope):
                 _forget_variable(scope.find(base_name(expression)), f"{routine.name} may change it")
@@ -854,7 +852,9 @@ def _loop_values(loop: Loop, scope: Scope) -> list[float]:
     count = (end - begin) / step
     if count > MOST_STATEMENTS:
         raise UnknownValueError("there are too many")
-    if abs(count - round(count)) < ROUNDING * max(count, 1.0) and not (begin.is_integer() and step.is_integer()):
+    if abs(count - round(count)) < SINGLE_PRECISION_TOLERANCE * max(count, 1.0) and not (
+        begin.is_integer() and step.is_integer()
+    ):
         raise UnknownValueError("whether there is a last round depends on the rounding of the controller")
     values = [begin]
     while (end - values[-1] - step) * step >= 0.0:  # added up as the controller does

@@ -95,6 +95,7 @@ def _line_at(text: str, line: Ints, start: int) -> int:
 
     :param line: (L,) line of the file for each line of the text.
     """
+    # the last line that begins at or before the offset
     return int(line[np.searchsorted(line_spans(text)[0], start, side="right") - 1])
 
 
@@ -277,5 +278,6 @@ def _apply_changes(text: str, line: Ints, changes: Sequence[_Change]) -> tuple[s
     piece = np.searchsorted(piece_begins, first_character, side="right") - 1  # the piece that contains it
     offset = first_character - piece_begins[piece]
     old_offset = np.where(origins[piece] >= 0, origins[piece] + offset, -1 - origins[piece])
+    # the last old line that begins at or before the origin
     old_row = np.searchsorted(line_spans(text)[0], old_offset, side="right") - 1
     return new_text, line[old_row]

@@ -1,6 +1,6 @@
-"""The motion that a move instruction of RAPID states: targets, speed, zone, tool and work object, with their values.
+"""Motions that move instructions of RAPID state: targets, speed, zone, tool and work object, with their values.
 
-What arguments mean: ABB, Technical reference manual, RAPID Instructions, Functions and Data types (3HAC16581).
+Source: ABB, Technical reference manual, RAPID Instructions, Functions and Data types (3HAC16581).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from postproc.dialects.rapid.values import (
 )
 
 Frames = Callable[[str, str], Value | None]
-"""Returns the tool or work object of the cell by name and type, for those that no module declares, or None."""
+"""Function of name and type of a tool or work object that no module declares; returns that of the cell, or None."""
 
 _OPTIONS = {"WOBJ", "V", "T", "Z", "CONC", "INPOS", "TLOAD", "NOEOFFS", "T1", "T2", "T3", "T4", "T5", "T6", "T7", "T8"}
 _REFUSED_OPTIONS = {
@@ -36,31 +36,34 @@ _REFUSED_OPTIONS = {
 }
 
 
-_LARGEST = 1e6
-"""Speeds [mm/s], durations [s] and zones [mm] beyond are mistakes (assumed)."""
+_PLAUSIBLE_LIMIT = 1e6
+"""Larger speeds [mm/s], durations [s] and zones [mm] are mistakes (assumed)."""
 
 
 class Setting(Struct, frozen=True):
-    """What instructions have set for the moves that follow.
+    """Settings that apply to moves until an instruction changes them.
 
-    :ivar follows: True while MoveJ goes to the configuration of its target (ConfJ).
-    :ivar area: SingArea: OFF, WRIST or LOCKAXIS4.
-    :ivar circles: CirPathMode: PATHFRAME, OBJECTFRAME or another.
-    :ivar speed: VelSet: share of the speed, and its limit [mm/s].
+    :ivar follows_configuration: ConfJ: True if MoveJ goes to the configuration of its target.
+    :ivar singularity_mode: SingArea: OFF, WRIST or LOCKAXIS4.
+    :ivar circle_mode: CirPathMode: PATHFRAME, OBJECTFRAME or another.
+    :ivar speed_share: VelSet: factor of programmed speeds.
+    :ivar speed_limit: VelSet: largest speed of the TCP [mm/s].
     """
 
-    follows: bool = True
-    area: str = "OFF"
-    circles: str = "PATHFRAME"
-    speed: tuple[float, float] = (1.0, 5000.0)
+    follows_configuration: bool = True
+    singularity_mode: str = "OFF"
+    circle_mode: str = "PATHFRAME"
+    speed_share: float = 1.0
+    speed_limit: float = 5000.0
 
 
 class Target(Struct, frozen=True, eq=False):
     """The end of a motion or the point on a circle.
 
     :ivar numbers: the 17 numbers of a robtarget, or the 12 of a jointtarget.
-    :ivar expression: of the argument; `literal` that of its numbers in the text, if they stand there.
-    :ivar data: declaration that has the numbers; None: the argument itself has them, or they are calculated.
+    :ivar expression: the argument of the move.
+    :ivar literal: aggregate that contains the numbers in the text; None if they are calculated.
+    :ivar data: declaration whose initial value is `literal`; None if the literal is the argument, or there is none.
     """
 
     numbers: list[float]
@@ -72,10 +75,19 @@ class Target(Struct, frozen=True, eq=False):
 class Move(Struct, frozen=True, eq=False):
     """An executed motion.
 
-    :ivar speed: of the TCP [mm/s], `duration` [s] if that is given instead, else 0.
-    :ivar turn_speed: largest speed at which the tool turns (v_ori) [deg/s]; infinite if it is not stated.
+    :ivar statement: the instruction.
+    :ivar kind: `LIN`, `CIRC` or `PTP`.
+    :ivar target: the end of the motion.
+    :ivar via: the point on a circle; None for other motions.
+    :ivar joints: True if the target is a jointtarget.
+    :ivar speed: speed of the TCP [mm/s]; 0 if a duration is stated.
+    :ivar duration: duration of the motion [s]; 0 if a speed is stated.
+    :ivar turn_speed: largest rotational speed of the tool (v_ori) [deg/s]; infinite if it is not known.
     :ivar zone: approximation distance [mm]; 0 for a stop.
-    :ivar tool_name: of the data that are the tool, as they are declared; empty for a component of other data.
+    :ivar tool: value of the tooldata.
+    :ivar tool_name: name of the tooldata as it is spelled in its declaration; empty for a component of other data.
+    :ivar wobj: value of the wobjdata.
+    :ivar setting: settings that apply to the motion.
     """
 
     statement: Instruction
@@ -96,7 +108,9 @@ class Move(Struct, frozen=True, eq=False):
 def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setting, frames: Frames) -> Move:
     """Return the motion that an instruction states.
 
-    :param form: of its arguments; `setting`: what earlier instructions have set.
+    :param form: order of its arguments.
+    :param scope: data at this time.
+    :param setting: settings that apply to the motion.
     :param frames: see `Frames`.
     :raises UnknownValueError: a value is not known before the program runs, or an option is not followed.
     """
@@ -109,7 +123,7 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
             raise UnknownValueError(f"the move {_REFUSED_OPTIONS[name]} (\\{name})")
         if name not in _OPTIONS:
             raise UnknownValueError(f"\\{name} is not followed")
-    min_count = form.points + 3 + form.before_zone  # points, speed, perhaps a trigger, zone and tool
+    min_count = form.points + 3 + form.before_zone  # points, speed, triggers, zone and tool
     if not min_count <= len(expressions) <= min_count + form.behind:
         raise UnknownValueError(f"{statement.name} has {len(expressions)} arguments instead of {min_count}")
     *via_points, end_point = (_target(expressions[k], scope, joints=form.joints) for k in range(form.points))
@@ -134,9 +148,10 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
 
 
 def _target(expression: Expression, scope: Scope, *, joints: bool) -> Target:
-    """Return the numbers of a target and where they are written.
+    """Return the numbers of a target, and the literal and declaration that contain them.
 
-    :raises UnknownValueError: they are unknown, or of another type.
+    :param joints: True if the move needs a jointtarget.
+    :raises UnknownValueError: the numbers are unknown, or the value has another type.
     """
     if expression.kind == "numbers":
         if joints:
@@ -149,8 +164,9 @@ def _target(expression: Expression, scope: Scope, *, joints: bool) -> Target:
     variable = scope.find(base_name(expression))
     if expression.kind == "list":
         return Target(numbers, expression, expression)
-    if variable is not None and variable.literal and variable.declaration is not None:
+    if variable is not None and variable.literal and variable.declaration is not None:  # still its initial value
         element = _element(expression, variable.declaration.value, scope)
+        # only literals of module data can be corrected: local data are declared again in each call
         if element is not None and scope.outer.get(base_name(expression)) is variable:
             return Target(numbers, expression, element, variable.declaration)
     return Target(numbers, expression)
@@ -159,31 +175,38 @@ def _target(expression: Expression, scope: Scope, *, joints: bool) -> Target:
 def _speed_and_duration(
     expression: Expression, options: dict[str, Argument], scope: Scope, setting: Setting
 ) -> tuple[float, float]:
-    """Return the speed of the TCP [mm/s] and the duration of the move [s]; the one that is not stated is 0.
+    r"""Return the speed of the TCP [mm/s] and the duration of the move [s].
 
-    :raises UnknownValueError: neither is known.
+    With ``\T`` the speed is 0; otherwise the duration is 0, and the speed is that of ``\V`` or of the speeddata. VelSet
+    scales and limits it.
+
+    :param expression: the speeddata.
+    :raises UnknownValueError: the stated speed or duration is not known, or out of range.
     """
-    share, limit = setting.speed
+    share, limit = setting.speed_share, setting.speed_limit
     for name in ("T", "V"):
         argument = options.get(name)
         if argument is not None and argument.value is not None:
-            value = number(argument.value, scope)
-            if not 0.0 < value < _LARGEST:
+            stated_number = number(argument.value, scope)
+            if not 0.0 < stated_number < _PLAUSIBLE_LIMIT:
                 raise UnknownValueError(f"\\{name} must be more than 0")
-            return (0.0, value / share) if name == "T" else (min(value * share, limit), 0.0)
+            return (0.0, stated_number / share) if name == "T" else (min(stated_number * share, limit), 0.0)
     value, _ = evaluate(expression, scope)
     if not isinstance(value, list) or len(value) != len(FIELDS["SPEEDDATA"]):
         raise UnknownValueError("the speed is no speeddata")
-    tcp = value[0]
-    if isinstance(tcp, bool) or not isinstance(tcp, float) or not 0.0 < tcp < _LARGEST:
+    tcp_speed = value[0]
+    if isinstance(tcp_speed, bool) or not isinstance(tcp_speed, float) or not 0.0 < tcp_speed < _PLAUSIBLE_LIMIT:
         raise UnknownValueError("the speed of the TCP must be more than 0")
-    return min(tcp * share, limit), 0.0
+    return min(tcp_speed * share, limit), 0.0
 
 
 def _turn_speed(expression: Expression, options: dict[str, Argument], scope: Scope, setting: Setting) -> float:
-    """Return v_ori of the speeddata of a move [deg/s]; infinite if it is not known, or the move has a duration.
+    r"""Return the rotational speed of the tool in a move [deg/s]: v_ori of the speeddata, scaled by VelSet.
 
-    VelSet changes it in proportion; the option V gives another speed of the TCP only, T another one of all.
+    ``\V`` replaces only the speed of the TCP. ``\T`` states the duration of the whole move: the result is infinite. It
+    is infinite too if v_ori is not known, or not above zero.
+
+    :param expression: the speeddata.
     """
     if "T" in options:
         return math.inf
@@ -191,16 +214,20 @@ def _turn_speed(expression: Expression, options: dict[str, Argument], scope: Sco
         value, _ = evaluate(expression, scope)
     except UnknownValueError:
         return math.inf
-    speed = value[1] if isinstance(value, list) and len(value) == len(FIELDS["SPEEDDATA"]) else None
-    if not isinstance(speed, float) or isinstance(speed, bool) or speed <= 0.0:
+    is_speeddata = isinstance(value, list) and len(value) == len(FIELDS["SPEEDDATA"])
+    turn_speed = value[1] if is_speeddata else None  # v_tcp, v_ori, …
+    if not isinstance(turn_speed, float) or isinstance(turn_speed, bool) or turn_speed <= 0.0:
         return math.inf
-    return speed * setting.speed[0]
+    return turn_speed * setting.speed_share
 
 
 def _zone(expression: Expression, options: dict[str, Argument], scope: Scope) -> float:
-    """Return the radius [mm] of a zone, 0 for a stop point.
+    r"""Return the radius [mm] of the zone of a move; 0 for a stop point.
 
-    :raises UnknownValueError: it is unknown.
+    ``\Z`` states the radius. ``\Inpos`` makes the end a stop point.
+
+    :param expression: the zonedata.
+    :raises UnknownValueError: the zone is unknown, or out of range.
     """
     argument = options.get("Z")
     if argument is not None and argument.value is not None:
@@ -210,17 +237,18 @@ def _zone(expression: Expression, options: dict[str, Argument], scope: Scope) ->
     value, _ = evaluate(expression, scope)
     if not isinstance(value, list) or len(value) != len(FIELDS["ZONEDATA"]) or not isinstance(value[0], bool):
         raise UnknownValueError("the zone is no zonedata")
-    distance = value[1]
-    if isinstance(distance, bool) or not isinstance(distance, float) or not 0.0 <= distance < _LARGEST:
+    distance = value[1]  # finep, pzone_tcp, …
+    if isinstance(distance, bool) or not isinstance(distance, float) or not 0.0 <= distance < _PLAUSIBLE_LIMIT:
         raise UnknownValueError("the zone is no distance")
     return 0.0 if value[0] else distance
 
 
 def _frame(expression: Expression, type_: str, scope: Scope, frames: Frames) -> Value:
-    """Return a tool or work object; one that no module declares is that of the cell.
+    """Return the value of a tool or work object; if no module declares it, that of the cell.
 
     :param type_: TOOLDATA or WOBJDATA.
-    :raises UnknownValueError: it is unknown, or of another type.
+    :param frames: see `Frames`.
+    :raises UnknownValueError: the value is unknown, or has another type.
     """
     if expression.kind == "name" and scope.find(expression.value) is None:
         value = frames(expression.value, type_)
@@ -233,9 +261,10 @@ def _frame(expression: Expression, type_: str, scope: Scope, frames: Frames) -> 
 
 
 def _data_name(expression: Expression, scope: Scope) -> str:
-    """Return the name of the data that an expression is, as they are declared; empty for a component of other data.
+    """Return the name of the data that an expression names, as it is spelled in their declaration.
 
-    A parameter has the name of the data that the call gives it. Data that no module declares have it in upper case.
+    A parameter has the name of the data that are its argument. The name is in upper case if no module declares the
+    data. Empty for elements, components and other expressions, and for a parameter without such data.
     """
     if expression.kind != "name":
         return ""
@@ -248,32 +277,37 @@ def _data_name(expression: Expression, scope: Scope) -> str:
 def _numbers(value: Value, *, joints: bool) -> list[float]:
     """Return the 17 numbers of a robtarget, or the 12 of a jointtarget.
 
+    :param joints: True for a jointtarget.
     :raises UnknownValueError: the value has another form.
     """
     return record_numbers(value, 6, 6) if joints else record_numbers(value, 3, 4, 4, 6)
 
 
 def _element(expression: Expression, initial: Expression | None, scope: Scope) -> Expression | None:
-    """Return the part of a declaration that has the numbers of an expression; None if there is none.
+    """Return the aggregate in a declared value that contains the numbers of an expression.
 
-    :param expression: data, or an element of an array; `initial`: the declared value, or None.
+    None without a declared value, for other expressions than data and array elements, and if the numbers are not in an
+    aggregate.
+
+    :param expression: data, or an element of an array.
+    :param initial: the declared value; None without one.
     :raises UnknownValueError: an index is not known.
     """
     if initial is None or expression.kind not in ("name", "index"):
         return None
     element: Expression = initial
-    for item in expression.items[1:]:
+    for item in expression.items[1:]:  # the indices, from 1
         if element.kind != "list":
             return None
         element = element.items[int(number(item, scope)) - 1]
     return element if element.kind in ("numbers", "list") else None
 
 
-def equal(first: Move, second: Move) -> bool:
-    """Return whether two motions are the same."""
-    same_target = first.statement is second.statement and first.target.numbers == second.target.numbers
-    same_via = (first.via.numbers if first.via else None) == (second.via.numbers if second.via else None)
+def are_equal(first: Move, second: Move) -> bool:
+    """Return whether two motions of one statement have the same points, speed, zone, frames and settings."""
+    has_same_target = first.statement is second.statement and first.target.numbers == second.target.numbers
+    has_same_via = (first.via.numbers if first.via else None) == (second.via.numbers if second.via else None)
     has_same_data = (first.speed, first.zone, first.tool, first.wobj, first.setting) == (
         second.speed, second.zone, second.tool, second.wobj, second.setting,
     )  # fmt: skip
-    return same_target and same_via and has_same_data
+    return has_same_target and has_same_via and has_same_data

@@ -2,12 +2,12 @@ r"""RAPID modules of programs that were read from G-code or APT.
 
 Decisions where RAPID leaves a choice:
 
-- Targets are written in the instructions; tools, work objects, speeds and zones are LOCAL data of the module.
+- Targets are written as numbers in the instructions; tools, work objects, speeds and zones are LOCAL data.
 - The first move goes to joint angles (MoveAbsJ). Rapid approaches in joint interpolation are MoveJ, everything else is
   MoveL or MoveC. ``ConfJ\On`` makes MoveJ arrive on the branch of its target; with ``ConfL\Off`` MoveL and
   MoveC keep their branch, which their targets state too.
 - ``CirPathMode\ObjectFrame``: along circles, orientations are interpolated in the work object, as in the computation.
-- The robot stops in a fine point before lines of the cell, dwells and stops, so that they happen at that point.
+- The robot stops in a fine point before lines of the cell, dwells and stops, so that these run at that point.
 - The zone of a move is a circle of the approximation distance around its end, for position and orientation alike.
 """
 
@@ -63,7 +63,7 @@ _LARGEST_COORDINATE = 1e6
 
 
 def _joint_motion(joints: Array) -> str:
-    """Return the motion to joint angles (6,) [rad] that begins with tool and work object of the program."""
+    """Return the MoveAbsJ to joint angles (6,) [rad], KUKA signs, with the first tool and work object."""
     angles = ",".join(f"{angle:.5f}" for angle in without_negative_zero(abb_from_joints(joints)).tolist())
     return f"MoveAbsJ [[{angles}],{NO_EXTERNAL_AXES}],speed_0,fine,tool_0\\WObj:=wobj_0;"
 
@@ -73,11 +73,11 @@ _INSTRUCTIONS = {LIN: b"MoveL ", CIRC: b"MoveC ", PTP: b"MoveJ "}
 _MILLIMETRES, _QUATERNION = 4, 8
 """Decimals of positions (0.1 µm) and quaternions: 1e-8 is 0.02 µm at a lever of 1 m."""
 _REORIENTATION, _EXTERNAL = 500.0, "5000,1000"
-"""Other numbers of speeddata, as in the controller's own: rotation [deg/s], external axes [mm/s, deg/s]."""
+"""Further numbers of speeddata, as in predefined ones: rotation [deg/s], external axes [mm/s, deg/s]."""
 _NO_LOAD = "[0.001,[0,0,0.001],[1,0,0,0],0,0,0]"
 """The load of tool0."""
 _SPEED_DECIMALS = 3
-"""Of speeds [mm/s]: a micrometre a second."""
+"""Decimals of speeds [mm/s]: a micrometre a second."""
 
 
 def write(
@@ -85,41 +85,47 @@ def write(
 ) -> WrittenProgram:
     """Return a program read from G-code as RAPID.
 
-    :param joints: joint angles of the targets, which give their branches.
-    :param comment_forces: forces to be written as comments, on lines before their targets.
+    :param joints: joint angles at the targets, which decide on their configurations.
+    :param comment_forces: forces to be written as comments, on lines before their targets; None: no force comments.
     :returns: one document, ``NAME.mod``, CR LF.
-    :raises ProgramError: the name is not valid in RAPID; a move has no feed, or one that would be printed as 0.
-    :raises CellError: a line of the cell is not RAPID.
+    :raises ProgramError: the name is not valid in RAPID; a move has no feed, or a feed that would be printed as 0.
+    :raises CellError: a line of the cell is not RAPID, or moves the robot.
     """
     check_name(program, "RAPID", fault_of, valid_name)
     return _NewModule(program, targets, joints, cell, comment_forces).write()
 
 
 class _NewModule:
-    """Writer of all targets at once, with the lines that `NewProgram` collects between them."""
+    """Prints all targets in bulk, and between them the lines that `NewProgram` collects.
+
+    :ivar zone_index: (K,) index of the zone of each target; 0: fine.
+    :ivar speed_index: (K,) index of the speed of each target; 0: that of MoveJ.
+    """
 
     def __init__(
         self, program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comment_forces: TargetForces | None
     ) -> None:
         self.program, self.targets, self.joints, self.cell = program, targets, joints, cell
         self.comment_forces = comment_forces
-        self.new = NewProgram(program, targets, cell, WORDS)
+        self.new_program = NewProgram(program, targets, cell, WORDS)
 
     def write(self) -> WrittenProgram:
-        """Return the written module."""
-        new, program = self.new, self.program
+        """Return the written module.
+
+        :raises CellError: a line of the cell is not allowed.
+        """
+        new, program = self.new_program, self.program
         for _ in new.frame_changes():
-            pass  # each target names its frames, but the robot must stop there
+            pass  # each move names its frames, but the robot must stop before them: the iteration adds these stops
         new.add_events()
         self._check_lines()
-        zones, self.zone = np.unique(
-            new.approximation_distances(), return_inverse=True
-        )  # the first is 0: the last target is a stop
+        # sorted: the first is 0, because the last target is a stop
+        zones, self.zone_index = np.unique(new.approximation_distances(), return_inverse=True)
         speeds = self._speeds()
-        self._note_forces()
+        self._add_force_comments()
         head = self._head(zones, speeds)
         text, output_line = new.text_and_lines(
-            head, self._lines, [*(f"    {line}" for line in END), "  ENDPROC", "ENDMODULE"]
+            head, self._move_lines, [*(f"    {line}" for line in END), "  ENDPROC", "ENDMODULE"]
         )
         limit = self.cell.output.lines_per_file
         if limit and text.count("\n") > limit:
@@ -129,11 +135,11 @@ class _NewModule:
         return WrittenProgram((document,), output_line, "rapid", group_issues(new.issues))
 
     def _check_lines(self) -> None:
-        """Refuse lines of the cell that are not RAPID or move the robot; indent the others.
+        """Check the lines of the cell, and indent them in `lines_before`.
 
-        :raises CellError: a line is not allowed.
+        :raises CellError: a line is not RAPID, or moves the robot.
         """
-        for k, cell_lines in self.new.lines_before.items():
+        for k, cell_lines in self.new_program.lines_before.items():
             for line in cell_lines:
                 fault = language.line_fault(line)
                 if fault is not None:
@@ -141,46 +147,48 @@ class _NewModule:
                         f"a line of [gcode] is not allowed in a RAPID program: {line!r}: {fault}",
                         advice='Write it as RAPID in the cell, for example spindle_on = ["SetDO doSpindle,1;"].',
                     )
-            self.new.lines_before[k] = [f"    {line}" for line in cell_lines]
+            self.new_program.lines_before[k] = [f"    {line}" for line in cell_lines]
 
     def _speeds(self) -> Array:
-        """Return the distinct speeds (S, 2) [mm/s, deg/s], MoveJ's first; store the index of each target."""
-        path, millionths = self.new.path_speeds()
+        """Return the distinct speeds (S, 2) [mm/s, deg/s], that of MoveJ first; fill `speed_index`."""
+        path, millionths = self.new_program.path_speeds()
+        # from 1e-6 m/s to mm/s, rounded to the decimals that are printed
         steps = np.rint(millionths * 10.0 ** (_SPEED_DECIMALS - 3)) / 10.0**_SPEED_DECIMALS
-        turns = np.nan_to_num(self.new.turning_speeds()[path], nan=_REORIENTATION)
+        turns = np.nan_to_num(self.new_program.turning_speeds()[path], nan=_REORIENTATION)
         values, index = np.unique(np.stack([steps, turns], axis=1), axis=0, return_inverse=True)
-        self.speed = np.zeros(len(self.targets), dtype=np.int64)
-        self.speed[path] = index.reshape(-1) + 1
+        self.speed_index = np.zeros(len(self.targets), dtype=np.int64)
+        self.speed_index[path] = index.reshape(-1) + 1
         return np.concatenate([[[self.cell.gcode.rapid_m_per_s * MM_PER_M, _REORIENTATION]], values])
 
-    def _note_forces(self) -> None:
-        """Put force comments before the targets that need one."""
+    def _add_force_comments(self) -> None:
+        """Add force comments to `lines_before` of the targets that need one."""
         if self.comment_forces is None:
             return
         no_note = constant(-1, len(self.targets))
         rows = np.flatnonzero(force_comments.needs_comment(self.comment_forces, self.targets.kind, no_note, (), np.nan))
         for k, text in zip(rows.tolist(), force_comments.texts(b"!", self.comment_forces, rows), strict=True):
-            self.new.lines_before[k].append(f"    {text}")
+            self.new_program.lines_before[k].append(f"    {text}")
 
     def _head(self, zones: Array, speeds: Array) -> list[str]:
         """Return the lines from MODULE to the move to the start position.
 
-        :param zones: (Z,) approximation distances [m], the first 0; `speeds`: (S, 2) [mm/s, deg/s].
+        :param zones: (Z,) approximation distances [m]; the first is 0 and needs no zonedata.
+        :param speeds: (S, 2) speeds of TCP and rotation [mm/s, deg/s].
         """
         program, cell = self.program, self.cell
         start = ",".join(f"{angle:.5f}" for angle in without_negative_zero(abb_from_joints(cell.start_joints)).tolist())
-        base, tool = self.new.frames_of_target(0)
+        base, tool = self.new_program.frames_of_target(0)
         load = self._load()
         return [
             f"MODULE {PREFIX}{program.name}",
             f"  ! generated by postproc {VERSION} from {WORDS.printable(program.documents[0].name)}",
-            f"  ! {self.new.target_description()}, robot {WORDS.printable(PurePath(cell.robot).name)}",
+            f"  ! {self.new_program.target_description()}, robot {WORDS.printable(PurePath(cell.robot).name)}",
             *(
-                f"  LOCAL PERS tooldata tool_{row}:=[TRUE,{_frame(pose)},{load}];"
+                f"  LOCAL PERS tooldata tool_{row}:=[TRUE,{_pose_text(pose)},{load}];"
                 for row, pose in enumerate(program.tools)
             ),
             *(
-                f'  LOCAL PERS wobjdata wobj_{row}:=[FALSE,TRUE,"",{_frame(pose)},[[0,0,0],[1,0,0,0]]];'
+                f'  LOCAL PERS wobjdata wobj_{row}:=[FALSE,TRUE,"",{_pose_text(pose)},[[0,0,0],[1,0,0,0]]];'
                 for row, pose in enumerate(program.bases)
             ),
             *(
@@ -198,7 +206,7 @@ class _NewModule:
         ]
 
     def _load(self) -> str:
-        """Return the loaddata of the tools: the payload of the cell, or that of tool0 with a warning."""
+        """Return the loaddata of the tools: the payload of the cell; without one, that of tool0, and a warning."""
         payload = self.cell.payload
         if payload.mass_kg > 0.0:
             centre = ",".join(number_text(value) for value in (payload.X, payload.Y, payload.Z))
@@ -207,33 +215,34 @@ class _NewModule:
             "The tool data have no load, because the cell has no [payload]. Set the load in the controller before the "
             "program runs, for example with LoadIdentify."
         )
-        self.new.issues.append(Issue("warning", "tool-load", message))
+        self.new_program.issues.append(Issue("warning", "tool-load", message))
         return _NO_LOAD
 
-    def _lines(self, kind: int, k: Ints) -> bytes:
-        """Return the move instructions of some targets as text.
+    def _move_lines(self, kind: int, k: Ints) -> bytes:
+        """Return the move instructions of targets as text, one line for each.
 
-        :param kind: LIN, CIRC or PTP; `k` (n,): rows of the targets, all of this kind.
+        :param kind: `LIN`, `CIRC` or `PTP`.
+        :param k: (n,) the targets, all of this kind.
         """
         motions, motion = self.program.motions, self.targets.motion[k]
         target = [b",", *_columns(quaternions(self.targets.pose[k, :3, :3]), _QUATERNION)]
-        branch = configuration(self.joints.q[k], self.joints.status[k])
-        target += [b",", *_columns(branch.astype(np.float64), 0), f",{NO_EXTERNAL_AXES}]".encode()]
+        axis_configuration = configuration(self.joints.q[k], self.joints.status[k])
+        target += [b",", *_columns(axis_configuration.astype(np.float64), 0), f",{NO_EXTERNAL_AXES}]".encode()]
         end = [b"[", *_columns(self.targets.pose.position[k] * MM_PER_M, _MILLIMETRES), *target]
         via: list[Part] = []
         if kind == CIRC:
             via = [b"[", *_columns(self.targets.via[k] * MM_PER_M, _MILLIMETRES), *target, b","]
-        stops = self.zone[k] == 0
+        stops = self.zone_index[k] == 0
         return lines(
             [
                 b"    " + _INSTRUCTIONS[kind],
                 *via,
                 *end,
                 b",speed_",
-                Number.of(self.speed[k].astype(np.float64), 0),
+                Number.of(self.speed_index[k].astype(np.float64), 0),
                 text_in_rows(b",fine", stops),
                 text_in_rows(b",zone_", ~stops),
-                Number.of(np.where(stops, np.nan, self.zone[k]), 0),
+                Number.of(np.where(stops, np.nan, self.zone_index[k]), 0),
                 b",tool_",
                 Number.of(motions.tool[motion].astype(np.float64), 0),
                 b"\\WObj:=wobj_",
@@ -244,15 +253,15 @@ class _NewModule:
 
 
 def _columns(values: Array, decimals: int) -> list[Part]:
-    """Return the parts of ``[…,…]`` for (n, c) numbers."""
+    """Return ``[…,…]`` of numbers (n, c) as columns of text that are printed side by side."""
     parts: list[Part] = []
     for column in values.T:
         parts += [b"," if parts else b"[", Number.of(column, decimals)]
     return [*parts, b"]"]
 
 
-def _frame(pose: Array) -> str:
-    """Return a pose (4, 4) [m] as RAPID has it: millimetres and a quaternion."""
+def _pose_text(pose: Array) -> str:
+    """Return a pose (4, 4) [m] as an aggregate of RAPID: position [mm] and quaternion."""
     place = ",".join(number_text(value) for value in (pose[:3, 3] * MM_PER_M).tolist())
     turn = ",".join(
         f"{without_negative_zero(value):.{_QUATERNION}f}" for value in quaternions(pose[None, :3, :3])[0].tolist()
@@ -261,7 +270,11 @@ def _frame(pose: Array) -> str:
 
 
 def _zonedata(distance: float) -> str:
-    """Return zonedata of an approximation distance [m]; the tool begins to turn where the path begins to round."""
+    """Return zonedata of an approximation distance [m].
+
+    Orientation and external axes have the same zone as the path; zones of angles [deg] are a tenth of it [mm], as in
+    predefined zonedata.
+    """
     mm = number_text(distance * MM_PER_M)
     tenth = number_text(0.1 * distance * MM_PER_M)
     return f"[FALSE,{mm},{mm},{mm},{tenth},{mm},{tenth}]"

@@ -30,7 +30,7 @@ from postproc.dialects.rapid.loaded import load_modules
 from postproc.dialects.rapid.moves import Move
 from postproc.dialects.rapid.syntax import Comment, Module, RapidSyntaxError, Routine, Statement, all_statements
 from postproc.dialects.rapid.syntax import Instruction as RapidInstruction
-from postproc.dialects.rapid.values import NONE, UnknownValueError, Value, record_numbers
+from postproc.dialects.rapid.values import NOT_CONNECTED, UnknownValueError, Value, record_numbers
 from postproc.dialects.text import line_spans
 from postproc.errors import InputError, Issue, ProgramError, combined_error, first_of, line_names
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse, norm, xyzabc_from_pose
@@ -50,15 +50,15 @@ from postproc.program import (
 )
 
 _NORM_TOLERANCE = 1e-3
-"""What the sum of the squares of a quaternion may differ from 1: three decimals of each."""
+"""Largest difference of the sum of squares of a quaternion from 1: its numbers may have three decimals."""
 _LARGEST_COORDINATE = 1e5
 """Largest coordinate of a target or frame [mm] (assumed)."""
-_LEAST_LENGTH = 1e-9
-"""Moves that are shorter [m] are rounding."""
-_TURNS = 1e-6
-"""Change of the elements of a rotation matrix that is the rounding of written quaternions."""
+_LENGTH_TOLERANCE = 1e-9
+"""Shorter moves [m] are rounding."""
+_ROTATION_TOLERANCE = 1e-6
+"""Smaller changes of a rotation matrix (Frobenius norm) are the rounding of written quaternions."""
 _MOST_NAMES = 5
-"""Names that a message lists; the others are counted."""
+"""Largest number of names in one message; further names are counted."""
 
 
 def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], Array], name: str) -> Program:
@@ -67,7 +67,8 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
     :param cell: its start position, and the tool and work object of modules that declare none.
     :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the nominal geometry of the
         controller.
-    :raises InputError: what cannot be followed, all together, each with its line and advice.
+    :param name: name of the program.
+    :raises InputError: all statements that cannot be followed, together, each with its line and advice.
     """
     with garbage.collection_paused():
         return _Reader(document, cell).program(forward_kinematics, name)
@@ -79,10 +80,10 @@ class _Path(NamedTuple):
     :param motions: the motions.
     :param bases: (n, 4, 4) frames of the work objects in the robot root [m].
     :param tools: (n, 4, 4) frames of the tools in the flange [m].
-    :param numbers: X, Y, Z, A, B, C (M, 6) [mm, deg] of the targets, exactly as the text gives them; of joint targets
-        those of their poses.
-    :param by_wrist: (M,) whether the wrist axes turn the tool.
-    :param with_path: (M,) whether the tool turns with its path.
+    :param numbers: (M, 6) X, Y, Z, A, B, C [mm, deg] of the targets, exactly as in the text; for joint targets, of the
+        poses that they reach.
+    :param by_wrist: (M,) True if the wrist axes turn the tool.
+    :param with_path: (M,) True if the tool turns with its path.
     """
 
     motions: Motions
@@ -96,9 +97,9 @@ class _Path(NamedTuple):
 class _Reader:
     """Reader of one module.
 
-    :ivar loaded: modules that the controller has loaded with it.
-    :ivar names: TOOLDATA and WOBJDATA → names of data that no module declares.
-    :ivar frames: TOOLDATA and WOBJDATA → the frame of the cell that is taken for them.
+    :ivar loaded: modules that the controller has loaded in addition.
+    :ivar names: type, TOOLDATA or WOBJDATA → names of data of this type that no module declares.
+    :ivar frames: type → frame of the cell that is used for these data.
     """
 
     def __init__(self, document: Document, cell: Cell) -> None:
@@ -111,15 +112,16 @@ class _Reader:
         """Return the program.
 
         :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
-        :raises InputError: the module cannot be followed, or moves nothing.
+        :param name: name of the program.
+        :raises InputError: the module cannot be followed, or has no motions.
         """
         expanded_program = self._expand(name)
         execution = expanded_program.executed
-        line = self._lines(
+        line = self._file_lines(
             expanded_program, np.array([move.statement.start for move in execution.moves], dtype=np.int64)
         )
         if execution.errors:
-            lines = self._lines(expanded_program, np.array([cause.start for cause in execution.errors])).tolist()
+            lines = self._file_lines(expanded_program, np.array([cause.start for cause in execution.errors])).tolist()
             pairs = zip(execution.errors, lines, strict=True)
             raise combined_error([self._error(cause.problem, at, cause.advice) for cause, at in pairs])
         if not execution.moves:
@@ -150,9 +152,10 @@ class _Reader:
     # --- text
 
     def _expand(self, name: str) -> ExpandedProgram:
-        """Return the execution of the program, with loops and calls expanded until each statement moves once.
+        """Return the executed program, with loops and calls expanded so that each statement moves once.
 
-        :raises ProgramError: it is invalid or cannot be followed.
+        :param name: name of the program.
+        :raises ProgramError: it is not valid RAPID, or cannot be followed.
         """
         text = self.document.text
         try:
@@ -161,23 +164,27 @@ class _Reader:
             return expand(text, entry_of, self._cell_frame, without_effect, self.loaded)
         except RapidSyntaxError as cause:
             advice = "Check the file in RobotStudio. If it is accepted there, please report this."
+            # number of lines that begin at or before the offset
             line = int(np.searchsorted(line_spans(text)[0], cause.start, side="right"))
             raise self._error(cause.problem, line, advice) from None
         except RapidError as cause:
             raise self._error(cause.problem, max(cause.line, 1), cause.advice) from None
 
     @staticmethod
-    def _lines(expanded_program: ExpandedProgram, start: Ints) -> Ints:
-        """Return the lines of the file (n,) of offsets (n,) of the text."""
+    def _file_lines(expanded_program: ExpandedProgram, start: Ints) -> Ints:
+        """Return the lines (n,) of the file from which the offsets `start` (n,) of the expanded text come."""
         return np.asarray(
             expanded_program.line[np.searchsorted(line_spans(expanded_program.text)[0], start, side="right") - 1]
         )
 
     def _entry(self, modules: Sequence[Module], name: str) -> Routine:
-        """Return the routine that is the program: that of the file's name, main, or the only one nobody calls.
+        """Return the procedure that is the program.
 
-        :param name: of the program, for which a routine is looked for too.
-        :raises ProgramError: there is none, or several may be meant.
+        It is the procedure named like the file, named like the program, or named main, in this order; otherwise the
+        only one without parameters that no other calls.
+
+        :param name: name of the program.
+        :raises ProgramError: there is no procedure, or it is not clear which is the program.
         """
         routines = {
             routine.name: routine for module in modules for routine in module.routines if routine.kind == "PROC"
@@ -206,10 +213,11 @@ class _Reader:
         )
 
     def _cell_frame(self, name: str, type_: str) -> Value | None:
-        """Return [tool] or [base] of the cell for data of another module.
+        """Return [tool] or [base] of the cell for data that no module declares.
 
-        :param name: of the data; `type_`: TOOLDATA or WOBJDATA.
-        :raises UnknownValueError: data of this type and another name were asked for before.
+        :param name: name of the data.
+        :param type_: TOOLDATA or WOBJDATA.
+        :raises UnknownValueError: the program uses other data of this type too: the cell has one frame for it.
         """
         type_names = self.names.setdefault(type_, set())
         type_names.add(name)
@@ -223,15 +231,16 @@ class _Reader:
         return self.frames[type_]
 
     def _notes(self, expanded_program: ExpandedProgram) -> tuple[tuple[Comment, ...], tuple[ForceNote, ...]]:
-        """Return the force comments, and as many force notes with the motion that each precedes.
+        """Return the force comments, and the force note of each with the index of the motion that it precedes.
 
-        :raises InputError: force comments cannot be read.
+        :raises InputError: force comments cannot be read; all errors together.
         """
         comments: list[Comment] = []
         notes: list[ForceNote] = []
         errors: list[InputError] = []
         starts = line_spans(expanded_program.text)[0]
         for comment, motion_index in expanded_program.executed.notes:
+            # the last line of the text that begins at or before the comment
             line = int(expanded_program.line[np.searchsorted(starts, comment.start, side="right") - 1])
             try:
                 note = parse_force_note(comment.text, line, self.document.name)
@@ -248,11 +257,11 @@ class _Reader:
     # --- motions
 
     def _motions(self, moves: list[Move], line: Ints, forward_kinematics: Callable[[Array], Array]) -> _Path:
-        """Return the motions of moves.
+        """Return the motions of M moves.
 
-        :param line: (M,) lines of the moves.
+        :param line: (M,) lines of the moves in the file.
         :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
-        :raises ProgramError: numbers of a move cannot be used, all together.
+        :raises ProgramError: a number or frame of a move is not valid, or its way of turning the tool is not known.
         """
         kind = np.array([move.kind for move in moves], dtype=np.int64)
         has_joints = np.array([move.joints for move in moves])
@@ -261,7 +270,7 @@ class _Reader:
         target_numbers, joints = self._target_values(moves, line, has_joints)
         pose, numbers = np.empty((len(line), 4, 4)), np.full((len(line), 6), np.nan)
         pose_numbers = target_numbers[~has_joints, :7]
-        pose[~has_joints], numbers[~has_joints] = poses(pose_numbers), _exact(pose_numbers)
+        pose[~has_joints], numbers[~has_joints] = poses(pose_numbers), _xyzabc_in_text(pose_numbers)
         for row in np.flatnonzero(has_joints).tolist():
             pose[row] = inverse(bases[base[row]]) @ forward_kinematics(joints[row]) @ tools[tool[row]]
         if has_joints.any():
@@ -271,8 +280,8 @@ class _Reader:
         arcs = self._arcs(moves, start, pose, line, kind == CIRC)
         by_wrist, with_path = self._turning(moves, kind, start, pose, line)
         status = np.full(len(line), -1)
-        has_status = np.array([move.setting.follows for move in moves]) & (kind == PTP) & ~has_joints
-        status[has_status] = status_from_cfx(target_numbers[has_status, 10].astype(np.int64))
+        has_status = np.array([move.setting.follows_configuration for move in moves]) & (kind == PTP) & ~has_joints
+        status[has_status] = status_from_cfx(target_numbers[has_status, 10].astype(np.int64))  # column 10: cfx
         motions = Motions(
             kind=kind,
             rapid=kind == PTP,
@@ -285,7 +294,7 @@ class _Reader:
             feed=self._tcp_speed(moves, kind, start, pose, arcs, line),
             base=base,
             tool=tool,
-            blend=_single([move.zone for move in moves]) * M_PER_MM,
+            blend=_single_precision([move.zone for move in moves]) * M_PER_MM,
             rounding=np.full(len(line), np.inf),
             status=status,
             turn=np.full(len(line), -1),
@@ -295,14 +304,15 @@ class _Reader:
     def _target_values(self, moves: list[Move], line: Ints, has_joints: Bools) -> tuple[Array, Array]:
         """Return the numbers of robtargets (M, 17), and joint angles (M, 6) [rad]; NaN where a move has none.
 
-        :param line: (M,) lines of the moves; `has_joints` (M,) which go to joint angles.
-        :raises ProgramError: a number is not valid, or an external axis moves.
+        :param line: (M,) lines of the moves.
+        :param has_joints: (M,) True for moves to joint angles.
+        :raises ProgramError: a number is not valid, or an external axis is not at 0.
         """
         target_numbers, joints = np.full((len(moves), 17), np.nan), np.full((len(moves), 6), np.nan)
         if not has_joints.all():
             target_numbers[~has_joints] = [move.target.numbers for move in moves if not move.joints]
         angles = np.array([move.target.numbers for move in moves if move.joints]).reshape(-1, 12)
-        self._check(target_numbers[~has_joints], line[~has_joints])
+        self._check_targets(target_numbers[~has_joints], line[~has_joints])
         self._check_external(
             np.concatenate([target_numbers[~has_joints][:, 11:], angles[:, 6:]]),
             np.concatenate([line[~has_joints], line[has_joints]]),
@@ -311,7 +321,7 @@ class _Reader:
         return target_numbers, joints
 
     def _error(self, problem: str, line: int, advice: str) -> ProgramError:
-        """Return an error at a line of the file."""
+        """Return an error at a line of the file, from 1."""
         starts, stops = line_spans(self.document.text)
         line_text = self.document.text[starts[line - 1] : stops[line - 1]].strip()
         return ProgramError(problem, file=self.document.name, line=line, text=line_text, advice=advice)
@@ -321,12 +331,13 @@ class _Reader:
     ) -> tuple[Ints, Array]:
         """Return the row of the frame of each motion (M,), and the frames (n, 4, 4) [m].
 
-        Equal values have one row. Values of the same object are not compared by their text, for speed.
+        Equal values have one row, except that data with a name share no row with other values. For speed, an object
+        that was compared before is recognised by its id.
 
         :param line: (M,) lines of the moves.
-        :param values: of each motion, and whether they are data with a name: others share no row with these.
+        :param values: for each motion, the value of its tool or work object, and True if this is data with a name.
         :param pose_of: returns the frame of a value.
-        :raises ProgramError: a value is no frame.
+        :raises ProgramError: a value is no valid frame.
         """
         rows: dict[tuple[int, bool], int] = {}
         keys: dict[tuple[str, bool], int] = {}
@@ -350,9 +361,9 @@ class _Reader:
 
     @staticmethod
     def _tool(value: Value) -> Array:
-        """Return the frame (4, 4) of a tool in the flange.
+        """Return the frame (4, 4) of a tooldata value in the flange [m].
 
-        :raises UnknownValueError: it is no tool of the robot.
+        :raises UnknownValueError: the value is no tooldata, or the robot does not hold the tool.
         """
         if isinstance(value, _FromCell):
             return value.pose
@@ -366,9 +377,9 @@ class _Reader:
 
     @staticmethod
     def _wobj(value: Value) -> Array:
-        """Return the frame (4, 4) of a work object in the world.
+        """Return the frame (4, 4) of a wobjdata value in the world [m].
 
-        :raises UnknownValueError: it moves, or the robot holds it.
+        :raises UnknownValueError: the value is no wobjdata, the work object moves, or the robot holds it.
         """
         if isinstance(value, _FromCell):
             return value.pose
@@ -381,10 +392,10 @@ class _Reader:
             raise UnknownValueError(f"the work object moves with the mechanical unit {unit!r}, which is not supported")
         return np.asarray(_pose(user) @ _pose(frame))
 
-    def _check(self, numbers: Array, line: Ints) -> None:
-        """Check the numbers of robtargets (n, 17) in lines (n,).
+    def _check_targets(self, numbers: Array, line: Ints) -> None:
+        """Check the numbers (n, 17) of robtargets, see `FIELDS`; errors name the lines (n,).
 
-        :raises ProgramError: one is out of reach of any robot, or its orientation or configuration is not valid.
+        :raises ProgramError: a target is out of reach of any robot, or its orientation or configuration is not valid.
         """
         is_too_far = np.abs(numbers[:, :3]) > _LARGEST_COORDINATE
         if is_too_far.any():
@@ -406,11 +417,11 @@ class _Reader:
             )
 
     def _check_external(self, values: Array, line: Ints) -> None:
-        """Check the external axes of targets (n, 6) [mm, deg] in lines (n,).
+        """Check that the external axes (n, 6) [mm, deg] of targets are 0 or not connected; errors name the lines (n,).
 
-        :raises ProgramError: one moves, or may displace robot or part.
+        :raises ProgramError: an axis is not at 0: it may displace robot or part.
         """
-        is_used = (np.abs(values) < NONE) & (values != 0.0)
+        is_used = (np.abs(values) < NOT_CONNECTED) & (values != 0.0)
         if is_used.any():
             row, column = np.argwhere(is_used)[0].tolist()
             name = f"eax_{'abcdef'[column]}"
@@ -420,48 +431,53 @@ class _Reader:
             advice = f"Post the program with {name} at 0, or at 9E9 if it takes no part."
             raise self._error(problem, int(line[row]), advice)
 
-    def _arcs(self, moves: list[Move], start: Array, pose: Array, line: Ints, circular: Bools) -> ArcColumns:
-        """Return the arcs of circles.
+    def _arcs(self, moves: list[Move], start: Array, pose: Array, line: Ints, is_circle: Bools) -> ArcColumns:
+        """Return the arcs of motions; NaN for motions that are no circles.
 
-        :param start: (M, 4, 4) poses at the starts of the motions; `pose`: at their ends [m].
-        :param line: (M,) lines of the moves; `circular`: (M,) which are circles.
+        :param start: (M, 4, 4) poses at the starts of the motions [m].
+        :param pose: (M, 4, 4) poses at their ends [m].
+        :param line: (M,) lines of the moves.
+        :param is_circle: (M,) True for circles.
         :raises ProgramError: three points are not on a circle, or a point on it is not valid.
         """
-        rows = np.flatnonzero(circular)
+        rows = np.flatnonzero(is_circle)
         columns = ArcColumns.unset(len(line))
         if len(rows):
             via_numbers = np.array([move.via.numbers for move in moves if move.via is not None])
-            self._check(via_numbers, line[rows])
+            self._check_targets(via_numbers, line[rows])
             via_points = poses(via_numbers[:, :7])[:, :3, 3]
             arcs = circles.arcs_through(start[rows, :3, 3], via_points, pose[rows, :3, 3])
             if arcs.is_flat.any():
                 circle_line = int(line[rows[np.argmax(arcs.is_flat)]])
                 problem = "the three points of the circle are on a line or coincide"
                 raise self._error(problem, circle_line, "Write MoveL, or give the circle another point.")
-            for column, values in zip(columns, arcs, strict=False):
+            for column, values in zip(columns, arcs, strict=False):  # centre, normal, sweep; without is_flat
                 column[rows] = values
         return columns
 
     def _turning(self, moves: list[Move], kind: Ints, start: Array, pose: Array, line: Ints) -> tuple[Bools, Bools]:
-        r"""Return which motions (M,) turn the tool by the wrist axes (SingArea\Wrist), and which with their path.
+        r"""Return which motions turn the tool by the wrist axes (M,) (SingArea\Wrist), and which with their path (M,).
 
-        :param start: (M, 4, 4) poses at the starts of the motions; `pose`: at their ends.
-        :raises ProgramError: how a motion turns the tool is not known.
+        :param kind: (M,) `LIN`, `CIRC` or `PTP`.
+        :param start: (M, 4, 4) poses at the starts of the motions.
+        :param pose: (M, 4, 4) poses at their ends.
+        :param line: (M,) lines of the moves.
+        :raises ProgramError: a motion turns the tool in a way that is not known.
         """
-        area = np.array([move.setting.area for move in moves])
-        mode = np.array([move.setting.circles for move in moves])
-        is_turned = norm((start[:, :3, :3] - pose[:, :3, :3]).reshape(-1, 9)) > _TURNS
+        singularity_mode = np.array([move.setting.singularity_mode for move in moves])
+        circle_mode = np.array([move.setting.circle_mode for move in moves])
+        is_turned = norm((start[:, :3, :3] - pose[:, :3, :3]).reshape(-1, 9)) > _ROTATION_TOLERANCE
         faults = (
             (
-                (area == "LOCKAXIS4") & is_turned & (kind != PTP),
+                (singularity_mode == "LOCKAXIS4") & is_turned & (kind != PTP),
                 "the turn of the tool is not known under SingArea\\LockAxis4",
             ),
             (
-                (area == "WRIST") & is_turned & (kind == CIRC),
+                (singularity_mode == "WRIST") & is_turned & (kind == CIRC),
                 "the turn along a circle is not known under SingArea\\Wrist",
             ),
             (
-                (kind == CIRC) & ~np.isin(mode, ("PATHFRAME", "OBJECTFRAME")) & is_turned,
+                (kind == CIRC) & ~np.isin(circle_mode, ("PATHFRAME", "OBJECTFRAME")) & is_turned,
                 "this CirPathMode is not followed",
             ),
         )
@@ -469,26 +485,31 @@ class _Reader:
             if is_invalid.any():
                 advice = "Use SingArea\\Off and CirPathMode\\ObjectFrame, or keep the orientation along this move."
                 raise self._error(problem, int(line[np.argmax(is_invalid)]), advice)
-        by_wrist = (area == "WRIST") & (kind == LIN)
-        return by_wrist, (kind == CIRC) & (mode == "PATHFRAME")
+        by_wrist = (singularity_mode == "WRIST") & (kind == LIN)
+        return by_wrist, (kind == CIRC) & (circle_mode == "PATHFRAME")
 
     def _tcp_speed(
         self, moves: list[Move], kind: Ints, start: Array, pose: Array, arcs: ArcColumns, line: Ints
     ) -> Array:
-        """Return the speed of the TCP (M,) [m/s], as the controller stores it; NaN for joint interpolation.
+        """Return the speed of the TCP (M,) [m/s], in single precision; NaN for joint interpolation.
 
-        :param start: (M, 4, 4) poses at the starts of the motions; `pose`: at their ends [m].
+        For moves with a duration, it is the length of the path divided by the duration.
+
+        :param kind: (M,) `LIN`, `CIRC` or `PTP`.
+        :param start: (M, 4, 4) poses at the starts of the motions [m].
+        :param pose: (M, 4, 4) poses at their ends [m].
+        :param arcs: arcs of circles.
         :param line: (M,) lines of the moves.
         :raises ProgramError: a move without length has a duration.
         """
-        speed = _single([move.speed for move in moves]) * M_PER_MM
+        speed = _single_precision([move.speed for move in moves]) * M_PER_MM
         duration = np.array([move.duration for move in moves])
         timed_rows = np.flatnonzero((duration > 0.0) & (kind != PTP))
         if len(timed_rows):
             length = norm(pose[timed_rows, :3, 3] - start[timed_rows, :3, 3])
             radius = norm(start[timed_rows, :3, 3] - arcs.centre[timed_rows])
             length = np.where(kind[timed_rows] == CIRC, radius * arcs.sweep[timed_rows], length)
-            if (length < _LEAST_LENGTH).any():
+            if (length < _LENGTH_TOLERANCE).any():
                 move_line = int(line[timed_rows[np.argmin(length)]])
                 raise self._error("a move without length has a duration (\\T)", move_line, "Give it a speed instead.")
             speed[timed_rows] = length / duration[timed_rows]
@@ -501,7 +522,7 @@ class _Reader:
         execution = expanded_program.executed
         for name, (start, count) in execution.foreign.items():
             message = f"{name} is in no module of this file: it is assumed not to move the robot."
-            line = int(self._lines(expanded_program, np.array([start]))[0])
+            line = int(self._file_lines(expanded_program, np.array([start]))[0])
             yield Issue("warning", "external-call", message, line, subject=name.upper(), count=count)
         yield from self._cell_frame_issues(execution)
         yield from self._uncalled_issues(expanded_program)
@@ -521,7 +542,7 @@ class _Reader:
             first_move = next(filter(_is_move, all_statements(routine.body)), None)
             if first_move is not None and routine.name not in expanded_program.executed.followed:
                 message = f"{routine.kind} {routine.name} has moves but is not called; they are left as they are."
-                line = int(self._lines(expanded_program, np.array([first_move.start]))[0])
+                line = int(self._file_lines(expanded_program, np.array([first_move.start]))[0])
                 yield Issue("warning", "uncalled-motions", message, line, subject=routine.name)
 
     @staticmethod
@@ -543,19 +564,20 @@ class _FromCell:
         self.pose = pose
 
     def __repr__(self) -> str:
-        """Return a text by which the reader compares it with other values of tools and work objects."""
+        """Return a text by which the reader compares the frame with values of other tools and work objects."""
         return f"cell {self.pose.tolist()}"
 
 
 def _is_move(statement: Statement) -> bool:
-    """Return whether a statement is a move instruction of RAPID, MoveL or another."""
+    """Return whether a statement is an instruction whose name begins with Move."""
     return isinstance(statement, RapidInstruction) and statement.name.startswith("MOVE")
 
 
 def _tool_names(moves: list[Move], tool: Ints, count: int) -> tuple[tuple[str, ...], ...]:
-    """Return for each of `count` tools the names of the tooldata with its values, in order of first use.
+    """Return the names of the tooldata of each tool, in order of first use; several tooldata may have equal values.
 
-    :param tool: (M,) tool of each of the moves.
+    :param tool: (M,) index of the tool of each move.
+    :param count: number of tools.
     """
     names: list[dict[str, None]] = [{} for _ in range(count)]
     for row, move in zip(tool.tolist(), moves, strict=True):
@@ -564,22 +586,22 @@ def _tool_names(moves: list[Move], tool: Ints, count: int) -> tuple[tuple[str, .
     return tuple(map(tuple, names))
 
 
-def _single(values: list[float]) -> Array:
+def _single_precision(values: list[float]) -> Array:
     """Return numbers rounded to single precision, as the controller stores them."""
     return np.array(values).astype(np.float32).astype(np.float64)
 
 
 def _turn_speeds(moves: list[Move]) -> Runs | None:
-    """Return `Program.turn_speeds` of moves; None if no move has one."""
+    """Return `Program.turn_speeds` of moves; None if no move has a rotational speed."""
     speeds = np.full((len(moves), 3), np.inf)
-    speeds[:, 0] = _single([move.turn_speed for move in moves]) * RAD_PER_DEG
+    speeds[:, 0] = _single_precision([move.turn_speed for move in moves]) * RAD_PER_DEG
     return Runs.of(speeds) if np.isfinite(speeds).any() else None
 
 
 def _pose(value: Value) -> Array:
     """Return the pose (4, 4) [m] of a RAPID value of type `pose`, [[x, y, z], [q1, q2, q3, q4]] [mm].
 
-    :raises UnknownValueError: it is none.
+    :raises UnknownValueError: the value has another form, or a number is not valid.
     """
     numbers = np.array(record_numbers(value, 3, 4))
     if (np.abs(numbers[:3]) > _LARGEST_COORDINATE).any():
@@ -589,8 +611,13 @@ def _pose(value: Value) -> Array:
     return np.asarray(poses(numbers[None])[0])
 
 
-def _exact(stored_numbers: Array) -> Array:
-    """Return X, Y, Z [mm], A, B, C [deg] (n, 6) of targets (n, 7) as their text has them."""
+def _xyzabc_in_text(stored_numbers: Array) -> Array:
+    """Return X, Y, Z [mm], A, B, C [deg] (n, 6) of targets.
+
+    X, Y, Z are the numbers in the text, not rounded as in the controller.
+
+    :param stored_numbers: (n, 7) x, y, z [mm], q1…q4 in the text.
+    """
     if not len(stored_numbers):
         return np.zeros((0, 6))
     matrices = poses(np.column_stack([np.zeros((len(stored_numbers), 3)), stored_numbers[:, 3:]]))

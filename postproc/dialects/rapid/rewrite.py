@@ -1,11 +1,11 @@
-r"""A RAPID module with other targets: every other byte is kept.
+r"""A RAPID module with corrected targets: all other text is unchanged to the byte.
 
-- Numbers of a target are replaced where they stand: in the instruction, or in the CONST or VAR that it names, if all
-  moves that use it go to the same place and nothing else names it. Otherwise the move gets its target as numbers.
-- Inserted targets are lines before the move, with its speed, tool and work object. They have its zone; where the move
-  stops, z0, so that the robot does not stop on the way.
-- The configuration of a target follows the joints where a correction moves an axis beyond a quadrant.
-- A duration (``\T``) becomes a speed (``\V``) where the path is divided or moved.
+- Numbers of a target are replaced in the instruction, or in the CONST or VAR that it names, if all moves to these data
+  get the same target and nothing else names the data. Otherwise the target is written as numbers in the move.
+- Inserted targets are lines before the move, with its speed, tool, work object and zone. If the move stops, they have
+  zone z0, so that the robot does not stop at them.
+- The configuration of a target follows the joints if a correction moves an axis into another quadrant.
+- A duration (``\T``) becomes a speed (``\V``) if the path is divided or corrected.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ from postproc.dialects.rapid.language import abb_from_joints, configuration, qua
 from postproc.dialects.rapid.layout import Layout
 from postproc.dialects.rapid.moves import Move, Target
 from postproc.dialects.rapid.syntax import Argument, Expression
-from postproc.dialects.rapid.values import NONE
+from postproc.dialects.rapid.values import NOT_CONNECTED
 from postproc.dialects.text import line_spans
 from postproc.errors import Issue
 from postproc.frames import MM_PER_M, Array
 from postproc.program import CIRC, LIN, PTP, Ints, Program, TargetForces, TargetJoints, Targets, WrittenProgram
 
 _MILLIMETRES, _QUATERNION, _MOST_DECIMALS = 4, 8, 9
-"""Least decimals of positions and quaternions, as of new modules, and the most that numbers of the program keep."""
+"""Smallest numbers of decimals of positions and quaternions, as in new modules; largest number that numbers keep."""
 _SPEED_DECIMALS = 6
-"""Of speeds [mm/s]; zeros at the end are left out (assumed)."""
-_AT_QUADRANT = 3.0
-"""A configuration may differ by one quadrant where the axis is that close to its border [deg] (assumed)."""
+"""Decimals of speeds [mm/s]; trailing zeros are left out (assumed)."""
+_QUADRANT_MARGIN = 3.0
+"""A stated quadrant may differ by one if the axis is closer than this to the border of the quadrant [deg] (assumed)."""
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?")
-_STRAIGHT = {"MOVEC": "MoveL", "MOVECDO": "MoveLDO", "MOVECSYNC": "MoveLSync", "TRIGGC": "TriggL"}
-_PLAIN = {LIN: "MoveL", CIRC: "MoveC", PTP: "MoveJ"}
+_LINE_INSTRUCTIONS = {"MOVEC": "MoveL", "MOVECDO": "MoveLDO", "MOVECSYNC": "MoveLSync", "TRIGGC": "TriggL"}
+_MOVE_INSTRUCTIONS = {LIN: "MoveL", CIRC: "MoveC", PTP: "MoveJ"}
 
 
 class Edit(Struct, frozen=True, order=True):
-    """A piece of the text and what replaces it.
+    """The replacement of ``text[start:stop]`` by another text.
 
-    :ivar targets: (k) targets that the new text has as lines, with their offsets in it.
+    :ivar targets: (target, offset in the new text) for each inserted target whose line is in the new text.
     """
 
     start: int
@@ -61,8 +61,9 @@ def rewrite(
 ) -> WrittenProgram:
     """Return a program read from RAPID with other targets.
 
-    :param joints: joint angles of the targets, which give their configurations.
-    :param comment_forces: forces that comments must give to the targets, or None.
+    :param joints: joint angles at the targets, which decide on their configurations.
+    :param comment_forces: forces that comments must state for the targets; None leaves the comments unchanged.
+    :returns: the module, and the 1-based line of each target.
     :raises TypeError: the program was not read from RAPID.
     """
     if not isinstance(program.layout, Layout):
@@ -71,7 +72,12 @@ def rewrite(
 
 
 class _SharedData(NamedTuple):
-    """Data with numbers that moves name, the edits that give it a corrected target, and that target as text."""
+    """Data that moves name as their target, with a correction.
+
+    :ivar target: the target of a move that names the data.
+    :ivar edits: edits of the declaration that give the data the corrected target.
+    :ivar text: the corrected target as text.
+    """
 
     target: Target
     edits: list[Edit]
@@ -81,10 +87,15 @@ class _SharedData(NamedTuple):
 class _Rewriter:
     """Collects the edits of one program with M moves and K targets.
 
-    :ivar row: (K,) move of each target; `last`: (K,) whether the target is the end of its move.
-    :ivar place: (K, 3) positions [mm]; `turn`: (K, 4) quaternions of the targets.
-    :ivar degrees: (K, 6) ABB's joint angles [deg]; `conf`: (K, 4) cf1, cf4, cf6, cfx.
-    :ivar lowered: moves whose feed was lowered.
+    :ivar row: (K,) move of each target, ascending.
+    :ivar is_last: (K,) True for the target at the end of its move; the others are inserted.
+    :ivar position: (K, 3) positions of the targets [mm].
+    :ivar quaternion: (K, 4) orientations of the targets.
+    :ivar degrees: (K, 6) ABB's joint angles at the targets [deg].
+    :ivar configuration: (K, 4) cf1, cf4, cf6, cfx at the targets.
+    :ivar lowered_moves: moves whose feed was lowered.
+    :ivar shared: offset of a literal → data with this literal that moves name.
+    :ivar data_arguments: offset of an argument that names data → the argument.
     """
 
     def __init__(
@@ -98,46 +109,46 @@ class _Rewriter:
         self.program, self.layout, self.targets, self.comment_forces = program, layout, targets, comment_forces
         self.text, self.moves = layout.text, layout.moves
         self.row = np.asarray(targets.motion, dtype=np.int64)
-        self.last = np.append(self.row[1:] != self.row[:-1], True)[: len(self.row)]
+        self.is_last = np.append(self.row[1:] != self.row[:-1], True)[: len(self.row)]
         self.issues: list[Issue] = []
         self.edits: list[Edit] = []
         self.starts, self.stops = line_spans(self.text)
         pose = targets.pose.take(np.arange(len(self.row)))
-        self.place = pose.position * MM_PER_M
-        self.turn = quaternions(pose.rotation)
+        self.position = pose.position * MM_PER_M
+        self.quaternion = quaternions(pose.rotation)
         q = np.asarray(joints.q[np.arange(len(self.row))])
         self.degrees = abb_from_joints(q)
-        self.conf = configuration(q, np.asarray(joints.status[np.arange(len(self.row))]))
-        self.lowered = self._lowered_moves()
+        self.configuration = configuration(q, np.asarray(joints.status[np.arange(len(self.row))]))
+        self.lowered_moves = self._find_lowered_moves()
         self.shared: dict[int, _SharedData] = {}
-        """Data with numbers that moves name, by the offset of the numbers."""
         self.data_arguments: dict[int, Expression] = {}
-        """Arguments that name data, by offset."""
 
-    def _lowered_moves(self) -> set[int]:
-        """Return the rows of moves whose feed was lowered."""
+    def _find_lowered_moves(self) -> set[int]:
+        """Return the moves whose feed was lowered after the program was read."""
         as_read = self.program.feed_as_read
         if as_read is None:
             return set()
         return set(np.flatnonzero(self.program.motions.feed < as_read).tolist())
 
     def write(self) -> WrittenProgram:
-        """Make all edits of the module, and return it with the line of each target."""
+        """Make all edits of the module, and return it with the 1-based line of each target."""
         document = self.program.documents[0]
-        forces = self._forces()
+        forces = self._missing_force_comments()
         is_divided = np.bincount(self.row, minlength=len(self.moves)) > 1
-        is_corrected = ~self.targets.keep & self.last
+        is_corrected = ~self.targets.keep & self.is_last
+        # first target of each move: `row` is sorted
         begin = np.searchsorted(self.row, np.arange(len(self.moves)))
+        # the move before is corrected
         start_differs = np.append(False, np.isin(np.arange(len(self.moves)), self.row[is_corrected])[:-1])
-        uses: dict[int, list[tuple[int, str]]] = {}
-        for k in np.flatnonzero(self.last).tolist():
+        uses: dict[int, list[tuple[int, str]]] = {}  # see `_rewrite_point`
+        for k in np.flatnonzero(self.is_last).tolist():
             row = int(self.row[k])
             if is_divided[row] or k in forces:
                 self._add_lines(row, range(int(begin[row]), k), k, forces)
             needs_speed = self.moves[row].duration > 0.0 and (
                 is_divided[row] or is_corrected[k] or bool(start_differs[row])
             )
-            if needs_speed or row in self.lowered:
+            if needs_speed or row in self.lowered_moves:
                 self._set_speed(row)
             if is_corrected[k]:
                 self._change_end(row, k, uses)
@@ -151,19 +162,21 @@ class _Rewriter:
         return WrittenProgram((replace(document, text=text),), line, "rapid", tuple(self.issues))
 
     def _line_of_moves(self) -> Ints:
-        """Return the line (K,) of the file of each target, in a module without edits."""
+        """Return the line (K,) of each target in a module without edits: the line of its move."""
         return np.asarray(self.program.motions.line[self.row], dtype=np.int64)
 
     # --- lines before a move
 
-    def _forces(self) -> dict[int, str]:
-        """Return the force comments that targets need beyond those of the program, by rows of the targets."""
+    def _missing_force_comments(self) -> dict[int, str]:
+        """Return the force comments that the program lacks: target → comment; empty without `comment_forces`."""
         if self.comment_forces is None:
             return {}
         note_motions = np.array([note.before for note in self.program.notes], dtype=np.int64)
         trailing = np.array([comment.trailing for comment in self.layout.notes], dtype=np.int64)
-        # a comment in the line of a move counts for its end only: inserted targets are in lines above it
-        target_keys = 2 * self.row + self.last
+        # a comment in the line of a move applies to the end of the move, but not to the targets inserted before it:
+        # keys are 2 · move for comments and inserted targets before the move, 2 · move + 1 for the line of the move
+        target_keys = 2 * self.row + self.is_last
+        # the last comment that applies to each target; −1: none
         note = np.searchsorted(2 * note_motions + trailing, target_keys, side="right") - 1
         rows = np.flatnonzero(
             force_comments.needs_comment(self.comment_forces, self.targets.kind, note, self.program.notes, 0.0)
@@ -173,10 +186,15 @@ class _Rewriter:
     def _add_lines(self, row: int, inserted_rows: range, k: int, forces: dict[int, str]) -> None:
         """Add the lines of inserted targets and of force comments before a move.
 
-        :param row: the move; `inserted_rows`: rows of the targets before its end; `k`: row of its end.
-        :param forces: row of a target → force comment.
+        An error is added to `issues` if targets are inserted into a move that switches an output before its end.
+
+        :param row: the move.
+        :param inserted_rows: targets before its end.
+        :param k: target at its end.
+        :param forces: target → force comment.
         """
         start = self.moves[row].statement.start
+        # index of the last line that begins at or before the statement
         line = int(np.searchsorted(self.starts, start, side="right")) - 1
         lead = self.text[self.starts[line] : start]
         indent = lead[: len(lead) - len(lead.lstrip())]
@@ -186,7 +204,7 @@ class _Rewriter:
         length = 0
 
         def add(text: str) -> None:
-            """Add a line behind the others."""
+            """Add a line behind the lines so far."""
             nonlocal length
             pieces.append(f"{text}{end}{indent}")
             length += len(pieces[-1])
@@ -211,7 +229,7 @@ class _Rewriter:
             self.edits.append(Edit(start, start, "".join(pieces), tuple(targets)))
 
     def _replace_comment(self, row: int, text: str) -> bool:
-        """Put a force comment in place of the one in the line of a move; return whether there is one."""
+        """Replace the force comment in the line of move `row`; return whether it has one."""
         for note, comment in zip(self.program.notes, self.layout.notes, strict=True):
             if comment.trailing and note.before == row:
                 self.edits.append(Edit(comment.start, comment.stop, text))
@@ -219,20 +237,20 @@ class _Rewriter:
         return False
 
     def _line_end(self, line: int) -> str:
-        """Return the characters that end a line (index from 0); a line feed if it ends with the text."""
+        """Return the line end of line `line`, from 0; a line feed if the text ends without one."""
         following = int(self.starts[line + 1]) if line + 1 < len(self.starts) else len(self.text)
         return self.text[int(self.stops[line]) : following] or "\n"
 
     def _inserted_statement(self, row: int, k: int) -> str:
-        """Return the statement of an inserted target.
+        """Return the statement of inserted target `k`: MoveL, MoveC or MoveJ with the arguments of its move.
 
-        :param row: the move before whose end it is inserted; `k`: row of the target.
+        :param row: the move to which the target belongs.
         """
         move = self.moves[row]
         form = MOVES[move.statement.name]
         kind = int(self.targets.kind[k])
         positional_arguments = [argument for argument in move.statement.arguments if not argument.name]
-        tail = positional_arguments[form.points :]  # speed, perhaps a trigger, zone, tool
+        tail = positional_arguments[form.points :]  # speed, triggers, zone, tool
         speed, zone, tool = (self._text_of(tail[index]) for index in (0, 1 + form.before_zone, 2 + form.before_zone))
         options = {argument.name: self._text_of(argument) for argument in move.statement.arguments if argument.name}
         if (value := self._new_speed(row)) is not None:
@@ -242,34 +260,37 @@ class _Rewriter:
             zone = "z0"
             options.pop("INPOS", None)
             options.pop("Z", None)
-        points = [self._whole(move.target.numbers, self.place[k], k)]
+        points = [self._target_text(move.target.numbers, self.position[k], k)]
         if kind == CIRC:
-            points.insert(0, self._whole(move.target.numbers, self.targets.via[k] * MM_PER_M, k))
+            points.insert(0, self._target_text(move.target.numbers, self.targets.via[k] * MM_PER_M, k))
 
         def option(*names: str) -> str:
-            """Return the text of the first of some optional arguments that the statement has; empty if none."""
+            """Return the text of the first of these optional arguments that the statement has; empty if it has none."""
             return next((options[name] for name in names if name in options), "")
 
         concurrent = f"{option('CONC')}," if "CONC" in options else ""
         return (
-            f"{_PLAIN[kind]} {concurrent}{','.join(points)},{speed}{option('V', 'T')},"
+            f"{_MOVE_INSTRUCTIONS[kind]} {concurrent}{','.join(points)},{speed}{option('V', 'T')},"
             f"{zone}{option('Z')}{option('INPOS')},{tool}{option('WOBJ')}{option('TLOAD')};"
         )
 
     def _text_of(self, argument: Argument) -> str:
-        """Return an argument as it is written."""
+        """Return an argument as it is written in the module."""
         return self.text[argument.start : argument.stop]
 
     def _new_speed(self, row: int) -> str | None:
-        """Return the new speed [mm/s] of a move as text; None if the speed is unchanged."""
+        """Return the new speed of a move [mm/s] as text; None if its feed was not lowered and it has no duration.
+
+        The factor of VelSet, which applies to this speed too, is removed.
+        """
         move = self.moves[row]
-        if row not in self.lowered and not move.duration > 0.0:
+        if row not in self.lowered_moves and not move.duration > 0.0:
             return None
-        feed = float(self.program.motions.feed[row]) * MM_PER_M / move.setting.speed[0]
+        feed = float(self.program.motions.feed[row]) * MM_PER_M / move.setting.speed_share
         return f"{feed:.{_SPEED_DECIMALS}f}".rstrip("0").rstrip(".")
 
     def _set_speed(self, row: int) -> None:
-        """Give a move a speed in place of its duration or its own speed."""
+        r"""Write a new speed (``\V``) into a move, in place of ``\T`` or ``\V`` if it has one; nothing for MoveJ."""
         value = self._new_speed(row)
         move = self.moves[row]
         if value is None or move.kind == PTP:
@@ -286,9 +307,11 @@ class _Rewriter:
     # --- the end of a move
 
     def _change_end(self, row: int, k: int, uses: dict[int, list[tuple[int, str]]]) -> None:
-        """Give a move another end.
+        """Write the corrected end of a move; a circle that becomes a line gets another instruction.
 
-        :param row: the move; `k`: row of the target at its end; `uses`: see `_rewrite_point`.
+        :param row: the move.
+        :param k: target at its end.
+        :param uses: see `_rewrite_point`.
         """
         move = self.moves[row]
         is_circle = int(self.targets.kind[k]) == CIRC
@@ -296,48 +319,54 @@ class _Rewriter:
             self._straighten(move)
         if move.via is not None and is_circle:
             self._rewrite_point(move.via, self.targets.via[k] * MM_PER_M, None, k, uses)
-        self._rewrite_point(move.target, self.place[k], self.turn[k], k, uses)
+        self._rewrite_point(move.target, self.position[k], self.quaternion[k], k, uses)
 
     def _straighten(self, move: Move) -> None:
-        """Write a line in place of a circle: another instruction, without the point on the circle."""
+        """Replace a circle by a line: another instruction, without the point on the circle; nothing for other moves."""
         statement = move.statement
         if move.via is None:
             return
-        self.edits.append(Edit(statement.start, statement.start + len(statement.name), _STRAIGHT[statement.name]))
+        self.edits.append(
+            Edit(statement.start, statement.start + len(statement.name), _LINE_INSTRUCTIONS[statement.name])
+        )
         self.edits.append(Edit(move.via.expression.start, move.target.expression.start, ""))
 
     def _rewrite_point(
         self,
         target: Target,
-        place: Array,
-        turn: Array | None,
+        position: Array,
+        quaternion: Array | None,
         k: int,
         uses: dict[int, list[tuple[int, str]]],
     ) -> None:
-        """Replace the numbers of a target in its literal, or write it as numbers in the move.
+        """Write a corrected point.
 
-        :param place: (3,) its new position [mm].
-        :param turn: (4,) its new quaternion; None for the point on a circle, whose orientation is of no effect.
-        :param k: row of the new target.
-        :param uses: gets, for data with a name, the start of the use and the text that replaces it, by its literal.
+        Literal in the move: its numbers are replaced. CONST or VAR: the use is added to `uses`, and `shared` and
+        `data_arguments` are filled. PERS and calculated points: the argument is replaced by numbers.
+
+        :param target: the point as read.
+        :param position: (3,) its new position [mm].
+        :param quaternion: (4,) its new orientation; None for the point on a circle, whose orientation has no effect.
+        :param k: the new target.
+        :param uses: offset of the literal of named data → (offset of the argument, new target as text) for each use.
         """
         literal, expression = target.literal, target.expression
         if literal is not None and target.data is None:
-            self.edits += self._literal_edits(literal, target, place, turn, k)
+            self.edits += self._literal_edits(literal, target, position, quaternion, k)
             return
-        whole = self._whole(target.numbers, place, k, turn)
+        whole = self._target_text(target.numbers, position, k, quaternion)
         if literal is None or target.data is None or target.data.kind == "PERS":
             self.edits.append(Edit(expression.start, expression.stop, whole))
             return
-        edits = self._literal_edits(literal, target, place, turn, k)
+        edits = self._literal_edits(literal, target, position, quaternion, k)
         self.shared.setdefault(literal.start, _SharedData(target, edits, whole))
         uses.setdefault(literal.start, []).append((expression.start, whole))
         self.data_arguments[expression.start] = expression
 
     def _rewrite_shared_data(self, uses: dict[int, list[tuple[int, str]]]) -> None:
-        """Change the numbers of data, or write them into the moves that use them.
+        """Edit the declarations of named data, or write their targets as numbers into the moves.
 
-        Data is changed if all moves that use it get the same target, and if nothing but them names it.
+        The declaration is edited if all moves that name the data get the same target, and if nothing else names them.
 
         :param uses: see `_rewrite_point`.
         """
@@ -359,8 +388,8 @@ class _Rewriter:
             assert shared_data.target.data is not None
             data_name = shared_data.target.data.name
             has_one_text = len(texts) == len(arguments[start]) and all(text == shared_data.text for _, text in texts)
-            is_only_named_here = mentions[data_name] == 1 + name_counts[data_name]
-            if has_one_text and is_only_named_here:
+            has_no_other_use = mentions[data_name] == 1 + name_counts[data_name]  # 1 is the declaration
+            if has_one_text and has_no_other_use:
                 self.edits += shared_data.edits
             else:
                 for argument_start, text in texts:
@@ -368,34 +397,41 @@ class _Rewriter:
                     self.edits.append(Edit(expression.start, expression.stop, text))
 
     def _literal_edits(
-        self, literal: Expression, target: Target, place: Array, turn: Array | None, k: int
+        self, literal: Expression, target: Target, position: Array, quaternion: Array | None, k: int
     ) -> list[Edit]:
-        """Return the edits of the numbers in the literal of a target; one of all of it if they cannot be edited singly.
+        """Return the edits of the numbers in the literal of a target.
 
-        :param target: as read.
-        :param place: (3,) new position [mm].
-        :param turn: (4,) new quaternion; None: the orientation stays.
-        :param k: row of the new target.
+        If the numbers cannot be edited one by one, the result is one edit of the whole literal.
+
+        :param target: the target as read.
+        :param position: (3,) new position [mm].
+        :param quaternion: (4,) new orientation; None: the orientation is unchanged.
+        :param k: the new target.
         """
         spans = self._spans(literal)
         conf = self._configuration(target.numbers, k)
-        moved_axis = turn is not None and conf != target.numbers[7:11]
-        if spans is None or (moved_axis and len(spans) < 11):
-            return [Edit(literal.start, literal.stop, self._whole(target.numbers, place, k, turn))]
+        conf_differs = quaternion is not None and conf != target.numbers[7:11]
+        if spans is None or (conf_differs and len(spans) < 11):  # 11: the configuration has spans too
+            return [Edit(literal.start, literal.stop, self._target_text(target.numbers, position, k, quaternion))]
         edits: list[Edit] = []
-        for column, value in enumerate(place.tolist()):
+        for column, value in enumerate(position.tolist()):
             edits.append(self._number_edit(spans[column], value, _MILLIMETRES))
-        if turn is not None:
-            quaternion = turn if float(turn @ np.array(target.numbers[3:7])) >= 0.0 else -turn
-            for column, value in enumerate(quaternion.tolist(), 3):
+        if quaternion is not None:
+            # q and −q are one orientation: the sign of the text is kept
+            signed_quaternion = quaternion if float(quaternion @ np.array(target.numbers[3:7])) >= 0.0 else -quaternion
+            for column, value in enumerate(signed_quaternion.tolist(), 3):
                 edits.append(self._number_edit(spans[column], value, _QUATERNION))
             for column, number in enumerate(conf, 7):
-                if moved_axis and number != target.numbers[column]:
+                if conf_differs and number != target.numbers[column]:
                     edits.append(Edit(*spans[column], str(number)))
         return edits
 
     def _spans(self, literal: Expression) -> list[tuple[int, int]] | None:
-        """Return the places of the 17 numbers of a target; None if some are no plain numbers."""
+        """Return the spans of the numbers in the literal of a target, in order.
+
+        17 spans for a literal of numbers. For other literals 11, or 7 if the configuration is no list of numbers. None
+        if position or orientation is no list of numbers, or the literal has another form.
+        """
         if literal.kind == "numbers":
             return [match.span() for match in _NUMBER.finditer(self.text, literal.start, literal.stop)]
         spans: list[tuple[int, int]] = []
@@ -411,47 +447,52 @@ class _Rewriter:
         return spans
 
     def _number_edit(self, span: tuple[int, int], value: float, min_decimals: int) -> Edit:
-        """Return the edit of a number, with the decimals that it has, but no fewer than `min_decimals`."""
+        """Return the edit of a number; it keeps its number of decimals, from `min_decimals` to `_MOST_DECIMALS`."""
         mantissa = self.text[slice(*span)].upper().partition("E")[0]
         decimals = min(max(len(mantissa.partition(".")[2]), min_decimals), _MOST_DECIMALS)
         return Edit(*span, decimal_text(value, decimals))
 
-    def _whole(self, numbers: Sequence[float], place: Array, k: int, turn: Array | None = None) -> str:
+    def _target_text(self, numbers: Sequence[float], position: Array, k: int, quaternion: Array | None = None) -> str:
         """Return a robtarget as text of its 17 numbers, with the external axes of the target as read.
 
         :param numbers: 17 numbers of the target as read.
-        :param place: (3,) position [mm]; `turn`: (4,) quaternion, None: that of the new target.
-        :param k: row of the new target.
+        :param position: (3,) new position [mm].
+        :param k: the new target, which decides on the configuration.
+        :param quaternion: (4,) new orientation; None: that of the new target.
         """
-        turn = self.turn[k] if turn is None else turn
+        quaternion = self.quaternion[k] if quaternion is None else quaternion
         conf = self._configuration(numbers, k)
-        axes = ["9E+09" if abs(value) >= NONE else f"{value:g}" for value in numbers[11:17]]
+        axes = ["9E+09" if abs(value) >= NOT_CONNECTED else f"{value:g}" for value in numbers[11:17]]
         return (
-            f"[[{','.join(decimal_text(value, _MILLIMETRES) for value in place.tolist())}],"
-            f"[{','.join(decimal_text(value, _QUATERNION) for value in turn.tolist())}],"
+            f"[[{','.join(decimal_text(value, _MILLIMETRES) for value in position.tolist())}],"
+            f"[{','.join(decimal_text(value, _QUATERNION) for value in quaternion.tolist())}],"
             f"[{','.join(map(str, conf))}],[{','.join(axes)}]]"
         )
 
     def _configuration(self, numbers: Sequence[float], k: int) -> list[int]:
-        r"""Return cf1, cf4, cf6, cfx of a new target.
+        r"""Return cf1, cf4, cf6, cfx to be written for target `k`.
 
-        If the configuration that the program states agrees with the joints at the end of the move, whole turns aside,
-        it follows the joints of the new target. Else it is kept as stated: moves with ``ConfL\Off`` ignore it.
+        If the stated configuration agrees with the joints at the end of the move, except for whole turns, cf1, cf4 and
+        cf6 follow the joints at `k` with the same turns, and cfx is kept. Otherwise the stated configuration is kept:
+        moves with ``ConfL\Off`` ignore it.
+
+        :param numbers: 17 numbers of the target as read.
         """
         programmed_conf = [int(value) for value in numbers[7:11]]
+        # last target of the move of target `k`
         end = int(np.searchsorted(self.row, self.row[k], side="right")) - 1
-        quadrant_offsets = [programmed_conf[axis] - int(self.conf[end, axis]) for axis in range(3)]
+        quadrant_offsets = [programmed_conf[axis] - int(self.configuration[end, axis]) for axis in range(3)]
         degrees = self.degrees[end, [0, 3, 5]]
         for axis, quadrant_offset in enumerate(quadrant_offsets):
-            nearest = quadrant_offset - 4 * round(quadrant_offset / 4)
-            border = abs(degrees[axis] - 90.0 * round(degrees[axis] / 90.0))
-            if nearest and not (abs(nearest) == 1 and border < _AT_QUADRANT):
+            nearest = quadrant_offset - 4 * round(quadrant_offset / 4)  # without whole turns, of four quadrants
+            border_distance = abs(degrees[axis] - 90.0 * round(degrees[axis] / 90.0))
+            if nearest and not (abs(nearest) == 1 and border_distance < _QUADRANT_MARGIN):
                 return programmed_conf
             quadrant_offsets[axis] = quadrant_offset - nearest
-        return [*(int(self.conf[k, axis]) + quadrant_offsets[axis] for axis in range(3)), programmed_conf[3]]
+        return [*(int(self.configuration[k, axis]) + quadrant_offsets[axis] for axis in range(3)), programmed_conf[3]]
 
     def _edited_text(self) -> tuple[str, Ints]:
-        """Return the text with all edits, and the line of every target (K,)."""
+        """Return the text with all edits, and the 1-based line (K,) of each target."""
         edits = sorted(set(self.edits), key=lambda edit: (edit.start, edit.stop))
         pieces: list[str] = []
         position = 0
@@ -460,17 +501,19 @@ class _Rewriter:
             position = edit.stop
         pieces.append(self.text[position:])
         text = "".join(pieces)
+        # offset of each piece in the new text
         begins = list(accumulate((len(piece) for piece in pieces), initial=0))
         offset = np.zeros(len(self.row), dtype=np.int64)
         for number, edit in enumerate(edits):
             for k, text_offset in edit.targets:
-                offset[k] = begins[2 * number + 1] + text_offset
+                offset[k] = begins[2 * number + 1] + text_offset  # pieces alternate: old text, new text of an edit
         starts = np.array([edit.start for edit in edits])
         stops = np.array([edit.stop for edit in edits])
-        ends = np.flatnonzero(self.last)
+        ends = np.flatnonzero(self.is_last)
         statement_start = np.array([self.moves[row].statement.start for row in self.row[ends].tolist()], dtype=np.int64)
-        edit_counts = np.searchsorted(stops, statement_start, side="right")  # edits before the statement
+        edit_counts = np.searchsorted(stops, statement_start, side="right")  # number of edits before the statement
         edit_counts = np.minimum(edit_counts, np.searchsorted(starts, statement_start, side="right"))
+        # growth of the text by all edits before each
         added_lengths = np.cumsum([0, *(len(edit.text) - (edit.stop - edit.start) for edit in edits)])
         offset[ends] = statement_start + added_lengths[edit_counts]
         return text, np.searchsorted(line_spans(text)[0], offset, side="right")

@@ -1,7 +1,7 @@
-"""RAPID as text: tokens, expressions, statements and routines, with their places.
+"""RAPID as text: tokens, expressions, statements and routines, with their offsets.
 
 Grammar: ABB, Technical reference manual, RAPID Kernel (3HAC16585). Names are compared in upper case, as the controller
-does. What is not understood here is an error of the statement that has it; nothing is guessed.
+does. A statement that is not understood is an error; nothing is guessed.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from postproc.errors import PostprocError
 
 
 class RapidSyntaxError(PostprocError):
-    """A text that is not RAPID.
+    """A text is not RAPID.
 
-    :ivar start: offset of the fault.
+    :ivar start: offset of the error.
     """
 
     def __init__(self, problem: str, start: int) -> None:
@@ -32,8 +32,10 @@ class Expression(Struct, frozen=True, eq=False):
 
     :ivar kind: ``number``, ``string``, ``bool``, ``name``, ``index``, ``field``, ``call``, ``list``, ``operation`` or
         ``numbers`` (a target of numbers only).
-    :ivar value: the number, text, upper-case name, operator; of ``numbers`` the texts of all its numbers.
-    :ivar items: operands; of ``call`` its `Argument`s.
+    :ivar value: ``number``, ``string``, ``bool``: the value. ``name``, ``field``, ``call``: name in upper case.
+        ``operation``: operator. ``numbers``: the texts of its numbers. Others: None.
+    :ivar items: ``index``: array and indices. ``field``: record. ``list``: values. ``operation``: operands. ``call``:
+        `Argument`s. Others: empty.
     """
 
     kind: str
@@ -44,7 +46,11 @@ class Expression(Struct, frozen=True, eq=False):
 
 
 class Argument(Struct, frozen=True, eq=False):
-    """An argument of an instruction or function; of an optional one `name` (upper case) is given, perhaps alone."""
+    """An argument of an instruction or function.
+
+    :ivar name: name of an optional argument, upper case; empty for a positional argument.
+    :ivar value: None for an optional argument without a value, a switch.
+    """
 
     name: str
     value: Expression | None
@@ -53,21 +59,32 @@ class Argument(Struct, frozen=True, eq=False):
 
 
 class Statement(Struct, frozen=True, eq=False):
-    """A statement from `start` to `stop`, which is behind its last character."""
+    """A statement.
+
+    :ivar start: offset of its first character.
+    :ivar stop: offset behind its last character.
+    """
 
     start: int
     stop: int
 
 
 class Comment(Statement, frozen=True, eq=False):
-    """A comment; `trailing` if it follows a statement in its line."""
+    """A comment.
+
+    :ivar text: text behind ``!``.
+    :ivar trailing: True if other text precedes it in its line.
+    """
 
     text: str
     trailing: bool
 
 
 class Instruction(Statement, frozen=True, eq=False):
-    """An instruction or a call of a procedure; `name` in upper case, as for all others."""
+    """An instruction or a call of a procedure.
+
+    :ivar name: upper case; a call by a text begins with ``%``.
+    """
 
     name: str
     arguments: tuple[Argument, ...]
@@ -81,7 +98,16 @@ class Assignment(Statement, frozen=True, eq=False):
 
 
 class Declaration(Statement, frozen=True, eq=False):
-    """Data: `kind` is CONST, PERS or VAR; `name` in upper case, `spelling` as the text has it."""
+    """A declaration of data.
+
+    :ivar kind: CONST, PERS or VAR.
+    :ivar local: True for LOCAL.
+    :ivar type: upper case.
+    :ivar name: upper case.
+    :ivar spelling: the name as it is spelled.
+    :ivar dimensions: sizes of an array; empty for other data.
+    :ivar value: initial value; None without one.
+    """
 
     kind: str
     local: bool
@@ -93,9 +119,11 @@ class Declaration(Statement, frozen=True, eq=False):
 
 
 class Conditional(Statement, frozen=True, eq=False):
-    """IF and TEST: conditions, None for ELSE, with their statements.
+    """IF or TEST.
 
-    :ivar subject: of TEST: the value that each condition's `items` are compared with.
+    :ivar branches: condition and statements of each branch. The condition of ELSE and DEFAULT is None; that of CASE
+        is a ``list`` of values.
+    :ivar subject: value of TEST with which the values of CASE are compared; None for IF.
     """
 
     branches: tuple[tuple[Expression | None, tuple[Statement, ...]], ...]
@@ -103,11 +131,11 @@ class Conditional(Statement, frozen=True, eq=False):
 
 
 class Loop(Statement, frozen=True, eq=False):
-    """FOR and WHILE.
+    """FOR or WHILE.
 
-    :ivar name: variable of FOR; empty for WHILE, whose `bounds` are its condition.
-    :ivar bounds: first value, last value and perhaps the step.
-    :ivar inside: (begin, end) of the text between DO and ENDFOR or ENDWHILE.
+    :ivar name: variable of FOR, upper case; empty for WHILE.
+    :ivar bounds: FOR: first value, last value and, if stated, step. WHILE: condition.
+    :ivar inside: span of the text between DO and ENDFOR or ENDWHILE.
     """
 
     name: str
@@ -117,13 +145,17 @@ class Loop(Statement, frozen=True, eq=False):
 
 
 class Jump(Statement, frozen=True, eq=False):
-    """RETURN, RAISE, RETRY, TRYNEXT, EXIT, GOTO, or a label (word ``:``)."""
+    """RETURN, RAISE, RETRY, TRYNEXT, EXIT, GOTO, or a label (`word` is ``:``)."""
 
     word: str
 
 
 class Parameter(Struct, frozen=True):
-    """A parameter: `changeable` if it is VAR, PERS or INOUT, `optional` if it is behind a backslash. Upper case."""
+    """A parameter of a routine; name and type are in upper case.
+
+    :ivar changeable: True for VAR, PERS and INOUT: the routine may change the argument.
+    :ivar optional: True if a backslash precedes it.
+    """
 
     name: str
     type: str
@@ -135,8 +167,10 @@ class Routine(Struct, frozen=True, eq=False):
     """A routine of a module.
 
     :ivar kind: PROC, FUNC or TRAP.
-    :ivar name: upper case; `name_span` is its place.
-    :ivar body: statements; `handler` those of ERROR, UNDO and BACKWARD.
+    :ivar name: upper case.
+    :ivar name_span: span of the name.
+    :ivar body: statements of the routine.
+    :ivar handler: statements of ERROR, UNDO and BACKWARD.
     """
 
     kind: str
@@ -166,52 +200,54 @@ _TOKEN = re.compile(
     re.VERBOSE,
 )
 _N = r"[ \t]*([-+]?[0-9]+(?:\.[0-9]*)?(?:[eE][-+]?[0-9]+)?)[ \t]*"
-_PLAIN = re.compile(
+_PLAIN_TARGET = re.compile(
     rf"\[[ \t]*\[{_N},{_N},{_N}\][ \t]*,[ \t]*\[{_N},{_N},{_N},{_N}\][ \t]*,[ \t]*"
     rf"\[{_N},{_N},{_N},{_N}\][ \t]*,[ \t]*\[{_N},{_N},{_N},{_N},{_N},{_N}\][ \t]*\]"
 )
-"""A target of numbers, the form of most programs: read by one pattern."""
+"""A target of 17 numbers, as in most programs: matched at once."""
 _POSITIVE = r"[ \t]*[0-9]+(?:\.[0-9]*)?[ \t]*"
 _SPEED = rf"\[{_POSITIVE},{_POSITIVE},{_POSITIVE},{_POSITIVE}\]"
 _MOVE = re.compile(
-    rf"(Move[LJ])[ \t]+({_PLAIN.pattern})[ \t]*,[ \t]*([a-z]\w*|{_SPEED})[ \t]*,"
+    rf"(Move[LJ])[ \t]+({_PLAIN_TARGET.pattern})[ \t]*,[ \t]*([a-z]\w*|{_SPEED})[ \t]*,"
     r"[ \t]*([a-z]\w*)[ \t]*,[ \t]*([a-z]\w*)[ \t]*,?[ \t]*(\\WObj[ \t]*:=[ \t]*([a-z]\w*)[ \t]*)?;",
     re.IGNORECASE | re.ASCII,
 )
-"""A move to numbers, with names for the other arguments or a speed of numbers: most lines of a CAM system."""
+"""MoveL or MoveJ to a target of numbers; other arguments are names, or a speed of numbers: most lines of programs."""
 _NUMBER_IN_LIST = re.compile(r"[0-9.]+")
-_FIRST, _NUMBERS = 2, 17
-"""Group of the target in this pattern, and how many numbers it has: x, y, z, q1…q4, cf1…cfx, eax_a…eax_f."""
+_TARGET_GROUP, _TARGET_NUMBERS = 2, 17
+"""Group of the target in `_MOVE`, and number of groups of its numbers: x, y, z, q1…q4, cf1…cfx, eax_a…eax_f."""
 _OPERATORS = (("OR", "XOR"), ("AND",), ("=", "<>", "<", ">", "<=", ">="), ("+", "-"), ("*", "/", "DIV", "MOD"))
 _COMPARISON, _SUM, _PRODUCT = 2, 3, 4
-"""Indices in `_OPERATORS`; operators bind the tighter, the further behind they are."""
-_ENDS = {"ENDIF", "ELSE", "ELSEIF", "ENDFOR", "ENDWHILE", "ENDTEST", "CASE", "DEFAULT", "ENDPROC", "ENDFUNC"}
-_ENDS |= {"ENDTRAP", "ERROR", "UNDO", "BACKWARD", "ENDMODULE"}
-_KINDS = ("CONST", "PERS", "VAR")
-_DEEPEST = 200
-"""Beyond any program; a deeper tree is beyond Python's limit of recursion."""
+"""Indices in `_OPERATORS`; later operators bind more tightly."""
+_END_WORDS = {"ENDIF", "ELSE", "ELSEIF", "ENDFOR", "ENDWHILE", "ENDTEST", "CASE", "DEFAULT", "ENDPROC", "ENDFUNC"}
+_END_WORDS |= {"ENDTRAP", "ERROR", "UNDO", "BACKWARD", "ENDMODULE"}
+_DATA_KINDS = ("CONST", "PERS", "VAR")
+_MAX_DEPTH = 200
+"""Largest number of nested expressions and blocks: no program has more; more would exceed the limit of recursion."""
 
 
 class Parser:
-    """Parser of a text from an offset on.
+    """Parser of a text from an offset on. Methods parse from the next token, and step over what they parse.
 
-    :ivar kind: of the next token: ``name``, ``number``, ``string``, ``symbol``, ``end`` of the text, or ``?``.
-    :ivar word: its text, names in upper case; `start` and `stop`: its offsets.
-    :ivar behind: end of the token before it.
-    :ivar comments: comments that no block has yet.
-    :ivar depth: number of expressions and blocks that are open.
+    :ivar kind: kind of the next token: ``name``, ``number``, ``string``, ``symbol``, ``end`` of the text, or ``?``.
+    :ivar word: text of the next token; names in upper case.
+    :ivar start: offset of the next token.
+    :ivar stop: offset behind the next token.
+    :ivar previous_stop: offset behind the token before it.
+    :ivar comments: comments that have been read and belong to no block yet.
+    :ivar depth: number of open expressions and blocks.
     """
 
     def __init__(self, text: str, start: int = 0) -> None:
-        self.text, self.behind, self.stop = text, start, start
+        self.text, self.previous_stop, self.stop = text, start, start
         self.kind, self.word, self.start = "", "", start
         self.comments: list[Comment] = []
         self.depth = 0
         self.step()
 
     def step(self) -> None:
-        """Go to the next token; comments before it are collected in `comments`."""
-        self.behind = at = self.stop
+        """Step over the next token, to the one behind it; comments between them are added to `comments`."""
+        self.previous_stop = at = self.stop
         while True:
             match = _TOKEN.match(self.text, at)
             if match is None:
@@ -220,8 +256,9 @@ class Parser:
                 return
             at = match.end()
             if match.lastgroup == "comment":
-                line_start = self.text[self.behind : match.start()]
-                trailing = "\n" not in line_start and "\r" not in line_start and self.behind > 0
+                line_start = self.text[self.previous_stop : match.start()]
+                # text precedes the comment on its line: no line end is between the token before and the comment
+                trailing = "\n" not in line_start and "\r" not in line_start and self.previous_stop > 0
                 self.comments.append(Comment(match.start(), at, match[0][1:], trailing))
             elif match.lastgroup != "space":
                 self.kind, self.start, self.stop = str(match.lastgroup), match.start(), at
@@ -229,30 +266,31 @@ class Parser:
                 return
 
     def fault(self, expectation: str) -> RapidSyntaxError:
-        """Return the error that something else was expected here."""
+        """Return the error that `expectation` is expected in place of the next token."""
         token = self.text[self.start : self.stop] if self.kind != "end" else "the end of the file"
         return RapidSyntaxError(f"{expectation} is expected instead of {token!r}", self.start)
 
-    def take(self, word: str) -> None:
-        """Go beyond a word or symbol.
+    def expect(self, word: str) -> None:
+        """Step over the next token, which must be a certain word or symbol.
 
-        :raises RapidSyntaxError: another token is here.
+        :param word: the word in upper case, or the symbol.
+        :raises RapidSyntaxError: the next token is another one.
         """
         if self.word != word or self.kind not in ("name", "symbol"):
             raise self.fault(word)
         self.step()
 
     def accept(self, word: str) -> bool:
-        """Go beyond a word or symbol if it is here; return whether it is."""
+        """Step over the next token if it is the word (upper case) or symbol `word`; return whether it is."""
         if self.word == word and self.kind in ("name", "symbol"):
             self.step()
             return True
         return False
 
     def identifier(self) -> str:
-        """Go beyond a name; return it in upper case.
+        """Parse a name that is no reserved word; return it in upper case.
 
-        :raises RapidSyntaxError: no name is here.
+        :raises RapidSyntaxError: the next token is no such name.
         """
         if self.kind != "name" or self.word in WORDS:
             raise self.fault("a name")
@@ -263,22 +301,22 @@ class Parser:
     # --- expressions
 
     def expression(self, level: int = 0) -> Expression:
-        """Parse an expression and go beyond it.
+        """Parse an expression.
 
-        :param level: index in `_OPERATORS` of the operators that bind loosest in it; brackets begin at 0 again.
+        :param level: index in `_OPERATORS` of the loosest operators outside of brackets that it may have.
         :raises RapidSyntaxError: it is not valid, or nested too deeply.
         """
         if level == len(_OPERATORS):
             return self._factor()
         self.depth += 1
-        if self.depth > _DEEPEST:
+        if self.depth > _MAX_DEPTH:
             raise RapidSyntaxError("brackets or statements are nested too deeply", self.start)
         start, left = self.start, self._first_operand(level)
         while self.kind in ("symbol", "name") and self.word in _OPERATORS[level]:
             word = self.word
             self.step()
             right = self.expression(level + 1)
-            left = Expression("operation", start, self.behind, word, (left, right))
+            left = Expression("operation", start, self.previous_stop, word, (left, right))
         self.depth -= 1
         return left
 
@@ -290,63 +328,63 @@ class Parser:
         """
         start = self.start
         if level in (0, _COMPARISON) and self.word == "NOT" and self.kind == "name":
-            self.step()  # the lowest level: NOT a AND b is NOT (a AND b)
+            self.step()  # at level 0, NOT applies to the AND that follows: NOT a AND b is NOT (a AND b)
             operand = self.expression(level + 1)
-            return Expression("operation", start, self.behind, "NOT", (operand,))
+            return Expression("operation", start, self.previous_stop, "NOT", (operand,))
         if level == _SUM and self.kind == "symbol" and self.word in ("-", "+"):
             sign = self.word
             self.step()
             operand = self.expression(_PRODUCT)
             if operand.kind == "number":
-                return Expression("number", start, self.behind, -operand.value if sign == "-" else operand.value)
-            return Expression("operation", start, self.behind, sign, (operand,))
+                return Expression("number", start, self.previous_stop, -operand.value if sign == "-" else operand.value)
+            return Expression("operation", start, self.previous_stop, sign, (operand,))
         return self.expression(level + 1)
 
     def _factor(self) -> Expression:
-        """Parse a number, string, aggregate, bracket or reference.
+        """Parse a number, string, TRUE or FALSE, aggregate, expression in brackets, or reference.
 
-        :raises RapidSyntaxError: there is none.
+        :raises RapidSyntaxError: it is none of these, or not valid.
         """
         start, kind = self.start, self.kind
         if kind == "number":
             value = float(self.word)
             self.step()
-            return Expression("number", start, self.behind, value)
+            return Expression("number", start, self.previous_stop, value)
         if kind == "string":
             text = self.word[1:-1].replace('""', '"')
             self.step()
-            return Expression("string", start, self.behind, text)
+            return Expression("string", start, self.previous_stop, text)
         if self.word == "[" and kind == "symbol":
             return self._list()
         if self.accept("("):
             inner = self.expression()
-            self.take(")")
-            return Expression(inner.kind, start, self.behind, inner.value, inner.items)
+            self.expect(")")
+            return Expression(inner.kind, start, self.previous_stop, inner.value, inner.items)
         if kind == "name" and self.word in ("TRUE", "FALSE"):
             is_true = self.word == "TRUE"
             self.step()
-            return Expression("bool", start, self.behind, is_true)
+            return Expression("bool", start, self.previous_stop, is_true)
         return self._reference()
 
     def _list(self) -> Expression:
-        """Parse an aggregate in [ ]; plain numbers by one pattern, for speed.
+        """Parse an aggregate in [ ]; a target of 17 numbers is matched at once, for speed.
 
         :raises RapidSyntaxError: it is not valid.
         """
         start = self.start
-        if (match := _PLAIN.match(self.text, start)) is not None:
+        if (match := _PLAIN_TARGET.match(self.text, start)) is not None:
             self.stop = match.end()
             self.step()
             return Expression("numbers", start, match.end(), match.groups())
-        self.take("[")
+        self.expect("[")
         items = [self.expression()]
         while self.accept(","):
             items.append(self.expression())
-        self.take("]")
-        return Expression("list", start, self.behind, None, tuple(items))
+        self.expect("]")
+        return Expression("list", start, self.previous_stop, None, tuple(items))
 
     def _reference(self) -> Expression:
-        """Read a name with indices and components, or a call of a function.
+        """Parse a name with indices and components, or a call of a function.
 
         :raises RapidSyntaxError: it is not valid.
         """
@@ -355,8 +393,8 @@ class Parser:
         if self.word == "(" and self.kind == "symbol":
             self.step()
             arguments = () if self.word == ")" else self.arguments(")")
-            self.take(")")
-            return Expression("call", start, self.behind, expression.value, arguments)
+            self.expect(")")
+            return Expression("call", start, self.previous_stop, expression.value, arguments)
         return self._components(expression)
 
     def arguments(self, end: str) -> tuple[Argument, ...]:
@@ -373,37 +411,37 @@ class Parser:
                 name, value = self.identifier(), None
                 if self.accept(":=") or self.accept("?"):
                     value = self.expression()
-                items.append(Argument(name, value, start, self.behind))
+                items.append(Argument(name, value, start, self.previous_stop))
             else:
                 value = self.expression()
-                items.append(Argument("", value, start, self.behind))
+                items.append(Argument("", value, start, self.previous_stop))
         return tuple(items)
 
     # --- statements
 
     def block(self) -> tuple[Statement, ...]:
-        """Parse statements up to the word that ends them, which remains the next token.
+        """Parse statements up to a word that ends a block, which remains the next token.
 
         :raises RapidSyntaxError: a statement is not valid, or the text ends.
         """
-        self.depth += 1  # each block in another one has an expression before it, which is counted and refused
+        self.depth += 1  # not checked here: an expression precedes each nested block, and checks the depth
         statements: list[Statement] = []
         while True:
-            statements += self._remarks()
-            if self.kind == "name" and self.word in _ENDS:
+            statements += self._take_comments()
+            if self.kind == "name" and self.word in _END_WORDS:
                 self.depth -= 1
                 return tuple(statements)
             if self.kind == "end":
                 raise self.fault("the end of a routine")
             statements.append(self.statement())
 
-    def _remarks(self) -> list[Comment]:
-        """Return the comments before the next token, and forget them."""
+    def _take_comments(self) -> list[Comment]:
+        """Return the comments before the next token, and empty `comments`."""
         comments, self.comments = self.comments, []
         return comments
 
     def statement(self) -> Statement:
-        """Parse a statement and go beyond it.
+        """Parse a statement, with all statements inside it.
 
         :raises RapidSyntaxError: it is not valid.
         """
@@ -414,7 +452,7 @@ class Parser:
             raise self.fault("a statement")
         if word in ("MOVEL", "MOVEJ") and (match := _MOVE.match(self.text, start)) is not None:
             return self._plain_move(match)
-        if word in ("LOCAL", "TASK", *_KINDS):
+        if word in ("LOCAL", "TASK", *_DATA_KINDS):
             return self.declaration()
         structures = {"IF": self._if, "TEST": self._test, "FOR": self._for_statement, "WHILE": self._while_statement}
         if word in structures:
@@ -427,14 +465,17 @@ class Parser:
         return self._simple(start)
 
     def _plain_move(self, match: re.Match[str]) -> Statement:
-        """Return the move that `_MOVE` matched: target of numbers, speed, zone, tool and perhaps a work object."""
+        """Return the move that `_MOVE` matched, and step over it: target, speed, zone, tool, perhaps work object."""
         groups = match.groups()
-        target = Expression("numbers", match.start(_FIRST), match.end(_FIRST), groups[_FIRST : _FIRST + _NUMBERS])
+        # `groups` is without the whole match: the numbers follow the group of the target
+        numbers = groups[_TARGET_GROUP : _TARGET_GROUP + _TARGET_NUMBERS]
+        target = Expression("numbers", match.start(_TARGET_GROUP), match.end(_TARGET_GROUP), numbers)
         arguments = [Argument("", target, target.start, target.stop)]
-        for group in range(_FIRST + _NUMBERS + 1, _FIRST + _NUMBERS + 4):  # speed, zone and tool
+        first_group = _TARGET_GROUP + _TARGET_NUMBERS + 1  # behind the groups of the target and of its numbers
+        for group in range(first_group, first_group + 3):  # speed, zone and tool
             start, stop = match.span(group)
             arguments.append(Argument("", self._plain_argument(start, stop), start, stop))
-        if groups[-1] is not None:
+        if groups[-1] is not None:  # the name of the work object; the group before it is the whole option
             start, stop = match.span(len(groups))
             name = Expression("name", start, stop, groups[-1].upper())
             arguments.append(Argument("WOBJ", name, match.start(len(groups) - 1), stop))
@@ -443,7 +484,7 @@ class Parser:
         return Instruction(match.start(), match.end(), groups[0].upper(), tuple(arguments))
 
     def _plain_argument(self, start: int, stop: int) -> Expression:
-        """Return a name or a list of numbers without signs."""
+        """Return ``text[start:stop]`` as an expression: a name, or a list of numbers without signs."""
         if self.text[start] != "[":
             return Expression("name", start, stop, self.text[start:stop].upper())
         numbers = _NUMBER_IN_LIST.finditer(self.text, start, stop)
@@ -451,36 +492,38 @@ class Parser:
         return Expression("list", start, stop, None, items)
 
     def _jump(self, start: int, word: str) -> Statement:
-        """Parse CONNECT, RETURN, GOTO and the like.
+        """Parse RETURN, RAISE, RETRY, TRYNEXT, EXIT or GOTO; or CONNECT, which becomes an instruction.
 
         :param start: offset of its first word.
+        :param word: its first word, which is the next token.
         :raises RapidSyntaxError: it is not valid.
         """
         self.step()
         if word == "CONNECT":
             self.expression()
-            self.take("WITH")
+            self.expect("WITH")
             name = Expression("name", self.start, self.stop, self.identifier())
-            self.take(";")
-            return Instruction(start, self.behind, "CONNECT", (Argument("", name, name.start, name.stop),))
+            self.expect(";")
+            return Instruction(start, self.previous_stop, "CONNECT", (Argument("", name, name.start, name.stop),))
         if self.word != ";":
             self.expression()
-        self.take(";")
-        return Jump(start, self.behind, word)
+        self.expect(";")
+        return Jump(start, self.previous_stop, word)
 
     def _late_call(self) -> Statement:
-        """Parse a call by a text, ``%"name"% arguments;``: an instruction named ``%NAME``, or ``%`` if not literal.
+        """Parse a call by a text, ``%"name"% arguments;``: an instruction named ``%NAME``, or ``%`` for other texts.
 
         :raises RapidSyntaxError: it is not valid.
         """
         start = self.start
-        self.take("%")
+        self.expect("%")
         name = self.expression()
-        self.take("%")
+        self.expect("%")
         arguments = self.arguments(";")
-        self.take(";")
+        self.expect(";")
+        # without the name of the module before a colon
         routine_name = str(name.value).rpartition(":")[2].upper() if name.kind == "string" else ""
-        return Instruction(start, self.behind, f"%{routine_name}", arguments)
+        return Instruction(start, self.previous_stop, f"%{routine_name}", arguments)
 
     def _simple(self, start: int) -> Statement:
         """Parse an assignment, an instruction or a label, which all begin with a name.
@@ -492,21 +535,21 @@ class Parser:
         self.step()
         if self.kind == "symbol" and self.word == ":":
             self.step()
-            return Jump(start, self.behind, ":")
+            return Jump(start, self.previous_stop, ":")
         if self.kind == "symbol" and self.word in (":=", "{", "."):
             target = name
             if self.word != ":=":
                 target = self._components(name)
-            self.take(":=")
+            self.expect(":=")
             value = self.expression()
-            self.take(";")
-            return Assignment(start, self.behind, target, value)
+            self.expect(";")
+            return Assignment(start, self.previous_stop, target, value)
         arguments = self.arguments(";")
-        self.take(";")
-        return Instruction(start, self.behind, name.value, arguments)
+        self.expect(";")
+        return Instruction(start, self.previous_stop, name.value, arguments)
 
     def _components(self, expression: Expression) -> Expression:
-        """Parse indices { } and components . after an expression.
+        """Parse the indices { } and components . behind an expression; return the whole reference.
 
         :raises RapidSyntaxError: they are not valid.
         """
@@ -516,38 +559,38 @@ class Parser:
                 items = [expression, self.expression()]
                 while self.accept(","):
                     items.append(self.expression())
-                self.take("}")
-                expression = Expression("index", start, self.behind, None, tuple(items))
+                self.expect("}")
+                expression = Expression("index", start, self.previous_stop, None, tuple(items))
             else:
                 self.step()
                 component = self.identifier()
-                expression = Expression("field", start, self.behind, component, (expression,))
+                expression = Expression("field", start, self.previous_stop, component, (expression,))
         return expression
 
     def _if(self, start: int) -> Statement:
-        """Parse IF with its branches.
+        """Parse IF with its branches, from its condition on.
 
-        :param start: offset of its first word.
+        :param start: offset of the word IF.
         :raises RapidSyntaxError: it is not valid.
         """
         condition = self.expression()
         if not self.accept("THEN"):  # compact IF: one statement
             statement = self.statement()
-            return Conditional(start, self.behind, ((condition, (statement,)),))
+            return Conditional(start, self.previous_stop, ((condition, (statement,)),))
         branches: list[tuple[Expression | None, tuple[Statement, ...]]] = [(condition, self.block())]
         while self.accept("ELSEIF"):
             condition = self.expression()
-            self.take("THEN")
+            self.expect("THEN")
             branches.append((condition, self.block()))
         if self.accept("ELSE"):
             branches.append((None, self.block()))
-        self.take("ENDIF")
-        return Conditional(start, self.behind, tuple(branches))
+        self.expect("ENDIF")
+        return Conditional(start, self.previous_stop, tuple(branches))
 
     def _test(self, start: int) -> Statement:
-        """Parse TEST with its cases.
+        """Parse TEST with its cases, from its value on.
 
-        :param start: offset of its first word.
+        :param start: offset of the word TEST.
         :raises RapidSyntaxError: it is not valid.
         """
         subject = self.expression()
@@ -559,31 +602,31 @@ class Parser:
                 values = [self.expression()]
                 while self.accept(","):
                     values.append(self.expression())
-                condition = Expression("list", values[0].start, self.behind, None, tuple(values))
-            self.take(":")
+                condition = Expression("list", values[0].start, self.previous_stop, None, tuple(values))
+            self.expect(":")
             branches.append((condition, self.block()))
-        self.take("ENDTEST")
-        return Conditional(start, self.behind, tuple(branches), subject)
+        self.expect("ENDTEST")
+        return Conditional(start, self.previous_stop, tuple(branches), subject)
 
     def _for_statement(self, start: int) -> Statement:
-        """Parse FOR with its bounds.
+        """Parse FOR, from its variable on.
 
-        :param start: offset of its first word.
+        :param start: offset of the word FOR.
         :raises RapidSyntaxError: it is not valid.
         """
         name = self.identifier()
-        self.take("FROM")
+        self.expect("FROM")
         bounds = [self.expression()]
-        self.take("TO")
+        self.expect("TO")
         bounds.append(self.expression())
         if self.accept("STEP"):
             bounds.append(self.expression())
         return self._loop(start, name, tuple(bounds), "ENDFOR")
 
     def _while_statement(self, start: int) -> Statement:
-        """Parse WHILE.
+        """Parse WHILE, from its condition on.
 
-        :param start: offset of its first word.
+        :param start: offset of the word WHILE.
         :raises RapidSyntaxError: it is not valid.
         """
         return self._loop(start, "", (self.expression(),), "ENDWHILE")
@@ -591,18 +634,20 @@ class Parser:
     def _loop(self, start: int, name: str, bounds: tuple[Expression, ...], end: str) -> Statement:
         """Parse the body of a loop from DO to `end`.
 
-        :param start: offset of FOR or WHILE; `name`, `bounds`: see `Loop`.
+        :param start: offset of FOR or WHILE.
+        :param name: see `Loop`, also for `bounds`.
+        :param end: ENDFOR or ENDWHILE.
         :raises RapidSyntaxError: it is not valid.
         """
         begin = self.stop  # the end of the word DO
-        self.take("DO")
+        self.expect("DO")
         body = self.block()
         span = begin, self.start
-        self.take(end)
-        return Loop(start, self.behind, name, bounds, body, span)
+        self.expect(end)
+        return Loop(start, self.previous_stop, name, bounds, body, span)
 
     def declaration(self) -> Statement:
-        """Read a declaration of data.
+        """Parse a declaration of data.
 
         :raises RapidSyntaxError: it is not valid.
         """
@@ -611,7 +656,7 @@ class Parser:
             local |= self.word == "LOCAL"
             self.step()
         kind = self.word
-        if kind not in _KINDS:
+        if kind not in _DATA_KINDS:
             raise self.fault("CONST, PERS or VAR")
         self.step()
         type_, spelling = self.identifier(), self.text[self.start : self.stop]
@@ -620,15 +665,15 @@ class Parser:
             dimensions.append(self.expression())
             while self.accept(","):
                 dimensions.append(self.expression())
-            self.take("}")
+            self.expect("}")
         value = self.expression() if self.accept(":=") else None
-        self.take(";")
-        return Declaration(start, self.behind, kind, local, type_, name, spelling, tuple(dimensions), value)
+        self.expect(";")
+        return Declaration(start, self.previous_stop, kind, local, type_, name, spelling, tuple(dimensions), value)
 
     # --- modules
 
     def modules(self) -> Iterator[Module]:
-        """Read all modules of a file.
+        """Parse all modules of a file; a header between ``%%%`` is skipped.
 
         :raises RapidSyntaxError: the file is not RAPID.
         """
@@ -645,7 +690,7 @@ class Parser:
             yield self._module()
 
     def _module(self) -> Module:
-        """Parse a module from its name to ENDMODULE: data and routines; types are skipped.
+        """Parse a module from its name to ENDMODULE: data and routines; RECORD and ALIAS are skipped.
 
         :raises RapidSyntaxError: it is not valid.
         """
@@ -655,12 +700,13 @@ class Parser:
         data: list[Declaration] = []
         routines: list[Routine] = []
         while self.word != "ENDMODULE":
-            self._remarks()
+            self._take_comments()
             keyword = self.word
             if keyword in ("LOCAL", "TASK"):
+                # the word behind LOCAL or TASK
                 match = re.compile(r"\w+[ \t\r\n]+(?:TASK[ \t\r\n]+)?(\w+)", re.IGNORECASE).match(self.text, self.start)
                 keyword = "" if match is None else match[1].upper()
-            if keyword in _KINDS:
+            if keyword in _DATA_KINDS:
                 declaration = self.declaration()
                 if isinstance(declaration, Declaration):
                     data.append(declaration)
@@ -671,7 +717,7 @@ class Parser:
             else:
                 raise self.fault("data or a routine")
         self.step()
-        self._remarks()
+        self._take_comments()
         return Module(name, tuple(data), tuple(routines))
 
     def _routine(self) -> Routine:
@@ -689,17 +735,17 @@ class Parser:
         name = self.identifier()
         parameters: tuple[Parameter, ...] = ()
         if kind != "TRAP":
-            self.take("(")
+            self.expect("(")
             parameters = self._parameters()
         body, handler = self.block(), list[Statement]()
         while self.word in ("ERROR", "UNDO", "BACKWARD"):
             self.step()
             if self.accept("("):
                 self.arguments(")")
-                self.take(")")
+                self.expect(")")
             handler += self.block()
-        self.take(f"END{kind}")
-        return Routine(kind, name, span, parameters, body, tuple(handler), start, self.behind)
+        self.expect(f"END{kind}")
+        return Routine(kind, name, span, parameters, body, tuple(handler), start, self.previous_stop)
 
     def _parameters(self) -> tuple[Parameter, ...]:
         """Parse the parameters of a routine, from behind the opening bracket to behind the closing one.
@@ -708,7 +754,7 @@ class Parser:
         """
         parameters: list[Parameter] = []
         while not self.accept(")"):
-            self.accept(",")  # no comma is before the first parameter and before alternatives
+            self.accept(",")  # the first parameter and alternatives have no comma before them
             parameters.append(self._parameter())
         return tuple(parameters)
 
@@ -730,9 +776,9 @@ class Parser:
         return Parameter(name, type_, changeable, optional)
 
     def _skip_beyond(self, end: str) -> None:
-        """Skip all tokens up to a word or symbol, and that one.
+        """Step over all tokens up to and including a word or symbol.
 
-        :raises RapidSyntaxError: it does not follow.
+        :raises RapidSyntaxError: the text ends before it.
         """
         while not self.accept(end):
             self.step()
@@ -743,7 +789,7 @@ class Parser:
 def modules(text: str) -> tuple[Module, ...]:
     """Return the modules of a file.
 
-    :raises RapidSyntaxError: it is not RAPID.
+    :raises RapidSyntaxError: the text is not RAPID.
     """
     return tuple(Parser(text).modules())
 
@@ -760,23 +806,23 @@ def all_statements(statements: tuple[Statement, ...]) -> Iterator[Statement]:
 
 
 def calls(statement: Statement) -> Iterator[Expression]:
-    """Yield the calls of functions in the expressions of a statement, without those of its inner statements."""
-    waiting: list[Expression | None] = []
+    """Yield the calls of functions in the expressions of a statement; statements inside it are not searched."""
+    unvisited: list[Expression | None] = []
     match statement:
         case Instruction():
-            waiting += [argument.value for argument in statement.arguments]
+            unvisited += [argument.value for argument in statement.arguments]
         case Assignment():
-            waiting += [statement.target, statement.value]
+            unvisited += [statement.target, statement.value]
         case Declaration():
-            waiting.append(statement.value)
+            unvisited.append(statement.value)
         case Conditional():
-            waiting += [statement.subject, *(condition for condition, _ in statement.branches)]
+            unvisited += [statement.subject, *(condition for condition, _ in statement.branches)]
         case Loop():
-            waiting += statement.bounds
-    while waiting:
-        expression = waiting.pop()
+            unvisited += statement.bounds
+    while unvisited:
+        expression = unvisited.pop()
         if expression is None or expression.kind in ("numbers", "number"):
             continue
         if expression.kind == "call":
             yield expression
-        waiting += [item.value if isinstance(item, Argument) else item for item in expression.items]
+        unvisited += [item.value if isinstance(item, Argument) else item for item in expression.items]

@@ -58,7 +58,7 @@ FIELDS: dict[str, tuple[tuple[str, str], ...]] = {
         ("ZONE_REAX", "NUM"),
     ),
 }
-"""Components of records, and their types."""
+"""Type of a record → names and types of its components, in order."""
 _SPEEDS: tuple[int, ...] = (
     5,
     10,
@@ -84,7 +84,7 @@ _SPEEDS: tuple[int, ...] = (
     4000,
 )
 _SPEEDS = (*_SPEEDS, 5000, 6000, 7000)
-FASTEST = 5000.0
+MAX_SPEED = 5000.0
 """vmax [mm/s]: the manual says "max. TCP speed for the used robot type, normally 5000 mm/s"."""
 _ZONES: dict[int, tuple[float, float, float]] = {
     0: (0.3, 0.3, 0.03),
@@ -103,26 +103,28 @@ _ZONES: dict[int, tuple[float, float, float]] = {
     200: (200.0, 300.0, 30.0),
 }
 """Predefined zonedata: number in the name → radius of the TCP, of orientation and axes [mm], zone of turns [deg]."""
-NONE = 8.9e9
-"""External axes from here on are not connected (9E9)."""
-ROUNDING = 1e-5
-"""What numbers calculated in single precision may differ from those here, in proportion."""
-UNIT = [1.0, 0.0, 0.0, 0.0]
-_NO_LOAD = [0.001, [0.0, 0.0, 0.001], UNIT, 0.0, 0.0, 0.0]
-_ORIGIN = [[0.0, 0.0, 0.0], UNIT]
+NOT_CONNECTED = 8.9e9
+"""An external axis with this number or more is not connected: RAPID writes 9E9."""
+SINGLE_PRECISION_TOLERANCE = 1e-5
+"""Share by which numbers that the controller calculates in single precision may differ from those calculated here."""
+UNIT_QUATERNION = [1.0, 0.0, 0.0, 0.0]
+_NO_LOAD = [0.001, [0.0, 0.0, 0.001], UNIT_QUATERNION, 0.0, 0.0, 0.0]
+_ORIGIN = [[0.0, 0.0, 0.0], UNIT_QUATERNION]
 
 
 def predefined_data() -> dict[str, tuple[Value, str]]:
-    """Return the data that every controller has: name → value and type.
+    """Return the data that all controllers have: name, upper case → (value, type).
 
     Speeds, zones, `tool0`, `wobj0`, `load0` and `pi`, with the values that the manual states.
     """
+    # v_tcp, v_ori, v_leax, v_reax
     data: dict[str, tuple[Value, str]] = {
         f"V{speed}": ([float(speed), 500.0, 5000.0, 1000.0], "SPEEDDATA") for speed in _SPEEDS
     }
-    data["VMAX"] = ([FASTEST, 500.0, 5000.0, 1000.0], "SPEEDDATA")
-    for name, (tcp, other, turn) in _ZONES.items():
-        data[f"Z{name}"] = ([False, tcp, other, other, turn, other, turn], "ZONEDATA")
+    data["VMAX"] = ([MAX_SPEED, 500.0, 5000.0, 1000.0], "SPEEDDATA")
+    for name, (tcp_zone, other_zone, angle_zone) in _ZONES.items():  # finep, then the zones in the order of `FIELDS`
+        zones = [tcp_zone, other_zone, other_zone, angle_zone, other_zone, angle_zone]
+        data[f"Z{name}"] = ([False, *zones], "ZONEDATA")
     data["FINE"] = ([True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], "ZONEDATA")
     data["TOOL0"] = ([True, _ORIGIN, _NO_LOAD], "TOOLDATA")
     data["WOBJ0"] = ([False, True, "", _ORIGIN, _ORIGIN], "WOBJDATA")
@@ -132,7 +134,7 @@ def predefined_data() -> dict[str, tuple[Value, str]]:
 
 
 class UnknownValueError(PostprocError):
-    """A value that is not known before the program runs; `problem` says why."""
+    """A value is not known before the program runs; `problem` is the reason."""
 
     def __init__(self, problem: str) -> None:
         super().__init__(problem)
@@ -142,10 +144,12 @@ class UnknownValueError(PostprocError):
 class Variable(Struct, eq=False):
     """Data of a program.
 
-    :ivar value: its value; None while it is not known, for the reason `why`.
-    :ivar declaration: where it is declared; None for predefined data, parameters and variables of FOR.
-    :ivar literal: True while it has the value of its declaration.
-    :ivar interrupt: name of a trap that may change it at any time, so that it is never known.
+    :ivar type: upper case.
+    :ivar value: present value; None if it is not known, or is that of the declaration and was not needed yet.
+    :ivar why: reason why the value is not known.
+    :ivar declaration: its declaration; None for predefined data, parameters and variables of FOR.
+    :ivar literal: True as long as the value is that of the declaration.
+    :ivar interrupt: name of a trap or handler that may change it at any time, so that it is never known; else empty.
     """
 
     type: str
@@ -156,14 +160,16 @@ class Variable(Struct, eq=False):
     interrupt: str = ""
 
     def forget(self, reason: str) -> None:
-        """Make the value unknown."""
+        """Make the value unknown, for a reason."""
         self.value, self.literal, self.why = None, False, reason
 
 
 class Scope:
-    """Data by name (upper case): those of a routine before those of the modules.
+    """Data that the statements of a routine see, by name in upper case.
 
-    :ivar presence: whether a parameter of the routine is given; None if that is not known.
+    :ivar outer: data of the modules.
+    :ivar inner: parameters and local data of the routine; they hide module data with the same name.
+    :ivar presence: parameter of the routine → whether the call gives it; None if that is not known.
     """
 
     def __init__(self, outer: dict[str, Variable]) -> None:
@@ -172,13 +178,13 @@ class Scope:
         self.presence: dict[str, bool | None] = {}
 
     def find(self, name: str) -> Variable | None:
-        """Return the data of a name, upper case; None if it is not declared."""
+        """Return the data with a name, upper case; None if they are not declared."""
         return self.inner.get(name) or self.outer.get(name)
 
     def variable(self, name: str) -> Variable:
-        """Return the data of a name.
+        """Return the data with a name, upper case.
 
-        :raises UnknownValueError: it is not declared.
+        :raises UnknownValueError: they are not declared.
         """
         data = self.find(name)
         if data is None:
@@ -187,17 +193,17 @@ class Scope:
 
 
 def evaluate(expression: Expression, scope: Scope) -> tuple[Value, str]:
-    """Return the value of an expression and its type, empty if that does not show.
+    """Return the value of an expression, and its type in upper case; empty if the expression does not show the type.
 
-    :raises UnknownValueError: it is not known before the program runs.
+    :raises UnknownValueError: the value is not known before the program runs.
     """
     return _EVALUATORS[expression.kind](expression, scope)
 
 
 def number(expression: Expression, scope: Scope) -> float:
-    """Return a number.
+    """Return the value of an expression that must be a number.
 
-    :raises UnknownValueError: it is not known, or no number.
+    :raises UnknownValueError: the value is not known, or no number.
     """
     value, _ = evaluate(expression, scope)
     if isinstance(value, bool) or not isinstance(value, float):
@@ -206,9 +212,9 @@ def number(expression: Expression, scope: Scope) -> float:
 
 
 def truth(expression: Expression, scope: Scope) -> bool:
-    """Return whether a condition holds.
+    """Return the value of an expression that must be TRUE or FALSE.
 
-    :raises UnknownValueError: that is not known.
+    :raises UnknownValueError: the value is not known, or neither.
     """
     value, _ = evaluate(expression, scope)
     if not isinstance(value, bool):
@@ -216,14 +222,14 @@ def truth(expression: Expression, scope: Scope) -> bool:
     return value
 
 
-def flat(value: Value) -> Iterator[float]:
-    """Yield the numbers of a record in order.
+def nested_numbers(value: Value) -> Iterator[float]:
+    """Yield the numbers of a value, also those in nested records, in order.
 
-    :raises UnknownValueError: it has something else than numbers.
+    :raises UnknownValueError: it contains another value than numbers.
     """
     if isinstance(value, list):
         for item in value:
-            yield from flat(item)
+            yield from nested_numbers(item)
     elif isinstance(value, float) and not isinstance(value, bool):
         yield value
     else:
@@ -231,22 +237,23 @@ def flat(value: Value) -> Iterator[float]:
 
 
 def record_numbers(value: Value, *sizes: int) -> list[float]:
-    """Return the numbers of a record of records of these sizes.
+    """Return the numbers of a record whose components are records.
 
-    :raises UnknownValueError: it has another form.
+    :param sizes: number of numbers of each component.
+    :raises UnknownValueError: the value has another form, or a number is infinite.
     """
     if not isinstance(value, list) or [len(part) if isinstance(part, list) else 1 for part in value] != list(sizes):
         raise UnknownValueError("the value has another form than its type")
-    numbers = list(flat(value))
+    numbers = list(nested_numbers(value))
     if not np.isfinite(numbers).all():
         raise UnknownValueError("a number is too large")
     return numbers
 
 
 def _name(expression: Expression, scope: Scope) -> tuple[Value, str]:
-    """Return value and type of data.
+    """Return value and type of data; an initial value is evaluated and stored when it is first needed.
 
-    :raises UnknownValueError: it has no known value.
+    :raises UnknownValueError: the data are not declared, or have no known value.
     """
     variable = scope.variable(expression.value)
     if variable.value is None and variable.declaration is not None and variable.literal:
@@ -260,7 +267,7 @@ def _name(expression: Expression, scope: Scope) -> tuple[Value, str]:
 
 
 def _numbers(expression: Expression, scope: Scope) -> tuple[Value, str]:
-    """Return the value and type of a robtarget that is written as 17 numbers: position, orientation, posture, axes."""
+    """Return the value and type of a robtarget of 17 numbers: position, orientation, configuration, external axes."""
     del scope
     values = [float(text) for text in expression.value]
     return [values[:3], values[3:7], values[7:11], values[11:]], "ROBTARGET"
@@ -269,21 +276,21 @@ def _numbers(expression: Expression, scope: Scope) -> tuple[Value, str]:
 def _index(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return value and type of an element of an array.
 
-    :raises UnknownValueError: there is none.
+    :raises UnknownValueError: the array or an index is not known, or there is no such element.
     """
     value, type_ = evaluate(expression.items[0], scope)
     for item in expression.items[1:]:
-        place = _place(item, scope)
-        if not isinstance(value, list) or not 0 <= place < len(value):
-            raise UnknownValueError(f"the index {place + 1} is outside of the array")
-        value = value[place]
+        index = _list_index(item, scope)
+        if not isinstance(value, list) or not 0 <= index < len(value):
+            raise UnknownValueError(f"the index {index + 1} is outside of the array")
+        value = value[index]
     return value, type_
 
 
-def _place(index: Expression, scope: Scope) -> int:
-    """Return the place in a list, from 0, that the index of an array states.
+def _list_index(index: Expression, scope: Scope) -> int:
+    """Return the index in a list, from 0, for an index of an array, from 1.
 
-    :raises UnknownValueError: it is not known, or no whole number.
+    :raises UnknownValueError: the index is not known, or no whole number.
     """
     value = number(index, scope)
     if not value.is_integer():
@@ -294,7 +301,7 @@ def _place(index: Expression, scope: Scope) -> int:
 def _field(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return value and type of a component of a record.
 
-    :raises UnknownValueError: there is none.
+    :raises UnknownValueError: the record is not known, or there is no such component.
     """
     value, type_ = evaluate(expression.items[0], scope)
     for index, (name, component_type) in enumerate(FIELDS.get(type_, ())):
@@ -304,15 +311,15 @@ def _field(expression: Expression, scope: Scope) -> tuple[Value, str]:
 
 
 def _list(expression: Expression, scope: Scope) -> tuple[Value, str]:
-    """Return the values of an aggregate, ``[1, [2, 3]]``, and an empty type, as that does not show.
+    """Return the values of an aggregate, such as ``[1, [2, 3]]``, and an empty type: an aggregate does not show it.
 
-    :raises UnknownValueError: one of the values is not known.
+    :raises UnknownValueError: a value is not known.
     """
     return [item.value if item.kind == "number" else evaluate(item, scope)[0] for item in expression.items], ""
 
 
 def _literal(expression: Expression, scope: Scope) -> tuple[Value, str]:
-    """Return value and type of a number, string or TRUE and FALSE."""
+    """Return value and type of a number, a string, TRUE or FALSE."""
     del scope
     return expression.value, {"number": "NUM", "bool": "BOOL", "string": "STRING"}[expression.kind]
 
@@ -343,7 +350,7 @@ _COMPARISONS: dict[str, Callable[[Value, Value], bool]] = {
 def _operation(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return value and type of an operation.
 
-    :raises UnknownValueError: an operand is unknown, or rounding decides.
+    :raises UnknownValueError: an operand is unknown or has an unsuitable type, or the result depends on rounding.
     """
     word, items = expression.value, expression.items
     if len(items) == 1:
@@ -376,13 +383,16 @@ def _unary_value(word: str, operand: Expression, scope: Scope) -> tuple[Value, s
     value, type_ = evaluate(operand, scope)
     sign = -1.0 if word == "-" else 1.0
     if isinstance(value, list):
-        return [sign * component for component in flat(value)], type_
+        return [sign * component for component in nested_numbers(value)], type_
     return sign * number(operand, scope), type_
 
 
 def _is_decided(left: float, right: float) -> bool:
-    """Return whether numbers compare as on the controller, which calculates in single precision."""
-    if abs(left - right) > ROUNDING * max(abs(left), abs(right)):
+    """Return whether the comparison of two numbers is the same on the controller, which calculates in single precision.
+
+    So it is if they clearly differ, or if they are equal and have no rounding in single precision.
+    """
+    if abs(left - right) > SINGLE_PRECISION_TOLERANCE * max(abs(left), abs(right)):
         return True
     return left == right == float(np.float32(left))
 
@@ -391,7 +401,7 @@ def _arithmetic_value(word: str, left: Value, right: Value) -> Value:
     """Return the value of an arithmetic operation on numbers, or on vectors of the type `pos`.
 
     :param word: operator, one of `_ARITHMETIC`.
-    :raises UnknownValueError: other operands.
+    :raises UnknownValueError: the operation is not defined for these operands.
     :raises ArithmeticError: the result is not defined or too large.
     :raises ValueError: the result is not defined.
     """
@@ -400,7 +410,7 @@ def _arithmetic_value(word: str, left: Value, right: Value) -> Value:
         if isinstance(left, bool) or isinstance(right, bool) or isinstance(left, str) or isinstance(right, str):
             raise UnknownValueError("a number is expected")
         return _ARITHMETIC[word](left, right)
-    left_numbers, right_numbers = list(flat(left)), list(flat(right))
+    left_numbers, right_numbers = list(nested_numbers(left)), list(nested_numbers(right))
     if are_lists == (True, True) and word in "+-" and len(left_numbers) == len(right_numbers) == 3:
         return [_ARITHMETIC[word](x, y) for x, y in zip(left_numbers, right_numbers, strict=True)]
     if word == "*" and are_lists == (True, False) and len(left_numbers) == 3:
@@ -413,10 +423,10 @@ def _arithmetic_value(word: str, left: Value, right: Value) -> Value:
 def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return value and type of a function call.
 
-    Present() of a parameter is known from the call of its routine, Dim() from the declaration of an array; other
-    functions are computed from the values of their arguments.
+    Present() of a parameter is known from the call of its routine, Dim() from the declaration of an array. Functions in
+    `_FUNCTIONS` are computed from the values of their arguments.
 
-    :raises UnknownValueError: its value is known at run time only, or its arguments are not those of the function.
+    :raises UnknownValueError: the value is known at run time only, or the arguments are not those of the function.
     """
     if expression.value == "PRESENT" and expression.items and expression.items[0].value is not None:
         is_given = scope.presence.get(base_name(expression.items[0].value))
@@ -438,15 +448,17 @@ def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
 
 
 def _size(array: Expression, dimension: Expression, scope: Scope) -> float:
-    """Return ``Dim(array, dimension)``: the number of elements in a dimension, which no assignment changes.
+    """Return ``Dim(array, dimension)``: the number of elements in a dimension, as it is declared.
 
-    :raises UnknownValueError: the declaration of the array is not known, or it has no such dimension.
+    :param dimension: number of the dimension, from 1.
+    :raises UnknownValueError: the declaration of the array is not known, or the array has no such dimension.
     """
     dimension_number = number(dimension, scope)
     variable = scope.variable(array.value) if array.kind == "name" else None
     sizes = () if variable is None or variable.declaration is None else variable.declaration.dimensions
     if dimension_number not in range(1, len(sizes) + 1):
         raise UnknownValueError("the function DIM gives its value at run time, but for arrays that the module declares")
+    # sizes of module data are evaluated without local data, which may have the same names
     return number(sizes[int(dimension_number) - 1], scope if array.value in scope.inner else Scope(scope.outer))
 
 
@@ -463,7 +475,7 @@ def _quaternion(rotation: Array) -> list[float]:
 def axis_rotation(axis: int, degrees: float) -> Array:
     """Return the rotation (3, 3) about an axis, 0 for x to 2 for z, by an angle [deg]."""
     rotation, angle = np.eye(3), degrees * RAD_PER_DEG
-    i, j = (axis + 1) % 3, (axis + 2) % 3  # the axes of the plane in which it turns, in cyclic order
+    i, j = (axis + 1) % 3, (axis + 2) % 3  # the other axes, in cyclic order: i turns to j
     rotation[i, i] = rotation[j, j] = np.cos(angle)
     rotation[j, i] = np.sin(angle)
     rotation[i, j] = -rotation[j, i]
@@ -473,7 +485,10 @@ def axis_rotation(axis: int, degrees: float) -> Array:
 def _offs(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
     """Return the value and type of ``Offs(p, x, y, z)``: the target p displaced in the work object [mm].
 
-    :raises ValueError: other arguments.
+    :param values: p, x, y, z.
+    :param options: optional arguments; must be empty.
+    :raises ValueError: the arguments are not those of Offs.
+    :raises UnknownValueError: p is no robtarget.
     """
     point, *offset = values
     if options or len(offset) != 3:
@@ -487,7 +502,10 @@ def _reltool(values: list[Value], options: dict[str, float]) -> tuple[Value, str
 
     The tool is turned about x, then about the new y, then about the new z [deg].
 
-    :raises ValueError: other arguments.
+    :param values: p, dx, dy, dz.
+    :param options: name of each rotation, such as ``RX`` → angle.
+    :raises ValueError: the arguments are not those of RelTool.
+    :raises UnknownValueError: p is no robtarget.
     """
     point, *offset = values
     if set(options) - {"RX", "RY", "RZ"} or len(offset) != 3:
@@ -504,9 +522,13 @@ def _reltool(values: list[Value], options: dict[str, float]) -> tuple[Value, str
 
 
 def _orient_zyx(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
-    """Return the value and type of ``OrientZYX(z, y, x)``: the quaternion of turns about z, new y, new x [deg].
+    """Return the value and type of ``OrientZYX(z, y, x)``: the quaternion of rotations about z, new y, new x [deg].
 
-    :raises ValueError: other arguments.
+    R = Rz(z) · Ry(y) · Rx(x).
+
+    :param values: z, y, x.
+    :param options: optional arguments; must be empty.
+    :raises ValueError: the arguments are not those of OrientZYX.
     """
     z, y, x = values
     if options:
@@ -514,17 +536,18 @@ def _orient_zyx(values: list[Value], options: dict[str, float]) -> tuple[Value, 
     return _quaternion(axis_rotation(2, z) @ axis_rotation(1, y) @ axis_rotation(0, x)), "ORIENT"
 
 
-def _plain(function: Callable[..., float]) -> Callable[[list[Value], dict[str, float]], tuple[Value, str]]:
-    """Return a function of numbers in the form of `_FUNCTIONS`: of a list of values and options, of which it has none.
+def _number_function(function: Callable[..., float]) -> Callable[[list[Value], dict[str, float]], tuple[Value, str]]:
+    """Return a function of numbers in the form of `_FUNCTIONS`: a function of a list of values and a dict of options.
 
-    :param function: of one or more numbers; angles in degrees as in RAPID.
-    :raises ValueError: when it is called: with options, or with values that are no numbers.
+    When it is called with options, or with values that are no numbers, it raises ValueError.
+
+    :param function: function of one or more numbers; angles are in degrees as in RAPID.
     """
 
     def call(values: list[Value], options: dict[str, float]) -> tuple[Value, str]:
-        """Return the value of the function for numbers.
+        """Return the value of the function, and the type NUM.
 
-        :raises ValueError: something else is given.
+        :raises ValueError: there are options, or values that are no numbers.
         """
         if options or any(isinstance(value, bool) or not isinstance(value, float) for value in values):
             raise ValueError
@@ -537,19 +560,19 @@ _FUNCTIONS: dict[str, Callable[[list[Value], dict[str, float]], tuple[Value, str
     "OFFS": _offs,
     "RELTOOL": _reltool,
     "ORIENTZYX": _orient_zyx,
-    "ABS": _plain(abs),
-    "SQRT": _plain(math.sqrt),
-    "POW": _plain(math.pow),
-    "SIN": _plain(lambda a: math.sin(math.radians(a))),
-    "COS": _plain(lambda a: math.cos(math.radians(a))),
-    "TAN": _plain(lambda a: math.tan(math.radians(a))),
-    "ASIN": _plain(lambda a: math.degrees(math.asin(a))),
-    "ACOS": _plain(lambda a: math.degrees(math.acos(a))),
-    "ATAN": _plain(lambda a: math.degrees(math.atan(a))),
-    "ATAN2": _plain(lambda a, b: math.degrees(math.atan2(a, b))),
+    "ABS": _number_function(abs),
+    "SQRT": _number_function(math.sqrt),
+    "POW": _number_function(math.pow),
+    "SIN": _number_function(lambda a: math.sin(math.radians(a))),
+    "COS": _number_function(lambda a: math.cos(math.radians(a))),
+    "TAN": _number_function(lambda a: math.tan(math.radians(a))),
+    "ASIN": _number_function(lambda a: math.degrees(math.asin(a))),
+    "ACOS": _number_function(lambda a: math.degrees(math.acos(a))),
+    "ATAN": _number_function(lambda a: math.degrees(math.atan(a))),
+    "ATAN2": _number_function(lambda a, b: math.degrees(math.atan2(a, b))),
 }
 FOLLOWED_FUNCTIONS = frozenset({*_FUNCTIONS, "PRESENT", "DIM"})
-"""Functions of RAPID whose values are known here."""
+"""Functions of RAPID whose values can be known before run time."""
 _EVALUATORS: dict[str, Callable[[Expression, Scope], tuple[Value, str]]] = {
     "number": _literal,
     "bool": _literal,
@@ -565,23 +588,27 @@ _EVALUATORS: dict[str, Callable[[Expression, Scope], tuple[Value, str]]] = {
 
 
 def changed_arguments(arguments: tuple[Argument, ...]) -> Iterator[Expression]:
-    """Yield the arguments that a call may change: data, their elements and components."""
+    """Yield the values of arguments that a call may change: data, their elements and components."""
     for argument in arguments:
         if argument.value is not None and argument.value.kind in ("name", "index", "field"):
             yield argument.value
 
 
 def base_name(expression: Expression) -> str:
-    """Return the name of the data of which an expression is an element or component; empty if it is no data."""
+    """Return the name of the data that an expression is, or is a part of; empty for other expressions."""
     while expression.kind in ("index", "field"):
         expression = expression.items[0]
     return expression.value if expression.kind == "name" else ""
 
 
 def assign(target: Expression, value: Value, scope: Scope) -> None:
-    """Give data, an element or a component another value.
+    """Assign a value to data, to an element or to a component.
 
-    :raises UnknownValueError: the place is not known.
+    Data that a trap or handler may change at any time become unknown instead.
+
+    :param target: name, element or component.
+    :raises UnknownValueError: the data are not declared, or an index or the value of the whole array is not known.
+    :raises ValueError: the record has no such component.
     """
     variable = scope.variable(base_name(target))
     if variable.interrupt:
@@ -590,23 +617,23 @@ def assign(target: Expression, value: Value, scope: Scope) -> None:
     if target.kind == "name":
         variable.value, variable.literal = value, False
         return
-    path: list[int] = []
+    path: list[int] = []  # indices from outside to inside
     inner = target
     while inner.kind in ("index", "field"):
         if inner.kind == "index":
-            path[:0] = [_place(item, scope) for item in inner.items[1:]]
+            path[:0] = [_list_index(item, scope) for item in inner.items[1:]]
         else:
             _, type_ = evaluate(inner.items[0], scope)
             path.insert(0, [name for name, _ in FIELDS.get(type_, ())].index(inner.value))
         inner = inner.items[0]
-    whole, _ = evaluate(inner, scope)
+    whole, _ = evaluate(inner, scope)  # `inner` is the name of the data now
     variable.value, variable.literal = _replace_component(whole, path, value), False
 
 
 def _replace_component(whole: Value, path: list[int], value: Value) -> Value:
-    """Return a record or array with another value in one component.
+    """Return a record or array with another value of one component.
 
-    :param path: indices from 0 of the component, from outside to inside; empty: the whole value is replaced.
+    :param path: indices of the component, from 0, from outside to inside; empty: the whole value is replaced.
     :raises UnknownValueError: there is no such component.
     """
     if not path:

@@ -110,6 +110,7 @@ def structure(source: Source, start: int, stop: int) -> Structure | None:
     :raises ProgramError: brackets are not balanced.
     """
     pieces = [NAME.findall(source.text, *span) for span in list_spans(source, start, stop)]
+    # each piece is a list of words between commas
     while pieces and pieces[0][:1] and pieces[0][0].upper() in ("GLOBAL", "DECL"):
         del pieces[0][0]
     if not pieces or len(pieces[0]) < 3 or pieces[0][0].upper() != "STRUC":  # STRUC, name, and a type or a member

@@ -259,7 +259,7 @@ def operand(source: Source, start: int, stop: int) -> _Read:
 def _in_brackets(source: Source, start: int, stop: int) -> _Read:
     """Return the value in the bracket at `start`, with the span of the bracket, and the offset behind the bracket.
 
-    A value that has no span to replace becomes a `Condition` of one term.
+    Other values (words, calls, aggregates) become a `Condition` of one term, whose span is that of the bracket.
 
     :raises ProgramError: the value cannot be read.
     """

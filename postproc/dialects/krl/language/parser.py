@@ -148,6 +148,7 @@ def _ordinary_statement(code: _Code) -> Statement:
     """
     source, word, start, word_start, stop = code
     text = source.text
+    # no code, a line of the header, or a key word that does nothing which matters
     if word_start == stop or text[word_start] == "&" or (word in RESERVED and word not in TYPES):
         return Statement(word, start, stop, code=_unparsed_code(source, word_start, stop))
     if word in TYPES:

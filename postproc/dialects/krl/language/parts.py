@@ -258,14 +258,14 @@ def _marked_text(source: Source, lines: Sequence[int]) -> str:
             file=source.document.name,
             advice="Remove them: a program is plain text.",
         )
-    pieces, last = [], 0
+    pieces, copied_to = [], 0
     for line in lines:
         start = int(source.starts[line - 1])
-        pieces += [source.text[last:start], _DIVIDES]
-        last = start
-    pieces.append(source.text[last:])
+        pieces += [source.text[copied_to:start], _DIVIDES]
+        copied_to = start
+    pieces.append(source.text[copied_to:])
     text = "".join(pieces)
-    if source.stops[-1] == len(source.text):
+    if source.stops[-1] == len(source.text):  # the last line has no line end
         start = text.rfind("\n") + 1 if "\n" in text else text.rfind("\r") + 1
         text = f"{text[:start]}{_UNENDED}{text[start:]}\n"
     return text

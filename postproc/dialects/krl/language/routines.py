@@ -163,6 +163,7 @@ def _closed_routine(
         node = statement(source, inner_line)
         if isinstance(node, Declaration) and not node.is_global and node.word != "STRUC":
             types |= {item.name: item.kind for item in node.names}
+    # lines ascend: those between DEF and END
     motion_lines = motion_lines[slice(*np.searchsorted(motion_lines, [open_routine.line, line]).tolist())]
     settings = settings[bisect_left(settings, open_routine.line) : bisect_left(settings, line)]
     definition = open_routine.definition

@@ -118,6 +118,7 @@ class Replacements(Struct, eq=False):
     def _pieces(self) -> _Pieces:
         """Return all pieces: those of `add_numbers`, then those of `add`, in the order in which they were added."""
         single = np.array([(start, stop, len(text)) for start, stop, text in self._single], dtype=np.int32)
+        # reshape: `single` may be empty
         starts, stops, lengths = single.reshape(-1, 3).T
         return _Pieces(
             np.concatenate([*self._starts, starts]),
@@ -136,6 +137,7 @@ class Replacements(Struct, eq=False):
         is_ascii = text.isascii() and inserted_text.isascii()
         starts, stops, lengths = self._pieces()
         new_codes = np.concatenate([*self._numbers, _codes(inserted_text, is_ascii)])
+        # offset of the text of each piece in `new_codes`
         first_codes = np.cumsum(lengths, dtype=np.int64) - lengths
         order = np.lexsort((stops, starts))  # an insertion precedes a piece that begins at its offset
         texts, copied_to = [], 0
@@ -215,12 +217,13 @@ class InsertedLines(Struct, eq=False):
         """
         source, number = self.trace.place(line)
         stop = source.stops.item(number - 1)
-        self.replacements.add(stop, stop, source.text[stop : source.starts[number]] + text, line)
+        line_end = source.text[stop : source.starts[number]]  # `number` counts from 1: starts[number] is the next line
+        self.replacements.add(stop, stop, line_end + text, line)
         self._insertion_lines.append(line + 1)
         self._inserted_targets.append(-1)
 
     def move_line(self, line: int, next_line: int, text: str) -> None:
-        """Remove a line, and insert a text in its place before another line."""
+        """Remove line `line`, and insert a text with its line end before line `next_line`."""
         source, number = self.trace.place(line)
         self.replacements.add(source.starts.item(number - 1), source.starts.item(number), "", line)
         self._removed_lines.append(line)
@@ -237,6 +240,7 @@ class InsertedLines(Struct, eq=False):
         insertion_lines = np.array(self._insertion_lines, dtype=np.int64)[order]
         inserted_targets = np.array(self._inserted_targets, dtype=np.int64)[order]
         removed_lines = np.sort(np.array(self._removed_lines, dtype=np.int64))
+        # an insertion before a line moves the line itself: side="right"
         output_line = line + np.searchsorted(insertion_lines, line, side="right") - np.searchsorted(removed_lines, line)
         # insertions are sorted: insertion n, from 0, has n inserted lines before it
         insertions = np.flatnonzero(inserted_targets >= 0)

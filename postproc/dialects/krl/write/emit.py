@@ -136,9 +136,8 @@ class Emitter:
             lambda kind, rows: without_trailing_zeros(self._motion_lines(kind, rows, distances[rows] > 0.0)),
             ["END"],
         )
-        encoding = (
-            "ascii" if text.isascii() else "cp1252"
-        )  # for ASCII text the bytes are the same, and encoding is much faster
+        # for ASCII text the bytes are the same, and encoding is much faster
+        encoding = "ascii" if text.isascii() else "cp1252"
         document = Document(f"{self.program.name}.src", text, encoding)
         return WrittenProgram((document,), output_line, "krl", group_issues(new.issues))
 
@@ -198,6 +197,7 @@ class Emitter:
 
         :param rows: (n,) targets, ascending, such as all path targets.
         """
+        # rows ascend: the first one at or behind each call
         first_indices = np.searchsorted(rows, np.array(self.call_rows, dtype=np.int64))
         return np.isin(np.arange(len(rows)), first_indices)
 
@@ -217,6 +217,7 @@ class Emitter:
     def _set_speeds(self) -> None:
         """Set `$VEL.CP` before each target where it changes, or where a called program may have changed it."""
         path, speeds = self.new_program.path_speeds()
+        # speeds are above 0: the first target of a path always sets its speed
         change_rows = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | self._follows_call(path))
         for k, speed in zip(path[change_rows].tolist(), speeds[change_rows].tolist(), strict=True):
             self.new_program.lines_before[k].append(f"$VEL.CP={speed / _PER_M:.6f}")

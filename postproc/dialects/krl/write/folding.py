@@ -130,6 +130,7 @@ class _Folder(Struct, eq=False):
         begins = self.edited.begins
         line = np.zeros(len(begins), dtype=np.int64)
         is_in_main = np.zeros(len(begins), dtype=np.bool_)
+        # columns of the places; reshape: there may be none
         piece_line, first, last = np.array(file.places, dtype=np.int64).reshape(-1, 3).T
         row_count = last - first
         rows = ragged_range(row_count, first)

@@ -98,6 +98,7 @@ def _module_starts(
     :raises ProgramError: the text between two possible ends of modules is too large for one module.
     """
     end_motions = _possible_ends(program, cell)
+    # motions of targets ascend: the first target behind each end
     next_targets = np.searchsorted(targets.motion, end_motions.astype(targets.motion.dtype), side="right")
     # a module ends after the last target of a motion, and must have targets before and behind its end
     has_targets = (next_targets > 0) & (next_targets < len(targets))
@@ -106,12 +107,12 @@ def _module_starts(
     switch_lines = [line for kind in _SWITCHING for line in getattr(cell.gcode, kind) or ()]
     header_size = sum(len(line) + len(LINE_END) for line in emitter.header_lines(program.name))
     memory = cell.output.program_memory_MB * _MB
-    capacity = (
-        memory - header_size - _RESERVE - 2 * sum(map(len, switch_lines))
-    )  # lines at the start and at the end of a module
+    # a module may have all switching lines twice: at its start and at its end
+    capacity = memory - header_size - _RESERVE - 2 * sum(map(len, switch_lines))
     starts: list[int] = []
     begin, end = header_size, -1  # offset at which a module begins; index of the possible end before it, −1: none
     while end_offset[-1] - begin > capacity:
+        # offsets ascend: index of the last end at most `capacity` bytes behind `begin`; −1: none
         last_fitting_end = int(np.searchsorted(end_offset, begin + capacity, side="right")) - 1
         if last_fitting_end <= end:
             first_motion = 0 if end < 0 else int(end_motions[end]) + 1
@@ -154,6 +155,7 @@ def _possible_ends(program: Program, cell: Cell) -> Ints:
     height = _heights_above_cuts(program, cell, candidates)
     # candidates without a cut between them form a run; within each, sort by height, equal heights by their order
     run = np.cumsum(~motions.rapid)[candidates]
+    # the last key sorts first: runs, then heights from above, then order
     by_height = np.lexsort((candidates, -np.floor(height / _HEIGHT_TOLERANCE), run))
     highest = by_height[np.diff(run[by_height], prepend=-1) != 0]  # the first of each run
     return np.asarray(np.sort(candidates[highest[height[highest] > _HEIGHT_TOLERANCE]]))
@@ -247,6 +249,7 @@ class _Divider:
         header = self.emitter.header_lines(self.emitter.program.name)  # of the undivided text
         starts = np.array(self.first_targets[1:], dtype=np.int64)
         # the text of each module begins behind the line of the target before it
+        # (offsets in bytes are offsets in the text: the encoding has one byte for each character)
         offsets = [len(_text(header)), *_line_ends(self.undivided)[starts - 1].tolist(), len(document.text)]
         preceding_count = [len(header), *output_line[starts - 1].tolist()]
         documents, lines, line_count = [], [], 0

@@ -130,6 +130,7 @@ class _Rewriter:
         has_names = self.layout.elements or any(
             move.end.name or (move.via and move.via.name) for move in moves.values()
         )
+        # lines of all motions that are not in `statements`: they name no points, except array elements
         plain_rows = np.delete(self.layout.line, list(moves))
         return mentions(self.layout.course, plain_rows) if has_names else {}
 
@@ -386,6 +387,7 @@ class _Rewriter:
         """
         rows = np.flatnonzero(self.target_numbers.is_free)
         pairs = consecutive_motions(self.layout, rows[[not self.statements.is_spline(row) for row in rows.tolist()]])
+        # first and last motions; reshape: there may be no pairs
         first, last = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
         # first target of the first motion, last target of the last one: `row` is sorted
         begins, ends = np.searchsorted(self.row, first), np.searchsorted(self.row, last, side="right") - 1
@@ -406,6 +408,7 @@ class _Rewriter:
         is_continued = (np.diff(rows) == 1) & (np.diff(self.layout.line[rows]) == 1)
         has_same_feed = np.append(False, is_continued & (np.diff(feed[rows]) == 0.0))
         lowering_rows, restoring_rows = rows[~has_same_feed], rows[np.append(~is_continued, True)]
+        # `row` is sorted: first target of each motion, and last target
         first_targets = np.searchsorted(self.row, lowering_rows)
         last_targets = np.searchsorted(self.row, restoring_rows, side="right") - 1
         return (

@@ -323,7 +323,7 @@ class Sharing:
                 if is_unchanged or all_names.isdisjoint(names_in(text, start, stop)):
                     continue
                 for item in occurrences(text, start, stop):
-                    is_call = item.is_called or line == routine.first
+                    is_call = item.is_called or line == routine.first  # or the name of the routine behind DEF
                     new_name = routines.get(item.name) if is_call else names.get(item.name)
                     if new_name is not None:
                         edits.add(item.start, item.stop, new_name)

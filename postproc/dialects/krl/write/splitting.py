@@ -342,6 +342,7 @@ class _Splitter:
 
     def _document(self, file: _File, source: Source) -> Document:
         """Return a file of the divided program; its ranges of lines are taken from `source`."""
+        # the end of the text is the start of a line behind the last
         starts, text = np.append(source.starts, len(source.text)), source.text
         pieces = [
             piece if isinstance(piece, str) else text[int(starts[piece.start - 1]) : int(starts[piece.stop - 1])]

@@ -252,5 +252,6 @@ def _next_offsets(is_sought: Bools, offsets: Ints) -> Ints:
     :param is_sought: (T,) True for the sought characters of a text.
     :param offsets: offsets in the text; the result has their shape.
     """
+    # T at the end is the result for offsets behind the last sought character
     sought_offsets = np.append(np.flatnonzero(is_sought), len(is_sought))
     return sought_offsets[np.searchsorted(sought_offsets, offsets)]
