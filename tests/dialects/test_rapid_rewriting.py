@@ -257,7 +257,7 @@ def test_headers_of_files_are_passed_over():
 def rewriter(degrees, programmed, own, target):
     """A writer of two targets of one move: configurations of its end, of the target, and joint angles there."""
     made = object.__new__(_Rewriter)
-    made.row, made.conf = np.array([0, 0]), np.array([target, own])
+    made.row, made.configuration = np.array([0, 0]), np.array([target, own])
     made.degrees = np.array([[0.0] * 6, [degrees, 0, 0, 0, 0, 0]])
     return made._configuration([0.0] * 7 + [float(value) for value in programmed], 0)
 
@@ -316,14 +316,14 @@ def test_a_force_comment_holds_for_the_targets_behind_it(monkeypatch, notes, exp
         lambda comment, forces, rows: [f"{comment.decode()} {row}" for row in rows],
     )
     made = object.__new__(_Rewriter)
-    made.row, made.last, made.comment_forces = np.array([0, 0, 1, 1, 2, 2]), np.array([False, True] * 3), "forces"
+    made.row, made.is_last, made.comment_forces = np.array([0, 0, 1, 1, 2, 2]), np.array([False, True] * 3), "forces"
     made.targets = SimpleNamespace(kind=np.full(6, LIN))
     made.program = SimpleNamespace(notes=[SimpleNamespace(before=before) for before, _ in notes])
     made.layout = SimpleNamespace(notes=[SimpleNamespace(trailing=trailing) for _, trailing in notes])
-    assert made._forces() == {4: "! 4"}
+    assert made._missing_force_comments() == {4: "! 4"}
     assert seen == [(expected, 0.0)]
     made.comment_forces = None
-    assert made._forces() == {}
+    assert made._missing_force_comments() == {}
 
 
 @pytest.mark.parametrize(("duration", "speed"), [("3.3", "18.181818"), ("2.4", "25"), ("0.7", "85.714286")])
@@ -372,7 +372,7 @@ def test_numbers_of_a_target_are_replaced_one_by_one_where_they_are_numbers(text
     made = object.__new__(_Rewriter)
     made.text = whole
     made._configuration = lambda numbers, k: list(conf)
-    made._whole = lambda numbers, place, k, turn: "whole"
+    made._target_text = lambda numbers, place, k, turn: "whole"
     quaternion = np.array([0.0, 0.8, 0.6, 0.0]) if turn else None
     edits = made._literal_edits(literal, target, np.array([10.0, 20.5, -30.0]), quaternion, 7)
     for edit in sorted(edits, reverse=True):
