@@ -200,7 +200,7 @@ def _is_longer_way_closer(start: Array, shorter_rotation: Array, via: Array) -> 
 
     def smallest_angle(middle: Array, half: Array) -> Array:
         """Return the smallest angle (n,) [rad] to R_v of the turns by middle − half … middle + half about k."""
-        from_middle = (nearest_turn - middle + np.pi) % (2.0 * np.pi) - np.pi
+        from_middle = (nearest_turn - middle + np.pi) % (2.0 * np.pi) - np.pi  # from −π to π
         turn = middle + np.clip(from_middle, -half, half)
         return angle_between(rotation_from_vector(turn[:, None] * axis) @ start, via)
 

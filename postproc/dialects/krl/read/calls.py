@@ -38,7 +38,7 @@ class Calls:
     """
 
     def __init__(self, run: Run, run_routine: Callable[[], None]) -> None:
-        """Begin without a call that has not ended, and let the variables evaluate functions by these calls."""
+        """Begin without a call; the variables of the run evaluate functions by following their calls here."""
         self.run, self._run_routine = run, run_routine
         run.variables.functions = _PureFunctions(self)
         self.entered_calls: list[_BoundCall] = []
@@ -74,11 +74,11 @@ class Calls:
     def _with_text_place(self, expression: Value, value: Aggregate, *, is_copied: bool) -> Aggregate:
         """Return the value of an expression with the place of the text in which its numbers may be corrected.
 
-        That is the expression itself, in its row of the trace, or the text of a copied point. Other text belongs to
-        another variable, so that the value counts as computed.
+        An aggregate in the trace: its own text, in the present row. A copied point: the text of that point. Any other
+        text belongs to another variable, so that the value counts as computed.
 
-        :param value: of the expression.
-        :param is_copied: True if a point that it names keeps the text of its numbers.
+        :param value: value of the expression.
+        :param is_copied: True if a variable keeps the text of the point that the expression names.
         """
         if isinstance(expression, Aggregate) and self.run.is_traced:
             return value if value.is_computed else self.run.with_row(value)
@@ -108,7 +108,7 @@ class Calls:
         self._check_motion(place, call, *callee, effects)
         if callee.module is self.run.library.program:
             self.run.called_routines.add(callee.routine)
-        if _has_no_effects(effects):
+        if _has_no_effects(effects):  # may be run even if it is not certain that the program runs it
             result = None if self._obstacle(place, call, *callee, effects) else self._run_exactly(place, call, *callee)
             if effects.turn_speed is not None and (result is None or not is_certain):
                 self.run.settings.forget_turn_speeds(self.run.row)
@@ -117,6 +117,7 @@ class Calls:
             result = self._run_exactly(place, call, *callee)
             if result is not None:
                 return result
+        # it is not run: what it may change becomes unknown
         if effects.interrupt_motion is not None:
             problem = f"{call.name} is called, and declares a GLOBAL interrupt that moves the robot"
             raise place.error(f"{problem} ({effects.interrupt_motion})", IN_ORDER)
@@ -145,9 +146,9 @@ class Calls:
         return None if callee is None else self.run.analysis.effects_of(*callee).writes.get(name)
 
     def _follow_absent(self, place: Place, call: Call) -> None:
-        """Follow a call of a routine that is in no file: it is taken to write no more than its arguments.
+        """Follow a call of a routine that is in no file: its arguments become unknown, and the call is noted.
 
-        Functions of the controller that change nothing (`PURE`) do not write even these.
+        Functions of the controller are not noted; those that change nothing (`PURE`) leave their arguments unchanged.
         """
         if call.name in PURE:
             return
@@ -227,12 +228,12 @@ class Calls:
     def _check_motion(self, place: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> None:
         """Check the call of a routine that is not in the trace, if it contains motions or force comments.
 
-        Force comment: the acting force is not known after the call. Motions in the program itself: the call is refused.
-        Motions in another file: the call is added to `untraced_calls`, the robot position after it is not known, and a
-        warning says so. Under `--keep-unresolved` a call that would be refused is left uncorrected.
+        Force comment: the acting force is not known after the call. Motions in the program itself, or a call that may
+        not run: the call is refused; under `--keep-unresolved` it is left uncorrected. Motions in another file: the
+        call is added to `untraced_calls`, the robot position after it is not known, and a warning says so.
 
         :param routine: the called routine; `effects` are its effects.
-        :raises ProgramError: the call is refused.
+        :raises ProgramError: the call is refused, or the routine calls the program again.
         """
         run = self.run
         if effects.force_comment is not None and run.is_traced:

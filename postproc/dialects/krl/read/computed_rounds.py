@@ -148,7 +148,7 @@ class _Rounds:
     """
 
     def __init__(self, run: Run, rounds: PlainRounds, counter: str) -> None:
-        """Begin with the values of the counter alone."""
+        """Begin with the values of the counter alone; `counter` is its name, upper case."""
         self.run, self.count = run, rounds.count
         self.columns = {counter: _Column([float(number) for number in rounds.indices(0)], is_integer=True)}
         self.positions: dict[str, list[Position]] = {}

@@ -63,7 +63,7 @@ def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None
         if head.word == "DEFAULT":
             table[None] = index
             break
-        for value in head.cases if isinstance(head, Case) else (None,):
+        for value in head.cases if isinstance(head, Case) else (None,):  # None: the statement cannot be read
             if not isinstance(value, Number) or not value.is_integer:
                 return None
             table.setdefault(value.value, index)
@@ -76,7 +76,8 @@ def _combined_value(terms: list[Term], operators: list[str]) -> Term:
     Bitwise operators come first, then comparisons, then AND, EXOR, OR. KRL compares last: a value that then differs is
     not known.
 
-    :param terms: the terms, `operators` the operators between them; both lists are emptied to the result.
+    :param terms: the terms of the condition; the list is reduced to the result.
+    :param operators: the operators between the terms; the list is emptied.
     """
     if not _apply_bitwise(terms, operators):
         return None

@@ -142,7 +142,7 @@ class Counter:
     def value(self) -> int:
         """Return the present value of the counter.
 
-        :raises InexactError: it is not known.
+        :raises InexactError: the value is not known, as when the counter may change at any time.
         """
         value = self.run.variables.value(self.key)
         if not isinstance(value, Number) or not value.is_integer:

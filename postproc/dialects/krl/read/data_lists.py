@@ -194,7 +194,7 @@ def read_shared(
     """
     own_file_names = {name.upper() for name in own_names}
     other_paths = [path for name, path in files.paths.items() if name.endswith(".DAT") and name not in own_file_names]
-    global_names = {path: files.declared_names(path, scan.global_variables) for path in other_paths}
+    global_names = {path: files.names_in(path, scan.global_variables) for path in other_paths}
     if not any(global_names.values()):
         return
     declaration_counts = Counter(name for names in global_names.values() for name in names)

@@ -92,7 +92,7 @@ class Effects(Struct, eq=False):
         for name, place in effects.writes.items():
             self.writes.setdefault(name, place)
         self.force_comment = self.force_comment or effects.force_comment
-        self._add_common(effects)
+        self._add_common_effects(effects)
 
     def add_action(self, effects: Effects) -> None:
         """Add the effects of the action of an interrupt or a trigger: what the action writes may change at any time.
@@ -101,10 +101,10 @@ class Effects(Struct, eq=False):
         """
         for name, place in effects.writes.items():
             self.volatile_writes.setdefault(name, place)
-        self._add_common(effects)
+        self._add_common_effects(effects)
 
-    def _add_common(self, effects: Effects) -> None:
-        """Add effects that are the same for a called routine and for an action: all but writes and force comments."""
+    def _add_common_effects(self, effects: Effects) -> None:
+        """Add the effects that count for called routines and actions alike: absent calls, motions, speeds, RESUME."""
         self.absent_calls = effects.absent_calls | self.absent_calls
         self.motion = self.motion or effects.motion
         self.turn_speed = self.turn_speed or effects.turn_speed
@@ -137,19 +137,19 @@ class Analysis:
     """
 
     def __init__(self, library: Library, scope_of: Callable[[Module, Routine], Scope]) -> None:
-        """Begin with empty caches: effects of routines, lines with force comments, names of variables."""
+        """Begin with empty caches: effects of routines, lines with force comments, stored names of variables."""
         self.library, self.scope_of = library, scope_of
-        self._direct: dict[Routine, _DirectEffects] = {}
-        self._totals: dict[Routine, Effects] = {}
-        self._force_lines: dict[Source, tuple[int, ...]] = {}
-        self._stored_names: dict[Routine, frozenset[str]] = {}
+        self._direct_effects_of_routine: dict[Routine, _DirectEffects] = {}
+        self._total_effects: dict[Routine, Effects] = {}
+        self._force_lines_of_source: dict[Source, tuple[int, ...]] = {}
+        self._names_of_routine: dict[Routine, frozenset[str]] = {}
 
     def effects_of(self, module: Module, routine: Routine) -> Effects:
         """Return the effects of a routine and of all routines that it may call.
 
         `jump` and `parameter_write` are those of the routine itself.
         """
-        total = self._totals.get(routine)
+        total = self._total_effects.get(routine)
         if total is not None:
             return total
         local_effects = self._direct_effects(module, routine).effects
@@ -164,7 +164,7 @@ class Analysis:
                 total.interrupt_motion = total.interrupt_motion or action.motion
         # only in an action does a motion back to the path leave the path as it is
         total.motion = total.motion or total.return_motion
-        self._totals[routine] = total
+        self._total_effects[routine] = total
         return total
 
     def reachable_routines(self, module: Module, routine: Routine) -> set[Routine]:
@@ -178,14 +178,14 @@ class Analysis:
         """
         stored_names: set[str] = set()
         for callee in self._reachable_callees([Callee(module, routine)]):
-            if callee.routine not in self._stored_names:
+            if callee.routine not in self._names_of_routine:
                 source, scope = callee.routine.source, self.scope_of(*callee)
                 spans = [source.code_span(line) for line in callee.routine.statement_lines]
                 words = {occurrence.name for span in spans for occurrence in occurrences(source.text, *span)}
-                self._stored_names[callee.routine] = frozenset(
+                self._names_of_routine[callee.routine] = frozenset(
                     scope.stored_name(word) for word in words - callee.routine.local_names
                 )
-            stored_names |= self._stored_names[callee.routine]
+            stored_names |= self._names_of_routine[callee.routine]
         return frozenset(stored_names)
 
     def may_carry_force(self, module: Module, routine: Routine) -> bool:
@@ -239,10 +239,10 @@ class Analysis:
         return None, False
 
     def force_comment_lines(self, source: Source) -> tuple[int, ...]:
-        """Return the lines of a file with force comments."""
-        if source not in self._force_lines:
-            self._force_lines[source] = force_comment_lines(source)
-        return self._force_lines[source]
+        """Return the lines of a file with force comments, ascending; the result is stored."""
+        if source not in self._force_lines_of_source:
+            self._force_lines_of_source[source] = force_comment_lines(source)
+        return self._force_lines_of_source[source]
 
     def effects_of_action(self, module: Module, routine: Routine, place: Place, event: Event, scope: Scope) -> Effects:
         """Return the effects of the action of an interrupt or a trigger, also on the local variables of its routine.
@@ -291,9 +291,9 @@ class Analysis:
 
     def _direct_effects(self, module: Module, routine: Routine) -> _DirectEffects:
         """Return the effects of the statements of a routine, without those of called routines; the result is stored."""
-        direct = self._direct.get(routine)
+        direct = self._direct_effects_of_routine.get(routine)
         if direct is None:
-            direct = self._direct[routine] = _DirectEffects()
+            direct = self._direct_effects_of_routine[routine] = _DirectEffects()
             if routine.first_motion_line:  # plain motions, which are no statements here
                 direct.effects.motion = Place(routine.source, routine.first_motion_line)
             comment_lines = self.force_comment_lines(routine.source)

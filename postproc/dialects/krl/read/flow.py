@@ -341,7 +341,7 @@ class Flow:
         call_count, depth = len(entered_calls), len(self._enclosing)
 
         def undo() -> None:
-            """Restore the run, the trace and the open calls."""
+            """Restore the findings, the position in the program, the trace and the open calls."""
             run.drop_findings(counts)
             recorder.back_to(mark)
             run.return_to(position)
@@ -453,6 +453,7 @@ class Flow:
             self._follow_branches(source, block, recorder, occasion, cause)
             return
         part = block.parts[part_index] if part_index >= 0 else None
+        # only the lines of `part` run; heads control execution, all other lines are passed over
         if recorder is not None:
             recorder.record_run_lines(block.first - 1)
             recorder.record_passed_lines(block.first)
@@ -560,9 +561,9 @@ class Flow:
         return block.word == "IF" and len(block.parts) == 1 and not self._may_have_effects(condition)
 
     def _is_part_known(self, source: Source, block: Block) -> bool:
-        """Return whether the branch taken of an IF is known.
+        """Return whether it is known which branch of an IF or SWITCH is taken.
 
-        :raises ProgramError: see `_part_taken`.
+        :raises ProgramError: a CASE cannot be read.
         """
         try:
             self._part_taken(source, block)
@@ -927,7 +928,7 @@ class Flow:
         snapshot = run.variables.snapshot()
         loop = recorder.begin_loop(block, "", 0, has_exit=False)
         loop.is_endless = True
-        self._enclosing.append((place, 1))
+        self._enclosing.append((place, 1))  # the first and only iteration
         recorder.begin_round(loop, block, None)
         self.follow(source, block.parts[0].nodes)
         recorder.end_round(block, is_whole=True)
@@ -960,7 +961,11 @@ class Flow:
             self._check_statement_count(Place(source, block.first), minimum)
 
     def _runs_again(self, source: Source, block: Block, counter: Counter | None) -> bool:
-        """Return whether a loop runs its body once more, by its counter or the condition of WHILE."""
+        """Return whether a loop runs its body once more, by its counter or the condition of WHILE; LOOP, REPEAT: True.
+
+        :param counter: the counter of FOR; None for other loops.
+        :raises InexactError: the counter or the condition is not known before run time.
+        """
         if counter is not None:
             return counter.has_next_round()
         return block.word != "WHILE" or self._condition_holds(source, block.first)
@@ -968,7 +973,7 @@ class Flow:
     def _condition_holds(self, source: Source, line: int) -> bool:
         """Return whether the condition of WHILE or UNTIL on a line holds.
 
-        :raises InexactError: it is not known before run time.
+        :raises InexactError: the condition is not known before run time.
         """
         stmt, holds = statement(source, line), None
         self.run.place = Place(source, line)

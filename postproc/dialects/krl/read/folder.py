@@ -62,7 +62,7 @@ class FolderFiles:
         """Name of a GLOBAL routine, upper case → path of its `.src`; all `.src` files are searched for them."""
         by_routine: dict[str, Path] = {}
         for path in (path for name, path in self.paths.items() if name.endswith(".SRC")):
-            for name in self.declared_names(path, scan.global_routines):
+            for name in self.names_in(path, scan.global_routines):
                 by_routine.setdefault(name, path)
         return by_routine
 
@@ -108,7 +108,7 @@ class FolderFiles:
                 f"cannot be read ({cause.strerror})", file=str(path), advice="Check its path, and that you may read it."
             ) from cause
 
-    def declared_names(self, path: Path, find_names: Callable[[str], frozenset[str]]) -> frozenset[str]:
+    def names_in(self, path: Path, find_names: Callable[[str], frozenset[str]]) -> frozenset[str]:
         """Return the names that a function of `language.scan` finds in a file.
 
         :param find_names: that function: text of the file → names, upper case.
@@ -220,7 +220,7 @@ class Library:
         return self._callees[name]
 
     def submit_programs(self) -> Iterator[Module]:
-        """Yield the submit programs (`.sub`), which run concurrently with the program."""
+        """Yield the submit programs (`.sub`), which run concurrently with the program; unreadable ones are left out."""
         for file, path in self.files.paths.items():
             if file.endswith(".SUB") and (module := self._module(path)) is not None:
                 yield module
@@ -240,7 +240,7 @@ class Library:
     def names(self) -> frozenset[str]:
         """Return the names of the programs and GLOBAL routines of all folders, upper case."""
         paths = (path for path in self.files.paths.values() if path.suffix.upper() != ".DAT")
-        return self.program_names().union(*(self.files.declared_names(path, scan.global_routines) for path in paths))
+        return self.program_names().union(*(self.files.names_in(path, scan.global_routines) for path in paths))
 
     def users(self, routines: Collection[Routine]) -> Mapping[str, tuple[str, ...]]:
         """Return which programs of the folders, other than those that were read, call some routines.
@@ -270,7 +270,7 @@ class Library:
         writer_names: dict[str, list[str]] = {}
         for file, path in self.files.paths.items() if names else ():
             if file.endswith(".SRC") and file not in read_files and path.stem.upper() not in _CONTROLLER_NAMES:
-                for name in names & self.files.declared_names(path, scan.assigned_variables):
+                for name in names & self.files.names_in(path, scan.assigned_variables):
                     writer_names.setdefault(name, []).append(path.name)
         return {name: tuple(sorted(writer_names[name])) for name in sorted(writer_names)}
 
@@ -290,7 +290,7 @@ class Library:
             if module is not None and routine is not None:
                 return Callee(module, routine)
         for file, path in self.files.paths.items():
-            if file.endswith(".SRC") and name in self.files.declared_names(path, scan.global_routines):
+            if file.endswith(".SRC") and name in self.files.names_in(path, scan.global_routines):
                 module = self._module(path, name)
                 if module is not None and name in module.routines:
                     return Callee(module, module.routines[name])
@@ -385,7 +385,8 @@ class Code(Struct, frozen=True):
 
 
 def codes_of(module: Module) -> Iterator[Code]:
-    """Yield the code of the routines of a file."""
+    """Yield the code of each routine of a file, without its plain motions, which name no other files."""
+    # names that its `.dat` declares for the file itself, and GLOBAL names
     module_names = frozenset() if module.data is None else frozenset().union(*declared_names(module.data))
     routine_names = frozenset(module.routines)
     for routine in module.routines.values():
@@ -416,7 +417,7 @@ class _Links:
         self.importing_data: set[str] = set()
         self.variables: dict[str, set[str]] = {}
         for name, path in siblings.items():
-            for variable in files.declared_names(path, scan.global_variables) if name.endswith(".DAT") else ():
+            for variable in files.names_in(path, scan.global_variables) if name.endswith(".DAT") else ():
                 self.variables.setdefault(variable, set()).add(name)
 
     def follow(self, code: Code) -> None:

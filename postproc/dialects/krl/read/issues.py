@@ -99,7 +99,10 @@ def _unreachable_motion_warnings(main: MainRoutine) -> Iterator[Issue]:
 
 
 def _changed_variable_warnings(main: MainRoutine) -> Iterator[Issue]:
-    """Yield a warning if other programs change GLOBAL variables on which motions depend."""
+    """Yield a warning if programs that are not called change GLOBAL variables on which motions depend.
+
+    Variables that the program itself changes are left out.
+    """
     variables = main.run.variables
     writers = main.run.library.writers((variables.used_names & variables.global_names) - variables.change_places.keys())
     if not writers:
@@ -168,7 +171,7 @@ def refuse_routines_under_force(run: Run, notes: Sequence[tuple[int, ForceNote]]
 
 
 def unfollowed_calls(run: Run) -> tuple[UnfollowedCall, ...]:
-    """Return the calls of routines that are not followed and that may move under force."""
+    """Return the calls of routines that are not followed and that may move under force, each with its error."""
     return tuple(
         UnfollowedCall(run.trace.shown_line(call.row), _uncorrected_error(run, call))
         for call in run.untraced_calls

@@ -61,7 +61,7 @@ class JoinedEnds(NamedTuple):
 def free_joins(course: Course, sequence: OrderedMotions) -> frozenset[Join]:
     """Return the joins at which branches may end in different poses.
 
-    On every path from such a join, the next motion is a PTP to joint angles, or the program ends.
+    On every path from such a join, the next motion is a PTP to joint angles, or the program ends without one.
     """
     successors = _Successors(course, sequence)
     return frozenset(
@@ -99,11 +99,11 @@ class _Successors:
         lines, step = self._sequence.rows.line, self.steps[number]
         next_step = self.steps[number + 1] if number + 1 < len(self.steps) else None
         row = int(np.searchsorted(lines, step.row, side="right"))  # the first motion after the step
-        if row < len(lines) and (next_step is None or lines[row] <= next_step.row):
+        if row < len(lines) and (next_step is None or lines[row] <= next_step.row):  # a motion before the next step
             return is_ptp_to_joints(self._sequence, row)
         if next_step is None:
             return self._next_round_leads_to_joints()
-        if isinstance(next_step, Fork):
+        if isinstance(next_step, Fork):  # its branches, and what follows them if all may be skipped
             branches, join = self._branches_and_join(number + 1)
             return all(map(self.leads_to_joints, branches if self._is_exhaustive_join(join) else [*branches, join]))
         if isinstance(next_step, Join):

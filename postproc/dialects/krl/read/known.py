@@ -28,7 +28,7 @@ class UnknownValue(Struct, frozen=True):
     reason: str = ""
 
     def message_for(self, name: str) -> str:
-        """Return the part of a message that says that a variable has no known value, and why."""
+        """Return the text for a message that a variable has no known value, and why; `name` is the variable."""
         if self.reason:
             place_and_reason = ": ".join(filter(None, (self.change_place, self.reason)))
             return f"{name} is set to a value that is not known ({place_and_reason})"

@@ -74,7 +74,7 @@ class Start(Struct, frozen=True, eq=False):
     cell: Cell
     joints: tuple[float, ...]
 
-    def collected(self, trace: Trace | None = None, *, has_rows: bool = True) -> CollectedMotions:
+    def new_collection(self, trace: Trace | None = None, *, has_rows: bool = True) -> CollectedMotions:
         """Return an empty collection of motions for a run of the program, which gets its own copy of the variables.
 
         :param trace: the execution trace; None: the lines of the main file, one after the other.
@@ -108,7 +108,7 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     :raises ProgramError: see `course_of`.
     """
     main, recorder = start.main, Recorder(start.main)
-    collected_motions = start.collected(has_rows=collects)
+    collected_motions = start.new_collection(has_rows=collects)
     run, settings = collected_motions.run, collected_motions.run.settings
     lines, free_settings = _split_plain_settings(main.source, main.other_lines, main.setting_lines)
     nodes = checked_nodes(main.source, nodes_of(main.source, lines))
@@ -184,11 +184,15 @@ def _with_used_names(course: Course, start: Start) -> Course:
     foreign_routines = {routine for routine in course.inlined_routines if routine.source is not start.main.source}
     if foreign_routines:
         return replace(course, used_names=library.names(), other_callers=library.users(foreign_routines))
+    # a long program may be divided into parts
     return replace(course, used_names=library.program_names()) if start.cell.output.lines_per_file else course
 
 
 def _jump_error(main: Routine, flow: Flow, line: int) -> ProgramError:
-    """Return the error that the label of a GOTO on a line cannot be reached."""
+    """Return the error that the label of a GOTO cannot be reached.
+
+    :param line: line of the GOTO in the file of the main routine.
+    """
     label = flow.label_of(main.source, line)
     problem = f"there is no label {label} in {main.name}"
     if label in flow.labels(main.source, main.other_lines):
@@ -469,7 +473,8 @@ class MainRoutine:
         for row in range(first, last + 1):
             source, line = trace.place(row)
             start, stop = source.code_span(line)
-            if (start < stop or trace.is_count[row - 1]) and row not in self._trigger_lines:
+            has_code = start < stop or trace.is_count[row - 1]  # the latter: the row sets the counter of a FOR
+            if has_code and row not in self._trigger_lines:
                 return False
         return True
 

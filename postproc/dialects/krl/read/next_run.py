@@ -52,7 +52,9 @@ def changed_data_issues(
         course, collected_motions = course_of(start)
         line = _first_differing_row(main.course, course)
         if line is None:
-            second_run = MainRoutine(collected_motions or start.collected(main.course.trace), main.course, plain_lines)
+            second_run = MainRoutine(
+                collected_motions or start.new_collection(main.course.trace), main.course, plain_lines
+            )
             if collected_motions is None:
                 second_run.follow([])
             second = ordered_motions(second_run, plain_lines.motions)

@@ -84,7 +84,10 @@ def _sets_from_array(stmt: Statement, counter: str) -> bool:
 
 
 def _is_switching_trigger(stmt: Statement) -> bool:
-    """Return whether a statement is a TRIGGER that switches an output, and whose distance and delay are numbers."""
+    """Return whether a statement is a TRIGGER that switches an output, and whose distance and delay are numbers.
+
+    No function may be called in it.
+    """
     if not isinstance(stmt, Trigger) or not isinstance(stmt.action, Assignment) or calls(stmt.values):
         return False
     has_numbers = isinstance(stmt.value, Number) and isinstance(stmt.delay, Number)

@@ -168,7 +168,7 @@ class _Reading(Struct, frozen=True, eq=False):
         if not course.is_straight:
             plain_lines = plain_rows_of_trace(course.trace, {self.entry.source: plain_lines}, bulk=bulk)
         if collected_motions is None or self.faults:
-            main = MainRoutine(start.collected(course.trace), course, plain_lines)
+            main = MainRoutine(start.new_collection(course.trace), course, plain_lines)
             self._run_statements(main, plain_lines)
         else:
             main = MainRoutine(collected_motions, course, plain_lines)
@@ -424,7 +424,7 @@ def _tool_keys(settings: Settings) -> tuple[tuple[str, ...], ...]:
 
 
 def _cell_value_issues(executed_program: _ExecutedProgram) -> Iterator[Issue]:
-    """Yield issues about values that are taken from the cell: the home position, and variables."""
+    """Yield an issue if the home position is that of the cell, and one if values of [krl.values] have been read."""
     main, start = executed_program.main, executed_program.start
     if main.reader.home_used:
         message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."

@@ -39,11 +39,11 @@ class Scopes:
     """
 
     def __init__(self, program: Module, main: Routine, variables: Variables) -> None:
-        """Begin without scopes; names of the program are stored with its name before them."""
+        """Begin without scopes."""
         self.program, self.main, self.variables = program, main, variables
         self._modules: dict[Module, Scope] = {}
         self._routines: dict[Routine, Scope] = {}
-        self._prefix = f"{program.name}/"
+        self._prefix = f"{program.name}/"  # of names that another routine does not share with the main routine
 
     def scope_of(self, module: Module, routine: Routine) -> Scope:
         """Return the scope that resolves the names of a routine other than its local names.
