@@ -78,7 +78,7 @@ def columns(comment: bytes, forces: TargetForces, rows: Ints, is_needed: Bools) 
             Number.of(np.where(is_given, values, np.nan), decimal_places),
         ]
     for code, label in enumerate(FORCE_FRAMES):
-        if code != _BASE:
+        if code != _BASE:  # the default, which is not written
             parts.append(text_in_rows(f" FRAME={label}".encode(), has_load & (frame == code)))
     return parts
 

@@ -99,7 +99,7 @@ FAULTS = {
     "functions change module data unseen": (239, Effects, "changed_data_of", no_names),
     "functions change their arguments unseen": (901, Effects, "changed_arguments", lambda *_: iter(())),
     "parameters are copies": (133, execution, "bound_arguments", arguments_by_value),
-    "elements given to a routine are copies": (1705, Execution, "_is_shared", lambda *_: False),
+    "elements given to a routine are copies": (1705, Execution, "_may_change_array", lambda *_: False),
     "a routine that may end early keeps its data": (181, Execution, "_leave", returns_at_once),
     "GOTO is passed over": (52, Execution, "_execute_jump", goes_on),
     "branches that may run change nothing": (181, Execution, "_forget", nothing),

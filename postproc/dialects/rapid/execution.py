@@ -200,7 +200,7 @@ class Execution:
         scope = Scope(self.data)
         try:
             self._execute_routine(self.entry, scope, 0)
-        except _End:
+        except _End:  # in a loop that does not end: the result is complete
             pass
         except RecursionError:
             raise RapidError("calls and loops are nested too deeply", self.entry.start, _KEEP) from None
@@ -755,7 +755,7 @@ class Execution:
             variable = Variable(parameter.type, None, f"the call of {routine.name} does not give it")
             if parameter.changeable and _is_data_name(expression, scope):
                 variable = scope.variable(expression.value)
-            elif parameter.changeable and expression is not None and self._is_shared(routine, parameter, bound):
+            elif parameter.changeable and expression is not None and self._may_change_array(routine, parameter, bound):
                 variable.why = f"{routine.name} may change it"
                 _forget_variable(scope.find(base_name(expression)), variable.why)
             elif expression is not None:
@@ -785,7 +785,7 @@ class Execution:
         for name in self.effects.changed_data_of(routine.name):
             _forget_variable(self.data.get(name), reason)
 
-    def _is_shared(self, routine: Routine, parameter: Parameter, bound: list[BoundArgument]) -> bool:
+    def _may_change_array(self, routine: Routine, parameter: Parameter, bound: list[BoundArgument]) -> bool:
         """Return whether a routine may change the array whose element is the argument of a parameter.
 
         :param parameter: parameter whose argument is an array element.
@@ -794,6 +794,7 @@ class Execution:
         names = [base_name(expression) for _, expression, _ in bound if expression is not None]
         base = next(base_name(value) for item, value, _ in bound if item is parameter and value is not None)
         changed_names = {*self.effects.changed_names(routine.body), *self.effects.changed_data_of(routine.name)}
+        # the element itself, the array by its name, or another argument that is a part of the array
         return parameter.name in changed_names or base in changed_names or names.count(base) > 1
 
     def _frame_of_cell(self, name: str, type_: str) -> Value | None:

@@ -165,6 +165,7 @@ class _NewModule:
         if self.comment_forces is None:
             return
         no_note = constant(-1, len(self.targets))
+        # a new program has no notes; NaN: the first path target needs a comment
         rows = np.flatnonzero(force_comments.needs_comment(self.comment_forces, self.targets.kind, no_note, (), np.nan))
         for k, text in zip(rows.tolist(), force_comments.texts(b"!", self.comment_forces, rows), strict=True):
             self.new_program.lines_before[k].append(f"    {text}")

@@ -339,23 +339,23 @@ class _Reader:
         :param pose_of: returns the frame of a value.
         :raises ProgramError: a value is no valid frame.
         """
-        rows: dict[tuple[int, bool], int] = {}
-        keys: dict[tuple[str, bool], int] = {}
+        row_of_object: dict[tuple[int, bool], int] = {}  # id of a value → row
+        row_of_text: dict[tuple[str, bool], int] = {}  # text of a value → row
         frames: list[Array] = []
         frame_rows = np.zeros(len(moves), dtype=np.int64)
         for k, (value, is_named) in enumerate(values):
-            row = rows.get((id(value), is_named))
+            row = row_of_object.get((id(value), is_named))
             if row is None:
                 key = repr(value), is_named
-                row = keys.get(key)
+                row = row_of_text.get(key)
                 if row is None:
                     try:
                         frames.append(pose_of(value))
                     except UnknownValueError as cause:
                         advice = "Give it as a plain declaration in this file."
                         raise self._error(cause.problem, int(line[k]), advice) from None
-                    row = keys[key] = len(frames) - 1
-                rows[id(value), is_named] = row
+                    row = row_of_text[key] = len(frames) - 1
+                row_of_object[id(value), is_named] = row
             frame_rows[k] = row
         return frame_rows, np.stack(frames)
 

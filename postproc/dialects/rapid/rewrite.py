@@ -256,6 +256,7 @@ class _Rewriter:
         if (value := self._new_speed(row)) is not None:
             options.pop("T", None)
             options["V"] = f"\\V:={value}"
+        # the move stops exactly, but not its inserted targets; if the program declares z0 itself, its zone is not known
         if move.zone == 0.0 and self.targets.blend[k] > 0.0 and "Z0" not in self.layout.declared:
             zone = "z0"
             options.pop("INPOS", None)
@@ -373,15 +374,15 @@ class _Rewriter:
         if not uses:
             return
         mentions = Counter(re.findall(r"[^\W\d]\w*", self.text.upper()))
-        arguments: dict[int, set[int]] = {}
-        name_counts: Counter[str] = Counter()
-        starts: set[int] = set()
+        arguments: dict[int, set[int]] = {}  # offset of a literal → offsets of the arguments that name its data
+        name_counts: Counter[str] = Counter()  # name of data → number of arguments of moves that name them
+        counted_arguments: set[int] = set()
         for move in self.moves:
             for target in (move.via, move.target):
                 if target is not None and target.data is not None and target.literal is not None:
                     arguments.setdefault(target.literal.start, set()).add(target.expression.start)
-                    if target.expression.start not in starts:
-                        starts.add(target.expression.start)
+                    if target.expression.start not in counted_arguments:
+                        counted_arguments.add(target.expression.start)
                         name_counts[target.data.name] += 1
         for start, texts in uses.items():
             shared_data = self.shared[start]

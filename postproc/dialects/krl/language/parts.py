@@ -49,7 +49,7 @@ class JoinedProgram(Struct, frozen=True, eq=False):
     documents: tuple[Document, ...]
     files: tuple[tuple[str, int], ...]
 
-    def place(self, file: str, line: int) -> tuple[str, int]:
+    def original_line(self, file: str, line: int) -> tuple[str, int]:
         """Return the file and the line from which a line comes: a line of the joined text, or of another file.
 
         Lines of other files are returned unchanged.
@@ -61,7 +61,7 @@ class JoinedProgram(Struct, frozen=True, eq=False):
 
     def motion_in_file(self, motion: UnresolvedMotion) -> UnresolvedMotion:
         """Return an uncorrected motion with the file and the line from which its line of the joined text comes."""
-        file, line = self.place(motion.file, motion.line)
+        file, line = self.original_line(motion.file, motion.line)
         return replace(motion, file=file, line=line)
 
     def error_in_file(self, error: ProgramError) -> ProgramError:
@@ -71,7 +71,7 @@ class JoinedProgram(Struct, frozen=True, eq=False):
         """
         file, line = error.file, error.line
         if line is not None and file is not None:
-            file, line = self.place(file, line)
+            file, line = self.original_line(file, line)
         marks = "".join((_DIVIDES, _BEGINS, _UNENDED))  # characters before lines of the joined text
         text = None if error.text is None else error.text.lstrip(marks)
         later_errors = [

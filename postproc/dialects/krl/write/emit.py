@@ -124,6 +124,7 @@ class Emitter:
         self._set_speeds()
         self._set_turning()
         if self.comment_forces is not None:
+            # a new program has no notes; NaN: the first path target needs a comment
             self.has_force_comment = force_comments.needs_comment(
                 self.comment_forces, self.targets.kind, constant(-1, count), (), np.nan
             )

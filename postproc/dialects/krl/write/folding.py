@@ -308,7 +308,7 @@ class _Folder(Struct, eq=False):
             yield from self._equal_rounds(loop, first, rounds[first:stop])
         if self._sets_counter(loop):
             yield self._counter_piece(loop, loop.bodies[-1].stop, blanks)
-        else:
+        else:  # rows of the loop behind its last round, such as the evaluation of its condition
             yield self._rows_piece(loop.bodies[-1].stop, loop.stop)
         if loop.has_exit:
             yield _text_piece(f"{blanks}EXIT{end}{blanks}ENDLOOP{end}")

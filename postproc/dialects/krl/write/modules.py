@@ -357,6 +357,7 @@ class _Divider:
     def _dwells(self, event: Event) -> Iterator[Event]:
         """Yield the dwells that follow an event before the same target: they wait until the spindle has its speed."""
         events = self.emitter.program.events
+        # by identity: equal events may occur several times
         index = max(position for position, program_event in enumerate(events) if program_event is event)
         later_events = zip(events[index + 1 :], self.event_targets[index + 1 :], strict=True)
         return (
