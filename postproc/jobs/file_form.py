@@ -130,12 +130,14 @@ def _field(table: str, key: str, part: Mapping[str, Any], value: Any, *, is_requ
     :param part: schema of the key; `value`: its value in the file, None: the file does not state it.
     :param is_required: see `FormField`.
     """
-    options = [part, *part.get("anyOf", ())]
-    described_kind = next((kind for kind in options if kind.get("type") in _KINDS or "enum" in kind), None)
-    pair = next((kind for kind in options if len(kind.get("prefixItems", ())) == 2), None)
-    if described_kind is None and pair is None:
+    alternatives = [part, *part.get("anyOf", ())]
+    single = next((schema for schema in alternatives if schema.get("type") in _KINDS or "enum" in schema), None)
+    pair = next((schema for schema in alternatives if len(schema.get("prefixItems", ())) == 2), None)
+    if single is None and pair is None:
         return None
-    limits = (described_kind or pair["prefixItems"][0]) if pair is not None else described_kind
+    limits = (
+        (single or pair["prefixItems"][0]) if pair is not None else single
+    )  # both numbers of a pair have one schema
     assert limits is not None  # one of them was found above
     kind: Kind = "span" if pair is not None else "choice" if "enum" in limits else _KINDS[limits["type"]]
     return FormField(

@@ -157,7 +157,7 @@ def check_new(output: Path, *, overwrite: bool) -> None:
 
 
 def write_cell(request: CellRequest) -> tuple[str, ...]:
-    """Write a cell file after its text was read as a cell.
+    """Write a cell file, whose text is checked before by reading it.
 
     :returns: warnings for the user.
     :raises InputError: the file exists, or a value is invalid.

@@ -77,7 +77,7 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     inputs = [Path(program) for program in request.programs]
     protect([*inputs, request.cell, *filter(None, (request.forces, request.process))], request.output, FILES)
     if not request.overwrite:
-        refuse(foreign(request.output, FILES, FILES[-1]))
+        refuse(foreign(request.output, FILES, _RECORD))
     # a conversion chooses a new start at each place; the samples all have the start that is chosen here
     assess = partial(_assessment, request, cell, robot)
     started_cell, start_message = _cell_with_start(request, cell, robot)

@@ -350,14 +350,14 @@ def predict_in_material(
     try:
         motions = MotionsUnderLoad.of(program, RobotInCell.of(robot, cell), source)
         path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
-        residual = _deviation(path)
+        deviation = _deviation(path)
     except ImpossiblePathError:  # the result says why
         return correction.process(program, robot, cell, source, "predict"), source
     if source.process_forces is None:
         return correction.process(program, robot, cell, source, "predict"), source
-    cut = _real_cut(path, source, residual)
+    cut = _real_cut(path, source, deviation)
     result = correction.process(program, robot, cell, cut.source, "predict")
-    if result.failed or source.process_forces is None:
+    if result.failed:
         return result, cut.source
     message = _real_cut_message(path.wrench, result.wrench, source, cut.source, cut.rounds)
     note = Issue("info" if cut.is_settled else "warning", "real-cut", message)

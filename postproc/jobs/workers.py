@@ -202,7 +202,7 @@ def main() -> None:
     except BaseException:
         traceback.print_exc()
         code = 1
-    os._exit(code)
+    os._exit(code)  # at once: the thread that reads tasks may still wait
 
 
 def _receive(tasks: SimpleQueue[tuple[Task, Settings]]) -> None:

@@ -228,7 +228,7 @@ class _Walk:
         tools = dict(self.modes.tools)
         indexing = set(self._indexing_rows().tolist())
         current = -1.0  # no code of a work offset: the first line sets the frame
-        for begin, end in pairwise(self._bounds(origins, tools, indexing)):
+        for begin, end in pairwise(self._run_bounds(origins, tools, indexing)):
             if self.offset[begin] != current:
                 current = float(self.offset[begin])
                 self._change_frame(current)
@@ -255,7 +255,7 @@ class _Walk:
             return np.zeros(0, dtype=np.int64)
         return np.flatnonzero(any_column(~np.isnan(self.lines.rotary)))
 
-    def _bounds(
+    def _run_bounds(
         self, origins: Mapping[int, object], tools: Mapping[int, object], indexing: Collection[int]
     ) -> list[int]:
         """Return the rows, ascending, at which a run begins, and the number of lines.
@@ -266,9 +266,9 @@ class _Walk:
         lines = self.lines
         is_bound = (self.offset[1:] != self.offset[:-1]) | (lines.is_incremental[1:] != lines.is_incremental[:-1])
         is_bound |= lines.is_drilling[1:] != lines.is_drilling[:-1]
-        single = [row for row in (*origins, *tools, *self.modes.returns, *indexing) if row < self.line_count]
+        single_rows = [row for row in (*origins, *tools, *self.modes.returns, *indexing) if row < self.line_count]
         next_rows = [row + 1 for row in (*self.modes.returns, *indexing) if row + 1 < self.line_count]
-        return sorted({0, self.line_count, *(np.flatnonzero(is_bound) + 1).tolist(), *single, *next_rows})
+        return sorted({0, self.line_count, *(np.flatnonzero(is_bound) + 1).tolist(), *single_rows, *next_rows})
 
     def _add_straight_moves(self, begin: int, end: int) -> None:
         """Add the moves of lines `begin` to `end` (exclusive) of G0 to G3, all in G90 or all in G91.

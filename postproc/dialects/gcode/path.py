@@ -362,12 +362,11 @@ def _check_feeds(lines: LineStates, doubt: _Doubt, faults: _LineFaults) -> None:
     The feed of G94 is modal, so its fault is that of the first such line. F of G93 holds for its own line.
     """
     is_feed_motion = (lines.motion == 1.0) | _is_arc(lines)
-    # not `feed` ≤ 0: it may be NaN
     cuts = ((lines.has_motion_code | lines.is_moving) & is_feed_motion) | lines.is_drilling
-    no_feed = cuts & ~(lines.feed > 0.0) & ~doubt.motion & ~doubt.feed
-    in_g93 = no_feed & lines.is_inverse_time & lines.is_moving
-    faults.check(no_feed & ~lines.is_inverse_time, "cutting move without a feed", "Give F.", first=True)
-    faults.check(in_g93, "cutting move in G93 without a feed", "Give F in each block.")
+    has_no_feed = cuts & ~(lines.feed > 0.0) & ~doubt.motion & ~doubt.feed  # also NaN
+    has_no_g93_feed = has_no_feed & lines.is_inverse_time & lines.is_moving
+    faults.check(has_no_feed & ~lines.is_inverse_time, "cutting move without a feed", "Give F.", first=True)
+    faults.check(has_no_g93_feed, "cutting move in G93 without a feed", "Give F in each block.")
     advice = "Write G94, and F in mm/min or inch/min."
     faults.check(lines.is_drilling & lines.is_inverse_time, "a cycle in G93", advice, first=True)
 
@@ -408,6 +407,7 @@ def _check_unknown_positions(lines: LineStates, moves: Moves, doubt: _Doubt, fau
         problem = "incremental move before the position is known"
         faults.check(is_early & lines.is_incremental, problem, advice, first=True)
         begin = first + int(np.argmax(has_axis_word[first:])) if has_axis_word[first:].any() else first
+        # a single line that gives X, Y and Z at once is no low move
         is_low = (begin != complete_row) & below_top(lines, first, complete_row)
         is_low_cut = ((lines.motion == 1.0) & is_low) | (lines.is_drilling & (line < complete_row))
         is_cut = is_early & is_low_cut & ~doubt.motion
@@ -632,13 +632,13 @@ def _motions(
     :param swivel: rotation of the tool; None: there are no rotary axes.
     """
     moves, index = motion_moves.moves, motion_moves.index
-    row, code, home = moves.row[index], moves.code[index], moves.is_home_move[index]
+    row, code, is_home = moves.row[index], moves.code[index], moves.is_home_move[index]
     kind = np.where(motion_moves.is_free, PTP, np.where(code < 2.0, LIN, CIRC))
     frame = take_rows(moves.frame, index)
     joints = np.broadcast_to(np.nan, (len(index), 6))  # takes no memory
-    if home.any() and cell_frames.home_poses is not None:
+    if is_home.any() and cell_frames.home_poses is not None:
         joints = joints.copy()
-        joints[home] = speeds.home_joints
+        joints[is_home] = speeds.home_joints
     arcs = _arcs_in_base(motion_moves, kind, frame)
     feed = _speeds_of(
         lines,
@@ -679,11 +679,11 @@ def _targets(moves: Moves, motion_moves: Ints, frame: Ints, swivel: Swivel | Non
     """
     position = _points_in_base(moves.frames, frame, moves.end[motion_moves])
     rotation = _rotations(moves.frames, frame, swivel, cell_frames.orientation)
-    home = moves.is_home_move[motion_moves]
-    if home.any() and cell_frames.home_poses is not None:
-        poses = cell_frames.home_poses[moves.tool[motion_moves[home]]]
+    is_home = moves.is_home_move[motion_moves]
+    if is_home.any() and cell_frames.home_poses is not None:
+        poses = cell_frames.home_poses[moves.tool[motion_moves[is_home]]]
         rotation = rotation.copy()
-        rotation[home], position[home] = poses[:, :3, :3], poses[:, :3, 3]
+        rotation[is_home], position[is_home] = poses[:, :3, :3], poses[:, :3, 3]
     return Poses(position, rotation)
 
 

@@ -286,7 +286,7 @@ def _read_order(code: str, position: int) -> Order:
     label: str | Value  # an expression if the name is computed
     if name is not None:
         reader.position = name.end()
-        label = parameter_key(name[1]) if name[1] else name[2].lstrip("0") or "0"
+        label = parameter_key(name[1]) if name[1] else name[2].lstrip("0") or "0"  # a name in < >, or a number
     else:
         label = reader.read_value()
     keyword = _KEYWORD.match(code, reader.position)
@@ -298,6 +298,7 @@ def _read_order(code: str, position: int) -> Order:
     values: list[Value] = []
     while reader.position < len(code):
         values.append(reader.read_expression())
+    # least and largest number of values of each keyword
     min_count, max_count = {"CALL": (0, ARGUMENTS), "RETURN": (0, 1), "ENDSUB": (0, 1)}.get(keyword[0], (0, 0))
     if keyword[0] in _KEYWORDS_WITH_CONDITION:
         min_count = max_count = 1
