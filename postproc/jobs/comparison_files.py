@@ -107,7 +107,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     source = force_source(request.forces, cell)
     file_origin = _origin_of_second(request, cell, nominal, second_program)
     if file_origin.without_forces:
-        _ask_for_forces(request, file_origin.origin)
+        _require_stated_forces(request, file_origin.origin)
     ends = _stated_ends(request.corrected) if file_origin.same_origin else None
     comparison = compare(nominal, second_program, robot, cell, source, same_origin=file_origin.same_origin, ends=ends)
     content = comparison_summary(comparison, file_origin, cell.tolerance, cell.output.max_correction_mm * M_PER_MM)
@@ -141,8 +141,8 @@ def _use_stated_tolerance(cell: Cell, request: CompareRequest, second_program: P
     return apply_settings(cell, replace(request.settings, tolerance_mm=tolerance))
 
 
-def _ask_for_forces(request: CompareRequest, origin: provenance.Provenance) -> None:
-    """Refuse to compare without forces if the force file of the second program is next to one of the programs.
+def _require_stated_forces(request: CompareRequest, origin: provenance.Provenance) -> None:
+    """Refuse a comparison without forces if the force file of the second program is next to one of the programs.
 
     Without forces, a target cannot be distinguished from an inserted target next to it, and offsets would be wrong.
 

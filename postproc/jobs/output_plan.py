@@ -415,6 +415,7 @@ class OutputPlan:
             foreign_files = self._foreign_files(
                 job, [name for name in unplanned_names if name not in outcome.shared_files or name in changed_names]
             )
+            # a shared file may be from any other program, another file only from a program still to be converted
             refuse(
                 [
                     path

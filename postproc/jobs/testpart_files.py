@@ -599,6 +599,7 @@ def compare_part(request: PartRequest, model: str | None = None) -> tuple[PartId
     :raises PostprocError: an input is unusable.
     """
     part_data = _read_part(request, model)
+    # the wider prior allows for changes of the robot since its model was identified
     fit, rejected_rows = part_data.fit(part_data.prior.widen())
     part_agreement = agreement(fit, part_data.prior, rejected_rows)
     return replace(summary(fit, rejected_rows), agreement=part_agreement), part_agreement
