@@ -49,7 +49,7 @@ class CompensatorPlan(Struct, frozen=True, eq=False):
     :param beta: (k,) angles of the markers around P0, from the line P0 → P1, positive as q2 [rad].
     :param turn: angle by which the compensator turns [rad].
     :param ci95: (3,) expected half widths of the 95 % intervals of L, a_x, a_y [m].
-    :param ci95_even: (3,) the same for angles of A2 evenly over the range.
+    :param ci95_even: (3,) expected half widths with angles of A2 evenly over the range [m].
     """
 
     robot: str
@@ -106,7 +106,7 @@ def expected_intervals(value: Array, q2: Array, beta: Array, sigma: float, repea
     """Return the expected half widths (3,) of the 95 % intervals of L, a_x, a_y [m].
 
     :param value: (3,) L, a_x, a_y [m].
-    :param q2: (m,) [rad].
+    :param q2: (m,) angles of joint 2 [rad].
     :param beta: (k,) angles of the markers around P0 [rad].
     :param sigma: noise of one coordinate of one reading [m].
     :param repeats: readings of each marker at each angle.
@@ -119,19 +119,19 @@ def expected_intervals(value: Array, q2: Array, beta: Array, sigma: float, repea
 
 
 def _exchanged_angles(value: Array, grid: Array, start: Array, beta: Array) -> Array:
-    """Return angles (m,) [deg] such that the exchange of no single one makes the expected covariance smaller.
+    """Return angles (m,) [deg] such that no exchange of a single angle makes the expected covariance smaller.
 
     Exchange algorithm of Fedorov (1972); the criterion is the trace of the covariance of L, a_x, a_y.
 
     :param value: (3,) L, a_x, a_y [m].
-    :param grid: angles to choose from [deg], and `start` (m,) those to begin with [deg].
+    :param grid: angles to choose from [deg], and `start` (m,) angles to begin with [deg].
     :param beta: (k,) angles of the markers around P0 [rad].
     """
     angles, radius = start.copy(), np.full(len(beta), _RADIUS)
 
     def cost(angles_deg: Array) -> float:
         """Return the trace of the expected covariance [m²] for angles (m,) [deg]."""
-        # noise of a typical tracker: it scales all but the bias
+        # variance of a typical tracker [m²]: it scales the whole covariance but for the square of the bias
         return float(np.trace(geometry.expected_covariance(value, angles_deg * RAD_PER_DEG, radius, beta, 1e-9)))
 
     lowest_cost, has_gain = cost(angles), True
@@ -161,8 +161,8 @@ def marker_names(plan: CompensatorPlan) -> list[str]:
 
 
 def summary(plan: CompensatorPlan) -> dict[str, object]:
-    """Return the plan as plain data; mm and degrees."""
-    rows = {"L_mm": 0, "a_x_mm": 1, "a_y_mm": 2}
+    """Return the plan as content of a file, in mm and degrees."""
+    rows = {"L_mm": 0, "a_x_mm": 1, "a_y_mm": 2}  # key → index of the length in the arrays of the plan
     return {
         "robot": plan.robot,
         "sigma_mm": round(plan.sigma * MM_PER_M, 9),
@@ -185,7 +185,7 @@ def summary(plan: CompensatorPlan) -> dict[str, object]:
 
 
 def text_lines(plan: CompensatorPlan) -> list[str]:
-    """Return the plan for a terminal."""
+    """Return the plan as lines for a terminal."""
     angles = ", ".join(f"{angle:.0f}" for angle in without_negative_zero(np.round(plan.q2 * DEG_PER_RAD)))
     marker_texts = ", ".join(
         f"{name} {angle:.0f}°" for name, angle in zip(marker_names(plan), plan.beta * DEG_PER_RAD, strict=True)

@@ -15,13 +15,13 @@ from postproc import kinematics
 from postproc.chunks import Columns
 from postproc.frames import Array
 from postproc.plan.sensitivity import ArmPoses, direction
-from postproc.plan.site import BoxShape, MeshShape, Site, between_segments, points_on_segments
+from postproc.plan.site import BoxShape, MeshShape, Site, points_on_segments, segment_distances
 from postproc.program import Bools
 
 _ROPE = 0.01
 """Radius [m] of the rope of the load with its hooks (assumed)."""
 _STRAIGHT_SHARE = 0.8
-"""Of the gap that parts have in the arm stretched out, what must remain (assumed)."""
+"""Share of the gap between parts with the arm stretched out that must remain at all configurations (assumed)."""
 _PARTS = ("column", "link 2", "elbow", "forearm", "hand")
 
 
@@ -37,9 +37,9 @@ class Capsule(Struct, frozen=True, eq=False):
 class State(Columns, frozen=True, eq=False):
     """N configurations with their loads.
 
-    :param q: (N, 6) [rad].
-    :param down: (N, 3) unit direction of the load; None without load.
-    :param posed: where the arm is.
+    :param q: (N, 6) joint angles [rad].
+    :param down: (N, 3) unit direction of the load, root axes; None: no load.
+    :param posed: origins, axes and flange of the arm.
     """
 
     q: Array
@@ -48,22 +48,23 @@ class State(Columns, frozen=True, eq=False):
 
     @classmethod
     def of(cls, site: Site, q: Array, tilt: Array | None) -> State:
-        """Return the configurations q (N, 6) [rad] with the arm posed; `tilt` (N, 2) [rad] of the load, None: no load.
+        """Return configurations q (N, 6) [rad] with the poses of the arm.
 
-        A tilt is a vector along the horizontal part of the load, as long as the angle of the load from straight down.
+        :param tilt: (N, 2) of the load [rad]; None: no load. A tilt is a vector along the horizontal part of the load,
+            as long as the angle of the load from straight down.
         """
         return cls(q, None if tilt is None else direction(tilt), site.arm.pose(q))
 
 
-def feasible(site: Site, q: Array, tilt: Array) -> Bools:
-    """Return True for configurations q (N, 6) [rad] under loads that can be measured: all constraints hold.
+def are_feasible(site: Site, q: Array, tilt: Array) -> Bools:
+    """Return True for configurations q (N, 6) [rad] that can be measured under their loads: all constraints hold.
 
-    :param tilt: (N, 2) angles of the load from straight down [rad], along the horizontal part of the load.
+    :param tilt: (N, 2) of the load [rad], see `State.of`.
     """
     state = State.of(site, q, tilt)
     is_feasible = within_limits(site, q) & (np.linalg.norm(tilt, axis=1) <= site.rig.largest_tilt + 1e-9)
     rows = np.flatnonzero(is_feasible)
-    for group in _GROUPS:  # each is checked only where those before are satisfied
+    for group in _GROUPS:  # a group is checked only for configurations that satisfy the groups before
         state = State.of(site, q[rows], tilt[rows]) if len(rows) < len(state.q) else state
         is_allowed = np.ones(len(rows), dtype=bool)
         for _, is_satisfied in group(site, state):
@@ -73,10 +74,10 @@ def feasible(site: Site, q: Array, tilt: Array) -> Bools:
     return np.asarray(is_feasible)
 
 
-def passable(site: Site, q: Array) -> Bools:
+def are_passable(site: Site, q: Array) -> Bools:
     """Return True for configurations q (N, 6) [rad] in which the unloaded arm is within limits and touches nothing.
 
-    Torques and lines of sight do not count: the arm only moves through.
+    Torques and lines of sight do not count: the arm is not measured there, it only moves through.
     """
     state = State.of(site, q, None)
     is_passable = within_limits(site, q)
@@ -87,9 +88,10 @@ def passable(site: Site, q: Array) -> Bools:
 
 
 def failures(site: Site, q: Array, tilt: Array) -> dict[str, Bools]:
-    """Return name of a constraint → True for configurations (N,) that it forbids, whatever the others do.
+    """Return name of a constraint → True for configurations (N,) that it forbids, independently of other constraints.
 
-    :param q: (N, 6) [rad]; `tilt` (N, 2) angles of the load from straight down [rad].
+    :param q: (N, 6) joint angles [rad].
+    :param tilt: (N, 2) of the load [rad], see `State.of`.
     """
     state = State.of(site, q, tilt)
     is_forbidden = {"joint limits": ~within_limits(site, q)}
@@ -100,22 +102,22 @@ def failures(site: Site, q: Array, tilt: Array) -> dict[str, Bools]:
 
 
 def within_limits(site: Site, q: Array) -> Bools:
-    """Return True for configurations q (N, 6) [rad] within the joint limits of the site, which contain the margin."""
+    """Return True for configurations q (N, 6) [rad] within the joint limits of the site, which include the margin."""
     return np.asarray(((q >= site.lower - 1e-9) & (q <= site.upper + 1e-9)).all(axis=1))
 
 
 def arm_parts(site: Site, state: State) -> list[Capsule]:
     """Return the capsules of column, link 2, elbow, forearm and hand at N configurations."""
-    o, along_forearm = state.posed.origin, state.posed.axis[:, 3]
-    # where the forearm begins: a URDF may put the origin of A4 anywhere on its axis
-    begin = o[:, 3] + np.einsum("ni,ni->n", o[:, 2] - o[:, 3], along_forearm)[:, None] * along_forearm
+    o, forearm_axis = state.posed.origin, state.posed.axis[:, 3]
+    # begin of the forearm: the point of the axis of A4 next to A3; a URDF may put the origin of A4 anywhere on the axis
+    begin = o[:, 3] + np.einsum("ni,ni->n", o[:, 2] - o[:, 3], forearm_axis)[:, None] * forearm_axis
     ends = [np.zeros_like(begin), o[:, 1], o[:, 2], begin, o[:, 4], state.posed.flange[:, :3, 3]]
     pairs = zip(_PARTS, ends[:-1], ends[1:], site.radius, strict=True)
     return [Capsule(name, start, end, float(radius)) for name, start, end, radius in pairs]
 
 
 def tool_parts(site: Site, state: State) -> list[Capsule]:
-    """Return a capsule from the flange to the load point, and one to each marker, at the N configurations."""
+    """Return capsules from the flange to the load point, and to each marker, at N configurations."""
     start = state.posed.flange[:, :3, 3]
     ends = state.posed.point(np.vstack([site.load_point, site.points]))
     return [
@@ -124,7 +126,10 @@ def tool_parts(site: Site, state: State) -> list[Capsule]:
 
 
 def load_parts(site: Site, state: State) -> list[Capsule]:
-    """Return capsules of the rope and the weight at the N configurations; none if nothing hangs from the load point."""
+    """Return capsules of the rope and the weight at N configurations.
+
+    Empty without load. A weight of radius 0 has no capsule; else it is a ball, a capsule of length 0.
+    """
     if state.down is None:
         return []
     start = state.posed.point(site.load_point[None])[:, 0]
@@ -134,7 +139,7 @@ def load_parts(site: Site, state: State) -> list[Capsule]:
 
 
 def torques(site: Site, state: State) -> Array:
-    """Return static torques (N, 6) that balance weights, load and compensator [N·m]."""
+    """Return the static torques (N, 6) [N·m] of the joints that balance weights, load and compensator."""
     torque = kinematics.gravity_torque(site.robot.nominal, state.q)
     if site.robot.compensator is not None:
         torque[:, 1] += site.robot.compensator.gradient(state.q[:, 1])
@@ -147,13 +152,17 @@ def torques(site: Site, state: State) -> Array:
 def _floor_clearance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     """Yield the name of the constraint and True for configurations (N,) with arm, tool and load clear of the floor."""
     is_above_floor = np.ones(len(state.q), dtype=bool)
+    # the column, the first part of the arm, is on the floor
     for part in (*arm_parts(site, state)[1:], *tool_parts(site, state), *load_parts(site, state)):
         is_above_floor &= np.minimum(part.start[:, 2], part.end[:, 2]) - part.radius >= site.floor + site.clearance
     yield "floor", is_above_floor
 
 
 def _torque_limits(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
-    """Yield for each joint the name of the constraint and True for configurations (N,) within its static torque."""
+    """Yield for each joint the name of the constraint and True for configurations (N,) within its static torque.
+
+    Nothing is yielded if no torques are stated.
+    """
     if site.torque_limit is not None:
         is_allowed = np.abs(torques(site, state)) <= site.torque_limit
         for joint in range(6):
@@ -161,16 +170,17 @@ def _torque_limits(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
 
 
 def _self_clearance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
-    """Yield for each part of the robot its name and True for configurations (n,) in which nothing is too close to it.
+    """Yield for each part of the robot its name and True for configurations (N,) in which other parts are clear of it.
 
-    Parts keep the clearance of the site. If the coarse shapes of two parts are closer in the arm stretched out, the
-    limit is a share of that distance.
+    Parts must keep the clearance of the site. If the coarse shapes of two parts are closer with the arm stretched out,
+    the limit is a share of that distance. Nothing is yielded without configurations.
     """
     if len(state.q) == 0:
         return
     pairs = _capsule_pairs(site, state)
     min_gap = np.array([part.radius + counterpart.radius + site.clearance for part, counterpart in pairs])
-    # parts that are this near with the arm stretched out overlap by their coarse shape, not by a collision
+    # parts that are near with the arm stretched out overlap by their coarse shape, not by a collision; pairs with the
+    # load, which come last, are not among the distances
     straight_gap = _straight_distances(site)
     min_gap[: len(straight_gap)] = np.minimum(min_gap[: len(straight_gap)], _STRAIGHT_SHARE * straight_gap)
     is_clear = _axis_distances(pairs) >= min_gap[:, None]
@@ -180,21 +190,21 @@ def _self_clearance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
 
 
 def _capsule_pairs(site: Site, state: State) -> list[tuple[Capsule, Capsule]]:
-    """Return pairs of a part of the robot and another part that could collide with it, those with the load last."""
+    """Return pairs of a part of the robot and another part that could collide with it; pairs with the load are last."""
     column, link, elbow, forearm, hand = arm_parts(site, state)
     tool, load = tool_parts(site, state), load_parts(site, state)
-    front = Capsule("forearm", 0.5 * (forearm.start + forearm.end), forearm.end, forearm.radius)
-    # hand and tool begin where the forearm ends: its round end must not count against them
+    front_half = Capsule("forearm", 0.5 * (forearm.start + forearm.end), forearm.end, forearm.radius)
+    # the forearm is shortened by its radius, at most by half: its round end would touch hand and tool
     share = 1.0 - min(0.5, forearm.radius / max(float(np.linalg.norm(forearm.end[0] - forearm.start[0])), 1e-9))
     forearm = Capsule("forearm", forearm.start, forearm.start + share * (forearm.end - forearm.start), forearm.radius)
-    pairs = [(part, counterpart) for part in (column, link) for counterpart in (front, hand, *tool)]
+    pairs = [(part, counterpart) for part in (column, link) for counterpart in (front_half, hand, *tool)]
     pairs += [(elbow, counterpart) for counterpart in (hand, *tool)] + [(forearm, counterpart) for counterpart in tool]
     return pairs + [(part, counterpart) for part in (column, link, elbow, forearm) for counterpart in load]
 
 
 def _axis_distances(pairs: list[tuple[Capsule, Capsule]]) -> Array:
-    """Return the distances (pairs, N) between the axes of two parts [m]."""
-    return between_segments(
+    """Return the distances (pairs, N) [m] between the axes of the two parts of each pair, at N configurations."""
+    return segment_distances(
         np.array([part.start for part, _ in pairs]),
         np.array([part.end for part, _ in pairs]),
         np.array([counterpart.start for _, counterpart in pairs]),
@@ -204,12 +214,18 @@ def _axis_distances(pairs: list[tuple[Capsule, Capsule]]) -> Array:
 
 @lru_cache(maxsize=8)
 def _straight_distances(site: Site) -> Array:
-    """Return the distances (pairs,) [m] between the axes of parts in the unloaded arm with all joints at 0."""
+    """Return the distances (pairs,) [m] between the axes of parts, without load and with all joints at 0.
+
+    Pairs are in the order of `_capsule_pairs`.
+    """
     return np.asarray(_axis_distances(_capsule_pairs(site, State.of(site, np.zeros((1, 6)), None)))[:, 0])
 
 
 def _obstacle_clearance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
-    """Yield for each obstacle its name and True for configurations (N,) with arm, tool and load clear of it."""
+    """Yield for each obstacle its name and True for configurations (N,) with arm, tool and load clear of it.
+
+    The column, the first part of the arm, never moves and is not checked.
+    """
     parts = (*arm_parts(site, state)[1:], *tool_parts(site, state), *load_parts(site, state))
     for obstacle in site.obstacles:
         yield obstacle.name, _keeps_clearance(site, parts, obstacle, len(state.q))
@@ -229,15 +245,16 @@ def _keeps_clearance(site: Site, parts: tuple[Capsule, ...], obstacle: BoxShape 
 
 
 def _acceptance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
-    """Yield for each marker with a normal its name and True for configurations (n,) that turn it to the tracker.
+    """Yield for each marker with a normal its name and True for configurations (N,) that turn it to the tracker.
 
-    The angle between the normal and the line of sight is within the acceptance angle of the site.
+    The angle between the normal and the line of sight is within the acceptance angle of the site. Nothing is yielded
+    without a tracker.
     """
     if site.tracker is None:
         return
     point = state.posed.point(site.points)
     for row, name in enumerate(site.names):
-        if np.isfinite(site.normals[row, 0]):
+        if np.isfinite(site.normals[row, 0]):  # NaN: turned by hand
             line_of_sight = site.tracker - point[:, row]
             normal = state.posed.flange[:, :3, :3] @ site.normals[row]
             cosine = np.einsum("ni,ni->n", line_of_sight, normal) / np.linalg.norm(line_of_sight, axis=1)
@@ -247,7 +264,7 @@ def _acceptance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
 def _line_of_sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     """Yield for each marker its name and True for configurations (N,) in which the tracker sees it.
 
-    No part of the arm, of the load, or of an obstacle is between them. Nothing is yielded without a tracker.
+    No part of the arm, the load or an obstacle is between marker and tracker. Nothing is yielded without a tracker.
     """
     if site.tracker is None:
         return
@@ -256,9 +273,9 @@ def _line_of_sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     parts = [*arm_parts(site, state), *load_parts(site, state)]
     start, end = np.array([part.start for part in parts]), np.array([part.end for part in parts])
     radius = np.array([part.radius for part in parts])[:, None]
-    # the coarse shape of the hand may contain the marker itself: then it does not hide it
-    contains_marker = between_segments(marker[:, None], marker[:, None], start, end) < radius
-    is_passed = contains_marker | (between_segments(tracker[:, None], marker[:, None], start, end) >= radius)
+    # the coarse shape of the hand may contain the marker: such a shape does not hide it
+    contains_marker = segment_distances(marker[:, None], marker[:, None], start, end) < radius
+    is_passed = contains_marker | (segment_distances(tracker[:, None], marker[:, None], start, end) >= radius)
     is_in_sight = np.asarray(is_passed.all(axis=1))
     for row, name in enumerate(site.names):
         rows = np.flatnonzero(is_in_sight[row])
@@ -268,4 +285,4 @@ def _line_of_sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
 
 
 _GROUPS = (_floor_clearance, _torque_limits, _acceptance, _self_clearance, _line_of_sight, _obstacle_clearance)
-"""Cheap and strict ones first."""
+"""Constraints in the order of their checks: cheap and strict constraints first."""

@@ -47,66 +47,75 @@ class Joint2(Struct, frozen=True, eq=False):
     """Equivalent spring of joint 2, relative to the compliance of its gear.
 
     :param compliance: of the gear, 1/K⁰_θ2 [rad/(N·m)].
-    :param compensator: its law, or None.
-    :param free: K_c and s₀ are identified too; else they stay at the robot's values.
+    :param compensator: law of the compensator; None: the robot has none.
+    :param has_free_compensator: whether K_c and s₀ are identified too; else they keep the robot's values.
     """
 
     compliance: float
     compensator: Compensator | None
-    free: bool
+    has_free_compensator: bool
 
     @classmethod
     def of(cls, robot: RobotModel, free: bool) -> Joint2:
-        """Take joint 2 of a robot."""
+        """Return joint 2 of a robot.
+
+        :param free: whether K_c and s₀ are identified, if the robot has a compensator.
+        """
         compliance = float(robot.compliance[robot.actuated[1]])
         return cls(compliance, robot.compensator, free and robot.compensator is not None)
 
     def relative_compliance(self, q2: Array) -> Array:
-        """Return the compliance k2 of the equivalent spring (n,) over that of the gear, at q2 (n,) [rad]; Eq. (4)."""
+        """Return the compliance (n,) of the equivalent spring over that of the gear, at q2 (n,) [rad]; Eq. (4)."""
         if self.compensator is None:
             return np.ones(len(q2))
         return np.asarray(1.0 / (1.0 + self.compliance * self.compensator.stiffness_about_joint(q2)))
 
-    def columns(self, q2: Array) -> Array:
-        """Return C (n, 3) of K_θ2(q2) = C·[K⁰_θ2, K_c, s₀K_c], first Eq. (10) of Klimchik et al.; `q2` (n,) [rad]."""
+    def stiffness_columns(self, q2: Array) -> Array:
+        """Return C (n, 3) of K_θ2(q2) = C·[K⁰_θ2, K_c, s₀K_c], first Eq. (10) of Klimchik et al.; `q2` (n,) [rad].
+
+        Without a compensator the second and third column are zero.
+        """
         if self.compensator is None:
             return np.column_stack([np.ones(len(q2)), np.zeros((len(q2), 2))])
         return np.column_stack([np.ones(len(q2)), self.compensator.stiffness_columns(q2)])
 
-    def from_levels(self, levels: Array, q2: Array) -> Array:
+    def level_derivatives(self, levels: Array, q2: Array) -> Array:
         """Return ∂k2(q2)/∂k2(levels) (n, m): the effect of errors of k2 at m levels on k2 at n other angles.
 
-        The stiffness at q2 follows from those at the levels by least squares without weights, Eq. (9) of Klimchik et
-        al. With fewer than three levels the compensator is not identifiable: it keeps the prior, and the stiffness is
-        the mean of the levels.
+        With a free compensator and three levels or more, the stiffness at q2 follows from the stiffnesses at the levels
+        by least squares without weights, Eq. (9) of Klimchik et al. Else the compensator keeps the prior, and the
+        stiffness of the gear is the mean over the levels.
 
         :param levels: (m,) [rad], and `q2` (n,) [rad].
         """
-        factor, level_factor = self.relative_compliance(q2), self.relative_compliance(levels)
-        if self.free and len(levels) >= _LEVELS:
-            level_columns = self.columns(levels)
+        compliance, level_compliance = self.relative_compliance(q2), self.relative_compliance(levels)
+        if self.has_free_compensator and len(levels) >= _LEVELS:
+            level_columns = self.stiffness_columns(levels)
             size = np.linalg.norm(level_columns, axis=0)
-            share = (self.columns(q2) / size) @ np.linalg.pinv(level_columns / size, rcond=1e-9)
+            stiffness_slopes = (self.stiffness_columns(q2) / size) @ np.linalg.pinv(level_columns / size, rcond=1e-9)
         else:
-            share = np.full((len(q2), len(levels)), 1.0 / len(levels))
-        # share is of stiffnesses; the derivative of a compliance by its stiffness is −k²
-        return np.asarray(factor[:, None] ** 2 * share / level_factor**2)
+            stiffness_slopes = np.full((len(q2), len(levels)), 1.0 / len(levels))
+        # ∂k/∂k' = ∂k/∂K · ∂K/∂K' · ∂K'/∂k', with ∂k/∂K = −k² for a compliance k = 1/K
+        return np.asarray(compliance[:, None] ** 2 * stiffness_slopes / level_compliance**2)
 
-    def parameters(self, q2: Array) -> Array:
-        """Return ∂k2(q2)/∂parameters (n, 1 or 3): relative gear compliance, then K_c and s₀K_c in units of K⁰_θ2."""
+    def parameter_derivatives(self, q2: Array) -> Array:
+        """Return ∂k2(q2)/∂parameters (n, 1 or 3): relative gear compliance, then K_c and s₀K_c in units of K⁰_θ2.
+
+        K_c and s₀K_c are parameters of a free compensator only. `q2` (n,) [rad].
+        """
         square = self.relative_compliance(q2)[:, None] ** 2
-        if not self.free:
+        if not self.has_free_compensator:
             return square
-        return np.concatenate([square, -square * self.columns(q2)[:, 1:]], axis=1)
+        return np.concatenate([square, -square * self.stiffness_columns(q2)[:, 1:]], axis=1)
 
 
 class MeasuredLoads(Struct, frozen=True, eq=False):
-    """Loaded states measured so far.
+    """Loaded states that were already measured.
 
-    :param q: (d, 6) configurations [rad].
-    :param q2: (m,) their levels [rad].
-    :param information: (d, p, p) of each.
-    :param level: (d,) its row among `q2`.
+    :param q: (d, 6) joint angles of the states [rad].
+    :param q2: (m,) levels of q2 [rad].
+    :param information: (d, p, p) information matrix of each state.
+    :param level: (d,) level of each state, an index into `q2`.
     """
 
     q: Array
@@ -116,9 +125,9 @@ class MeasuredLoads(Struct, frozen=True, eq=False):
 
 
 def measured_information(data: Measurements, readings: Readings, sigma: float) -> MeasuredLoads:
-    """Return the information of readings that were already made, each loaded state weighted by the number of readings.
+    """Return the information of readings that were already made, each loaded state weighted by its number of readings.
 
-    The variance of a displacement is the sum of those of the means with and without load.
+    The variance of a displacement is σ²/n with load plus σ²/n₀ without load, averaged over the points by precision.
 
     :param readings: with the compliances to be identified.
     :param sigma: noise of one coordinate of one reading [m].
@@ -127,9 +136,10 @@ def measured_information(data: Measurements, readings: Readings, sigma: float) -
     _, count = data.means()
     config = data.state_config[data.loaded_states]
     unloaded_state = data.unloaded_states[config]
-    times = np.maximum(1.0 / (1.0 / count[data.loaded_states] + 1.0 / count[unloaded_state]).mean(axis=1), 0.0)
-    share = times * (readings.noise / sigma) ** 2
-    information = readings.information_of(data.q[config], data.wrench[data.loaded_states]) * share[:, None, None]
+    # σ² over the mean variance of a displacement; 0 if a point has no reading
+    precision = np.maximum(1.0 / (1.0 / count[data.loaded_states] + 1.0 / count[unloaded_state]).mean(axis=1), 0.0)
+    weight = precision * (readings.noise / sigma) ** 2
+    information = readings.information_of(data.q[config], data.wrench[data.loaded_states]) * weight[:, None, None]
     level = level_of_config[config]
     q2 = np.array([data.q[level_of_config == index, 1].mean() for index in range(int(level_of_config.max()) + 1)])
     return MeasuredLoads(data.q[config], q2, information, level)
@@ -138,18 +148,18 @@ def measured_information(data: Measurements, readings: Readings, sigma: float) -
 class Criterion(Struct, frozen=True, eq=False):
     """The criterion for given levels of q2. Its plans are arrays: information (n, p, p) and level (n,) of each pose.
 
-    :param grouped: as printed, or pooled.
-    :param weight: pooled: (p − 1 + m, p − 1 + m) Σ w A₀ᵀA₀ of the extended set; grouped: (p, p).
-    :param extended_index: (m, p) index of each compliance of a group in the extended set.
-    :param earlier: information of earlier readings: pooled in the extended set, grouped (m, p, p).
+    The extended set of P compliances has p − 1 compliances that all levels share, then k2 of each of the m levels.
 
-    The extended set has p − 1 compliances that all levels share, then k2 of each of the m levels.
+    :param is_grouped: whether each level is identified alone, as the formula is printed; else the levels are pooled.
+    :param weight: Σ w A₀ᵀA₀ of the test poses: pooled (P, P), grouped (p, p).
+    :param extended_index: (m, p) index in the extended set of each compliance of a level; grouped: 0…p − 1.
+    :param earlier_matrix: normal matrix of earlier readings: pooled (P, P), grouped (m, p, p).
     """
 
-    grouped: bool
+    is_grouped: bool
     weight: Array
     extended_index: Ints
-    earlier: Array
+    earlier_matrix: Array
 
     @classmethod
     def of(
@@ -168,16 +178,16 @@ class Criterion(Struct, frozen=True, eq=False):
         :param grouped: second Eq. (10) of Klimchik et al. as printed: each level is identified alone; else pooled.
         :param earlier_data: readings that were already made; None: there are none.
         """
-        keep, levels = list(readings.keep), len(q2)
+        keep, levels = list(readings.keep), len(q2)  # joints of the p compliances, from 0
         regressor = tests.regressor[:, :, keep] * readings.scale[keep]  # (T, 3, p)
         size = len(keep)
         if grouped:
             extended_index = np.tile(np.arange(size), (levels, 1))
-            earlier = np.zeros((levels, size, size))
+            earlier_matrix = np.zeros((levels, size, size))
         else:
             k2 = keep.index(1)  # of joint 2, which has one compliance for each level
             shared = [index for index in range(size) if index != k2]
-            level_slopes = joint2.from_levels(q2, tests.q[:, 1])
+            level_slopes = joint2.level_derivatives(q2, tests.q[:, 1])
             extended_regressor = np.empty((len(regressor), 3, size - 1 + levels))
             extended_regressor[:, :, : size - 1] = regressor[:, :, shared]
             extended_regressor[:, :, size - 1 :] = regressor[:, :, k2, None] * level_slopes[:, None, :]
@@ -185,77 +195,84 @@ class Criterion(Struct, frozen=True, eq=False):
             extended_index = np.empty((levels, size), dtype=np.int64)
             extended_index[:, shared] = np.arange(size - 1)
             extended_index[:, k2] = size - 1 + np.arange(levels)
-            earlier = np.zeros((size - 1 + levels, size - 1 + levels))
+            earlier_matrix = np.zeros((size - 1 + levels, size - 1 + levels))
         weight = np.einsum("t,tki,tkj->ij", tests.weight, regressor, regressor)
-        criterion = cls(grouped, weight, extended_index, earlier)
+        criterion = cls(grouped, weight, extended_index, earlier_matrix)
         if earlier_data is None:
             return criterion
-        return replace(criterion, earlier=criterion.total(earlier_data.information, earlier_data.level))
+        matrix = criterion.normal_matrix(earlier_data.information, earlier_data.level)
+        return replace(criterion, earlier_matrix=matrix)
 
-    def total(self, information: Array, level: Ints) -> Array:
-        """Return the normal matrix of plan and earlier readings: pooled (P, P) of the extended set, grouped (m, p, p).
+    def normal_matrix(self, information: Array, level: Ints) -> Array:
+        """Return the normal matrix of plan and earlier readings: pooled (P, P), grouped (m, p, p), see the class.
 
         :param information: (n, p, p) of the poses, and `level` (n,) number of their level.
         """
-        normal = self.earlier.copy()
-        if self.grouped:
-            np.add.at(normal, level, information)
-            return normal
+        matrix = self.earlier_matrix.copy()
+        if self.is_grouped:
+            np.add.at(matrix, level, information)  # several poses of one level add up
+            return matrix
         rows = self.extended_index[level]
-        np.add.at(normal, (rows[:, :, None], rows[:, None, :]), information)
-        return normal
+        np.add.at(matrix, (rows[:, :, None], rows[:, None, :]), information)
+        return matrix
 
     def value(self, information: Array, level: Ints) -> float:
-        """Return the criterion of a plan [m²]; infinite if a parameter is not determined."""
-        return float(self.of_totals(self.total(information, level)[None])[0])
+        """Return the criterion of a plan [m²]; huge if a parameter is not determined.
 
-    def of_totals(self, total: Array) -> Array:
+        :param information: (n, p, p) of the poses, and `level` (n,) number of their level.
+        """
+        return float(self.matrix_values(self.normal_matrix(information, level)[None])[0])
+
+    def matrix_values(self, matrices: Array) -> Array:
         """Return the criterion (K,) [m²] of normal matrices (K, …): the trace of the weight times their inverses."""
         # 1e-300 keeps zero out of the denominator
-        scale = np.sqrt(np.maximum(np.diagonal(total, axis1=-2, axis2=-1), 1e-300))
-        normal = total / (scale[..., :, None] * scale[..., None, :])
-        normal += 1e-11 * np.eye(total.shape[-1])  # a direction that is not determined costs 10¹¹, instead of infinity
+        scale = np.sqrt(np.maximum(np.diagonal(matrices, axis1=-2, axis2=-1), 1e-300))
+        normal = matrices / (scale[..., :, None] * scale[..., None, :])
+        normal += 1e-11 * np.eye(matrices.shape[-1])  # an undetermined direction costs 10¹¹, instead of infinity
         weight = self.weight / (scale[..., :, None] * scale[..., None, :])
         cost = np.einsum("...ij,...ji->...", np.linalg.inv(normal), weight)
-        return np.asarray(cost.sum(axis=-1) if self.grouped else cost)
+        return np.asarray(cost.sum(axis=-1) if self.is_grouped else cost)
 
-    def exchange_values(self, total: Array, old: Array, new: Array, level: int) -> Array:
+    def exchange_values(self, matrix: Array, old: Array, new: Array, level: int) -> Array:
         """Return the criterion (K,) [m²] of plans in which one pose is exchanged for each of K others of its level.
 
-        :param total: normal matrix of the present plan.
-        :param old: (p, p) information of the pose, and `new` (K, p, p) of the others.
-        :param level: number of their level.
+        :param matrix: normal matrix of the present plan.
+        :param old: (p, p) information of the pose, and `new` (K, p, p) of the other poses.
+        :param level: number of the level of all these poses.
         """
-        candidates = np.repeat(total[None], len(new), axis=0)
-        if self.grouped:
-            candidates[:, level] += new - old
+        matrices = np.repeat(matrix[None], len(new), axis=0)
+        if self.is_grouped:
+            matrices[:, level] += new - old
         else:
             rows = self.extended_index[level]
-            candidates[:, rows[:, None], rows[None]] += new - old
-        return self.of_totals(candidates)
+            matrices[:, rows[:, None], rows[None]] += new - old
+        return self.matrix_values(matrices)
 
-    def push(self, total: Array, level: Ints) -> Array:
-        """Return ∂criterion/∂information (n, p, p) of poses at levels (n,); `total`: normal matrix of the plan."""
-        inverse = np.linalg.inv(total)
+    def information_slope(self, matrix: Array, level: Ints) -> Array:
+        """Return ∂criterion/∂information (n, p, p) of poses at levels (n,): blocks of −N⁻¹ W N⁻¹.
+
+        :param matrix: normal matrix N of the plan; W is the weight.
+        """
+        inverse = np.linalg.inv(matrix)
         slope = -inverse @ self.weight @ inverse
-        if self.grouped:
+        if self.is_grouped:
             return np.asarray(slope[level])
         rows = self.extended_index[level]
         return np.asarray(slope[rows[:, :, None], rows[:, None, :]])
 
 
-_OPEN = 1e-9
-"""Added to a scaled diagonal of 1, so that what no reading determines has a large variance instead of none."""
+_WEAK_PRIOR = 1e-9
+"""Its square is added to a scaled diagonal of 1, so that undetermined parameters have a large, finite variance."""
 
 
 class Accuracy(Struct, frozen=True, eq=False):
     """Expected error of the tool tip after compensation, over the test poses with their weights.
 
     :param rms: root of the expected mean square [m].
-    :param interval: 95 % interval of the RMS that one identification with this plan reaches [m].
-    :param poses: (T,) expected RMS at each test pose [m].
-    :param parameters: P of them.
-    :param relative: (P,) half widths of their 95 % intervals over the robot's values.
+    :param interval: limits of the 95 % interval of the RMS error of one identification with this plan [m].
+    :param poses: (T,) expected RMS error at each test pose [m].
+    :param parameters: P parameters of the identification.
+    :param relative: (P,) half widths of the 95 % intervals of the parameters, over the robot's values.
     """
 
     rms: float
@@ -268,6 +285,7 @@ class Accuracy(Struct, frozen=True, eq=False):
     def uncertain(self) -> tuple[Parameter, ...]:
         """Parameters that the identification would not take from such measurements: their intervals are too wide."""
         pairs = zip(self.parameters, self.relative, strict=True)
+        # written with "not", so that NaN counts as too wide
         return tuple(parameter for parameter, half_width in pairs if not half_width <= UNCERTAIN_SHARE)
 
 
@@ -282,6 +300,7 @@ def expected_accuracy(
     """Return the expected accuracy of a plan, by the covariance of all parameters that the identification ends with.
 
     :param tests: poses at which errors count.
+    :param readings: with the joints whose compliances are identified.
     :param q: (n, 6) poses of the plan [rad], with `information` (n, p, p).
     :param earlier_data: readings that were already made, which count too; None: there are none.
     """
@@ -304,7 +323,10 @@ def expected_accuracy(
         rms=float(np.sqrt(mean)),
         interval=(lower, upper),
         poses=np.sqrt(variance),
-        parameters=(*(JOINT_COMPLIANCES[index] for index in keep), *(COMPENSATOR if joint2.free else ())),
+        parameters=(
+            *(JOINT_COMPLIANCES[index] for index in keep),
+            *(COMPENSATOR if joint2.has_free_compensator else ()),
+        ),
         relative=NORMAL_95 * np.sqrt(np.diag(covariance)) / _relative_values(joint2, len(keep)),
     )
 
@@ -317,7 +339,7 @@ def _relative_values(joint2: Joint2, count: int) -> Array:
 
     :param count: number of compliances.
     """
-    if not joint2.free or joint2.compensator is None:
+    if not joint2.has_free_compensator or joint2.compensator is None:
         return np.ones(count)
     stiffness = joint2.compensator.stiffness * joint2.compliance
     # 1e-300 keeps zero out of the denominator
@@ -331,7 +353,8 @@ def unidentifiable_joints(information: Array, count: int) -> tuple[int, ...]:
     Even if all poses were as good as the best one, the 95 % interval of the compliance would be wider than
     `UNCERTAIN_SHARE` times the compliance, which the identification does not accept.
 
-    :param information: (N, 6, 6) of many poses that can be measured, on the six compliances relative to their values.
+    :param information: (N, 6, 6) of many feasible poses, on the six compliances relative to their values.
+    :param count: number of poses of the plan.
     """
     best_information = np.diagonal(information, axis1=1, axis2=2).max(axis=0)
     least_information = (NORMAL_95 / UNCERTAIN_SHARE) ** 2
@@ -339,14 +362,14 @@ def unidentifiable_joints(information: Array, count: int) -> tuple[int, ...]:
 
 
 def _compliance_slopes(joint2: Joint2, keep: list[int], q: Array) -> Array:
-    """Return the derivatives (n, p, P) of p compliances at configurations q (n, 6) by the P parameters.
+    """Return the derivatives (n, p, P) of p compliances at configurations q (n, 6) [rad] by the P parameters.
 
-    Parameters are the compliances, that of joint 2 without its compensator; then K_c and s₀K_c, if they are free.
+    Parameters are the compliances, for joint 2 the compliance of its gear; then K_c and s₀K_c, if they are free.
 
     :param keep: joints of the p compliances, from 0; joint 2 is among them.
     """
     size, row = len(keep), keep.index(1)
-    by_joint2 = joint2.parameters(q[:, 1])
+    by_joint2 = joint2.parameter_derivatives(q[:, 1])
     slopes = np.zeros((len(q), size, size + by_joint2.shape[1] - 1))
     slopes[:, range(size), range(size)] = 1.0
     slopes[:, row, row] = by_joint2[:, 0]
@@ -357,38 +380,38 @@ def _compliance_slopes(joint2: Joint2, keep: list[int], q: Array) -> Array:
 def _inverse(normal: Array) -> Array:
     """Return the inverse of a normal matrix (p, p).
 
-    Parameters are scaled to a unit diagonal, and a weak prior is added: the matrix may be singular.
+    Parameters are scaled to a unit diagonal. As the matrix may be singular, `_WEAK_PRIOR` is added.
     """
     # 1e-300 keeps zero out of the denominator
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    matrix = normal * np.outer(scale, scale) + _OPEN**2 * np.eye(len(normal))
+    matrix = normal * np.outer(scale, scale) + _WEAK_PRIOR**2 * np.eye(len(normal))
     return np.asarray(np.linalg.inv(matrix) * np.outer(scale, scale))
 
 
 def _chi2_quantile(freedom: float, z: float) -> float:
-    """Return the quantile of χ² with `freedom` degrees of freedom at the probability of z standard deviations."""
-    from scipy.special import gammaincinv, ndtr
+    """Return the quantile of χ² with `freedom` degrees of freedom at the probability Φ(z) of a normal distribution."""
+    from scipy.special import gammaincinv, ndtr  # takes long to import
 
     return float(2.0 * gammaincinv(0.5 * freedom, ndtr(z)))
 
 
-_OF_POSES = 3
+_POSES_PER_DIRECTION = 3
 """One of this many poses at least must load a joint in each direction; `MIN_CONFIGURATIONS` poses cover a direction
 (assumed)."""
-_TYPICAL = 0.95
+_TYPICAL_SHARE = 0.95
 """Torques of a joint up to this quantile of the poses are typical (assumed)."""
-_RARE = 0.01
+_RARE_SHARE = 0.01
 """Share of poses below which a direction counts as out of reach."""
-_SMALLEST, _LARGEST = 0.1, 0.5
+_LEAST_TORQUE_SHARE, _MOST_TORQUE_SHARE = 0.1, 0.5
 """Limits of the torque from which on a pose counts, over the typical largest torque of candidates."""
 
 
 class Directions(Struct, frozen=True, eq=False):
-    """Number of poses that must load each joint in each direction (column 0 negative, 1 positive).
+    """Demand on a plan: poses that must load each joint in each direction (column 0 negative, 1 positive).
 
-    :param need: (6, 2) number of poses, without those of earlier readings; 0 where the rig cannot.
+    :param need: (6, 2) number of poses in addition to earlier readings; 0 for directions that the rig cannot load.
     :param least: (6, 2) torque from which on a pose counts [N·m].
-    :param reached: (6, 2) typical largest torque of poses that can be measured; 0 where too few reach any [N·m].
+    :param reached: (6, 2) typical largest torque of feasible poses [N·m]; 0 if too few poses have such a torque.
     :param work: (6, 2) typical largest torque of the work [N·m].
     """
 
@@ -409,20 +432,20 @@ class Directions(Struct, frozen=True, eq=False):
         return np.asarray(np.maximum(self.need - count, 0).sum(axis=(-2, -1)))
 
 
-def directions(torque: Array, tests: TestPoses, poses: int, data_torque: Array | None = None) -> Directions:
-    """Return the directions to load.
+def required_directions(torque: Array, tests: TestPoses, poses: int, data_torque: Array | None = None) -> Directions:
+    """Return the demand on a plan: numbers of poses that must load each joint in each direction.
 
-    :param torque: (N, 6) of many poses that can be measured [N·m].
+    :param torque: (N, 6) of many feasible poses [N·m].
     :param tests: the work.
     :param poses: number of poses of the plan.
-    :param data_torque: (m, 6) torques of configurations measured already [N·m].
+    :param data_torque: (m, 6) torques of configurations that were already measured [N·m]; None: there are none.
     """
     sides = split_signs(torque)
     rig_torque = _typical_torques(sides, np.full(len(torque), 1.0 / max(len(torque), 1)))
     work = _typical_torques(split_signs(tests.torque), tests.weight)
-    threshold = np.clip(work, _SMALLEST * rig_torque, _LARGEST * rig_torque)
+    threshold = np.clip(work, _LEAST_TORQUE_SHARE * rig_torque, _MOST_TORQUE_SHARE * rig_torque)
     earlier_torque = np.zeros((0, 6)) if data_torque is None else data_torque
-    need = np.where(rig_torque > 0.0, min(MIN_CONFIGURATIONS, (poses + len(earlier_torque)) // _OF_POSES), 0)
+    need = np.where(rig_torque > 0.0, min(MIN_CONFIGURATIONS, (poses + len(earlier_torque)) // _POSES_PER_DIRECTION), 0)
     demand = Directions(need, np.maximum(threshold, LEAST_TORQUE), rig_torque, work)
     remaining_need = np.maximum(need - demand.loaded_sides(earlier_torque).sum(axis=0), 0)
     return replace(demand, need=remaining_need)
@@ -431,7 +454,7 @@ def directions(torque: Array, tests: TestPoses, poses: int, data_torque: Array |
 def _typical_torques(sides: Array, weight: Array) -> Array:
     """Return the typical largest torque (6, 2) [N·m] on each joint in each direction: a weighted 95 % quantile.
 
-    Only torques above `LEAST_TORQUE` count; the result is 0 if fewer than 1 % of the poses have one.
+    Only torques above `LEAST_TORQUE` count; the result is 0 if less than 1 % of the weight has such a torque.
 
     :param sides: (n, 6, 2) sizes of the torques in each direction [N·m], and `weight` (n,) of the poses, sum 1.
     """
@@ -439,17 +462,17 @@ def _typical_torques(sides: Array, weight: Array) -> Array:
     for joint, side in np.ndindex(6, 2):
         values = sides[:, joint, side]
         rows = np.flatnonzero(values > LEAST_TORQUE)
-        if weight[rows].sum() > _RARE:
+        if weight[rows].sum() > _RARE_SHARE:
             rows = rows[np.argsort(values[rows])]
-            share = np.cumsum(weight[rows]) / weight[rows].sum()
-            quantile[joint, side] = values[rows[np.searchsorted(share, _TYPICAL)]]
+            share = np.cumsum(weight[rows]) / weight[rows].sum()  # ascending to 1
+            quantile[joint, side] = values[rows[np.searchsorted(share, _TYPICAL_SHARE)]]
     return quantile
 
 
-def out_of_reach(demand: Directions, vertical: bool) -> tuple[str, ...]:
-    """Return a warning on joints that the rig cannot load in one direction or the other; none if it can load all.
+def unreachable_direction_warnings(demand: Directions, vertical: bool) -> tuple[str, ...]:
+    """Return a warning on joints that the rig cannot load in one direction or in both; empty if it can load all.
 
-    :param vertical: whether every load hangs vertically.
+    :param vertical: whether every load of the rig hangs vertically.
     """
     parts = []
     for joint, name in enumerate(JOINTS):

@@ -22,8 +22,8 @@ from postproc.program import WRENCH, Bools, Ints, Program
 from postproc.robot import JOINTS, RobotModel
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, RobotInCell
 
-_SAMPLES = 4000
-"""Samples of a program that test poses are chosen from: of longer ones each second, third, … counts."""
+_MAX_SAMPLES = 4000
+"""Samples of a program that test poses are chosen from: of longer programs each second, third, … sample counts."""
 _ROUNDS = 30
 """Rounds of Lloyd's algorithm (assumed)."""
 _SHARE_OF_Q2 = 0.3
@@ -35,13 +35,13 @@ class TestPoses(Columns, frozen=True, eq=False):
     """T poses at which the error after compensation counts.
 
     :param q: (T, 6) joint angles [rad].
-    :param wrench: (T, 6) at the tool tip, root axes [N, N·m].
+    :param wrench: (T, 6) on the tool tip, root axes [N, N·m].
     :param weight: (T,) shares of the work, sum 1.
-    :param torque: (T, 6) that the wrench puts on the joints [N·m].
+    :param torque: (T, 6) on the joints by the wrench [N·m].
     :param regressor: (T, 3, 6) A₀ of Eq. (2), positions: ∂(tool tip)/∂(joint compliance) [m per rad/(N·m)].
     :param deflection: (T,) due to the force, without correction [m].
-    :param by_law: (T,) True where a cutting law computes the wrench, and its errors are one factor.
-    :param source: names of their files.
+    :param by_law: (T,) whether a cutting law computes the wrench; errors of such wrenches are one common factor.
+    :param source: names of the files of the poses.
     """
 
     __test__ = False  # not a test of pytest
@@ -60,7 +60,7 @@ class TestPoses(Columns, frozen=True, eq=False):
 
     @property
     def second_moment(self) -> Array:
-        """Σ w A₀ᵀA₀ (6, 6): the criterion depends on the test poses by this and by q2 alone."""
+        """Σ w A₀ᵀA₀ (6, 6): the criterion depends on the test poses by this matrix and by q2 alone."""
         return np.asarray(np.einsum("t,tki,tkj->ij", self.weight, self.regressor, self.regressor))
 
 
@@ -78,15 +78,15 @@ def evaluate(
 
     :param q: (T, 6) joint angles [rad].
     :param tool: (4, 4) or (T, 4, 4) tool tip in the flange frame [m].
-    :param wrench: (T, 6) at the tool tip, root axes [N, N·m].
+    :param wrench: (T, 6) on the tool tip, root axes [N, N·m].
     :param weight: (T,) of the poses, of any sum.
-    :param source: names of their files.
-    :param by_law: (T,) True where a cutting law computes the wrench; None: nowhere.
+    :param source: names of the files of the poses.
+    :param by_law: (T,) whether a cutting law computes the wrench; None: no wrench is computed.
     """
     _, jacobian = kinematics.tcp(robot.nominal, q, tool)
     torque = np.einsum("nij,ni->nj", jacobian, wrench)
     loaded_shift, sag = (linear_deflection(robot, q, tool, load)[:, :3] for load in (wrench, np.zeros_like(wrench)))
-    deflection = loaded_shift - sag  # of a robot whose geometry is a weightless one's
+    deflection = loaded_shift - sag  # a robot with a weightless geometry sags without load too
     return TestPoses(
         q=q,
         wrench=wrench,
@@ -100,11 +100,11 @@ def evaluate(
 
 
 def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceSource | None = None) -> TestPoses:
-    """Return test poses all along the cutting moves of a program, weighted by the length of cut.
+    """Return test poses along the cutting moves of a program, weighted by the length of cut.
 
-    :param source: forces; they take precedence over the comments of the program.
-    :raises PlanError: no cutting move carries a force, or the robot cannot reach one.
-    :raises ForceError: forces that cannot be given to the motions.
+    :param source: forces; they take precedence over the comments of the program. None: the comments alone.
+    :raises PlanError: no cutting move carries a force, or the robot cannot reach a pose.
+    :raises ForceError: forces cannot be assigned to the motions.
     """
     name, m = program.documents[0].name, program.motions
     try:
@@ -113,9 +113,10 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
     except ImpossiblePathError as cause:
         raise PlanError(cause.issue.message.rstrip("."), file=name, line=cause.issue.source_line) from None
     motion, distance = path.sample.motion, path.sample.distance
-    # length of path before each sample: distances begin anew with each motion
+    # length of path from the sample before to each sample: distances begin anew with each motion
     last_distance = np.concatenate([[0.0], distance[:-1]])
-    length = np.where(np.concatenate([[True], np.diff(motion) != 0]), distance, distance - last_distance)
+    is_first_of_motion = np.concatenate([[True], np.diff(motion) != 0])
+    length = np.where(is_first_of_motion, distance, distance - last_distance)
     wrench = path.wrench_in_root(np.arange(len(path)))
     cutting = np.flatnonzero(~m.rapid[motion] & (length > 0.0) & (np.abs(wrench).max(axis=1) > 0.0))
     if len(cutting) == 0:
@@ -131,13 +132,13 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
 
 
 def _thin_rows(rows: Ints, length: Array) -> tuple[Ints, Array]:
-    """Return at most `_SAMPLES` of the rows of a path, evenly, and the lengths of path that they represent [m].
+    """Return at most `_MAX_SAMPLES` of the rows of a path, evenly, and the lengths of path that they represent [m].
 
-    Each is the middle one of a piece of the path.
+    The rows are split into pieces of equal numbers. The middle row of each piece represents the length of the piece.
 
-    :param rows: (n,) of the path, and `length` (n,) of the path before each of them [m].
+    :param rows: (n,) sampled rows, and `length` (n,) of the path from the row before to each row [m].
     """
-    step = -(-len(rows) // _SAMPLES)  # rounded up
+    step = -(-len(rows) // _MAX_SAMPLES)  # rows of a piece: a quotient, rounded up
     begin = np.arange(0, len(rows), step)
     return rows[np.minimum(begin + step // 2, len(rows) - 1)], np.add.reduceat(length, begin)
 
@@ -164,7 +165,7 @@ def from_file(path: Path, robot: RobotModel, cell: Cell) -> TestPoses:
 
 
 def join(parts: Sequence[TestPoses]) -> TestPoses:
-    """Return the test poses of several programs; each program counts the same."""
+    """Return the test poses of several programs together; each program has the same total weight."""
     weight = np.concatenate([part.weight for part in parts]) / len(parts)
     return TestPoses(
         q=np.concatenate([part.q for part in parts]),
@@ -179,14 +180,14 @@ def join(parts: Sequence[TestPoses]) -> TestPoses:
 
 
 def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> TestPoses:
-    """Return at most `count` poses that represent all, with weights.
+    """Return at most `count` poses that represent all poses, with weights.
 
-    Poses are clustered (k-means, Lloyd 1982) by the inputs of the criterion: A₀ᵀA₀, A₀ being the regressor in units of
+    Poses are clustered (k-means, Lloyd 1982) by the inputs of the criterion: A₀ᵀA₀, with the regressor A₀ in units of
     the compliances, and q2. The pose nearest to the mean of a cluster represents it, with the weight of the cluster.
-    Then all forces are scaled so that Σ w A₀ᵀA₀ keeps its trace.
+    Then all forces are scaled so that Σ w A₀ᵀA₀ keeps its trace. With `count` poses or fewer nothing changes.
 
     :param scale: (6,) compliances of the robot [rad/(N·m)].
-    :param seed: of the first cluster centres.
+    :param seed: of the random choice of the first cluster centres.
     """
     if len(tests) <= count:
         return tests
@@ -207,14 +208,14 @@ def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> Te
 
 
 def _features(tests: TestPoses, scale: Array) -> Array:
-    """Return the inputs of the criterion at T test poses (T, 22): A₀ᵀA₀ by its 21 entries, and q2, to cluster by.
+    """Return the features (T, 22) of T test poses for clustering: the 21 different entries of A₀ᵀA₀, and q2.
 
     :param scale: (6,) compliances of the robot [rad/(N·m)].
     """
     regressor = tests.regressor * scale
     square = np.einsum("tki,tkj->tij", regressor, regressor)
     row, column = np.triu_indices(6)
-    # an entry off the diagonal counts for two: distances of features are those of the matrices
+    # an entry off the diagonal counts twice, so that distances of features are distances of the matrices
     features = square[:, row, column] * np.where(row == column, 1.0, np.sqrt(2.0))
     q2 = tests.q[:, 1:2] - np.average(tests.q[:, 1:2], axis=0, weights=tests.weight)
     return np.hstack([features, _SHARE_OF_Q2 * q2 * float(np.linalg.norm(features, axis=1).mean())])
@@ -223,9 +224,9 @@ def _features(tests: TestPoses, scale: Array) -> Array:
 def _cluster(features: Array, weight: Array, count: int, seed: int) -> tuple[Ints, Array]:
     """Cluster points by k-means, begun with k-means++ (Arthur and Vassilvitskii 2007).
 
-    :param features: (T, k) of the points, and `weight` (T,) of them, sum 1.
-    :param count: number of clusters at most.
-    :returns: row of the point nearest to the mean of each cluster (C,); weight of each cluster (C,).
+    :param features: (T, k) of the points, and `weight` (T,) of the points, sum 1.
+    :param count: largest number of clusters; there are fewer if fewer points differ.
+    :returns: for each of C clusters the row of the point nearest to its mean (C,), and its weight (C,).
     """
     rng = np.random.default_rng(seed)
     centres = features[[int(rng.choice(len(features), p=weight))]]
@@ -241,7 +242,7 @@ def _cluster(features: Array, weight: Array, count: int, seed: int) -> tuple[Int
         weighted_sums = [np.bincount(cluster, weight * feature, len(centres)) for feature in features.T]
         # 1e-300 keeps zero out of the denominator
         mean = np.stack(weighted_sums, axis=1) / np.maximum(total, 1e-300)[:, None]
-        centres = np.where(total[:, None] > 0.0, mean, centres)
+        centres = np.where(total[:, None] > 0.0, mean, centres)  # an empty cluster keeps its centre
     distance = _squared_distances(features, centres)
     clusters = np.unique(cluster)
     rows = np.array([np.flatnonzero(cluster == c)[distance[cluster == c, c].argmin()] for c in clusters])

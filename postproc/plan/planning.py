@@ -27,11 +27,11 @@ from postproc.plan.criterion import (
     Directions,
     Joint2,
     MeasuredLoads,
-    directions,
     expected_accuracy,
     measured_information,
-    out_of_reach,
+    required_directions,
     unidentifiable_joints,
+    unreachable_direction_warnings,
 )
 from postproc.plan.milling import TestPoses, representatives
 from postproc.plan.search import (
@@ -64,7 +64,8 @@ NO_TRACKER = "line of sight is not checked: the experiment has no [tracker]"
 VERTICAL = 0.02
 """Largest angle [rad] of a load that counts as vertical (assumed)."""
 _LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.4
-"""Second load over the weight: less is lost in the noise, more adds no other information than the weight."""
+"""Limits of the second load over the first: a smaller load is lost in the noise, a larger one shows the same as the
+first."""
 
 
 def unchecked_warnings(site: Site) -> list[str]:
@@ -80,12 +81,14 @@ def unchecked_warnings(site: Site) -> list[str]:
     return warnings
 
 
-def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, hidden_joints: tuple[int, ...]) -> tuple[str, ...]:
-    """Return warnings on compliances that the rig does not excite, with reason, remedy and share of the deflection.
+def hidden_compliance_warnings(
+    site: Site, tests: TestPoses, scale: Array, hidden_joints: tuple[int, ...]
+) -> tuple[str, ...]:
+    """Return warnings on compliances that the rig does not excite, with reason, remedy and part of the deflection.
 
     :param scale: (6,) compliances of the robot [rad/(N·m)].
-    :param hidden_joints: joints, counted from 0.
-    :raises PlanError: the load excites no compliance.
+    :param hidden_joints: joints, from 0, whose compliance neither rig nor earlier readings show.
+    :raises PlanError: A2 is among them: the load is too small for any plan.
     """
     if 1 in hidden_joints:
         raise PlanError(
@@ -113,10 +116,10 @@ def hidden_by_rig(site: Site, tests: TestPoses, scale: Array, hidden_joints: tup
 
 
 def second_load(site: Site, tests: TestPoses) -> float:
-    """Return the ratio of the second load of each pose to its first.
+    """Return the ratio of the second load of each pose to the first load.
 
     Two loads show gears that stiffen, have breakpoints or backlash. The second load is near the RMS cutting force, so
-    that gears are measured at the torques of milling.
+    that gears are measured at the torques of milling; the ratio is limited.
     """
     rms_force = float(np.sqrt(tests.weight @ np.sum(tests.wrench[:, :3] ** 2, axis=1)))
     return float(np.clip(rms_force / site.rig.force, _LEAST_SHARE, _LARGEST_SHARE))
@@ -125,7 +128,7 @@ def second_load(site: Site, tests: TestPoses) -> float:
 def uncertainty_warnings(accuracy: Accuracy, joint2: Joint2, blocked_rows: Ints) -> list[str]:
     """Return warnings on parameters that stay uncertain with the plan, and on blocked moves.
 
-    :param blocked_rows: rows that the robot cannot reach without an obstacle.
+    :param blocked_rows: rows of poses, from 0, without a path that is clear of obstacles.
     """
     warnings = []
     uncertain_names = [parameter.name for parameter in accuracy.uncertain if isinstance(parameter, JointCompliance)]
@@ -135,7 +138,7 @@ def uncertainty_warnings(accuracy: Accuracy, joint2: Joint2, blocked_rows: Ints)
             "identification keeps the robot's own. If the programs need it, plan more poses, more weight or more "
             "repeats"
         )
-    if joint2.compensator is not None and not joint2.free:
+    if joint2.compensator is not None and not joint2.has_free_compensator:
         warnings.append(
             "the spring of the gravity compensator (K_c, s_0) cannot be determined from such measurements: the "
             "identification keeps the robot's values"
@@ -148,22 +151,23 @@ def uncertainty_warnings(accuracy: Accuracy, joint2: Joint2, blocked_rows: Ints)
 
 _COMPENSATOR_PARAMETERS = 2
 """K_c and s₀."""
-_STEP = 4.0 * RAD_PER_DEG
-"""Largest turn of a joint between two poses that are checked on the way from one configuration to the next
-(assumed)."""
-_SHAPES = 400
-"""Random poses among which the folded arm is looked for (assumed)."""
+_CHECKED_STEP = 4.0 * RAD_PER_DEG
+"""Largest turn of a joint between two checked poses of a move (assumed)."""
+_FOLDED_TRIALS = 400
+"""Random poses from which the folded arm is chosen (assumed)."""
 _BLOCKED_COST = 1e3
 """Added seconds of a move that would hit something (assumed)."""
 
 
 def travel_times(site: Site, q: Array) -> Array:
-    """Return the seconds (n, n) of PTP motions between configurations (n, 6) [rad], by the slowest joint."""
+    """Return the durations (n, n) [s] of PTP motions between configurations (n, 6) [rad], by the slowest joint."""
     return np.asarray((np.abs(q[:, None] - q[None]) / site.robot.speed).max(axis=2))
 
 
 def free_moves(site: Site, q: Array) -> Bools:
-    """Return (n, n) True where the joint interpolation between two configurations stays clear of everything.
+    """Return True for pairs (n, n) of configurations between which a joint interpolation is clear of everything.
+
+    The configurations themselves are not checked.
 
     :param q: (n, 6) the configurations [rad].
     """
@@ -172,12 +176,12 @@ def free_moves(site: Site, q: Array) -> Bools:
     is_free = np.ones((count, count), dtype=bool)
     samples, pair_of_sample = [], []
     for pair, (begin, end) in enumerate(zip(q[first], q[last], strict=True)):
-        steps = int(np.ceil(np.abs(end - begin).max() / _STEP))
-        t = np.linspace(0.0, 1.0, steps + 1)[1:-1, None]
+        steps = int(np.ceil(np.abs(end - begin).max() / _CHECKED_STEP))
+        t = np.linspace(0.0, 1.0, steps + 1)[1:-1, None]  # without both ends
         samples.append(begin * (1.0 - t) + end * t)
         pair_of_sample.append(np.full(len(t), pair))
     if samples:
-        is_passable = constraints.passable(site, np.concatenate(samples))
+        is_passable = constraints.are_passable(site, np.concatenate(samples))
         is_blocked = np.zeros(len(first), dtype=bool)
         is_blocked[np.concatenate(pair_of_sample)[~is_passable]] = True
         is_free[first, last] = is_free[last, first] = ~is_blocked
@@ -185,11 +189,11 @@ def free_moves(site: Site, q: Array) -> Bools:
 
 
 class Travel(NamedTuple):
-    """A way through n configurations from the start of the robot.
+    """A path through n configurations from the start of the robot.
 
-    :param order: (n,) rows of the configurations.
+    :param order: (n,) rows of the configurations, in the order of the path.
     :param seconds: duration.
-    :param blocked: each k for which the direct move to `order[k]` would hit something.
+    :param blocked: indices k for which the direct move to configuration `order[k]` would hit something.
     """
 
     order: Ints
@@ -198,7 +202,7 @@ class Travel(NamedTuple):
 
 
 def least_travel(site: Site, q: Array) -> Travel:
-    """Return the order of least travel time through configurations (n, 6) [rad].
+    """Return the order of least travel time from the start of the robot through configurations (n, 6) [rad].
 
     Nearest neighbour, then 2-opt and or-opt until nothing improves (Croes 1958, Or 1976). Blocked moves are avoided as
     far as possible.
@@ -207,13 +211,13 @@ def least_travel(site: Site, q: Array) -> Travel:
     seconds = travel_times(site, stops)
     is_blocked = ~free_moves(site, stops)
     cost = seconds + _BLOCKED_COST * is_blocked
-    tour = [0]
+    tour = [0]  # node 0 is the start, node k configuration k − 1
     while len(tour) < len(stops):
         unvisited = [node for node in range(len(stops)) if node not in tour]
         tour.append(min(unvisited, key=lambda node: (cost[tour[-1], node], node)))
     while (shorter_tour := _shorter_tour(tour, cost)) is not None:
         tour = shorter_tour
-    order = np.array(tour[1:]) - 1  # the start is node 0
+    order = np.array(tour[1:]) - 1
     moves = list(pairwise(tour))
     duration = float(sum(seconds[begin, end] for begin, end in moves))
     blocked_moves = [k for k, (begin, end) in enumerate(moves) if is_blocked[begin, end]]
@@ -221,14 +225,16 @@ def least_travel(site: Site, q: Array) -> Travel:
 
 
 def _tour_cost(tour: list[int], cost: Array) -> float:
-    """Return the sum of the costs (n, n) of the moves of a tour, a list of nodes."""
+    """Return the sum of the costs of the moves of a tour, a list of nodes; `cost` (n, n) between nodes."""
     return float(cost[tour[:-1], tour[1:]].sum())
 
 
 def _shorter_tour(tour: list[int], cost: Array) -> list[int] | None:
-    """Return a tour of less cost by reversing a piece (2-opt) or moving up to three nodes (Or-opt); None without one.
+    """Return a tour of less cost, by reversing a piece (2-opt) or moving up to three nodes (Or-opt).
 
-    :param tour: nodes in order; the first one stays.
+    None if no such change gains anything.
+
+    :param tour: nodes in order; the first node stays.
     :param cost: (n, n) of the moves between nodes.
     """
     limit = _tour_cost(tour, cost) - 1e-9  # a smaller gain is rounding
@@ -248,10 +254,10 @@ def _shorter_tour(tour: list[int], cost: Array) -> list[int] | None:
 
 
 def detours(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
-    """Return via configurations (k, 6) to each pose of a sequence, and the rows of poses without a free path.
+    """Return via configurations (k, 6) [rad] before each pose of a sequence, and the rows of poses without a free path.
 
     A blocked move goes through the start position. If that is blocked too, the arm takes the shape of the start
-    position, or folds, then turns by A1 from the direction of the first pose to that of the second, and unfolds.
+    position, or the folded shape, with A1 of the second pose, of the first pose, or of the first and then the second.
 
     :param q: (n, 6) the poses in order [rad]; the robot begins at the start of the site.
     :param hit: rows whose direct move is blocked.
@@ -269,7 +275,7 @@ def detours(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
             candidates += [end_shape[None], start_shape[None], np.array([start_shape, end_shape])]
         for via in candidates:
             stops = np.vstack([origin, via, goal])
-            if constraints.passable(site, via).all() and np.diag(free_moves(site, stops), 1).all():
+            if constraints.are_passable(site, via).all() and np.diag(free_moves(site, stops), 1).all():
                 via_poses[row] = via
                 break
         else:
@@ -278,29 +284,32 @@ def detours(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
 
 
 def folded_pose(site: Site) -> Array:
-    """Return joint angles (6,) [rad] with the smallest horizontal reach of arm and tool, A1 = 0, among random ones."""
+    """Return joint angles (6,) [rad] with the smallest horizontal reach of arm and tool, of random poses with A1 = 0.
+
+    A1 is its nearest limit if 0 is out of range. Obstacles do not count, as they depend on A1.
+    """
     rng = np.random.default_rng(0)
-    q = rng.uniform(np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi), (_SHAPES, 6))
+    q = rng.uniform(np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi), (_FOLDED_TRIALS, 6))
     q[:, 0] = np.clip(0.0, site.lower[0], site.upper[0])
     arm_pose = site.arm.pose(q)
     points = np.concatenate([arm_pose.origin, arm_pose.point(np.vstack([site.load_point, site.points]))], axis=1)
     reach = np.linalg.norm(points[..., :2], axis=2).max(axis=1)
     empty_site = replace(site, obstacles=())
-    return np.asarray(q[np.argmin(np.where(constraints.passable(empty_site, q), reach, np.inf))])
+    return np.asarray(q[np.argmin(np.where(constraints.are_passable(empty_site, q), reach, np.inf))])
 
 
 class Options(Struct, frozen=True):
-    """How a plan is made.
+    """Options of a plan.
 
     :param configurations: number of poses.
     :param levels: number of levels of q2.
     :param seed: the same seed gives the same plan.
-    :param grouped: the criterion as printed instead of pooled.
+    :param grouped: whether each level of q2 is identified alone, see `criterion`; else the levels are pooled.
     :param test_poses: number of poses that represent the programs.
     :param repeats: readings of each point in each state.
-    :param starts: starts of the search.
-    :param rounds: of refinement, at most.
-    :param comparisons: compare with other plans and sizes.
+    :param starts: number of starts of the search.
+    :param rounds: largest number of rounds of refinement.
+    :param comparisons: whether the plan is compared with other plans and sizes.
     """
 
     configurations: int = 15
@@ -321,25 +330,25 @@ class PlanResult(Struct, frozen=True, eq=False):
     :param robot: name of the model.
     :param site: place of the measurement.
     :param tests: the test poses.
-    :param represented: how far Σ w A₀ᵀA₀ of the test poses is from that of all cutting samples, relative.
+    :param represented: relative error of Σ w A₀ᵀA₀ of the test poses against all cutting samples.
     :param plan: the poses; angles and forces as written to the file.
     :param force: (n, 3) at the load point, root axes [N].
-    :param second_load: over the first, in the same direction; `accuracy` counts the first alone.
+    :param second_load: ratio of the second load to the first, in the same direction; `accuracy` counts the first alone.
     :param torque: (n, 6) of the load on the joints [N·m].
-    :param directions: required directions of the joint torques.
-    :param accuracy: expected of the plan (together with earlier readings).
+    :param directions: demand on the directions of the joint torques.
+    :param accuracy: expected with the plan, together with earlier readings.
     :param unobservable: names of the compliances that neither rig nor earlier readings show: `accuracy` does not count
         their errors.
-    :param before: the same of the earlier readings alone, or None.
-    :param random: (R,) criterion of random plans [m²].
-    :param serial: the semi-intuitive plan of the serial approach, or None.
-    :param sizes: other numbers of poses.
+    :param before: expected accuracy with the earlier readings alone; None: there are none.
+    :param random: (R,) criterion of random plans [m²]; empty without comparisons.
+    :param serial: the semi-intuitive plan of the serial approach; None without comparisons.
+    :param sizes: results for other numbers of poses; empty without comparisons.
     :param seconds: least travel time, the slowest joint at full speed.
-    :param via: for each pose the via configurations (k, 6) before it, none if the move is direct.
-    :param blocked: rows without a free path to them.
-    :param compensator_free: K_c and s₀ can be determined too; else they stay at the robot's values.
+    :param via: via configurations (k, 6) before each pose; k is 0 if the move is direct.
+    :param blocked: rows of poses without a free path.
+    :param compensator_free: whether K_c and s₀ can be determined too; else they keep the robot's values.
     :param warnings: for the user, before measuring.
-    :param interrupted: the search was stopped; the plan is the best found so far.
+    :param interrupted: whether Ctrl-C stopped the search; the plan is the best so far then.
     """
 
     options: Options
@@ -381,14 +390,14 @@ class _Problem(Struct, frozen=True, eq=False):
     :param task: of choosing the poses.
     :param readings: geometry, load and noise of the measurement.
     :param joint2: model of joint 2, with a free compensator or not.
-    :param known: information of earlier readings; None: there are none.
+    :param earlier_data: readings that were already made; None: there are none.
     :param warnings: for the user.
     """
 
     task: Task
     readings: Readings
     joint2: Joint2
-    known: MeasuredLoads | None
+    earlier_data: MeasuredLoads | None
     warnings: tuple[str, ...]
 
 
@@ -420,10 +429,11 @@ def plan_measurements(
     ordered_plan = _order_plan(problem, plan)
     comparison = _OtherPlans(np.zeros(0), None, (), is_interrupted)
     if options.comparisons and not is_interrupted:
-        comparison = _compared_plans(problem.task, options, ordered_plan.plan, report)
+        comparison = _comparison_plans(problem.task, options, ordered_plan.plan, report)
     accuracy = _accuracy(problem, sample, ordered_plan.plan.q, ordered_plan.force)
-    # of a plan without poses
-    initial_accuracy = None if problem.known is None else _accuracy(problem, sample, np.zeros((0, 6)), np.zeros((0, 3)))
+    initial_accuracy = None
+    if problem.earlier_data is not None:  # of a plan without poses
+        initial_accuracy = _accuracy(problem, sample, np.zeros((0, 6)), np.zeros((0, 3)))
     return PlanResult(
         options=options,
         robot=site.robot.name,
@@ -444,7 +454,7 @@ def plan_measurements(
         seconds=ordered_plan.seconds,
         via=ordered_plan.via,
         blocked=ordered_plan.blocked,
-        compensator_free=problem.joint2.free,
+        compensator_free=problem.joint2.has_free_compensator,
         warnings=(*problem.warnings, *uncertainty_warnings(accuracy, problem.joint2, ordered_plan.blocked)),
         interrupted=comparison.is_interrupted,
     )
@@ -472,12 +482,12 @@ def _moment_error(tests: TestPoses, sample: TestPoses, scale: Array) -> float:
 
 
 def _accuracy(problem: _Problem, tests: TestPoses, q: Array, force: Array) -> Accuracy:
-    """Return the expected accuracy at the test poses after the earlier readings and those of a plan.
+    """Return the expected accuracy at the test poses with the earlier readings and a plan.
 
     :param q: (n, 6) poses of the plan [rad], and `force` (n, 3) at the load point, root axes [N].
     """
     information = problem.readings.information_of(q, force)
-    return expected_accuracy(tests, problem.readings, problem.joint2, q, information, problem.known)
+    return expected_accuracy(tests, problem.readings, problem.joint2, q, information, problem.earlier_data)
 
 
 class _OtherPlans(Struct, frozen=True, eq=False):
@@ -495,8 +505,11 @@ class _OtherPlans(Struct, frozen=True, eq=False):
     is_interrupted: bool
 
 
-def _compared_plans(task: Task, options: Options, plan: Plan, report: Progress) -> _OtherPlans:
-    """Return plans for comparison with `plan`; Ctrl-C ends their computation, and those that are ready are returned."""
+def _comparison_plans(task: Task, options: Options, plan: Plan, report: Progress) -> _OtherPlans:
+    """Return other plans to compare `plan` with.
+
+    Ctrl-C (`KeyboardInterrupt`) ends their computation; the plans that are ready are returned.
+    """
     random, serial = np.zeros(0), None
     sizes: list[SizeResult] = []
     is_interrupted = False
@@ -515,7 +528,7 @@ def _compared_plans(task: Task, options: Options, plan: Plan, report: Progress) 
 def _planning_problem(
     site: Site, tests: TestPoses, scale: Array, options: Options, data: Measurements | None
 ) -> _Problem:
-    """Return the search task: candidates, the compliances that the load excites, and the directions of torques.
+    """Return the search task, with candidates, compliances that the load excites, and demanded directions of torques.
 
     :param scale: (6,) compliances of the robot [rad/(N·m)].
     :param data: earlier readings; None: there are none.
@@ -524,12 +537,12 @@ def _planning_problem(
     pool = _candidate_pool(site, scale, options, data)
     readings, earlier_data = pool.readings, pool.earlier_data
     hidden_joints = tuple(joint for joint in range(len(JOINT_COMPLIANCES)) if joint not in readings.keep)
-    hidden_warnings = hidden_by_rig(site, tests, scale, hidden_joints)
-    _check_number(options, readings, len(site.points), pool.levels, earlier_data)
+    hidden_warnings = hidden_compliance_warnings(site, tests, scale, hidden_joints)
+    _check_reading_count(options, readings, len(site.points), pool.levels, earlier_data)
     torque = pool.candidates.torque.reshape(-1, 6)
     has_pose = torque.any(axis=1)
     data_torque = None if data is None else _largest_torques(data, readings)
-    demand = directions(torque[has_pose], tests, options.configurations, data_torque)
+    demand = required_directions(torque[has_pose], tests, options.configurations, data_torque)
 
     def with_joint2(joint2: Joint2) -> Task:
         """Return the task of choosing configurations for a model of joint 2."""
@@ -544,10 +557,10 @@ def _planning_problem(
             fixed=pool.fixed_levels,
         )
 
-    joint2 = _joint2(site, tests, earlier_data, with_joint2, options.seed)
-    if joint2.free:
+    joint2 = _joint2_model(site, tests, earlier_data, with_joint2, options.seed)
+    if joint2.has_free_compensator:  # two parameters more
         _check_identifiable(len(JOINT_COMPLIANCES) + _COMPENSATOR_PARAMETERS, options, len(site.points), data)
-    direction_warnings = out_of_reach(demand, site.rig.largest_tilt < VERTICAL)
+    direction_warnings = unreachable_direction_warnings(demand, site.rig.largest_tilt < VERTICAL)
     warnings = (*hidden_warnings, *unchecked_warnings(site), *direction_warnings)
     return _Problem(with_joint2(joint2), readings, joint2, earlier_data, warnings)
 
@@ -556,9 +569,9 @@ class _CandidatePool(NamedTuple):
     """Poses to choose from, and the compliances that they can show.
 
     :param candidates: with the information on these compliances; fixed levels come first.
-    :param readings: of these compliances.
+    :param readings: sensitivity of measurements to these compliances.
     :param earlier_data: readings that were already made, on these compliances; None: there are none.
-    :param levels: number of levels of q2 of the plan, the fixed ones included.
+    :param levels: number of levels of q2 of the plan, fixed levels included.
     :param fixed_levels: number of levels at which readings were already made.
     """
 
@@ -570,11 +583,11 @@ class _CandidatePool(NamedTuple):
 
 
 def _candidate_pool(site: Site, scale: Array, options: Options, data: Measurements | None) -> _CandidatePool:
-    """Return the poses to choose from; parameters as of `_planning_problem`.
+    """Return the poses to choose from, and the compliances that they show; parameters: see `_planning_problem`.
 
     :raises PlanError: too few levels of q2 can be measured.
     """
-    # of a displacement, loaded minus unloaded, each the mean of the repeats
+    # a displacement is a difference of two means of the repeats
     noise = site.sigma * np.sqrt(2.0 / options.repeats)
     readings = Readings(
         arm=site.arm,
@@ -587,7 +600,7 @@ def _candidate_pool(site: Site, scale: Array, options: Options, data: Measuremen
     earlier_data = None if data is None else measured_information(data, readings, site.sigma)
     fixed_levels = 0 if earlier_data is None else len(earlier_data.q2)
     levels = min(max(options.levels, fixed_levels), fixed_levels + options.configurations)
-    rng = np.random.default_rng([options.seed, 1 << 16])  # another stream than those of the search
+    rng = np.random.default_rng([options.seed, 1 << 16])  # a stream that the search does not use
     candidates = draw_candidates(site, readings, rng, None if earlier_data is None else earlier_data.q2)
     if levels > len(candidates):
         raise PlanError(
@@ -615,20 +628,21 @@ def _hidden_joints(candidates: Candidates, configurations: int, earlier_data: Me
 
 
 def _largest_torques(data: Measurements, readings: Readings) -> Array:
-    """Return the torques (C, 6) of the largest load of each configuration that was loaded [N·m]."""
+    """Return the torques (C, 6) [N·m] on the joints by the largest load of each configuration that was loaded."""
     config, load = data.state_config[data.loaded_states], data.wrench[data.loaded_states]
     descending_rows = np.argsort(norm(load))[::-1]
+    # unique() returns first occurrences: with descending loads, the row of the largest load of each configuration
     _, first = np.unique(config[descending_rows], return_index=True)
-    largest = descending_rows[first]  # row of the largest load of each configuration
+    largest = descending_rows[first]
     return readings.torque(data.q[config[largest]], load[largest, :3])
 
 
-def _joint2(
+def _joint2_model(
     site: Site, tests: TestPoses, earlier_data: MeasuredLoads | None, with_joint2: Callable[[Joint2], Task], seed: int
 ) -> Joint2:
-    """Return joint 2 with a free compensator if a plan can determine its stiffness K_c, else with that of the robot.
+    """Return joint 2 with a free compensator if a plan can determine its stiffness K_c, else with the robot's value.
 
-    The identification decides in the same way.
+    The identification decides by the same criterion. A trial plan by exchange shows the expected interval of K_c.
 
     :param with_joint2: returns the search task for a model of joint 2.
     """
@@ -645,7 +659,7 @@ def _joint2(
 
 
 def _search(task: Task, options: Options, report: Progress) -> tuple[Plan, bool]:
-    """Return the best plan, and True if Ctrl-C ended the search (then it is the best one so far).
+    """Return the best plan, and True if Ctrl-C ended the search, so that the plan is the best so far.
 
     :raises KeyboardInterrupt: Ctrl-C before there is a plan.
     """
@@ -666,9 +680,9 @@ def _search(task: Task, options: Options, report: Progress) -> tuple[Plan, bool]
 class _OrderedPlan(NamedTuple):
     """A plan in the order in which it is measured.
 
-    :param plan: rounded as printed.
-    :param force: (n, 3) at the load point, root axes [N].
-    :param seconds: of travel.
+    :param plan: with angles rounded as printed.
+    :param force: (n, 3) at the load point, root axes, rounded as printed [N].
+    :param seconds: duration of the travel.
     :param via: via configurations (k, 6) before each pose [rad].
     :param blocked: rows of poses without a free path.
     """
@@ -681,7 +695,7 @@ class _OrderedPlan(NamedTuple):
 
 
 def _order_plan(problem: _Problem, plan: Plan) -> _OrderedPlan:
-    """Return the plan in the order of least travel."""
+    """Return the plan in the order of least travel, with angles and forces rounded as printed."""
     site = problem.task.site
     q2 = np.round(plan.q2 * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
     q = np.round(plan.q * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
@@ -696,7 +710,8 @@ def _order_plan(problem: _Problem, plan: Plan) -> _OrderedPlan:
 def _check_identifiable(parameters: int, options: Options, points: int, data: Measurements | None) -> None:
     """Check that the identification would trust a model from the planned and measured configurations.
 
-    :param parameters: number of parameters of least squares; `points` number of reference points.
+    :param parameters: number of parameters of least squares.
+    :param points: number of reference points.
     :param data: earlier readings; None: there are none.
     :raises PlanError: there are too few configurations.
     """
@@ -714,13 +729,16 @@ def _check_identifiable(parameters: int, options: Options, points: int, data: Me
     )
 
 
-def _check_number(
+def _check_reading_count(
     options: Options, readings: Readings, points: int, levels: int, earlier_data: MeasuredLoads | None
 ) -> None:
-    """Check that there are as many readings as unknowns; with `options.grouped`, within each level of q2.
+    """Check that a plan without earlier readings has as many coordinates of readings as unknowns.
 
-    :param points: number of reference points; `levels` number of levels of q2.
-    :raises PlanError: there are fewer.
+    With `options.grouped` each level of q2 must have as many.
+
+    :param points: number of reference points.
+    :param levels: number of levels of q2.
+    :raises PlanError: there are fewer coordinates than unknowns.
     """
     if earlier_data is not None:
         return

@@ -29,24 +29,24 @@ from postproc.program import Bools, Ints
 
 _GRID = 24
 """Levels of q2 at which poses are drawn, besides fixed ones (assumed)."""
-_PER_LEVEL = 100
+_POSES_PER_LEVEL = 100
 """Poses that are drawn for each level (assumed); the search then moves them."""
-_ROUND = 400
+_POSES_PER_DRAW = 400
 """Poses that are drawn at once."""
-_ROUNDS = 40
-"""After as many draws a level is left with the poses that it has; after a quarter of them, if it has none (assumed)."""
-_LOOK = 4000
-"""Poses at random by which constraints are judged when there is no candidate."""
+_MAX_DRAWS = 40
+"""Draws after which a level keeps the poses that it has; a quarter of these draws if it has none (assumed)."""
+_TRIAL_POSES = 4000
+"""Poses at random by which constraints are judged if there is no candidate."""
 
 
 class Candidates(Struct, frozen=True, eq=False):
-    """Feasible poses at L levels of q2, C each; levels with none are left out.
+    """Feasible poses at L levels of q2, C at each level. Levels with earlier readings may have no poses.
 
-    :param q2: (L,) [rad].
-    :param q: (L, C, 6) [rad].
-    :param tilt: (L, C, 2) of the load [rad].
-    :param information: (L, C, p, p).
-    :param torque: (L, C, 6) of the load on the joints; 0 where there is no pose [N·m].
+    :param q2: (L,) levels [rad].
+    :param q: (L, C, 6) joint angles [rad].
+    :param tilt: (L, C, 2) of the load [rad], see `sensitivity.direction`.
+    :param information: (L, C, p, p) on p compliances; 0 for levels without poses.
+    :param torque: (L, C, 6) of the load on the joints [N·m]; 0 for levels without poses.
     """
 
     q2: Array
@@ -56,17 +56,17 @@ class Candidates(Struct, frozen=True, eq=False):
     torque: Array
 
     def take_parameters(self, keep: tuple[int, ...]) -> Candidates:
-        """Return the candidates with the information on some compliances only."""
+        """Return the candidates with the information on some compliances only; `keep` (p,): joints, from 0."""
         return replace(self, information=self.information[:, :, keep][:, :, :, keep])
 
     def __len__(self) -> int:
         return len(self.q2)
 
 
-def draw(site: Site, count: int, rng: np.random.Generator, q2: float | None = None) -> tuple[Array, Array]:
+def draw_poses(site: Site, count: int, rng: np.random.Generator, q2: float | None = None) -> tuple[Array, Array]:
     """Return random configurations, feasible or not.
 
-    :param q2: [rad]; None: at random too.
+    :param q2: level of q2 [rad]; None: at random too.
     :returns: (count, 6) joint angles within ±180° and the limits [rad]; (count, 2) tilts of the load [rad].
     """
     lower, upper = np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi)
@@ -79,21 +79,21 @@ def draw(site: Site, count: int, rng: np.random.Generator, q2: float | None = No
     return q, angle[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
 
 
-def feasible_at(site: Site, q2: float, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return up to `count` random feasible configurations at one q2 [rad].
+def draw_feasible_poses(site: Site, q2: float, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return up to `count` random feasible configurations at one level q2 [rad].
 
     They are fewer, or none, if hardly any pose is feasible: the number of draws is limited.
 
     :returns: (k, 6) joint angles [rad]; (k, 2) tilts of the load [rad].
     """
     feasible_q, feasible_tilt, feasible_count = [], [], 0
-    for _ in range(_ROUNDS):
-        q, tilt = draw(site, _ROUND, rng, q2)
-        is_feasible = constraints.feasible(site, q, tilt)
+    for _ in range(_MAX_DRAWS):
+        q, tilt = draw_poses(site, _POSES_PER_DRAW, rng, q2)
+        is_feasible = constraints.are_feasible(site, q, tilt)
         feasible_q.append(q[is_feasible])
         feasible_tilt.append(tilt[is_feasible])
         feasible_count += int(is_feasible.sum())
-        if feasible_count >= count or (feasible_count == 0 and len(feasible_q) >= _ROUNDS // 4):
+        if feasible_count >= count or (feasible_count == 0 and len(feasible_q) >= _MAX_DRAWS // 4):
             break
     return np.concatenate(feasible_q)[:count], np.concatenate(feasible_tilt)[:count]
 
@@ -101,9 +101,9 @@ def feasible_at(site: Site, q2: float, count: int, rng: np.random.Generator) -> 
 def draw_candidates(
     site: Site, readings: Readings, rng: np.random.Generator, fixed_levels: Array | None = None
 ) -> Candidates:
-    """Return random candidates at fixed levels of q2 and on a grid of levels over its range.
+    """Return random candidates at fixed levels of q2 and at a grid of levels over its range.
 
-    Grid levels with few feasible poses are left out.
+    Levels of the grid with few feasible poses are left out.
 
     :param readings: with all six compliances.
     :param fixed_levels: (m,) levels of earlier readings [rad], which come first; None: there are none.
@@ -111,10 +111,10 @@ def draw_candidates(
     """
     lower, upper = site.lower[1], site.upper[1]
     levels = np.concatenate([np.zeros(0) if fixed_levels is None else fixed_levels, np.linspace(lower, upper, _GRID)])
-    draws = [feasible_at(site, float(level), _PER_LEVEL, rng) for level in levels]
-    is_sufficient = np.array([len(q) >= _PER_LEVEL // 10 for q, _ in draws])
+    draws = [draw_feasible_poses(site, float(level), _POSES_PER_LEVEL, rng) for level in levels]
+    is_sufficient = np.array([len(q) >= _POSES_PER_LEVEL // 10 for q, _ in draws])
     if not is_sufficient.any():
-        raise PlanError(blocking(site, rng))
+        raise PlanError(blocking_text(site, rng))
     fixed_count = 0 if fixed_levels is None else len(fixed_levels)
     is_sufficient[:fixed_count] = True  # fixed levels stay, even if nothing can be measured there any more
     level_draws = [poses for poses, is_candidate in zip(draws, is_sufficient, strict=True) if is_candidate]
@@ -122,16 +122,16 @@ def draw_candidates(
 
 
 def _candidates_of(readings: Readings, q2: Array, draws: Sequence[tuple[Array, Array]]) -> Candidates:
-    """Return the candidates at levels q2 (L,) [rad], as many at each; they are repeated where fewer were drawn.
+    """Return the candidates at levels q2 (L,) [rad], `_POSES_PER_LEVEL` at each; fewer drawn poses are repeated.
 
-    :param draws: joint angles (k, 6) and tilts of the load (k, 2) [rad] for each level; without any, its candidates
-        have no information and no torque.
+    :param draws: joint angles (k, 6) and tilts of the load (k, 2) [rad] for each level. The candidates of a level
+        without poses have zero information and torque.
     """
-    q, tilt = np.zeros((len(q2), _PER_LEVEL, 6)), np.zeros((len(q2), _PER_LEVEL, 2))
-    has_pose = np.zeros((len(q2), _PER_LEVEL), dtype=bool)
+    q, tilt = np.zeros((len(q2), _POSES_PER_LEVEL, 6)), np.zeros((len(q2), _POSES_PER_LEVEL, 2))
+    has_pose = np.zeros((len(q2), _POSES_PER_LEVEL), dtype=bool)
     for row, (level_q, level_tilt) in enumerate(draws):
         if len(level_q):
-            pick = np.arange(_PER_LEVEL) % len(level_q)
+            pick = np.arange(_POSES_PER_LEVEL) % len(level_q)  # repeats the poses
             q[row], tilt[row], has_pose[row] = level_q[pick], level_tilt[pick], True
     information = readings.information(q.reshape(-1, 6), tilt.reshape(-1, 2)).reshape(*q.shape[:2], 6, 6)
     load = readings.force * direction(tilt.reshape(-1, 2))
@@ -148,8 +148,8 @@ def _candidates_of(readings: Readings, q2: Array, draws: Sequence[tuple[Array, A
 class _Blockage(NamedTuple):
     """A constraint that forbids random poses.
 
-    :param freed_count: number of poses that it alone forbids: they were possible without it.
-    :param share: of the poses that it forbids.
+    :param freed_count: number of poses that this constraint alone forbids: they were possible without it.
+    :param share: share of the poses that it forbids.
     :param name: of the constraint.
     """
 
@@ -162,30 +162,31 @@ class _Blockage(NamedTuple):
         return f"{self.name} forbids {100 * self.share:.1f} %{note}"
 
 
-def blocking(site: Site, rng: np.random.Generator) -> str:
-    """Return the error text if no pose is feasible, which names the constraint that blocks most.
+def blocking_text(site: Site, rng: np.random.Generator) -> str:
+    """Return the message of the error that no pose is feasible, which names the constraint that blocks most.
 
-    For each constraint it has the share of random poses that it forbids, and the number of poses possible without it.
+    For up to six constraints it has the share of random poses that the constraint forbids, and the number of poses
+    that were possible without it.
     """
-    q, tilt = draw(site, _LOOK, rng)
+    q, tilt = draw_poses(site, _TRIAL_POSES, rng)
     failures = constraints.failures(site, q, tilt)
-    failure_count = sum(failures.values(), np.zeros(_LOOK, dtype=int))  # of each pose
+    failure_count = sum(failures.values(), np.zeros(_TRIAL_POSES, dtype=int))  # of each pose
     blockages = [
         _Blockage(int(np.count_nonzero((failure_count == 1) & is_forbidden)), float(is_forbidden.mean()), name)
         for name, is_forbidden in failures.items()
         if is_forbidden.any()
     ]
     blockages.sort(key=lambda blockage: -blockage.share)
-    # the constraint without which most poses were possible; else one that forbids all of them
-    freeing = sorted((blockage for blockage in blockages if blockage.freed_count), reverse=True)
+    # the constraint without which most poses were possible; else one that forbids all poses; else the strictest one
+    sole_blockages = sorted((blockage for blockage in blockages if blockage.freed_count), reverse=True)
     full_blockages = [blockage for blockage in blockages if blockage.share > 0.999]
-    culprit = (freeing or full_blockages or blockages)[0].name
+    culprit = (sole_blockages or full_blockages or blockages)[0].name
     summary = "; ".join(map(str, blockages[:6]))
-    return f"no pose can be measured: what blocks is: {culprit}. Of {_LOOK} poses at random: {summary}"
+    return f"no pose can be measured: what blocks is: {culprit}. Of {_TRIAL_POSES} poses at random: {summary}"
 
 
 _LEAST_DISTANCE = 8.0 * RAD_PER_DEG
-"""Least distance of two levels of q2: the identification takes angles within 2° for one level."""
+"""Least distance of two levels of q2 [rad]: the identification takes angles within 2° for one level."""
 _EXCHANGE_ROUNDS = 12
 """Limit of the rounds of exchanges (assumed)."""
 _MIN_GAIN = 1e-3
@@ -206,9 +207,9 @@ CriterionAt = Callable[[Array], Criterion]
 class Plan(Struct, frozen=True, eq=False):
     """n poses with their loads.
 
-    :param q: (n, 6) [rad]; q[:, 1] is that of the level.
+    :param q: (n, 6) joint angles [rad]; q[:, 1] equals q2[level].
     :param tilt: (n, 2) of the load [rad].
-    :param level: (n,) row of `q2`.
+    :param level: (n,) level of each pose, an index into `q2`.
     :param q2: (m,) levels [rad].
     :param value: criterion [m²].
     """
@@ -226,13 +227,13 @@ class Plan(Struct, frozen=True, eq=False):
 class Task(Struct, frozen=True, eq=False):
     """Task of the search.
 
-    :param site: constraints.
-    :param readings: information of the measurements.
+    :param site: with the constraints.
+    :param readings: sensitivity of the measurements.
     :param criterion_at: criterion of plans with given levels.
-    :param candidates: to choose from; their first `fixed` levels are kept (they were measured).
+    :param candidates: poses to choose from; their first `fixed` levels are kept, as they were measured.
     :param count: number of poses.
-    :param levels: number of levels of q2, the fixed ones included.
-    :param directions: to which sides joints are to be loaded.
+    :param levels: number of levels of q2, fixed levels included.
+    :param directions: demand on the directions of the joint torques.
     :param fixed: number of fixed levels.
     """
 
@@ -245,23 +246,26 @@ class Task(Struct, frozen=True, eq=False):
     directions: Directions
     fixed: int = 0
 
-    def sides(self, q: Array, tilt: Array) -> Bools:
-        """Return True for directions (N, 6, 2), negative and positive of each joint, that poses load enough."""
+    def loaded_sides(self, q: Array, tilt: Array) -> Bools:
+        """Return True for directions (N, 6, 2), negative and positive of each joint, that poses load enough to count.
+
+        :param q: (N, 6) joint angles, and `tilt` (N, 2) of the load [rad].
+        """
         return self.directions.loaded_sides(self.readings.torque(q, self.readings.force * direction(tilt)))
 
     def pose_levels(self, rng: np.random.Generator) -> Ints:
-        """Return the level (n,) of each pose: groups as equal as can be; at random where levels were measured."""
+        """Return the level (n,) of each pose: at random with fixed levels, else levels with equal numbers of poses."""
         if self.fixed:
             return rng.integers(0, self.levels, self.count)
         return np.sort(np.arange(self.count) % self.levels)
 
 
 def improve(task: Task, seed: int, starts: int, finalists: int, rounds: int) -> Iterator[Plan]:
-    """Yield the best plan so far after each step of the search; the last one is the result.
+    """Yield the best plan so far after each step of the search; the last plan is the result.
 
     :param starts: number of plans by exchange, each from other levels and poses; at least 1.
-    :param finalists: number of the best of these that are refined.
-    :param rounds: of refinement, at most.
+    :param finalists: number of the best plans by exchange that are refined.
+    :param rounds: largest number of rounds of refinement of a plan.
     """
     exchange_plans: list[Plan] = []
     best: Plan | None = None
@@ -279,13 +283,13 @@ def improve(task: Task, seed: int, starts: int, finalists: int, rounds: int) -> 
 
 
 class _Choice(Struct, frozen=True, eq=False):
-    """Candidates chosen, and the criterion of their plan.
+    """A plan of n poses at m levels, made of candidates.
 
-    :param row: (m,) levels of q2, rows of the candidates.
-    :param level: (n,) level of each pose, a place in `row`.
-    :param pick: (n,) which candidate of its level each pose is.
-    :param criterion: for these levels.
-    :param value: of the criterion.
+    :param row: (m,) index of each level among the levels of the candidates.
+    :param level: (n,) level of each pose, an index into `row`.
+    :param pick: (n,) index of each pose among the candidates of its level.
+    :param criterion: criterion at these levels.
+    :param value: criterion of the plan [m²].
     """
 
     row: Ints
@@ -300,7 +304,7 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
 
     Then poses are exchanged so that each joint is loaded in both directions as the task demands.
 
-    :param spread: begin with levels evenly spread over the range of q2, else with random ones.
+    :param spread: whether the levels at the start are evenly spread over the range of q2; else they are random.
     """
     candidates = task.candidates
     row = first_levels(task, rng, spread)
@@ -328,7 +332,10 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
 
 
 def first_levels(task: Task, rng: np.random.Generator, spread: bool) -> Ints:
-    """Return the levels (m,) of q2 to begin with, as rows of the candidates: fixed ones, then even or random ones.
+    """Return the levels of q2 to begin with, as indices (m,) among the levels of the candidates.
+
+    Without fixed levels they may be spread evenly. Else fixed levels come first, then random levels, distant from each
+    other as far as possible.
 
     :param spread: spread the levels evenly over the range of q2; ignored with fixed levels.
     """
@@ -339,7 +346,7 @@ def first_levels(task: Task, rng: np.random.Generator, spread: bool) -> Ints:
     for candidate in rng.permutation(free_rows):
         if len(rows) < task.levels and _is_distant(task.candidates.q2[rows], task.candidates.q2[candidate]):
             rows.append(int(candidate))
-    for candidate in rng.permutation(free_rows):  # too many levels for the distance: nearer ones, but different
+    for candidate in rng.permutation(free_rows):  # too few distant levels: near levels, but different
         if len(rows) < task.levels and int(candidate) not in rows:
             rows.append(int(candidate))
     return np.array(rows)
@@ -353,57 +360,60 @@ def _is_distant(levels: Array, q2: float) -> bool:
 def _load_both_signs(task: Task, choice: _Choice) -> _Choice:
     """Return the choice with poses exchanged within their levels until each joint is loaded in both directions.
 
-    Of the exchanges that bring the plan nearer to the demand, the one with the smallest criterion is made each time.
+    Each time the exchange with the smallest criterion is made, of exchanges that reduce the number of missing poses.
+    If there is none, the demand is met as far as possible.
     """
     information = task.candidates.information[choice.row]  # (m, C, p, p)
     level, pick, demand = choice.level, choice.pick.copy(), task.directions
     candidate_sides = demand.loaded_sides(task.candidates.torque[choice.row]).astype(np.int64)  # (m, C, 6, 2)
     while (shortfall := demand.missing_count(candidate_sides[level, pick].sum(axis=0))) > 0:
         pose_sides = candidate_sides[level, pick]
-        total = choice.criterion.total(information[level, pick], level)
-        best_value, best_place, best_pick = np.inf, 0, 0
-        for place in range(task.count):
-            changed_counts = pose_sides.sum(axis=0) - pose_sides[place] + candidate_sides[level[place]]
+        matrix = choice.criterion.normal_matrix(information[level, pick], level)
+        best_value, best_pose, best_pick = np.inf, 0, 0
+        for pose in range(task.count):
+            changed_counts = pose_sides.sum(axis=0) - pose_sides[pose] + candidate_sides[level[pose]]
             better_picks = np.flatnonzero(demand.missing_count(changed_counts) < shortfall)
             if len(better_picks):
-                old, new = information[level[place], pick[place]], information[level[place], better_picks]
-                values = choice.criterion.exchange_values(total, old, new, int(level[place]))
+                old, new = information[level[pose], pick[pose]], information[level[pose], better_picks]
+                values = choice.criterion.exchange_values(matrix, old, new, int(level[pose]))
                 if float(values.min()) < best_value:
-                    best_value, best_place, best_pick = float(values.min()), place, int(better_picks[np.argmin(values)])
-        if not np.isfinite(best_value):  # no exchange brings the plan nearer
+                    best_value, best_pose, best_pick = float(values.min()), pose, int(better_picks[np.argmin(values)])
+        if not np.isfinite(best_value):  # no exchange reduces the number of missing poses
             break
-        pick[best_place] = best_pick
+        pick[best_pose] = best_pick
     return replace(choice, pick=pick, value=choice.criterion.value(information[level, pick], level))
 
 
 def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
-    """Return the choice with each pose in turn exchanged for the best candidate of its level.
+    """Return the choice with each pose in turn exchanged for the candidate with the smallest criterion.
 
-    With fixed levels, it is the best candidate of any level. An exchange never leaves the plan with fewer of the
-    demanded directions of joint torques.
+    Without fixed levels, all levels keep their numbers of poses: candidates are those of the level of the pose. With
+    fixed levels, candidates are those of all levels of the choice. The levels themselves do not change. No exchange
+    leaves the plan with fewer of the demanded directions of joint torques.
     """
     information, criterion = task.candidates.information[choice.row], choice.criterion  # (m, C, p, p)
     level, pick, demand = choice.level.copy(), choice.pick.copy(), task.directions
     sides = demand.loaded_sides(task.candidates.torque[choice.row]).astype(np.int64)  # (m, C, 6, 2)
-    for place in range(task.count):
-        count = sides[level, pick].sum(axis=0)
-        remaining_count = count - sides[level[place], pick[place]]
+    for pose in range(task.count):
+        count = sides[level, pick].sum(axis=0)  # poses of the plan for each direction
+        remaining_count = count - sides[level[pose], pick[pose]]
         is_worse = demand.missing_count(remaining_count + sides) > demand.missing_count(count)  # (m, C)
         if not task.fixed:
-            old, new = information[level[place], pick[place]], information[level[place]]
-            total = criterion.total(information[level, pick], level)
-            values = criterion.exchange_values(total, old, new, int(level[place]))
-            pick[place] = int(np.argmin(np.where(is_worse[level[place]], np.inf, values)))
+            old, new = information[level[pose], pick[pose]], information[level[pose]]
+            matrix = criterion.normal_matrix(information[level, pick], level)
+            values = criterion.exchange_values(matrix, old, new, int(level[pose]))
+            pick[pose] = int(np.argmin(np.where(is_worse[level[pose]], np.inf, values)))
         else:
-            other_poses = np.delete(np.arange(task.count), place)
+            # the plan without the pose; then each candidate of each level is added to it
+            other_poses = np.delete(np.arange(task.count), pose)
             other_levels = level[other_poses]
-            total = criterion.total(information[other_levels, pick[other_poses]], other_levels)
-            no_pose = np.zeros_like(information[0, 0])
+            matrix = criterion.normal_matrix(information[other_levels, pick[other_poses]], other_levels)
+            no_information = np.zeros_like(information[0, 0])
             values_by_level = [
-                criterion.exchange_values(total, no_pose, new, group) for group, new in enumerate(information)
+                criterion.exchange_values(matrix, no_information, new, group) for group, new in enumerate(information)
             ]
             best = int(np.argmin(np.where(is_worse, np.inf, values_by_level)))
-            level[place], pick[place] = np.unravel_index(best, is_worse.shape)
+            level[pose], pick[pose] = np.unravel_index(best, is_worse.shape)
     value = criterion.value(information[level, pick], level)
     return replace(choice, level=level, pick=pick, value=value)
 
@@ -411,7 +421,7 @@ def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
 def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
     """Return the choice with level number `group` of q2 exchanged for the candidate level with the smallest criterion.
 
-    The poses of the level are chosen anew at each candidate; it stays without a gain.
+    The poses of the level are chosen anew at each candidate level. Without a gain the choice is unchanged.
     """
     candidates, best = task.candidates, choice
     other_rows = np.delete(choice.row, group)
@@ -427,7 +437,7 @@ def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
 def _with_level(task: Task, choice: _Choice, group: int, candidate: int) -> _Choice:
     """Return the choice with level number `group` of q2 replaced, and its poses chosen anew, greedily one by one.
 
-    :param candidate: row of the new level among the candidates.
+    :param candidate: index of the new level among the levels of the candidates.
     """
     candidates, level = task.candidates, choice.level
     row, pick = choice.row.copy(), choice.pick.copy()
@@ -435,23 +445,23 @@ def _with_level(task: Task, choice: _Choice, group: int, candidate: int) -> _Cho
     criterion = task.criterion_at(candidates.q2[row])
     is_in_other_level = level != group
     other_levels = level[is_in_other_level]
-    total = criterion.total(candidates.information[row[other_levels], pick[is_in_other_level]], other_levels)
-    zero = np.zeros_like(candidates.information[0, 0])
-    for place in np.flatnonzero(level == group):
-        values = criterion.exchange_values(total, zero, candidates.information[candidate], group)
-        pick[place] = int(np.argmin(values))
-        information = candidates.information[candidate, pick[place]]
-        # the earlier readings are in both totals
-        total = total + criterion.total(information[None], np.array([group])) - criterion.earlier
-    return _Choice(row, level, pick, criterion, float(criterion.of_totals(total[None])[0]))
+    matrix = criterion.normal_matrix(candidates.information[row[other_levels], pick[is_in_other_level]], other_levels)
+    no_information = np.zeros_like(candidates.information[0, 0])
+    for pose in np.flatnonzero(level == group):
+        values = criterion.exchange_values(matrix, no_information, candidates.information[candidate], group)
+        pick[pose] = int(np.argmin(values))
+        information = candidates.information[candidate, pick[pose]]
+        # both matrices contain the earlier readings
+        matrix = matrix + criterion.normal_matrix(information[None], np.array([group])) - criterion.earlier_matrix
+    return _Choice(row, level, pick, criterion, float(criterion.matrix_values(matrix[None])[0]))
 
 
 def refine(task: Task, plan: Plan, rng: np.random.Generator, rounds: int) -> Iterator[Plan]:
-    """Yield plans, each no worse than the one before, with joint angles, loads and levels changed continuously.
+    """Yield plans, each no worse than the plan before, with joint angles, loads and levels changed continuously.
 
-    :param rounds: largest number of plans; it ends earlier if there is no more gain.
+    :param rounds: largest number of plans; they end earlier if there is no more gain.
     """
-    scale = 0.3  # standard deviation of random steps [rad]; smaller after each round without a gain
+    scale = 0.3  # standard deviation of random steps [rad]; it shrinks after each round without a gain
     for _ in range(rounds):
         old_value = plan.value
         plan = _move_poses(task, plan, rng, scale)
@@ -470,39 +480,40 @@ def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) 
     """
     q, tilt, value = plan.q.copy(), plan.tilt.copy(), plan.value
     criterion, demand = task.criterion_at(plan.q2), task.directions
-    information, sides = task.readings.information(q, tilt), task.sides(q, tilt)
-    for place in range(len(q)):
-        total = criterion.total(information, plan.level)
-        push = criterion.push(total, plan.level[[place]])
-        slope = task.readings.slope(q[[place]], tilt[[place]], push)[0]
-        new_q, new_tilt = _proposals(task.site, q[place], tilt[place], slope, rng, scale)
-        new_information, new_sides = task.readings.information(new_q, new_tilt), task.sides(new_q, new_tilt)
-        values = criterion.exchange_values(total, information[place], new_information, int(plan.level[place]))
+    information, sides = task.readings.information(q, tilt), task.loaded_sides(q, tilt)
+    for pose in range(len(q)):
+        matrix = criterion.normal_matrix(information, plan.level)
+        information_slope = criterion.information_slope(matrix, plan.level[[pose]])
+        slope = task.readings.slope(q[[pose]], tilt[[pose]], information_slope)[0]
+        new_q, new_tilt = _proposed_poses(task.site, q[pose], tilt[pose], slope, rng, scale)
+        new_information, new_sides = task.readings.information(new_q, new_tilt), task.loaded_sides(new_q, new_tilt)
+        values = criterion.exchange_values(matrix, information[pose], new_information, int(plan.level[pose]))
         count = sides.sum(axis=0)
-        is_worse = demand.missing_count(count - sides[place] + new_sides) > demand.missing_count(count)
+        is_worse = demand.missing_count(count - sides[pose] + new_sides) > demand.missing_count(count)
         order = np.argsort(values, kind="stable")  # the best first
         order = order[(values[order] < value * (1.0 - _ROUNDING)) & ~is_worse[order]]
-        is_feasible = constraints.feasible(task.site, new_q[order], new_tilt[order])
+        is_feasible = constraints.are_feasible(task.site, new_q[order], new_tilt[order])
         if is_feasible.any():
-            best = order[np.argmax(is_feasible)]
-            q[place], tilt[place], value = new_q[best], new_tilt[best], values[best]
-            information[place], sides[place] = new_information[best], new_sides[best]
+            best = order[np.argmax(is_feasible)]  # the first feasible pose of the order
+            q[pose], tilt[pose], value = new_q[best], new_tilt[best], values[best]
+            information[pose], sides[pose] = new_information[best], new_sides[best]
     return replace(plan, q=q, tilt=tilt, value=float(value))
 
 
-def _proposals(
+def _proposed_poses(
     site: Site, q: Array, tilt: Array, slope: Array, rng: np.random.Generator, scale: float
 ) -> tuple[Array, Array]:
     """Return joint angles (k, 6) and tilts of the load (k, 2) [rad] around a pose: down the gradient, and at random.
 
-    q2 stays; the results are within the joint limits and the largest tilt.
+    q2 does not change; the results are within the joint limits and the largest tilt.
 
+    :param q: (6,) joint angles, and `tilt` (2,) of the load [rad].
     :param slope: (8,) gradient of the criterion by joint angles and tilt.
     :param scale: standard deviation of the random steps [rad].
     """
     slope = slope.copy()
-    slope[1] = 0.0
-    if site.rig.largest_tilt == 0.0:
+    slope[1] = 0.0  # q2
+    if site.rig.largest_tilt == 0.0:  # the load hangs: no tilt changes
         slope[6:] = 0.0
     # 1e-300 keeps zero out of the denominator
     descent = -slope / max(float(np.abs(slope).max()), 1e-300)
@@ -536,6 +547,7 @@ def _with_shifted_level(task: Task, plan: Plan, group: int, shift: float) -> Pla
     """Return the plan with level number `group` of q2 shifted with its poses [rad]; None if that is no better.
 
     It is better if the criterion is lower, all poses can be measured, and no demanded direction of torques is lost.
+    q3 keeps its value, or is shifted by the opposite angle, so that the forearm keeps its direction.
     """
     q2, members, demand = plan.q2.copy(), plan.level == group, task.directions
     q2[group] += shift
@@ -543,7 +555,7 @@ def _with_shifted_level(task: Task, plan: Plan, group: int, shift: float) -> Pla
     if not is_in_range or not _is_distant(np.delete(q2, group), q2[group]):
         return None
     criterion = task.criterion_at(q2)
-    shortfall = demand.missing_count(task.sides(plan.q, plan.tilt).sum(axis=0))
+    shortfall = demand.missing_count(task.loaded_sides(plan.q, plan.tilt).sum(axis=0))
     for q3_shift in (0.0, -shift):
         q = plan.q.copy()
         q[members, 1] = q2[group]
@@ -551,8 +563,8 @@ def _with_shifted_level(task: Task, plan: Plan, group: int, shift: float) -> Pla
         value = criterion.value(task.readings.information(q, plan.tilt), plan.level)
         if value >= plan.value * (1.0 - _ROUNDING):
             continue
-        has_directions = demand.missing_count(task.sides(q, plan.tilt).sum(axis=0)) <= shortfall
-        if has_directions and constraints.feasible(task.site, q[members], plan.tilt[members]).all():
+        has_directions = demand.missing_count(task.loaded_sides(q, plan.tilt).sum(axis=0)) <= shortfall
+        if has_directions and constraints.are_feasible(task.site, q[members], plan.tilt[members]).all():
             return replace(plan, q=q, q2=q2, value=value)
     return None
 
@@ -560,13 +572,13 @@ def _with_shifted_level(task: Task, plan: Plan, group: int, shift: float) -> Pla
 RANDOM_PLANS = 200
 """Random plans that a plan is compared with in its page (assumed)."""
 _BEST_SHARE = 0.2
-"""Of the poses of a level, the share with the largest dexterity, of which those furthest apart are taken (assumed)."""
+"""Share of the poses of a level with the largest dexterity, of which poses far from each other are taken (assumed)."""
 FACTORS = (0.4, 0.6, 0.8, 1.0, 1.4, 2.0)
 """Numbers of configurations that are tried, as factors of the one asked for."""
 
 
 def random_values(task: Task, seed: int, count: int = RANDOM_PLANS) -> Array:
-    """Return the criterion (count,) [m²] of plans whose levels, poses and loads are random but can be measured."""
+    """Return the criterion (count,) [m²] of plans with random candidates at random levels."""
     rng = np.random.default_rng([seed, 1 << 20])
     candidates, values = task.candidates, np.empty(count)
     for index in range(count):
@@ -580,8 +592,8 @@ def random_values(task: Task, seed: int, count: int = RANDOM_PLANS) -> Array:
 def serial_plan(task: Task) -> Plan:
     """Return the semi-intuitive plan of the serial approach: poses chosen by a kinematic performance measure.
 
-    After Dumas et al. 2011 as quoted in the paper: evenly spaced levels of q2; on each, of the fifth of poses in which
-    the Jacobian is best conditioned (lengths over the characteristic one), those farthest apart in joint space.
+    After Dumas et al. 2011 as quoted in the paper. Levels of q2 are evenly spaced. The poses of a level are from the
+    fifth of the candidates with the best conditioned Jacobian, far from each other in joint space.
     """
     candidates = task.candidates
     row = first_levels(task, np.random.default_rng(0), spread=True)
@@ -602,32 +614,37 @@ def serial_plan(task: Task) -> Plan:
 def _dexterity(task: Task, q: Array) -> Array:
     """Return the reciprocal condition number (C,) of the Jacobian of the load point at configurations q (C, 6) [rad].
 
-    Lengths are divided by their RMS over all configurations, the characteristic length (Angeles and López-Cajún 1992).
+    Lengths are divided by the characteristic length, their RMS over all configurations (Angeles and López-Cajún 1992).
     """
     arm_pose = task.site.arm.pose(q)
     linear = arm_pose.velocity(arm_pose.point(task.site.load_point[None]))[:, 0]
-    length = np.sqrt(np.mean(linear**2)) * np.sqrt(3.0)
+    length = np.sqrt(np.mean(linear**2)) * np.sqrt(3.0)  # RMS of vectors of three components
     jacobian = np.concatenate([linear / length, arm_pose.axis], axis=2)
     singular = np.linalg.svd(jacobian, compute_uv=False)
     return np.asarray(singular[:, -1] / singular[:, 0])
 
 
 def _distant_rows(q: Array, rows: Ints, count: int) -> list[int]:
-    """Return `count` of some rows with joint angles far from each other: each is the farthest from those before.
+    """Return `count` of some rows with joint angles far from each other: each is the farthest from the rows before.
 
     :param q: (C, 6) joint angles [rad].
-    :param rows: to choose from; the first one is always chosen.
+    :param rows: rows of q to choose from, `count` or more; the first is always chosen.
     """
     selection = [int(rows[0])]
     while len(selection) < count:
         distance = np.linalg.norm(q[rows][:, None] - q[selection][None], axis=2).min(axis=1)
-        distance[np.isin(rows, selection)] = -1.0
+        distance[np.isin(rows, selection)] = -1.0  # never chosen again
         selection.append(int(rows[np.argmax(distance)]))
     return selection
 
 
 class SizeResult(NamedTuple):
-    """Another number of poses: criterion of the best plan of that size, and median of random plans [m²]."""
+    """Result for a number of poses.
+
+    :param configurations: number of poses.
+    :param value: criterion of the best plan of this size [m²].
+    :param random: median of the criterion of random plans of this size [m²].
+    """
 
     configurations: int
     value: float
@@ -635,9 +652,11 @@ class SizeResult(NamedTuple):
 
 
 def criterion_by_number(task: Task, seed: int, best: Plan) -> Iterator[SizeResult]:
-    """Yield the results of some numbers of poses.
+    """Yield the results of some numbers of poses, ascending.
 
-    The search is short: criteria are right to some per cent. For the size of `best` its own value is taken.
+    The search is short: criteria are right to some per cent.
+
+    :param best: best plan with the number of poses of the task, which is not searched again.
     """
     min_count = 1 if task.fixed else task.levels
     for count in sorted({max(min_count, round(factor * task.count)) for factor in FACTORS}):
@@ -645,5 +664,5 @@ def criterion_by_number(task: Task, seed: int, best: Plan) -> Iterator[SizeResul
         value = best.value
         if count != task.count:
             for plan in improve(resized_task, seed, starts=2, finalists=1, rounds=8):
-                value = plan.value
+                value = plan.value  # of the last plan, the best
         yield SizeResult(count, value, float(np.median(random_values(resized_task, seed, 60))))

@@ -18,20 +18,20 @@ from postproc.robot import Chain, RobotModel
 
 
 class Arm(Struct, frozen=True, eq=False):
-    """Six revolute joints in a chain."""
+    """Arm of six revolute joints in a chain."""
 
     chain: Chain
 
     @classmethod
     def of(cls, robot: RobotModel) -> Arm:
-        """Return the arm with the geometry that the controller of a robot has."""
+        """Return the arm with the geometry of the controller of a robot."""
         return cls(robot.nominal)
 
     def pose(self, q: Array) -> ArmPoses:
         """Return joint origins, axes and flange poses at configurations q (N, 6) [rad]."""
         state = kinematics.posture(self.chain, q.T)
         origin, axis = np.empty((2, 6, 3, len(q)))
-        for joint in range(6):
+        for joint in range(6):  # a vector that is the same at all configurations has one column
             origin[joint], axis[joint] = state.origin[joint], state.axis[joint]
         return ArmPoses(origin.transpose(2, 0, 1), axis.transpose(2, 0, 1), kinematics.matrices(state.pose))
 
@@ -39,9 +39,9 @@ class Arm(Struct, frozen=True, eq=False):
 class ArmPoses(Columns, frozen=True, eq=False):
     """The arm in N configurations, root frame.
 
-    :param origin: (N, 6, 3) of the joints [m].
-    :param axis: (N, 6, 3) unit axes.
-    :param flange: (N, 4, 4) [m].
+    :param origin: (N, 6, 3) origins of the joints [m].
+    :param axis: (N, 6, 3) unit axes of the joints.
+    :param flange: (N, 4, 4) poses of the flange [m].
     """
 
     origin: Array
@@ -49,12 +49,15 @@ class ArmPoses(Columns, frozen=True, eq=False):
     flange: Array
 
     def point(self, in_flange: Array) -> Array:
-        """Return points (N, P, 3) in the root, of points (P, 3) in the flange frame [m]."""
+        """Return the positions (N, P, 3) in the root frame of points (P, 3) in the flange frame [m]."""
         in_root: Array = np.einsum("nij,pj->npi", self.flange[:, :3, :3], in_flange) + self.flange[:, None, :3, 3]
         return in_root
 
     def velocity(self, point: Array) -> Array:
-        """Return the derivatives (N, P, 6, 3) [m/rad] of points (N, P, 3) by the joint angles, ω × (p − o)."""
+        """Return the derivatives (N, P, 6, 3) [m/rad] of points (N, P, 3) by the joint angles: axis × (point − origin).
+
+        :param point: in the root frame [m].
+        """
         return np.asarray(np.cross(self.axis[:, None], point[:, :, None] - self.origin[:, None]))
 
 
@@ -74,10 +77,14 @@ def direction(tilt: Array) -> Array:
 
 
 def direction_slope(tilt: Array) -> Array:
-    """Return the derivatives (N, 3, 2) of the directions of the load by tilts (N, 2) [rad], see `direction`."""
+    """Return the derivatives (N, 3, 2) of the directions of the load by tilts (N, 2) [rad], see `direction`.
+
+    The direction is (t·sinc α, −cos α) for a tilt t of the length α. Its derivative is
+    (sinc α·1 + (cos α − sinc α)/α² · t tᵀ, sinc α · tᵀ).
+    """
     angle = np.linalg.norm(tilt, axis=-1)
     sinc = np.sinc(angle / np.pi)  # sin(angle) / angle
-    # derivative of sinc over the angle; its limit −1/3 near 0, where the quotient loses all digits
+    # (cos α − sinc α)/α²; near 0 the quotient loses all digits, and its limit −1/3 is taken
     is_large = angle > 1e-4
     sinc_slope = np.where(is_large, (np.cos(angle) - sinc) / np.where(is_large, angle, 1.0) ** 2, -1.0 / 3.0)
     slope = np.empty((*tilt.shape[:-1], 3, 2))
@@ -96,8 +103,8 @@ class Readings(Struct, frozen=True, eq=False):
     :param points: (P, 3) reference points in the flange frame [m].
     :param force: size of the load [N].
     :param noise: standard deviation of one coordinate of a measured displacement [m].
-    :param scale: (6,) unit of each compliance [rad/(N·m)]: the robot's own values, so that results are relative.
-    :param keep: (p,) joints whose compliance is to be identified.
+    :param scale: (6,) unit of each compliance [rad/(N·m)]: the value of the robot, so that results are relative.
+    :param keep: (p,) joints, from 0, whose compliance is identified.
     """
 
     arm: Arm
@@ -108,10 +115,10 @@ class Readings(Struct, frozen=True, eq=False):
     scale: Array
     keep: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
 
-    def rows(self, q: Array, load: Array) -> Array:
+    def regressor(self, q: Array, load: Array) -> Array:
         """Return the whitened derivatives (N, 3P, 6) of the displacements of the points by the relative compliances.
 
-        Regressor of Eq. (8) of Klimchik et al.
+        It is the regressor of Eq. (8) of Klimchik et al., over the noise.
 
         :param q: (N, 6) joint angles [rad].
         :param load: (N, 3) forces [N], or (N, 6) with moments [N·m], at the load point, root axes.
@@ -135,18 +142,25 @@ class Readings(Struct, frozen=True, eq=False):
         return np.asarray(np.einsum("nij,nj->ni", at_load, load))
 
     def information(self, q: Array, tilt: Array) -> Array:
-        """Return the information matrix (N, p, p) of each measurement, for tilts (N, 2) of the load."""
+        """Return the information matrix (N, p, p) of each measurement at joint angles q (N, 6) [rad].
+
+        :param tilt: (N, 2) of the load [rad], see `direction`.
+        """
         return self.information_of(q, self.force * direction(tilt))
 
     def information_of(self, q: Array, load: Array) -> Array:
-        """Return the information matrix (N, p, p) of each measurement, for loads (N, 3 or 6) as in `rows`."""
-        rows = self.rows(q, load)[:, :, list(self.keep)]
-        return np.asarray(np.swapaxes(rows, 1, 2) @ rows)
+        """Return the information matrix (N, p, p) of each measurement at joint angles q (N, 6) [rad].
+
+        :param load: (N, 3 or 6), see `regressor`.
+        """
+        regressor = self.regressor(q, load)[:, :, list(self.keep)]
+        return np.asarray(np.swapaxes(regressor, 1, 2) @ regressor)
 
     def slope(self, q: Array, tilt: Array, weight: Array) -> Array:
         """Return the gradient (N, 8) of tr(weight·information) by joint angles (6) and tilt (2).
 
-        The columns of the regressor are velocities of points times torques; both change with joint angles.
+        A column of the regressor is the velocity of the points by a joint times the torque on the joint; both change
+        with the joint angles. For revolute joints ∂v_i/∂q_a = ω_min(a,i) × v_max(a,i).
 
         :param q: (N, 6) joint angles, and `tilt` (N, 2) of the load [rad].
         :param weight: (N, p, p) symmetric.

@@ -29,11 +29,11 @@ _POINT = 1e-12
 """Square of a length [m²] below which a segment is a point."""
 
 
-def between_segments(p: Array, p_end: Array, r: Array, r_end: Array) -> Array:
+def segment_distances(p: Array, p_end: Array, r: Array, r_end: Array) -> Array:
     """Return the distances (...) [m] between segments from p to p_end and from r to r_end, each (..., 3) [m].
 
-    Source, with the names of its variables: Ericson, "Real-Time Collision Detection", 2005, 5.1.9. s and t are the
-    shares of the segments at which the closest points are.
+    Source, with the names of its variables: Ericson, "Real-Time Collision Detection", 2005, 5.1.9. The closest points
+    are at the shares s and t of the segments.
     """
     u, v, w = p_end - p, r_end - r, p - r
     a, b, c = _dot(u, u), _dot(u, v), _dot(v, v)
@@ -57,7 +57,7 @@ def _dot(a: Array, b: Array) -> Array:
 def points_on_segments(start: Array, end: Array, length: float) -> Array:
     """Return n evenly spaced points (..., n, 3) on segments from `start` to `end` (..., 3) [m], ends included.
 
-    :param length: of the longest segment [m]: points of it are at most `_SPACING` apart.
+    :param length: of the longest segment [m]; n is such that its points are at most `_SPACING` apart.
     """
     count = max(2, int(np.ceil(length / _SPACING)) + 1)
     t = np.linspace(0.0, 1.0, count)[:, None]
@@ -65,7 +65,12 @@ def points_on_segments(start: Array, end: Array, length: float) -> Array:
 
 
 class BoxShape(Struct, frozen=True, eq=False):
-    """A box: `to_box` (4, 4) maps the root to its frame, half sizes `half` (3,) [m]."""
+    """A box.
+
+    :param name: for the user.
+    :param to_box: (4, 4) transform from the root to the frame of the box, whose origin is its centre [m].
+    :param half: (3,) half sizes [m].
+    """
 
     name: str
     to_box: Array
@@ -73,7 +78,7 @@ class BoxShape(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, box: Box, number: int) -> BoxShape:
-        """Return a box of the experiment; without a name it is called by its number."""
+        """Return a box of the experiment; its number names it if it has no name."""
         name = box.name or str(number)
         return cls(f"box {name}", inverse(box.pose()), 0.5 * np.array(box.size) * M_PER_MM)
 
@@ -85,7 +90,8 @@ class BoxShape(Struct, frozen=True, eq=False):
     def blocks(self, start: Array, end: Array) -> Bools:
         """Return (...) True if the line from `start` to `end` (..., 3) [m] passes through the box.
 
-        By slabs (Kay and Kajiya 1986): the line enters and leaves the space between each pair of faces at some shares.
+        By slabs (Kay and Kajiya 1986): for each pair of opposite faces the line is between them from one share of its
+        length to another. It passes through the box if all three ranges and the range 0…1 have a share in common.
         """
         begin = start @ self.to_box[:3, :3].T + self.to_box[:3, 3]
         chord = end @ self.to_box[:3, :3].T + self.to_box[:3, 3] - begin
@@ -98,22 +104,28 @@ class BoxShape(Struct, frozen=True, eq=False):
 class MeshShape(Struct, frozen=True, eq=False):
     """A mesh as its vertices, after splitting all edges to at most 40 mm.
 
-    No point of the surface is farther than `between` from a vertex, so that the distance to the nearest vertex less
-    `between` is on the safe side. The arm begins outside and is checked all along: it cannot be inside unnoticed.
+    The distance to the nearest vertex less `vertex_gap` is at most the distance to the surface. The arm begins
+    outside and is checked along its whole way, so it cannot get inside unnoticed.
+
+    :param name: for the user.
+    :param vertices: (n, 3) in the root [m].
+    :param vertex_gap: largest distance of a point of the surface from the nearest vertex [m].
+    :param tree: `cKDTree` of the vertices.
     """
 
     name: str
     vertices: Array
-    between: float
+    vertex_gap: float
     tree: object
 
     @classmethod
     def of(cls, mesh: MeshFile, folder: Path) -> MeshShape:
-        """Read a mesh of the experiment (mm, unless `scale` says otherwise).
+        """Read a mesh of the experiment; a unit of the file is `scale` millimetres.
 
+        :param folder: of the experiment, which the path of the file is relative to.
         :raises PlanError: the file cannot be read or holds no surface.
         """
-        import trimesh
+        import trimesh  # takes long to import
         from scipy.spatial import cKDTree
 
         path = folder / mesh.file.replace("\\", "/")
@@ -121,21 +133,23 @@ class MeshShape(Struct, frozen=True, eq=False):
         vertices, faces = np.asarray(shape.vertices, dtype=float), np.asarray(shape.faces, dtype=np.int64)
         vertices = vertices * (M_PER_MM * mesh.scale)
         area = float(trimesh.Trimesh(vertices, faces, process=False).area)
+        # longest edge: triangles with this edge on the whole area have about the allowed number of vertices
         edge = max(_SPACING, 2.0 * np.sqrt(area / _MOST_VERTICES))
         split, _ = trimesh.remesh.subdivide_to_size(vertices, faces, edge, max_iter=30)  # type: ignore[no-untyped-call]
         pose = mesh.pose()
-        points = np.unique(np.round(split @ pose[:3, :3].T + pose[:3, 3], 6), axis=0)
+        points = np.unique(np.round(split @ pose[:3, :3].T + pose[:3, 3], 6), axis=0)  # vertices of edges coincide
+        # the centre of an equilateral triangle is edge/√3 from its corners; no point of a triangle is farther
         return cls(f"mesh {mesh.file}", points, edge / np.sqrt(3.0), cKDTree(points))
 
     def distance(self, point: Array) -> Array:
-        """Return lower bounds (...) of the distances of points (..., 3) from the surface [m], within `between`."""
+        """Return lower bounds (...) of the distances of points (..., 3) from the surface, within `vertex_gap` [m]."""
         gap, _ = self.tree.query(point.reshape(-1, 3))  # type: ignore[attr-defined]
-        return np.asarray(gap).reshape(point.shape[:-1]) - self.between
+        return np.asarray(gap).reshape(point.shape[:-1]) - self.vertex_gap
 
     def blocks(self, start: Array, end: Array) -> Bools:
         """Return (...) True if the line from `start` to `end` (..., 3) [m] is closer to the surface than the clearance.
 
-        By sphere tracing: a step from a point is as long as its distance from the surface.
+        By sphere tracing: each step along the line is as long as the distance of its point from the surface.
         """
         start, end = (np.ascontiguousarray(side) for side in np.broadcast_arrays(start, end))
         shape = start.shape[:-1]
@@ -164,7 +178,7 @@ class Rig(Struct, frozen=True, eq=False):
     :param force: size of the load [N].
     :param largest_tilt: largest angle of the load from straight down [rad].
     :param rope: length that must be free below the load point [m].
-    :param weight_radius: of the weight at its end [m]; 0: none there.
+    :param weight_radius: radius of the weight at the end of the rope [m]; 0: the weight needs no space.
     """
 
     force: float
@@ -176,25 +190,25 @@ class Rig(Struct, frozen=True, eq=False):
 class Site(Struct, frozen=True, eq=False):
     """Limits on poses that can be measured. Root frame unless stated otherwise.
 
-    :param robot: masses, compensator.
-    :param arm: geometry.
-    :param rig: its load.
+    :param robot: with masses and compensator.
+    :param arm: geometry of the robot.
+    :param rig: with the load.
     :param start: (6,) joint angles at the start [rad].
     :param lower: (6,) joint limits with margin [rad].
     :param upper: (6,) joint limits with margin [rad].
-    :param radius: (5,) of column, link 2, elbow, forearm, hand [m].
-    :param tool_radius: of the parts from the flange to load point and markers [m].
-    :param clearance: to be kept from everything [m].
+    :param radius: (5,) radii of column, link 2, elbow, forearm, hand [m].
+    :param tool_radius: radius of the parts from the flange to load point and markers [m].
+    :param clearance: distance to keep from everything [m].
     :param load_point: (3,) in the flange frame [m].
     :param points: (P, 3) markers in the flange frame [m].
     :param names: of the markers.
-    :param normals: (P, 3) unit vectors in the flange frame, NaN where a reflector is turned by hand.
-    :param floor: height [m].
+    :param normals: (P, 3) unit vectors in the flange frame; NaN for a reflector that is turned by hand.
+    :param floor: height of the floor [m].
     :param obstacles: boxes and meshes.
-    :param tracker: (3,) [m], or None.
+    :param tracker: (3,) position [m]; None: unknown, so lines of sight are not checked.
     :param sigma: noise of one coordinate of one reading [m].
     :param acceptance: largest angle between normal and line of sight [rad].
-    :param torque_limit: (6,) static limits [N·m], or None if not stated.
+    :param torque_limit: (6,) static limits [N·m]; None: not stated.
     """
 
     robot: RobotModel
@@ -269,16 +283,16 @@ def site_of(robot: RobotModel, experiment: Experiment, folder: Path, start: Arra
 
 
 def _radii(arm: Arm) -> Array:
-    """Return the radii (5,) [m] of column, link 2, elbow, forearm and hand that are usual for the size of an arm."""
+    """Return usual radii (5,) [m] of column, link 2, elbow, forearm and hand, by the reach of the wrist."""
     origin = arm.pose(np.zeros((1, 6))).origin[0]
     reach = float(np.linalg.norm(origin[2] - origin[1]) + np.linalg.norm(origin[4] - origin[2]))
     return np.array(_RADII) * reach
 
 
 def _normals(experiment: Experiment) -> Array:
-    """Return unit normals (P, 3) of the points in the flange frame; NaN without one.
+    """Return unit normals (P, 3) of the points in the flange frame; NaN for points without a normal.
 
-    :raises PlanError: one is zero.
+    :raises PlanError: a normal is zero.
     """
     normals = np.full((len(experiment.points), 3), np.nan)
     for row, (name, point) in enumerate(experiment.points.items()):
@@ -291,7 +305,10 @@ def _normals(experiment: Experiment) -> Array:
 
 
 def _torque_limit(robot: RobotModel, stated_limit: tuple[float, ...] | None) -> Array | None:
-    """Return the allowed static torques (6,) [N·m]: those stated, else those of the URDF; None without either."""
+    """Return the allowed static torques (6,) [N·m]: the stated limits, else the efforts of the URDF.
+
+    None if no limits are stated and the URDF lacks a positive, finite effort of a joint.
+    """
     if stated_limit is not None:
         return np.array(stated_limit)
     effort = robot.nominal.effort

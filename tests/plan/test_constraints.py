@@ -22,15 +22,15 @@ def test_a_comfortable_pose_passes_everything(tmp_path):
     site = setting.site(tmp_path)
     q = np.radians([[-30.0, -80.0, 95.0, 40.0, 60.0, 20.0]])
     assert failed(site, q) == set()
-    assert constraints.feasible(site, q, DOWN).all()
+    assert constraints.are_feasible(site, q, DOWN).all()
 
 
 def test_random_poses_that_pass_keep_every_limit_by_an_independent_forward_kinematics(tmp_path):
     """Markers, load point, wrist and weight above the floor and out of the box; limits with margin; load in cone."""
     site = setting.site(tmp_path)
     rng = np.random.default_rng(0)
-    q, tilt = search.draw(site, 1500, rng)
-    good = constraints.feasible(site, q, tilt)
+    q, tilt = search.draw_poses(site, 1500, rng)
+    good = constraints.are_feasible(site, q, tilt)
     assert 0.05 < good.mean() < 0.9
     turn = np.radians(20)
     axes = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
@@ -139,8 +139,8 @@ def test_poses_of_a_level_are_drawn_until_there_are_enough_or_none_seem_to_be_po
         rows = np.arange(len(q))
         return rows % one_in == 0 if one_in else rows < 0
 
-    monkeypatch.setattr(constraints, "feasible", feasible)
-    q, tilt = search.feasible_at(setting.site(tmp_path), -1.0, 100, np.random.default_rng(0))
+    monkeypatch.setattr(constraints, "are_feasible", feasible)
+    q, tilt = search.draw_feasible_poses(setting.site(tmp_path), -1.0, 100, np.random.default_rng(0))
     assert (len(q), len(tilt), len(asked)) == (found, found, calls)
     assert (q[:, 1] == -1.0).all()
 
@@ -169,7 +169,7 @@ def test_the_coarse_shape_leaves_a_small_arm_room_too(tmp_path, monkeypatch):
 
     monkeypatch.setattr(setting, "ROBOT", robot.load(robot.find("kuka_kr16_2")))
     site = setting.site(tmp_path, BASIC.replace("kr270", "kr16_2") + "\n[rig]\nmass_kg = 16\nmax_angle_deg = 30\n")
-    assert constraints.feasible(site, *search.draw(site, 500, np.random.default_rng(0))).mean() > 0.1
+    assert constraints.are_feasible(site, *search.draw_poses(site, 500, np.random.default_rng(0))).mean() > 0.1
 
 
 def test_the_forearm_begins_at_the_elbow_wherever_a_urdf_puts_the_origin_of_its_axis(tmp_path, monkeypatch):

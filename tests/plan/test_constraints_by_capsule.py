@@ -23,7 +23,7 @@ def poses(tmp_path_factory):
         "Z = 255\n", "Z = 255\nnormal = [1, 0, 1]\n"
     )
     site = setting.site(tmp_path_factory.mktemp("site"), text + RIG + AROUND)
-    q, tilt = search.draw(site, 60, np.random.default_rng(6))
+    q, tilt = search.draw_poses(site, 60, np.random.default_rng(6))
     return site, q, tilt
 
 
@@ -170,10 +170,10 @@ def test_feasible_poses_break_none_of_the_constraints(poses):
     site, q, tilt = poses
     failures = constraints.failures(site, q, tilt)
     broken = np.any(list(failures.values()), axis=0) | (np.linalg.norm(tilt, axis=1) > site.rig.largest_tilt + 1e-9)
-    assert (constraints.feasible(site, q, tilt) == ~broken).all()
+    assert (constraints.are_feasible(site, q, tilt) == ~broken).all()
     unloaded = {
         name: rows for name, rows in constraints.failures(site, q, tilt).items() if name.startswith("joint limits")
     }
-    passable = constraints.passable(site, q)
-    assert (passable >= constraints.feasible(site, q, tilt)).all()
+    passable = constraints.are_passable(site, q)
+    assert (passable >= constraints.are_feasible(site, q, tilt)).all()
     assert not (passable & unloaded["joint limits"]).any()

@@ -23,7 +23,7 @@ def readings(tmp_path_factory):
 def plan(site, levels=(-2.2, -1.4, -0.5, -0.2), each=3, seed=1):
     rng = np.random.default_rng(seed)
     level = np.repeat(np.arange(len(levels)), each)
-    q, tilt = search.draw(site, len(level), rng)
+    q, tilt = search.draw_poses(site, len(level), rng)
     q[:, 1] = np.array(levels)[level]
     return q, tilt, level, np.array(levels)
 
@@ -54,8 +54,8 @@ def test_the_gradient_of_the_criterion_agrees_with_differences(readings, grouped
     readings, site = readings
     q, tilt, level, q2 = plan(site, seed=5)
     criterion = Criterion.of(setting.job(), readings, Joint2.of(setting.ROBOT, free=free), q2, grouped=grouped)
-    total = criterion.total(readings.information(q, tilt), level)
-    slope = readings.slope(q, tilt, criterion.push(total, level))
+    total = criterion.normal_matrix(readings.information(q, tilt), level)
+    slope = readings.slope(q, tilt, criterion.information_slope(total, level))
 
     def value(x):
         changed_q, changed_tilt = q.copy(), tilt.copy()
@@ -72,7 +72,7 @@ def test_moments_of_the_load_turn_the_joints_too(readings):
     readings, site = readings
     q, _, _, _ = plan(site, each=1)
     load = np.random.default_rng(6).normal(size=(len(q), 6)) * [900.0, 900, 900, 300, 300, 300]
-    rows = readings.rows(q, load) * readings.noise / readings.scale
+    rows = readings.regressor(q, load) * readings.noise / readings.scale
     spots = np.array([[*spot, 1.0] for spot in (setting.LOAD_POINT, *setting.POINTS.values())])
     for angles, wrench, found in zip(q, load, rows, strict=True):
         pose = setting.differences(lambda x: setting.ORACLE.frames(x)[-1], angles)  # (4, 4, 6)
@@ -87,10 +87,12 @@ def test_an_exchange_is_worth_what_the_changed_plan_is(readings):
     readings, site = readings
     q, tilt, level, q2 = plan(site)
     information = readings.information(q, tilt)
-    new = readings.information(*search.draw(site, 4, np.random.default_rng(9)))
+    new = readings.information(*search.draw_poses(site, 4, np.random.default_rng(9)))
     for grouped in (False, True):
         criterion = Criterion.of(setting.job(), readings, Joint2.of(setting.ROBOT, True), q2, grouped=grouped)
-        values = criterion.exchange_values(criterion.total(information, level), information[7], new, int(level[7]))
+        values = criterion.exchange_values(
+            criterion.normal_matrix(information, level), information[7], new, int(level[7])
+        )
         for one, value in zip(new, values, strict=True):
             changed = information.copy()
             changed[7] = one
@@ -115,7 +117,9 @@ def test_k2_between_the_levels_follows_the_compensator():
     levels, q2 = np.radians([-10, -50, -90, -130]), np.radians([-30.0, -75.0])
     spring = setting.ROBOT.compensator
     changed = replace(law, compensator=replace(spring, stiffness=spring.stiffness * 1.001, free_length=0.4581))
-    carried = law.from_levels(levels, q2) @ (changed.relative_compliance(levels) - law.relative_compliance(levels))
+    carried = law.level_derivatives(levels, q2) @ (
+        changed.relative_compliance(levels) - law.relative_compliance(levels)
+    )
     assert np.abs(carried / (changed.relative_compliance(q2) - law.relative_compliance(q2)) - 1).max() < 1e-3
 
 

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from postproc.identification.validation import MIN_CONFIGURATIONS
 from postproc.plan import criterion, milling
-from postproc.plan.criterion import out_of_reach
+from postproc.plan.criterion import unreachable_direction_warnings
 from samples.paper_study import simulator
 from tests.plan import setting
 from tests.plan.setting import BASIC
@@ -70,9 +70,9 @@ def test_without_the_condition_the_same_search_leaves_joints_one_sided(tmp_path,
     needed = setting.quick(tmp_path, tests=ONE_POSE, configurations=15, levels=4)
 
     def no_need(*arguments):
-        return replace(criterion.directions(*arguments), need=np.zeros((6, 2), dtype=np.int64))
+        return replace(criterion.required_directions(*arguments), need=np.zeros((6, 2), dtype=np.int64))
 
-    monkeypatch.setattr("postproc.plan.planning.directions", no_need)
+    monkeypatch.setattr("postproc.plan.planning.required_directions", no_need)
     free = setting.quick(tmp_path, tests=ONE_POSE, configurations=15, levels=4)
     assert np.any(sides(simulated(free.plan.q, free.force), needed.directions.least) < needed.directions.need)
     # the condition costs little of the criterion
@@ -93,19 +93,24 @@ def test_a_weight_that_hangs_cannot_turn_a1_and_the_warning_says_so(tmp_path):
 
 def test_a_direction_that_only_the_work_has_is_named_with_its_torque():
     torque = np.abs(np.random.default_rng(0).normal(300.0, 50.0, (500, 6)))
-    found = criterion.directions(torque, ONE_POSE, 15)
-    (told,) = out_of_reach(found, vertical=False)
+    found = criterion.required_directions(torque, ONE_POSE, 15)
+    (told,) = unreachable_direction_warnings(found, vertical=False)
     negative = found.work[:, 0]
     joint = int(np.argmax(negative))
     assert negative[joint] > 0.0
     assert f"A{joint + 1} (negative; the work has up to {negative[joint]:.0f} N·m negative)" in told
     assert "a larger [rig] max_angle_deg" in told
-    assert out_of_reach(criterion.directions(np.concatenate([torque, -torque]), ONE_POSE, 15), vertical=False) == ()
+    assert (
+        unreachable_direction_warnings(
+            criterion.required_directions(np.concatenate([torque, -torque]), ONE_POSE, 15), vertical=False
+        )
+        == ()
+    )
 
 
 def test_what_was_measured_counts(tmp_path):
     both = np.concatenate([np.full((10, 6), 500.0), np.full((10, 6), -500.0)])
-    assert np.all(criterion.directions(both, ONE_POSE, 9).need == 3)
+    assert np.all(criterion.required_directions(both, ONE_POSE, 9).need == 3)
     measured = np.concatenate([np.full((2, 6), 500.0), np.full((4, 6), -500.0)])
-    found = criterion.directions(both, ONE_POSE, 9, measured)  # 15 poses in all: five to each side
+    found = criterion.required_directions(both, ONE_POSE, 9, measured)  # 15 poses in all: five to each side
     assert found.need.tolist() == [[1, 3]] * 6

@@ -48,8 +48,8 @@ def random_poses(place, rng):
     q2, found = [], []
     while len(q2) < 16:
         level = rng.uniform(place.lower[1], place.upper[1])
-        q, tilt = search.draw(place, 120, rng, q2=level)
-        good = np.flatnonzero(constraints.feasible(place, q, tilt))[:12]
+        q, tilt = search.draw_poses(place, 120, rng, q2=level)
+        good = np.flatnonzero(constraints.are_feasible(place, q, tilt))[:12]
         if len(good) == 12:
             q2.append(level)
             found.append(setting.normal_matrices(q[good], place.rig.force * search_direction(tilt[good])))
@@ -72,7 +72,7 @@ def test_the_same_seed_gives_the_same_plan_and_another_seed_another(tmp_path):
 
 def test_every_pose_of_a_plan_can_be_measured_and_stands_on_its_level(tmp_path):
     result = setting.quick(tmp_path)
-    assert constraints.feasible(result.site, result.plan.q, result.plan.tilt).all()
+    assert constraints.are_feasible(result.site, result.plan.q, result.plan.tilt).all()
     assert len(np.unique(result.plan.q[:, 1])) == 4
     assert np.diff(np.sort(np.unique(result.plan.q[:, 1]))).min() > np.radians(2)
     assert (np.bincount(result.plan.level) == 2).all()
@@ -237,10 +237,10 @@ def test_coordinates_that_are_read_are_counted_against_compliances(tmp_path, opt
     readings = Readings(place.arm, place.load_point, place.points, 1.0, 1.0, scale, tuple(range(6))[:keep])
     arguments = Options(**options), readings, points, options["levels"]
     if enough:
-        planning._check_number(*arguments, None)
+        planning._check_reading_count(*arguments, None)
         return
     with pytest.raises(PlanError, match=rf"of {points} points .* coordinates for \d+ compliances"):
-        planning._check_number(*arguments, None)
+        planning._check_reading_count(*arguments, None)
 
 
 @pytest.mark.parametrize(("joint", "advice"), [(0, "by a cable over a pulley"), (2, "heavier"), (5, "on a bracket")])
@@ -248,7 +248,7 @@ def test_the_share_of_the_deflection_that_a_hidden_compliance_makes_is_stated(tm
     """By the positions of an independent arm, differences, and the robot's own compliance."""
     tests = replace(setting.job(4).take(np.array([0, 70, 200])), weight=np.array([0.5, 0.2, 0.3]))
     site = setting.site(tmp_path, BASIC + "\n[rig]\nmass_kg = 275\n")
-    (text,) = planning.hidden_by_rig(site, tests, setting.ROBOT.compliance, (joint,))
+    (text,) = planning.hidden_compliance_warnings(site, tests, setting.ROBOT.compliance, (joint,))
     own = setting.milling_regressors(tests)[:, :, joint] * setting.ROBOT.compliance[joint]
     share = np.sqrt(np.sum(tests.weight[:, None] * own**2)) * 1e3
     assert text.startswith(f"k{joint + 1} is not observable with this rig: ")
@@ -284,7 +284,7 @@ def test_next_poses_help_more_than_the_same_number_planned_without_the_measureme
     place = setting.site(tmp_path)
     random = []
     for _ in range(30):
-        drawn = search.draw(place, 3, rng)
+        drawn = search.draw_poses(place, 3, rng)
         drawn[0][:, 1] = np.radians(rng.choice([-40.0, -100.0], 3))
         both = np.vstack([force, place.rig.force * search_direction(drawn[1])])
         random.append(setting.pooled(np.vstack([q, drawn[0]]), both, next_ones.tests, VARIANCE))
@@ -341,9 +341,9 @@ def test_earlier_readings_inform_the_compliances_that_the_rig_can_show(tmp_path)
     options = Options(configurations=4, levels=3)
     problem = planning._planning_problem(hanging, setting.job(), setting.ROBOT.compliance, options, vertical)
     assert problem.readings.keep == (1, 2, 3, 4, 5)
-    assert problem.known.information.shape[1:] == (5, 5)
-    assert (np.diagonal(problem.known.information, axis1=1, axis2=2).sum(axis=0) > 0.0).all()
+    assert problem.earlier_data.information.shape[1:] == (5, 5)
+    assert (np.diagonal(problem.earlier_data.information, axis1=1, axis2=2).sum(axis=0) > 0.0).all()
     assert problem.task.candidates.information.shape[2:] == (5, 5)
     assert problem.task.fixed == 2
     whole = planning._planning_problem(setting.site(tmp_path), setting.job(), setting.ROBOT.compliance, options, data)
-    assert whole.known.information.shape[1:] == (6, 6)
+    assert whole.earlier_data.information.shape[1:] == (6, 6)

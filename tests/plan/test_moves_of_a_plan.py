@@ -56,7 +56,7 @@ def test_poses_that_move_lower_the_criterion_can_be_measured_and_keep_their_leve
     moved = search._move_poses(task, plan, np.random.default_rng(1), 0.3)
     assert moved.value == pytest.approx(value_of(task, moved), rel=1e-4)
     assert moved.value < 0.8 * plan.value
-    assert constraints.feasible(task.site, moved.q, moved.tilt).all()
+    assert constraints.are_feasible(task.site, moved.q, moved.tilt).all()
     np.testing.assert_array_equal(moved.q[:, 1], plan.q[:, 1])
     np.testing.assert_array_equal(moved.q2, plan.q2)
     assert lacking(task, moved) <= lacking(task, plan)
@@ -71,7 +71,7 @@ def test_levels_that_move_take_their_poses_along(task):
         assert moved.value == pytest.approx(value_of(task, moved), rel=1e-4)
         assert moved.value <= plan.value * (1.0 + 1e-9)
         np.testing.assert_array_equal(moved.q[:, 1], moved.q2[moved.level])
-        assert constraints.feasible(task.site, moved.q, moved.tilt).all()
+        assert constraints.are_feasible(task.site, moved.q, moved.tilt).all()
         assert (moved.q2 >= task.site.lower[1]).all()
         assert (moved.q2 <= task.site.upper[1]).all()
         gaps = np.abs(moved.q2[:, None] - moved.q2)[np.triu_indices(3, 1)]
@@ -159,15 +159,15 @@ def test_a_pose_counts_from_the_torque_of_the_work_within_what_poses_reach(work,
     tests = replace(
         setting.job().take(np.array([0, 1])), weight=np.array([0.5, 0.5]), torque=np.array([[work] * 6, [-work] * 6])
     )
-    found = criterion.directions(torque, tests, 30)
+    found = criterion.required_directions(torque, tests, 30)
     np.testing.assert_allclose(found.least, least)
     np.testing.assert_allclose(found.reached, 500.0)
     np.testing.assert_allclose(found.work, work)
     assert (found.need == 5).all()  # as many as cover a direction
-    assert (criterion.directions(torque, tests, 9).need == 3).all()  # one pose of three
-    one_sided = criterion.directions(np.abs(torque), tests, 30)
+    assert (criterion.required_directions(torque, tests, 9).need == 3).all()  # one pose of three
+    one_sided = criterion.required_directions(np.abs(torque), tests, 30)
     np.testing.assert_array_equal(one_sided.need, [[0, 5]] * 6)
-    tiny = criterion.directions(torque * 1e-2, tests, 30)
+    tiny = criterion.required_directions(torque * 1e-2, tests, 30)
     assert tiny.least.min() >= 1.0  # below 1 N·m a torque has no sign
 
 

@@ -104,7 +104,7 @@ def test_a_move_is_looked_at_every_four_degrees_between_its_ends(tmp_path, monke
             seen.append(places)
             return np.arange(len(places)) != hit
 
-        monkeypatch.setattr(planning.constraints, "passable", passable)
+        monkeypatch.setattr(planning.constraints, "are_passable", passable)
         free = planning.free_moves(site, q)
         np.testing.assert_allclose(seen[0], [place for *_, place in expected], atol=1e-12)
         a, b, _ = expected[hit]

@@ -32,7 +32,7 @@ def site(tmp_path_factory):
 
 
 def test_draws_are_uniform_in_the_joints_and_over_the_cap_of_directions(site):
-    q, tilt = search.draw(site, 40_000, np.random.default_rng(0))
+    q, tilt = search.draw_poses(site, 40_000, np.random.default_rng(0))
     low, high = np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi)
     assert (low < high).all()
     assert np.abs(high[3:]).max() <= np.pi
@@ -49,7 +49,7 @@ def test_draws_are_uniform_in_the_joints_and_over_the_cap_of_directions(site):
         assert np.mean(angle < inner) == pytest.approx((1 - np.cos(inner)) / (1 - np.cos(limit)), abs=0.01)
     np.testing.assert_allclose(down[:, :2].mean(axis=0), 0.0, atol=0.01)
     assert np.mean(down[:, 0] * down[:, 1]) == pytest.approx(0.0, abs=0.003)
-    level, _ = search.draw(site, 5, np.random.default_rng(0), q2=-1.25)
+    level, _ = search.draw_poses(site, 5, np.random.default_rng(0), q2=-1.25)
     assert (level[:, 1] == -1.25).all()
 
 
@@ -57,7 +57,7 @@ def test_proposals_go_down_the_gradient_and_around_the_pose_within_the_limits(si
     rng = np.random.default_rng(1)
     q, tilt = np.radians([-30.0, -80.0, 95.0, 40.0, 60.0, 20.0]), np.array([0.1, -0.2])
     slope = np.array([2.0, 50.0, -1.0, 0.5, 0.0, -4.0, 1.0, 3.0])
-    new_q, new_tilt = search._proposals(site, q, tilt, slope, rng, 0.01)
+    new_q, new_tilt = search._proposed_poses(site, q, tilt, slope, rng, 0.01)
     assert slope[1] == 50.0  # of the caller: it stays
     steps = np.array([0.5, 0.25, 0.12, 0.06, 0.03, 0.012, 0.004])
     # the largest component of a step is its length; A2 stays at its level
@@ -72,13 +72,13 @@ def test_proposals_go_down_the_gradient_and_around_the_pose_within_the_limits(si
     assert changed[12:].all()
     assert 0.1 < changed[:12].mean() < 0.5  # three joints of ten
     assert np.std((new_q[19:] - q)[:, [0, 2, 3, 4, 5]]) == pytest.approx(0.01, rel=0.3)
-    far_q, far_tilt = search._proposals(site, site.upper, np.array([0.4, 0.3]), -slope, rng, 0.5)
+    far_q, far_tilt = search._proposed_poses(site, site.upper, np.array([0.4, 0.3]), -slope, rng, 0.5)
     assert ((far_q >= site.lower) & (far_q <= site.upper)).all()
     size = np.linalg.norm(far_tilt, axis=1)
     assert size.max() == pytest.approx(site.rig.largest_tilt)
     hanging = replace(site, rig=replace(site.rig, largest_tilt=0.0))
     steep = np.append(slope[:6], [9.0, -20.0])  # a load that hangs does not turn, however much that would help
-    hung_q, hung_tilt = search._proposals(hanging, q, np.zeros(2), steep, rng, 0.01)
+    hung_q, hung_tilt = search._proposed_poses(hanging, q, np.zeros(2), steep, rng, 0.01)
     assert not hung_tilt.any()
     np.testing.assert_allclose(hung_q[:7] - q, steps[:, None] * unit[:6], atol=1e-12)
 
@@ -215,7 +215,7 @@ def test_each_further_row_is_the_farthest_from_all_before():
 def test_what_blocks_is_the_constraint_without_which_most_poses_were_possible(site, monkeypatch, rows, culprit):
     forbidden = {name: (np.arange(4000) >= low) & (np.arange(4000) < high) for name, (low, high) in rows.items()}
     monkeypatch.setattr(constraints, "failures", lambda *_: {**forbidden, "none": np.zeros(4000, dtype=bool)})
-    text = search.blocking(site, np.random.default_rng(0))
+    text = search.blocking_text(site, np.random.default_rng(0))
     assert text.startswith(f"no pose can be measured: what blocks is: {culprit}. Of 4000 poses at random: ")
     assert "none" not in text
     stated = re.findall(r"(floor|sight|box) forbids ([\d.]+) %(?:, without it (\d+) poses were possible)?", text)
@@ -341,9 +341,9 @@ def test_the_folded_arm_reaches_less_far_than_all_others_that_are_possible(site)
         return max(np.hypot(*place[:2]) for place in places)
 
     room = replace(site, obstacles=())
-    assert constraints.passable(room, q[None]).all()
-    others, _ = search.draw(site, 300, np.random.default_rng(7))
-    others = others[constraints.passable(room, others)]
+    assert constraints.are_passable(room, q[None]).all()
+    others, _ = search.draw_poses(site, 300, np.random.default_rng(7))
+    others = others[constraints.are_passable(room, others)]
     assert len(others) > 30
     assert reach(q) < np.quantile([reach(angles) for angles in others], 0.02)
     # a joint that cannot turn to zero is turned as near to it as it can
@@ -396,7 +396,7 @@ def test_ways_round_go_by_the_start_by_folding_or_both(site, monkeypatch):
         def passable(_, stops, allowed=allowed):
             return np.array([tuple(np.round(stop, 9)) in allowed for stop in stops])
 
-        monkeypatch.setattr(planning.constraints, "passable", passable)
+        monkeypatch.setattr(planning.constraints, "are_passable", passable)
         monkeypatch.setattr(planning, "free_moves", lambda _, stops: np.ones((len(stops), len(stops)), dtype=bool))
         ways, stuck = planning.detours(here, q, np.array([1]))
         assert stuck.tolist() == []
@@ -414,7 +414,7 @@ def test_ways_round_go_by_the_start_by_folding_or_both(site, monkeypatch):
             free[1, 2] = free[2, 1] = False
         return free
 
-    monkeypatch.setattr(planning.constraints, "passable", lambda _, stops: np.ones(len(stops), dtype=bool))
+    monkeypatch.setattr(planning.constraints, "are_passable", lambda _, stops: np.ones(len(stops), dtype=bool))
     monkeypatch.setattr(planning, "free_moves", one_move_blocked)
     ways, stuck = planning.detours(here, q, np.array([1]))
     np.testing.assert_allclose(ways[1], options[3])
@@ -426,14 +426,17 @@ def test_ways_round_go_by_the_start_by_folding_or_both(site, monkeypatch):
 
 
 def test_what_stays_uncertain_is_named_with_what_to_do():
-    spring = SimpleNamespace(compensator=object(), free=False)
+    spring = SimpleNamespace(compensator=object(), has_free_compensator=False)
     parameters = (JOINT_COMPLIANCES[0], JOINT_COMPLIANCES[4])
     accuracy = SimpleNamespace(uncertain=parameters)
     first, second, third = planning.uncertainty_warnings(accuracy, spring, np.array([0, 4]))
     assert first.startswith("k1, k5: the 95 % interval will be wider than half the value")
     assert second.startswith("the spring of the gravity compensator (K_c, s_0) cannot be determined")
     assert "on its way to configuration 1, 5: jog it there by hand" in third
-    for joint2 in (SimpleNamespace(compensator=None, free=False), SimpleNamespace(compensator=object(), free=True)):
+    for joint2 in (
+        SimpleNamespace(compensator=None, has_free_compensator=False),
+        SimpleNamespace(compensator=object(), has_free_compensator=True),
+    ):
         assert planning.uncertainty_warnings(SimpleNamespace(uncertain=()), joint2, np.zeros(0, dtype=int)) == []
 
 
@@ -519,15 +522,15 @@ def test_the_search_improves_the_best_few_of_its_starts(monkeypatch):
 
 def test_relative_compliance_of_joint_2_follows_gear_and_spring_in_series():
     law = Joint2.of(setting.ROBOT, free=True)
-    assert law.free
+    assert law.has_free_compensator
     bare = Joint2.of(replace(setting.ROBOT, compensator=None), free=True)
-    assert not bare.free
+    assert not bare.has_free_compensator
     q2 = np.radians([-20.0, -70.0, -120.0])
     k = setting.ROBOT.compliance[1]
     np.testing.assert_allclose(law.relative_compliance(q2), [setting.oracle_k2(a, k, True) / k for a in q2], rtol=1e-5)
     np.testing.assert_array_equal(bare.relative_compliance(q2), 1.0)
-    np.testing.assert_array_equal(bare.columns(q2), [[1.0, 0.0, 0.0]] * 3)
-    np.testing.assert_array_equal(bare.from_levels(q2[:2], q2), np.full((3, 2), 0.5))
+    np.testing.assert_array_equal(bare.stiffness_columns(q2), [[1.0, 0.0, 0.0]] * 3)
+    np.testing.assert_array_equal(bare.level_derivatives(q2[:2], q2), np.full((3, 2), 0.5))
 
 
 def test_parts_of_the_arm_stretched_out_are_not_too_close_to_each_other(site):
@@ -594,13 +597,13 @@ def test_a_level_that_was_measured_stays_though_nothing_can_be_measured_there_no
     rng = np.random.default_rng(6)
     counts = {}
 
-    def feasible_at(_site, q2, count, _rng):
+    def draw_feasible_poses(_site, q2, count, _rng):
         number = 0 if q2 == -1.0 else [count, 10, 9][len(counts) % 3]
         counts[q2] = number
-        q, tilt = search.draw(site, number, rng, q2)
+        q, tilt = search.draw_poses(site, number, rng, q2)
         return q, tilt
 
-    monkeypatch.setattr(search, "feasible_at", feasible_at)
+    monkeypatch.setattr(search, "draw_feasible_poses", draw_feasible_poses)
     readings = Readings(site.arm, site.load_point, site.points, 900.0, 7e-5, setting.ROBOT.compliance)
     found = search.draw_candidates(site, readings, rng, np.array([-1.0]))
     assert found.q2.tolist() == [q2 for q2, number in counts.items() if number >= 10 or q2 == -1.0]

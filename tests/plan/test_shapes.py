@@ -6,7 +6,7 @@ import trimesh
 
 from postproc.errors import PlanError
 from postproc.identification.readings import Box, MeshFile
-from postproc.plan.site import BoxShape, MeshShape, between_segments, points_on_segments
+from postproc.plan.site import BoxShape, MeshShape, points_on_segments, segment_distances
 
 
 def point_to_segment(p, a, b):
@@ -36,8 +36,8 @@ def test_distances_between_segments_are_those_of_their_ends_or_of_the_common_per
     r[80:100] = p[80:100] + rng.uniform(-1, 2, (20, 1)) * (p_end[80:100] - p[80:100])  # on one line
     r_end[80:100] = p[80:100] + rng.uniform(-1, 2, (20, 1)) * (p_end[80:100] - p[80:100])
     expected = [segment_distance(*row) for row in zip(p, p_end, r, r_end, strict=True)]
-    np.testing.assert_allclose(between_segments(p, p_end, r, r_end), expected, atol=1e-9)
-    np.testing.assert_allclose(between_segments(r, r_end, p_end, p), expected, atol=1e-9)
+    np.testing.assert_allclose(segment_distances(p, p_end, r, r_end), expected, atol=1e-9)
+    np.testing.assert_allclose(segment_distances(r, r_end, p_end, p), expected, atol=1e-9)
 
 
 def test_points_along_segments_are_evenly_spaced_close_enough_and_hold_both_ends():
@@ -101,7 +101,7 @@ def test_a_mesh_is_as_far_as_it_is_or_a_little_nearer(stl):
     outside = points[same.distance(points) > 0.05]
     gap = same.distance(outside) - stl.distance(outside)
     assert gap.min() >= -1e-9
-    assert gap.max() <= stl.between + 1e-9
+    assert gap.max() <= stl.vertex_gap + 1e-9
 
 
 def test_a_line_of_sight_is_blocked_by_a_mesh_between(stl):
