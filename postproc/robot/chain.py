@@ -23,11 +23,11 @@ class Chain(Struct, frozen=True, eq=False):
     :param turns: (J,) True for a rotation, False for a translation.
     :param flange: (4, 4) of the flange on the last link.
     :param mass: (J,) of the link that each joint carries.
-    :param centre: (J, 3) its centre of mass in the frame of the joint.
-    :param lower: (J,) limits; infinite where there are none.
-    :param upper: (J,) limits.
+    :param centre: (J, 3) centre of mass of this link in the frame of the joint.
+    :param lower: (J,) least coordinates; −inf without a limit.
+    :param upper: (J,) largest coordinates; inf without a limit.
     :param speed: (J,) speed limits.
-    :param effort: (J,) largest torques [N·m]; 0 where not stated.
+    :param effort: (J,) largest torques [N·m]; 0 if not stated.
     """
 
     placement: Array
@@ -59,11 +59,11 @@ class Chain(Struct, frozen=True, eq=False):
 
         :param row: index of the joint.
         :param mass: [kg]; negative to take mass away.
-        :param centre: (3,) its centre in the frame of the joint [m].
+        :param centre: (3,) centre of the further mass in the frame of the joint [m].
         """
         masses, centres = self.mass.copy(), self.centre.copy()
         masses[row] += mass
-        if masses[row] != 0.0:  # without mass there is no centre: the old one stays
+        if masses[row] != 0.0:  # a link without mass keeps its old centre
             centres[row] = (self.mass[row] * self.centre[row] + mass * centre) / masses[row]
         return replace(self, mass=masses, centre=centres)
 
@@ -91,11 +91,11 @@ class Chain(Struct, frozen=True, eq=False):
 
 
 class _Axes:
-    """Axes of a chain so far: joints and springs.
+    """Axes of a chain under construction: joints and springs.
 
-    :ivar placement: (4, 4) of the frame of each axis in that of the axis before it [m].
+    :ivar placement: (4, 4) of the frame of each axis in the frame of the axis before it [m].
     :ivar axis: (3,) unit direction of each axis in its frame.
-    :ivar turns: of each axis, whether it turns; else it slides.
+    :ivar turns: whether each axis turns; else it slides.
     :ivar place: (4, 4) pose of the end of the chain in the frame of the last axis [m].
     """
 
@@ -107,7 +107,10 @@ class _Axes:
         self.place = np.eye(4)
 
     def add(self, direction: Array, *, turns: bool) -> int:
-        """Add an axis of a direction (3,) at `place`, which turns or slides; return its row."""
+        """Add an axis of a direction (3,) at the end of the chain, which turns or slides; return its row.
+
+        The new axis becomes the last, so that `place` is the identity.
+        """
         self.placement.append(self.place)
         self.axis.append(direction)
         self.turns.append(turns)
@@ -119,8 +122,8 @@ class ElasticChain(NamedTuple):
     """A chain with a coordinate for each joint and each link spring.
 
     :param chain: joints and springs in series.
-    :param joint_rows: (6,) coordinates of A1…A6 in it.
-    :param spring_rows: coordinates of the springs, in the order in which they were given.
+    :param joint_rows: (6,) coordinates of A1…A6 in the chain.
+    :param spring_rows: coordinates of the springs in the chain, in the order of the springs of `elastic_chain`.
     """
 
     chain: Chain
@@ -131,8 +134,11 @@ class ElasticChain(NamedTuple):
 def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> ElasticChain:
     """Insert one coordinate per link spring into a chain of six joints.
 
-    Springs at the beginning of a link follow its joint (for `base`: the root), springs at its end are at the origin of
-    the next joint (for A6: the flange). The mass of the link is between the two.
+    Springs at the beginning of a link follow its joint (for `base`: the root). Springs at the end of a link are at the
+    origin of the next joint (for A6: the flange). The mass of the link is after the former and before the latter.
+
+    :param chain: of six joints.
+    :param springs: without duplicates.
     """
     axes = _Axes()
     spring_row: dict[LinkSpring, int] = {}
@@ -149,7 +155,7 @@ def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> ElasticChain:
         spring_row |= {s: axes.add(s.direction, turns=not s.slides) for s in link_springs if s.at_end}
 
     def over_axes(values: Array, rows: list[int], default: float) -> Array:
-        """Return an array over all axes: the values (6, ...) of joints or links at their rows, elsewhere a default."""
+        """Return an array over all axes: the values (6, ...) of joints or links at their rows, a default at others."""
         array = np.full((len(axes.axis), *values.shape[1:]), default)
         array[rows] = values
         return array

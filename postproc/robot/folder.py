@@ -50,7 +50,7 @@ _NEGATIVE_EIGENVALUE = -1e-9
 
 
 def shipped_models() -> dict[str, Path]:
-    """Return the robot models that come with the package: name → folder."""
+    """Return the robot models that come with the package: name → folder, sorted by name."""
     package = Path(__file__).parent.parent
     root = package / "robot_models"  # in a wheel; in a checkout it is next to the package
     root = root if root.is_dir() else package.parent / "robot_models"
@@ -58,8 +58,10 @@ def shipped_models() -> dict[str, Path]:
 
 
 def find(name: str, relative_to: Path | None = None) -> Path:
-    """Return the folder of a robot given by name, or by path relative to `relative_to`; a path may have backslashes.
+    """Return the folder of a robot.
 
+    :param name: of a shipped robot, or path of a folder, with slashes or backslashes.
+    :param relative_to: folder that a path is relative to; None: the working directory.
     :raises ModelError: there is no such robot; the message lists the known ones.
     """
     robots = shipped_models()
@@ -125,7 +127,7 @@ def _check_joint_names(content: ModelFile, file_name: str) -> None:
 
 
 def _check_discrepancy(discrepancy: DiscrepancyEntry, file_name: str) -> None:
-    """Check that the loads of [discrepancy] ascend from above zero, with an error each.
+    """Check that the loads of [discrepancy] are positive and ascend, and that each load has an error.
 
     :raises ModelError: they do not.
     """
@@ -145,13 +147,13 @@ def assemble(name: str, content: ModelFile, nominal: Chain) -> RobotModel:
     """Build a `RobotModel` from the content of `model.toml` and the controller's geometry.
 
     :param name: of the model folder.
-    :param content: checked, as `load` does.
+    :param content: content that `load` or its writer has checked.
     :param nominal: geometry, limits and masses of robot.urdf.
     """
     actual = _actual_chain(content, nominal)
     values, load_range = parameters.stated_values(content), content.measured
     covariance, stated_spread = _covariance(content)
-    masses = content.masses or Masses(source="")  # without an entry: its default spread
+    masses = content.masses or Masses(source="")  # a file without [masses] has the default spread
     rigid = RobotModel(
         name=name,
         title=content.name,
@@ -232,13 +234,13 @@ def _check_spring(name: str, spring: JointSpring, file_name: str) -> None:
 
 
 def _covariance(content: ModelFile) -> tuple[Covariance | None, tuple[Parameter, ...]]:
-    """Return the covariance of the parameters, and those whose variance is a stated spread instead of readings.
+    """Return the covariance of the parameters, and the parameters whose variance is a stated spread, not from readings.
 
-    `sigma_percent` counts for parameters that [covariance] does not name, independent of all others. K_c and s_0 are
-    identified together: where the table names one of them, the spread of K_c is not used.
+    `sigma_percent` counts for parameters that [covariance] does not name, independent of all other parameters. K_c and
+    s_0 are identified together: if the table names one of them, the spread of K_c is not used.
 
     :returns: the covariance, None without a table and without spreads; the parameters with a stated spread, which are
-        the last ones of the covariance.
+        the last parameters of the covariance.
     """
     table = content.covariance
     names = [] if table is None else [name for name in table.parameters if name != FORCES]
@@ -255,9 +257,9 @@ def _covariance(content: ModelFile) -> tuple[Covariance | None, tuple[Parameter,
 
 
 def _stated_spreads(content: ModelFile, names: Collection[str]) -> dict[Parameter, float]:
-    """Return parameter → standard deviation by `sigma_percent`, in units of the file, for parameters without a name.
+    """Return parameter → standard deviation by `sigma_percent`, in units of the file.
 
-    :param names: of the parameters in [covariance], whose standard deviations it states.
+    :param names: parameters that [covariance] names, which are left out.
     """
     spreads: dict[Parameter, float] = {}
     for parameter in parameters.JOINT_COMPLIANCES:
@@ -275,7 +277,7 @@ def _stated_spreads(content: ModelFile, names: Collection[str]) -> dict[Paramete
 def _force_factor(content: ModelFile, covariance: Covariance | None) -> ForceFactor | None:
     """Return the cutting law that the model was identified with, and the covariances of its factor; None without a law.
 
-    Parameters that [covariance] does not name, whose spread is stated, are independent of the factor.
+    Parameters that [covariance] does not name have a stated spread; they are independent of the factor.
     """
     law, table = content.forces, content.covariance
     if law is None or table is None or covariance is None:
@@ -294,7 +296,7 @@ def _discrepancy(entry: DiscrepancyEntry | None) -> Discrepancy | None:
 
 
 def _geometry_error(entry: GeometryErrorEntry | None) -> GeometryError | None:
-    """Return [geometry_error] in SI; a joint without angles has no limits."""
+    """Return [geometry_error] in SI units; None without the entry. A joint without angles has infinite limits."""
     if entry is None:
         return None
     ranges = [entry.angles_deg.get(joint, (-np.inf, np.inf)) for joint in JOINTS]
@@ -326,7 +328,8 @@ def _check_angles(entry: GeometryErrorEntry | None, file_name: str) -> None:
 def _check_covariance(content: ModelFile, file_name: str) -> None:
     """Check [covariance], and that it names the factor of the forces exactly if [forces] states their law.
 
-    :raises ModelError: a name is not that of a parameter, the size does not fit, or the matrix is no covariance.
+    :raises ModelError: a name is of no parameter, the size does not fit, the matrix is no covariance, or only one of
+        law and factor is stated.
     """
     covariance = content.covariance
     if (content.forces is not None) != (covariance is not None and FORCES in covariance.parameters):
@@ -359,7 +362,10 @@ def _check_covariance(content: ModelFile, file_name: str) -> None:
 
 
 def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]:
-    """Yield the values of a model file and of its URDF, in words, with their sources."""
+    """Yield the values of a model file and of its URDF in words, with their sources.
+
+    :param nominal: geometry, limits and masses of robot.urdf.
+    """
     yield from _joint_values(content)
     yield from _compensator_values(content)
     if (payload := content.payload) is not None:
@@ -384,7 +390,7 @@ def sourced_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]
 
 
 def _joint_values(content: ModelFile) -> Iterator[SourcedValue]:
-    """Yield the compliances of the joints, with what else their gears do."""
+    """Yield the compliances of the joints, with fading parts, backlash, waves, couplings and lost motion of gears."""
     for name in JOINTS:
         spring = content.joints[name]
         interval = "" if spring.ci95 is None else f" ± {spring.ci95:.3g}"
@@ -417,13 +423,13 @@ def _compensator_values(content: ModelFile) -> Iterator[SourcedValue]:
 
 
 def _angles(entry: GeometryErrorEntry) -> str:
-    """Return the joint angles for which a bound holds as the end of a sentence, "" if it holds for all."""
+    """Return the joint angles for which a bound holds as the end of a sentence; empty if no angles are stated."""
     ranges = [f"{joint} {low:.0f} to {high:.0f}°" for joint, (low, high) in entry.angles_deg.items()]
     return f" at {', '.join(ranges)}; more beyond" if ranges else ""
 
 
 def _bound_values(content: ModelFile) -> Iterator[SourcedValue]:
-    """Yield what is known of the model's error: unmodelled error, error of the geometry, range of the measurements."""
+    """Yield the unmodelled error, the error of the geometry and the range of the measurements, if they are stated."""
     if (discrepancy := content.discrepancy) is not None:
         pairs = zip(discrepancy.u95_mm, discrepancy.load_N, strict=False)
         value = ", ".join(f"{u95:.2g} mm at {load:.0f} N" for u95, load in pairs)
@@ -438,9 +444,9 @@ def _bound_values(content: ModelFile) -> Iterator[SourcedValue]:
 
 
 def _nominal_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue]:
-    """Yield the masses of the links (identified ones first), the geometry and the speeds of the joints [°/s].
+    """Yield the masses of the links, the geometry, and the speeds of the joints [°/s].
 
-    :param nominal: masses and speeds of robot.urdf; the masses count for links without an identified one.
+    :param nominal: chain with masses and speeds of robot.urdf; identified masses in the model file replace its masses.
     """
     stated_masses = dict(LinkMass.from_file(content))
     masses = ", ".join(
@@ -457,12 +463,12 @@ def _nominal_values(content: ModelFile, nominal: Chain) -> Iterator[SourcedValue
 
 
 def _basis(spring: JointSpring) -> Basis:
-    """Return where the compliance of a joint comes from, if it was not identified."""
+    """Return the origin of a joint's compliance that was not identified."""
     if spring.scaled_from:
         return "scaled"
     return "assumed" if spring.assumed else "published"
 
 
 def _sigma(percent: float | None) -> str:
-    """Return a relative standard deviation [%] in brackets with a leading space, "" without one."""
+    """Return a relative standard deviation [%] in brackets with a leading space; empty for None."""
     return "" if percent is None else f" (σ {percent:g} %)"

@@ -62,8 +62,9 @@ class AdoptedModel(Struct, frozen=True, eq=False):
 
     :param chain: nominal geometry, KUKA's signs.
     :param content: of `model.toml`.
-    :param notes: what the user should know.
-    :param moved: (7, 4, 4) frames of the base and of the joints in the file, each in the frame that replaces it.
+    :param notes: for the user.
+    :param moved: (7, 4, 4) frames of the base and of the joints in the file, each in the frame of the model that
+        replaces it [m].
     """
 
     chain: Chain
@@ -74,7 +75,7 @@ class AdoptedModel(Struct, frozen=True, eq=False):
     def urdf(self, shapes: Mapping[tuple[int, str], str] | None = None) -> bytes:
         """Return the content of `robot.urdf`.
 
-        :param shapes: (carrier, "visual" or "collision") → name of the mesh, see `shapes.LinkShape`.
+        :param shapes: (carrier, "visual" or "collision") → name of the mesh, see `shapes.LinkShape`; None: no meshes.
         """
         return _model_text(self.chain, self.content.name, shapes or {})
 
@@ -84,12 +85,12 @@ _REACHES = 0.1, 20.0
 
 
 def adopt(text: str, file: str, name: str | None = None) -> AdoptedModel:
-    """Return the model of an arm.
+    """Return the model of an arm in a URDF.
 
-    :param text: of the URDF.
-    :param file: its name, for messages and as the source of its values.
-    :param name: title of the robot; None = the name in the URDF.
-    :raises ModelError: it is no six-axis arm, or no pose of it is KUKA's zero position.
+    :param text: content of the URDF.
+    :param file: name of the URDF, for messages and as the source of its values.
+    :param name: title of the robot; None: the name in the URDF.
+    :raises ModelError: the URDF has no six-axis arm, or no pose of the arm is KUKA's zero position.
     """
     if "<xacro:" in text:
         raise ModelError("a xacro, not a URDF", file=file, advice=f"Expand it first: xacro {file} > robot.urdf")
@@ -129,8 +130,8 @@ class _KukaForm(NamedTuple):
     """An arm in KUKA's conventions.
 
     :param chain: with KUKA's signs and zero positions.
-    :param old_frames: (7, 4, 4) `AdoptedModel.moved` [m].
-    :param notes: on what was changed, and how tool0 is turned against KUKA's flange.
+    :param old_frames: (7, 4, 4), see `AdoptedModel.moved` [m].
+    :param notes: on changed signs and zero positions, and on the turn of tool0 against KUKA's flange.
     """
 
     chain: Chain
@@ -149,7 +150,7 @@ def _to_kuka_form(arm: AnyArm, file: str) -> _KukaForm:
     placement[0] = first_link @ placement[0]
     source, zero = _count_from_kuka_zero(replace(arm.chain, placement=placement, flange=_pose_of_flange(arm, file)))
     frames, flange = (array[0] for array in source.joint_frames(np.zeros((1, len(JOINTS)))))
-    axis = np.einsum("jab,jb->ja", frames[:, :3, :3], source.axis)  # in the root, as all from here on
+    axis = np.einsum("jab,jb->ja", frames[:, :3, :3], source.axis)  # root axes, as all vectors from here on
     sign = np.sign(np.einsum("ja,ja->j", axis, _AXES))
     _check_zero(axis, frames[:, :3, 3], flange, file)
     origin = np.round(_origins(frames[:, :3, 3], flange[:3, 3]), _ROUND)
@@ -197,9 +198,10 @@ def _change_notes(sign: Array, zero: Array, flange: Array) -> list[str]:
 
 
 def _count_from_kuka_zero(arm: Chain) -> tuple[Chain, Array]:
-    """Return the arm with its joints counted from KUKA's zero position, and the angles (6,) of that position [rad].
+    """Return the arm with its joints counted from KUKA's zero position, and the angles (6,) [rad] of this position.
 
-    One joint after the other is turned to it; A6 is not: the flange may be turned about its axis.
+    The angles count as in `arm`. Joint after joint, A1 to A5 are turned until a direction on the arm points to its goal
+    (`_zero_goal`). A6 is not turned: the flange may be turned about its axis. Angles below `_TOLERANCE` count as zero.
     """
     zero = np.zeros(len(JOINTS))
     for joint in range(len(JOINTS) - 1):
@@ -207,7 +209,7 @@ def _count_from_kuka_zero(arm: Chain) -> tuple[Chain, Array]:
         axes = np.einsum("jab,jb->ja", frames[:, :3, :3], arm.axis)
         goal, direction = _zero_goal(joint, axes, frames[:, :3, 3], flange)
         axis = axes[joint]
-        # angle about the axis from the direction to the goal, both projected on the plane perpendicular to it
+        # angle about the axis from the direction to the goal, both projected on the plane perpendicular to the axis
         angle = float(
             np.arctan2(axis @ np.cross(direction, goal), direction @ goal - (direction @ axis) * (goal @ axis))
         )
@@ -218,13 +220,14 @@ def _count_from_kuka_zero(arm: Chain) -> tuple[Chain, Array]:
 
 
 def _zero_goal(joint: int, axes: Array, points: Array, flange: Array) -> tuple[Array, Array]:
-    """Return what a joint must bring into line at KUKA's zero position: goal (3,), and direction (3,) on the arm.
+    """Return the goal (3,) at KUKA's zero position and the direction (3,) on the arm that a joint must turn to it.
 
     With all joints at zero a KUKA arm is stretched out along +X: the upper arm and the axes of A4 and A6 along X, the
-    axis of A5 along Y.
+    axis of A5 along Y. A1 has two cases: A2 is off the axis of A1, and must be ahead along X; or it is on the axis,
+    and the axis of A2 must be along Y.
 
-    :param joint: 0…4; the joints before it are at zero already.
-    :param axes: (6, 3) of the joints, root frame; `points` (6, 3) on them [m].
+    :param joint: 0…4: A1…A5; the joints before it are at zero already.
+    :param axes: (6, 3) of the joints, root frame, and `points` (6, 3) on these axes [m].
     :param flange: (4, 4) in the root, its Z outward.
     """
     x, y = np.eye(3)[:2]
@@ -243,14 +246,14 @@ def _zero_goal(joint: int, axes: Array, points: Array, flange: Array) -> tuple[A
 
 
 def _towards(axis: Array, direction: Array) -> Array:
-    """Return an axis (3,), turned round if it points away from a direction (3,)."""
+    """Return an axis (3,), reversed if it points away from a direction (3,)."""
     return np.asarray(axis * np.sign(axis @ direction + _PERPENDICULAR))
 
 
 def _pose_of_base(arm: AnyArm, file: str) -> Array:
-    """Return the controller's root frame (4, 4) in the first link [m]: `base`, else `base_link`, else that link itself.
+    """Return the controller's root frame (4, 4) in the first link [m]: `base`, else `base_link`, else the first link.
 
-    :raises ModelError: several links could be it.
+    :raises ModelError: the names of several links end in one of these names.
     """
     for name in ("base", "base_link"):
         pose = _frame(arm, name, -1, file)
@@ -262,9 +265,9 @@ def _pose_of_base(arm: AnyArm, file: str) -> Array:
 def _pose_of_flange(arm: AnyArm, file: str) -> Array:
     """Return a flange (4, 4) with its Z outward in the frame of the last joint [m]: `tool0`, else `flange`.
 
-    Z of `tool0` points out. X of `flange` does, or Z, as in the models of this package: the axis of A6 shows which.
+    Z of `tool0` points out. Of `flange` X points out, or, as in the models of this package, Z: the axis of A6 decides.
 
-    :raises ModelError: neither is on the last link, or several links could be it.
+    :raises ModelError: neither is on the last link, or the names of several links end in one of these names.
     """
     kuka_axes = np.eye(4)
     kuka_axes[:3, :3] = _FLANGE_AXES
@@ -279,11 +282,12 @@ def _pose_of_flange(arm: AnyArm, file: str) -> Array:
 
 
 def _frame(arm: AnyArm, link: str, carrier: int, file: str) -> Array | None:
-    """Return the pose (4, 4) [m] of a named link that a joint carries, or of the only one whose name ends in that name.
+    """Return the pose (4, 4) [m] of a link that a joint carries, by its name or by the end of its name.
 
-    None if there is neither.
+    A link with exactly this name comes first. None if the joint carries no such link.
 
-    :param carrier: 0…5 the joint, in whose frame the pose is; −1: the base.
+    :param link: name, or end of the name after "_" or "/".
+    :param carrier: 0…5: the joint, in whose frame the pose is; −1: the base.
     :raises ModelError: the names of several links end in the name.
     """
     poses = {name: pose for name, (joint, pose) in arm.frames.items() if joint == carrier}
@@ -300,9 +304,9 @@ def _frame(arm: AnyArm, link: str, carrier: int, file: str) -> Array | None:
 def _check_zero(axis: Array, origin: Array, flange: Array, file: str) -> None:
     """Check that an arm, stretched out as well as its joints can, is in KUKA's zero position.
 
-    :param axis: (6, 3) unit axes of the joints, root frame; `origin` (6, 3) points on them [m].
+    :param axis: (6, 3) unit axes of the joints, root frame, and `origin` (6, 3) points on these axes [m].
     :param flange: (4, 4) in the root [m], its Z outward.
-    :raises ModelError: an axis is not parallel to that of a KUKA arm, or arm or flange do not point along +X.
+    :raises ModelError: an axis is not parallel to the axis of a KUKA arm, or arm or flange do not point along +X.
     """
     misalignment = 1.0 - np.abs(np.einsum("ja,ja->j", axis, _AXES))
     advice = (
@@ -327,12 +331,12 @@ def _check_zero(axis: Array, origin: Array, flange: Array, file: str) -> None:
 
 
 def _origins(point: Array, flange: Array) -> Array:
-    """Return a point on each axis (6, 3), root frame [m]: the points that KUKA's drawings give dimensions of.
+    """Return a point on each axis (6, 3), root frame [m]: the points with dimensions in KUKA's drawings.
 
-    A1 at the height of A2; A2 and A3 in the plane of A1; A4 above A3; A5 on the axis of A4; A6 at the flange.
+    A1: at the height of A2. A2 and A3: in the plane Y of A1. A4: above A3. A5: on the axis of A4. A6: at the flange.
 
     :param point: (6, 3) any point on each axis at KUKA's zero position, root frame [m].
-    :param flange: (3,) the origin of the flange there [m].
+    :param flange: (3,) the origin of the flange at KUKA's zero position, root frame [m].
     """
     origin = point.copy()
     origin[0, 2] = point[1, 2]
@@ -344,11 +348,12 @@ def _origins(point: Array, flange: Array) -> Array:
 
 
 def _compliances(chain: Chain, payload: float | None) -> tuple[list[float], str]:
-    """Return compliances of A1…A6 [µrad/(N·m)] by the size of the arm, and in words how they follow from the reference.
+    """Return compliances of A1…A6 [µrad/(N·m)], scaled from published values of the KR 270-2, and the scaling in words.
 
-    In arms built alike, torsional stiffness grows with the cube of the size and the load moment (payload times reach)
-    with its fourth power. The reach alone is no size: of one class, the longer arm carries less and is not stiffer.
-    The KR 270-2 is the reference: its values are published.
+    In arms of similar design, torsional stiffness grows with the cube of the size, and the load moment (payload times
+    reach) with the fourth power. So with a known payload, compliances scale with the load moment to the power −3/4.
+    Without it, a smaller reach scales by its inverse cube, and a larger reach does not count: in one class the longer
+    arm carries less and is not stiffer.
 
     :param payload: rated [kg]; None if it is not known.
     """
@@ -372,7 +377,7 @@ def _compliances(chain: Chain, payload: float | None) -> tuple[list[float], str]
 def _masses(chain: Chain, payload: float | None, file: str) -> tuple[Masses, list[str]]:
     """Return the entry of the link masses, and notes for the user.
 
-    They are marked as assumed where some are missing, or where their sum does not fit the size of the arm.
+    The masses are marked as assumed if some are missing, or if their sum does not fit the size of the arm.
 
     :param payload: rated [kg]; None if it is not known.
     :param file: name of the URDF, the source of the masses.
@@ -443,7 +448,7 @@ def _model_text(chain: Chain, name: str, shapes: Mapping[tuple[int, str], str]) 
 def _link_lines(chain: Chain, carrier: int, link: str, shapes: Mapping[tuple[int, str], str]) -> list[str]:
     """Return the element of a link: its mass, and its meshes by use.
 
-    :param carrier: joint that the link follows, 0 for A1, −1 for the base, whose mass no joint carries.
+    :param carrier: joint that carries the link, 0 for A1; −1: the base, whose mass no joint carries.
     :param shapes: (carrier, "visual" or "collision") → name of the mesh.
     """
     content = []
@@ -463,7 +468,7 @@ def _link_lines(chain: Chain, carrier: int, link: str, shapes: Mapping[tuple[int
 
 
 def _joint_lines(chain: Chain, row: int, parent: str, child: str) -> list[str]:
-    """Return the element of the joint in a row of a chain, between two links."""
+    """Return the element of a joint of a chain, between two links; `row`: index of the joint, from 0."""
     limits = {
         "lower": chain.lower[row], "upper": chain.upper[row],
         "velocity": chain.speed[row], "effort": chain.effort[row],

@@ -54,7 +54,7 @@ _BASIS_WORDS: dict[Basis, str] = {
 
 
 class SourcedValue(Struct, frozen=True):
-    """One value of a model, in words, and its source."""
+    """One value of a model in words, its source in words, and whether it is assumed."""
 
     name: str
     value: str
@@ -65,8 +65,8 @@ class SourcedValue(Struct, frozen=True):
 class Covariance(Struct, frozen=True, eq=False):
     """Covariance of identified parameters.
 
-    :param parameters: (n,) of them.
-    :param matrix: (n, n) of their values in files, in units of files.
+    :param parameters: n parameters.
+    :param matrix: (n, n) of the values of the parameters in files, in units of files.
     """
 
     parameters: tuple[Parameter, ...]
@@ -95,10 +95,11 @@ FORCES = "forces"
 class ForceFactor(Struct, frozen=True, eq=False):
     """Factor of forces that were identified together with the compliances.
 
-    Where it is small the compliances are large: a force and a compliance show as their product.
+    Readings show only the product of force and compliance, so errors of the factor and of compliances are correlated.
 
     :param law: numbers of the cutting law that computes the forces, see `machining.CuttingLaw.numbers`.
-    :param covariance: (n + 1,) with the parameters of `RobotModel.covariance`, in units of files, and its variance.
+    :param covariance: (n + 1,) of the factor with the n parameters of `RobotModel.covariance`, in units of files; its
+        variance is last.
     """
 
     law: tuple[float, ...]
@@ -110,10 +111,10 @@ class ForceFactor(Struct, frozen=True, eq=False):
 
 
 class Discrepancy(Struct, frozen=True, eq=False):
-    """Error of the model on configurations it was not fitted to, without noise and its own uncertainty.
+    """Unmodelled error: on configurations that the model was not fitted to, without noise and parameter uncertainty.
 
-    :param load: (m,) size of the loads there, force [N] and moment [N·m] in one, ascending.
-    :param u95: (m,) 95 % of the errors are smaller [m].
+    :param load: (m,) sizes of the loads, force [N] and moment [N·m] in one, ascending.
+    :param u95: (m,) 95 % quantile of the error at each load [m].
     """
 
     load: Array
@@ -138,10 +139,10 @@ _SMALLEST_SPAN = np.radians(10.0)
 class GeometryError(Struct, frozen=True, eq=False):
     """Error of the calibrated geometry without load and without noise.
 
-    :param u95: 95 % of the errors inside the measured angles are smaller [m].
+    :param u95: 95 % quantile of the error inside the measured angles [m].
     :param lower: (6,) least angles of the readings [rad]; −inf if not stated.
     :param upper: (6,) largest angles of the readings [rad]; inf if not stated.
-    :param unmeasured: 95 % of the errors that the readings allow for all over the joints' range are smaller [m].
+    :param unmeasured: 95 % quantile of the errors that the readings allow for over the whole range of the joints [m].
     """
 
     u95: float
@@ -152,12 +153,12 @@ class GeometryError(Struct, frozen=True, eq=False):
     def at(self, q: Array) -> Array:
         """Return the 95 % bound (N,) [m] at joint angles (N, 6) [rad].
 
-        Beyond the measured angles it grows as the error of a straight line does that was fitted to readings spread
-        evenly over a span: at a share x of the span beyond its end the variance is 1 + 12·(½ + x)² times that of the
-        mean of the readings (Draper, Smith 1998, "Applied regression analysis", 1.4), 2 on average inside and 4 at the
-        end; what it grows by from there counts for each joint: 12·(x + x²), 6·(x + x²) times the average, which is
-        `u95`². What the readings do not hold at all, such as the waves of a gear that did not turn, comes in by x, and
-        in full at one span beyond.
+        Beyond the measured angles it grows like the error of a straight line fitted to readings spread evenly over a
+        span (Draper, Smith 1998, "Applied regression analysis", 1.4). At a share x of the span beyond its end the
+        variance is 1 + 12·(½ + x)² times the variance v of the mean of the readings. It is 2v on average inside, which
+        is `u95`², and 4v at the end. So each joint adds 12·(x + x²)·v = 6·(x + x²)·`u95`². Errors that the readings do
+        not determine, such as waves of a gear that did not turn, add the share x of `unmeasured`, at most all of it;
+        the largest x of the joints counts.
         """
         beyond = np.maximum(np.maximum(self.lower - q, q - self.upper), 0.0)
         share = beyond / np.maximum(self.upper - self.lower, _SMALLEST_SPAN)
@@ -168,8 +169,8 @@ class GeometryError(Struct, frozen=True, eq=False):
 class MeasuredRange(Struct, frozen=True, eq=False):
     """The range of the measurements of an identified model.
 
-    :param torque: (6,) largest on A1…A6 [N·m].
-    :param not_trusted: why the model should not be used; empty if it may be.
+    :param torque: (6,) largest torque of the loads on A1…A6 [N·m].
+    :param not_trusted: reason that the model should not be used; empty if it may be used.
     """
 
     torque: Array
@@ -187,7 +188,7 @@ class Transmission(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, entries: Mapping[str, TransmissionEntry]) -> Transmission | None:
-        """Return the errors that a model file states, or None if all are zero."""
+        """Return the errors that a model file states, by joint; None if all are zero."""
         amplitude = np.array(
             [
                 [getattr(entries[joint], f"{term}_urad") / PER_URAD if joint in entries else 0.0 for term in GEAR_TERMS]
@@ -197,13 +198,13 @@ class Transmission(Struct, frozen=True, eq=False):
         return cls(amplitude) if amplitude.any() else None
 
     def actual(self, q: Array) -> Array:
-        """Return the actual angles (6, n) of joints for angles (6, n) that the controller holds [rad]."""
+        """Return the actual angles (6, n) of joints for the angles (6, n) of the controller [rad]."""
         return np.asarray(q + np.einsum("jk,kjn->jn", self.amplitude, waves(q)))
 
     def commanded_angles(self, actual: Array) -> Array:
-        """Return the angles (6, n) that the controller holds when the joints are at angles (6, n) [rad].
+        """Return the angles (6, n) of the controller for actual angles (6, n) of the joints [rad].
 
-        By fixed point: amplitudes of at most some hundredths reduce the error by as much in each round.
+        By a fixed point: each round multiplies the error by the amplitudes, which are some hundredths at most.
         """
         q = actual
         for _ in range(_ROUNDS):
@@ -237,7 +238,7 @@ class OverPose(Struct, frozen=True, eq=False):
         return cls(np.array(turns, dtype=float), **amplitude)
 
     def compliance(self, q: Array) -> Array:
-        """Return the compliance (6, n) [rad/(N·m)] in addition to the mean one at joint angles q (6, n) [rad]."""
+        """Return the compliance (6, n) [rad/(N·m)] in addition to the mean compliance, at angles q (6, n) [rad]."""
         phase = self.turns @ q
         return np.asarray(self.cos @ np.cos(phase) + self.sin @ np.sin(phase))
 
@@ -267,7 +268,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     :param sources: each value with its source.
     :param terms: parameters of springs in addition to the compliances, with their values: gears that are not linear,
         coupled, or change over the workspace.
-    :param carries_weight: their deflection depends on the torque at rest (weights, compensator) too.
+    :param carries_weight: whether the deflection by `terms` depends on the torque at rest (weights, compensator) too.
     :param link_springs: springs of the links, in the order of their coordinates.
     :param force_factor: factor of the forces that were identified together with the covariance, or None.
     :param discrepancy: unmodelled error, or None.
@@ -277,10 +278,10 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     :param transmission: errors of the gears' transmission, or None.
     :param mass_spread: relative standard deviation of the mass of each link.
     :param compensator_spread: relative standard deviation of the size of the compensator's torque.
-    :param spring_basis: joint → where its compliance comes from, if it was not identified.
+    :param spring_basis: joint → origin of its compliance, if it was not identified.
     :param stated_spread: parameters of `covariance` whose variance is the spread of published or assumed values.
     :param geometries: shapes of the links that robot.urdf names; their files are read when they are needed.
-    :param urdf: the file that names them.
+    :param urdf: path of robot.urdf, which the names of these files are relative to.
     """
 
     name: str
@@ -315,7 +316,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def compliance(self) -> Array:
-        """C⁰ (nv,) of the virtual springs [rad/(N·m), m/N]; zero where a spring is rigid (infinite stiffness)."""
+        """C⁰ (nv,) of the virtual springs [rad/(N·m), m/N]; zero for rigid springs (infinite stiffness)."""
         return np.asarray(1.0 / np.diag(self.stiffness))
 
     @cached_property
@@ -324,7 +325,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return self.compliance - self._initial_compliance(self.terms)
 
     def _initial_compliance(self, terms: Iterable[tuple[Spring, float]]) -> Array:
-        """Return what terms add to the compliance (nv,) of their coordinates at small torque [rad/(N·m), m/N]."""
+        """Return the compliances (nv,) at small torque that terms add to their coordinates [rad/(N·m), m/N]."""
         zero, compliance = np.zeros(1), np.zeros(self.actual.nv)
         for parameter, value in terms:
             if parameter.is_compliance:
@@ -344,7 +345,10 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def coupling_compliance(self) -> Array | None:
-        """Compliances (nv, nv) of coordinates by each other's torques [rad/(N·m)], zero on the diagonal; or None."""
+        """Compliances (nv, nv) of coordinates by torques on other coordinates [rad/(N·m)]; None without couplings.
+
+        Zero on the diagonal.
+        """
         couplings = [(parameter, value) for parameter, value in self.terms if isinstance(parameter, GearCoupling)]
         if not couplings:
             return None
@@ -355,7 +359,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return compliance
 
     def pairs(self, parameter: Spring) -> tuple[tuple[int, int], ...]:
-        """Return the coordinates that a spring deflects, each with the coordinate whose torque deflects it.
+        """Return pairs of a coordinate that a spring deflects and the coordinate whose torque deflects it.
 
         :raises ModelError: this robot does not have the spring.
         """
@@ -366,7 +370,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return ((row, second), (second, row))
 
     def row(self, parameter: Parameter) -> int:
-        """Return the coordinate of the elastic chain at which a parameter acts; of a mass, the one that carries it.
+        """Return the coordinate of the elastic chain at which a parameter acts, or that carries a mass.
 
         :raises ModelError: this robot does not have the parameter.
         """
@@ -383,7 +387,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return row
 
     def value(self, parameter: Parameter) -> float:
-        """Return the (linear) value of a parameter, SI; zero where the robot has no such spring or compensator.
+        """Return the (linear) value of a parameter, SI; zero if the robot has no such spring or compensator.
 
         :raises ModelError: the parameter is of a kind that no robot has.
         """
@@ -398,7 +402,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return float(self.steady[self.row(parameter)]) if parameter.linear else dict(self.terms).get(parameter, 0.0)
 
     def prior_sigma(self, parameter: Parameter) -> float:
-        """Return the standard deviation of a value that the model states, SI; infinite if only readings give it."""
+        """Return the standard deviation that the model states for a mass or the compensator's size, SI; else inf."""
         if isinstance(parameter, LinkMass):
             return self.mass_spread * self.value(parameter)
         if isinstance(parameter, CompensatorSize):
@@ -419,10 +423,9 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return f"measured on this robot, but for {names}: {origin}"
 
     def _stated_basis(self) -> str:
-        """Return where the compliances come from that were not identified, in words.
+        """Return the origin of compliances that were not identified, in words.
 
-        The best basis among them comes first; joints with another one follow by name, as in "from published values,
-        A4, A5 assumed".
+        The best origin comes first. Joints with another origin follow by name: "from published values, A4, A5 assumed".
         """
         joints = dict.fromkeys(
             parameter.joint for parameter in self.stated_spread if isinstance(parameter, JointCompliance)
@@ -438,10 +441,11 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     def link_shapes(self, *, for_drawing: bool) -> tuple[list[LinkShape], list[str]]:
         """Return the surface of each link that has one, and a sentence for each shape that could not be read.
 
-        :param for_drawing: True for <visual> shapes, False for <collision> shapes; a link with only the other kind
-            has that.
+        :param for_drawing: True for <visual> shapes, False for <collision> shapes. Links without shapes of this kind
+            have their shapes of the other kind.
         :returns: surfaces in the frames of their joints [m], the base first; the sentences.
         """
+        # links with shapes of this kind
         carriers = {geometry.carrier for geometry in self.geometries if geometry.drawn == for_drawing}
         selection = [
             geometry
@@ -458,7 +462,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def geometry_is_nominal(self) -> bool:
-        """True if the actual geometry is the controller's."""
+        """Whether the actual geometry is the controller's: no calibration, and no errors of transmission."""
         if self.transmission is not None:
             return False
         plain = elastic_chain(self.nominal, self.link_springs)[0]
@@ -466,7 +470,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def has_weight(self) -> bool:
-        """True if links or payload have mass."""
+        """Whether links or payload have mass."""
         return bool((self.loaded.mass > 0.0).any())
 
     @cached_property
@@ -479,10 +483,10 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return replace(self.actual, mass=mass, centre=centre)
 
     def with_link_springs(self, springs: Iterable[LinkSpring]) -> RobotModel:
-        """Return the robot with one more coordinate for each link spring, with infinite stiffness until one is set.
+        """Return the robot with a further coordinate of infinite stiffness for each link spring.
 
-        Coordinates are inserted in the order of the links from the base. The robot itself if there are no springs.
-        It must have six coordinates and no payload.
+        Coordinates are inserted in the order of the links from the base. Without springs the robot itself is returned.
+        The robot must have six coordinates and no payload.
         """
         order = [LinkSpring(link, axis) for link in (BASE, *JOINTS) for axis in LINK_AXES]
         link_springs = tuple(sorted(set(springs), key=order.index))
@@ -501,9 +505,9 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         )
 
     def with_values(self, values: Mapping[Parameter, float]) -> RobotModel:
-        """Return the robot with other (linear) values of some parameters, SI.
+        """Return the robot with other (linear) values of some parameters, SI; all other parameters keep their values.
 
-        :raises ModelError: the robot does not have a spring or link of them.
+        :raises ModelError: the robot does not have one of the springs.
         """
         steady, terms = self.steady.copy(), dict(self.terms)
         for parameter, value in values.items():
@@ -520,7 +524,10 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return replace(robot, stiffness=stiffness, terms=tuple(terms.items()), compensator=compensator)
 
     def _compensator_with(self, values: Mapping[Parameter, float]) -> Compensator | None:
-        """Return the compensator with the values of its parameters among `values`, SI; None without compensator."""
+        """Return the compensator with new values of its spring, SI; None without compensator.
+
+        `CompensatorSize` keeps the free length. Of stiffness and preload, the one without a new value is unchanged.
+        """
         law = self.compensator
         if law is None or not any(isinstance(parameter, CompensatorTorque) for parameter in values):
             return law
@@ -566,7 +573,7 @@ def waves(q: Array) -> Array:
 
 
 def _missing_parameter(parameter: Parameter) -> ModelError:
-    """Return the error for a parameter that the model lacks: [covariance] is where files name parameters."""
+    """Return the error for a parameter that the model lacks; its name is from [covariance] of a file."""
     return ModelError(
         f"[covariance] names {parameter.name!r}, which the model does not have",
         advice="Identify the model anew, or remove [covariance].",

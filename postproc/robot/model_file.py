@@ -82,7 +82,7 @@ class JointSpring(SourcedEntry, frozen=True, kw_only=True):
 
     @property
     def fades(self) -> float:
-        """Part of the compliance at small torque that vanishes at larger ones [µrad/(N·m)]."""
+        """Part of the compliance at small torque that fades at larger torques [µrad/(N·m)]."""
         return sum(part.compliance_urad_per_Nm for part in (*self.stiffening, *self.knees))
 
 
@@ -121,7 +121,7 @@ class CompensatorEntry(SourcedEntry, frozen=True, kw_only=True):
     spread_percent: NotNegative = 15.0
 
     def law(self) -> Compensator:
-        """Return the law in SI units."""
+        """Return the law of the compensator in SI units."""
         return Compensator(
             stiffness=self.stiffness_N_per_m,
             free_length=self.free_length_mm * M_PER_MM,
@@ -207,14 +207,14 @@ class CovarianceTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     @property
     def square(self) -> Array | None:
-        """The whole matrix (n, n); None if the rows are neither those of a square nor of its lower triangle."""
+        """The whole matrix (n, n); None if the rows are neither those of a square nor those of a lower triangle."""
         size = len(self.parameters)
         lengths = [len(row) for row in self.matrix]
         if lengths == [size] * size:
             return np.array(self.matrix).reshape(size, size)
         if lengths != list(range(1, size + 1)):
             return None
-        lower = np.array([[*row, *[0.0] * (size - len(row))] for row in self.matrix])
+        lower = np.array([[*row, *[0.0] * (size - len(row))] for row in self.matrix])  # rows filled with zeros
         return np.asarray(lower + np.tril(lower, -1).T)
 
 

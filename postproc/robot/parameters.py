@@ -33,9 +33,9 @@ _MASS = ".mass"
 class Parameter(Struct, frozen=True):
     """A value of the elastic model that can be identified.
 
-    A kind that belongs to a joint has a field `joint`, which is where it acts. `RobotModel.value` and `RobotModel.row`
-    return its value and its coordinate in a robot. `per_si`: units of the file in one SI unit. `sparse`: one of many
-    candidates of which few are expected: fitted ≥ 0, and left out of files where it is zero.
+    A kind that belongs to a joint has a field `joint`, at which it acts. `RobotModel.value` and `RobotModel.row` return
+    the value and the coordinate of a parameter in a robot. `per_si`: units of the file in one SI unit. `sparse`: the
+    parameter is one of many candidates of which few are expected: fitted ≥ 0, and left out of files if it is zero.
     """
 
     per_si: ClassVar[float] = PER_URAD
@@ -69,12 +69,12 @@ class Parameter(Struct, frozen=True):
     @property
     @abstractmethod
     def place(self) -> str:
-        """Joint or link that it belongs to, in words."""
+        """Joint or link that the parameter belongs to, in words."""
 
     @classmethod
     @abstractmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the parameter of this kind with a name in files, or None."""
+        """Return the parameter of this kind whose name in files is `name`; None if no parameter of this kind has it."""
 
     @classmethod
     @abstractmethod
@@ -87,12 +87,12 @@ class Parameter(Struct, frozen=True):
 
         :param tables: name → content, e.g. ``joints`` → ``A1`` → entry; they are changed.
         :param value: in units of the file.
-        :param half_width: of its 95 % interval, in units of the file; most entries have no key for it.
-        :param source: where the value comes from, in words.
+        :param half_width: of the 95 % interval, in units of the file; most entries have no key for it.
+        :param source: origin of the value, in words.
         """
 
     def partners(self) -> tuple[Parameter, ...]:
-        """Return the other parameters with which its value in model.toml is converted: one depends on the other there.
+        """Return the other parameters that the value in model.toml depends on, or whose value there depends on this.
 
         The whole compliance of a joint in model.toml contains the parts that fade; s₀ is the preload divided by K_c.
         """
@@ -102,7 +102,7 @@ class Parameter(Struct, frozen=True):
         """Return the value in units of the file, and its derivatives by linear values.
 
         :param values: linear values (SI) of this parameter and of its partners.
-        :returns: the value; parameter → derivative of the value, for those of `values` on which it depends.
+        :returns: the value; parameter → derivative of the value by its linear value, for parameters that it depends on.
         """
         return self.per_si * values[self], {self: self.per_si}
 
@@ -110,9 +110,10 @@ class Parameter(Struct, frozen=True):
 class Spring(Parameter, frozen=True):
     """A parameter that adds to the deflection of one coordinate.
 
-    `linear`: its value is the compliance of its coordinate; others are terms in addition to it. `is_compliance`: its
-    slope at small torque is part of the spring's compliance. `with_rest_torque`: the deflection depends on the torque
-    at rest and that of the load together. `signed`: its value may be negative.
+    `linear`: whether the value is the constant compliance of the coordinate; else it is a term in addition to it.
+    `is_compliance`: whether the slope at small torque is part of the spring's compliance. `with_rest_torque`: whether
+    the deflection depends on the torque at rest plus the torque of the load. `signed`: whether the value may be
+    negative.
     """
 
     linear: ClassVar[bool] = True
@@ -121,7 +122,7 @@ class Spring(Parameter, frozen=True):
     signed: ClassVar[bool] = False
 
     def effect(self, torque: Array, rest_torque: Array) -> tuple[Array, Array]:
-        """Return the deflection per unit of the parameter (N,), and its derivative by the torque (N,).
+        """Return the deflection (N,) per unit of the parameter, and its derivative (N,) by the torque.
 
         :param torque: (N,) on the spring, in addition to `rest_torque` [N·m, N].
         :param rest_torque: (N,) torque at which the deflection is zero [N·m, N].
@@ -129,7 +130,7 @@ class Spring(Parameter, frozen=True):
         return torque, np.ones_like(torque)
 
     def factor(self, angles: Array) -> Array | float:
-        """Return the factor (N,) on `effect` at angles (6, N) of the joints [rad]: one, unless it depends on them."""
+        """Return the factor (N,) on `effect` at angles (6, N) of the joints [rad]; 1.0 if it depends on none."""
         return 1.0
 
 
@@ -142,7 +143,7 @@ class CompensatorTorque(Parameter, frozen=True):
     def effect(self, law: Compensator, q2: Array) -> tuple[Array, Array]:
         """Return the torque U_c′ (N,) and the stiffness U_c″ (N,) on joint 2 per unit of the parameter.
 
-        :param law: gives the geometry, and of `CompensatorSize` the free length.
+        :param law: compensator whose lengths count, for `CompensatorSize` the free length of its spring too.
         :param q2: (N,) angle of joint 2 [rad].
         """
 
@@ -162,7 +163,7 @@ class CompensatorTorque(Parameter, frozen=True):
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the parameter if `name` is its name in files, else None."""
+        """Return the parameter of this kind, of which there is one alone, if `name` is its name in files; else None."""
         return cls() if name == cls().name else None
 
 
@@ -203,7 +204,7 @@ class JointCompliance(_JointSpring, frozen=True):
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the compliance with a name in files like ``k1``, or None."""
+        """Return the compliance whose name in files is `name`, as ``k1``; None if there is none."""
         return next((cls(joint) for joint in JOINTS if name == cls(joint).name), None)
 
     @classmethod
@@ -218,9 +219,10 @@ class JointCompliance(_JointSpring, frozen=True):
         tables["joints"][self.joint] = {"source": source, "compliance_urad_per_Nm": value, "ci95": half_width}
 
     def file_value(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
-        """Return the compliance at small torque [µrad/(N·m)], and its derivatives by this part and the fading ones.
+        """Return the compliance at small torque [µrad/(N·m)], and its derivatives by the constant and the fading parts.
 
-        :param values: linear values [rad/(N·m)]: of this parameter, and of the parts that fade, if there are any.
+        :param values: linear values [rad/(N·m)] of this parameter, the constant part, and of fading parts of the joint;
+            other parameters do not count.
         """
         parts = [part for part in values if part == self or self in part.partners()]
         return sum(self.per_si * values[part] for part in parts), dict.fromkeys(parts, self.per_si)
@@ -250,7 +252,7 @@ class FadingPart(_NonlinearSpring, frozen=True):
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the part with a name in files like ``k6@6.2``, or None; `mark` is between joint and torque."""
+        """Return the part whose name in files is `name`, as ``k6@6.2`` with `mark` in the middle; else None."""
         compliance_name, _, torque = name.partition(cls.mark)
         compliance = JointCompliance.from_name(compliance_name)
         try:
@@ -266,7 +268,7 @@ class FadingPart(_NonlinearSpring, frozen=True):
                 yield cls(joint, part.torque_Nm), part.compliance_urad_per_Nm / PER_URAD
 
     def write(self, tables: dict[str, Any], value: float, half_width: float, source: str) -> None:
-        """Add the part to those under `key` of its joint in the tables of a file; `value` [µrad/(N·m)]."""
+        """Append the part to the list under `key` of its joint in the tables of a file; `value` [µrad/(N·m)]."""
         part = {"torque_Nm": self.torque, "compliance_urad_per_Nm": value}
         tables["joints"][self.joint].setdefault(self.key, []).append(part)
 
@@ -329,7 +331,7 @@ class Backlash(_NonlinearSpring, frozen=True):
 
     @property
     def title(self) -> str:
-        """Heading in reports: what it is, and of which joint."""
+        """Heading in reports: backlash or lost motion, and the joint."""
         return f"{self.key.replace('_', ' ')} of {self.joint}"
 
     @property
@@ -344,7 +346,7 @@ class Backlash(_NonlinearSpring, frozen=True):
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the parameter with a name in files like ``A4.backlash@3``, `key` between joint and torque, or None."""
+        """Return the parameter whose name in files is `name`, as ``A4.backlash@3`` with the `key`; else None."""
         joint, _, torque = name.partition(f".{cls.key}@")
         try:
             return cls(joint, float(torque)) if joint in JOINTS else None
@@ -417,7 +419,7 @@ class GearCoupling(_JointSpring, frozen=True):
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the coupling with a name in files like ``k45``, or None."""
+        """Return the coupling whose name in files is `name`, as ``k45``; None if there is none."""
         pairs = (cls(joint, second) for index, joint in enumerate(JOINTS) for second in JOINTS[index + 1 :])
         return next((pair for pair in pairs if pair.name == name), None)
 
@@ -456,7 +458,7 @@ class PoseWave(_JointSpring, frozen=True):
     def angle(self) -> str:
         """Return the angle of the wave, e.g. ``A2-2A3``."""
         terms = "".join(f"{turns:+d}{joint}" for turns, joint in zip(self.turns, JOINTS, strict=True) if turns)
-        without_ones = re.sub(r"(?<=[+-])1(?=A)", "", terms)
+        without_ones = re.sub(r"(?<=[+-])1(?=A)", "", terms)  # "+1A2" becomes "+A2"
         return without_ones.removeprefix("+")
 
     @property
@@ -471,9 +473,9 @@ class PoseWave(_JointSpring, frozen=True):
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the wave with a name in files like ``k3.cos(A2-A3)``, or None.
+        """Return the wave whose name in files is `name`, as ``k3.cos(A2-A3)``; None if there is none.
 
-        Only the name as `name` writes it counts: joints in order, each once, without a leading plus.
+        Only the spelling of the property `name` counts: joints in order, each once, without a leading plus.
         """
         match = re.fullmatch(r"(k[1-6])\.(cos|sin)\(((?:[+-]?[1-9]?A[1-6])+)\)", name)
         if match is None:
@@ -526,7 +528,7 @@ class LinkSpring(Spring, frozen=True):
 
     @property
     def direction(self) -> Array:
-        """Return the unit axis (3,) of the joint frame along or about which it deflects."""
+        """Return the unit axis (3,), in the joint frame, along or about which the spring deflects."""
         return np.asarray(np.eye(3)[LINK_AXES.index(self.axis) % 3])
 
     @property
@@ -556,7 +558,7 @@ class LinkSpring(Spring, frozen=True):
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the spring with a name in files like ``A2.end_RX``, or None."""
+        """Return the spring whose name in files is `name`, as ``A2.end_RX``; None if there is none."""
         link, _, axis = name.partition(".")
         return cls(link, axis) if link in (BASE, *JOINTS) and axis in LINK_AXES else None
 
@@ -646,7 +648,7 @@ class CompensatorPreload(CompensatorTorque, frozen=True):
         return law.stiffness * law.free_length
 
     def partners(self) -> tuple[Parameter, ...]:
-        """Return the stiffness: model.toml states s₀, which is the preload divided by it."""
+        """Return the stiffness: model.toml states s₀, which is the preload divided by the stiffness."""
         return (CompensatorStiffness(),)
 
     def file_value(self, values: Mapping[Parameter, float]) -> tuple[float, dict[Parameter, float]]:
@@ -707,7 +709,7 @@ class LinkMass(Parameter, frozen=True):
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the mass with a name in files like ``A2.mass``, or None."""
+        """Return the mass whose name in files is `name`, as ``A2.mass``; None if there is none."""
         joint = name.removesuffix(_MASS)
         return cls(joint) if joint in JOINTS and name.endswith(_MASS) else None
 
@@ -728,7 +730,7 @@ class CompensatorSize(CompensatorStiffness, frozen=True):
     """K_c at a constant free length s₀ [N/m]: the size of the compensator's torque."""
 
     def partners(self) -> tuple[Parameter, ...]:
-        """Return no parameters: the free length s₀ does not change with it."""
+        """Return no parameters: the free length s₀ does not change with this stiffness."""
         return ()
 
     def effect(self, law: Compensator, q2: Array) -> tuple[Array, Array]:
@@ -759,7 +761,7 @@ COMPENSATOR: tuple[Parameter, ...] = (CompensatorStiffness(), CompensatorPreload
 
 
 def parameter_of_name(name: str) -> Parameter | None:
-    """Return the parameter with a name in files, of whatever kind, or None.
+    """Return the parameter of any kind whose name in files is `name`; None if there is none.
 
     >>> parameter_of_name("k6@6.2")
     FadingPart(joint='A6', torque=6.2)
@@ -773,13 +775,16 @@ def stated_values(content: ModelFile) -> dict[Parameter, float]:
 
 
 def file_slopes(parameters: Iterable[Parameter], values: Mapping[Parameter, float]) -> Array:
-    """Return ∂(values in units of the file)/∂(linear values) (n, n) of parameters whose partners are among them.
+    """Return ∂(values in units of the file)/∂(linear values) (n, n) of n parameters.
+
+    Parameters that the file value of one of them depends on must be among the n.
 
     :param values: linear values (SI) of these parameters.
     """
     order = list(parameters)
     jacobian = np.zeros((len(order), len(order)))
     for row, parameter in enumerate(order):
-        for partner, slope in parameter.file_value(values)[1].items():
+        _, slopes = parameter.file_value(values)
+        for partner, slope in slopes.items():
             jacobian[row, order.index(partner)] = slope
     return jacobian

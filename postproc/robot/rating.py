@@ -16,16 +16,19 @@ _OVERLOAD = 1.2
 
 
 def exceeded_rating(mass: float, *names: str) -> float | None:
-    """Return the payload [kg] that names of an arm state if a load on it exceeds this by far; None if not.
+    """Return the payload [kg] that the names of an arm state, if a load exceeds it by more than `_OVERLOAD`.
+
+    None if the load is smaller, or if no name states a payload.
 
     :param mass: of the load [kg].
+    :param names: see `rated_payload`.
     """
     rating = rated_payload(*names)
     return rating if rating is not None and mass > _OVERLOAD * rating else None
 
 
 def rated_payload(*names: str) -> float | None:
-    """Return the payload [kg] that the first of these names with a class states; None if none does.
+    """Return the payload [kg] by the first of some names of an arm that states one; None if no name states a payload.
 
     >>> rated_payload("KUKA KR 210-2 L150"), rated_payload("ABB IRB 6700-200/2.60"), rated_payload("arm")
     (150.0, 200.0, None)
@@ -33,5 +36,5 @@ def rated_payload(*names: str) -> float | None:
     for name in names:
         for pattern in _CLASSES:
             if match := pattern.search(name):
-                return float(match[2] or match[1])
+                return float(match[2] or match[1])  # of the version with a longer arm, else of the class
     return None

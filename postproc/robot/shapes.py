@@ -20,17 +20,17 @@ from postproc.robot.urdf import Geometry
 _FINEST = 1e-3
 """Cells [m] that simplification begins with; each further grid is coarser by `_COARSER`."""
 _COARSER = 1.25
-"""Small enough that the grid which first has few enough triangles has at least two thirds of the triangles allowed."""
+"""Factor between grids: the first grid with few enough triangles has at least two thirds of the allowed triangles."""
 _MAX_PLACES = 3
 """Places of a missing mesh that a note names."""
 
 
 class LinkShape(Struct, frozen=True, eq=False):
-    """Triangles of what one joint carries.
+    """Triangles of the link that one joint carries.
 
     :param carrier: 0…5: the joint A1…A6; −1: the base, which no joint moves.
-    :param points: (P, 3) in the frame of that joint, of the base in the root [m].
-    :param faces: (F, 3) rows of `points`.
+    :param points: (P, 3) in the frame of this joint, for the base in the root [m].
+    :param faces: (F, 3) indices into `points` of the corners of each triangle.
     """
 
     carrier: int
@@ -38,7 +38,7 @@ class LinkShape(Struct, frozen=True, eq=False):
     faces: NDArray[np.int64]
 
     def transform(self, pose: Array) -> LinkShape:
-        """Return the surface in another frame; `pose` (4, 4): the present frame in that one [m]."""
+        """Return the surface in another frame; `pose` (4, 4): the present frame in the other frame [m]."""
         return replace(self, points=self.points @ pose[:3, :3].T + pose[:3, 3])
 
     def hull(self) -> LinkShape:
@@ -51,8 +51,8 @@ class LinkShape(Struct, frozen=True, eq=False):
         return bytes(self._mesh().export(file_type="stl"))
 
     def _mesh(self) -> Any:
-        """Return the triangles as a `trimesh.Trimesh` [m], with vertices as they are."""
-        import trimesh
+        """Return the triangles as a `trimesh.Trimesh` [m], without merging vertices."""
+        import trimesh  # takes long to import
 
         return trimesh.Trimesh(self.points, self.faces, process=False)
 
@@ -60,8 +60,7 @@ class LinkShape(Struct, frozen=True, eq=False):
 def read(geometries: Iterable[Geometry], urdf: Path) -> tuple[list[LinkShape], list[str]]:
     """Return the surface of each geometry that can be read, in metres, and a sentence for each that cannot.
 
-    :param urdf: the file that names them: relative names are looked for next to it, `package://` names in its package
-        and next to the folders above it.
+    :param urdf: path of the file that names the meshes, see `_places`.
     """
     surfaces, problems = [], []
     for geometry in geometries:
@@ -76,9 +75,9 @@ def read(geometries: Iterable[Geometry], urdf: Path) -> tuple[list[LinkShape], l
 
 
 def _mesh(geometry: Geometry, urdf: Path) -> Any:
-    """Return a geometry in its own frame as a `trimesh.Trimesh` [m]; meshes before their scale.
+    """Return a geometry in its own frame as a `trimesh.Trimesh` [m]; the scale of a mesh is not applied.
 
-    :param urdf: the file that names it.
+    :param urdf: path of the file that names the mesh.
     :raises ModelError: the mesh is missing or cannot be read, or the kind is unknown.
     """
     if geometry.kind == "mesh":
@@ -87,10 +86,10 @@ def _mesh(geometry: Geometry, urdf: Path) -> Any:
         if path is None:
             raise ModelError(f"there is no such file; looked for {_place_list(places)}", file=geometry.file)
         mesh = read_mesh(path, ModelError, "mesh")
-        if path.suffix.lower() == ".dae":  # the only one of these formats that states its unit
+        if path.suffix.lower() == ".dae":  # the only format of meshes here that states its unit
             mesh.convert_units("meters")
         return mesh
-    from trimesh import creation
+    from trimesh import creation  # takes long to import
 
     if geometry.kind == "box":
         return creation.box(extents=geometry.size)
@@ -103,7 +102,7 @@ def _mesh(geometry: Geometry, urdf: Path) -> Any:
 
 
 def _place_list(places: list[Path]) -> str:
-    """Return the first `_MAX_PLACES` paths as a list with commas, then the number of those left out."""
+    """Return the first `_MAX_PLACES` paths as a list with commas, then the number of further paths."""
     suffix = f", and {len(places) - _MAX_PLACES} more above" if len(places) > _MAX_PLACES else ""
     return f"{', '.join(str(place) for place in places[:_MAX_PLACES])}{suffix}"
 
@@ -111,8 +110,9 @@ def _place_list(places: list[Path]) -> str:
 def _places(name: str, urdf: Path) -> list[Path]:
     """Return the possible paths of a file that a URDF at the path `urdf` names, the likeliest first.
 
-    `package://NAME/…` is below a folder of that name, which is above the URDF or next to a folder above it; or below
-    the folder above it whose package.xml states the name.
+    `package://NAME/…` is below the package folder. This is a folder called NAME above the URDF, a folder NAME in a
+    folder above the URDF, or a folder above the URDF whose package.xml states NAME. Other names are relative to the
+    folder of the URDF, or absolute.
     """
     scheme, _, relative_path = name.rpartition("://")
     relative_path = relative_path.replace("\\", "/")
@@ -135,8 +135,9 @@ def _places(name: str, urdf: Path) -> list[Path]:
 def simplify(surface: LinkShape, face_limit: int) -> tuple[LinkShape, float]:
     """Return a surface with at most `face_limit` triangles, and the largest displacement of its corners [m].
 
-    Corners in one cell of a grid become one at their mean; the grid is as fine as the number allows. Source: Rossignac
-    and Borrel, "Multi-resolution 3D approximations for rendering complex scenes", 1993.
+    Corners in one cell of a grid are merged at their mean; the grid is as fine as the limit allows. A surface with few
+    triangles is unchanged. Source: Rossignac and Borrel, "Multi-resolution 3D approximations for rendering complex
+    scenes", 1993.
     """
     result, displacement, cell = surface, 0.0, _FINEST
     while len(result.faces) > face_limit:
@@ -148,7 +149,7 @@ def simplify(surface: LinkShape, face_limit: int) -> tuple[LinkShape, float]:
 def _cluster(surface: LinkShape, cell: float) -> tuple[LinkShape, float]:
     """Return the surface with one point for each cell of a grid, and the largest displacement of a point [m].
 
-    Triangles with two corners in one cell are left out, and of triangles with the same corners all but one. Source:
+    Triangles with two corners in one cell are left out. Of several triangles with the same corners one remains. Source:
     vertex clustering (Rossignac and Borrel 1993).
 
     :param cell: edge of the cells [m].
@@ -160,7 +161,7 @@ def _cluster(surface: LinkShape, cell: float) -> tuple[LinkShape, float]:
     faces = cluster[surface.faces]
     has_area = (faces != np.roll(faces, 1, axis=1)).all(axis=1)  # no two corners in one cell
     faces = faces[has_area]
-    _, first_rows = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)  # of triangles with the same corners
+    _, first_rows = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)  # one of each set of equal triangles
     used_means, corners = np.unique(faces[np.sort(first_rows)], return_inverse=True)
     return replace(surface, points=means[used_means], faces=corners.reshape(-1, 3)), displacement
 

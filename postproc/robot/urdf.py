@@ -31,9 +31,11 @@ _QUARTER = 1e-4
 
 
 def read(text: str, file: str) -> Chain:
-    """Return the arm that a URDF of ours describes.
+    """Return the arm of a URDF with postproc's names: joints A1…A6 and the link `flange`.
 
-    :raises ModelError: it is none, or a number is missing, no number or not finite; the message names the joint.
+    :param file: name of the file, for messages.
+    :raises ModelError: it is no such URDF, or a number is missing, no number or not finite; the message names the
+        joint.
     """
     try:
         return _Reader(text, 0.0).chain()
@@ -42,11 +44,12 @@ def read(text: str, file: str) -> Chain:
 
 
 class AnyArm(Struct, frozen=True, eq=False):
-    """A six-axis arm with the names and frames of whoever wrote its URDF.
+    """A six-axis arm with the names and frames of any URDF.
 
     :param name: of the robot.
     :param chain: joints in series; its `flange` is the frame of the link that the last joint moves.
-    :param frames: link → the joint that carries it (−1: none) and its pose (4, 4) in the frame of that joint [m].
+    :param frames: link → index of the joint that carries it (−1: the base, no joint) and pose (4, 4) of the link in the
+        frame of this joint [m].
     """
 
     name: str
@@ -55,8 +58,9 @@ class AnyArm(Struct, frozen=True, eq=False):
 
 
 def read_any(text: str, file: str) -> AnyArm:
-    """Return the arm that any URDF describes.
+    """Return the arm of a URDF with any names.
 
+    :param file: name of the file, for messages.
     :raises ModelError: it is no chain of six revolute joints, or a number is missing, no number or not finite.
     """
     try:
@@ -68,12 +72,12 @@ def read_any(text: str, file: str) -> AnyArm:
 class Geometry(Struct, frozen=True, eq=False):
     """A shape that a URDF names.
 
-    :param carrier: 0…5: the joint that carries it; −1: the base.
-    :param pose: (4, 4) in the frame of that joint, of the base in the frame of the first link [m].
-    :param drawn: it is a <visual>, else a <collision>.
-    :param kind: mesh, box, cylinder, sphere, or another that the file names.
-    :param size: of a box its edges, of a cylinder radius and length, of a sphere its radius [m].
-    :param file: name of the mesh as written.
+    :param carrier: 0…5: the joint that carries the shape; −1: the base.
+    :param pose: (4, 4) in the frame of this joint, for the base in the frame of the first link [m].
+    :param drawn: whether the shape is a <visual>; else it is a <collision>.
+    :param kind: mesh, box, cylinder, sphere, or another tag of the file.
+    :param size: box: three edges; cylinder: radius and length; sphere: radius [m]; else empty.
+    :param file: name of the mesh as written; empty for other kinds.
     :param scale: (3,) of the mesh along its axes.
     """
 
@@ -87,9 +91,10 @@ class Geometry(Struct, frozen=True, eq=False):
 
 
 def geometries(text: str, file: str) -> tuple[Geometry, ...]:
-    """Return the shapes of the links of an arm in any URDF.
+    """Return the shapes of the links of an arm in a URDF with any names.
 
-    :raises ModelError: as `read_any` does.
+    :param file: name of the file, for messages.
+    :raises ModelError: the URDF cannot be read, see `read_any`.
     """
     try:
         return tuple(_Reader(text, _QUARTER).geometries())
@@ -106,19 +111,20 @@ class _RefusedError(Exception):
 
 
 _NO_TREE = _RefusedError("the links are not one tree", "Each link but the first must hang on one joint.")
+"""Refusal of links that are not one tree."""
 
 
 class _Reader:
-    """Walks from link to link and puts down what each joint carries.
+    """Reader that walks from link to link and collects the joints and the links that each joint carries.
 
-    :ivar quarter: angles this close to a right angle [rad] are right ones.
+    :ivar quarter: largest difference from a right angle [rad] that is rounded off.
     :ivar name: of the robot.
     :ivar links: name → element.
     :ivar child_joints: link → the joints on it.
     :ivar joints: the revolute joints in series.
-    :ivar placement: (4, 4) of the frame of each of them in that of the joint before it [m].
-    :ivar moments: mass [kg] of what each of them carries, and its mass times centre of mass (3,) [kg·m].
-    :ivar frames: `AnyArm.frames`.
+    :ivar placement: (4, 4) of the frame of each revolute joint in the frame of the joint before it [m].
+    :ivar moments: mass [kg] that each revolute joint carries, and this mass times its centre (3,) [kg·m].
+    :ivar frames: see `AnyArm.frames`.
     """
 
     def __init__(self, text: str, quarter: float) -> None:
@@ -150,7 +156,7 @@ class _Reader:
         self.moments: list[tuple[float, Array]] = []
         self.frames: dict[str, tuple[int, Array]] = {}
         self._visit(roots.pop(), np.eye(4), -1)
-        if len(self.frames) < len(self.links):  # links in a ring, apart from the tree
+        if len(self.frames) < len(self.links):  # links in a ring that is not connected to the tree
             raise _NO_TREE
 
     def chain(self) -> Chain:
@@ -170,7 +176,7 @@ class _Reader:
         return self._chain(flange)
 
     def any_arm(self) -> AnyArm:
-        """Return the arm, whatever its joints are called.
+        """Return the arm with any names of its joints.
 
         :raises _RefusedError: it does not have six revolute joints.
         """
@@ -182,7 +188,7 @@ class _Reader:
         return AnyArm(self.name, self._chain(np.eye(4)), self.frames)
 
     def geometries(self) -> Iterator[Geometry]:
-        """Yield the shapes of all links, the <visual> ones of each first.
+        """Yield the shapes of all links, for each link <visual> before <collision>.
 
         :raises _RefusedError: a size or scale is missing, no number or not finite.
         """
@@ -219,11 +225,11 @@ class _Reader:
         )
 
     def _visit(self, link: str, pose: Array, carrier: int) -> None:
-        """Add a link, and recursively the links on it.
+        """Add a link, and recursively the links on it, to `frames`, `joints`, `placement` and `moments`.
 
         :param pose: (4, 4) of the link in the frame of its carrier [m].
-        :param carrier: 0…5 the joint that carries it; −1: none, the link is fixed to the root.
-        :raises _RefusedError: a mass is negative, a joint is of another type, or joints are parallel.
+        :param carrier: 0…5: the joint that carries the link; −1: no joint, the link is fixed to the root.
+        :raises _RefusedError: a mass is negative, a joint is neither fixed nor revolute, or joints are parallel.
         """
         if carrier >= 0:
             self._add_mass(link, pose, carrier)
@@ -239,7 +245,7 @@ class _Reader:
                     f"joint {name} is {kind if kind != 'revolute' else 'a mimic of another'}",
                     "Only six revolute joints and fixed ones are possible.",
                 )
-            if carrier != len(self.joints) - 1:  # another joint was met after that which carries this link
+            if carrier != len(self.joints) - 1:  # a joint after the carrier exists already: two joints on one link
                 raise _RefusedError(
                     f"joint {name} is parallel to {self.joints[carrier + 1].get('name')}, not in series with it"
                 )
@@ -249,10 +255,10 @@ class _Reader:
             self._visit(child, np.eye(4), len(self.joints) - 1)
 
     def _add_mass(self, link: str, pose: Array, carrier: int) -> None:
-        """Add the mass of a link, if it states one, to that of the joint that carries it.
+        """Add the mass of a link, if it states one, to `moments` of the joint that carries it.
 
         :param pose: (4, 4) of the link in the frame of its carrier [m].
-        :param carrier: 0…5 the joint.
+        :param carrier: 0…5: the joint that carries the link.
         :raises _RefusedError: the mass is negative, or not stated as numbers.
         """
         inertial = self.links[link].find("inertial")
@@ -265,17 +271,18 @@ class _Reader:
         self.moments[carrier] = mass_sum + mass, moment + mass * (pose @ self._origin(inertial))[:3, 3]
 
     def _origin(self, parent: ET.Element) -> Array:
-        """Return the pose (4, 4) [m] that the <origin> of an element states; without one, no displacement.
+        """Return the pose (4, 4) [m] that the <origin> of an element states; the identity without <origin>.
 
-        Angles close to right ones are rounded to them.
+        Angles within `quarter` of a multiple of a right angle are rounded to it.
 
         :raises _RefusedError: a number is missing, no number or not finite.
         """
         pose, origin = np.eye(4), parent.find("origin")
         if origin is not None:
-            angles = _numbers(origin, "rpy", 3, "0 0 0")[::-1]
-            right = np.round(angles / (np.pi / 2.0)) * (np.pi / 2.0)
-            pose[:3, :3] = rotation_from_angles(np.where(np.abs(angles - right) < self.quarter, right, angles))
+            angles = _numbers(origin, "rpy", 3, "0 0 0")[::-1]  # yaw, pitch, roll
+            right_angles = np.round(angles / (np.pi / 2.0)) * (np.pi / 2.0)
+            is_right = np.abs(angles - right_angles) < self.quarter
+            pose[:3, :3] = rotation_from_angles(np.where(is_right, right_angles, angles))
             pose[:3, 3] = _numbers(origin, "xyz", 3, "0 0 0")
         return pose
 
@@ -283,7 +290,7 @@ class _Reader:
 def _root_element(text: str) -> ET.Element:
     """Return the element <robot> of a URDF.
 
-    :raises _RefusedError: the text is no XML, or its outermost element is another.
+    :raises _RefusedError: the text is no XML, or its outermost element is not <robot>.
     """
     try:
         robot = ET.fromstring(text)
@@ -306,9 +313,9 @@ def _attribute(element: ET.Element, name: str) -> str:
 
 
 def _element(parent: ET.Element, tag: str) -> ET.Element:
-    """Return a child of an XML element.
+    """Return the first child of an XML element with a tag.
 
-    :raises _RefusedError: there is none with this tag.
+    :raises _RefusedError: there is no such child.
     """
     element = parent.find(tag)
     if element is None:
@@ -317,8 +324,9 @@ def _element(parent: ET.Element, tag: str) -> ET.Element:
 
 
 def _numbers(element: ET.Element, name: str, count: int, default: str | None = None) -> Array:
-    """Return the numbers (count,) of an attribute; without a default it must exist.
+    """Return the numbers (count,) of an attribute.
 
+    :param default: text in place of a missing attribute; None: the attribute must exist.
     :raises _RefusedError: the attribute is missing, or is not this many finite numbers of plausible size.
     """
     text = element.get(name, default) if default is not None else _attribute(element, name)
@@ -334,7 +342,7 @@ def _numbers(element: ET.Element, name: str, count: int, default: str | None = N
 
 
 def _size(element: ET.Element) -> tuple[float, ...]:
-    """Return the sizes of a primitive as of `Geometry.size` [m]; empty for a mesh.
+    """Return the sizes of a primitive [m], see `Geometry.size`; empty for a mesh or an unknown tag.
 
     :raises _RefusedError: a size is missing, no number or not finite.
     """
@@ -345,9 +353,9 @@ def _size(element: ET.Element) -> tuple[float, ...]:
 
 
 def _axis(joint: ET.Element) -> Array:
-    """Return the unit axis (3,) of a joint, x by default.
+    """Return the unit axis (3,) of a joint; X without an <axis>.
 
-    :raises _RefusedError: it has no length.
+    :raises _RefusedError: the axis has no length.
     """
     element = joint.find("axis")
     axis = np.array([1.0, 0.0, 0.0]) if element is None else _numbers(element, "xyz", 3)
@@ -360,7 +368,7 @@ def _axis(joint: ET.Element) -> Array:
 def _limits(joint: ET.Element) -> Array:
     """Return the limits (4,) of a joint: lower, upper [rad, m], velocity [rad/s, m/s] and effort [N·m, N].
 
-    The effort is 0 where the file gives none.
+    The effort is 0 if the file states none.
 
     :raises _RefusedError: limits are missing, the lower is not below the upper, or the velocity is not positive.
     """
