@@ -632,7 +632,7 @@ def warnings(result: Geometry, sigma: float) -> list[str]:
 
     :param sigma: noise of one coordinate of one reading [m].
     """
-    return [*_large_residuals(result, sigma), *_contradictions(result), *_small_motion_warnings(result)]
+    return [*_large_residuals(result, sigma), *_contradiction_warnings(result), *_small_motion_warnings(result)]
 
 
 _LARGE_RESIDUAL = 5e-4
@@ -653,7 +653,7 @@ def _large_residuals(result: Geometry, sigma: float) -> list[str]:
     ]
 
 
-def _contradictions(result: Geometry) -> list[str]:
+def _contradiction_warnings(result: Geometry) -> list[str]:
     """Return a warning if a weightless geometry contradicts nonlinear gears that were identified under the load alone.
 
     In a weightless geometry the weights load the gears too. Lost motion is no contradiction: it reacts to the load

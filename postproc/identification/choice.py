@@ -79,7 +79,7 @@ _BREAKPOINTS_AT = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
 """Breakpoints of a gear, over the largest torque: milling torques are some hundredths of those of an experiment."""
 _TURNS_OVER_AT = (0.01,)
 """Torque that moves a gear with backlash to its other flank, over the largest (assumed)."""
-_ONE_LINE = 1e-3
+_COINCIDENCE_DISTANCE = 1e-3
 """Distance [m] between axes that count as one line (assumed)."""
 _LEAST_TORQUE = 1.0
 """Largest torque [N·m] on a joint below which its gear has no parameters of its own."""
@@ -97,11 +97,13 @@ def link_springs(robot: RobotModel, with_ends: bool) -> tuple[LinkSpring, ...]:
 
 
 def _springs_about_joint_axes(robot: RobotModel) -> set[LinkSpring]:
-    """Return the rotational springs of links that are about a joint axis: they equal the spring of the joint.
+    """Return the rotational springs of links about a joint axis: they equal the spring of the joint.
 
-    Joint axes are taken along the nearest of X, Y, Z of their frame.
+    For each joint these are a spring at the beginning of its own link, and a spring at the end of its parent link. If
+    the parent link begins on the axis of the joint, a spring at the beginning of the parent link is a third. An axis
+    counts as X, Y or Z of a link's frame, whichever is nearest.
     """
-    begin_rotations, end_rotations = LINK_AXES[3:6], LINK_AXES[6:9]  # about X, Y, Z where a link begins, and ends
+    begin_rotations, end_rotations = LINK_AXES[3:6], LINK_AXES[6:9]  # about X, Y, Z
     springs = set()
     for index, joint in enumerate(JOINTS):
         joint_axis = robot.nominal.axis[index]
@@ -109,8 +111,8 @@ def _springs_about_joint_axes(robot: RobotModel) -> set[LinkSpring]:
         springs.add(LinkSpring(joint, begin_rotations[int(np.argmax(np.abs(joint_axis)))]))
         parent_link, axis = (BASE, *JOINTS)[index], int(np.argmax(np.abs(parent_axis)))
         springs.add(LinkSpring(parent_link, end_rotations[axis]))
-        if np.linalg.norm(np.cross(parent_axis, robot.nominal.placement[index, :3, 3])) < _ONE_LINE:
-            # the parent link begins on the axis of the joint at its end
+        # distance of the origin of the parent link from the axis of the joint
+        if np.linalg.norm(np.cross(parent_axis, robot.nominal.placement[index, :3, 3])) < _COINCIDENCE_DISTANCE:
             springs.add(LinkSpring(parent_link, begin_rotations[axis]))
     return springs
 

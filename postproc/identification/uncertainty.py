@@ -732,8 +732,10 @@ def _gap_notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]
             )
         notes += _open_parameters(choice)
     for parameter, value in fit.parameter_values.items():
-        if isinstance(parameter, JointCompliance) and parameter.file_value(fit.parameter_values)[0] <= 0.0:
-            notes.append(f"{parameter.joint} has no compliance of its own: springs of the links take its place")
+        if isinstance(parameter, JointCompliance):
+            compliance, _ = parameter.file_value(fit.parameter_values)  # fading parts included
+            if compliance <= 0.0:
+                notes.append(f"{parameter.joint} has no compliance of its own: springs of the links take its place")
         if isinstance(parameter, Backlash) and value > max(_MIN_BACKLASH, half_widths[parameter]):
             notes.append(f"looks like {value * MM_PER_M:.3f} mrad of backlash or friction in {parameter.joint}")
     return notes

@@ -289,7 +289,8 @@ def _compare_displacements(robot: RobotModel, data: Measurements, placement: Pla
         prediction_error=prediction_error,
         bound=bound,
         noise=noise,
-        error_ratio=prediction_error / np.sqrt(bound**2 + LENGTH_95**2 * noise),  # both of 95 %
+        # 95 % bound of the error with noise: the bound of the model and the 95 % quantile of the noise
+        error_ratio=prediction_error / np.sqrt(bound**2 + LENGTH_95**2 * noise),
         has_bound=robot.covariance is not None,
     )
 

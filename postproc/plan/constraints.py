@@ -190,11 +190,15 @@ def _self_clearance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
 
 
 def _capsule_pairs(site: Site, state: State) -> list[tuple[Capsule, Capsule]]:
-    """Return pairs of a part of the robot and another part that could collide with it; pairs with the load are last."""
+    """Return pairs of a part of the robot and another part that could collide with it; pairs with the load are last.
+
+    Against column and link 2 only the front half of the forearm counts: the rear half is next to link 2 at all angles.
+    """
     column, link, elbow, forearm, hand = arm_parts(site, state)
     tool, load = tool_parts(site, state), load_parts(site, state)
     front_half = Capsule("forearm", 0.5 * (forearm.start + forearm.end), forearm.end, forearm.radius)
-    # the forearm is shortened by its radius, at most by half: its round end would touch hand and tool
+    # the forearm, of one length in all configurations, is shortened by its radius, at most by half: its round end would
+    # touch hand and tool
     share = 1.0 - min(0.5, forearm.radius / max(float(np.linalg.norm(forearm.end[0] - forearm.start[0])), 1e-9))
     forearm = Capsule("forearm", forearm.start, forearm.start + share * (forearm.end - forearm.start), forearm.radius)
     pairs = [(part, counterpart) for part in (column, link) for counterpart in (front_half, hand, *tool)]

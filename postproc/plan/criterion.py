@@ -435,8 +435,11 @@ class Directions(Struct, frozen=True, eq=False):
 def required_directions(torque: Array, tests: TestPoses, poses: int, data_torque: Array | None = None) -> Directions:
     """Return the demand on a plan: numbers of poses that must load each joint in each direction.
 
-    :param torque: (N, 6) of many feasible poses [N·m].
-    :param tests: the work.
+    A pose counts from the typical torque of the work on, within limits by the torques of the rig. Earlier readings that
+    count reduce the numbers.
+
+    :param torque: (N, 6) of many feasible poses with the load of the rig [N·m].
+    :param tests: poses and forces of the work.
     :param poses: number of poses of the plan.
     :param data_torque: (m, 6) torques of configurations that were already measured [N·m]; None: there are none.
     """

@@ -73,7 +73,8 @@ def direction(tilt: Array) -> Array:
     :param tilt: (N, 2) vectors along the horizontal part of the load, as long as its angle from straight down [rad].
     """
     angle = np.linalg.norm(tilt, axis=-1)
-    return np.concatenate([tilt * np.sinc(angle / np.pi)[..., None], -np.cos(angle)[..., None]], axis=-1)
+    sinc = np.sinc(angle / np.pi)  # sin(angle) / angle, 1 for a vertical load
+    return np.concatenate([tilt * sinc[..., None], -np.cos(angle)[..., None]], axis=-1)
 
 
 def direction_slope(tilt: Array) -> Array:

@@ -76,7 +76,8 @@ class Covariance(Struct, frozen=True, eq=False):
     def of(cls, names: Iterable[str], matrix: Sequence[Sequence[float]] | Array) -> Covariance:
         """Return the covariance of parameters by their names in files.
 
-        :raises ModelError: a name that no parameter has.
+        :param matrix: (n, n) of the n parameters, in units of files.
+        :raises ModelError: no parameter has one of the names.
         """
         parameter_of = {name: parameters.parameter_of_name(name) for name in names}
         unknown = [name for name, parameter in parameter_of.items() if parameter is None]

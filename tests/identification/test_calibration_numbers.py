@@ -246,12 +246,12 @@ def test_gears_identified_without_the_weights_contradict_a_weightless_geometry()
     joints = dict(base.joints)
     joints["A3"] = msgspec.structs.replace(joints["A3"], stiffening=[Stiffening(700.0, 0.1)])
     stiffening = msgspec.structs.replace(base, joints=joints)
-    (text,) = calibration._contradictions(result_of(content=stiffening))
+    (text,) = calibration._contradiction_warnings(result_of(content=stiffening))
     assert "the gears of A3 were identified with the load alone" in text
-    assert calibration._contradictions(result_of()) == []
-    assert calibration._contradictions(result_of(is_weightless=False, content=stiffening)) == []
+    assert calibration._contradiction_warnings(result_of()) == []
+    assert calibration._contradiction_warnings(result_of(is_weightless=False, content=stiffening)) == []
     in_gears = msgspec.structs.replace(stiffening, gravity=Gravity("rigid", in_gears=True))
-    assert calibration._contradictions(result_of(content=in_gears)) == []
+    assert calibration._contradiction_warnings(result_of(content=in_gears)) == []
 
 
 def test_the_record_of_a_geometry_has_millimetres_and_what_was_not_narrowed(data):
