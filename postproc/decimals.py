@@ -67,13 +67,13 @@ class Number(Struct, frozen=True, eq=False):
         if self.decimals:
             # groups of four digits from the right; the first group may be too long, and is then overwritten by the
             # point and the whole part
-            remaining = _narrow(digits - whole * np.uint64(10**self.decimals), 10**self.decimals)
+            remaining = _in_32_bits(digits - whole * np.uint64(10**self.decimals), 10**self.decimals)
             for stop in range(end, point + 1, -4):
                 higher = remaining // remaining.dtype.type(10_000)
-                _fours(text, stop)[...] = _FOUR.take(remaining - higher * remaining.dtype.type(10_000))
+                _four_bytes_before(text, stop)[...] = _FOUR.take(remaining - higher * remaining.dtype.type(10_000))
                 remaining = higher
             text[:, point] = ord(".")
-        remaining = _narrow(whole, 10 ** (4 * self.groups))
+        remaining = _in_32_bits(whole, 10 ** (4 * self.groups))
         for stop in range(point, at + 1, -4):
             higher = remaining // remaining.dtype.type(10_000)
             low = remaining - higher * remaining.dtype.type(10_000)
@@ -82,7 +82,7 @@ class Number(Struct, frozen=True, eq=False):
                 four = np.where(higher > 0, _FOUR.take(low), four)
                 if stop < point:
                     four[remaining == 0] = _ABSENT
-            _fours(text, stop)[...] = four
+            _four_bytes_before(text, stop)[...] = four
             remaining = higher
         np.multiply((self.scaled < 0.0).view(np.uint8), np.uint8(ord("-")), out=text[:, at])
         if has_empty:
@@ -125,13 +125,16 @@ _FOUR = _DIGITS.view(np.uint32)[:, 0]
 _FOUR_SHORT = (_DIGITS * (_FOUR_DIGIT_NUMBERS >= [1000, 100, 10, 0])).view(np.uint32)[:, 0]
 
 
-def _narrow(numbers: NDArray[np.uint64], limit: int) -> NDArray[np.uint64] | NDArray[np.uint32]:
-    """Return integers below a limit in 32 bits if they fit, which are divided faster."""
+def _in_32_bits(numbers: NDArray[np.uint64], limit: int) -> NDArray[np.uint64] | NDArray[np.uint32]:
+    """Return integers (n,) below a limit in 32 bits if they fit, since those are divided faster; else as they are."""
     return numbers.astype(np.uint32) if limit <= 2**32 else numbers
 
 
-def _fours(digits: Bytes, end: int) -> NDArray[np.uint32]:
-    """Return the four bytes before column `end` of each row (n,) as one number each."""
+def _four_bytes_before(digits: Bytes, end: int) -> NDArray[np.uint32]:
+    """Return a view (n,) of rows of bytes: the four bytes before column `end` of each row as one number.
+
+    What is assigned to the view is written into the rows.
+    """
     return np.ndarray(len(digits), np.uint32, digits, end - 4, digits.shape[1:])
 
 
@@ -175,7 +178,9 @@ def parsed_numbers(text: Bytes, starts: Ints, stops: Ints) -> Array | None:
     ).any():
         return None
     scale = _POWER[places]
-    value: Array = (_number(whole_digits) * scale + _number(decimal_digits)).astype(np.float64) / scale
+    value: Array = (_values_of_eight_digits(whole_digits) * scale + _values_of_eight_digits(decimal_digits)).astype(
+        np.float64
+    ) / scale
     return np.where(negative, -value, value)
 
 
@@ -187,8 +192,11 @@ _POWER = np.array([10**k for k in range(9)], dtype=np.uint64)
 """Powers of ten, for up to eight digits at once."""
 
 
-def _number(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return the values of eight digits (little-endian; 0 is the digit 0 too): pairs, fours, eight."""
+def _values_of_eight_digits(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return the values (n,) of words of eight decimal digits, the first digit in the lowest byte.
+
+    A byte of zero counts as the digit 0. Each round joins neighbours: digits to pairs, pairs to fours, fours to eight.
+    """
     for mask, factor, shift in (
         (0x0F0F0F0F0F0F0F0F, 10 * 2**8 + 1, 8),
         (0x00FF00FF00FF00FF, 100 * 2**16 + 1, 16),

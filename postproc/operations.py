@@ -73,7 +73,7 @@ def operations(program: Program, *, at_retracts: bool = False) -> tuple[Operatio
     # fewer and fewer comments count, until operations are few enough not to be remarks on single moves
     choices: tuple[Names, ...] = ("retracts",) if at_retracts else ("all", "retracts", "none")
     for names in choices:
-        candidates = tuple(_join_operations(program, _starts(program, names)))
+        candidates = tuple(_join_operations(program, _operation_starts(program, names)))
         if len(candidates) <= _MOST_OPERATIONS:
             break
     return candidates
@@ -121,7 +121,7 @@ def ignored_comments(program: Program) -> tuple[Event, ...]:
     """
     rows = len(program.motions)
     comments = [event for event in program.events if event.kind == "comment" and 0 < event.before < rows]
-    lines = _lines(program, comments)
+    lines = _numbered_lines(program, comments)
     comments_without_operation: list[Event] = []
     if any(_BEGIN.match(event.text) for event in comments):
         return ()
@@ -156,7 +156,7 @@ class _Start(NamedTuple):
     line: int
 
 
-def _starts(program: Program, names: Names) -> Iterator[_Start]:
+def _operation_starts(program: Program, names: Names) -> Iterator[_Start]:
     """Yield where operations may begin, in order: at the first motion, at other frames, at comments and tool changes.
 
     :param names: which comments name operations.
@@ -179,7 +179,7 @@ def _starts_at_marks(program: Program, marks: list[Event], names: Names) -> dict
     :param names: which comments name operations.
     """
     is_explicit = any(event.kind == "comment" and _BEGIN.match(event.text) for event in marks)
-    lines = _lines(program, marks)
+    lines = _numbered_lines(program, marks)
     starts: dict[int, tuple[str, int]] = {}
     for row, group in groupby(sorted(marks, key=lambda event: event.before), key=lambda event: event.before):
         events = list(group)
@@ -212,7 +212,7 @@ def _tools_at(program: Program, marks: list[Event], rows: list[int]) -> list[int
     return [int(row) + 1 for row in program.motions.tool[rows]] if program.keeps_text else [0] * len(rows)
 
 
-def _lines(program: Program, events: list[Event]) -> dict[int, str]:
+def _numbered_lines(program: Program, events: list[Event]) -> dict[int, str]:
     """Return the lines of some events, and those before them: number → text."""
     line_numbers = {line for event in events for line in (event.line - 1, event.line)}
     numbered_lines = enumerate(text_lines(program.documents[0].text) if program.documents else (), start=1)

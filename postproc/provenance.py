@@ -89,7 +89,7 @@ def of(documents: Sequence[Document], comment: str) -> Provenance:
 
     :param comment: what comments begin with: ``;`` in KRL.
     """
-    provenance_lines = _lines(documents[0].text, comment)
+    provenance_lines = _provenance_lines(documents[0].text, comment)
     if not provenance_lines:
         return Provenance("none")
     line = _line_at(documents[0].text, provenance_lines[0].start())
@@ -118,9 +118,9 @@ def mark(
         has.
     """
     main, *other_documents = documents
-    old = _lines(main.text, comment)
+    old = _provenance_lines(main.text, comment)
     if old:
-        start, stop, end = old[0].start(), old[0].end(), _ending(old[0][0])
+        start, stop, end = old[0].start(), old[0].end(), _line_end(old[0][0])
     else:
         head_line = head.search(main.text)
         start = stop = head_line.end() if head_line else 0
@@ -141,8 +141,11 @@ def mark(
     return (replace(main, text=text), *other_documents), first_moved_line
 
 
-def _lines(text: str, comment: str) -> list[re.Match[str]]:
-    """Return the lines that say where a program comes from."""
+def _provenance_lines(text: str, comment: str) -> list[re.Match[str]]:
+    """Return the lines of a text that say where a program comes from, in order; their first group is the content.
+
+    :param comment: what comments begin with: ``;`` in KRL.
+    """
     word, line = _patterns(comment)
     lines = []
     for match in word.finditer(text):  # found fast, unlike lines
@@ -153,7 +156,10 @@ def _lines(text: str, comment: str) -> list[re.Match[str]]:
 
 @cache
 def _patterns(comment: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
-    """Return the expressions for the word that such a line begins with, and for the line."""
+    """Return the expressions for the word that a line of provenance begins with, and for the whole line.
+
+    :param comment: what comments begin with: ``;`` in KRL.
+    """
     # the number of the format, or nothing, follows: others may write "Postproc: KRC4" or "Postproc version 3"
     word = rf"{re.escape(comment)}[ \t]*(?i:POSTPROC)(?=[ \t]+\d+\b|[ \t]*[\r\n]|[ \t]*\Z)"
     line = rf"(?:\A|(?<=[\r\n]))[ \t]*{word}([^\r\n]*)(?:\r{{0,2}}\n|\r|\Z)"
@@ -177,6 +183,6 @@ def _line_at(text: str, offset: int) -> int:
     return len(_END.findall(text, 0, offset)) + 1
 
 
-def _ending(line: str) -> str:
+def _line_end(line: str) -> str:
     """Return the line end of a line; empty if it has none."""
     return line[len(line.rstrip("\r\n")) :]

@@ -102,7 +102,10 @@ def differences(
 
 
 def _unresolved_differences(comparison: Comparison) -> Iterator[Difference]:
-    """Yield motions known at run time only that differ in their text, or in the statements before them."""
+    """Yield an error if motions that are known at run time only differ in their text.
+
+    If their texts are equal, the statements before them are compared.
+    """
     motions = comparison.nominal.unresolved, comparison.corrected.unresolved
     nominal_texts, corrected_texts = ([_normal_text(motion.text) for motion in side] for side in motions)
     first = first_difference(nominal_texts, corrected_texts)
@@ -111,7 +114,7 @@ def _unresolved_differences(comparison: Comparison) -> Iterator[Difference]:
             (side[first].file, side[first].line) if first < len(side) else None for side in motions
         )
         message = "motions that are known at run time only differ: it is unknown where they lead."
-        count = abs(len(motions[0]) - len(motions[1])) or 1
+        count = abs(len(motions[0]) - len(motions[1])) or 1  # equal numbers of motions: one of them differs at least
         yield Difference("error", "unresolved-differs", message, nominal_place, corrected_place, count)
     elif len(comparison.nominal.documents) == len(comparison.corrected.documents):
         yield from _unresolved_statement_differences(comparison)

@@ -73,7 +73,7 @@ class _Texts:
             *self._compared_statements(file, range(loop_begin + 1, end_line)),
         ]
 
-    def routine(self, place: tuple[str, int]) -> tuple[tuple[str, int], tuple[str, int]]:
+    def routine_limits(self, place: tuple[str, int]) -> tuple[tuple[str, int], tuple[str, int]]:
         """Return the places of the first and the last line of the routine around a motion, DEF and END.
 
         :param place: file and 1-based line of the motion; the begin and the end of the file count without a DEF or END.
@@ -145,8 +145,8 @@ def _places_of_motions(texts: _Texts, rows: Ints) -> list[tuple[str, int]]:
     """
     places = texts.program.places(rows)
     motions = [(places.files[int(file)], int(line)) for file, line in zip(places.file, places.line, strict=True)]
-    begin, _ = texts.routine(motions[0])
-    _, end = texts.routine(motions[-1])
+    begin, _ = texts.routine_limits(motions[0])
+    _, end = texts.routine_limits(motions[-1])
     return [begin, *motions, end]
 
 

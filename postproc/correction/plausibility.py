@@ -56,11 +56,11 @@ def setup_questions(program: Program, cell: Cell, robot: RobotModel) -> Iterator
     cutting = np.flatnonzero(~m.rapid)
     table = "$TOOL of the program" if program.keeps_text else "[tool] or [tools.n] of the cell"
     for row in distinct(m.tool[cutting]):
-        if message := short_tool(program.tools[row], table):
+        if message := short_tool_question(program.tools[row], table):
             yield m.issue("warning", "short-tool", message, cutting[m.tool[cutting] == row])
     table = "$BASE of the program" if program.keeps_text else "[base] of the cell"
     for row in distinct(m.base[cutting]):
-        if message := near_base(program.bases[row], table):
+        if message := near_base_question(program.bases[row], table):
             yield m.issue("warning", "near-base", message, cutting[m.base[cutting] == row])
     rating = rated_payload(robot.title, robot.name)
     if rating is not None and cell.payload.mass_kg > rating:
@@ -105,7 +105,7 @@ def frame_question(program: Program, motion: Ints, shift: Array, causes: Sequenc
     yield Issue("warning", "frames-at-rest", message)
 
 
-def short_tool(tool: Array, table: str) -> str:
+def short_tool_question(tool: Array, table: str) -> str:
     """Return the question on a `$TOOL` (4, 4) [m] with its tip at the flange; empty for any other.
 
     :param table: where it is given, in words for the message.
@@ -117,7 +117,7 @@ def short_tool(tool: Array, table: str) -> str:
     return f"{message}: is Z in mm? {table} is in mm: a tool of 0.35 m has Z = 350"
 
 
-def near_base(base: Array, table: str) -> str:
+def near_base_question(base: Array, table: str) -> str:
     """Return the question on a `$BASE` (4, 4) [m] inside the foot of the arm; empty for any other, and for zero.
 
     :param table: where it is given, in words for the message.
@@ -204,31 +204,33 @@ def _spindle_questions(program: Program, cell: Cell, rows: Ints) -> Iterator[Iss
 
 
 def _spindle_effect(cell: Cell, lines: Sequence[str]) -> str:
-    """Return the kind of event by which lines of `[m_codes]` switch the spindle; empty if they do not.
+    """Return "spindle_on" or "spindle_off", as lines of `[m_codes]` switch the spindle; empty if they do not.
 
-    They switch it if they set one of the signals that spindle_on and spindle_ccw set. The last such line decides: it
-    switches the spindle off if it is one of spindle_off.
+    Lines switch the spindle if they set a signal that `spindle_on` or `spindle_ccw` of the cell set. The last of them
+    decides: it switches the spindle off if it is also in `spindle_off`.
     """
     gcode = cell.gcode
-    signals = {signal for line in (*(gcode.spindle_on or ()), *(gcode.spindle_ccw or ())) if (signal := _signal(line))}
-    switching = [_plain(line) for line in lines if _signal(line) in signals]
+    signals = {
+        signal for line in (*(gcode.spindle_on or ()), *(gcode.spindle_ccw or ())) if (signal := _signal_name(line))
+    }
+    switching = [_compact_line(line) for line in lines if _signal_name(line) in signals]
     if not switching:
         return ""
-    return "spindle_off" if switching[-1] in map(_plain, gcode.spindle_off or ()) else "spindle_on"
+    return "spindle_off" if switching[-1] in map(_compact_line, gcode.spindle_off or ()) else "spindle_on"
 
 
-def _signal(line: str) -> str:
+def _signal_name(line: str) -> str:
     """Return the signal that a line of KRL or RAPID sets, upper case; empty for none."""
     match = _SET_SIGNAL.match(line)
-    return _plain(match[1] or match[2]) if match else ""
+    return _compact_line(match[1] or match[2]) if match else ""
 
 
-def _plain(line: str) -> str:
+def _compact_line(line: str) -> str:
     """Return a line without blanks, upper case."""
     return "".join(line.split()).upper()
 
 
-def tool_changes(program: Program, axis: str) -> Iterator[Issue]:
+def tool_change_warnings(program: Program, axis: str) -> Iterator[Issue]:
     """Yield a warning for each tool change where the tip of a longer tool is mounted among or below the cuts.
 
     The flange does not move at a tool change, so the new tip is deeper, along the new tool, by the difference of the

@@ -726,7 +726,7 @@ def _initial_issues(program: Program, robot: RobotModel, cell: Cell, mode: Mode)
         *inspection.holder_issues(program, cell),
         *inspection.obstacle_issues(program, cell),
         *plausibility.setup_questions(program, cell, robot),
-        *plausibility.tool_changes(program, cell.tool.axis),
+        *plausibility.tool_change_warnings(program, cell.tool.axis),
     )
 
 

@@ -276,11 +276,11 @@ def _is_continuous(program: Program, motion: Ints, kind: Ints) -> Bools:
     :param motion: (n,) motion of each target, and `kind` (n,) as written.
     """
     m = program.motions
-    following = np.append(motion[1:], -1)
-    is_same_frame = (m.base[following] == m.base[motion]) & (m.tool[following] == m.tool[motion])
-    follows_at_once = (following >= 0) & (following - motion <= 1)
+    next_motion = np.append(motion[1:], -1)  # −1: no target follows the last one
+    is_same_frame = (m.base[next_motion] == m.base[motion]) & (m.tool[next_motion] == m.tool[motion])
+    follows_at_once = (next_motion >= 0) & (next_motion - motion <= 1)
     if program.after is not None:  # not at the start of branches, or where the position of the robot is unknown
-        follows_at_once &= (following == motion) | (program.after[following] == motion)
+        follows_at_once &= (next_motion == motion) | (program.after[next_motion] == motion)
     is_path_motion = (kind != PTP) & (kind != SPL)
     return np.asarray(follows_at_once & is_same_frame & is_path_motion & np.append(is_path_motion[1:], False))
 

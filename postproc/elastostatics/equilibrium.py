@@ -328,14 +328,14 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
     for _ in range(_MOST_STEPS):
         state = kinematics.posture(robot.loaded, x, tools, weigh=robot.has_weight)
         jacobian, missing_twist = state.jacobian(), kinematics.twist_between(state.pose, goal)
-        left = np.abs(missing_twist)
+        remaining_twist = np.abs(missing_twist)
         # without link springs the deflection matters at the target only
-        if len(passive) or not _exceeds_tolerance(left).any():
+        if len(passive) or not _exceeds_tolerance(remaining_twist).any():
             load = np.einsum("ikn,in->kn", jacobian, wrench)
             theta = springs_at_target(robot, x, load, static_torque(robot, x, state))
             link_twist = np.einsum("ikn,kn->in", jacobian[:, passive], (theta - x)[passive])
-            left, missing_twist = left + np.abs(link_twist), missing_twist - link_twist
-        rows = np.flatnonzero(_exceeds_tolerance(left))
+            remaining_twist, missing_twist = remaining_twist + np.abs(link_twist), missing_twist - link_twist
+        rows = np.flatnonzero(_exceeds_tolerance(remaining_twist))
         if len(rows) == 0:
             q = joint_angles(robot, x - theta)
             pose = kinematics.posture(robot.nominal, q, tools).pose

@@ -224,7 +224,7 @@ def _wrong_keys(data: object, kind: Any, at: str, *, is_entry: bool = False) -> 
     :param at: key of the table; empty: the whole file.
     :param is_entry: the table is an entry of one with any names, which may have a dot.
     """
-    kind = _inner(kind)
+    kind = _type_without_none(kind)
     if isinstance(kind, msgspec.inspect.DictType) and isinstance(data, Mapping):
         for name, value in data.items():
             yield from _wrong_keys(value, kind.value_type, _full_key(at, str(name)), is_entry=True)
@@ -257,7 +257,7 @@ def _wrong_keys_of_table(
         yield f"unknown {key}", advice
     intended_names = {nearest_name(name, fields) for name in unknown_names}  # a intended_names key is not missing too
     missing_keys = [
-        f"[{_full_key(at, name)}]" if isinstance(_inner(field.type), msgspec.inspect.StructType) else name
+        f"[{_full_key(at, name)}]" if isinstance(_type_without_none(field.type), msgspec.inspect.StructType) else name
         for name, field in fields.items()
         if field.required and name not in data and name not in intended_names
     ]
@@ -270,8 +270,8 @@ def _full_key(at: str, name: str) -> str:
     return f"{at}.{name}" if at else name
 
 
-def _inner(kind: Any) -> Any:
-    """Return the type itself of msgspec's type of a value that may also be None."""
+def _type_without_none(kind: Any) -> Any:
+    """Return msgspec's type of a value without the None that it may also be; other types as they are."""
     if isinstance(kind, msgspec.inspect.UnionType):
         return next((part for part in kind.types if not isinstance(part, msgspec.inspect.NoneType)), kind)
     return kind
@@ -290,7 +290,7 @@ def _valid_values(kind: Any, at: str, invalid_value: re.Match[str] | None) -> st
         None: the message names no value.
     """
     for part in _KEY_PART.findall(at):
-        kind = _inner(kind)
+        kind = _type_without_none(kind)
         if part == "[...]" and isinstance(kind, msgspec.inspect.DictType):
             kind = kind.value_type
         elif part.startswith("[") and isinstance(kind, msgspec.inspect.ListType):
@@ -300,8 +300,8 @@ def _valid_values(kind: Any, at: str, invalid_value: re.Match[str] | None) -> st
     description = ""
     if isinstance(kind, msgspec.inspect.Metadata):
         kind, description = kind.type, f" {(kind.extra_json_schema or {})['description']}"
-    if isinstance(_inner(kind), msgspec.inspect.LiteralType):
-        values = _inner(kind).values
+    if isinstance(_type_without_none(kind), msgspec.inspect.LiteralType):
+        values = _type_without_none(kind).values
         question = did_you_mean(invalid_value[1], map(str, values)) if invalid_value else ""
         return f"{question} Valid values: {', '.join(map(repr, values))}.{description}".lstrip()
     return None
@@ -375,7 +375,7 @@ def parse_csv(
     numeric: dict[str, Array] = {}
     for name, values in columns.items():
         if name not in text_columns:
-            numeric[name], invalid_rows = _numeric(values, empty_is_nan=name in may_be_empty)
+            numeric[name], invalid_rows = _number_column(values, empty_is_nan=name in may_be_empty)
             faults += [
                 error(
                     f"column {name} is not a finite number: {values[place][:80]!r}",
@@ -500,7 +500,7 @@ def _header(
     return header
 
 
-def _numeric(values: Sequence[str], *, empty_is_nan: bool) -> tuple[Array, NDArray[np.int64]]:
+def _number_column(values: Sequence[str], *, empty_is_nan: bool) -> tuple[Array, NDArray[np.int64]]:
     """Return a column of numbers, NaN for cells that are no finite number, and the rows (n,) of cells that are wrong.
 
     :param empty_is_nan: an empty cell is not wrong.

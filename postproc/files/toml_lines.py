@@ -30,25 +30,25 @@ def line_of(text: str, key: str) -> int | None:
     exact, inline, table = [], [], list[str]()
     for number, line in enumerate(text.splitlines(), 1):
         if header := _HEADER.match(line):
-            path = table = _parts(header[1])
+            path = table = _key_parts(header[1])
         elif "=" in line and not line.lstrip().startswith("#"):
-            path = [*table, *_parts(line.partition("=")[0])]
-            if _begins(path, key_parts):
+            path = [*table, *_key_parts(line.partition("=")[0])]
+            if _is_part_of_line(path, key_parts):
                 inline.append(number)
         else:
             continue
-        if len(path) == len(key_parts) and _begins(path, key_parts):
+        if len(path) == len(key_parts) and _is_part_of_line(path, key_parts):
             exact.append(number)
     lines = exact or inline
     return lines[0] if len(lines) == 1 else None
 
 
-def _parts(text: str) -> list[str]:
+def _key_parts(text: str) -> list[str]:
     """Return the parts of a dotted key without quotes."""
     return [part.strip().strip("\"'") for part in _PART.findall(text.strip())]
 
 
-def _begins(path: Sequence[str], key_parts: Sequence[str]) -> bool:
+def _is_part_of_line(path: Sequence[str], key_parts: Sequence[str]) -> bool:
     """Return whether the parts of a key begin with those of a line, ``*`` being any part.
 
     The key is then that of the line, or inside its inline table or list.

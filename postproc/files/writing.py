@@ -81,7 +81,7 @@ def foreign(folder: Path, names: Iterable[str], record: str) -> list[Path]:
 
     :param record: name of the record.
     """
-    digests = _read(folder / record)
+    digests = _recorded_digests(folder / record)
     return [
         path
         for path in (folder / name for name in names)
@@ -91,7 +91,7 @@ def foreign(folder: Path, names: Iterable[str], record: str) -> list[Path]:
 
 def recorded_files(record: Path) -> dict[str, str]:
     """Return the files that a record lists: name → SHA-256; empty if it is no record of postproc."""
-    return _read(record) or {}
+    return _recorded_digests(record) or {}
 
 
 def recorded_names(record: Path, key: str) -> list[str]:
@@ -135,7 +135,7 @@ def path_list(paths: Sequence[Path]) -> str:
     return first_of([str(path) for path in paths], _LISTED_FILES)
 
 
-def _read(path: Path) -> dict[str, str] | None:
+def _recorded_digests(path: Path) -> dict[str, str] | None:
     """Return the files that a record lists: name → SHA-256; None if it is no record of postproc."""
     try:
         return {entry["name"]: entry["sha256"] for entry in json.loads(path.read_bytes())["files"]}
@@ -193,7 +193,7 @@ def stage(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> Stag
     :param contents: see `write_whole`.
     :raises InputError: the folder or a file cannot be written; the message names it.
     """
-    with _naming(folder, contents) as paths:
+    with _errors_that_name_file(folder, contents) as paths:
         folder.mkdir(parents=True, exist_ok=True)
         for name in contents:
             if (folder / name).is_dir():
@@ -227,7 +227,7 @@ def replace(folder: Path, file_sets: Sequence[StagedFiles], obsolete: Sequence[s
     names = list(dict.fromkeys([*firsts, *(name for file_set in file_sets for name in file_set.names)]))
     with interrupts.defer():
         try:
-            with _naming(folder, names):
+            with _errors_that_name_file(folder, names):
                 _replace(file_sets, folder, names, obsolete)
         finally:
             for file_set in file_sets:
@@ -248,11 +248,13 @@ def remove_leftovers(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def _naming(folder: Path, names: Collection[str]) -> Iterator[list[Path]]:
+def _errors_that_name_file(folder: Path, names: Collection[str]) -> Iterator[list[Path]]:
     """Turn an `OSError` inside the context into an `InputError` that names a file.
 
-    :param names: of the files that may be named if the operating system says which one it was.
-    :returns: paths, to which the caller adds each file that it begins with: the last one is named otherwise.
+    The error names the file that the operating system reports, if it is among `names`; else the last of the paths.
+
+    :param names: names of files of the folder that the error may name.
+    :returns: paths; the caller adds each file when it begins to write it.
     :raises InputError: an `OSError` was raised.
     """
     paths = [folder]
@@ -317,7 +319,7 @@ def toml(content: object, comment: str) -> bytes:
     Numbers have ten digits; what has its default is left out. A list of numbers is one line: a number a line makes the
     covariance of a robot twice as large.
     """
-    text = _LIST_OF_NUMBERS.sub(lambda match: f"[{' '.join(match[1].split())}]", tomli_w.dumps(_plain(content)))
+    text = _LIST_OF_NUMBERS.sub(lambda match: f"[{' '.join(match[1].split())}]", tomli_w.dumps(_builtins(content)))
     return f"# {comment}\n{text}".encode()
 
 
@@ -325,19 +327,19 @@ _LIST_OF_NUMBERS = re.compile(r"\[\n\s*([-+.\deE]+(?:,\s+[-+.\deE]+)*),?\s*\]")
 """A list of numbers over several lines, as tomli_w writes it; strings have no line breaks, so it is in none."""
 
 
-def _plain(value: Any) -> Any:
+def _builtins(value: Any) -> Any:
     """Return a record as builtins without its defaults; floats have ten digits."""
     if isinstance(value, msgspec.Struct):
         fields = ((field, getattr(value, field.name)) for field in msgspec.structs.fields(value))
         return {
-            field.encode_name: _plain(field_value)
+            field.encode_name: _builtins(field_value)
             for field, field_value in fields
             if field.required or field_value != _default(field)
         }
     if isinstance(value, Mapping):
-        return {name: _plain(entry) for name, entry in value.items()}
+        return {name: _builtins(entry) for name, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(entry) for entry in value]
+        return [_builtins(entry) for entry in value]
     return float(f"{value:.10g}") if isinstance(value, float) else value
 
 

@@ -20,7 +20,7 @@ from msgspec import Struct
 from postproc import correction, files, kinematics
 from postproc import robot as robots
 from postproc.cell import Cell, Frame, Rotary, Start, Tool, ToolAxis, load
-from postproc.correction.plausibility import near_base, short_tool
+from postproc.correction.plausibility import near_base_question, short_tool_question
 from postproc.decimals import without_negative_zero
 from postproc.dialects.text import decode
 from postproc.errors import CellError, InputError, ModelError, OptionError, ProgramError, first_of
@@ -330,8 +330,12 @@ _LARGEST_Z = -0.1
 
 def _metre_questions(cell: Cell, tools: Mapping[int, Frame]) -> Iterator[str]:
     """Yield a question for each of `$BASE` and the tools that seems to be given in metres."""
-    yield from filter(None, (near_base(cell.base.pose(), "--base"), short_tool(cell.tool.pose(), "--tool")))
-    yield from filter(None, (short_tool(tool.pose(), f"the tool of T{number}") for number, tool in tools.items()))
+    yield from filter(
+        None, (near_base_question(cell.base.pose(), "--base"), short_tool_question(cell.tool.pose(), "--tool"))
+    )
+    yield from filter(
+        None, (short_tool_question(tool.pose(), f"the tool of T{number}") for number, tool in tools.items())
+    )
 
 
 def _base_warnings(cell: Cell) -> Iterator[str]:

@@ -79,8 +79,10 @@ def even_places(
 def even_parts(length: Array, turn: Array, spacing: float, rotation: float) -> Ints:
     """Return the least number of equal parts (K,) of pieces that are no longer than, and turn by no more than, limits.
 
-    :param length: (K,) [m], `turn` (K,) rotation of the tool [rad].
-    :param spacing: largest length of a part [m], `rotation` its largest rotation [rad].
+    :param length: (K,) length of each piece [m].
+    :param turn: (K,) rotation of the tool along each piece [rad].
+    :param spacing: largest length of a part [m].
+    :param rotation: largest rotation of the tool along a part [rad].
     """
     parts = np.ceil(np.maximum(length / spacing, turn / rotation) - _ROUNDING)
     return np.maximum(parts, 1.0).astype(np.int64)

@@ -74,9 +74,9 @@ def test_what_is_right_before_or_behind_a_loop_is_not_in_its_rounds():
 def test_statements_between_files_are_not_known_and_a_routine_has_its_ends():
     assert TEXTS.statements_between(("a.src", 3), ("b.src", 1)) is None
     assert TEXTS.statements_between(("c.src", 1), ("c.src", 2)) is None
-    assert TEXTS.routine(("a.src", 8)) == (("a.src", 1), ("a.src", 15))
-    assert TEXTS.routine(("a.src", 18)) == (("a.src", 16), ("a.src", 19))
-    assert TEXTS.routine(("b.src", 1)) == (("b.src", 0), ("b.src", 3))
+    assert TEXTS.routine_limits(("a.src", 8)) == (("a.src", 1), ("a.src", 15))
+    assert TEXTS.routine_limits(("a.src", 18)) == (("a.src", 16), ("a.src", 19))
+    assert TEXTS.routine_limits(("b.src", 1)) == (("b.src", 0), ("b.src", 3))
 
 
 def test_statements_of_one_side_only_are_its_surplus_and_of_another_order_all():

@@ -208,7 +208,7 @@ def test_a_longer_tool_that_is_mounted_among_the_cuts_is_a_warning(height, x, le
     tools = {"1": cells.Frame(Z=350.0), "2": cells.Frame(Z=length)}
     cell = replace(CELL, tools=tools)
     program = correction.read([decode("p", CHANGE % (height, x))], ROBOT, cell, "p", "gcode")
-    issues = list(plausibility.tool_changes(program, "+Z"))
+    issues = list(plausibility.tool_change_warnings(program, "+Z"))
     assert bool(issues) == bool(words)
     if words:
         assert words in issues[0].message
@@ -237,7 +237,7 @@ RETRACTS = (
 )  # fmt: skip
 def test_retracts_at_feed_are_no_cuts_and_the_length_is_that_along_the_spindle(x, length, words):
     program = correction.read([decode("p", RETRACTS % (x, length))], ROBOT, CELL, "p", "krl")
-    messages = [issue.message for issue in plausibility.tool_changes(program, "+Z")]
+    messages = [issue.message for issue in plausibility.tool_change_warnings(program, "+Z")]
     assert len(messages) == bool(words)
     assert all(words in message for message in messages)
 
@@ -251,7 +251,7 @@ def test_a_longer_tool_in_a_base_without_cuts_raises_no_question():
     )
     program = correction.read([decode("p", text)], ROBOT, CELL, "p", "krl")
     assert (len(program.tools), len(program.bases)) == (2, 2)
-    assert list(plausibility.tool_changes(program, "+Z")) == []
+    assert list(plausibility.tool_change_warnings(program, "+Z")) == []
 
 
 @pytest.mark.parametrize(("frames", "mass_kg", "mode", "is_asked"), [

@@ -206,7 +206,7 @@ def test_a_longer_tool_is_asked_about_where_it_reaches_below_cuts(seed):
             )
             longer = f"{lengths[after] - lengths[before]:.4g} mm longer: where it is mounted its tip is at {numbers}"
             expected.append((k + 1, f"is {longer} of $BASE, which is {where} the cuts."))
-    issues = list(plausibility.tool_changes(made, "+Z"))
+    issues = list(plausibility.tool_change_warnings(made, "+Z"))
     assert [issue.source_line for issue in issues] == [row for row, _ in expected]
     for issue, (_, words) in zip(issues, expected, strict=True):
         assert (issue.level, issue.kind) == ("warning", "tool-change-depth")
