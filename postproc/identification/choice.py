@@ -767,7 +767,8 @@ def projection(equations: LinearEquations, columns: Ints, spread: Array) -> Arra
     """Return the matrix (k, p) that maps values of p parameters to values of k of them with the same effect.
 
     The effect on the readings is the same in least squares; the prior of the k parameters is a ridge. The k parameters
-    keep their values, and take over the effect of the others.
+    keep their values, and take over the effect of the others: for them the matrix is (D_kᵀD_k + S_k⁻²)⁻¹ D_kᵀD, with
+    the whitened design D and prior standard deviations S, computed in units of S.
 
     :param columns: (k,) indices of the k parameters.
     :param spread: (p,) prior standard deviations, which limit the changes of the k parameters.

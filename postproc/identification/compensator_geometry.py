@@ -219,7 +219,8 @@ def swivel_axis(p0: Array) -> tuple[Array, Array]:
 def geometry(q2: Array, p1: Array, p0: Array) -> Array:
     """Return (..., 3) L, a_x, a_y [m] of Eq. (3) of Klimchik et al. from mean positions of the markers.
 
-    P0 is at (−a_x, −a_y) from P2, in axes with x towards P1 at q2 = 0 and y towards P1 at q2 = +90°.
+    P1 turns about P2, on the axis of joint 2, at the distance L. The other markers turn about P0, which is at
+    (−a_x, −a_y) from P2, in axes with x towards P1 at q2 = 0 and y towards P1 at q2 = +90°.
 
     :param q2: (m,) angles of joint 2, KUKA sign [rad].
     :param p1: (..., m, 3) positions of P1 in the tracker frame [m].

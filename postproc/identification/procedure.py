@@ -140,7 +140,7 @@ def identify(
     warnings = checked_readings.warnings
     if depth == "joints" and _has_unexplained_error(joints.fit):
         warnings = [*warnings, _joint_residual_text(joints.fit)]
-        ratio = joints.fit.chi2 / joints.fit.dof
+        ratio = joints.fit.chi2 / joints.fit.dof  # the unexplained error widens the intervals
         springs = springs._replace(fit=replace(joints.fit, covariance=joints.fit.covariance * ratio))
     return _enhanced_identification(prior, joints, springs, warnings, checked_readings.doubt)
 

@@ -599,7 +599,8 @@ def _relative_torque(sides: Array, largest: Array) -> Array:
 
 
 def torque_record(torque_range: Coverage) -> list[record.TorqueRange]:
-    """Return the torques as `identification.json` contains them."""
+    """Return the covered torques for `identification.json`, one entry a joint; negative torques have their sign."""
+    # columns: 0 negative, 1 positive
     return [
         record.TorqueRange(name, without_negative_zero(float(-sides[0])), float(sides[1]), int(count[0]), int(count[1]))
         for name, sides, count in zip(JOINTS, torque_range.largest, torque_range.configurations, strict=True)

@@ -174,6 +174,8 @@ class Criterion(Struct, frozen=True, eq=False):
         """Return the criterion for levels of q2.
 
         :param tests: poses at which errors count.
+        :param readings: with the joints whose compliances are identified.
+        :param joint2: model of joint 2, by which k2 at the test poses follows from k2 of the levels.
         :param q2: (m,) levels [rad].
         :param grouped: second Eq. (10) of Klimchik et al. as printed: each level is identified alone; else pooled.
         :param earlier_data: readings that were already made; None: there are none.
@@ -185,7 +187,8 @@ class Criterion(Struct, frozen=True, eq=False):
             extended_index = np.tile(np.arange(size), (levels, 1))
             earlier_matrix = np.zeros((levels, size, size))
         else:
-            k2 = keep.index(1)  # of joint 2, which has one compliance for each level
+            # extended set: compliances that all levels share, then k2 of each level
+            k2 = keep.index(1)  # column of joint 2
             shared = [index for index in range(size) if index != k2]
             level_slopes = joint2.level_derivatives(q2, tests.q[:, 1])
             extended_regressor = np.empty((len(regressor), 3, size - 1 + levels))

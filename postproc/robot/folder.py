@@ -284,10 +284,11 @@ def _force_factor(content: ModelFile, covariance: Covariance | None) -> ForceFac
         return None
     square = table.square
     assert square is not None, "_check_covariance has refused the table"
-    by_name = dict(zip(table.parameters, square[table.parameters.index(FORCES)].tolist(), strict=True))
-    covariances = [by_name.get(parameter.name, 0.0) for parameter in covariance.parameters]
+    # covariances of the factor with each parameter, and its variance
+    factor_row = dict(zip(table.parameters, square[table.parameters.index(FORCES)].tolist(), strict=True))
+    covariances = [factor_row.get(parameter.name, 0.0) for parameter in covariance.parameters]
     numbers = (*law.cutting_N_per_mm2, *law.edge_N_per_mm, law.mc, law.sigma_percent)
-    return ForceFactor(numbers, np.array([*covariances, by_name[FORCES]]))
+    return ForceFactor(numbers, np.array([*covariances, factor_row[FORCES]]))
 
 
 def _discrepancy(entry: DiscrepancyEntry | None) -> Discrepancy | None:

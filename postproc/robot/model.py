@@ -122,7 +122,7 @@ class Discrepancy(Struct, frozen=True, eq=False):
     u95: Array
 
     def at(self, wrench: Array) -> Array:
-        """Return the 95 % bound (N,) [m] under wrenches (N, 6).
+        """Return the 95 % bound (N,) [m] of the unmodelled error under wrenches (N, 6).
 
         It is interpolated between the measured loads and proportional to the load above them. Below the smallest load
         it is constant, as an error by backlash is. Without load it is zero.
