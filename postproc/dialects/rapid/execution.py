@@ -304,7 +304,7 @@ class Execution:
                 return True
         return False
 
-    def moves(self, statements: tuple[Statement, ...]) -> Instruction | None:
+    def first_moving_instruction(self, statements: tuple[Statement, ...]) -> Instruction | None:
         """Return the first instruction among statements that moves the robot or changes how it moves; None without one.
 
         Calls of routines that move, calls by a computed name and calls of other files with a target count. For a
@@ -333,7 +333,7 @@ class Execution:
         has_moves = self._moving.get(routine.name)
         if has_moves is None:
             self._moving[routine.name] = False  # ends the search at recursive calls
-            has_moves = self._moving[routine.name] = self.moves(routine.body) is not None
+            has_moves = self._moving[routine.name] = self.first_moving_instruction(routine.body) is not None
         return has_moves
 
     # --- statements
@@ -480,7 +480,7 @@ class Execution:
         :raises RapidError: they may move the robot, skip moves of the routine, or have a force comment.
         :raises _Return: they may leave the routine, and it has no moves.
         """
-        first_move = self.moves(statements)
+        first_move = self.first_moving_instruction(statements)
         if first_move is not None:
             problem = f"it is not known before the program runs whether {first_move.name} is executed: {reason}"
             advice = (
@@ -505,7 +505,7 @@ class Execution:
         :param routine: the routine that contains it.
         :param depth: number of calls around the routine.
         """
-        if self.moves(loop.body) is None:
+        if self.first_moving_instruction(loop.body) is None:
             self._execute_loop_without_moves(loop, scope, routine, depth)
             return
         first = len(self.result.moves)
@@ -701,7 +701,10 @@ class Execution:
             self._refuse(statement, problem, _KEEP)
 
     def _execute_counting(self, statement: Instruction, scope: Scope) -> None:
-        """Execute Incr, Decr, Add or Clear; the data become unknown if the result cannot be calculated."""
+        """Execute Incr, Decr, Add or Clear; the data become unknown if the result cannot be calculated.
+
+        Nothing happens if the argument is no declared data.
+        """
         target = next(changed_arguments(statement.arguments), None)
         variable = None if target is None else scope.find(base_name(target))
         if target is None or variable is None:

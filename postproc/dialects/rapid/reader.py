@@ -594,6 +594,7 @@ def _single_precision(values: list[float]) -> Array:
 def _turn_speeds(moves: list[Move]) -> Runs | None:
     """Return `Program.turn_speeds` of moves; None if no move has a rotational speed."""
     speeds = np.full((len(moves), 3), np.inf)
+    # v_ori limits any rotation; RAPID has no limits for single axes of the tool: the other columns
     speeds[:, 0] = _single_precision([move.turn_speed for move in moves]) * RAD_PER_DEG
     return Runs.of(speeds) if np.isfinite(speeds).any() else None
 

@@ -247,7 +247,10 @@ def _is_declaration(text: str, start: int, stop: int) -> bool:
 
 
 def _declaration(code: _Code) -> Statement:
-    """Return DECL, CONST, STRUC or a type, with the names that it declares."""
+    """Return a declaration, which begins with DECL, CONST, STRUC or a type, with the names that it declares.
+
+    :raises ProgramError: brackets are not balanced.
+    """
     source, word, start, word_start, stop = code
     names = tuple(declared_in(source, word_start, stop))
     is_constant = bool(names) and key_word(source.text, word_start, names[0].name_start, "CONST") is not None

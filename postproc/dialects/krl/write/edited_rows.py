@@ -45,12 +45,12 @@ def edited_rows(trace: Trace, edits: Replacements) -> EditedRows:
         if new_text != old_text
     ]
     rows, texts = rows[changed_indices], [new_texts[index] for index in changed_indices]
-    numbers: dict[str, int] = {}
+    numbers: dict[str, int] = {}  # new text → its number
     keys = np.zeros(len(trace), dtype=np.int64)
     keys[rows - 1] = [numbers.setdefault(text, len(numbers) + 1) for text in texts]  # rows count from 1
-    count = np.ones(len(trace), dtype=np.int64)
-    count[rows - 1] = [line_count(text) for text in texts]
-    return EditedRows(rows, tuple(texts), keys.tolist(), np.append(0, np.cumsum(count)))
+    line_counts = np.ones(len(trace), dtype=np.int64)
+    line_counts[rows - 1] = [line_count(text) for text in texts]
+    return EditedRows(rows, tuple(texts), keys.tolist(), np.append(0, np.cumsum(line_counts)))
 
 
 def _edited_texts(trace: Trace, rows: Ints, old_texts: Sequence[str], edits: Replacements) -> list[str]:

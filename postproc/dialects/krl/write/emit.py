@@ -179,7 +179,10 @@ class Emitter:
             self.new_program.lines_before[k].append(f"$TOOL={_frame_text(self.program.tools[tool])}")
 
     def _after_tool_changes(self) -> Iterator[Issue]:
-        """Yield an issue for each tool change that calls a program: the path from its end is not checked."""
+        """Yield an issue for each tool change that calls a program.
+
+        The path from where the program leaves the robot to the next target is not checked.
+        """
         for event in self.program.events:
             k = self.new_program.first_target(event)
             if event.kind != "tool_change" or k == len(self.targets):

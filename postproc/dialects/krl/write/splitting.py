@@ -193,6 +193,7 @@ class _Splitter:
         self.base = self._name_prefix(name, program_words)
         self.used_names = {*program_words, *used_names, *(f"{self.base}{part}".upper() for part in (MAIN, *lines))}
         starts, stops = self.source.starts, self.source.stops
+        # the line end of DEF, for new lines (lines count from 1)
         self.line_end = self.source.text[int(stops[main.first - 1]) : int(starts[main.first])]
 
     def write(self) -> WrittenProgram:
