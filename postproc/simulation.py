@@ -61,7 +61,7 @@ class DrivenProgram(Struct, frozen=True, eq=False, dict=True):
         :param q: (n, 6) joint angles that the controller commands [rad]; those of another program may be given.
         :param wrench: (n, 6) at the tip, root axes [N, N·m].
         :param displacement: (n, 3) displacement of the robot by E1 [m].
-        :param guess: (n, nv) initial guess of the deflections of the springs.
+        :param guess: (n, nv) initial guess of the deflections of the springs; None: zero.
         :raises NotConvergedError: no loaded equilibrium.
         """
         tool = toolpath.tool_of(self.program, motion)

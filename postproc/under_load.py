@@ -290,7 +290,7 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         return elastostatics.compensate(self.robot, target, q_nominal, tool, wrench)
 
     def tip(self, q: Array, tool: Array, wrench: Array, guess: Array | None = None) -> Array:
-        """Return the position (n, 3) of the loaded tip in the root [m]; parameters of `tip_and_tool_deflection`."""
+        """Return the position (n, 3) of the loaded tip in the root [m]; parameters: see `tip_and_tool_deflection`."""
         return self.tip_and_tool_deflection(q, tool, wrench, guess)[0]
 
     def tip_and_tool_deflection(
@@ -301,7 +301,7 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         :param q: (n, 6) commanded joint angles [rad].
         :param tool: (4, 4) or (n, 4, 4) tool in the flange frame [m].
         :param wrench: (n, 6) at the tip, root axes [N, N·m].
-        :param guess: (n, nv) initial guess of the deflections of the springs.
+        :param guess: (n, nv) initial guess of the deflections of the springs; None: zero.
         :raises NotConvergedError: the load is too large for the springs.
         """
         if (spring := self.tool_spring) is not None:
@@ -479,7 +479,7 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
     def of(cls, program: Program, robot_in_cell: RobotInCell, source: ForceSource | None) -> MotionsUnderLoad:
         """Assign forces to the motions of a program.
 
-        :param source: forces that take precedence over the comments of the program.
+        :param source: forces that take precedence over the comments of the program; None: the comments alone.
         :raises ImpossiblePathError: the path is out of reach or implausibly long.
         :raises ForceError: the forces do not match the motions.
         """

@@ -239,7 +239,7 @@ def start_height_issues(program: Program, tip: Array, clearance: float | None) -
     below `clearance_Z` is what the program asks for. There is no first move if [start] is the first target.
 
     :param tip: (n, 3) positions of the tip from [start] to the first target in `$BASE` [m].
-    :param clearance: [machine] clearance_Z [m].
+    :param clearance: [machine] clearance_Z [m]; None: the cell does not state it.
     """
     m = program.motions
     if program.keeps_text or np.isfinite(m.joints[0, 0]):

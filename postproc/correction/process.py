@@ -680,7 +680,8 @@ def process(
     :param program: as read.
     :param robot: the robot model.
     :param cell: the cell.
-    :param source: forces in addition to the force comments of the program; they take precedence.
+    :param source: forces in addition to the force comments of the program; they take precedence. None: the comments
+        alone.
     :param mode: ``"convert"`` corrects, ``"nominal"`` writes the same moves without correction, ``"predict"`` writes
         nothing: it predicts the path of the uncorrected program at the targets that ``"convert"`` would write.
     :param linearize_arcs: write arcs as lines.
