@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import tomlkit
 
-from postproc.report.formatting import two_digits
+from postproc.report.formatting import two_digit_text
 from tests import commands
 from tests.places import CELL_FILE, SAMPLES
 
@@ -122,7 +122,7 @@ def test_place_states_the_numbers_of_convert_at_todays_place_and_at_the_best_one
             assert content[place][key] == pytest.approx(max(answer[key] for answer in better), abs=2e-6), (place, key)
         assert content[place]["chance"] == pytest.approx(min(answer["chance"] for answer in better), abs=1e-6)
         assert content[place]["deflection_mm"] == pytest.approx(max(r["before"]["max_mm"] for r in results), abs=1e-6)
-        stated = f"corrected up to {two_digits(content[place]['corrected_mm'])} mm (95 %)"
+        stated = f"corrected up to {two_digit_text(content[place]['corrected_mm'])} mm (95 %)"
         assert any(line.startswith(f"  {place}:") and stated in line for line in printed.splitlines())
     assert best["corrected_mm"] < content["today"]["corrected_mm"]
 

@@ -81,7 +81,7 @@ class AutomaticConversion:
         for path in paths:
             item = items.get(path.name)
             if item is None or item.is_current:
-                self._arrivals.finish(path)
+                self._arrivals.finish(path)  # until it changes again
                 continue
             if not self._end.is_set():
                 title = f"Correct {path.name}"

@@ -32,7 +32,7 @@ from postproc.jobs.process_edit import ProcessTable
 from postproc.jobs.setup_form import Field, SetupForm
 from postproc.machining.material import table
 from postproc.report.answers import chance_in_words
-from postproc.report.formatting import two_digits
+from postproc.report.formatting import two_digit_text
 from postproc.report.verdict import ASSUMED_STOCK, STOCK_REMARK
 
 FORM_OPTIONS = tuple(option for option in actions.CONVERSION if option.label)
@@ -102,7 +102,7 @@ def answers_of(item: Item) -> dict[str, Any]:
     if item.entry is None or content is None:
         return {"state": "new", "run": "Not corrected yet", "kind": "soft", "headline": "", "reasons": []}
     uncorrected_text, corrected_text = (
-        "unknown" if length is None else f"{two_digits(length)} mm" for length in content.expected_mm
+        "unknown" if length is None else f"{two_digit_text(length)} mm" for length in content.expected_mm
     )
     better, state = content.verdict.better, item.entry.state
     return {

@@ -135,7 +135,7 @@ class _Handler(BaseHTTPRequestHandler):
         except Exception as cause:
             text, status = _report_fault(cause), 500
         self.close_connection = True  # a body that was not read would be taken for the next request
-        return self._page(screens.message("That did not work", text), status)
+        return self._send_page(screens.message("That did not work", text), status)
 
     def _route(self, routes: dict[str, Callable[[_Handler], None]], *, is_change: bool) -> None:
         """Answer a request by the method for its address; refuse it without access, or if there is no such page.
@@ -157,7 +157,7 @@ class _Handler(BaseHTTPRequestHandler):
             )
         route = routes.get(address.path)
         if route is None:
-            return self._page(screens.message("Not found", "There is no such page. Go to the programs."), 404)
+            return self._send_page(screens.message("Not found", "There is no such page. Go to the programs."), 404)
         return route(self)
 
     def form(self) -> dict[str, str]:
@@ -165,12 +165,12 @@ class _Handler(BaseHTTPRequestHandler):
 
         :raises InputError: the form is too large, or does not state its size.
         """
-        size = self._size()
+        size = self._body_size()
         if size > _LARGEST_FORM:
             raise InputError("the form is too large")
         return dict(parse_qsl(self.rfile.read(size).decode(errors="replace"), keep_blank_values=True))
 
-    def _size(self) -> int:
+    def _body_size(self) -> int:
         """Return the size of the body of the request [bytes].
 
         :raises InputError: the request does not state the size.
@@ -180,7 +180,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise InputError("the size of what was sent is not stated")
         return int(text)
 
-    def _page(self, page: screens.Page, status: int = 200) -> None:
+    def _send_page(self, page: screens.Page, status: int = 200) -> None:
         """Send a page with an HTTP status; only the script with the nonce of the page may run in it."""
         policy = ("Content-Security-Policy", _WINDOW_POLICY.format(page.nonce))
         self._send(status, page.html, "text/html; charset=utf-8", policy)
@@ -226,7 +226,7 @@ class _Handler(BaseHTTPRequestHandler):
             screens.Row(item, runs.latest_run(item.name), waits_for="" if self._has_forces(item.name) else "what cuts")
             for item in items
         ]
-        self._page(screens.programs(workspace, rows, stamp, is_automatic=self.server.automatic.is_on))
+        self._send_page(screens.programs(workspace, rows, stamp, is_automatic=self.server.automatic.is_on))
 
     def _has_forces(self, name: str) -> bool:
         """Return whether the forces of a program are known: by a process file, or by comments in the program."""
@@ -281,7 +281,7 @@ class _Handler(BaseHTTPRequestHandler):
             kept_cell=kept_cell,
             frames=frames,
         )
-        self._page(page)
+        self._send_page(page)
         return None
 
     def program(self) -> None:
@@ -301,14 +301,14 @@ class _Handler(BaseHTTPRequestHandler):
         other_programs += [other_program.name for other_program in workspace.items() if other_program.name != name]
         command = command_line(workspace.conversion_arguments(name))
         run = self.server.runs.latest_run(name)
-        self._page(screens.program(item, workspace, other_programs, run=run, command=command))
+        self._send_page(screens.program(item, workspace, other_programs, run=run, command=command))
 
     def run(self) -> None:
         """Send the page of a command.
 
         :raises InputError: there is no such command.
         """
-        self._page(screens.running(self.server.runs.run_of_number(self.query.get("number", ""))))
+        self._send_page(screens.running(self.server.runs.run_of_number(self.query.get("number", ""))))
 
     def run_state(self) -> None:
         """Send as JSON the exit code of a command, its output, and its progress.
@@ -328,13 +328,13 @@ class _Handler(BaseHTTPRequestHandler):
         workspace = self.server.workspace
         if not workspace.cell.is_file():
             text = "There is no cell yet: the set-up of the first program asks for robot, base and tool."
-            return self._page(screens.message("Cell", text))
+            return self._send_page(screens.message("Cell", text))
         frames = self._frames()
         fields = fields_of(workspace.existing_cell(), frames)
         page = screens.cell(
             workspace, fields, fault=fault, texts=texts, is_saved="saved" in self.query, frames=",".join(frames)
         )
-        return self._page(page, 400 if fault else 200)
+        return self._send_page(page, 400 if fault else 200)
 
     def process(self, fault: str = "", texts: Mapping[str, str] = _NO_TEXTS) -> None:
         """Send the form with tools, material and stock of a program; without a name, the list of programs.
@@ -346,14 +346,14 @@ class _Handler(BaseHTTPRequestHandler):
         workspace, name = self.server.workspace, self.query.get("name", "")
         if not name:
             rows = [(item.name, self._process_in_words(item.name)) for item in workspace.items()]
-            return self._page(screens.processes(rows))
+            return self._send_page(screens.processes(rows))
         program = workspace.usable_program(name)
         path, needs = workspace.process_to_edit(name), needs_of(program)
         if needs.refusal:
             raise InputError(f"{name} cannot be read: {needs.refusal}")
         tables = process_tables(path, needs)
         page = screens.process(name, path, workspace, tables, fault=fault, texts=texts, is_saved="saved" in self.query)
-        return self._page(page, 400 if fault else 200)
+        return self._send_page(page, 400 if fault else 200)
 
     def _process_in_words(self, name: str) -> str:
         """Return the source of the forces of a program in words: its process file, its comments, or none yet."""
@@ -366,7 +366,7 @@ class _Handler(BaseHTTPRequestHandler):
     def robots(self) -> None:
         """Send the page of all robot models, or of one, with the readings from which a model can be identified."""
         workspace = self.server.workspace
-        self._page(screens.robots(self.query.get("name", ""), workspace, readings_of(workspace.folder)))
+        self._send_page(screens.robots(self.query.get("name", ""), workspace, readings_of(workspace.folder)))
 
     def readings(self) -> None:
         """Send the page of readings: the model identified from them, and the commands that use it.
@@ -374,17 +374,17 @@ class _Handler(BaseHTTPRequestHandler):
         :raises InputError: there are no such readings.
         """
         workspace, name = self.server.workspace, self.query.get("name", "")
-        self._page(screens.readings(name, workspace, workspace.readings(name)))
+        self._send_page(screens.readings(name, workspace, workspace.readings(name)))
 
     def model_page(self) -> None:
         """Send the report of the model of an experiment, or of the test part without a name.
 
         :raises InputError: there is no such experiment, or its model has no report.
         """
-        path = self.server.workspace.model_page(self._model(self.query.get("name", "")))
+        path = self.server.workspace.model_page(self._model_folder(self.query.get("name", "")))
         self._send(200, path.read_bytes(), MEDIA_TYPES[".html"], ("Content-Security-Policy", _REPORT_POLICY))
 
-    def _model(self, name: str) -> Path:
+    def _model_folder(self, name: str) -> Path:
         """Return the folder of the model of an experiment; for an empty name, of the model of the test part.
 
         :param name: path of the experiment in the folder of the window.
@@ -395,23 +395,23 @@ class _Handler(BaseHTTPRequestHandler):
 
     def testpart(self) -> None:
         """Send the page of the test part."""
-        self._page(screens.testpart(self.server.part))
+        self._send_page(screens.testpart(self.server.part))
 
     def testpart_file(self) -> None:
         """Send a file of the test part.
 
         :raises InputError: there is no such file.
         """
-        self._file(self.server.part.file(self.query.get("name", "")))
+        self._send_file(self.server.part.file(self.query.get("name", "")))
 
     def result(self) -> None:
         """Send a file of the folder of results.
 
         :raises InputError: there is no such file.
         """
-        self._file(self.server.workspace.result_file(self.query.get("name", "")))
+        self._send_file(self.server.workspace.result_file(self.query.get("name", "")))
 
-    def _file(self, path: Path) -> None:
+    def _send_file(self, path: Path) -> None:
         """Send a file of a type in `MEDIA_TYPES`: the browser shows HTML, and saves other files."""
         kind, name = MEDIA_TYPES[path.suffix.lower()], quote(path.name)
         headers = [("Content-Security-Policy", _REPORT_POLICY)]
@@ -430,7 +430,7 @@ class _Handler(BaseHTTPRequestHandler):
             is_automatic = self.server.automatic.is_on and workspace.cell.is_file() and self._has_forces(name)
             return "/" if is_automatic else f"/setup?name={quote(name)}"
 
-        self._add_upload(lambda: workspace.add(name, self.rfile, self._size()), next_page)
+        self._add_upload(lambda: workspace.add(name, self.rfile, self._body_size()), next_page)
 
     def _add_upload(self, add: Callable[[], object], next_page: Callable[[], str]) -> None:
         """Add a file that was dropped on the page; send as JSON the address of the next page, or the fault.
@@ -554,7 +554,7 @@ class _Handler(BaseHTTPRequestHandler):
         :raises InputError: there is no such model, it was refused, or a command runs.
         """
         workspace, name = self.server.workspace, self.form().get("name", "")
-        model = model_of(self._model(name))
+        model = model_of(self._model_folder(name))
         if model is None or model.refused:
             raise InputError(f"{name}: there is no model that may be used", advice="Identify one first.")
         self.server.runs.edit(lambda: use_model(workspace.existing_cell(), model.folder))
@@ -570,7 +570,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def add_probed(self) -> None:
         """Save a probing file that was filled in and dropped on the page."""
-        self._add_upload(lambda: self.server.part.add_probed(self.rfile, self._size()), lambda: "/testpart")
+        self._add_upload(lambda: self.server.part.add_probed(self.rfile, self._body_size()), lambda: "/testpart")
 
     def identify_part(self) -> None:
         """Begin to identify a model from the test part, or to check the model of the cell by the test part.

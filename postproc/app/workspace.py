@@ -61,7 +61,7 @@ class Bytes(Protocol):
 class Item(Struct, frozen=True):
     """A program of the folder and its results.
 
-    :param entry: result of the program; None: there is none.
+    :param entry: result of the program; None: it has no result.
     :param changes: inputs that have changed since the result was made, see `currency.changes`; empty: it is current.
     :param name_fault: reason why the window cannot use the name; empty: it can.
     """

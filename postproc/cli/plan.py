@@ -175,7 +175,7 @@ def _progress_display() -> Iterator[Progress | None]:
         def show(stage: str, share: float, best: float) -> None:
             """Draw stage and share of the search, and the smallest error so far [m].
 
-            Infinite or NaN: none is known yet.
+            Infinite or NaN: no error is known yet.
             """
             best_text = f"best so far {best * 1e3:.4g} mm" if math.isfinite(best) else ""
             bar.update(task, description=stage, completed=share, best=best_text)

@@ -109,4 +109,4 @@ def write_to_stdout(data: bytes) -> None:
     with io.FileIO(raw.fileno(), "wb", closefd=False) as device:
         remaining_bytes = memoryview(data)
         while remaining_bytes:
-            remaining_bytes = remaining_bytes[device.write(remaining_bytes) or 0 :]  # None: none was written
+            remaining_bytes = remaining_bytes[device.write(remaining_bytes) or 0 :]  # None: no byte was written

@@ -21,7 +21,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from msgspec import Struct
 
 from postproc.correction import Mode
-from postproc.report.formatting import State, two_digits
+from postproc.report.formatting import State, two_digit_text
 
 COLOURS: dict[State, str] = {"ok": "green", "warning": "amber", "failed": "red"}
 EXIT_CODES: dict[State, int] = {"ok": 0, "warning": 0, "failed": 3}
@@ -189,7 +189,9 @@ def _improvement_sentence(mode: Mode, better: Improvement | None) -> str:
     if better is None or better.uncorrected_mm is None or better.corrected_mm is None or better.chance is None:
         return ""
     chance = "" if better.state == "ok" else f", better with a chance of {chance_in_words(better.chance)}"
-    return _SENTENCE_FORMS[mode].format(two_digits(better.uncorrected_mm), two_digits(better.corrected_mm), chance)
+    return _SENTENCE_FORMS[mode].format(
+        two_digit_text(better.uncorrected_mm), two_digit_text(better.corrected_mm), chance
+    )
 
 
 def _tolerance_sentence(tolerance: Tolerance | None) -> str:
@@ -211,7 +213,7 @@ def _tolerance_sentence(tolerance: Tolerance | None) -> str:
 def remedies_text(actions: Sequence[Remedy]) -> str:
     """Return remedies in words with the expected error [mm] of each, the smallest error first."""
     by_error = sorted(actions, key=lambda remedy: remedy.expected_mm)
-    return ", ".join(f"{remedy.action} ({two_digits(remedy.expected_mm)} mm at best)" for remedy in by_error)
+    return ", ".join(f"{remedy.action} ({two_digit_text(remedy.expected_mm)} mm at best)" for remedy in by_error)
 
 
 QUESTIONS = ("May it be driven?", "Is it better than uncorrected?", "Does it hold your tolerance?")
@@ -244,11 +246,11 @@ def _comparison_text(better: Improvement | None) -> str:
     if better is None or better.uncorrected_mm is None or better.corrected_mm is None:
         return "not known"
     if better.chance is None:
-        return f"nothing is corrected; up to {two_digits(better.corrected_mm)} mm (95 %)"
+        return f"nothing is corrected; up to {two_digit_text(better.corrected_mm)} mm (95 %)"
     # largest and RMS of each program; the RMS is known where the largest is
     errors = ((better.uncorrected_mm, better.uncorrected_rms_mm), (better.corrected_mm, better.corrected_rms_mm))
     uncorrected_text, corrected_text = (
-        f"up to {two_digits(largest)} mm, RMS {two_digits(rms or 0.0)}" for largest, rms in errors
+        f"up to {two_digit_text(largest)} mm, RMS {two_digit_text(rms or 0.0)}" for largest, rms in errors
     )
     return f"chance {chance_in_words(better.chance)}: uncorrected {uncorrected_text}; corrected {corrected_text} (95 %)"
 

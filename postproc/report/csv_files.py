@@ -95,7 +95,7 @@ def forces_csv(result: Result) -> bytes | None:
 
 
 def forces_by_module(result: Result) -> dict[str, bytes]:
-    """Return forces.csv of each module of a written program: file name → content; empty if none is needed.
+    """Return forces.csv of each module of a written program: file name → content; empty if no file is needed.
 
     Lines are counted in the text of the module.
     """

@@ -9,7 +9,7 @@ from postproc.correction import HeldFeed, Result
 from postproc.frames import MM_PER_M, MM_PER_MIN, Array
 from postproc.operations import operation_indices, operations
 from postproc.program import Bools
-from postproc.report.formatting import stated_mm, two_digits
+from postproc.report.formatting import stated_mm, two_digit_text
 
 _MOST_MOVES = 100
 """Moves out of tolerance that a report lists (assumed)."""
@@ -148,10 +148,16 @@ def feed_sentences(feed: FeedSummary, max_moves: int = 5) -> list[str]:
         )
         for move in feed.missed[:max_moves]:
             edge_mm = move.edge_forces_mm
-            text = f"line {move.source_line}: {two_digits(move.expected_mm)} mm at {move.feed_mm_per_min:.0f} mm/min"
+            text = (
+                f"line {move.source_line}: {two_digit_text(move.expected_mm)} mm at {move.feed_mm_per_min:.0f} mm/min"
+            )
             texts.append(
                 text
-                + ("" if edge_mm is None else f", {two_digits(max(edge_mm, 0.0))} mm of it by edge forces at any feed")
+                + (
+                    ""
+                    if edge_mm is None
+                    else f", {two_digit_text(max(edge_mm, 0.0))} mm of it by edge forces at any feed"
+                )
             )
     return texts
 

@@ -25,23 +25,23 @@ def stated_mm(length: float) -> float:
     return float(f"{length * MM_PER_M:.12g}")
 
 
-def millimetres(value: float) -> str:
+def millimetre_text(value: float) -> str:
     """Return a distance [mm] as text, to a tenth of a micrometre; "<0.0001" below that.
 
-    >>> millimetres(8.28), millimetres(0.0), millimetres(0.00008)
+    >>> millimetre_text(8.28), millimetre_text(0.0), millimetre_text(0.00008)
     ('8.2800', '0.0000', '<0.0001')
     """
     return "<0.0001" if 0.0 < value < ROUNDING_MM else f"{value:.4f}"
 
 
-def two_digits(value_mm: float) -> str:
+def two_digit_text(value_mm: float) -> str:
     """Return a bound or an estimate [mm] as text, with two significant digits but at most four decimals.
 
     Below 0.0001 mm it is "<0.0001"; 0 is "0".
 
-    >>> two_digits(0.2752), two_digits(0.01234), two_digits(12.7), two_digits(0.0)
+    >>> two_digit_text(0.2752), two_digit_text(0.01234), two_digit_text(12.7), two_digit_text(0.0)
     ('0.28', '0.012', '13', '0')
-    >>> two_digits(0.0002), two_digits(0.00002)
+    >>> two_digit_text(0.0002), two_digit_text(0.00002)
     ('0.0002', '<0.0001')
     """
     if value_mm == 0.0:
@@ -64,7 +64,7 @@ def two_digit_decimals(value_mm: float) -> int:
     return max(0, 1 - math.floor(math.log10(float(f"{value_mm:.2g}"))))
 
 
-def estimate(value_mm: float, u95_mm: float | None) -> str:
+def estimate_text(value_mm: float, u95_mm: float | None) -> str:
     """Return a predicted distance [mm] as text, with the decimals of two significant digits of its uncertainty.
 
     The distance has two significant digits if its uncertainty is unknown or below 0.0001 mm, or if the distance is
@@ -72,13 +72,15 @@ def estimate(value_mm: float, u95_mm: float | None) -> str:
 
     :param u95_mm: uncertainty (95 %) of the distance; None: unknown.
 
-    >>> estimate(0.5218, 0.2752), estimate(0.5218, 0.0093), estimate(1.0687, None), estimate(0.0042, 0.28)
-    ('0.52', '0.5218', '1.1', '0.0042')
-    >>> estimate(0.00008, 0.28), estimate(0.0, None)
+    >>> estimate_text(0.5218, 0.2752), estimate_text(0.5218, 0.0093)
+    ('0.52', '0.5218')
+    >>> estimate_text(1.0687, None), estimate_text(0.0042, 0.28)
+    ('1.1', '0.0042')
+    >>> estimate_text(0.00008, 0.28), estimate_text(0.0, None)
     ('<0.0001', '0')
     """
     if u95_mm is None or u95_mm < ROUNDING_MM or value_mm < 10.0 ** -two_digit_decimals(u95_mm):
-        return two_digits(value_mm)
+        return two_digit_text(value_mm)
     return f"{value_mm:.{two_digit_decimals(u95_mm)}f}"
 
 

@@ -101,7 +101,7 @@ def summary_section(data: IdentificationRecord) -> Section | None:
 
 
 def findings_section(data: IdentificationRecord) -> Section:
-    """Return the section with unidentifiable parameters, warnings and assumptions, or a note that there are none."""
+    """Return the section with unidentifiable parameters, warnings and assumptions; a note without any."""
     unobservable = data.not_observable or []
     assumptions = tuple(Note(f"Assumed: {text}.") for text in data.assumptions or ())
     if not unobservable and not data.warnings and not assumptions:
@@ -317,7 +317,7 @@ def levels_section(data: IdentificationRecord) -> Section | None:
 def structures_section(data: IdentificationRecord) -> Section | None:
     """Return the section that lists the structures tried, with their cross-validation errors.
 
-    None if none was chosen.
+    None if the record has no structures.
     """
     if data.structure is None:
         return None

@@ -10,7 +10,7 @@ from msgspec import Struct
 
 from postproc.correction import Mode
 from postproc.report.answers import chance_in_words
-from postproc.report.formatting import State, two_digits
+from postproc.report.formatting import State, two_digit_text
 from postproc.report.kit import Cell, Kind, Note, Notes, Page, Part, Row, Section, Table, Tile, Tiles
 from postproc.report.text import number_text, percent_text
 
@@ -152,7 +152,7 @@ def _error_tile(title: str, lengths_mm: Sequence[float | None]) -> Tile:
     note = f"unknown for {unknown_count} of {len(lengths_mm)}" if unknown_count else ""
     if not known_lengths:
         return Tile(title, "unknown", "", note)
-    return Tile(title, two_digits(max(known_lengths)), "mm", note)
+    return Tile(title, two_digit_text(max(known_lengths)), "mm", note)
 
 
 class _SortKey(NamedTuple):
@@ -205,7 +205,7 @@ def _program_table(entries: Sequence[Entry], reports: Sequence[ReportEntry]) -> 
                     Cell(state_text, kind),
                     content.verdict.reasons[0] if entry.state != "ok" else "",
                     str(content.targets),
-                    *("unknown" if length is None else two_digits(length) for length in content.expected_mm),
+                    *("unknown" if length is None else two_digit_text(length) for length in content.expected_mm),
                     "-" if better is None or better.chance is None else chance_in_words(better.chance),
                     "-" if tolerance is None or tolerance.of != "part" else f"{tolerance.mm:g}",
                     percent_text(content.compensated_percent),

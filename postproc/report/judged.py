@@ -12,7 +12,7 @@ _STATE_KINDS: dict[State, Kind] = {"ok": "good", "warning": "warning", "failed":
 def split_headline(verdict: Verdict) -> tuple[str, str]:
     """Return the headline of a verdict in two parts: its first sentence, and the later ones.
 
-    Empty if there are none.
+    The second part is empty if the headline is one sentence.
     """
     first, _, later_sentences = verdict.headline.partition(". ")
     return (f"{first}.", later_sentences) if later_sentences else (first, "")

@@ -14,7 +14,7 @@ from postproc.files import FileEntry, json_bytes
 from postproc.frames import DEG_PER_RAD, MM_PER_M
 from postproc.placement.drive import PLACE_REASONS
 from postproc.placement.region import AXES, Assessment, JudgedPlace, Region, Search
-from postproc.report.formatting import two_digits
+from postproc.report.formatting import two_digit_text
 from postproc.report.kit import Axis, Map, Note, Notes, Page, Plot, Points, Row, Section, Table, Tile, Tiles
 
 _COLUMNS = (
@@ -206,7 +206,7 @@ def _move_text(start: JudgedPlace, end: JudgedPlace) -> str:
 
 def _cost_text(place: JudgedPlace) -> str:
     """Return the expected error of a place, or without uncertainty its deflection, as text in mm."""
-    return two_digits(place.stated_cost * MM_PER_M)
+    return two_digit_text(place.stated_cost * MM_PER_M)
 
 
 def places_csv(search: Search) -> Iterator[bytes]:
@@ -303,12 +303,10 @@ def _place_line(name: str, entry: PlaceEntry | None) -> str:
     place += f", tool turned by {entry.turn_deg:+.0f}°" if entry.turn_deg else ""
     if not entry.reachable:
         return f"{name}: {place}: {entry.reason}"
-    error = f"deflection up to {two_digits(entry.deflection_mm or 0.0)} mm"
+    error = f"deflection up to {two_digit_text(entry.deflection_mm or 0.0)} mm"
     if entry.uncorrected_mm is not None and entry.corrected_mm is not None:
-        error = (
-            f"uncorrected up to {two_digits(entry.uncorrected_mm)}, corrected up to {two_digits(entry.corrected_mm)} mm"
-        )
-        error += " (95 %)"
+        uncorrected_text, corrected_text = two_digit_text(entry.uncorrected_mm), two_digit_text(entry.corrected_mm)
+        error = f"uncorrected up to {uncorrected_text}, corrected up to {corrected_text} mm (95 %)"
     return f"{name}: {place}: {error}, joint margin {entry.min_joint_margin_deg:.1f}°"
 
 

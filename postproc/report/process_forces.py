@@ -88,7 +88,7 @@ def forces_csv(program: Program, knots: Knots) -> Iterator[bytes]:
 def summary(program: Program, process: ProcessForces | None, by_operation: int) -> ForcesSummary:
     """Return the content of forces.json.
 
-    :param process: forces computed from material and stock; None: there are none.
+    :param process: forces computed from material and stock; None: no forces were computed.
     :param by_operation: moves whose force is from the table of operations.
     """
     if process is None:

@@ -31,7 +31,7 @@ class Record(Struct, frozen=True):
     date: str
     version: str = VERSION
 
-    def head(self) -> str:
+    def head_line(self) -> str:
         """Return title, customer, date and version in a line; an empty title or customer is left out."""
         return " · ".join(filter(None, (self.title, self.customer, self.date, f"postproc {self.version}")))
 

@@ -178,7 +178,7 @@ class IssueEntry(Struct, frozen=True):
 
 
 class Summary(Struct, frozen=True, omit_defaults=True, kw_only=True):
-    """Content of `report.json`. Numbers that are unknown are None; none is NaN or infinite."""
+    """Content of `report.json`. Unknown numbers are None; no number is NaN or infinite."""
 
     program: str
     robot: str
@@ -353,7 +353,7 @@ def _origin_entry(result: Result) -> Origin:
 
 def _is_next_to_cut(result: Result) -> Bools:
     """Return which targets (K,) end or begin a cutting motion: approximation there rounds a corner of a cut."""
-    # the motion after a target is that of the next row; after the last one there is none, as if it were rapid
+    # the motion after a target is that of the next row; after the last row no motion follows, as if it were rapid
     return np.asarray(~(result.rapid & np.append(result.rapid[1:], True)[: len(result)]))
 
 
@@ -381,7 +381,7 @@ def _tool_deflection(result: Result) -> Bound | None:
 
 
 def _reversal_entries(result: Result) -> list[Reversal]:
-    """Return the largest reversals of joints on cuts, with their lost motion [mm]; empty if there are none."""
+    """Return the largest reversals of joints on cuts, with their lost motion [mm]; empty without reversals."""
     reversals = result.reversals
     if reversals is None:
         return []

@@ -50,32 +50,32 @@ _PRODUCT = (
 
 
 def design_page(
-    design: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, Program], box: Box, robot: str
+    design: Design, prior: Prior, cutting: Cutting, programs: dict[Placement, Program], box: Box, robot: str
 ) -> bytes:
     """Return the page of a chosen part: drawing, features, and the accuracy of each parameter after it is measured.
 
-    :param parts: program of the test part for each placement of the block.
+    :param programs: program of the test part for each placement of the block.
     :param box: ranges of X, Y, Z that the block fills in `$BASE` [mm].
     :param robot: name of the robot, for the head of the page.
     """
     remarks = Notes(tuple(Note(text) for text in _remarks(design, prior)))
     sections = (
-        Section("numbers", "What the part will show", (_design_tiles(design, parts),)),
-        Section("drawing", "Drawing", _drawings(design, cutting, parts, box)),
-        Section("steps", "How to use it", (Notes(_design_steps(parts, box), marked=True),)),
+        Section("numbers", "What the part will show", (_design_tiles(design, programs),)),
+        Section("drawing", "Drawing", _drawings(design, cutting, programs, box)),
+        Section("steps", "How to use it", (Notes(_design_steps(programs, box), marked=True),)),
         Section("parameters", "What each parameter will be known to", (_parameter_table(design, prior), remarks)),
-        Section("features", "Features", (_feature_table(design, parts),)),
+        Section("features", "Features", (_feature_table(design, programs),)),
     )
     feed = cutting.feed * MM_PER_M * 60.0
     subtitle = f"{robot}, tool {cutting.diameter * MM_PER_M:g} mm, {cutting.rpm:g} 1/min, {feed:.0f} mm/min"
     return b"".join(Page("Test part", "testpart", subtitle, sections).render())
 
 
-def _design_tiles(design: Design, parts: dict[Placement, Program]) -> Tiles:
+def _design_tiles(design: Design, programs: dict[Placement, Program]) -> Tiles:
     """Return the tiles of a chosen part: its size, cutting time, and expected errors now and once it is measured."""
     tiles = (
         Tile("Features", str(len(design.features))),
-        Tile("Probed points", str(sum(len(part.feature) for part in parts.values()))),
+        Tile("Probed points", str(sum(len(program.feature) for program in programs.values()))),
         Tile("Cutting time", f"{design.seconds / 60.0:.1f}", "min"),
         Tile("Expected error now, RMS", f"{design.before * MM_PER_M:.3f}", "mm"),
         Tile(
@@ -88,24 +88,24 @@ def _design_tiles(design: Design, parts: dict[Placement, Program]) -> Tiles:
     return Tiles(tiles)
 
 
-def _design_steps(parts: dict[Placement, Program], box: Box) -> tuple[Note, ...]:
+def _design_steps(programs: dict[Placement, Program], box: Box) -> tuple[Note, ...]:
     """Return the steps of a test part: clamp, touch off, cut, probe, identify.
 
-    :param parts: program of the test part for each placement of the block.
+    :param programs: program of the test part for each placement of the block.
     :param box: ranges of X, Y, Z that the block fills in `$BASE` [mm].
     """
-    programs = " ".join(placement.name for placement, part in parts.items() if len(part.feature))
+    program_names = " ".join(placement.name for placement, program in programs.items() if len(program.feature))
     return (
         Note(
             f"Clamp a block of X {box.X[0]:g} … {box.X[1]:g}, Y {box.Y[0]:g} … {box.Y[1]:g}, "
             f"Z {box.Z[0]:g} … {box.Z[1]:g} mm in $BASE."
         ),
         Note(
-            f"Touch the top of the block with the tool near the corners, at {_touch_texts(parts)}: it is at "
+            f"Touch the top of the block with the tool near the corners, at {_touch_texts(programs)}: it is at "
             f"Z {box.Z[1]:g} of $BASE. Leave it uncut there: it is probed with the features."
         ),
-        *_cutting_steps(parts),
-        *_weight_steps(parts),
+        *_cutting_steps(programs),
+        *_weight_steps(programs),
         Note(
             "Probe the points of probing.csv in its order, in one clamping: T01.top … on the uncut top, then feature "
             "after feature: left, right, floor, step_floor of the half that was cut under load, then its ref_ points. "
@@ -117,7 +117,7 @@ def _design_steps(parts: dict[Placement, Program], box: Box) -> tuple[Note, ...]
         ),
         Note(
             "postproc identify part probing.csv --cell CELL --process testpart.process.toml "
-            f"--program {programs} -o MODEL"
+            f"--program {program_names} -o MODEL"
         ),
     )
 
@@ -159,7 +159,7 @@ def _parameter_row(name: str, prior_sigma: float, share: float, change_text: str
 
     :param prior_sigma: standard deviation now, in percent of the value; NaN if the value is 0.
     :param share: share of `prior_sigma` that is left once the part is measured, in [0, 1].
-    :param change_text: smallest change that the same part shows later [%]; empty if there is none to show.
+    :param change_text: smallest change that the same part shows later [%]; empty: not shown.
     """
     is_hidden = share > _HIDDEN_SHARE
     kind: Kind = "soft" if is_hidden else ""
@@ -192,9 +192,9 @@ def _unseen_change_sentence(design: Design, prior: Prior) -> str | None:
     )
 
 
-def _touch_texts(parts: dict[Placement, Program]) -> str:
+def _touch_texts(programs: dict[Placement, Program]) -> str:
     """Return the touch-off points of the first placement in which something is cut, as text: `T01 X20 Y30, …` [mm]."""
-    program = next(part for part in parts.values() if part.features)
+    program = next(program for program in programs.values() if program.features)
     return ", ".join(
         f"{name.partition('.')[0]} X{x:g} Y{y:g}"  # name is such as T01.top
         for name, (x, y, _) in zip(program.feature, (program.point * MM_PER_M).tolist(), strict=True)
@@ -202,25 +202,25 @@ def _touch_texts(parts: dict[Placement, Program]) -> str:
     )
 
 
-def _cutting_steps(parts: dict[Placement, Program]) -> list[Note]:
+def _cutting_steps(programs: dict[Placement, Program]) -> list[Note]:
     """Return the steps to cut the part: one note for each placement of the block."""
     uncorrected = "uncorrected, in one clamping, with a sharp tool."
-    if len(parts) == 1:
+    if len(programs) == 1:
         return [Note(f"Cut testpart.src, or testpart.nc by your own post: {uncorrected}")]
     return [
         Note(
             f"With the block at {placement.title} of the cell cut {Path(placement.name).stem}.src, or {placement.name} "
             f"by your own post: {uncorrected}"
         )
-        if len(part.feature)
+        if len(program.feature)
         else Note(f"Nothing is cut with the block at {placement.title}: the same time shows more elsewhere.")
-        for placement, part in parts.items()
+        for placement, program in programs.items()
     ]
 
 
-def _weight_steps(parts: dict[Placement, Program]) -> list[Note]:
+def _weight_steps(programs: dict[Placement, Program]) -> list[Note]:
     """Return the steps to hang a weight on the tool; empty if the part has no gauge readings."""
-    masses = [float(part.mass.max(initial=0.0)) for part in parts.values()]
+    masses = [float(program.mass.max(initial=0.0)) for program in programs.values()]
     if max(masses) <= 0.0:
         return []
     return [
@@ -232,14 +232,14 @@ def _weight_steps(parts: dict[Placement, Program]) -> list[Note]:
     ]
 
 
-def _feature_table(design: Design, parts: dict[Placement, Program]) -> Table:
+def _feature_table(design: Design, programs: dict[Placement, Program]) -> Table:
     """Return the table of the features [mm, deg] in `$BASE`.
 
     With several placements, also where the block is clamped.
     """
     rows = []
-    block_frames = [placement.title for placement, program in parts.items() for _ in range(program.features)]
-    has_placements = len(parts) > 1
+    block_frames = [placement.title for placement, program in programs.items() for _ in range(program.features)]
+    has_placements = len(programs) > 1
     deflections = design.candidates.deflection[design.chosen] * MM_PER_M
     for index, feature in enumerate(design.features):
         cells = [f"F{index + 1:02d}"]
@@ -261,14 +261,14 @@ def _feature_table(design: Design, parts: dict[Placement, Program]) -> Table:
     return Table(("feature", *head), tuple(rows), title, texts=(1,))
 
 
-def _drawings(design: Design, cutting: Cutting, parts: dict[Placement, Program], box: Box) -> tuple[Drawing, ...]:
+def _drawings(design: Design, cutting: Cutting, programs: dict[Placement, Program], box: Box) -> tuple[Drawing, ...]:
     """Return a drawing for each placement of the block in which something is cut."""
     drawings, first_feature = [], 0
-    for placement, program in parts.items():
+    for placement, program in programs.items():
         feature_numbers = range(first_feature, first_feature + program.features)
         if not feature_numbers:
             continue
-        caption = f"Block at {placement.title}, {placement.name}. " if len(parts) > 1 else ""
+        caption = f"Block at {placement.title}, {placement.name}. " if len(programs) > 1 else ""
         drawings.append(_drawing(design, feature_numbers, cutting, box, program, caption))
         first_feature = feature_numbers.stop
     return tuple(drawings)
@@ -439,18 +439,18 @@ def _pass_outline(feature: features.Feature, begin: Array, end: Array, radius: f
     return features.to_base(feature, 0.0, np.column_stack([points, np.zeros(len(points))]))[:, :2]
 
 
-def design_lines(design: Design, prior: Prior, cutting: Cutting, parts: dict[Placement, Program]) -> list[str]:
+def design_lines(design: Design, prior: Prior, cutting: Cutting, programs: dict[Placement, Program]) -> list[str]:
     """Return a chosen part as lines to print: features, expected errors, and what the part will show."""
     # standard deviations with the part, as shares of those now; the last is that of the scale of the forces
     names = [*(parameter.name for parameter in prior.parameters), "forces"]
     shares = list(zip(names, design.sigma, strict=True))
     sigma_texts = [f"{name} {100 * share:.0f} %" for name, share in shares if share <= _HIDDEN_SHARE]
     hidden_names = [name for name, share in shares if share > _HIDDEN_SHARE]
-    placement_texts = [f"{placement.title}: {program.features}" for placement, program in parts.items()]
+    placement_texts = [f"{placement.title}: {program.features}" for placement, program in programs.items()]
     lines = [
         f"{len(design.features)} features, {design.seconds / 60.0:.1f} min of cutting, "
         f"full cuts at {cutting.feed * MM_PER_M * 60:.0f} mm/min",
-        *([f"block at {', '.join(placement_texts)}"] if len(parts) > 1 else []),
+        *([f"block at {', '.join(placement_texts)}"] if len(programs) > 1 else []),
         f"expected error where you mill ({design.tests}): {design.before * MM_PER_M:.3f} mm now, "
         f"{design.after * MM_PER_M:.3f} mm with the part, of {design.deflection * MM_PER_M:.2f} mm deflection (RMS)",
         f"standard deviations left: {', '.join(sigma_texts)} of those now",

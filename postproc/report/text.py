@@ -9,7 +9,7 @@ from msgspec.structs import astuple
 
 from postproc.report.answers import Verdict, chance_in_words
 from postproc.report.feed import duration_text, feed_sentences
-from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, estimate, two_digits
+from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, estimate_text, two_digit_text
 from postproc.report.summary import IssueEntry, Summary, improvement
 from postproc.report.verdict import clearance_text, nothing_to_correct, uncorrected_sentence
 
@@ -57,12 +57,14 @@ def _deviation_table(content: Summary, display: Display) -> str:
     """
     u95 = _largest_u95(content)
     if content.mode == "predict":
-        rows = [(label, estimate(value, u95)) for label, value in zip(_MEASURES, astuple(content.before), strict=True)]
+        rows = [
+            (label, estimate_text(value, u95)) for label, value in zip(_MEASURES, astuple(content.before), strict=True)
+        ]
         return display.table(("deviation [mm]", "predicted"), rows, (1,), "  ")
     # astuple: largest, RMS, mean and 95th percentile, as _MEASURES
     measures = zip(_MEASURES, astuple(content.before), astuple(content.after), strict=True)
     table_rows = [
-        (label, estimate(before, u95), estimate(after, u95), factor_text(before, after))
+        (label, estimate_text(before, u95), estimate_text(after, u95), factor_text(before, after))
         for label, before, after in measures
     ]
     return display.table(("deviation [mm]", "before", "after", "improvement"), table_rows, range(1, 4), "  ")
@@ -82,7 +84,7 @@ def _fact_lines(content: Summary) -> list[str]:
     if content.mode == "convert" and content.compensated_percent is not None:
         facts.append(f"compensated {percent_text(content.compensated_percent)}")
     if content.mode == "predict" and content.between_max_mm is not None:
-        facts.append(f"anywhere on the path at most {estimate(content.between_max_mm, _largest_u95(content))} mm")
+        facts.append(f"anywhere on the path at most {estimate_text(content.between_max_mm, _largest_u95(content))} mm")
     if content.mode == "predict" and content.tolerance_held is False:
         facts.append(f"tolerance {content.tolerance_mm:g} mm EXCEEDED")
     origin = content.provenance
@@ -126,19 +128,19 @@ def _path_facts(content: Summary) -> list[str]:
     """Return facts on the path: the largest correction, the path error between targets, and how corners are rounded."""
     facts = []
     if content.mode == "convert" and content.max_correction_mm is not None:
-        facts.append(f"largest correction {two_digits(content.max_correction_mm)} mm")
+        facts.append(f"largest correction {two_digit_text(content.max_correction_mm)} mm")
     if content.mode != "predict" and content.between_max_mm is not None:
         # tolerance_held is None if only approximation exceeds the tolerance
         judgement = {None: ", held but for approximation", True: ", held", False: ", EXCEEDED"}[content.tolerance_held]
         tolerance_text = "" if content.tolerance_mm is None else f" (tolerance {content.tolerance_mm:g} mm{judgement})"
-        facts.append(f"between targets at most {two_digits(content.between_max_mm)} mm{tolerance_text}")
+        facts.append(f"between targets at most {two_digit_text(content.between_max_mm)} mm{tolerance_text}")
     blending = content.blending
     if blending.source_line is not None:
         programmed_mm = blending.programmed_max_mm
         details = f"line {blending.source_line}" + (
-            f"; the program itself by {two_digits(programmed_mm)} mm" if programmed_mm else ""
+            f"; the program itself by {two_digit_text(programmed_mm)} mm" if programmed_mm else ""
         )
-        facts.append(f"{blending.by} rounds corners by up to {two_digits(blending.max_mm)} mm ({details})")
+        facts.append(f"{blending.by} rounds corners by up to {two_digit_text(blending.max_mm)} mm ({details})")
     return facts
 
 
@@ -219,7 +221,7 @@ def _error_texts(verdict: Verdict) -> _ErrorTexts:
 def _largest_length_text(lengths_mm: Sequence[float | None]) -> str:
     """Return the largest of lengths [mm] as text; None is an unknown length, "-" is returned if all are unknown."""
     lengths = [length for length in lengths_mm if length is not None]
-    return two_digits(max(lengths)) if lengths else "-"
+    return two_digit_text(max(lengths)) if lengths else "-"
 
 
 def _largest_u95(content: Summary) -> float | None:

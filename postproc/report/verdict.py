@@ -26,7 +26,7 @@ from postproc.report.answers import (
     remedies_text,
     verdict_of,
 )
-from postproc.report.formatting import State, above_limit_text, two_digits
+from postproc.report.formatting import State, above_limit_text, two_digit_text
 from postproc.robot import JOINTS, RobotModel
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ _FOREMOST_KINDS: dict[Mode, tuple[str, ...]] = {
     "nominal": ("motions-elsewhere",),
     "predict": ("motions-elsewhere", "frames-at-rest", "external-call"),
 }
-"""Kinds of warnings that come before all others: motions that were not examined, frames that may not be those of the
+"""Kinds of warnings that come before all others: motions that were not examined, frames that may not hold for the
 real arm, and called files that are missing, which may set the frames of a predicted program."""
 _FORCE_KINDS = frozenset(
     {
@@ -66,9 +66,9 @@ _NO_COST = 0.0
 _AFTER_TOOL_CHANGE = "after-tool-change"
 """Kind of the issue of a path that begins where a called program leaves the robot."""
 _FRAMES_AT_REST = "frames-at-rest"
-"""Kind of the issue of frames that the controller measured on an arm that is not where it has it."""
+"""Kind of the issue of frames that may have been measured while the tip was displaced without a force."""
 ASSUMED_STOCK = "assumed-stock"
-"""Kind of the issue of a stock that is assumed, as none is stated."""
+"""Kind of the issue of a stock that is assumed, as the process states no stock."""
 STOCK_REMARK = "The stock is assumed: check it first."
 """Remark in the headline, so that it is shown wherever the answers are."""
 
@@ -368,7 +368,7 @@ def _no_force_sentence(result: Result, content: Summary) -> str:
     cause = "cause" if len(result.causes) > 1 else "causes"
     return (
         f"no cutting move carries a force: {subject} only what {causes} {cause}, up to "
-        f"{two_digits(content.before.max_mm)} mm (postproc forces computes forces)"
+        f"{two_digit_text(content.before.max_mm)} mm (postproc forces computes forces)"
     )
 
 
@@ -383,29 +383,29 @@ def _expected_findings(result: Result, content: Summary) -> list[Finding]:
         quantity, largest = "uncertainty of the prediction", bound.max_mm
         if content.mode != "predict":
             quantity, largest = "expected error on the part", max(bound.max_mm, _largest_expected_error(result))
-        findings.append(Finding(largest, f"{quantity} (95 %): up to {two_digits(largest)} mm, {bound.basis}"))
+        findings.append(Finding(largest, f"{quantity} (95 %): up to {two_digit_text(largest)} mm, {bound.basis}"))
     if part.held and part.expected_mm is not None:
         text = (
-            f"[part] tolerance_mm = {part.tolerance_mm:g} is held: up to {two_digits(part.expected_mm)} mm (95 %), "
+            f"[part] tolerance_mm = {part.tolerance_mm:g} is held: up to {two_digit_text(part.expected_mm)} mm (95 %), "
             "corners and path included"
         )
         findings.insert(0, Finding(part.expected_mm, text))
     if content.mode == "predict":
-        text = f"predicted as programmed: up to {two_digits(content.before.max_mm)} mm off at cutting targets"
+        text = f"predicted as programmed: up to {two_digit_text(content.before.max_mm)} mm off at cutting targets"
         return [Finding(_FIRST_COST, text), *findings]
     if blending.source_line is not None:
         programmed_mm = blending.programmed_max_mm
-        itself = f", the program itself by {two_digits(programmed_mm)} mm" if programmed_mm else ""
-        text = f"{blending.by} rounds corners by up to {two_digits(blending.max_mm)} mm{itself}"
+        itself = f", the program itself by {two_digit_text(programmed_mm)} mm" if programmed_mm else ""
+        text = f"{blending.by} rounds corners by up to {two_digit_text(blending.max_mm)} mm{itself}"
         findings.append(Finding(blending.max_mm, _with_line(text, blending.source_line)))
     if content.tolerance_held is not False and content.between_max_mm is not None and content.tolerance_mm:
         exception = ", but for rounded corners" if content.tolerance_held is None else ""
-        bound_text = f"{two_digits(content.between_max_mm)} mm of the nominal one, between targets too{exception}"
+        bound_text = f"{two_digit_text(content.between_max_mm)} mm of the nominal one, between targets too{exception}"
         text = f"the predicted path stays within {bound_text} (tolerance {content.tolerance_mm:g} mm)"
         findings.append(Finding(content.between_max_mm, text))
     if content.mode == "convert" and (content.max_correction_mm or 0.0) >= NOTHING_MM:
         findings.append(
-            Finding(_NO_COST, f"the correction is at most {two_digits(content.max_correction_mm or 0.0)} mm")
+            Finding(_NO_COST, f"the correction is at most {two_digit_text(content.max_correction_mm or 0.0)} mm")
         )
     return findings
 
@@ -439,8 +439,8 @@ def _surface_findings(content: Summary) -> tuple[list[Finding], list[Finding]]:
     left_mm = surface.left_mm
     if left_mm is not None and left_mm > max(limit, LEFT_MM):
         text = (
-            f"the programmed path itself leaves {two_digits(left_mm)} mm on the part: check that the mesh is in place "
-            f"and is what this program makes; {reach_text}"
+            f"the programmed path itself leaves {two_digit_text(left_mm)} mm on the part: check that the mesh is in "
+            f"place and is what this program makes; {reach_text}"
         )
         return [Finding(_FIRST_COST, text)], []
     text = f"the programmed path cuts into the part by no more than {limit:g} mm; {reach_text}"
@@ -453,12 +453,12 @@ def _cut_doubt(cut_mm: float, part: OnPart, limit_mm: float) -> str | None:
     :param cut_mm: largest depth of the programmed path in the part, without deflection.
     :param limit_mm: tolerance of the part; without one, that of the path or `CUT_MM`.
     """
-    cut_text = f"the programmed path itself cuts {two_digits(cut_mm)} mm into the part"
+    cut_text = f"the programmed path itself cuts {two_digit_text(cut_mm)} mm into the part"
     if cut_mm > limit_mm:
         return f"{cut_text}: check that the mesh is in place and is the finished part"
     if part.held and part.expected_mm is not None and cut_mm + part.expected_mm > limit_mm:
         return (
-            f"{cut_text}, and the tool may be off by {two_digits(part.expected_mm)} mm (95 %): together more than "
+            f"{cut_text}, and the tool may be off by {two_digit_text(part.expected_mm)} mm (95 %): together more than "
             f"[part] tolerance_mm = {limit_mm:g}"
         )
     return None

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from postproc.report import page as rendered
-from postproc.report.formatting import estimate
+from postproc.report.formatting import estimate_text
 from tests import fabricated
 from tests.pages.browser import needs_chromium, opened, without_webgl
 from tests.places import SAMPLES
@@ -59,7 +59,7 @@ def test_its_numbers_are_those_of_the_report(page, results):
     report = json.loads((results / "pocket.report.json").read_text(encoding="utf-8"))
     text = page.locator("#numbers").inner_text()
     for key in ("max_mm", "rms_mm", "mean_mm", "p95_mm"):
-        assert estimate(report["before"][key], report["u95"]["max_mm"]) in text
+        assert estimate_text(report["before"][key], report["u95"]["max_mm"]) in text
     assert all(reason[1:] in page.locator("#verdict").text_content() for reason in report["verdict"]["reasons"])
     cutting = [row for row in _targets(results) if not row["rapid"]]
     at = page.evaluate("({before: Array.from(places.at.before), after: Array.from(places.at.after), "

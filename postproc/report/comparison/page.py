@@ -24,7 +24,7 @@ from postproc.report.comparison.summary import (
     place_text,
     spline_sentence,
 )
-from postproc.report.formatting import ROUNDING_MM, millimetres
+from postproc.report.formatting import ROUNDING_MM, millimetre_text
 from postproc.report.judged import answer_facts, split_headline
 from postproc.report.kit import (
     Axis,
@@ -149,14 +149,16 @@ def _number_tiles(content: ComparisonSummary) -> Tiles:
     The distance of the paths and the deviations are left out if they are unknown.
     """
     tiles = [
-        Tile("Largest offset", millimetres(content.offset.max_mm), "mm"),
+        Tile("Largest offset", millimetre_text(content.offset.max_mm), "mm"),
         Tile("Largest change of orientation", f"{content.rotation.max_deg:.4f}", "°"),
     ]
     if content.between_targets.nominal_line is not None:
-        tiles.append(Tile("Paths apart between targets, largest", millimetres(content.between_targets.max_mm), "mm"))
+        tiles.append(
+            Tile("Paths apart between targets, largest", millimetre_text(content.between_targets.max_mm), "mm")
+        )
     if content.cut is not None:
-        tiles.append(Tile("The nominal program cuts, largest", millimetres(content.cut.nominal.max_mm), "mm"))
-        tiles.append(Tile("The corrected one, largest", millimetres(content.cut.corrected.max_mm), "mm"))
+        tiles.append(Tile("The nominal program cuts, largest", millimetre_text(content.cut.nominal.max_mm), "mm"))
+        tiles.append(Tile("The corrected one, largest", millimetre_text(content.cut.corrected.max_mm), "mm"))
     return Tiles(tuple(tiles))
 
 
@@ -168,9 +170,9 @@ def _number_table(content: ComparisonSummary) -> Table:
         distances += [content.cut.nominal, content.cut.corrected]
     # a row for each measure, a column for each of the distances
     measures = zip(_MEASURES, *map(astuple, distances), strict=True)
-    rows = tuple(Row((label, *map(millimetres, values))) for label, *values in measures)
+    rows = tuple(Row((label, *map(millimetre_text, values))) for label, *values in measures)
     if content.between is not None:
-        largest = (millimetres(content.between.nominal_max_mm), millimetres(content.between.corrected_max_mm))
+        largest = (millimetre_text(content.between.nominal_max_mm), millimetre_text(content.between.corrected_max_mm))
         rows += (Row(("Maximum between targets, from the path", "-", *largest)),)
     return Table(tuple(head), rows, "Numbers")
 
@@ -426,7 +428,7 @@ def _histogram_section(comparison: Comparison, pair_rows: Ints) -> Section:
     heights, edges = np.histogram(comparison.distance[cutting] * MM_PER_M, bins=_BINS, weights=percent)
     size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows] * MM_PER_M  # negative: not cutting
     order = np.argsort(size)
-    # index in `order` of the largest shown pair up to the upper edge of each bar; −1: there is none
+    # index in `order` of the largest shown pair up to the upper edge of each bar; −1: no pair
     largest = np.searchsorted(size[order], edges[1:], side="right") - 1
     places = [
         int(order[k]) if k >= 0 and size[order[k]] >= lower_edge else None
@@ -460,8 +462,8 @@ def _operations_section(
             tool_text(comparison.nominal, operation.tool) or "-",
             names[0].line_text((operation.nominal_file, operation.nominal_line)),
             str(operation.pairs),
-            millimetres(operation.offset.max_mm),
-            *([millimetres(cut.nominal.max_mm), millimetres(cut.corrected.max_mm)] if cut is not None else []),
+            millimetre_text(operation.offset.max_mm),
+            *([millimetre_text(cut.nominal.max_mm), millimetre_text(cut.corrected.max_mm)] if cut is not None else []),
         ]
         place = _place_of(comparison, pair_rows, names[0], operation.nominal_file, operation.nominal_line)
         rows.append(Row(tuple(cells), place, operation.nominal_line))
@@ -494,12 +496,12 @@ def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequenc
     corrected_places = comparison.corrected.places(comparison.pair[worst, 1])
     for k, row in enumerate(worst.tolist()):
         cells = [names[0].line_text(nominal_places.of(k)), names[1].line_text(corrected_places.of(k))]
-        cells.append(millimetres(float(comparison.distance[row]) * MM_PER_M))
+        cells.append(millimetre_text(float(comparison.distance[row]) * MM_PER_M))
         cells += [f"{value:.4f}" for value in without_negative_zero(comparison.offset[row] * MM_PER_M)]
         cells.append(f"{np.degrees(comparison.rotation[row]):.4f}")
         path_distance = float(comparison.path_distance[row])
-        cells.append("-" if np.isnan(path_distance) else millimetres(path_distance * MM_PER_M))
-        cells += [millimetres(float(norm(deviation[row])) * MM_PER_M) for deviation in cuts]
+        cells.append("-" if np.isnan(path_distance) else millimetre_text(path_distance * MM_PER_M))
+        cells += [millimetre_text(float(norm(deviation[row])) * MM_PER_M) for deviation in cuts]
         rows.append(Row(tuple(cells), int(np.searchsorted(pair_rows, row)), int(nominal_places.line[k])))
     return Section("worst", "Largest offsets", (Table(tuple(head), tuple(rows), "Largest offsets", sortable=True),))
 

@@ -24,7 +24,7 @@ from postproc.program import Ints, Program
 from postproc.provenance import Provenance
 from postproc.provenance import State as Origin
 from postproc.report.answers import LIMITS_AND_COLLISIONS, UNJUDGED, Drive, Tolerance, Verdict, verdict_of
-from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, above_limit_text, millimetres, stated_mm
+from postproc.report.formatting import PLAIN, ROUNDING_MM, Display, State, above_limit_text, millimetre_text, stated_mm
 from postproc.report.path import operation_starts
 from postproc.report.summary import Distances
 
@@ -136,7 +136,7 @@ class PairEntry(Lines, frozen=True):
 
 
 class WorstPair(Struct, frozen=True):
-    """Files and lines of the pair with the largest value; None if there is none."""
+    """Files and lines of the pair with the largest value; None without such a pair."""
 
     nominal_file: str | None
     nominal_line: int | None
@@ -453,7 +453,9 @@ def _cut_distances(comparison: Comparison, names: Sequence[Names], rows: slice) 
 
 
 def _largest_gap(comparison: Comparison, names: Sequence[Names]) -> PathGap:
-    """Return the largest distance of the paths between targets [mm], and its pair; 0 without a pair if none counts.
+    """Return the largest distance of the paths between targets [mm], and its pair.
+
+    0 and no pair if no distance is known.
 
     :param names: display names of the files of both programs.
     """
@@ -611,7 +613,7 @@ def _table_targets(comparison: Comparison) -> _TableTargets:
     ]
     state, nominal_row, corrected_row = np.concatenate(states, axis=1)
     # sorted by the motion of the second program; for a nominal target without a partner, the partner of the last paired
-    # target before it counts (−1: there is none), and `is_alone` sorts it after that; searchsorted: paired targets
+    # target before it counts (−1: no such pair), and `is_alone` sorts it after that; searchsorted: paired targets
     # before it
     is_alone = corrected_row < 0
     sort_row = corrected_row.copy()
@@ -725,10 +727,10 @@ def _distance_table(content: ComparisonSummary, display: Display) -> str:
     distances = [content.offset] + ([cut.nominal, cut.corrected] if cut is not None else [])
     # a row for each measure, a column for each of the distances
     measures = zip(_MEASURES, *map(astuple, distances), strict=True)
-    rows = [(label, *map(millimetres, values)) for label, *values in measures]
+    rows = [(label, *map(millimetre_text, values)) for label, *values in measures]
     if between_targets is not None:
         nominal_mm, corrected_mm = between_targets.nominal_max_mm, between_targets.corrected_max_mm
-        rows.append(("max between", "-", millimetres(nominal_mm), millimetres(corrected_mm)))
+        rows.append(("max between", "-", millimetre_text(nominal_mm), millimetre_text(corrected_mm)))
     return display.table(head, rows, range(1, len(head)), "  ")
 
 
@@ -738,7 +740,7 @@ def _detail_lines(content: ComparisonSummary) -> Iterator[str]:
     path_gap = content.between_targets
     if path_gap.nominal_line is not None:
         yield (
-            f"on the way between targets: {millimetres(path_gap.max_mm)} mm at most, before "
+            f"on the way between targets: {millimetre_text(path_gap.max_mm)} mm at most, before "
             f"{path_gap.nominal_file}:{path_gap.nominal_line} and {path_gap.corrected_file}:{path_gap.corrected_line}"
         )
     if content.passed:
@@ -747,7 +749,7 @@ def _detail_lines(content: ComparisonSummary) -> Iterator[str]:
         yield spline_sentence(content)
     for pair in content.largest[:_PAIRS_IN_TEXT]:
         if pair.mm > 0.0:
-            yield f"{millimetres(pair.mm)} mm between {_pair_text(pair)}"
+            yield f"{millimetre_text(pair.mm)} mm between {_pair_text(pair)}"
     origin = content.provenance
     if origin.state == "none":
         yield f"{content.corrected} does not say that postproc wrote it"

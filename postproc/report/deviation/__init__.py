@@ -104,7 +104,7 @@ def page(
         facts=data.facts() if has_views else None,
         columns=data.columns() if has_views else {},
         scripts=tuple(("postproc.report.deviation", name) for name in _SCRIPTS) if has_views else (),
-        record="" if record is None else record.head(),
+        record="" if record is None else record.head_line(),
         texts={"source": data.source} if has_views and data.source else {},
     ).render()
 

@@ -411,7 +411,7 @@ class ShownTargets(Struct, frozen=True, eq=False):
     path_columns: Columns
 
     def place_of_row(self, row: int) -> int:
-        """Return the place of a row of the result, or the first place after it; the last place if there is none."""
+        """Return the place of a row of the result, or the first place after it, or else the last place."""
         return min(int(np.searchsorted(self.row, row)), len(self.row) - 1)
 
 

@@ -17,7 +17,7 @@ from postproc.placement import FREE, NO_CLEARANCE, REASONS, Turn
 from postproc.program import Ints, distinct
 from postproc.report.deviation.data import Deviation, correction
 from postproc.report.feed import duration_text, feed_sentences
-from postproc.report.formatting import ROUNDING_MM, estimate, millimetres, two_digits
+from postproc.report.formatting import ROUNDING_MM, estimate_text, millimetre_text, two_digit_text
 from postproc.report.judged import answer_facts, as_sentence, split_headline
 from postproc.report.kit import (
     Axis,
@@ -81,18 +81,20 @@ def numbers_section(data: Deviation) -> Section | None:
         return Section("numbers", "Deviation of the tool tip", (Notes((Note(data.uncorrected_reason, "good"),)),))
     uncorrected, prediction, bound = content.before, content.after, content.u95
     u95 = None if bound is None else bound.max_mm
-    rms = estimate(uncorrected.rms_mm, u95)
-    tiles = [Tile("As programmed, largest", estimate(uncorrected.max_mm, u95), "mm", f"RMS {rms} mm")]
+    rms = estimate_text(uncorrected.rms_mm, u95)
+    tiles = [Tile("As programmed, largest", estimate_text(uncorrected.max_mm, u95), "mm", f"RMS {rms} mm")]
     if data.is_compared:
-        note = f"RMS {estimate(prediction.rms_mm, u95)} mm; a statement about the model, not about the part"
-        tiles.append(Tile("What the model leaves, largest", estimate(prediction.max_mm, u95), "mm", note))
+        note = f"RMS {estimate_text(prediction.rms_mm, u95)} mm; a statement about the model, not about the part"
+        tiles.append(Tile("What the model leaves, largest", estimate_text(prediction.max_mm, u95), "mm", note))
     if bound is None:
         note = "the robot model states no uncertainty: identify the robot from measurements"
         tiles.append(Tile("Expected error on the part", "unknown", "", note, "warning"))
     else:
-        note = f"95 %; at targets {two_digits(bound.max_mm)} mm, RMS {two_digits(bound.rms_mm)} mm; {bound.basis}"
+        note = (
+            f"95 %; at targets {two_digit_text(bound.max_mm)} mm, RMS {two_digit_text(bound.rms_mm)} mm; {bound.basis}"
+        )
         expected_mm = bound.max_mm if content.part.expected_mm is None else content.part.expected_mm
-        tiles.append(Tile("Expected error on the part, up to", two_digits(expected_mm), "mm", note))
+        tiles.append(Tile("Expected error on the part, up to", two_digit_text(expected_mm), "mm", note))
     parts: list[Part] = [Tiles(tuple(tiles)), _deviation_table(data)]
     share = content.compensated_percent
     if content.mode == "convert" and share is not None:
@@ -108,7 +110,7 @@ def _deviation_table(data: Deviation) -> Table:
     content = data.content
     u95 = None if content.u95 is None else content.u95.max_mm
     measures = zip(_MEASURES, astuple(content.before), strict=True)
-    rows = tuple(Row((label, estimate(value, u95))) for label, value in measures)
+    rows = tuple(Row((label, estimate_text(value, u95))) for label, value in measures)
     if not data.is_compared:
         return Table(("Criterion", "Predicted, mm"), rows, "Predicted deviation")
     if content.after.max_mm < ROUNDING_MM:
@@ -119,7 +121,7 @@ def _deviation_table(data: Deviation) -> Table:
             note=f"{_ONLY_ROUNDING_NOTE} {_TABLE_NOTE}",
         )
     table_rows = tuple(
-        Row((label, estimate(before_mm, u95), estimate(after_mm, u95), factor_text(before_mm, after_mm)))
+        Row((label, estimate_text(before_mm, u95), estimate_text(after_mm, u95), factor_text(before_mm, after_mm)))
         for label, before_mm, after_mm in zip(_MEASURES, astuple(content.before), astuple(content.after), strict=True)
     )
     head = ("Criterion", "Before compensation, mm", "After compensation, mm", "Improvement factor")
@@ -205,7 +207,7 @@ def _deflection_tiles(data: Deviation, surface: Surface) -> list[Tile]:
         tiles.append(_depth_tile("Left after, at most", corrected_deviation.max()))
     if surface.bound is not None:
         bound_mm = surface.bound[is_touched].max() * MM_PER_M
-        tiles.append(Tile("Expected error (95 %), up to", two_digits(bound_mm), "mm"))
+        tiles.append(Tile("Expected error (95 %), up to", two_digit_text(bound_mm), "mm"))
     return tiles
 
 
@@ -218,9 +220,11 @@ def _programmed_tile(measures: OnSurface, data: Deviation) -> Tile:
     limit = data.content.part.tolerance_mm or data.content.tolerance_mm or CUT_MM
     if cut_mm > limit:
         note = f"line {measures.source_line}: is the mesh in place, and the finished part?"
-        return Tile(label, two_digits(cut_mm), "mm", note, "warning")
+        return Tile(label, two_digit_text(cut_mm), "mm", note, "warning")
     if left_mm is not None and left_mm > max(limit, LEFT_MM):
-        return Tile("Programmed path leaves", two_digits(left_mm), "mm", "on half of what the tools touch", "warning")
+        return Tile(
+            "Programmed path leaves", two_digit_text(left_mm), "mm", "on half of what the tools touch", "warning"
+        )
     return Tile(label, "nowhere", "", f"by more than {limit:g} mm")
 
 
@@ -228,7 +232,7 @@ def _depth_tile(label: str, depth: float, note: str = "") -> Tile:
     """Return the tile of a depth below the surface or a height above it [m]; "nothing" unless it is positive."""
     if depth <= 0.0:
         return Tile(label, "nothing", "", note)
-    return Tile(label, millimetres(float(depth) * MM_PER_M), "mm", note)
+    return Tile(label, millimetre_text(float(depth) * MM_PER_M), "mm", note)
 
 
 def _gouge_parts(data: Deviation, deviation: Array, words: str) -> list[Part]:
@@ -440,7 +444,7 @@ def histogram_section(data: Deviation) -> Section | None:
 
 
 def operations_section(data: Deviation) -> Section | None:
-    """Return the section with the table of the operations, largest values of each; None if there are none."""
+    """Return the section with the table of the operations, largest values of each; None without operations."""
     if not data.operations:
         return None
     # deviations after correction are shown only if they are more than rounding of the text
@@ -453,12 +457,12 @@ def operations_section(data: Deviation) -> Section | None:
             str(operation.line),
             str(operation.cutting),
             f"{operation.force:.0f}",
-            estimate(operation.before.largest * MM_PER_M, u95),
+            estimate_text(operation.before.largest * MM_PER_M, u95),
         ]
         if has_after:
-            cells.append(estimate(operation.after.largest * MM_PER_M, u95))
+            cells.append(estimate_text(operation.after.largest * MM_PER_M, u95))
         if u95 is not None:
-            cells.append(two_digits(u95))
+            cells.append(two_digit_text(u95))
         rows.append(Row(tuple(cells), data.places.place_of_row(operation.first), operation.line))
     head = [
         "Operation",
@@ -527,9 +531,11 @@ def worst_places_section(data: Deviation) -> Section | None:
     for index, row in enumerate(rows.tolist()):
         cells = [str(result.source_line[row]), str(result.output_line[row]), f"{result.t[row]:.3f}"]
         u95 = None if result.bound is None else float(result.bound[row]) * MM_PER_M
-        cells += [estimate(float(measure[row]) * MM_PER_M, u95) for measure in measures]
-        cells += [] if u95 is None else [two_digits(u95)]
-        cells += [f"{force[index]:.0f}"] + ([estimate(float(correction_mm[index]), u95)] if data.is_compared else [])
+        cells += [estimate_text(float(measure[row]) * MM_PER_M, u95) for measure in measures]
+        cells += [] if u95 is None else [two_digit_text(u95)]
+        cells += [f"{force[index]:.0f}"] + (
+            [estimate_text(float(correction_mm[index]), u95)] if data.is_compared else []
+        )
         table_rows.append(Row(tuple(cells), data.places.place_of_row(row), int(result.source_line[row])))
     table = Table(tuple(head), tuple(table_rows), "The worst places, one for each line of the program", sortable=True)
     return Section("worst", "Worst places", (table,))
@@ -551,7 +557,7 @@ def reversals_section(data: Deviation) -> Section | None:
         )
         return Section("reversals", "Reversals", (Notes((Note(text),)),))
     rows = tuple(
-        Row((entry.joint, str(entry.source_line), two_digits(entry.lost_motion_mm)), place, entry.source_line)
+        Row((entry.joint, str(entry.source_line), two_digit_text(entry.lost_motion_mm)), place, entry.source_line)
         for entry, (place, _) in zip(entries, data.reversals(), strict=True)
     )
     note = (
@@ -581,7 +587,7 @@ def limits_section(data: Deviation) -> Section | None:
         return None
     path_max_mm = content.between_max_mm
     rows: list[tuple[str, Cell | str]] = [
-        ("Deviation between targets too, at most", f"{'-' if path_max_mm is None else millimetres(path_max_mm)} mm")
+        ("Deviation between targets too, at most", f"{'-' if path_max_mm is None else millimetre_text(path_max_mm)} mm")
     ]
     if content.tolerance_mm is not None:
         text, kind = _TOLERANCE_CELLS[content.tolerance_held]
@@ -652,7 +658,7 @@ _LEVEL_KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info":
 
 
 def issues_section(data: Deviation) -> Section:
-    """Return the section with the table of the issues, or a note that there are none."""
+    """Return the section with the table of the issues; a note without issues."""
     issues = data.result.issues
     if not issues:
         return Section("issues", "Issues", (Notes((Note("None besides those of the verdict.", "soft"),)),))
@@ -805,11 +811,11 @@ def _gain_sentences(tool_turn: Turn, turns: Array) -> list[str]:
     cut_error = line_error[cut_length > 0.0]
     if not len(cut_error) or not np.isfinite(cut_error).all() or not cut_error.any():
         return []
-    rms = two_digits(statistics(line_error, cut_length).rms * MM_PER_M)
+    rms = two_digit_text(statistics(line_error, cut_length).rms * MM_PER_M)
     if not (tool_turn.map.reasons(tool_turn.keep)[:, cell_column] == FREE).all():
         cell_text = f"the turn that the cell states ({tool_turn.constant * DEG_PER_RAD:g}°) cannot be driven throughout"
     else:
-        cell_rms = two_digits(statistics(error[:, cell_column], cut_length).rms * MM_PER_M)
+        cell_rms = two_digit_text(statistics(error[:, cell_column], cut_length).rms * MM_PER_M)
         cell_text = f"{cell_rms} mm with {tool_turn.constant * DEG_PER_RAD:g}°"
     return [f"Expected error along this line {rms} mm RMS; {cell_text}."]
 
