@@ -197,7 +197,7 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         The error of these forces is one factor, `RobotModel.force_factor`, which is a parameter of the model. False for
         all motions if the model has no such factor, or if the factor is that of another law.
         """
-        factor, computed_cuts = self.robot.force_factor, path_forces.by_law
+        factor, computed_cuts = self.robot.force_factor, path_forces.law_forces
         if factor is None or computed_cuts is None or not factor.is_of(computed_cuts.numbers):
             return np.zeros(len(motion), dtype=np.bool_)
         return np.asarray(np.isin(motion, computed_cuts.motion))

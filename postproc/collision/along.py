@@ -16,20 +16,20 @@ from postproc.collision.distance import Solids, link_frames
 from postproc.frames import Array, norm
 from postproc.program import Bools, Ints, distinct
 
-_FIRST = 64
-"""Samples of one interval at first (assumed)."""
-_EXACT = 0.25e-3
-"""The smallest distance is found to this [m] (assumed)."""
-_SHORT = 0.05e-3
-"""Motions between poses that are shorter [m] are not halved (assumed)."""
+_FIRST_INTERVAL = 64
+"""Number of samples in the first intervals (assumed)."""
+_DISTANCE_TOLERANCE = 0.25e-3
+"""Error of the smallest distance [m] (assumed)."""
+_LEAST_MOTION = 0.05e-3
+"""Motions between poses that are shorter than this [m] are not halved (assumed)."""
 
 
 class SmallestDistance(Struct, frozen=True):
     """The smallest distance along a path.
 
-    :param distance: [m]; 0 where bodies touch or overlap.
-    :param first: the body that moves, a row of `Scene.bodies`; `second` the other one.
-    :param row: sample at which, or before which, it is reached.
+    :param distance: [m]; 0 if bodies touch or overlap.
+    :param first: row in `Scene.bodies` of the body that moves, and `second` of the other body.
+    :param row: sample at which, or before which, the distance is reached.
     """
 
     distance: float
@@ -39,14 +39,14 @@ class SmallestDistance(Struct, frozen=True):
 
 
 class Hits(Struct, frozen=True, eq=False):
-    """Result of a path.
+    """Pairs of bodies that come too close along a path, and the smallest distance.
 
-    :param closest: None without bodies to compare.
+    :param closest: smallest distance of all bodies; None without bodies to compare.
     :param row: (h,) samples at which, or before which, two bodies are closer than allowed.
-    :param first: (h,) the body that moves, `second` the other one: rows of `Scene.bodies`.
-    :param distance: (h,) the smallest distance found there [m].
+    :param first: (h,) rows in `Scene.bodies` of the bodies that move, and `second` (h,) of the other bodies.
+    :param distance: (h,) the smallest computed distance of the two bodies there [m].
     :param calls: number of distances that were computed.
-    :param largest_decrease: largest decrease of distances on the commanded path [m].
+    :param largest_decrease: largest decrease of the distance of a body by its displacement to the commanded path [m].
     """
 
     closest: SmallestDistance | None
@@ -67,9 +67,9 @@ def path_hits(
 
     :param q: (n, 6) joint angles [rad].
     :param commanded_q: (n, 6) joint angles that the arm may have instead, or any between [rad]: distances of a body are
-        reduced by its largest displacement from one to the other.
+        reduced by its largest displacement between the two. None: the arm has the angles `q`.
     :param min_distance: smallest allowed distance [m]; 0: they must not touch.
-    :param shift: (n, 3) how far E1 carries the robot from the root [m].
+    :param shift: (n, 3) displacement of the robot from the root by E1 [m]; None: there is no E1.
     """
     return pair_hits(Solids(scene), q, min_distance, shift, commanded_q)
 
@@ -80,10 +80,10 @@ def pair_hits(
     """Return where bodies come closer than allowed along a path, for the pairs of `solids`; see `path_hits`."""
     search = _Search(solids, q, min_distance, shift, needs_minimum=True)
     if commanded_q is not None:
-        search.less = _largest_displacement(solids, q, commanded_q)
+        search.reductions = _largest_displacement(solids, q, commanded_q)
     if len(q):
         for pair in solids.pairs:
-            search.look(*pair)
+            search.search_pair(*pair)
     distances = search.hits
     keys = sorted(distances)
     row, first, second = np.array(keys, dtype=np.int64).reshape(-1, 3).T
@@ -94,7 +94,7 @@ def pair_hits(
         second=second,
         distance=np.array([distances[key] for key in keys]),
         calls=solids.calls,
-        largest_decrease=float(search.less.max(initial=0.0)),
+        largest_decrease=float(search.reductions.max(initial=0.0)),
     )
 
 
@@ -105,25 +105,25 @@ def hits(
 
     :param q: (n, 6) joint angles [rad].
     :param min_distance: smallest allowed distance [m]; 0: they must not touch.
-    :param shift: (n, 3) how far E1 carries the robot from the root [m].
-    :param between_samples: look between samples too; else at the samples only.
+    :param shift: (n, 3) displacement of the robot from the root by E1 [m]; None: there is no E1.
+    :param between_samples: compare bodies between samples too; else at the samples only.
     """
     search = _Search(solids, q, min_distance, shift, needs_minimum=False)
     is_hit = np.zeros(len(q), dtype=bool)
     if len(q):
         for first, second in solids.pairs:
-            search.look(first, second, between_samples=between_samples)
+            search.search_pair(first, second, between_samples=between_samples)
     is_hit[[row for row, _, _ in search.hits]] = True
     return is_hit
 
 
 class _Search:
-    """The search of one path; it goes from pair to pair, and prunes by the smallest distance of all so far.
+    """The search along one path, pair by pair; intervals that cannot reach the smallest distance so far are skipped.
 
-    :ivar less: (b,) by how much distances of each body are reduced, since it may be elsewhere [m].
-    :ivar states: (n, 6 or 9) joint angles [rad], and the shift by E1 [m].
-    :ivar frames: (n, 8, 4, 4) of the carriers, see `link_frames`.
-    :ivar closest: the smallest distance so far; None before the first.
+    :ivar reductions: (b,) by how much the distances of each body are reduced, as it may have a displacement [m].
+    :ivar states: (n, 6 or 9) joint angles [rad], and the displacement by E1 [m] if there is one.
+    :ivar frames: (n, 8, 4, 4) frames of the carriers, see `link_frames`.
+    :ivar closest: the smallest distance so far; None before the first distance.
     :ivar hits: (row, first body, second body) → smallest distance there [m].
     """
 
@@ -134,47 +134,47 @@ class _Search:
 
         :param q: (n, 6) joint angles [rad].
         :param min_distance: smallest allowed distance [m].
-        :param shift: (n, 3) how far E1 carries the robot from the root [m]; None: there is no E1.
-        :param needs_minimum: whether the smallest distance is wanted, too, and not only where less is found than
-            allowed.
+        :param shift: (n, 3) displacement of the robot from the root by E1 [m]; None: there is no E1.
+        :param needs_minimum: True: find the smallest distance, too; False: only find where bodies are too close.
         """
         self.solids, self.q, self.min_distance, self.needs_minimum = solids, q, min_distance, needs_minimum
-        self.less = np.zeros(len(solids.bodies))
+        self.reductions = np.zeros(len(solids.bodies))
         self.chain = solids.scene.robot.nominal
         self.states = q if shift is None else np.concatenate([q, shift], axis=1)
         self.frames = self._frames(self.states)
         self.closest: SmallestDistance | None = None
-        self._lengths: dict[tuple[int, int | None], Array] = {}
+        self._travels: dict[tuple[int, int | None], Array] = {}
         self.hits: dict[tuple[int, int, int], float] = {}
 
-    def look(self, first: int, second: int, *, between_samples: bool = True) -> None:
+    def search_pair(self, first: int, second: int, *, between_samples: bool = True) -> None:
         """Record in `hits` and `closest` where two bodies are too close, and their smallest distance.
 
         Intervals of samples are halved, unless a bound shows that nothing in them counts: the bodies cannot approach
         by more than half of their relative travel beyond the distances at both ends.
 
-        :param first: the body that moves, and `second` the other one: rows of the bodies.
+        :param first: row of the body that moves, and `second` of the other body.
+        :param between_samples: compare bodies between samples too; else at the samples only.
         """
         count = len(self.q)
         distance = np.full(count, np.nan)
-        ends = distinct(np.append(np.arange(0, count, _FIRST), count - 1))
+        ends = distinct(np.append(np.arange(0, count, _FIRST_INTERVAL), count - 1))
         self._measure(first, second, ends, distance)
         if self._distance(first, second, self.frames[:1], solid=True)[0] == 0.0:
-            distance[0] = 0.0  # also where one is inside the other
+            distance[0] = 0.0  # also if one is inside the other: later it cannot get inside without a contact
             self._record_hit(first, second, 0, 0.0)
         open_rows = self._open_rows(first, second, ends, distance)
         if between_samples and len(open_rows):
-            self._halve(first, second, open_rows, distance)
+            self._halve_motions(first, second, open_rows, distance)
 
     def _open_rows(self, first: int, second: int, ends: Ints, distance: Array) -> Ints:
         """Halve intervals of samples until bounds decide them; return the rows of samples before open motions, sorted.
 
-        A motion between two samples is open if more may count in it than at its ends.
+        A motion between two samples is open if bodies may be closer on it than at its ends.
 
         :param ends: samples at the ends of the intervals; their distances are known.
-        :param distance: (n,) of the bodies [m], NaN where not known; those that are computed are filled in.
+        :param distance: (n,) distances of the bodies [m], NaN if not known; computed distances are entered in place.
         """
-        length = self._length(first, second)
+        length = self._travel(first, second)
         low, high = ends[:-1], ends[1:]
         open_rows = [np.zeros(0, dtype=np.int64)]
         while len(low):
@@ -189,32 +189,42 @@ class _Search:
             low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
         return np.sort(np.concatenate(open_rows))
 
-    def _length(self, first: int, second: int) -> Array:
-        """Return an upper bound on the relative travel of two bodies up to each sample (n,) [m]."""
+    def _travel(self, first: int, second: int) -> Array:
+        """Return an upper bound on the relative travel of two bodies from the start to each sample (n,) [m].
+
+        It is computed once for each pair; all fixed bodies count as one.
+        """
         second_body = self.solids.bodies[second]
         key = first, None if second_body.is_fixed else second
-        if key not in self._lengths:
+        if key not in self._travels:
             steps = motion_bound(self.solids, first, second, self.q, self.frames)
-            self._lengths[key] = np.append(0.0, np.cumsum(steps))
-        return self._lengths[key]
+            self._travels[key] = np.append(0.0, np.cumsum(steps))
+        return self._travels[key]
 
     def _distance(self, first: int, second: int, frames: Array, *, solid: bool = False) -> Array:
-        """Return the distances (n,) of two bodies [m], reduced by the displacement that each may have; at least 0."""
-        reduction = self.less[first] + self.less[second]
+        """Return the distances (n,) of two bodies [m], reduced by the displacement that each may have; at least 0.
+
+        :param frames: (n, 8, 4, 4) frames of the carriers, see `link_frames`.
+        :param solid: see `Solids.distance`.
+        """
+        reduction = self.reductions[first] + self.reductions[second]
         return np.asarray(np.maximum(self.solids.distance(first, second, frames, solid=solid) - reduction, 0.0))
 
     def _is_open(self, bound: Array) -> Bools:
         """Return True for lower bounds (n,) of distances [m] that leave open a hit, or a new smallest distance."""
-        return np.asarray((bound < self.min_distance) | (bound < self._smallest_distance() - _EXACT))
+        return np.asarray((bound < self.min_distance) | (bound < self._smallest_distance() - _DISTANCE_TOLERANCE))
 
     def _smallest_distance(self) -> float:
-        """Return the smallest distance so far [m], infinite before the first; −∞ if the smallest one is not wanted."""
+        """Return the smallest distance so far [m]; ∞ before the first distance, −∞ if the search does not need it."""
         if not self.needs_minimum:
             return -np.inf
         return np.inf if self.closest is None else self.closest.distance
 
     def _measure(self, first: int, second: int, rows: Ints, distance: Array) -> None:
-        """Compute the distances at rows of samples where they are NaN, in place; record hits and the smallest one."""
+        """Enter the distances at rows of samples where they are NaN, and record hits and the smallest distance.
+
+        :param distance: (n,) distances of the bodies at all samples [m]; changed in place.
+        """
         rows = rows[np.isnan(distance[rows])]
         distance[rows] = self._distance(first, second, self.frames[rows])
         # bodies that touch are hits, also if none is required to keep a distance
@@ -231,28 +241,28 @@ class _Search:
             self.closest = SmallestDistance(distance, first, second, row)
 
     def _record_hit(self, first: int, second: int, row: int, distance: float) -> None:
-        """Record a hit: the smallest distance [m] of two bodies at a row of samples, or before it."""
+        """Record a hit, with the smallest distance [m] of two bodies at, or before, a row of samples so far."""
         key = (row, first, second)
         self.hits[key] = min(distance, self.hits.get(key, np.inf))
         self._update_closest(first, second, row, distance)
 
-    def _halve(self, first: int, second: int, rows: Ints, distance: Array) -> None:
-        """Halve the motions from some rows of samples to the next ones until bounds decide them; record hits.
+    def _halve_motions(self, first: int, second: int, rows: Ints, distance: Array) -> None:
+        """Halve the motions from some samples to the next ones until bounds decide them, and record hits.
 
-        :param rows: at least one.
-        :param distance: (N,) of the bodies at the samples [m].
+        :param rows: samples at which these motions begin, at least one.
+        :param distance: (n,) distances of the bodies at the samples [m].
         """
         begin, end = self.states[rows], self.states[rows + 1]
         begin_distance, end_distance = distance[rows], distance[rows + 1]
         while len(rows):
-            # begin and end in turn: every second motion is one of ours, the others lead to the next one's begin
+            # begin and end in turn: every second motion is to be bounded, the others lead to the begin of the next one
             pair = np.stack([begin, end], axis=1).reshape(-1, begin.shape[1])
             length = motion_bound(self.solids, first, second, pair[:, :6], self._frames(pair))[::2]
             bound = 0.5 * (begin_distance + end_distance - length)
             smaller = np.minimum(begin_distance, end_distance)
             is_noted = (smaller < self.min_distance) | (smaller <= 0.0)  # reported already
             may_hit = (bound < self.min_distance) & ~is_noted
-            is_open = (may_hit | (bound < self._smallest_distance() - _EXACT)) & (length > _SHORT)
+            is_open = (may_hit | (bound < self._smallest_distance() - _DISTANCE_TOLERANCE)) & (length > _LEAST_MOTION)
             rows, begin, end = rows[is_open], begin[is_open], end[is_open]
             begin_distance, end_distance = begin_distance[is_open], end_distance[is_open]
             if not len(rows):
@@ -271,18 +281,19 @@ class _Search:
             )
 
     def _frames(self, states: Array) -> Array:
-        """Return the link frames (n, 8, 4, 4) at states (n, 6 or 9): joint angles [rad], and the shift by E1 [m]."""
+        """Return the link frames (n, 8, 4, 4) at states (n, 6 or 9): joint angles [rad], displacements by E1 [m]."""
         return link_frames(self.chain, states[:, :6], states[:, 6:] if states.shape[1] > 6 else None)
 
 
 def motion_bound(solids: Solids, first: int, second: int, q: Array, frames: Array) -> Array:
     """Return an upper bound (n − 1,) on the relative displacement of two bodies between successive poses [m].
 
-    For any pose between, the displacements from one pose to it and from it to the next one sum to no more. The bound is
-    the chord of the middle of the body, twice the height of the arc over it, and its rotation times its radius. With
-    joints moving in proportion by Δq in all, no point within R of the axes leaves the chord by more than Δq²·R/8.
+    For any pose between two poses, it bounds the sum of the displacements from the first to it and from it to the
+    second. The bound is the chord c of the middle of the body, twice the height of the arc over the chord, and the
+    rotation times the radius r of the body: c + 2·Δq²·R/8 + Δq·r. If joints move in proportion by Δq in all, no point
+    within R of the axes leaves its chord by more than Δq²·R/8.
 
-    :param first: the body, and `second` the reference of its motion: rows of the bodies.
+    :param first: row of the body, and `second` of the body to which its motion is relative.
     :param q: (n, 6) joint angles [rad], and `frames` (n, 8, 4, 4) the link frames there.
     """
     body, reference = solids.bodies[first], solids.bodies[second]
@@ -291,14 +302,15 @@ def motion_bound(solids: Solids, first: int, second: int, q: Array, frames: Arra
     moving, reference_frame = solids.frame(first, frames), solids.frame(second, frames)
     point = moving[:, :3, :3] @ centre + moving[:, :3, 3] - reference_frame[:, :3, 3]
     point = np.einsum("nji,nj->ni", reference_frame[:, :3, :3], point)
-    joints_between = slice(reference.carrier + 1, body.carrier + 1)  # those that move the body against the reference
+    # the joints that move the body relative to the reference; carrier −1 is the root
+    joints_between = slice(reference.carrier + 1, body.carrier + 1)
     turning = np.abs(np.diff(q, axis=0))[:, joints_between].sum(axis=1)
     links = norm(np.concatenate([chain.placement[:, :3, 3], chain.flange[None, :3, 3]]))
     reach = links[joints_between].sum() + norm(centre[None])[0] + radius
     return np.asarray(norm(np.diff(point, axis=0)) + turning * radius + 0.25 * turning**2 * reach)
 
 
-_CHUNK = 4096
+_POSES_AT_ONCE = 4096
 """Poses whose link frames are computed at once: 4096 of them are 4 MB."""
 
 
@@ -307,19 +319,21 @@ def _largest_displacement(solids: Solids, q: Array, commanded_q: Array) -> Array
 
     It is the displacement of the centre of the body's bounding sphere, plus its rotation times the radius. For the
     difference D of two rotation matrices, the chord 2·sin(angle/2) is the Frobenius norm of D over √2; the arc of so
-    short a motion is at most `_ARC` times as long.
+    short a motion is at most `_ARC_RATIO` times as long.
     """
     chain, displacement = solids.scene.robot.nominal, np.zeros(len(solids.bodies))
-    for begin in range(0, len(q), _CHUNK):
-        start_frames, end_frames = (link_frames(chain, angles[begin : begin + _CHUNK]) for angles in (q, commanded_q))
+    for begin in range(0, len(q), _POSES_AT_ONCE):
+        start_frames, end_frames = (
+            link_frames(chain, angles[begin : begin + _POSES_AT_ONCE]) for angles in (q, commanded_q)
+        )
         for row, (body, (centre, radius)) in enumerate(zip(solids.bodies, solids.spheres, strict=True)):
             if not body.is_fixed:
                 change = end_frames[:, body.carrier + 1] - start_frames[:, body.carrier + 1]
                 turn = np.sqrt(0.5 * (change[:, :3, :3] ** 2).sum(axis=(1, 2)))
                 motion = norm(change[:, :3, :3] @ centre + change[:, :3, 3]) + turn * radius
                 displacement[row] = max(displacement[row], float(motion.max()))
-    return displacement * _ARC
+    return displacement * _ARC_RATIO
 
 
-_ARC = 1.001
+_ARC_RATIO = 1.001
 """An arc of a tenth of a radian is longer than its chord by .04 %."""

@@ -22,63 +22,65 @@ FLANGE = len(JOINTS)
 """Carrier of bodies that are fixed to the flange."""
 _CARRIER_GAP = {"arm": 4, "cutter": 3, "tool": 3}
 """Joints between a body and the links it is compared with: nearer links are joined to it or share a wrist."""
-_TUBES = (0.155, 0.12, 0.128, 0.063, 0.055, 0.03, 0.03)
-"""Radii of the capsules along base and links, of the length of the arm: assumed. They and `_BALLS` hold the collision
-meshes that ROS-Industrial publishes of KR 16-2, KR 120 R2500, KR 150-2, KR 150 R3100 and IRB 6640, without balancer."""
-_BALLS = ((0.12, 0.15), (0.12, 0.155), None, (0.06, 0.12), None, (0.0, 0.062), None)
-"""How far balls are behind foot, shoulder (A1), elbow (A3) and wrist (A5), where plugs, counterweights and motors are,
-and their radii, of the length of the arm; None: there is none. Assumed likewise."""
-_FORK, _FORK_LENGTH = 0.045, 0.058
+_TUBE_RADIUS_SHARES = (0.155, 0.12, 0.128, 0.063, 0.055, 0.03, 0.03)
+"""Radii of the capsules along base and links, as shares of the length of the arm (assumed). The capsules and the balls
+of `_BALL_SHARES` contain the collision meshes that ROS-Industrial publishes of KR 16-2, KR 120 R2500, KR 150-2,
+KR 150 R3100 and IRB 6640, without balancer."""
+_BALL_SHARES = ((0.12, 0.15), (0.12, 0.155), None, (0.06, 0.12), None, (0.0, 0.062), None)
+"""Distances of balls behind foot, shoulder (A1), elbow (A3) and wrist (A5), where plugs, counterweights and motors are,
+and their radii, as shares of the length of the arm (assumed); None: there is no ball."""
+_FORK_RADIUS_SHARE, _FORK_LENGTH_SHARE = 0.045, 0.058
 """Radius and length of the forearm's end at the wrist, narrower than its tube: the tool is compared with the forearm,
 and would touch a round end as wide as the tube, which no arm has. The ball around the wrist holds the fork."""
-_FOREARM = (2, 3)
-"""Carriers whose link may end at the wrist."""
-_ASSUMED = (
+_FOREARM_CARRIERS = (2, 3)
+"""Carriers (A3, A4) whose link may end at the wrist."""
+_ASSUMED_ARM = (
     "the arm is checked as capsules of assumed radius, rather too large, since its model has no meshes: five published "
     "arms are inside of them, other arms and balancers may be thicker"
 )
-_MM = 1e-3
-"""Length [m] below which a part of a tube is left out."""
-_SIDES = 32
-"""Sides of round bodies: around the circle, they are half a percent larger (capsules one), on the safe side."""
+_LEAST_LENGTH = 1e-3
+"""Parts of a tube that are shorter than this [m] are left out."""
+_SIDE_COUNT = 32
+"""Number of sides of round bodies. These are around the circle, so half a percent larger (capsules one percent)."""
 ACCURACY = 0.5e-3
-"""To which distances are computed [m]."""
+"""Error of computed distances [m]."""
 Kind = Literal["box", "cylinder", "capsule", "mesh"]
-Of = Literal["arm", "cutter", "tool", "obstacle", "part"]
+Role = Literal["arm", "cutter", "tool", "obstacle", "part"]
 _FIXED_CARRIER = ("obstacle", "part")
 
 
 class Body(Struct, frozen=True, eq=False):
     """A rigid body.
 
-    :param name: in messages.
+    :param name: name in messages.
     :param carrier: 0…5: the joint that carries it; 6: the flange; −1: the robot root.
-    :param of: arm, cutter, tool (shank, holder, spindle), obstacle or part; the cutter may touch the part.
-    :param kind: of its shape.
-    :param size: of a box its edges, of a cylinder or capsule radius and length along z between the middles of its ends.
-    :param pose: (4, 4) of the middle of the shape in the frame of the carrier [m]; of a mesh the unit.
-    :param points: (P, 3) corners, in the frame of the carrier [m]; of round shapes of a mesh around them, to be drawn.
-    :param faces: (F, 3) rows of `points`.
-    :param with_base: whether it moves with `$BASE`.
+    :param role: arm, cutter, tool (shank, holder, spindle), obstacle or part; the cutter may touch the part.
+    :param kind: kind of its shape.
+    :param size: box: its edges [m]. Cylinder and capsule: radius and length along z, between the middles of the ends
+        [m]. Mesh: empty.
+    :param pose: (4, 4) pose of the middle of the shape in the frame of the carrier [m]; of a mesh the unit matrix.
+    :param points: (P, 3) corners in the frame of the carrier [m]; of round shapes, those of a mesh around them.
+    :param faces: (F, 3) triangles, rows of `points`.
+    :param moves_with_base: whether the body moves with `$BASE`.
     """
 
     name: str
     carrier: int
-    of: Of
+    role: Role
     kind: Kind
     size: tuple[float, ...]
     pose: Array
     points: Array
     faces: NDArray[np.int64]
-    with_base: bool = False
+    moves_with_base: bool = False
 
     @property
     def is_fixed(self) -> bool:
         """Whether neither the arm nor an axis that carries it moves the body."""
-        return self.of in _FIXED_CARRIER
+        return self.role in _FIXED_CARRIER
 
     def transform(self, motion: Array) -> Body:
-        """Return the body moved by (4, 4), in the frame of its carrier."""
+        """Return the body moved by a motion (4, 4) in the frame of its carrier [m]."""
         points = self.points @ motion[:3, :3].T + motion[:3, 3]
         return replace(self, pose=motion @ self.pose, points=points)
 
@@ -93,8 +95,8 @@ class Scene(Struct, frozen=True, eq=False):
     """The bodies of a cell and the robot that moves them.
 
     :param robot: the robot.
-    :param bodies: of the arm, its tool and the obstacles.
-    :param remarks: assumptions on them, one sentence each.
+    :param bodies: bodies of the arm, its tool and the obstacles.
+    :param remarks: assumptions on the bodies, one sentence each.
     """
 
     robot: RobotModel
@@ -103,10 +105,10 @@ class Scene(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, robot: RobotModel, cell: Cell, tool: Array | None = None, base: Array | None = None) -> Scene:
-        """Return the scene of a cell with [collision].
+        """Return the scene of a cell; without [collision] it has no bodies.
 
-        :param tool: (4, 4) `$TOOL` in the flange frame [m]; None: of the cell.
-        :param base: (4, 4) `$BASE` in the robot root [m]; None: of the cell.
+        :param tool: (4, 4) `$TOOL` in the flange frame [m]; None: [tool] of the cell.
+        :param base: (4, 4) `$BASE` in the robot root [m]; None: [base] of the cell.
         :raises CellError: a mesh cannot be read.
         :raises ModelError: a shape of the arm cannot be read.
         """
@@ -115,26 +117,30 @@ class Scene(Struct, frozen=True, eq=False):
             return cls(robot, ())
         tool = cell.tool.pose() if tool is None else tool
         base = cell.base.pose() if base is None else base
-        arm, remarks = _arm(robot, table.arm)
+        arm, remarks = _arm_bodies(robot, table.arm)
         folder = Path(cell.folder)
         holder = _flange_bodies(table.holder, tool, cell.tool.axis, folder)
         obstacles = [
-            replace(_obstacle(table_row, number, base, folder), with_base=table_row.frame == "base")
+            replace(_obstacle_body(table_row, number, base, folder), moves_with_base=table_row.frame == "base")
             for number, table_row in enumerate(table.obstacles, 1)
         ]
         return cls(robot, (*arm, *holder, *obstacles), tuple(remarks))
 
     def pairs(self) -> Iterator[tuple[int, int]]:
-        """Yield the pairs of bodies whose distance may change and matters; the first one has the later carrier."""
+        """Yield the pairs of rows of bodies that are compared; the carrier of the first body is later on the arm.
+
+        Not compared are fixed bodies with each other, the cutter with the part, and links that are joined or share a
+        wrist, see `_CARRIER_GAP`.
+        """
         for i, first in enumerate(self.bodies):
             for j, second in enumerate(self.bodies):
-                if first.is_fixed or (first.of == "cutter" and second.of == "part"):
+                if first.is_fixed or (first.role == "cutter" and second.role == "part"):
                     continue
-                if first.carrier - second.carrier >= (1 if second.is_fixed else _CARRIER_GAP[first.of]):
+                if first.carrier - second.carrier >= (1 if second.is_fixed else _CARRIER_GAP[first.role]):
                     yield i, j
 
 
-def _arm(robot: RobotModel, source: str) -> tuple[list[Body], list[str]]:
+def _arm_bodies(robot: RobotModel, source: str) -> tuple[list[Body], list[str]]:
     """Return the bodies of the arm, from its meshes or as capsules, and remarks on assumptions, one sentence each.
 
     :param source: `arm` of [collision]: "urdf" for the meshes of the robot model, if it has any, or "capsules".
@@ -148,47 +154,54 @@ def _arm(robot: RobotModel, source: str) -> tuple[list[Body], list[str]]:
                 file=robot.urdf,
                 advice='Add the file, or give arm = "capsules" in [collision].',
             )
-        return [_mesh(_link(shape.carrier), shape.carrier, "arm", shape.points, shape.faces) for shape in shapes], []
-    return list(arm_capsules(robot.nominal)), [_ASSUMED]
+        return [
+            _mesh_body(_link_name(shape.carrier), shape.carrier, "arm", shape.points, shape.faces) for shape in shapes
+        ], []
+    return list(arm_capsules(robot.nominal)), [_ASSUMED_ARM]
 
 
-def _link(carrier: int) -> str:
-    """Return the name of a link for messages, by the index of its joint; −1 is the base."""
+def _link_name(carrier: int) -> str:
+    """Return the name of a link for messages, by its carrier: the index of its joint, or −1 for the base."""
     return "base of the robot" if carrier < 0 else f"link of {JOINTS[carrier]}"
 
 
 def arm_capsules(chain: Chain) -> Iterator[Body]:
     """Yield the assumed shape of an arm without meshes, larger rather than smaller than a real one.
 
-    Capsules lie along each link: along the axis of its joint, and from there to the next joint. Balls are behind foot,
-    shoulder and elbow, and around the wrist.
+    Each link has two capsules: along the axis of its joint, and from there to the next joint. Balls are behind foot,
+    shoulder and elbow, and around the wrist. The end of the forearm at the wrist is narrower: a fork.
     """
     ends = [*chain.placement[:, :3, 3], chain.flange[:3, 3]]
     length = float(sum(norm(end[None])[0] for end in ends))
     ahead = _forward_directions(chain)
     for carrier, end in enumerate(ends, -1):
-        tube_radius = _TUBES[carrier + 1] * length
+        tube_radius = _TUBE_RADIUS_SHARES[carrier + 1] * length
         axis = np.array([0.0, 0.0, 1.0]) if carrier < 0 else chain.axis[carrier]
-        if (ball := _BALLS[carrier + 1]) is not None:
+        if (ball := _BALL_SHARES[carrier + 1]) is not None:
             offset, ball_radius = ball[0] * length, ball[1] * length
             middle = -offset * ahead.get(carrier, np.zeros(3))
             # a capsule of hardly any length
-            yield capsule(_link(carrier), carrier, "arm", begin=middle, end=middle + _MM * axis, radius=ball_radius)
+            yield capsule(
+                _link_name(carrier), carrier, "arm", begin=middle, end=middle + _LEAST_LENGTH * axis, radius=ball_radius
+            )
         tubes = [(end, tube_radius)]
-        if carrier in _FOREARM:
+        if carrier in _FOREARM_CARRIERS:
             span = max(float(norm(end[None])[0]), 1e-9)
-            tubes = [(end * max(1.0 - _FORK_LENGTH * length / span, 0.5), tube_radius), (end, _FORK * length)]
+            tubes = [
+                (end * max(1.0 - _FORK_LENGTH_SHARE * length / span, 0.5), tube_radius),
+                (end, _FORK_RADIUS_SHARE * length),
+            ]
         for tube_end, radius in tubes:
             corner = axis * (tube_end @ axis)
             for start, stop in ((np.zeros(3), corner), (corner, tube_end)):
-                if float(norm((stop - start)[None])[0]) > _MM:
-                    yield capsule(_link(carrier), carrier, "arm", begin=start, end=stop, radius=radius)
+                if float(norm((stop - start)[None])[0]) > _LEAST_LENGTH:
+                    yield capsule(_link_name(carrier), carrier, "arm", begin=start, end=stop, radius=radius)
 
 
 def _forward_directions(chain: Chain) -> dict[int, Array]:
-    """Return for base, A1 and A3 the unit vector (3,) in the frame of the carrier that points away from its back.
+    """Return carrier (base, A1, A3) → unit vector (3,) in the frame of the carrier that points forwards.
 
-    A1 points to A2, the base where A1 points at zero, A3 along the axis of A4 to the wrist.
+    A1 points to A2. The base points in the direction of A1 at zero. A3 points along the axis of A4 to the wrist.
     """
     to_a2 = chain.placement[1, :3, 3]
     to_a2 = _unit(to_a2 - chain.axis[0] * (to_a2 @ chain.axis[0]))
@@ -205,7 +218,7 @@ def _unit(vector: Array) -> Array:
 
 
 class Cylinder(Struct, frozen=True):
-    """A cylinder of the tool along its axis: `begin` and `end` above the tip [m]; `cuts`: it is the cutter."""
+    """A cylinder of the tool along its axis, from `begin` to `end` above the tip [m]; `cuts`: it is the cutter."""
 
     name: str
     radius: float
@@ -215,7 +228,7 @@ class Cylinder(Struct, frozen=True):
 
 
 def cylinders(parts: Sequence[HolderTable]) -> Iterator[Cylinder]:
-    """Yield the cylinders of [collision] holder, from the tip upwards."""
+    """Yield the cylinders of [collision] holder, from the tip upwards; meshes are left out."""
     height = 0.0
     for number, part in enumerate(parts, 1):
         if part.mesh is None:
@@ -231,41 +244,42 @@ def _flange_bodies(parts: Sequence[HolderTable], tool: Array, axis: str, folder:
     """Yield the bodies on the flange: cylinders stacked from the tip upwards, and meshes in the flange frame.
 
     :param tool: (4, 4) `$TOOL` in the flange frame [m].
-    :param axis: that points out of the spindle, in the tool frame, as ``+Z``.
+    :param axis: axis of the tool frame that points out of the spindle, as ``+Z``.
     """
     sign, letter = axis[0], axis[1]
     up = -(1.0 if sign == "+" else -1.0) * tool[:3, "XYZ".index(letter)]  # from the tip into the spindle
     tip = tool[:3, 3]
     for part_cylinder in cylinders(parts):
-        of: Of = "cutter" if part_cylinder.cuts else "tool"
+        role: Role = "cutter" if part_cylinder.cuts else "tool"
         begin, end = (tip + up * height for height in (part_cylinder.begin, part_cylinder.end))
-        yield cylinder(part_cylinder.name, FLANGE, of, begin=begin, end=end, radius=part_cylinder.radius)
+        yield cylinder(part_cylinder.name, FLANGE, role, begin=begin, end=end, radius=part_cylinder.radius)
     for number, part in enumerate(parts, 1):
         if part.mesh is not None:
-            points, faces = _read(part.mesh, folder)
-            yield _mesh(part.name or f"holder {number}", FLANGE, "tool", points, faces)
+            points, faces = _mesh_of_file(part.mesh, folder)
+            yield _mesh_body(part.name or f"holder {number}", FLANGE, "tool", points, faces)
 
 
-def _obstacle(table: ObstacleTable, number: int, base: Array, folder: Path) -> Body:
+def _obstacle_body(table: ObstacleTable, number: int, base: Array, folder: Path) -> Body:
     """Return an obstacle of the cell as a body at the root.
 
-    :param number: of the obstacle, which is its name where none is stated.
-    :param base: (4, 4) `$BASE` in the root [m], in which the table may be stated.
+    :param number: number of the obstacle, for its name if the table states none.
+    :param base: (4, 4) `$BASE` in the root [m], to which the table may refer.
+    :raises CellError: its mesh cannot be read.
     """
     frame = np.eye(4) if table.frame == "root" else base
-    of: Of = "part" if table.part else "obstacle"
+    role: Role = "part" if table.part else "obstacle"
     name = table.name or (f"obstacle {number}" if table.mesh is None else Path(table.mesh).name)
     if table.mesh is not None:
-        points, faces = _read(table.mesh, folder)
-        return _mesh(name, -1, of, points @ frame[:3, :3].T + frame[:3, 3], faces)
+        points, faces = _mesh_of_file(table.mesh, folder)
+        return _mesh_body(name, -1, role, points @ frame[:3, :3].T + frame[:3, 3], faces)
     assert table.box is not None
     spans = np.array([table.box.X, table.box.Y, table.box.Z]) * M_PER_MM
     pose = frame.copy()
     pose[:3, 3] += frame[:3, :3] @ spans.mean(axis=1)
-    return box(name, -1, of, pose, spans[:, 1] - spans[:, 0])
+    return box(name, -1, role, pose, spans[:, 1] - spans[:, 0])
 
 
-def _read(name: str, folder: Path) -> tuple[Array, NDArray[np.int64]]:
+def _mesh_of_file(name: str, folder: Path) -> tuple[Array, NDArray[np.int64]]:
     """Return the vertices (v, 3) [m] and triangles (f, 3), as rows of vertices, of a mesh file in millimetres.
 
     :raises CellError: the file is missing or no mesh.
@@ -274,60 +288,65 @@ def _read(name: str, folder: Path) -> tuple[Array, NDArray[np.int64]]:
     return np.asarray(mesh.vertices) * M_PER_MM, np.asarray(mesh.faces, dtype=np.int64)
 
 
-def _mesh(name: str, carrier: int, of: Of, points: Array, faces: NDArray[np.int64]) -> Body:
+def _mesh_body(name: str, carrier: int, role: Role, points: Array, faces: NDArray[np.int64]) -> Body:
     """Return a body with the surface of a mesh: vertices (v, 3) [m] in the frame of its carrier, triangles (f, 3)."""
-    return Body(name, carrier, of, "mesh", (), np.eye(4), points, faces)
+    return Body(name, carrier, role, "mesh", (), np.eye(4), points, faces)
 
 
-def box(name: str, carrier: int, of: Of, pose: Array, edges: Array) -> Body:
+def box(name: str, carrier: int, role: Role, pose: Array, edges: Array) -> Body:
     """Return a box with its middle at `pose` (4, 4) and edges (3,) [m]."""
     from trimesh import creation
 
     mesh = creation.box(extents=edges, transform=pose)
-    return _body(name, carrier, of, mesh, kind="box", size=tuple(edges.tolist()), pose=pose)
+    return _body(name, carrier, role, mesh, kind="box", size=tuple(edges.tolist()), pose=pose)
 
 
-def cylinder(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: float) -> Body:
+def cylinder(name: str, carrier: int, role: Role, begin: Array, end: Array, radius: float) -> Body:
     """Return a cylinder between two points (3,) [m]."""
     from trimesh import creation
 
     pose, length = _line_pose(begin, end)
-    # of a radius near 1, then scaled: trimesh leaves out triangles of a tenth of a millimetre
-    mesh = creation.cylinder(radius=1.0 / np.cos(np.pi / _SIDES), height=length / radius, sections=_SIDES)
+    # made with a radius near 1 and then scaled: trimesh leaves out triangles of a tenth of a millimetre
+    mesh = creation.cylinder(radius=1.0 / np.cos(np.pi / _SIDE_COUNT), height=length / radius, sections=_SIDE_COUNT)
     mesh.apply_scale(radius)
-    return _body(name, carrier, of, mesh.apply_transform(pose), kind="cylinder", size=(radius, length), pose=pose)
+    return _body(name, carrier, role, mesh.apply_transform(pose), kind="cylinder", size=(radius, length), pose=pose)
 
 
 def inscribed_capsule(cutter: Body) -> Body:
-    """Return the capsule in a cutter whose shape is not known: with a round end, and smaller by the accuracy [m]."""
+    """Return a capsule inside of a cutter whose end has an unknown shape: its radius is smaller by `ACCURACY`.
+
+    Its role is "tool", so that it is compared with the part, too.
+    """
     radius, length = cutter.size
-    half = max(0.5 * length - radius, _SMALLEST)
+    half = max(0.5 * length - radius, _LEAST_SIZE)
     begin, end = (cutter.pose[:3, 3] + sign * half * cutter.pose[:3, 2] for sign in (-1.0, 1.0))
-    inner_radius = max(min(radius, 0.5 * length) - ACCURACY, _SMALLEST)
+    inner_radius = max(min(radius, 0.5 * length) - ACCURACY, _LEAST_SIZE)
     return capsule(cutter.name, cutter.carrier, "tool", begin=begin, end=end, radius=inner_radius)
 
 
-_SMALLEST = 1e-4
-"""Smallest radius and half length of a capsule [m]: a tenth of a millimetre, of cutters that have hardly any."""
+_LEAST_SIZE = 1e-4
+"""Smallest radius and half length of the capsule in a cutter [m]."""
 
 
-def capsule(name: str, carrier: int, of: Of, begin: Array, end: Array, radius: float) -> Body:
-    """Return all points within `radius` of the line between two points (3,) [m]."""
+def capsule(name: str, carrier: int, role: Role, begin: Array, end: Array, radius: float) -> Body:
+    """Return a body of all points within `radius` of the line between two points (3,) [m]."""
     from trimesh import creation
 
     pose, length = _line_pose(begin, end)
-    outer_radius = 1.0 / np.cos(np.pi / _SIDES) ** 2  # scaled to `radius` as that of a cylinder
-    mesh = creation.capsule(height=length / radius, radius=outer_radius, count=[_SIDES, _SIDES])
+    # radius near 1 of the mesh around the capsule, which is then scaled, as that of a cylinder
+    outer_radius = 1.0 / np.cos(np.pi / _SIDE_COUNT) ** 2
+    mesh = creation.capsule(height=length / radius, radius=outer_radius, count=[_SIDE_COUNT, _SIDE_COUNT])
     mesh.apply_scale(radius)  # type: ignore[no-untyped-call]
     mesh.apply_translation(-mesh.bounds.mean(axis=0))  # versions of trimesh differ in where they put the origin
-    return _body(name, carrier, of, mesh.apply_transform(pose), kind="capsule", size=(radius, length), pose=pose)
+    return _body(name, carrier, role, mesh.apply_transform(pose), kind="capsule", size=(radius, length), pose=pose)
 
 
 def _line_pose(begin: Array, end: Array) -> tuple[Array, float]:
-    """Return the pose (4, 4) of the middle of a line, z along it, and its length [m]."""
+    """Return the pose (4, 4) of the middle of a line with z along it, and the length of the line [m]."""
     line = end - begin
     length = float(np.sqrt(line @ line))
     z = line / length
+    # x is square to z and to the coordinate axis that is farthest from z
     x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     x /= np.sqrt(x @ x)
     pose = np.eye(4)
@@ -336,15 +355,15 @@ def _line_pose(begin: Array, end: Array) -> tuple[Array, float]:
     return pose, length
 
 
-def _body(name: str, carrier: int, of: Of, mesh: Any, *, kind: Kind, size: tuple[float, ...], pose: Array) -> Body:
+def _body(name: str, carrier: int, role: Role, mesh: Any, *, kind: Kind, size: tuple[float, ...], pose: Array) -> Body:
     """Return a body with the corners and triangles of a `trimesh.Trimesh` in the frame of its carrier [m].
 
-    Other parameters as of the fields of `Body`.
+    The other parameters are fields of `Body`.
     """
     return Body(
         name=name,
         carrier=carrier,
-        of=of,
+        role=role,
         kind=kind,
         size=size,
         pose=pose,

@@ -16,18 +16,18 @@ from postproc.frames import Array, inverse, norm, rotation_from_vector
 from postproc.program import Ints
 from postproc.robot.chain import Chain
 
-_TOUCH = 1e-6
-"""Bodies that are certainly farther apart [m] do not touch (assumed)."""
-_CONVEX = 1e-3
-"""A mesh is convex if its volume is at least that of its hull, less this share (assumed)."""
+_TOUCH_DISTANCE = 1e-6
+"""Bodies whose bounding volumes are farther apart than this [m] do not touch (assumed)."""
+_CONVEX_TOLERANCE = 1e-3
+"""A mesh is convex if its volume is smaller than that of its hull by at most this share (assumed)."""
 
 
 class Clearance(Struct, frozen=True, eq=False):
     """Smallest distance of the bodies of a scene at n poses.
 
-    :param distance: (n,) [m]; 0 where two bodies touch or overlap, infinite without bodies to compare.
-    :param first: (n,) the body that moves, a row of `Scene.bodies`; −1 without bodies to compare.
-    :param second: (n,) the other one.
+    :param distance: (n,) [m]; 0 if two bodies touch or overlap, infinite without bodies to compare.
+    :param first: (n,) row in `Scene.bodies` of the body that moves; −1 without bodies to compare.
+    :param second: (n,) row of the other body; −1 without bodies to compare.
     """
 
     distance: Array
@@ -52,16 +52,18 @@ def clearance(scene: Scene, q: Array) -> Clearance:
 
 
 def link_frames(chain: Chain, q: Array, shift: Array | None = None) -> Array:
-    """Return the frames (n, 8, 4, 4) of the carriers −1, 0…5 and 6 (the flange) in the root [m]: row = carrier + 1.
+    """Return the frames (n, 8, 4, 4) in the root [m] of the carriers: base (−1), links (0…5) and flange (6).
 
-    :param chain: of six joints, without springs of links.
+    The row of a frame is its carrier + 1.
+
+    :param chain: chain of six joints, without springs of links.
     :param q: (n, 6) joint angles [rad].
-    :param shift: (n, 3) how far E1 carries the robot from the root [m].
+    :param shift: (n, 3) displacement of the robot from the root by E1 [m]; None: there is no E1.
     """
 
     def frames_of(q: Array) -> tuple[Array]:
-        """Return the frames of base, links and flange (n, 8, 4, 4) for joint angles (n, 6) [rad]."""
-        joint_frames, flange = chain.joint_frames(q)
+        """Return the frames (n, 8, 4, 4) for joint angles (n, 6) [rad], in a tuple as `in_chunks` takes it."""
+        joint_frames, flange = chain.joint_frames(q)  # of joints before they turn
         turn = rotation_from_vector(q[:, :, None] * chain.axis)
         frames = np.empty((len(q), 8, 4, 4))
         frames[:, 0], frames[:, 7] = np.eye(4), flange
@@ -76,7 +78,7 @@ def link_frames(chain: Chain, q: Array, shift: Array | None = None) -> Array:
 
 
 class Solids:
-    """The bodies of a scene as FCL has them."""
+    """The bodies of a scene as objects of FCL, which computes their distances."""
 
     def __init__(self, scene: Scene, pairs: Iterable[tuple[int, int]] | None = None) -> None:
         """Make the FCL objects of the bodies of a scene.
@@ -100,7 +102,7 @@ class Solids:
         self.spans = [_span(body) for body in scene.bodies]
 
     def replace_last(self, body: Body) -> Solids:
-        """Return the bodies with another mesh in place of the last one."""
+        """Return these solids with another mesh in place of the last body; the mesh need not be convex."""
         solids = copy(self)
         solids.bodies = (*self.bodies[:-1], body)
         solids.convex = [*self.convex[:-1], False]
@@ -109,14 +111,17 @@ class Solids:
         return solids
 
     def move_base(self, motion: Array) -> Solids:
-        """Return the bodies with those that move with `$BASE` moved by (4, 4) in the root."""
+        """Return these solids with the bodies that move with `$BASE` moved by a motion (4, 4) in the root [m]."""
         solids = copy(self)
-        solids.bodies = tuple(body.transform(motion) if body.with_base else body for body in self.bodies)
+        solids.bodies = tuple(body.transform(motion) if body.moves_with_base else body for body in self.bodies)
         solids.spheres = [body.sphere for body in solids.bodies]
         return solids
 
     def _geometry(self, body: Body, convex: bool) -> Any:
-        """Return the body as a geometry of FCL; `convex`: the convex hull of a mesh."""
+        """Return a body as a geometry of FCL.
+
+        :param convex: True: a mesh is given by its convex hull; False: by its surface.
+        """
         fcl, size = self.fcl, body.size
         if body.kind == "box":
             return fcl.Box(*size)
@@ -137,30 +142,40 @@ class Solids:
         return model
 
     def frame(self, row: int, frames: Array) -> Array:
-        """Return the frames (n, 4, 4) of the link that carries a body, from those of all links (n, 8, 4, 4)."""
+        """Return the frames (n, 4, 4) of the carrier of a body; of a fixed body the root.
+
+        :param row: row of the body.
+        :param frames: (n, 8, 4, 4) frames of all carriers, see `link_frames`.
+        """
         body = self.bodies[row]
         return np.broadcast_to(np.eye(4), (len(frames), 4, 4)) if body.is_fixed else frames[:, body.carrier + 1]
 
     def may_be_near(self, first: int, second: int, frames: Array, min_distance: float) -> NDArray[np.bool_]:
-        """Return True for poses (n,) at which the bounding sphere of one body is near the bounding box of another.
+        """Return True for poses (n,) at which two bodies may be closer than a distance, by their bounding volumes.
 
-        :param first: index of a body, and `second` of another.
-        :param min_distance: they are near if they are closer than this [m].
+        The bounding sphere of each body is compared with the bounding box of the other.
+
+        :param first: row of a body, and `second` of the other.
+        :param frames: (n, 8, 4, 4) frames of the carriers, see `link_frames`.
+        :param min_distance: the distance [m].
         """
         may_be_near = np.ones(len(frames), dtype=bool)
         for ball, box_body in ((first, second), (second, first)):
             centre, radius = self.spheres[ball]
             frame, box = self.frame(ball, frames), self.frame(box_body, frames) @ self.bodies[box_body].pose
             point = frame[:, :3, :3] @ centre + frame[:, :3, 3] - box[:, :3, 3]
-            local = np.einsum("nji,nj->ni", box[:, :3, :3], point)
+            local = np.einsum("nji,nj->ni", box[:, :3, :3], point)  # middle of the sphere in the axes of the box
             low, high = self.spans[box_body]
             may_be_near &= norm(np.maximum(np.maximum(low - local, local - high), 0.0)) - radius < min_distance
         return may_be_near
 
     def is_closer(self, frames: Array, min_distance: float) -> bool:
-        """Return whether two bodies touch or are closer than `min_distance` [m] at any of some poses."""
+        """Return whether two bodies touch or are closer than `min_distance` [m] at any of n poses.
+
+        :param frames: (n, 8, 4, 4) frames of the carriers, see `link_frames`.
+        """
         for first, second in self.pairs:
-            rows = np.flatnonzero(self.may_be_near(first, second, frames, max(min_distance, _TOUCH)))
+            rows = np.flatnonzero(self.may_be_near(first, second, frames, max(min_distance, _TOUCH_DISTANCE)))
             distance = self.distance(first, second, frames[rows], solid=True)
             if ((distance < min_distance) | (distance <= 0.0)).any():
                 return True
@@ -169,9 +184,10 @@ class Solids:
     def distance(self, first: int, second: int, frames: Array, *, solid: bool) -> Array:
         """Return the distance (n,) of two bodies [m]; 0 where they touch or overlap.
 
-        :param frames: (n, 8, 4, 4) of the carriers, see `link_frames`.
-        :param solid: see whether one body is inside the other, too; else only surfaces of meshes count. Bodies whose
-            surfaces never touch between poses are not inside each other if they are not at one of them.
+        :param first: row of a body, and `second` of another.
+        :param frames: (n, 8, 4, 4) frames of the carriers, see `link_frames`.
+        :param solid: True: the distance is 0 also if one body is inside of a mesh. False: only surfaces of meshes
+            count; along a path on which the surfaces never touch, it is enough to compare solids at one pose.
         """
         poses = [self.frame(row, frames) @ self.bodies[row].pose for row in (first, second)]
         first_object, second_object = self.objects[first], self.objects[second]
@@ -193,7 +209,7 @@ class Solids:
         return distances
 
     def _contains(self, inner: int, outer: int, frames: Array) -> NDArray[np.bool_]:
-        """Return True for poses (n,) at which the first point of a body is inside a mesh, by the mesh's solid angle.
+        """Return True for poses (n,) at which the first point of a body is inside a mesh, by its solid angle.
 
         Source: van Oosterom and Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed. Eng. 30, 1983.
         """
@@ -220,11 +236,11 @@ def _is_convex(body: Body) -> bool:
     from trimesh import Trimesh
 
     mesh = Trimesh(body.points, body.faces, process=True)
-    return bool(mesh.is_watertight and abs(mesh.volume) >= (1.0 - _CONVEX) * mesh.convex_hull.volume)
+    return bool(mesh.is_watertight and abs(mesh.volume) >= (1.0 - _CONVEX_TOLERANCE) * mesh.convex_hull.volume)
 
 
 def _span(body: Body) -> tuple[Array, Array]:
-    """Return the smallest and largest coordinates (3,) of a body in its own axes [m]."""
+    """Return the smallest coordinates (3,) and the largest coordinates (3,) of a body in the axes of its pose [m]."""
     to_body = inverse(body.pose)
     points = body.points @ to_body[:3, :3].T + to_body[:3, 3]
     return points.min(axis=0), points.max(axis=0)

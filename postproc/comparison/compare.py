@@ -167,7 +167,7 @@ def _pair_under_forces(
     place = nominal_path.robot_in_cell
     loads = _Loads.of(nominal_path, source)
     partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs, place.tolerance)
-    at_feeds = None if loads.path.by_law is None else _with_partner_feeds(nominal_path, corrected_path, partner)
+    at_feeds = None if loads.path.law_forces is None else _with_partner_feeds(nominal_path, corrected_path, partner)
     if at_feeds is not None:
         nominal_path = PlacedProgram.of(at_feeds, place)
         loads = _Loads.of(nominal_path, source)

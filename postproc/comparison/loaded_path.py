@@ -300,7 +300,7 @@ def _covers_step(nominal_path: PlacedProgram, load: PathForces, end_length: Arra
 
     :param end_length: (n,) arc lengths on the nominal path at which the pieces end [m]; NaN where unknown.
     """
-    return load.behind_step(*nominal_path.at(np.nan_to_num(end_length)))
+    return load.is_behind_step(*nominal_path.at(np.nan_to_num(end_length)))
 
 
 def _has_uncorrected_start(side: PlacedProgram) -> Bools:

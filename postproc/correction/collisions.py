@@ -22,7 +22,7 @@ from postproc.errors import Issue
 from postproc.forces import StockInTime
 from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
 from postproc.kinematics import UnreachableError
-from postproc.placement.samples import AXIS
+from postproc.placement.samples import SPINDLE_AXES
 from postproc.program import PTP, Bools, Ints, Motions, Program
 from postproc.toolpath import Toolpath
 from postproc.under_load import ImpossiblePathError, PathUnderLoad, unreachable
@@ -146,7 +146,7 @@ def _clearance_of_run(
 def _mesh_questions(scene: Scene) -> Iterator[Issue]:
     """Yield a question for each mesh of an obstacle or holder that is too small to be in millimetres."""
     for body in scene.bodies:
-        if body.kind != "mesh" or body.of == "arm":
+        if body.kind != "mesh" or body.role == "arm":
             continue
         size = float(np.ptp(body.points, axis=0).max())
         if size < _SMALLEST_MESH:
@@ -210,7 +210,7 @@ def _retracts(path: PathUnderLoad, sample: Toolpath, run: Run) -> Bools:
     previous = np.arange(rows.start, rows.stop) - 1
     previous[0] = max(run.previous, 0)
     step = pose[rows, :3, 3] - pose[previous, :3, 3]
-    up = -pose[rows, :3, :3] @ np.array(AXIS[path.robot_in_cell.spindle])
+    up = -pose[rows, :3, :3] @ np.array(SPINDLE_AXES[path.robot_in_cell.spindle])
     return np.asarray(np.einsum("ni,ni->n", step, up) >= (1.0 - _AXIS_SHARE) * norm(step))
 
 
@@ -276,7 +276,7 @@ def _stock_sentences(scene: collision.Scene, stock: StockInTime | None) -> Itera
             "the stock of the process is compared as it is at each move, for arm, meshes and a tool that turns rounded "
             f"up to cells of {stock.accuracy * MM_PER_M:.2g} mm; the smallest clearance does not include it"
         )
-    elif not any(body.of == "part" for body in scene.bodies):
+    elif not any(body.role == "part" for body in scene.bodies):
         yield "the stock is not checked: there is no process with [material], and no obstacle with part = true"
 
 
@@ -414,9 +414,9 @@ def stock_contacts(scene: Scene, states: States, stock: StockInTime, need: float
     :param need: smallest allowed distance [m]; the cutter must not touch.
     """
     moving = [body for body in scene.bodies if not body.is_fixed]
-    arm_and_meshes = [body for body in moving if body.of == "arm" or (body.of == "tool" and body.kind == "mesh")]
-    tool_shapes = [body for body in moving if body.of == "tool" and body.kind != "mesh"]
-    cutters = [collision.inscribed_capsule(body) for body in moving if body.of == "cutter"]
+    arm_and_meshes = [body for body in moving if body.role == "arm" or (body.role == "tool" and body.kind == "mesh")]
+    tool_shapes = [body for body in moving if body.role == "tool" and body.kind != "mesh"]
+    cutters = [collision.inscribed_capsule(body) for body in moving if body.role == "cutter"]
     all_rows = np.ones(len(states.motion), dtype=bool)
     is_turning = ~stock.is_compared[states.motion]
     is_turning_in_air = is_turning & ~stock.removes_material[states.motion]
@@ -435,8 +435,8 @@ def part_contacts(scene: Scene, states: States, rapid: Bools) -> Iterator[Contac
 
     :param rapid: (N,) samples on rapid moves along which the tool does not just leave its cut.
     """
-    parts = [body for body in scene.bodies if body.of == "part"]
-    cutters = [collision.inscribed_capsule(body) for body in scene.bodies if body.of == "cutter"]
+    parts = [body for body in scene.bodies if body.role == "part"]
+    cutters = [collision.inscribed_capsule(body) for body in scene.bodies if body.role == "cutter"]
     if parts and cutters and rapid.any():
         solids = _solids(scene, cutters, parts)
         for low, high in _stretches(rapid):

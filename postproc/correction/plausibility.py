@@ -16,7 +16,7 @@ from postproc.errors import Issue, Level
 from postproc.forces.path_forces import PathForces
 from postproc.frames import MM_PER_M, MM_PER_MIN, Array, norm
 from postproc.kinematics.forward import GRAVITY
-from postproc.placement.samples import AXIS
+from postproc.placement.samples import SPINDLE_AXES
 from postproc.program import Ints, Program, distinct
 from postproc.robot import RobotModel
 from postproc.robot.rating import rated_payload
@@ -241,7 +241,7 @@ def tool_change_warnings(program: Program, axis: str) -> Iterator[Issue]:
     """
     m = program.motions
     target: Array = m.target[:]
-    to_tip = np.array(AXIS[axis])
+    to_tip = np.array(SPINDLE_AXES[axis])
     cutting = np.flatnonzero(~m.rapid & ~retract_motions(target[:, :3, 3], -(target[:, :3, :3] @ to_tip)))
     changes = 1 + np.flatnonzero((m.tool[1:] != m.tool[:-1]) & (m.base[1:] == m.base[:-1]))
     for row in changes.tolist():

@@ -318,7 +318,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         programmed_rounding=draft.selection.programmed_rounding,
         reversals=reversals,
         causes=_causes_of_deviation(task, path),
-        is_stock_known=path.motions.forces.by_law is not None,
+        is_stock_known=path.motions.forces.law_forces is not None,
         exact_forces=path.motions.forces.spread is None,
         turn=task.turn,
         redundancy_deg=None if program.keeps_text else path.robot_in_cell.cell.gcode.redundancy_deg,

@@ -324,7 +324,7 @@ def _conditions_of_probes(path: PathUnderLoad, targets: Targets, probes: _Probes
     """
     m, motion, is_inner = path.program.motions, probes.motion, probes.is_inside
     begin, end = targets.begin(probes.target), targets.t[probes.target]
-    step = path.motions.forces.behind_step(motion, end) & is_inner
+    step = path.motions.forces.is_behind_step(motion, end) & is_inner
     jump = (path.motions.segments.length[motion] * (end - begin) < _JUMP_LENGTH) & is_inner
     # [start] and axis targets are not corrected: a motion from there begins as far off as the robot is without a force
     begins_uncorrected = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.robot_in_cell.rest_is_nominal)

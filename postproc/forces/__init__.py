@@ -13,15 +13,15 @@ from postproc.forces.path_forces import (
     refined_arcs,
     swing_places,
 )
-from postproc.forces.sources import ByLaw, ForceSource, Knots, StockInTime, read
+from postproc.forces.sources import ForceSource, Knots, LawForces, StockInTime, read
 from postproc.forces.table import once_a_line, piece_knots, read_force_csv, target_forces
 
 __all__ = [
     "BEHIND_STEP",
     "Axes",
-    "ByLaw",
     "ForceSource",
     "Knots",
+    "LawForces",
     "PathForces",
     "StockInTime",
     "assign",

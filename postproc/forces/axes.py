@@ -11,29 +11,30 @@ from postproc.program import CIRC, Bools, Ints, Program
 from postproc.toolpath import Segments, Toolpath, at, tangent
 
 _SPINDLE = {"+Z": (2, 1.0), "-Z": (2, -1.0), "+X": (0, 1.0), "-X": (0, -1.0)}
-"""Column of the tool frame, and its sign, that points from the spindle to the tip, by the axis of the tool."""
-_PARALLEL = 1e-3
+"""Axis of the tool frame that points from the spindle to the tip → its column, and the sign of the axis."""
+_PARALLEL_SINE = 1e-3
 """Sine of the angle between travel and spindle below which the travel is along the spindle (assumed)."""
-TURNS = 1e-6
+LEAST_TURN = 1e-6
 """Rotations of the tool below this [rad] count as none (assumed)."""
 _LEAST_ANGLE = 45.0 * RAD_PER_DEG
 """Smallest angle between travel and spindle at which the path runs across the spindle (assumed)."""
 _TANGENT_OFFSET = 0.01
-"""Where an arc is tangent to the spindle, its direction is taken at this distance from there (share of the arc)
+"""Where an arc is tangent to the spindle, its direction is that at this distance from the point (share of the arc)
 (assumed)."""
 
 
 def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, last: Array) -> Array:
     """Return the FEED axes (n, 3, 3) as columns in `$BASE`.
 
-    z along the spindle from the tip to the spindle, x along the component of the travel perpendicular to z, y = z × x.
+    z is along the spindle, from the tip to the spindle; x is along the component of the travel perpendicular to z;
+    y = z × x.
 
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     :param last: (M, 3) x for motions along the spindle, see `last_travel`; where it is NaN, any x perpendicular to z.
     """
     z = _towards_spindle(sample, axis)
     x, sine = _perpendicular_directions(z, tangent(program, path, sample.motion, sample.t))
-    parallel_rows = np.flatnonzero(sine < _PARALLEL)
+    parallel_rows = np.flatnonzero(sine < _PARALLEL_SINE)
     if len(parallel_rows):
         x[parallel_rows] = _directions_along_spindle(program, path, sample.take(parallel_rows), axis, last)
     return np.stack([x, np.cross(z, x), z], axis=-1)
@@ -42,8 +43,8 @@ def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, las
 def _directions_along_spindle(program: Program, path: Segments, sample: Toolpath, axis: str, last: Array) -> Array:
     """Return x (n, 3) of FEED axes in `$BASE` at samples whose travel is along the spindle.
 
-    Where an arc is tangent to the spindle, x is that at a point of the arc nearby. Elsewhere it is that of the last
-    motion across the spindle; without one, any direction perpendicular to the spindle.
+    Where an arc is tangent to the spindle, x is that at a point of the arc nearby. On a motion along the spindle, x is
+    that of the last motion across the spindle; without such a motion, any direction perpendicular to the spindle.
 
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     :param last: (M, 3) x for motions along the spindle, see `last_travel`; NaN without a motion across it.
@@ -52,7 +53,7 @@ def _directions_along_spindle(program: Program, path: Segments, sample: Toolpath
     offset_t = np.where(t > _TANGENT_OFFSET, t - _TANGENT_OFFSET, t + _TANGENT_OFFSET)
     x, sine = _perpendicular_directions(z, tangent(program, path, sample.motion, offset_t))
     # motions that are parallel to the spindle all along
-    rows = np.flatnonzero(sine < _PARALLEL)
+    rows = np.flatnonzero(sine < _PARALLEL_SINE)
     inherited_travel = last[sample.motion[rows]]
     # column − 2 is the next column of the tool frame, perpendicular to the spindle: 2 → 0, 0 → −2, which is 1
     tool_axis = sample.pose[rows, :3, _SPINDLE[axis][0] - 2]
@@ -66,6 +67,8 @@ def is_arc_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bo
 
     On these arcs FEED axes turn about as fast as the travel. Near the direction of the spindle they swing by up to half
     a turn, the faster the nearer, and at that direction they jump.
+
+    :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     """
     m = program.motions
     # the angle of the spindle to the axis of the arc at the worse end, half the turn of the tool, and the pitch of a
@@ -75,7 +78,7 @@ def is_arc_across(program: Program, path: Segments, arcs: Ints, axis: str) -> Bo
     angles_to_axis = [
         np.arccos(np.minimum(np.abs(np.einsum("ni,ni->n", m.normal[arcs], vector)), 1.0)) for vector in (z, start)
     ]
-    row = np.searchsorted(path.arcs.motion, arcs)
+    row = np.searchsorted(path.arcs.motion, arcs)  # of each arc in `path.arcs`, which are in the order of motions
     pitch = np.arctan2(norm(path.arcs.climb[row]), norm(path.arcs.radial[row]) * path.arcs.sweep[row])
     return np.asarray(np.maximum(*angles_to_axis) + 0.5 * path.turn[arcs] + pitch < _LEAST_ANGLE)
 
@@ -87,7 +90,7 @@ def is_line_across(program: Program, path: Segments, lines: Ints, axis: str) -> 
 
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     """
-    # the smallest angle between travel and spindle is at least that at the ends, less half the turn of the tool
+    # the smallest angle between travel and spindle is at least that at the ends, minus half the turn of the tool
     ends = at(program, path, lines, np.ones(len(lines)))
     travel = tangent(program, path, lines, ends.t)
     start = path.start.at(lines)[:, :3, _SPINDLE[axis][0]]
@@ -105,35 +108,36 @@ def axes_of_travel(orientation: Array, travel: Array, axis: str) -> tuple[Array,
     column, sign = _SPINDLE[axis]
     z = -sign * orientation[:, :, column]
     x, sine = _perpendicular_directions(z, travel)
-    return np.stack([x, np.cross(z, x), z], axis=-1), np.asarray(sine >= _PARALLEL)
+    return np.stack([x, np.cross(z, x), z], axis=-1), np.asarray(sine >= _PARALLEL_SINE)
 
 
 def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Bools]:
     """Return for each motion the travel direction of the last motion across the spindle before it.
 
-    Programs often begin with a plunge: motions before the first one across the spindle get its direction.
+    Programs often begin with a plunge: motions before the first motion across the spindle get the direction of this.
 
-    :returns: (M, 3) unit vectors in `$BASE` of each motion, NaN if there is none; and (M,) True for motions that
-        need it: straight ones along the spindle, and those without travel.
+    :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
+    :returns: (M, 3) unit vectors in `$BASE` of each motion, NaN if no motion runs across the spindle, or if the tool
+        has turned into that direction; and (M,) True for motions that need it, along the spindle or without travel.
     """
     m = program.motions
     rows, end = np.arange(len(m)), np.ones(len(m))
     z = _towards_spindle(at(program, path, rows, end), axis)
     x, is_undefined = _end_directions(program, path, z)
-    source = _last_across(predecessors(program), is_undefined)
-    # before the first motion across the spindle: that one; −1 if no motion runs across it
+    source = _last_motion_across(predecessors(program), is_undefined)
+    # before the first motion across the spindle, this motion is the source; −1 if no motion runs across it
     source[source < 0] = -1 if is_undefined.all() else int(np.argmin(is_undefined))
     rotation = program.bases[:, :3, :3]
     travel_in_root = np.einsum("nij,nj->ni", rotation[m.base[source]], x[source])
     inherited_travel = np.einsum("nji,nj->ni", rotation[m.base], travel_in_root)
     inherited_travel[source < 0] = np.nan
-    has_turned = _perpendicular_directions(z, inherited_travel)[1] < _PARALLEL  # the tool, into that direction
+    has_turned = _perpendicular_directions(z, inherited_travel)[1] < _PARALLEL_SINE  # the tool, into that direction
     inherited_travel[has_turned] = np.nan
     return inherited_travel, is_undefined
 
 
 def _end_directions(program: Program, path: Segments, z: Array) -> tuple[Array, Bools]:
-    """Return the travel directions across the spindle (M, 3) at the ends of motions, and (M,) True for motions without.
+    """Return the travel directions across the spindle (M, 3) at the ends of motions, and True (M,) if there is none.
 
     An arc that ends along the spindle has the direction of a point shortly before its end.
 
@@ -142,11 +146,11 @@ def _end_directions(program: Program, path: Segments, z: Array) -> tuple[Array, 
     m = program.motions
     rows, end = np.arange(len(m)), np.ones(len(m))
     x, sine = _perpendicular_directions(z, tangent(program, path, rows, end))
-    tangent_arcs = np.flatnonzero((m.kind == CIRC) & (sine < _PARALLEL))
+    tangent_arcs = np.flatnonzero((m.kind == CIRC) & (sine < _PARALLEL_SINE))
     x[tangent_arcs], sine[tangent_arcs] = _perpendicular_directions(
         z[tangent_arcs], tangent(program, path, tangent_arcs, end[tangent_arcs] - _TANGENT_OFFSET)
     )
-    return x, sine < _PARALLEL
+    return x, sine < _PARALLEL_SINE
 
 
 def predecessors(program: Program) -> Ints:
@@ -154,14 +158,15 @@ def predecessors(program: Program) -> Ints:
     return np.arange(len(program.motions)) - 1 if program.after is None else program.after
 
 
-def _last_across(previous: Ints, is_undefined: Bools) -> Ints:
-    """Return the last motion (M,) executed before each that defines a travel direction; −1 if there is none.
+def _last_motion_across(previous: Ints, is_undefined: Bools) -> Ints:
+    """Return for each motion the last motion executed before it that defines a travel direction (M,); −1: none.
 
-    :param previous: (M,) the motion at whose end each begins, see `Program.after`.
-    :param is_undefined: (M,) True for motions without such a direction.
+    :param previous: (M,) the motion at whose end each motion begins, see `Program.after`.
+    :param is_undefined: (M,) True for motions without a travel direction.
     """
     rows = np.arange(len(is_undefined))
-    previous = np.append(np.where(previous == rows, -1, previous), -1)  # row −1: the start
+    previous = np.append(np.where(previous == rows, -1, previous), -1)  # the last row, −1, is the start of the program
+    # a motion with a direction is its own source, any other first points to the motion before it
     source = np.where(np.append(is_undefined, False), previous, np.append(rows, -1))
     for _ in range(len(is_undefined).bit_length()):  # each round follows twice as many motions
         source = source[source]
@@ -169,7 +174,10 @@ def _last_across(previous: Ints, is_undefined: Bools) -> Ints:
 
 
 def _towards_spindle(sample: Toolpath, axis: str) -> Array:
-    """Return the unit directions from the tip to the spindle (n, 3) at samples, `$BASE`; `axis` as of `feed_axes`."""
+    """Return the unit directions from the tip to the spindle (n, 3) at samples, `$BASE`.
+
+    :param axis: axis of the tool frame that points from the spindle to the tip, a key of `_SPINDLE`.
+    """
     column, sign = _SPINDLE[axis]
     return np.asarray(-sign * sample.pose[:, :3, column])
 
@@ -177,7 +185,9 @@ def _towards_spindle(sample: Toolpath, axis: str) -> Array:
 def _perpendicular_directions(z: Array, travel: Array) -> tuple[Array, Array]:
     """Return unit vectors (n, 3) along the component of the travel perpendicular to z, and its length (n,).
 
-    :param z: (n, 3) unit vectors, `travel` (n, 3) vectors in the same axes; the unit vector of no component is zero.
+    Where the component has no length, the vector is zero.
+
+    :param z: (n, 3) unit vectors, and `travel` (n, 3) vectors in the same axes.
     """
     component = travel - np.einsum("ni,ni->n", travel, z)[:, None] * z
     length = norm(component)
@@ -199,23 +209,29 @@ class Axes(Struct, frozen=True, eq=False):
     spindle: str
     travel: Array
 
-    def into_base(self, columns: Array, frame: Ints, sample: Toolpath) -> Array:
-        """Return columns (n, 2, 3, m) in `$BASE` axes that are given in frames (n,) at samples."""
+    def in_base_axes(self, columns: Array, frame: Ints, sample: Toolpath) -> Array:
+        """Return columns (n, 2, 3, m) in `$BASE` axes.
+
+        :param columns: (n, 2, 3, m) in the axes of `frame` (n,), `BASE`, `TOOL` or `FEED`, at samples.
+        """
         return self._rotate_to_base(columns, frame, sample, "nij,nhjm->nhim")
 
-    def out_of_base(self, columns: Array, frame: Ints, sample: Toolpath) -> Array:
-        """Return columns (n, 2, 3, m) in frames (n,) at samples that are given in `$BASE` axes."""
+    def in_frame_axes(self, columns: Array, frame: Ints, sample: Toolpath) -> Array:
+        """Return columns (n, 2, 3, m) in the axes of `frame` (n,), `BASE`, `TOOL` or `FEED`, at samples.
+
+        :param columns: (n, 2, 3, m) in `$BASE` axes.
+        """
         return self._rotate_to_base(columns, frame, sample, "nji,nhjm->nhim")
 
     def _rotate_to_base(self, columns: Array, frame: Ints, sample: Toolpath, product: str) -> Array:
         """Return columns (n, 2, 3, m) rotated between frames (n,) at samples and `$BASE`.
 
-        :param product: subscripts of einsum that apply the rotation from frame to `$BASE`, or its transpose.
+        :param product: subscripts of einsum that apply the rotation from a frame to `$BASE`, or its transpose.
         """
         rotated_columns = columns.copy()
         for code in (TOOL, FEED):
             rows = np.flatnonzero(frame == code)
-            rows = rows[columns[rows].any(axis=(1, 2, 3))]
+            rows = rows[columns[rows].any(axis=(1, 2, 3))]  # zero needs no rotation
             if len(rows):
                 samples = sample.take(rows)
                 rotation = samples.pose[:, :3, :3]
@@ -224,21 +240,20 @@ class Axes(Struct, frozen=True, eq=False):
                 rotated_columns[rows] = np.einsum(product, rotation, columns[rows])
         return rotated_columns
 
-    def at_start(self, columns: Array, frame: Ints) -> Array:
-        """Return the columns that act at the start of motions: those at the end of the motion before.
+    def columns_at_start(self, columns: Array, frame: Ints) -> Array:
+        """Return the columns that act at the start of motions, which are those at the end of the motion before.
 
-        :param columns: (M, 2, 3, m) at the end of each motion.
-        :param frame: (M,) frames in which they are given.
-        :returns: (M, 2, 3, m) in `$BASE` axes of the motion; zero at the start of the program.
+        :param columns: (M, 2, 3, m) at the end of each motion, in the axes of `frame` (M,).
+        :returns: (M, 2, 3, m) in `$BASE` axes of each motion; zero at the start of the program.
         """
         m, bases, previous = self.program.motions, self.program.bases, predecessors(self.program)
         ends = columns.copy()
         rows = np.flatnonzero((frame == TOOL) | (frame == FEED))
         end = at(self.program, self.path, rows, np.ones(len(rows)))
-        ends[rows] = self.into_base(columns[rows], frame[rows], end)
+        ends[rows] = self.in_base_axes(columns[rows], frame[rows], end)
         at_starts = np.where((previous >= 0)[:, None, None, None], ends[previous], 0.0)
         base_change = np.flatnonzero(m.base != m.base[previous])
-        # from `$BASE` of the motion before through the root to that of the motion
+        # from the `$BASE` of the motion before, through the root, to the `$BASE` of the motion
         rotation = np.swapaxes(bases[m.base[base_change], :3, :3], 1, 2) @ bases[m.base[previous[base_change]], :3, :3]
         at_starts[base_change] = np.einsum("nij,nhjm->nhim", rotation, at_starts[base_change])
         return at_starts

@@ -18,16 +18,16 @@ from msgspec.structs import replace
 
 from postproc.chunks import Runs, compact, in_chunks
 from postproc.errors import MAX_ERRORS, ForceError, Issue, combined_error
-from postproc.forces.axes import TURNS, Axes, is_arc_across, is_line_across, last_travel, predecessors
-from postproc.forces.precedence import combine, comment_knots, small_forces, unused_comments
-from postproc.forces.sources import BASE, FEED, ByLaw, ForceSource, Knots, StockInTime
+from postproc.forces.axes import LEAST_TURN, Axes, is_arc_across, is_line_across, last_travel, predecessors
+from postproc.forces.precedence import combine, comment_knots, small_force_issues, unused_comment_issues
+from postproc.forces.sources import BASE, FEED, ForceSource, Knots, LawForces, StockInTime
 from postproc.frames import Array, any_column, largest, norm
 from postproc.program import CIRC, LIN, SPL, Bools, Ints, Program, constant, distinct
 from postproc.toolpath import DisplacementEstimate, Pieces, Segments, Toolpath, at, circle_through, columns_in_root
 
 BEHIND_STEP = 1e-5
 """Distance behind a force step at which the path is sampled [m]: the correction changes over that length."""
-_CONTINUOUS = 2e-3
+_CONTINUOUS_SHARE = 2e-3
 """Relative change between consecutive forces below which no ramp is inserted (assumed)."""
 
 
@@ -35,12 +35,12 @@ class PathForces(Struct, frozen=True, eq=False):
     """The forces along the M motions of a program: K knots, at least one for each motion, linear between them.
 
     The knots are those of the sources. If the force of a motion is ramped, a knot at its start has the wrench at the
-    end of the motion before, in `$BASE` axes, and its own wrench follows at the end of the ramp. A force that starts
-    with the value at which the one before ends has no ramp; in FEED axes it turns with the path.
+    end of the motion before, in `$BASE` axes, and the wrench of the motion follows at the end of the ramp. If a force
+    in FEED axes starts with the value at which the force before ends, it has no ramp and turns with the path.
 
-    :param axes: rotates forces into `$BASE` axes.
+    :param axes: axes of the forces, which rotate them into `$BASE` axes.
     :param first: (M + 1,) the knots of motion i are those from first[i] to first[i + 1] (exclusive).
-    :param place: (K,) row of `Motions` plus t: increasing except at the end of a motion, where the next one starts.
+    :param place: (K,) row of `Motions` plus t: a sorted key; the end of a motion equals the start of the next one.
     :param t: (K,) position on the motion in [0, 1].
     :param wrench: (K, 6) Fx…Mz [N, N·m] on the tool at its tip, in the axes that `knot_frame` names.
     :param knot_frame: (K,) `BASE`, `TOOL` or `FEED`.
@@ -49,8 +49,8 @@ class PathForces(Struct, frozen=True, eq=False):
     :param frame: (M,) frame in which the force of each motion is given.
     :param ramped: (M,) True if the force builds up over the ramp of the cell.
     :param issues: warnings and notes for the user, e.g. cutting moves without a force.
-    :param by_law: motions whose forces a cutting law computes; None if there are none.
-    :param stock: the stock over time, if the source of forces knows it.
+    :param law_forces: motions whose forces a cutting law computes; None: no law computes any.
+    :param stock: the stock over time; None: the source of forces does not know it.
     """
 
     axes: Axes
@@ -64,7 +64,7 @@ class PathForces(Struct, frozen=True, eq=False):
     frame: Ints
     ramped: Bools
     issues: tuple[Issue, ...]
-    by_law: ByLaw | None
+    law_forces: LawForces | None
     stock: StockInTime | None = None
 
     def at(self, sample: Toolpath) -> Array:
@@ -89,15 +89,15 @@ class PathForces(Struct, frozen=True, eq=False):
         return None if spread is None else self._columns_in_base(lambda knots: spread.take(knots, axis=0), sample)
 
     def factor_at(self, sample: Toolpath) -> Array:
-        """Return the standard deviation of one factor of the whole wrench (N,) at samples: that of the next knot."""
+        """Return the standard deviation (N,) of one factor of the whole wrench at samples, that at the next knot."""
         return np.asarray(self.factor[self._next_knot(sample)])
 
     def spread_in_root(self, sample: Toolpath) -> Array | None:
         """Return L of covariances L·Lᵀ of the wrench at samples, root axes; None if forces are certain.
 
-        :returns: (N, 6, 6) if components are independent. (N, 6, 13) if their errors may also be one factor, with two
-            covariances, see `elastostatics.position_bound`: the first six columns are for independent components, the
-            other seven for that factor and the errors that it does not contain.
+        :returns: (N, 6, 6) if components are independent. (N, 6, 13) if their errors may also be one factor, for two
+            covariances, see `elastostatics.position_bound`. First come six columns for independent components. Then
+            come six columns for the errors that the factor does not contain, and one column for the factor.
         """
         independent = self.spread_at(sample)
         if independent is None:
@@ -124,30 +124,30 @@ class PathForces(Struct, frozen=True, eq=False):
         return np.asarray((self.wrench.take(knots) * self.factor[knots, None]).reshape(-1, 2, 3, 1))
 
     def _remaining_deviation(self, knots: Ints) -> Array:
-        """Return L (n, 2, 3, 3) at knots without the part of the deviation that is one factor."""
+        """Return L (n, 2, 3, 3) of the covariances at knots, without the part of the variance that the factor makes."""
         assert self.spread is not None
         total_variance = np.sum(np.square(self.spread.take(knots, axis=0)), axis=3)
         variance = total_variance - np.square(self._factor_deviation(knots))[..., 0]
         return np.asarray(np.sqrt(np.maximum(variance, 0.0))[..., None] * np.eye(3))
 
     def wrench_before(self) -> Array:
-        """Return the wrench (M, 6) [N, N·m] at the end of the motion before each, in `$BASE` axes of each.
+        """Return for each motion the wrench (M, 6) [N, N·m] at the end of the motion before, in its `$BASE` axes.
 
-        Zero before the first motion.
+        It is zero at the start of the program.
         """
         return _wrench_before(self.wrench.take(self.first[1:] - 1), self.frame, self.axes)
 
-    def behind_step(self, motion: Ints, t: Array) -> Bools:
-        """Return which of n places are just behind a start of a motion with a possible step of the force (n,).
+    def is_behind_step(self, motion: Ints, t: Array) -> Bools:
+        """Return True for places (n,) just behind the start of a motion without a ramp: the force may have a step.
 
-        Just behind are 1.5 times `BEHIND_STEP`: the sample at that distance, and rounding.
+        They are within 1.5 times `BEHIND_STEP` of the start: samples have this distance, the half more is for rounding.
 
         :param motion: (n,) rows of `Motions`, and `t` (n,) the places on them, in [0, 1].
         """
         return np.asarray(~self.ramped[motion] & (self.axes.path.length[motion] * t < 1.5 * BEHIND_STEP))
 
     def _next_knot(self, sample: Toolpath) -> Ints:
-        """Return the knot (N,) at or after each sample on its motion, the last one where there is none."""
+        """Return for each sample the knot (N,) of its motion at or after it, or the last knot of the motion."""
         first, last = self.first[sample.motion], self.first[sample.motion + 1] - 1
         # motion + t is one increasing key of places, see `place`
         return np.clip(np.searchsorted(self.place, sample.motion + sample.t), first, last)
@@ -158,7 +158,7 @@ class PathForces(Struct, frozen=True, eq=False):
         Between knots of one frame columns are interpolated in that frame and then rotated. On a ramp, whose first knot
         is in `$BASE` axes, the later knot is rotated first.
 
-        :param columns: returns those (n, 2, 3, m) at knots (n,), in their frames.
+        :param columns: returns the columns (n, 2, 3, m) at knots (n,), in the frames of the knots.
         """
         t, right = sample.t, self._next_knot(sample)
         # at a knot, and before the first one of a motion, the knot itself counts: left is right there
@@ -171,15 +171,18 @@ class PathForces(Struct, frozen=True, eq=False):
         same_frame = self.knot_frame[left] == frame[inner_rows]
         steady_rows, ramp_rows = inner_rows[same_frame], inner_rows[~same_frame]
         values[steady_rows] = begin[same_frame] + share[same_frame] * (values[steady_rows] - begin[same_frame])
-        values = self.axes.into_base(values, frame, sample)
+        values = self.axes.in_base_axes(values, frame, sample)
         values[ramp_rows] = begin[~same_frame] + share[~same_frame] * (values[ramp_rows] - begin[~same_frame])
         return values
 
 
 def assign(program: Program, path: Segments, source: ForceSource | None, axis: str, ramp: float) -> PathForces:
-    """Assign forces to the motions. `precedence` states which source counts where; rapid moves have no force.
+    """Return the forces along the motions of a program; `precedence` states which source counts on which motion.
+
+    Rapid moves have no force.
 
     :param path: the geometry of the motions.
+    :param source: forces in addition to the comments of the program; None: the comments only.
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     :param ramp: length over which a force builds up if it is given for a whole motion [m].
     :raises ForceError: the source cannot be used for this program; a FEED force with a component across the spindle on
@@ -187,32 +190,34 @@ def assign(program: Program, path: Segments, source: ForceSource | None, axis: s
     """
     m = program.motions
     stated_forces, issues = _stated_knots(program, path, source)
-    by_law, stock = stated_forces.by_law, stated_forces.stock
-    issues += unused_comments(program)
-    if by_law is None:
-        issues += small_forces(program, stated_forces)
+    law_forces, stock = stated_forces.law_forces, stated_forces.stock
+    issues += unused_comment_issues(program)
+    if law_forces is None:
+        issues += small_force_issues(program, stated_forces)
     is_forceless = np.ones(len(m), dtype=np.bool_)
     is_forceless[stated_forces.motion] = False
-    has_travel = ~m.rapid & (path.length > _NO_LENGTH)
-    issues = _warning(program, np.flatnonzero(is_forceless & has_travel), "no-force", _NO_FORCE) + issues
+    has_travel = ~m.rapid & (path.length > _ZERO_LENGTH)
+    issues = _warning(program, np.flatnonzero(is_forceless & has_travel), "no-force", _NO_FORCE_MESSAGE) + issues
     cutting_forces = stated_forces.take(~m.rapid[stated_forces.motion])
     _check_start(program, cutting_forces)
     forceless = np.flatnonzero(is_forceless | m.rapid)
-    knots = cutting_forces.or_fallback(
+    knots = cutting_forces.with_fallback(
         Knots.throughout(forceless, np.zeros((len(forceless), 6)), np.full(len(forceless), BASE))
     )
     travel, travel_notes = _feed_travel(program, path, knots, axis)
-    path_forces = _resolve(knots, Axes(program, path, axis, travel), ramp, (*issues, *travel_notes), by_law)
+    path_forces = _forces_with_ramps(
+        knots, Axes(program, path, axis, travel), ramp, (*issues, *travel_notes), law_forces
+    )
     return replace(path_forces, stock=stock)
 
 
 def _stated_knots(program: Program, path: Segments, source: ForceSource | None) -> tuple[Knots, list[Issue]]:
-    """Return the forces that a source states, or the comments of the program, and issues about them.
+    """Return the forces that a source and the comments of the program state, and issues about them.
 
-    Rapid moves keep their forces here; the knots have the cutting law and the stock of the source.
+    Rapid moves keep their forces here. The knots have the law forces and the stock of the source.
 
     :param path: the geometry of the motions.
-    :param source: None: the comments of the program only.
+    :param source: source of forces; None: the comments of the program only.
     :raises ForceError: the source cannot be used for this program.
     """
     if source is None:
@@ -221,8 +226,8 @@ def _stated_knots(program: Program, path: Segments, source: ForceSource | None) 
     knots, issues = combine(program, source_knots, source.name)
     has_rapid_force = any_column(source_knots.wrench != 0.0) & program.motions.rapid[source_knots.motion]
     issues += source_knots.issues
-    issues += _warning(program, source_knots.motion[has_rapid_force], "force-on-rapid", _ON_RAPID)
-    return replace(knots, by_law=source_knots.by_law, stock=source_knots.stock), issues
+    issues += _warning(program, source_knots.motion[has_rapid_force], "force-on-rapid", _RAPID_MESSAGE)
+    return replace(knots, law_forces=source_knots.law_forces, stock=source_knots.stock), issues
 
 
 def _check_start(program: Program, knots: Knots) -> None:
@@ -230,7 +235,7 @@ def _check_start(program: Program, knots: Knots) -> None:
 
     :raises ForceError: a knot on one of `Program.unforced` has a force.
     """
-    unforced = np.isin(knots.motion, program.unforced)  # few, so that few wrenches are written out
+    unforced = np.isin(knots.motion, program.unforced)  # few, so that few wrenches are expanded in memory
     motions = knots.motion[unforced][any_column(knots.wrench[unforced] != 0.0)]
     if len(motions):
         advice = "Program X, Y and Z in rapid moves (G0) before cutting, or switch the force on after this move."
@@ -238,46 +243,50 @@ def _check_start(program: Program, knots: Knots) -> None:
 
 
 def _refusal(program: Program, motions: Ints, problem: str, advice: str) -> ForceError:
-    """Return one error that combines those of all source lines of motions (n,), with the same problem and advice."""
+    """Return one error for all source lines of motions (n,), each with the same problem and advice."""
     name, lines = program.documents[0].name, distinct(program.motions.line[motions])
     lines = lines[: MAX_ERRORS + 1]  # one more than are shown, by which the message says that there are others
     return combined_error(ForceError(problem, file=name, line=line, advice=advice) for line in lines.tolist())
 
 
-_NO_LENGTH = 1e-9
+_ZERO_LENGTH = 1e-9
 """A move of at most this length [m] cuts nothing: its ends differ by rounding as those of a LIN to where a PTP ends."""
-_NO_FORCE = "cutting moves without a force: zero force is assumed"
-_ON_RAPID = "rapid moves carry no force: the row is ignored"
+_NO_FORCE_MESSAGE = "cutting moves without a force: zero force is assumed"
+_RAPID_MESSAGE = "rapid moves carry no force: the row is ignored"
 
 
 def _warning(program: Program, motion: Ints, kind: str, message: str) -> list[Issue]:
-    """Return one warning for all of the motions (n,) in a list; an empty list without motions."""
+    """Return a list with one warning for all motions (n,); an empty list without motions."""
     return [program.motions.issue("warning", kind, message, motion)] if len(motion) else []
 
 
-def _resolve(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], by_law: ByLaw | None) -> PathForces:
+def _forces_with_ramps(
+    knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], law_forces: LawForces | None
+) -> PathForces:
     """Return the forces from knots that cover every motion, with ramps inserted.
 
-    A ramp needs a second knot at the start of its motion, with the values of the motion before; the only knot of the
-    motion moves to the end of the ramp.
+    A ramp needs a second knot at the start of its motion, with the values at the end of the motion before. The only
+    knot of a ramped motion moves to the end of the ramp.
+
+    :param knots: in order, at least one on every motion.
 
     :param ramp: length over which a force builds up if it is given for a whole motion [m].
-    :param issues: warnings and notes for the user, and `by_law` the motions whose forces a cutting law computes.
+    :param issues: warnings and notes for the user, and `law_forces` the motions whose forces a cutting law computes.
     """
     motions = np.arange(len(axes.program.motions))
     first = np.searchsorted(knots.motion, np.append(motions, len(motions)))
-    last = first[1:] - 1
+    last = first[1:] - 1  # last knot of each motion
     start = _start_forces(knots, last, axes)
     has_ramp = knots.ramped[last]
-    changes = has_ramp & _differs(start, knots, last)
+    changes = has_ramp & _has_changed_force(start, knots, last)
     ramp_knots = first[:-1][changes]  # a ramped motion has one knot
     t = knots.t.copy()
     t[ramp_knots] = ramp / np.maximum(axes.path.length[changes], ramp)  # a motion shorter than the ramp is all ramp
     t = np.insert(t, ramp_knots, 0.0)
     spread = None
     if start.spread is not None:
-        spread = np.insert(_spread(knots.sigma), ramp_knots, start.spread[changes], axis=0)
-    first = first + np.concatenate([[0], np.cumsum(changes)])
+        spread = np.insert(_covariance_factors(knots.sigma), ramp_knots, start.spread[changes], axis=0)
+    first = first + np.concatenate([[0], np.cumsum(changes)])  # after the inserted knots
     return PathForces(
         axes=axes,
         first=compact(first, np.int32),
@@ -290,7 +299,7 @@ def _resolve(knots: Knots, axes: Axes, ramp: float, issues: tuple[Issue, ...], b
         frame=compact(knots.frame[last], np.int8),
         ramped=has_ramp,
         issues=issues,
-        by_law=by_law,
+        law_forces=law_forces,
     )
 
 
@@ -298,7 +307,7 @@ class _StartForces(NamedTuple):
     """The forces at the start of each motion, before its ramp.
 
     :param wrench: (M, 6) [N, N·m], in the axes that `frame` names.
-    :param frame: (M,) `BASE`; the frame of the motion where its force continues the one before.
+    :param frame: (M,) `BASE`; on a motion whose force continues the force before, the frame of the motion.
     :param spread: (M, 2, 3, 3) L of the covariances L·Lᵀ of force and moment, in the same axes; None if all are zero.
     """
 
@@ -308,45 +317,48 @@ class _StartForces(NamedTuple):
 
 
 def _start_forces(knots: Knots, last: Ints, axes: Axes) -> _StartForces:
-    """Return the forces with which ramps begin: those at the end of the motion before, or those of the motion.
+    """Return the forces with which ramps begin: those at the end of the motion before.
+
+    Where the force of a motion continues the force before, it begins with the force of the motion: there is no ramp.
 
     :param last: (M,) the last knot of each motion.
     """
     wrench, frame = knots.wrench.take(last, axis=0), knots.frame[last]
     start_wrench, start_frame = _wrench_before(wrench, frame, axes), np.full(len(last), BASE)
-    steady = _continuous(wrench, frame, start_wrench, axes)
+    steady = _continuing_motions(wrench, frame, start_wrench, axes)
     start_wrench[steady], start_frame[steady] = wrench[steady], frame[steady]
     if not knots.sigma.any():
         return _StartForces(start_wrench, start_frame, None)
-    spread = _spread(knots.sigma[last])
-    start_spread = axes.at_start(spread, frame)
+    spread = _covariance_factors(knots.sigma[last])
+    start_spread = axes.columns_at_start(spread, frame)
     start_spread[steady] = spread[steady]
     return _StartForces(start_wrench, start_frame, start_spread)
 
 
-def _differs(start: _StartForces, knots: Knots, last: Ints) -> Bools:
-    """Return the motions (M,) whose force, or its frame or standard deviation, is not that at their start.
+def _has_changed_force(start: _StartForces, knots: Knots, last: Ints) -> Bools:
+    """Return True for motions (M,) whose wrench, frame or standard deviation differs from that at their start.
 
     :param last: (M,) the last knot of each motion.
     """
     differs = any_column(start.wrench != knots.wrench.take(last, axis=0)) | (start.frame != knots.frame[last])
     if start.spread is not None:
-        differs |= (start.spread != _spread(knots.sigma[last])).any(axis=(1, 2, 3))
+        differs |= (start.spread != _covariance_factors(knots.sigma[last])).any(axis=(1, 2, 3))
     return np.asarray(differs)
 
 
-def _spread(sigma: Array) -> Array:
+def _covariance_factors(sigma: Array) -> Array:
     """Return L (n, 2, 3, 3) of the covariances L·Lᵀ of force and moment, from standard deviations (n, 6)."""
     return np.asarray(sigma.reshape(-1, 2, 3, 1) * np.eye(3))
 
 
 def _factors_with_ramps(factor: Array, last: Ints, changes: Bools, ramp_knots: Ints, program: Program) -> Array:
-    """Return the standard deviations of the factor at knots, with those of the knots that are inserted for ramps.
+    """Return the standard deviations of the factor at knots, after knots are inserted for ramps.
 
-    An inserted knot gets that of the motion before, 0 at the start of the program.
+    An inserted knot gets the value of the motion before; 0 at the start of the program.
 
-    :param factor: (K,) at the knots; `last` (M,): the last knot of each motion.
-    :param changes: (M,) True for motions with an inserted knot; `ramp_knots`: the knots before which they are inserted.
+    :param factor: (K,) values at the knots without the inserted ones, and `last` (M,) the last knot of each motion.
+    :param changes: (M,) True for motions with an inserted knot.
+    :param ramp_knots: the knots before which they are inserted.
     """
     if not factor.any():
         return constant(0.0, len(factor) + len(ramp_knots))
@@ -355,28 +367,28 @@ def _factors_with_ramps(factor: Array, last: Ints, changes: Bools, ramp_knots: I
 
 
 def _wrench_before(wrench: Array, frame: Ints, axes: Axes) -> Array:
-    """Return the wrench (M, 6) at the start of each motion, `$BASE` axes: that at the end of the motion before.
+    """Return for each motion the wrench (M, 6) at the end of the motion before, in `$BASE` axes of the motion.
 
-    :param wrench: (M, 6) at the end of each motion [N, N·m], in the axes of `frame` (M,).
+    :param wrench: (M, 6) wrench at the end of each motion [N, N·m], in the axes of `frame` (M,).
     """
-    return axes.at_start(wrench.reshape(-1, 2, 3, 1), frame).reshape(-1, 6)
+    return axes.columns_at_start(wrench.reshape(-1, 2, 3, 1), frame).reshape(-1, 6)
 
 
-def _continuous(wrench: Array, frame: Ints, previous: Array, axes: Axes) -> Ints:
-    """Return the motions (n,) with a force in FEED axes that continues the one before: it turns with the path.
+def _continuing_motions(wrench: Array, frame: Ints, previous: Array, axes: Axes) -> Ints:
+    """Return the motions (n,) with a force in FEED axes that continues the force before: it turns with the path.
 
-    :param wrench: (M, 6) of the motions, in the axes of `frame` (M,).
-    :param previous: (M, 6) at the end of the motion before, in `$BASE` axes.
+    :param wrench: (M, 6) wrenches of the motions [N, N·m], in the axes of `frame` (M,).
+    :param previous: (M, 6) wrenches at the end of the motion before, in `$BASE` axes.
     """
     rows = np.flatnonzero(frame == FEED)
     start = at(axes.program, axes.path, rows, np.zeros(len(rows)))
-    start_wrench = axes.into_base(wrench[rows].reshape(-1, 2, 3, 1), frame[rows], start).reshape(-1, 6)
+    start_wrench = axes.in_base_axes(wrench[rows].reshape(-1, 2, 3, 1), frame[rows], start).reshape(-1, 6)
     difference = norm(start_wrench - previous[rows])
-    return rows[any_column(start_wrench != 0.0) & (difference < _CONTINUOUS * norm(start_wrench))]
+    return rows[any_column(start_wrench != 0.0) & (difference < _CONTINUOUS_SHARE * norm(start_wrench))]
 
 
 def _feed_travel(program: Program, path: Segments, knots: Knots, axis: str) -> tuple[Array, list[Issue]]:
-    """Return `Axes.travel` (M, 3), or (0, 3) without forces in FEED axes, and notes about it for the user.
+    """Return `Axes.travel` (M, 3), and notes about it for the user; (0, 3) and no note without forces in FEED axes.
 
     :raises ForceError: a FEED force on a piece of a spline, or on a move along the spindle without a travel direction.
     """
@@ -412,10 +424,10 @@ def _feed_travel(program: Program, path: Segments, knots: Knots, axis: str) -> t
     return travel, issues
 
 
-_NO_CHANGE = 1e-9
+_LEAST_CHANGE = 1e-9
 """Changes of the force below this [N, N·m] count as none (assumed)."""
-_STEP_SIZE = 1e-8
-"""Displacement [m] below which a change of the force from motion to motion does not count as a step (assumed)."""
+_LEAST_STEP = 1e-8
+"""Displacement [m] by the least change of the force from motion to motion that counts as a step (assumed)."""
 
 
 def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -> DisplacementEstimate:
@@ -426,8 +438,8 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
     m, path = forces.axes.program.motions, forces.axes.path
     motion = np.repeat(np.arange(len(m)), np.diff(forces.first))
     change, bends = _changes_and_bends(forces, motion)
-    step_size = _displacement_sizes(_steps(forces), compliance)
-    step = np.flatnonzero(step_size > _STEP_SIZE)
+    step_size = _displacement_sizes(_force_steps(forces), compliance)
+    step = np.flatnonzero(step_size > _LEAST_STEP)
     step_place = np.minimum(0.5, BEHIND_STEP / np.maximum(path.length[step], BEHIND_STEP))
     rotating_size, swings = _turning_displacements(forces, motion, compliance)
     knot_rows = np.flatnonzero(bends | (m.kind[motion] == CIRC))
@@ -453,9 +465,11 @@ def _displacement_sizes(wrench: Array, compliance: tuple[float, float]) -> Array
 
 
 def _largest_of_motions(forces: PathForces, values: Array) -> Array:
-    """Return for each motion the largest (M,) of values (K,) at its knots, which are 0 or larger.
+    """Return for each motion the largest of the values at its knots (M,).
 
     A knot at the start of a ramp has the force of the motion before: it does not count.
+
+    :param values: (K,) values at all knots, 0 or larger.
     """
     first = forces.first[:-1]
     is_inherited = np.zeros(len(forces.t), dtype=np.bool_)
@@ -464,7 +478,7 @@ def _largest_of_motions(forces: PathForces, values: Array) -> Array:
 
 
 def _turning_displacements(forces: PathForces, motion: Ints, compliance: tuple[float, float]) -> tuple[Array, Bools]:
-    """Return sizes (M,) [m] of the displacement that turns with arcs, and (M,) True for arcs on which FEED axes swing.
+    """Return sizes (M,) [m] of the displacement that turns with arcs, and True (M,) for arcs on which FEED axes swing.
 
     :param motion: (K,) motion of each knot.
     :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
@@ -484,13 +498,13 @@ def _turning_displacements(forces: PathForces, motion: Ints, compliance: tuple[f
 
 
 def _changes_and_bends(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
-    """Return the change (K, 6) of the force since the knot before, and (K,) True where its rate changes.
+    """Return the change (K, 6) of the force since the knot before, and True (K,) for knots at which its rate changes.
 
     :param motion: (K,) motion of each knot.
     :returns: the change [N, N·m] in the axes of the later knot, zero at the first knot of a motion.
     """
     t = forces.t
-    follows = np.append(False, np.diff(motion) == 0)
+    follows = np.append(False, np.diff(motion) == 0)  # knots that follow another knot of the same motion
     # wrenches in the same frame are subtracted; otherwise both are turned into the axes of the later knot
     same_frame = follows & (np.diff(forces.knot_frame, prepend=0) == 0)
     change = np.diff(forces.wrench[:], axis=0, prepend=forces.wrench[:1])
@@ -498,15 +512,15 @@ def _changes_and_bends(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
     rows = np.flatnonzero(follows & ~same_frame)
     place = at(forces.axes.program, forces.axes.path, motion[rows], t[rows])
     change[rows] = forces.at(place) - forces.wrench[rows - 1]
-    return change, _bends(t, change, follows)
+    return change, _has_rate_change(t, change, follows)
 
 
-def _bends(t: Array, change: Array, follows: Bools) -> Bools:
+def _has_rate_change(t: Array, change: Array, follows: Bools) -> Bools:
     """Return True for knots (K,) inside of a motion at which the rate of the force changes.
 
     :param t: (K,) position of the knots on their motions, in [0, 1].
     :param change: (K, 6) change of the force since the knot before [N, N·m].
-    :param follows: (K,) True for knots that follow another one of the same motion.
+    :param follows: (K,) True for knots that follow another knot of the same motion.
     """
     bends = np.zeros(len(t), dtype=np.bool_)
     inner_knots = np.flatnonzero((t > 0.0) & (t < 1.0))
@@ -520,11 +534,11 @@ def _bends(t: Array, change: Array, follows: Bools) -> Bools:
 
     # a change of the rate counts by the change of force that it makes over the interval before it
     width = np.where(follows[inner_knots], t[inner_knots] - t[inner_knots - 1], 1.0)
-    bends[inner_knots] = largest((rate(inner_knots + 1) - rate(inner_knots)) * width[:, None]) >= _NO_CHANGE
+    bends[inner_knots] = largest((rate(inner_knots + 1) - rate(inner_knots)) * width[:, None]) >= _LEAST_CHANGE
     return bends
 
 
-def _steps(forces: PathForces) -> Array:
+def _force_steps(forces: PathForces) -> Array:
     """Return the step (M, 6) [N, N·m] of the force at the start of each motion, `$BASE` axes; zero on ramps."""
     rows = np.flatnonzero(~forces.ramped)
     if not len(rows):
@@ -535,8 +549,8 @@ def _steps(forces: PathForces) -> Array:
     return steps
 
 
-_SHORTEST = 1e-7
-"""Length [m] and share of the arc below which no piece is halved: the decimals of a program resolve none shorter."""
+_LEAST_PIECE = 1e-7
+"""Pieces shorter than this [m, share of the motion] are not halved: the decimals of a program do not resolve them."""
 _QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Shares of a piece at which its circle, or its chord, is compared with the displacement."""
 
@@ -558,7 +572,7 @@ def refined_arcs(
     length = forces.axes.path.length
     while len(open_pieces.motion):
         share = open_pieces.end - open_pieces.begin
-        is_divisible = np.minimum(share, share * length[open_pieces.motion]) > _SHORTEST
+        is_divisible = np.minimum(share, share * length[open_pieces.motion]) > _LEAST_PIECE
         is_too_coarse = is_divisible & (_circle_deviation(forces, open_pieces, compliance) > limit)
         finished_pieces.append(open_pieces.take(~is_too_coarse))
         open_pieces = open_pieces.take(is_too_coarse)
@@ -575,14 +589,14 @@ def swing_places(forces: PathForces, compliance: tuple[float, float], limit: flo
     :param limit: permitted deviation between two places [m].
     """
     program, path = forces.axes.program, forces.axes.path
-    is_turning = (program.motions.kind == LIN) & (forces.frame == FEED) & (path.turn > TURNS) & (path.length > 0.0)
+    is_turning = (program.motions.kind == LIN) & (forces.frame == FEED) & (path.turn > LEAST_TURN) & (path.length > 0.0)
     motion = np.flatnonzero(is_turning)
     motion = motion[~is_line_across(program, path, motion, forces.axes.spindle)]
     begin, end = np.zeros(len(motion)), np.ones(len(motion))
     motions, places = [motion[:0]], [begin[:0]]
     while len(motion):
         length_share = end - begin
-        is_divisible = np.minimum(length_share, length_share * path.length[motion]) > _SHORTEST
+        is_divisible = np.minimum(length_share, length_share * path.length[motion]) > _LEAST_PIECE
         is_too_coarse = is_divisible & (_line_deviation(forces, motion, begin, end, compliance) > limit)
         motion, begin, end = motion[is_too_coarse], begin[is_too_coarse], end[is_too_coarse]
         middle = 0.5 * (begin + end)
@@ -598,9 +612,11 @@ def _line_deviation(
 ) -> Array:
     """Return the largest deviation (n,) [m] of the displacement on pieces of motions from a linear change.
 
-    Compared at quarters is the displacement by the force, that by moments as three components of its own.
+    Displacements are compared at quarters of the pieces. Displacements by forces and by moments are three components
+    each, so that they do not cancel.
 
-    :param motion: (n,) motion of each piece; `begin` and `end` (n,) its ends as positions on the motion, in [0, 1].
+    :param motion: (n,) motion of each piece.
+    :param begin: (n,) place on the motion where the piece begins, in [0, 1], and `end` (n,) where it ends.
     :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
     """
     displacements = []
@@ -618,7 +634,7 @@ def _line_deviation(
 def _circle_deviation(forces: PathForces, arcs: Pieces, compliance: tuple[float, float]) -> Array:
     """Return the largest deviation (n,) [m] of pieces from circles through their starts, middles and ends.
 
-    Compared at quarters are positions with the tool displaced by the force.
+    At quarters of the pieces, the positions of the tool displaced by the force are compared with the circle.
 
     :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
     """

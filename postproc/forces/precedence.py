@@ -16,9 +16,9 @@ from postproc.forces.sources import Knots
 from postproc.frames import any_column, norm
 from postproc.program import FORCE_FRAMES, Bools, Ints, Program, distinct
 
-_SAME_FORCE = 2e-3
+_FORCE_TOLERANCE = 2e-3
 """Forces that differ by less [N, N·m] are the same: comments and files have three decimals."""
-_NEWTONS = 3.0
+_SMALL_FORCE = 3.0
 """The largest force of a program is questioned below this [N]. It deflects a milling robot (about 1 µm/N) by a few
 micrometres, a twentieth of what it repeats to; in kN, it is the force of a heavy cut."""
 
@@ -26,7 +26,8 @@ micrometres, a twentieth of what it repeats to; in kN, it is the force of a heav
 def combine(program: Program, source: Knots, name: str) -> tuple[Knots, list[Issue]]:
     """Return the forces of a source and, on motions that it does not cover, of the comments of a program.
 
-    :param name: of the source, for messages.
+    :param source: forces of the source, at places along motions.
+    :param name: name of the source, for messages.
     :returns: the knots, and issues: how many motions have their force from which source, and comments that the source
         replaces by another force.
     """
@@ -47,11 +48,11 @@ def combine(program: Program, source: Knots, name: str) -> tuple[Knots, list[Iss
     if len(conflicts):
         message = f"{name} states another force than the comment of the program: the comment is not used here"
         issues.append(program.motions.issue("warning", "force-replaced", message, conflicts))
-    return source.or_fallback(comments), issues
+    return source.with_fallback(comments), issues
 
 
 def comment_knots(program: Program) -> Knots:
-    """Return the force of each motion after the first force comment: that of the last comment executed before it.
+    """Return the force of each motion after the first force comment, as the last comment executed before it states it.
 
     :raises ValueError: the reader of the program has not set the first motion of a comment.
     """
@@ -62,12 +63,12 @@ def comment_knots(program: Program) -> Knots:
     return Knots.throughout(motion, values[index[motion]], frames[index[motion]])
 
 
-def unused_comments(program: Program) -> Iterator[Issue]:
-    """Yield a warning if force comments hold on no cutting move: their forces are stated and not used.
+def unused_comment_issues(program: Program) -> Iterator[Issue]:
+    """Yield a warning if forces that comments state hold on no cutting move.
 
-    Where branches begin and meet, the reader of KRL states the force that holds there once more: a force that acts
-    somewhere is used. Neither is a comment unused that another force follows before the next motion: corrected KRL
-    keeps the comments of the program, and those of its pieces follow them.
+    A force counts as used if any comment with the same force holds on a cutting move: at branches and joins the reader
+    of KRL repeats the comment that holds there. A comment also counts as used if another force follows before the next
+    motion: corrected KRL keeps the comments of the program, before the comments of its pieces.
     """
     is_followed = [note.before == after.before and any(after.wrench) for note, after in pairwise(program.notes)]
     stated_notes = [
@@ -85,11 +86,11 @@ def unused_comments(program: Program) -> Iterator[Issue]:
         yield Issue("warning", "force-unused", message, lines[0], count=len(lines), lines=tuple(lines))
 
 
-def small_forces(program: Program, knots: Knots) -> Iterator[Issue]:
+def small_force_issues(program: Program, knots: Knots) -> Iterator[Issue]:
     """Yield an issue if the largest force of the cutting moves is so small that it may be in kilonewtons."""
     size = norm(knots.wrench[:, :3])
     has_force = ~program.motions.rapid[knots.motion] & (size > 0.0)
-    if has_force.any() and not any_column(knots.wrench[:, 3:] != 0.0).any() and size[has_force].max() < _NEWTONS:
+    if has_force.any() and not any_column(knots.wrench[:, 3:] != 0.0).any() and size[has_force].max() < _SMALL_FORCE:
         row = int(np.argmax(np.where(has_force, size, 0.0)))
         message = f"the largest force is {size[row]:.2g} N: are these kN? Forces are read in newtons"
         yield program.motions.issue("warning", "force-unit", message, knots.motion[row : row + 1])
@@ -100,28 +101,29 @@ def _note_of_motion(program: Program) -> Ints:
 
     :raises ValueError: the reader of the program has not set the first motion of a comment.
     """
-    first = [note.before for note in program.notes]
+    first = [note.before for note in program.notes]  # ascending: comments are in the order of execution
     if min(first, default=0) < 0:
         raise ValueError(f"the reader of {program.dialect} leaves ForceNote.before unset")
     return np.asarray(np.searchsorted(first, np.arange(len(program.motions)), side="right") - 1)
 
 
 def _has_force(knots: Knots, count: int) -> Bools:
-    """Return which of the `count` motions of a program (count,) have a knot with a force other than zero."""
+    """Return True for motions (count,) that have a knot with a wrench other than zero; `count`: number of motions."""
     has_force = np.zeros(count, dtype=np.bool_)
     has_force[knots.motion[any_column(knots.wrench != 0.0)]] = True
     return has_force
 
 
 def _replaced_motions(source: Knots, comments: Knots, has_comment: Bools) -> Ints:
-    """Return the motions (n,) on which a source has another force than a comment that states one.
+    """Return the motions (n,) on which a source has another force than the comment that holds there.
 
     :param has_comment: (M,) True where a comment states a force on a cutting move.
     """
     if not has_comment.any() or not len(source):
         return np.zeros(0, dtype=np.int64)
-    row = np.searchsorted(comments.motion, source.motion)  # the last comment holds to the last motion
-    differs = any_column(np.abs(source.wrench - comments.wrench[row]) > _SAME_FORCE) | (
+    # one knot of comments for each motion after the first comment: every motion of the source after it has a row
+    row = np.searchsorted(comments.motion, source.motion)
+    differs = any_column(np.abs(source.wrench - comments.wrench[row]) > _FORCE_TOLERANCE) | (
         source.frame != comments.frame[row]
     )
     return distinct(source.motion[differs & has_comment[source.motion]])

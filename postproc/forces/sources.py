@@ -26,11 +26,11 @@ BASE, TOOL, FEED = range(3)
 """Values of `Knots.frame`: places in `FORCE_FRAMES`."""
 
 
-class ByLaw(Struct, frozen=True, eq=False):
+class LawForces(Struct, frozen=True, eq=False):
     """Motions whose forces a cutting law computes: the errors of these forces are one common factor.
 
-    :param numbers: of the law, by which two laws are compared.
-    :param motion: (n,) rows of `Motions`.
+    :param numbers: numbers of the law, by which two laws are compared.
+    :param motion: (n,) rows of `Motions`, whose forces the law computes.
     """
 
     numbers: tuple[float, ...]
@@ -59,21 +59,21 @@ class StockInTime(Protocol):
 class Knots(Columns, frozen=True, eq=False):
     """The wrench at K places along motions: linear from one to the next, constant before the first and after the last.
 
-    Linear in the axes that `frame` names: a FEED wrench turns with the travel, a TOOL wrench with the tool. A motion
-    that has no knot has no force.
+    The wrench is linear in the axes that `frame` names: in FEED axes it turns with the travel, in TOOL axes with the
+    tool. A motion without a knot has no force.
 
     :param motion: (K,) row of `Motions`, never decreasing.
     :param t: (K,) position on it in [0, 1], increasing along a motion.
     :param wrench: (K, 6) Fx…Mz on the tool at its tip [N, N·m], in the axes that `frame` names.
-    :param frame: (K,) `BASE`, `TOOL` or `FEED`; one for a motion.
+    :param frame: (K,) `BASE`, `TOOL` or `FEED`; the same for all knots of a motion.
     :param sigma: (K, 6) standard deviations of `wrench`: components are assumed independent of each other at a knot,
         and each is assumed fully correlated with itself along the path.
-    :param factor: (K,) the part of `sigma` that may be one factor of the whole wrench, as of a harder material or a
-        worn tool: its standard deviation, so that |wrench|·factor is contained in `sigma`; 0 where there is none.
+    :param factor: (K,) standard deviation of one unknown factor of the whole wrench, as for a harder material or a worn
+        tool: |wrench|·factor is a part of `sigma`; 0: there is no such factor.
     :param ramped: (K,) True for the only knot of a motion whose force changes from that of the motion before over its
         first `force_ramp_mm`; otherwise the force is as given from the start of the motion.
     :param issues: warnings and notes for the user.
-    :param by_law: motions whose forces a cutting law computes.
+    :param law_forces: motions whose forces a cutting law computes.
     :param stock: the stock over time, if the source knows it.
     """
 
@@ -85,7 +85,7 @@ class Knots(Columns, frozen=True, eq=False):
     factor: Array
     ramped: Bools
     issues: tuple[Issue, ...] = ()
-    by_law: ByLaw | None = None
+    law_forces: LawForces | None = None
     stock: StockInTime | None = None
 
     @classmethod
@@ -130,22 +130,22 @@ class Knots(Columns, frozen=True, eq=False):
     def __len__(self) -> int:
         return len(self.motion)
 
-    def or_fallback(self, fallback: Knots) -> Knots:
-        """Return these knots, plus those of `fallback` for motions without a knot here.
+    def with_fallback(self, fallback: Knots) -> Knots:
+        """Return these knots, and the knots of `fallback` for motions without a knot here.
 
-        Issues, cutting law and stock of both are left out.
+        The result has no issues, law forces or stock.
         """
         extra_knots = fallback.take(~np.isin(fallback.motion, self.motion))
         # stable: the knots of one motion stay in order
         order = np.argsort(np.append(self.motion, extra_knots.motion), kind="stable")
-        return replace(Knots.join([self, extra_knots], order), issues=(), by_law=None, stock=None)
+        return replace(Knots.join([self, extra_knots], order), issues=(), law_forces=None, stock=None)
 
     def check(self, program: Program, name: str) -> Knots:
         """Return these knots if they can be used for a program.
 
-        :param name: of the source, for messages.
-        :raises ForceError: knots are not in order, name a motion that the program does not have, are not finite or
-            too large, or have several frames on one motion.
+        :param name: name of the source, for messages.
+        :raises ForceError: arrays do not have one row per knot; or knots are not in order, name a motion that the
+            program does not have, are not finite or too large, or have several frames on one motion.
         """
         count = len(self.motion)
         has_rows = all(np.shape(array) == (count,) for array in (self.t, self.frame, self.ramped, self.factor))
@@ -160,7 +160,7 @@ class Knots(Columns, frozen=True, eq=False):
         return self
 
     def _faults(self, motion_count: int) -> Iterator[tuple[Bools, str]]:
-        """Yield the faults that knots may have: (K,) True at knots that have it, and its description.
+        """Yield each fault that knots may have: True (K,) at knots that have it, and its description.
 
         :param motion_count: number of motions of the program.
         """
@@ -176,7 +176,7 @@ class Knots(Columns, frozen=True, eq=False):
         yield from self._order_faults()
 
     def _order_faults(self) -> Iterator[tuple[Bools, str]]:
-        """Yield the faults that a knot may have with the next one: (K,) True at the first of the two, and a text."""
+        """Yield each fault between a knot and the next one: True (K,) at the first of the two, and its description."""
         same_motion = np.diff(self.motion) == 0
         for is_wrong, problem in (
             (np.diff(self.motion) < 0, "motions out of order"),
@@ -195,9 +195,9 @@ class ForceSource(Protocol):
         """Name in messages, e.g. of its file."""
 
     def along(self, program: Program, path: Segments) -> Knots:
-        """Return the forces along those motions of a program that this source covers.
+        """Return the forces along the motions of a program that this source covers.
 
-        Comments in the program apply to the others. Forces on rapid moves are ignored.
+        Comments in the program apply to all other motions. Forces on rapid moves are ignored.
 
         :param path: geometry of the motions.
         :raises ForceError: the forces do not match the motions of this program.
@@ -211,8 +211,8 @@ GROUP = "postproc.forces"
 
 
 def extensions() -> list[str]:
-    """Return the readable file extensions, lower case: built-in ones first, then those that packages add."""
-    from importlib.metadata import entry_points
+    """Return the readable file extensions, lower case: first the built-in ones, then those that other packages add."""
+    from importlib.metadata import entry_points  # slow to import, needed for this list only
 
     return [*READERS, *sorted({entry.name.lower() for entry in entry_points(group=GROUP)} - set(READERS))]
 
@@ -231,13 +231,13 @@ def read(path: Path) -> ForceSource:
 
         entry_of = {entry.name.lower(): entry for entry in entry_points(group=GROUP)}
         if extension in entry_of:
-            return _read_by(entry_of[extension], path)
+            return _read_by_package(entry_of[extension], path)
     module, _, name = READERS.get(extension, READERS[".csv"]).partition(":")
     reader: Callable[[Path], ForceSource] = getattr(import_module(module), name)
     return reader(path)
 
 
-def _read_by(entry: EntryPoint, path: Path) -> ForceSource:
+def _read_by_package(entry: EntryPoint, path: Path) -> ForceSource:
     """Read a file with the reader of another package; errors name that package.
 
     :raises ForceError: the reader fails with any other error than a `PostprocError`.

@@ -21,7 +21,7 @@ from msgspec import Struct
 from postproc import files
 from postproc.chunks import Runs, ragged_range
 from postproc.errors import MAX_ERRORS, ForceError, Issue, choices, combined_error
-from postproc.forces.axes import TURNS, Axes, axes_of_travel
+from postproc.forces.axes import LEAST_TURN, Axes, axes_of_travel
 from postproc.forces.path_forces import PathForces
 from postproc.forces.sources import BASE, FEED, TOOL, Knots
 from postproc.frames import Array, any_column, largest, norm
@@ -29,10 +29,10 @@ from postproc.program import CIRC, FORCE_FRAMES, MOST_FORCE, WRENCH, Bools, Ints
 from postproc.toolpath import Segments, at
 
 _REQUIRED_COLUMNS = ("line", *WRENCH[:3])
-_SIGMAS = tuple(f"s{name}" for name in WRENCH)
+_SIGMA_COLUMNS = tuple(f"s{name}" for name in WRENCH)
 """Columns of the standard deviations of the wrench."""
-_PERCENT = ("sigma_percent", "factor_percent")
-_OPTIONAL = (*WRENCH[3:], "frame", "line_end", "t", *_SIGMAS, *_PERCENT)
+_PERCENT_COLUMNS = ("sigma_percent", "factor_percent")
+_OPTIONAL_COLUMNS = (*WRENCH[3:], "frame", "line_end", "t", *_SIGMA_COLUMNS, *_PERCENT_COLUMNS)
 _MOST_LINES = 1e9
 """Line numbers beyond it are another quantity in the wrong column (assumed); they fit int32."""
 _LISTED_LINES = 5
@@ -42,14 +42,14 @@ _LISTED_LINES = 5
 class ForceTable(Struct, frozen=True, eq=False):
     """The R rows of a force CSV, in order of lines and, along a move, of t.
 
-    :param file: its name.
-    :param row: (R,) its line in that file.
+    :param file: name of the file.
+    :param row: (R,) line of each row in the file.
     :param first: (R,) first source line to which it applies, and `last` (R,) the last one.
     :param t: (R,) position on the move in [0, 1]; NaN for the whole move.
     :param wrench: (R, 6) [N, N·m].
     :param frame: (R,) index in `FORCE_FRAMES`.
     :param sigma: (R, 6) standard deviations of the wrench.
-    :param factor: (R,) the part of them that may be one factor, see `Knots`.
+    :param factor: (R,) standard deviation of one factor of the whole wrench, see `Knots`.
     """
 
     file: str
@@ -70,7 +70,7 @@ class ForceTable(Struct, frozen=True, eq=False):
     def along(self, program: Program, path: Segments) -> Knots:
         """Return the forces of the motions that start on lines of the table, see `ForceSource`.
 
-        On a line that also cuts, as a drilling cycle, rapid motions have no knots: its row is that of the cuts.
+        On a line with rapid motions and cuts, as that of a drilling cycle, the rows apply to the cuts only.
 
         :raises ForceError: a row names lines on which no motion starts.
         :raises ProgramError: a row names the line of a call of a routine that cuts and is not followed.
@@ -95,8 +95,8 @@ class ForceTable(Struct, frozen=True, eq=False):
     def _rows_of_motions(self, program: Program) -> tuple[Ints, Ints]:
         """Return the motion (k,) and the row of the table (k,) of each knot, in order along the program.
 
-        Rows of one first line are a block: its rows are the knots of each motion that starts on its lines. Rapid
-        motions on a line that also cuts have none.
+        Rows with the same first line are a block: they are the knots of each motion that starts on the lines of the
+        block. Rapid motions on a line that also cuts have no knots.
         """
         block_begins = np.flatnonzero(np.diff(self.first, prepend=-1))
         block_sizes = np.diff(np.append(block_begins, len(self.row)))
@@ -122,7 +122,7 @@ class ForceTable(Struct, frozen=True, eq=False):
     def _check_rows(self, program: Program) -> None:
         """Check that every row names at least one line on which a motion starts.
 
-        :raises ForceError: a row names none.
+        :raises ForceError: no motion starts on the lines of a row.
         """
         lines = np.sort(np.concatenate([program.motions.line, program.still]))
         is_empty = np.searchsorted(lines, self.first, side="left") == np.searchsorted(lines, self.last, side="right")
@@ -149,7 +149,12 @@ def read_force_csv(path: Path) -> ForceTable:
         (`errors.combined_error`).
     """
     numbers, texts, row, faults = files.parse_csv(
-        path, _REQUIRED_COLUMNS, _OPTIONAL, ForceError, ("frame",), ("line_end", "t", *_SIGMAS, *_PERCENT)
+        path,
+        _REQUIRED_COLUMNS,
+        _OPTIONAL_COLUMNS,
+        ForceError,
+        ("frame",),
+        ("line_end", "t", *_SIGMA_COLUMNS, *_PERCENT_COLUMNS),
     )
     columns = _Columns(str(path), row.astype(np.int64), numbers, texts.get("frame", []), faults)
     lines, wrenches = columns.lines(), columns.wrench()
@@ -178,8 +183,8 @@ def read_force_csv(path: Path) -> ForceTable:
 class _SourceLines(NamedTuple):
     """Source lines to which the R rows of a force CSV apply.
 
-    :param first: (R,) the first line, and `last` (R,) the last one; 0 where they are invalid.
-    :param valid: (R,) True where both are valid line numbers.
+    :param first: (R,) the first line, and `last` (R,) the last one; 0 if one of them is invalid.
+    :param valid: (R,) True if both are valid line numbers.
     """
 
     first: Ints
@@ -192,7 +197,7 @@ class _Wrenches(NamedTuple):
 
     :param wrench: (R, 6) [N, N·m], in the axes of the row.
     :param sigma: (R, 6) standard deviations of its components [N, N·m].
-    :param factor: (R,) the part of them that may be one factor, see `Knots`.
+    :param factor: (R,) standard deviation of one factor of the whole wrench, see `Knots`.
     """
 
     wrench: Array
@@ -245,11 +250,11 @@ class _Columns(Struct, frozen=True, eq=False):
 
         Percentages give the deviation of all six components; a column of one component replaces it.
         """
-        percent, factor_percent = (self._deviations(name, np.inf) for name in _PERCENT)
+        percent, factor_percent = (self._deviations(name, np.inf) for name in _PERCENT_COLUMNS)
         factor = np.nan_to_num(np.where(np.isnan(percent), factor_percent, percent)) / 100.0
         sigma = np.abs(wrench) * factor[:, None]
         has_both = np.isfinite(percent) & np.isfinite(factor_percent)
-        for index, name in enumerate(_SIGMAS):
+        for index, name in enumerate(_SIGMA_COLUMNS):
             deviations = self._deviations(name, MOST_FORCE)
             has_both |= np.isfinite(deviations) & np.isfinite(percent)
             sigma[:, index] = np.where(np.isnan(deviations), sigma[:, index], deviations)
@@ -259,9 +264,10 @@ class _Columns(Struct, frozen=True, eq=False):
         return sigma, factor
 
     def _deviations(self, name: str, limit: float) -> Array:
-        """Return a column of standard deviations (R,), NaN where none is given.
+        """Return a column of standard deviations (R,), NaN for empty cells; add errors for values out of range.
 
-        Errors are added for those below 0 or above the limit.
+        :param name: header of the column; a missing column is empty.
+        :param limit: largest permitted value; the smallest is 0.
         """
         values = self.numbers.get(name, np.full(len(self.row), np.nan))
         is_wrong = ~((values >= 0.0) & (values <= limit) | np.isnan(values))
@@ -274,7 +280,10 @@ class _Columns(Struct, frozen=True, eq=False):
         return values
 
     def frame(self) -> Ints:
-        """Return the frames (R,) as indices in `FORCE_FRAMES`; BASE where none is given, −1 for unknown ones."""
+        """Return the frames (R,) as indices in `FORCE_FRAMES`, and add errors for unknown ones, whose index is −1.
+
+        An empty cell is BASE.
+        """
         names = [name.upper() or "BASE" for name in self.frames] or ["BASE"] * len(self.row)
         code_of: dict[str, int] = {name: code for code, name in enumerate(FORCE_FRAMES)}
         frame = np.array([code_of.get(name, -1) for name in names], dtype=np.int64)
@@ -282,16 +291,16 @@ class _Columns(Struct, frozen=True, eq=False):
         return frame
 
     def positions(self) -> Array:
-        """Return positions along the moves (R,) in [0, 1]; NaN where a row applies to the whole move."""
+        """Return positions along moves (R,), NaN for rows of a whole move; add errors for positions out of [0, 1]."""
         t = self.numbers.get("t", np.full(len(self.row), np.nan))
         advice = "Give a position along the move: 0 at its start, 1 at its end."
         self.check(~((t >= 0.0) & (t <= 1.0) | np.isnan(t)), "t is {:g}", t, advice)
         return t
 
     def check_order(self, order: Ints, lines: _SourceLines, t: Array, frame: Ints) -> None:
-        """Check that rows of one line are in order of t and have one frame, and that no other rows share a line.
+        """Add errors for rows of one line that are not in order of t or have several frames, and for repeated lines.
 
-        A row is compared with the one before it. Rows without valid lines are not reported again.
+        Each row is compared with the row before it. Rows without valid lines are not reported again.
 
         :param order: (R,) rows, sorted by their first lines.
         :param t: (R,) position on the move of each row, and `frame` (R,) its frame; see `ForceTable`.
@@ -303,12 +312,12 @@ class _Columns(Struct, frozen=True, eq=False):
         previous_t = np.append(np.nan, t[:-1])
         # two positions along the same move
         shares_line = has_same_lines & ~np.isnan(t) & ~np.isnan(previous_t)
-        previous_end = np.append(0, np.maximum.accumulate(end)[:-1])
+        previous_end = np.append(0, np.maximum.accumulate(end)[:-1])  # largest last line of all rows before
         repeats_line = usable & (begin <= previous_end) & ~shares_line
         step = np.diff(t, prepend=0.0)
         for is_invalid, problem, column, advice in (
             (repeats_line, "a second row for line {:g}", begin, None),
-            (usable & shares_line & (step <= 0.0), "t = {:g} is not larger than in the row before", t, _STEP),
+            (usable & shares_line & (step <= 0.0), "t = {:g} is not larger than in the row before", t, _ORDER_ADVICE),
             (usable & shares_line & (np.diff(frame, prepend=0) != 0), "another frame than the row before", t, None),
         ):
             self.check(is_invalid[rank], problem, column[rank].astype(float), advice)
@@ -323,11 +332,11 @@ class _Columns(Struct, frozen=True, eq=False):
     ) -> None:
         """Add an error for each wrong row, up to one more than are shown.
 
-        :param is_wrong: (R,) True for those rows.
+        :param is_wrong: (R,) True for wrong rows.
         :param problem: format of the message, with one field for the value of the row.
-        :param values: (R,) of the rows.
-        :param advice: for all of them.
-        :param valid: names that the value may be, for the advice.
+        :param values: (R,) values of the rows.
+        :param advice: advice for all wrong rows; None: no advice.
+        :param valid: valid names of the value: the advice is the nearest of them. Empty: `advice` is used.
         """
         for index in np.flatnonzero(is_wrong)[: MAX_ERRORS + 1].tolist():
             text = problem.format(values[index])
@@ -335,27 +344,29 @@ class _Columns(Struct, frozen=True, eq=False):
             self.errors.append(ForceError(text, file=self.file, line=int(self.row[index]), advice=row_advice))
 
 
-_STEP = "Sort the rows of a move by t; give a step as two positions close to each other."
+_ORDER_ADVICE = "Sort the rows of a move by t; give a step as two positions close to each other."
 
 
-_SAME_PLACE = 1e-9
+_PLACE_TOLERANCE = 1e-9
 """Positions on a motion that differ by less count as one (assumed)."""
-_NO_CHANGE = 1e-6
+_LEAST_CHANGE = 1e-6
 """Changes of the force below this [N, N·m] count as none: the file has three decimals."""
 
-_SAME_FACTOR = 1e-9
+_FACTOR_TOLERANCE = 1e-9
 """Standard deviations of a factor that differ by less count as equal (assumed)."""
-_SAME_FORCE = 2e-3
+_FORCE_TOLERANCE = 2e-3
 """Forces of two passes of a line that differ by less [N, N·m] count as equal: the file has three decimals."""
 
 
 def target_forces(forces: PathForces, targets: Targets, arrive: Array, wrench: Runs) -> TargetForces:
     """Return the wrench at each target for the comments of the written program.
 
-    :param forces: those of the program as read.
-    :param targets: the targets to write.
+    FEED: a wrench on a piece that ends along the spindle, where these axes are not defined, is given in BASE axes.
+
+    :param forces: forces of the program as read.
+    :param targets: the K targets to write.
     :param arrive: (K, 3) direction of travel at the end of each piece, `$BASE`; (0, 3) without forces in FEED axes.
-    :param wrench: (K, 6) wrench that acts there [N, N·m], `$BASE` axes.
+    :param wrench: (K, 6) wrench at each target [N, N·m], `$BASE` axes.
     """
     frame = np.where(any_column(wrench.values != 0.0)[wrench.run], _piece_frames(forces, targets), BASE)
     if (frame == BASE).all():
@@ -376,11 +387,11 @@ def target_forces(forces: PathForces, targets: Targets, arrive: Array, wrench: R
 def piece_knots(forces: PathForces, targets: Targets, at_end: TargetForces, output_axes: Axes, row: Ints) -> Knots:
     """Return the wrench along each piece for the CSV file of the written program.
 
-    :param forces: those of the program as read, and `targets` the written targets.
+    :param forces: forces of the program as read, and `targets` the K written targets.
     :param at_end: the wrench at the targets, see `target_forces`.
-    :param output_axes: the axes of forces along the program as written.
+    :param output_axes: axes of forces along the program as written.
     :param row: (K,) motion of the written program that ends at each target.
-    :returns: knots; `motion` is here the row of the target at the end of the piece, and t the place on the piece.
+    :returns: knots; their `motion` is the row of the target at the end of the piece, and t the place on the piece.
     """
     # a ramped force is given for the whole piece, as it acts at its end
     target, share = _knot_places(forces, targets)
@@ -390,23 +401,23 @@ def piece_knots(forces: PathForces, targets: Targets, at_end: TargetForces, outp
     program, path = forces.axes.program, forces.axes.path
     nominal = at(program, path, targets.motion[target], np.where(share == 1.0, end, begin + share * (end - begin)))
     output_place = at(output_axes.program, output_axes.path, row[target], share)
-    wrench = output_axes.out_of_base(forces.at(nominal).reshape(-1, 2, 3, 1), frame, output_place).reshape(-1, 6)
+    wrench = output_axes.in_frame_axes(forces.at(nominal).reshape(-1, 2, 3, 1), frame, output_place).reshape(-1, 6)
     wrench[is_ramped] = at_end.wrench[target[is_ramped]]
     spread = forces.spread_at(nominal)
     sigma = np.zeros_like(wrench)
     if spread is not None:
-        sigma = norm(output_axes.out_of_base(spread, frame, output_place)).reshape(-1, 6)
-    return _merge_knots(Knots(target, share, wrench, frame, sigma, forces.factor_at(nominal), is_ramped))
+        sigma = norm(output_axes.in_frame_axes(spread, frame, output_place)).reshape(-1, 6)
+    return _needed_knots(Knots(target, share, wrench, frame, sigma, forces.factor_at(nominal), is_ramped))
 
 
 def once_a_line(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
-    """Return the knots of the first pass of each line, in order of lines, and targets whose force differs from it.
+    """Return the knots of the first pass of each line, in order of lines, and targets of passes with another force.
 
-    A line is passed several times in loops; a force file has one force for all of its passes.
+    A line is passed several times in loops; a force file has one force for all passes of a line.
 
-    :param knots: as from `piece_knots`.
+    :param knots: knots of all passes, see `piece_knots`: their `motion` is a row of targets.
     :param line: (K,) line of each target in the written program.
-    :returns: the knots, and the targets (n,) of later passes with another force, ascending.
+    :returns: the knots, and the targets (n,) of later passes whose force differs from that of the first, ascending.
     """
     target, begin, count = np.unique(knots.motion, return_index=True, return_counts=True)
     _, first, line_of_target = np.unique(line[target], return_index=True, return_inverse=True)
@@ -426,10 +437,10 @@ def _is_same_force(knots: Knots, first: slice, second: slice) -> bool:
     return all(
         np.abs(values[first] - values[second]).max() <= tolerance
         for values, tolerance in (
-            (knots.t, _SAME_PLACE),
-            (knots.wrench, _SAME_FORCE),
-            (knots.sigma, _SAME_FORCE),
-            (knots.factor, _SAME_FACTOR),
+            (knots.t, _PLACE_TOLERANCE),
+            (knots.wrench, _FORCE_TOLERANCE),
+            (knots.sigma, _FORCE_TOLERANCE),
+            (knots.factor, _FACTOR_TOLERANCE),
         )
     )
 
@@ -437,12 +448,12 @@ def _is_same_force(knots: Knots, first: slice, second: slice) -> bool:
 def _knot_places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
     """Return the p places on pieces where the force is given: row of the target (p,) and position (p,) on its piece.
 
-    That is the end of the piece if the force is ramped, else its start, its end and the knots between.
+    Ramped forces are given at the end of the piece; other forces at its start, at the knots between, and at its end.
     """
     begin, end = targets.begin(np.arange(len(targets))), targets.t
     # motion + t is one increasing key: knots from `low` to `high` (exclusive) are inside the piece
-    low = np.searchsorted(forces.place, targets.motion + begin + _SAME_PLACE)
-    high = np.maximum(np.searchsorted(forces.place, targets.motion + end - _SAME_PLACE), low)
+    low = np.searchsorted(forces.place, targets.motion + begin + _PLACE_TOLERANCE)
+    high = np.maximum(np.searchsorted(forces.place, targets.motion + end - _PLACE_TOLERANCE), low)
     count = np.where(forces.ramped[targets.motion], 1, high - low + 2)
     target = np.repeat(np.arange(len(targets)), count)
     index = ragged_range(count)
@@ -453,12 +464,12 @@ def _knot_places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
     return target, np.where(is_last, 1.0, np.where(index == 0, 0.0, share))
 
 
-def _merge_knots(knots: Knots) -> Knots:
-    """Return the knots (n,) of pieces with changing force, and the last one of pieces with constant force."""
+def _needed_knots(knots: Knots) -> Knots:
+    """Return all knots of pieces with changing force, and the last knot of pieces with constant force."""
     last = np.flatnonzero(np.diff(knots.motion, append=-1) != 0)
-    last_knot = last[np.searchsorted(last, np.arange(len(knots)))]
+    last_knot = last[np.searchsorted(last, np.arange(len(knots)))]  # of the piece of each knot
     columns = np.hstack([knots.wrench, knots.sigma, knots.factor[:, None]])
-    differs = largest(columns - columns[last_knot]) > _NO_CHANGE
+    differs = largest(columns - columns[last_knot]) > _LEAST_CHANGE
     has_change = np.zeros(len(knots), dtype=np.bool_)
     has_change[last_knot[differs]] = True
     is_kept = has_change[last_knot]
@@ -469,6 +480,6 @@ def _merge_knots(knots: Knots) -> Knots:
 def _piece_frames(forces: PathForces, targets: Targets) -> Ints:
     """Return the frame (K,) in which the force on each piece is constant or changes linearly."""
     frame, turn = forces.frame[targets.motion], forces.axes.path.turn[targets.motion]
-    turns_tool = turn > TURNS
+    turns_tool = turn > LEAST_TURN
     keeps_frame = (frame == FEED) & ((targets.kind == CIRC) | turns_tool) | (frame == TOOL) & turns_tool
     return np.where(keeps_frame, frame, BASE)

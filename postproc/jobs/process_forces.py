@@ -595,7 +595,9 @@ def _knots(program: Program, process: Process, forces: ProcessForces | None) -> 
     """
     if forces is None:
         return machining.operation_knots(program, process)
-    return machining.operation_knots(program, process).or_fallback(forces.knots) if process.operations else forces.knots
+    return (
+        machining.operation_knots(program, process).with_fallback(forces.knots) if process.operations else forces.knots
+    )
 
 
 def identify_forces(

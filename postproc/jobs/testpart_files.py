@@ -385,14 +385,16 @@ def _test_states(
     by_program = []
     for _, program, source in programs_under_force(request.programs, request.forces, robot, cell):
         states_of_program = milling.from_program(program, robot, cell, source)
-        by_program.append(replace(states_of_program, by_law=states_of_program.by_law & _computes_with_law(source, law)))
+        by_program.append(
+            replace(states_of_program, is_law_force=states_of_program.is_law_force & _computes_with_law(source, law))
+        )
     poses = milling.join(by_program)
     rows = np.arange(0, len(poses), max(1, len(poses) // _MOST_TESTS))  # evenly
     tool = np.broadcast_to(robot_in_cell.cell.tool.pose(), (len(rows), 4, 4))
     pose = kinematics.tcp(robot_in_cell.robot.nominal, poses.q[rows], tool)[0]
     weight = poses.weight[rows] / poses.weight[rows].sum()
     states = states_at_nominal_height(poses.q[rows], tool, pose, poses.wrench[rows])
-    is_scaled = poses.by_law[rows]
+    is_scaled = poses.is_law_force[rows]
     suffix = "" if is_scaled.all() else ", without the error of forces that are not of this process"
     return Tests(states, weight, is_scaled, poses.source + suffix)
 

@@ -267,7 +267,7 @@ def _sides_of_earlier_cut(
 
     :param nearest: (n, K) index in the flat map of the cell that contains each point on the cylinder.
     :param position: (n, 3) of the tip [m].
-    :param levels: of these cells.
+    :param levels: levels of these cells.
     """
     high, low, share, _ = levels
     radius, cell = turn.radius[turn.side.start], np.float32(stock.cell)

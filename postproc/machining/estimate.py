@@ -86,7 +86,7 @@ class ProcessForces(Struct, frozen=True, eq=False):
     :param cuts: wrench and engagement at stations on them, as many as their changes need, see `Cuts`.
     :param power: (M,) largest mean power of the spindle on each motion [W].
     :param tools: tool and spindle speed of each motion.
-    :param drills: for each of `tools.keys`, whether it is a drill.
+    :param drills: whether each of `tools.keys` is a drill.
     :param stock: the remaining stock, in the frame of `map_in_base`.
     :param map_in_base: (4, 4) frame of the map of the stock in the `$BASE` of the stock, see `home_base`.
     :param removed_volume: volume that the cuts remove [m³].
@@ -202,10 +202,11 @@ def estimate(
 class _Task(NamedTuple):
     """What the forces of a program depend on, see `estimate`.
 
-    :param program: with the speeds of the tip for feeds, see `toolpath.tip_speeds`; `programmed_feed` (M,) [m/s].
+    :param program: the program; its feeds are the speeds of the tip, see `toolpath.tip_speeds`.
+    :param programmed_feed: (M,) feeds as the program states them [m/s].
     :param law: forces of the material per length of cutting edge and chip.
     :param tools: tool and spindle speed of each motion.
-    :param directions: of the tools along the motions.
+    :param directions: directions of the tools along the motions.
     :param stock: mesh of the stock; None: the process has the stock.
     """
 
@@ -427,7 +428,7 @@ def _motions_near_stock(
 
     These are all motions of a tool with several directions: it may touch the stock while its tip is next to it.
 
-    :param segments: of all motions, in the frame of the map; None: the tool has several directions.
+    :param segments: segments of all motions, in the frame of the map; None: the tool has several directions.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
     :param margin: radius of the widest tool [m].
     """
@@ -493,7 +494,7 @@ def _refuse_unknown_forces(program: Program, sweeps: list[Sweep]) -> None:
     overhang = {motion: volume for sweep in sweeps for motion, volume in sweep.overhang.items()}
     share = sum(overhang.values()) / max(sum(sweep.tilted_volume for sweep in sweeps), 1e-18)
     if share > _OVERHANG_SHARE:
-        worst = max(overhang, key=lambda motion: (overhang[motion], -motion))  # of equal ones the first
+        worst = max(overhang, key=lambda motion: (overhang[motion], -motion))  # the first of equal motions
         problem = (
             f"the tool leaves material above itself, as in an undercut: {overhang[worst] * MM_PER_M**3:.3g} mm³ here, "
             f"{100 * share:.0f} % of all that tools cut as they turn. The stock is a map with one height at each place"
@@ -625,7 +626,7 @@ class _StockMesh(NamedTuple):
     """The surface of the uncut stock, in the `$BASE` of the stock.
 
     :param vertices: (V, 3) [m]; `faces`: (F, 3).
-    :param volume: that the surface encloses [m³].
+    :param volume: volume that the surface encloses [m³].
     """
 
     vertices: Array
@@ -644,7 +645,7 @@ def _box_mesh(low: Array, high: Array) -> _StockMesh:
 def _placed_mesh(path: Path, pose: Array) -> _StockMesh:
     """Return the closed mesh of a file, which is in mm, at a pose (4, 4) [m] in the `$BASE` of the stock.
 
-    :raises ForceError: it cannot be read, contains no surface or is not closed.
+    :raises ForceError: the mesh cannot be read, contains no surface or is not closed.
     """
     mesh = _closed_mesh(path)
     vertices = np.asarray(mesh.vertices, dtype=float) * M_PER_MM @ pose[:3, :3].T + pose[:3, 3]
@@ -689,7 +690,7 @@ def _hollow_stock_issues(map_volume: float, volume: float) -> list[Issue]:
 def _closed_mesh(path: Path) -> Any:
     """Read a closed mesh.
 
-    :raises ForceError: it cannot be read, contains no surface or is not closed.
+    :raises ForceError: the mesh cannot be read, contains no surface or is not closed.
     """
     mesh = files.read_mesh(path, ForceError, "mesh of the stock")
     if not mesh.is_watertight:
@@ -730,7 +731,7 @@ def _refuse_stopped_spindle(program: Program, stopped_motions: set[int]) -> None
     """Refuse cutting motions through material with the spindle off.
 
     :param stopped_motions: rows of these motions.
-    :raises ForceError: there are some, one error for each line.
+    :raises ForceError: a motion cuts with the spindle off; one error for each line.
     """
     if stopped_motions:
         lines, name = program.motions.line, program.documents[0].name
@@ -817,7 +818,8 @@ def _coarse_contact_warnings(
 ) -> Iterator[Issue]:
     """Yield a warning for each tool whose forces are uncertain because its contact is few cells of the map wide.
 
-    :param passes: with such a contact; the worst of each tool is named.
+    :param passes: passes with such a contact; the worst of each tool is named.
+    :param ordered_setups: set-ups in their order, which divide the width of cells.
     :param cell: width of a cell that is not divided [m].
     """
     for number in sorted({thin_pass.tool for thin_pass in passes}):
@@ -981,7 +983,7 @@ def _mill_drilling_issues(program: Program, cuts: Cuts, is_drill: Bools) -> list
 def _scale_issues(segments: StraightSegments, bounds: tuple[float, ...]) -> list[Issue]:
     """Return a warning if the path is many times as large as the stock in X and in Y: one of them may be in inches.
 
-    :param segments: of all motions, in the frame of the map.
+    :param segments: segments of all motions, in the frame of the map.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
     """
     x_low, x_high, y_low, y_high, _ = bounds
@@ -1003,7 +1005,7 @@ def _beside_stock_issues(
 
     Robot programs get none: their moves at feed may also position.
 
-    :param segments: of all motions, in the frame of the map of the stock.
+    :param segments: segments of all motions, in the frame of the map of the stock.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
     :param margin: radius of the widest tool [m]: a run shorter than twice this radius does not count.
     """
@@ -1036,7 +1038,7 @@ def _no_contact_error(
 ) -> ForceError:
     """Return the error for a tool that never touches the stock, with the extents of both.
 
-    :param segments: of all motions, in the frame of the map.
+    :param segments: segments of all motions, in the frame of the map.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
     :param stock: path of the mesh of the stock, for the message; None: the path of the process.
     """

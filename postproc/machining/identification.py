@@ -301,7 +301,7 @@ def _degrees_of_freedom(system: _Equations, is_excited: Bools, file: str) -> int
     """Return the number of readings minus the number of coefficients that they depend on.
 
     :param is_excited: (6,) True for these coefficients.
-    :raises ForceError: it is not positive.
+    :raises ForceError: there are not more readings than coefficients.
     """
     count = int(is_excited.sum())
     if len(system.readout) <= count:
@@ -384,10 +384,10 @@ def _linear_equations(readings: CutReadings, tool: ToolTable, file: str) -> _Equ
     Without a stated `sigma_N`, forces have the standard deviation 1 N. The standard deviation of a power is that of a
     force, times the ratio of the derivatives of power and Fy by Ktc and Kte.
 
-    :raises ForceError: there are none.
+    :raises ForceError: no force and no power was measured.
     """
     derivatives = equations(readings, tool)
-    values = np.concatenate([readings.force, readings.power[:, None]], axis=1)
+    values = np.concatenate([readings.force, readings.power[:, None]], axis=1)  # (n, 4): Fx, Fy, Fz, power; NaN: none
     reading, component = (np.asarray(index, dtype=np.int64) for index in np.nonzero(np.isfinite(values)))
     if not len(reading):
         raise ForceError("no force and no power in any row", file=file, advice="Fill in Fx, Fy, Fz or power_W.")

@@ -94,7 +94,7 @@ class CuttingLaw(msgspec.Struct, frozen=True):
     :param exponent: mc; 0 in the linear model.
     :param sigma: standard deviation of the forces, as a share of them: of published values of the alloy and by wear, or
         as the user states it.
-    :param name: as shown to the user.
+    :param name: name that is shown to the user.
     :param warning: limits of the values, if any.
     :param unknown_axial: standard deviation of the axial force as a share of the force across the axis, where the
         material has no axial coefficients.
@@ -211,6 +211,7 @@ def law(material: MaterialTable, file: str) -> CuttingLaw:
         material, covariance = _material_of_file(material, Path(file).parent / material.file, file)
     entry = _named_entry(material, materials, file)
     linear, kienzle = entry.Ktc_N_per_mm2, entry.kc11_N_per_mm2
+    # either linear or Kienzle's, and the exponent mc with Kienzle's only
     if (linear is None) == (kienzle is None) or (kienzle is None) != (entry.mc is None):
         advice = (
             "Give the name of a material, or Ktc_N_per_mm2, Krc_N_per_mm2 … Kae_N_per_mm, or kc11_N_per_mm2 and mc."
@@ -267,7 +268,8 @@ def _material_of_file(
 
     The covariance is None if the file states none, or if the process states `sigma_percent` instead.
 
-    :param path: of the material file; `process_file` of the process, for messages.
+    :param path: path of the material file.
+    :param process_file: path of the process, for messages.
     :raises ForceError: the process has values too, or the file is no material file, or its covariance is invalid.
     """
     if material.name or material.Ktc_N_per_mm2 or material.kc11_N_per_mm2:
@@ -297,7 +299,7 @@ def _covariance(material: IdentifiedTable, file: str) -> tuple[tuple[float, ...]
     """Return the covariance (6, 6) of identified coefficients, SI; None if the file states none.
 
     :param file: path of the material file, for the message.
-    :raises ForceError: it is no covariance of six coefficients.
+    :raises ForceError: the matrix is not one of six coefficients, not symmetric, or not positive semidefinite.
     """
     if not material.covariance:
         return None

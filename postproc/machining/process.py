@@ -107,7 +107,7 @@ class Process(ProcessFile, frozen=True):
     def law(self) -> CuttingLaw:
         """Return the cutting law of the material.
 
-        :raises ForceError: there is no [material], or it is incomplete.
+        :raises ForceError: the process has no [material], or it is incomplete.
         """
         if self.material is None:
             advice = 'Give [material] name = "…" (postproc forces --materials lists them), or [operations] with forces.'

@@ -375,7 +375,7 @@ def _are_equal(first: _Profile, second: _Profile) -> bool:
 def _is_drilling_cycle(program: Program, path: Segments, column: int, moves: Ints, text: str) -> bool:
     """Return whether a line is a drilling cycle: consecutive rapid moves and cuts along the spindle, without a call.
 
-    :param column: of the tool frame that is along the spindle: 0, 1, 2 for x, y, z.
+    :param column: column of the tool frame that is along the spindle: 0, 1, 2 for x, y, z.
     :param moves: (k,) cutting motions of the line; `text` of the line.
     """
     m = program.motions

@@ -72,8 +72,8 @@ _KTC, _KRC = 0, 1
 class Fit(NamedTuple):
     """Coefficients in the order of `identification.NAMES` that fit forces.
 
-    :param value: (6,) [N/mm²], [N/mm]; `sigma`: (6,) their standard deviations.
-    :param residual: of the forces, as a share of them.
+    :param value: (6,) coefficients [N/mm²], [N/mm], and `sigma` (6,) their standard deviations.
+    :param residual: residual of the forces, as a share of the forces.
     """
 
     value: Array
@@ -144,7 +144,8 @@ def _plausible_arrangements(force: Array, fit_of: FitOf) -> dict[_Arrangement, F
 def _arrangement_error(fit: Fit, candidates: Mapping[_Arrangement, Fit], file: str) -> ForceError:
     """Return the error for forces in wrong axes, with the likely arrangement of Fx and Fy if there is one.
 
-    :param fit: to the forces as read; `candidates`: fits of other arrangements.
+    :param fit: fit to the forces as read.
+    :param candidates: other arrangements that give plausible coefficients, with their fits.
     """
     if not candidates:
         return ForceError(

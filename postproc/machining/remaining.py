@@ -280,7 +280,8 @@ class Guard(Struct, eq=False):
         the whole path at once. Only parts that fail all of them are compared piece by piece.
 
         :param ceiling: the stock before the material of these segments is removed.
-        :param rows: of the segments that are compared, all with the tool `cutter`.
+        :param rows: rows of the segments that are compared.
+        :param cutter: cutter of the tool, the same on all of them.
         :param removes: whether the segments remove material.
         """
         begin, end = segments.begin[rows], segments.end[rows]
@@ -327,7 +328,9 @@ class Guard(Struct, eq=False):
         sweep removes it later: it is removed from the copy first.
 
         :param stock: before the material of the segments is removed.
-        :param rows: of the segments that are compared; `removes`: whether they remove material.
+        :param rows: rows of the segments that are compared.
+        :param cutter: cutter of the tool.
+        :param removes: whether the segments remove material.
         """
         begin, end, motion = segments.begin[rows], segments.end[rows], segments.motion[rows]
         reach = max(part.radius + self.min_distance, cutter.radius) + 3.0 * stock.cell

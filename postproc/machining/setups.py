@@ -34,7 +34,7 @@ def setups(program: Program, directions: Directions, max_tilt: float) -> list[Se
     where the tool leaves a cone of half angle `max_tilt` about the direction of the map. Rapid motions belong to the
     set-up before them, as they move through the stock that it leaves.
 
-    :param directions: of the tool on all motions.
+    :param directions: directions of the tool on all motions.
     :param max_tilt: largest angle between a tool that turns while it cuts and the direction of the map [rad].
     :raises ForceError: no motion cuts, or the tool turns by more than twice `max_tilt` in one move.
     """

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.errors import ForceError, Issue, combined_error, line_names
-from postproc.forces import ByLaw, Knots
+from postproc.forces import Knots, LawForces
 from postproc.machining.estimate import ProcessForces, estimate
 from postproc.machining.process import OperationTable, Process
 from postproc.machining.remaining import Guard
@@ -340,11 +340,11 @@ class ProcessSource:
         law_motions = self._common_factor_motions(process_forces)
         if process.operations:
             entry_knots = operation_knots(program, process)
-            knots = entry_knots.or_fallback(knots)
+            knots = entry_knots.with_fallback(knots)
             issues = (*issues, *entry_knots.issues)
             law_motions = np.setdiff1d(law_motions, entry_knots.motion)
-        by_law = ByLaw(process.law().numbers, law_motions)
-        return replace(knots, issues=issues, by_law=by_law, stock=process_forces.over_time)
+        law_forces = LawForces(process.law().numbers, law_motions)
+        return replace(knots, issues=issues, law_forces=law_forces, stock=process_forces.over_time)
 
     def _common_factor_motions(self, process_forces: ProcessForces) -> Ints:
         """Return the motions (k,) whose forces have one unknown factor in common: the error of the cutting law.

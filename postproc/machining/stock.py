@@ -273,8 +273,8 @@ def _surfaces_of_columns(
 ) -> tuple[Array, Array]:
     """Return the highest and the lowest height of a mesh over a grid, (ny, nx) each [m]; −inf and inf beside the mesh.
 
-    :param vertices: (V, 3) of the mesh [m], in the frame of the map; `faces` (F, 3).
-    :param origin: corner of the grid x, y [m]; its points are in the middles of squares of a width `step` [m].
+    :param vertices: (V, 3) of the mesh [m], in the frame of the map, and `faces` (F, 3).
+    :param origin: x, y of the corner of the grid [m]; its points are in the middles of squares of a width `step` [m].
     :param count: number of points along x and y.
     """
     nx, ny = count
@@ -504,7 +504,8 @@ class Footprint(Struct, frozen=True, eq=False):
         """Return the footprint without cells whose middles are within a circle, seen along z; all of the rim remains.
 
         :param stock: map of the cells.
-        :param point: (3,) middle of the circle [m], and `radius` of it [m], < 0: no cell is within it.
+        :param point: (3,) middle of the circle [m].
+        :param radius: radius of the circle [m]; < 0: no cell is within it.
         """
         row, column = np.divmod(self.cell, stock.high.shape[1])
         x, y = stock.x + (column + 0.5) * stock.cell - point[0], stock.y + (row + 0.5) * stock.cell - point[1]

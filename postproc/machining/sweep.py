@@ -256,6 +256,7 @@ class Sweep(Struct, eq=False):
         low, high = np.minimum(segments.begin, segments.end), np.maximum(segments.begin, segments.end)
         may_touch = (low[:, 2] < top) & (high[:, 0] + reach > x_low) & (low[:, 0] - reach < x_high)
         may_touch &= (high[:, 1] + reach > y_low) & (low[:, 1] - reach < y_high)
+        # a tool that leans may touch anywhere along its axis: only its lowest point is compared
         may_touch[segments.leans] = (low[:, 2] - reach - _CHORD_DEVIATION < top)[segments.leans]
         return np.asarray(may_touch)
 
@@ -360,7 +361,7 @@ class Sweep(Struct, eq=False):
         """Yield the loads at stations one cell apart along segments of tool `number`, in chunks that limit memory.
 
         :param begin: first segment, and `end` the one after the last.
-        :param number: of the tool, as an index in `ToolStates.keys`.
+        :param number: number of the tool, an index in `ToolStates.keys`.
         """
         cell = self.stock.cell
         length = np.linalg.norm(segments.end[begin:end] - segments.begin[begin:end], axis=1)
@@ -382,7 +383,7 @@ class Sweep(Struct, eq=False):
 
         Equal sets of points are made once. The end face is left out if the tool does not descend.
 
-        :param number: of the tool, as an index in `ToolStates.keys`.
+        :param number: number of the tool, an index in `ToolStates.keys`.
         :param position: (n, 3) of the tip [m], `heading` (n, 3) unit directions of travel, frame of the map.
         """
         cutter, pieces = self._cutter(number), self._edge(number)
@@ -497,7 +498,7 @@ class Sweep(Struct, eq=False):
     def _tilted_cuts(self, path: TiltedPath, number: int, top: float) -> Iterator[Cuts]:
         """Yield engagement and loads of a tool that leans or turns, in chunks that limit memory.
 
-        :param number: of the tool, as an index in `ToolStates.keys`.
+        :param number: number of the tool, an index in `ToolStates.keys`.
         :param top: height of the highest material near the path [m].
         """
         cutter, step = self._cutter(number), self.stock.cell

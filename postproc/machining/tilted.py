@@ -164,7 +164,7 @@ def _speeds_and_times(length: Array, turn: Array, feed: Array, swing: Array) -> 
 class TiltedLoads(NamedTuple):
     """Mean loads of a tool that leans or turns, at S stations.
 
-    :param loads: in `local_axes`.
+    :param loads: mean loads, in the axes of `local_axes`.
     :param cuts: (S, P) length of edge that cuts at each sample point [m].
     :param is_axial: (S,) True where the travel is along the spindle.
     """
@@ -537,7 +537,8 @@ def _surface_distances(cutter: Cutter, z: Array, axial: Array, az: Array, square
     :param axial: (n,) component along the axis of the points of the lines at the height of the tip [m], `az` (n,) z of
         the axis, `square` (n,) squares of the horizontal distances of the lines from the tip [m²].
     """
-    height = axial + z * az
+    height = axial + z * az  # along the axis
+    # from the circle of the middles of the round: outwards and downwards; inside of both, the larger one is nearest
     radial_excess = np.sqrt(np.maximum(square + z * z - height * height, 0.0)) - (cutter.radius - cutter.corner)
     axial_excess = cutter.corner - height
     return np.asarray(

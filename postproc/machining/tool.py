@@ -303,14 +303,14 @@ class _EdgeDirections(NamedTuple):
     def of(cls, edge: Edge, row: Ints, angle: Array) -> _EdgeDirections:
         """Return the directions at sample points.
 
-        :param row: (P,) pieces of edge, and `angle` (P,) angles of the turn [rad].
+        :param row: (P,) rows of the pieces of edge, and `angle` (P,) angles of the turn [rad].
         """
         sine, cosine, zero = np.sin(angle), np.cos(angle), np.zeros(len(row))
         sin_kappa, cos_kappa = _sine_and_cosine_of_kappa(edge, row)
         return cls(
-            np.stack([sin_kappa * sine, sin_kappa * cosine, zero - cos_kappa], axis=-1),
-            np.stack([zero - cosine, sine, zero], axis=-1),
-            np.stack([cos_kappa * sine, cos_kappa * cosine, sin_kappa], axis=-1),
+            normal=np.stack([sin_kappa * sine, sin_kappa * cosine, zero - cos_kappa], axis=-1),
+            tangential=np.stack([zero - cosine, sine, zero], axis=-1),
+            axial=np.stack([cos_kappa * sine, cos_kappa * cosine, sin_kappa], axis=-1),
         )
 
     def force(self, tangential: float, radial: float, axial: float, *, is_drill: bool) -> Array:

@@ -71,7 +71,7 @@ def tool_states(program: Program, process: Process) -> ToolStates:
 def cutter_entries(program: Program, process: Process) -> Ints:
     """Return the row in [tools] of the process of the cutter of each motion (M,); −1: it has no entry.
 
-    :raises ForceError: it is not known which of several tools with one frame cuts, see `_stated_key`.
+    :raises ForceError: several tools have one frame, and which of them cuts is not known, see `_stated_key`.
     """
     tool, names = _program_tools(program, process)
     keys = tuple(process.tools)
@@ -107,7 +107,7 @@ def _program_tools(program: Program, process: Process) -> tuple[Ints, list[str |
 
     The name is None for a tool without a number, and for a tool of a robot program without an entry in [tools].
 
-    :raises ForceError: it is not known which of several tools with one frame cuts, see `_stated_key`.
+    :raises ForceError: several tools have one frame, and which of them cuts is not known, see `_stated_key`.
     """
     if program.tool_keys:
         return program.motions.tool, [_stated_key(program, process, row) for row in range(len(program.tools))]
@@ -127,7 +127,7 @@ def _stated_key(program: Program, process: Process, row: int) -> str | None:
     :raises ForceError: several tools with this frame have an entry; or a tooldata has one, and others have its frame.
     """
     names = [name for name in program.tool_keys[row] if process.key_of(name) is not None]
-    is_by_name = bool(names) and is_name(names[0])
+    is_by_name = bool(names) and is_name(names[0])  # by the name of tooldata, not by n of TOOL_DATA[n]
     if len(names) > 1 or (is_by_name and len(program.tool_keys[row]) > 1):
         frame_names = program.tool_keys[row] if is_by_name else names
         tools = " and ".join(program.tool_text(name) for name in frame_names)

@@ -9,8 +9,8 @@ from postproc.frames import M_PER_MM, Array, wrap_angles
 from postproc.placement.samples import PathSamples
 from postproc.program import Bools, Ints, distinct
 
-_ALLOWANCE = 2.0
-"""How much softer than at the start the arm may be elsewhere, and how much more a body moves than the tip (assumed)."""
+_DEFLECTION_FACTOR = 2.0
+"""Factor of the deflection, as the arm may be softer at other poses, and bodies move more than the tip (assumed)."""
 
 
 class Bodies:
@@ -19,15 +19,15 @@ class Bodies:
     def __init__(self, samples: PathSamples, need_mm: float) -> None:
         """Read the bodies of the cell for each tool of a program.
 
-        :param need_mm: smallest allowed distance; 0: no contact. The largest deflection by the forces is added, as a
-            correction moves the tool by about as much.
+        :param need_mm: smallest allowed distance [mm]; 0: no contact. `_DEFLECTION_FACTOR` times the largest deflection
+            by the forces is added, as a correction moves the tool by about as much.
         :raises CellError: a body cannot be read.
         """
         program, robot_in_cell = samples.program, samples.robot_in_cell
         force, moment = robot_in_cell.tip_compliance(program.tools[0])
         wrench = np.abs(samples.forces.at(samples.sample)).max(axis=0, initial=0.0)
         deflection = force * float(np.linalg.norm(wrench[:3])) + moment * float(np.linalg.norm(wrench[3:]))
-        self.min_distance = need_mm * M_PER_MM + _ALLOWANCE * deflection
+        self.min_distance = need_mm * M_PER_MM + _DEFLECTION_FACTOR * deflection
         self.chain = robot_in_cell.robot.nominal
         self.tool = program.motions.tool[samples.sample.motion]
         self.solids = {
@@ -47,12 +47,12 @@ class Bodies:
     ) -> Bools:
         """Return True for samples (n,) of a path at which, or before which, bodies are too close; False if `q` is NaN.
 
-        :param q: (n, 6) joint angles [rad]; from one sample to the next each joint goes the short way.
+        :param q: (n, 6) joint angles [rad]; from one sample to the next each joint turns by less than half a turn.
         :param rows: (n,) samples of the program.
-        :param breaks: (n,) where the path does not continue from the sample before.
-        :param shift: (n, 3) how far E1 carries the robot [m]; None: it does not.
-        :param base_motion: (4, 4) motion of `$BASE` from its place in the cell, in the root; None: it is there.
-        :param between_samples: look between samples too.
+        :param breaks: (n,) True where the path does not continue from the sample before.
+        :param shift: (n, 3) displacement of the robot by E1 [m]; None: there is none.
+        :param base_motion: (4, 4) motion of `$BASE` from its place in the cell, in the root; None: it stays there.
+        :param between_samples: compare bodies between samples too; else at the samples only.
         """
         is_hit = np.zeros(len(rows), dtype=bool)
         is_in_reach = np.asarray(np.isfinite(q).all(axis=1))
@@ -81,18 +81,23 @@ class Bodies:
         return is_hit
 
     def clearance(self, q: Array, rows: Ints) -> Clearance:
-        """Return the smallest distance of bodies at poses (n, 6) that are at samples (n,) with one tool."""
+        """Return the smallest distance of bodies at n poses.
+
+        :param q: (n, 6) joint angles [rad].
+        :param rows: (n,) samples of these poses, all with the same tool.
+        """
         return clearance(self.solids[int(self.tool[rows[0]])].scene, q)
 
     def name(self, row: int) -> str:
-        """Return the name of a body; it does not depend on the tool."""
+        """Return the name of the body in a row of the scene; it does not depend on the tool."""
         return next(iter(self.solids.values())).bodies[row].name
 
     def is_closer(self, q: Array, rows: Ints, shift: Array, base_motion: Array) -> bool:
-        """Return whether bodies are too close at any of some unrelated poses.
+        """Return whether bodies are too close at any of n independent poses.
 
-        :param q: (n, 6) joint angles [rad], and `rows` (n,) samples whose tools they have.
-        :param shift: (n, 3) how far E1 carries the robot [m].
+        :param q: (n, 6) joint angles [rad].
+        :param rows: (n,) samples of these poses, which state their tools.
+        :param shift: (n, 3) displacement of the robot by E1 [m].
         :param base_motion: (4, 4) motion of `$BASE` from its place in the cell, in the root.
         """
         tools = self.tool[rows]

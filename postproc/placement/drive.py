@@ -18,26 +18,26 @@ from postproc.robot import RobotModel
 from postproc.under_load import RobotInCell
 
 REASONS = ("free", "out of reach", "joint limit", "singular pose", "joint speed", "collision")
-"""Why a pose is refused, in the order in which they are checked."""
+"""Reasons to refuse a pose, in the order in which they are checked; the first is none."""
 PLACE_REASONS = (*REASONS, "collision on the move from [start]")
-"""Why a place is refused."""
+"""Reasons to refuse a place."""
 FREE, REACH, LIMIT, SINGULAR, SPEED, COLLISION, FIRST_MOVE = range(7)
-REAL = 0.02
-"""Share of the expected error that another place or turn must save, or today's stays (assumed)."""
-TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
+LEAST_SAVING = 0.02
+"""Share of the expected error that another place or turn must save; else that of today stays (assumed)."""
+TRIED_TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
 """Turns of the tool about its axis that are tried where the cell leaves the turn open [rad]."""
-WINDING = (3, 5)
+WINDING_JOINTS = (3, 5)
 """A4 and A6: the joints that may turn by more than a whole turn."""
 
 
 class LeastMargins(Struct, frozen=True):
-    """Margins to keep.
+    """Margins that a program must keep.
 
     :param joint: distance of each joint to its limits [rad].
     :param wrist: distance of A5 from where A4 and A6 are in line [rad].
     :param elbow: distance of A3 from the stretched arm [rad].
     :param shoulder: distance of the wrist centre from the axis of A1 [m].
-    :param speed: largest share of a joint's speed.
+    :param speed: largest speed of a joint, as a share of its limit.
     :param jump: largest turn of a joint between neighbouring samples [rad].
     """
 
@@ -49,17 +49,17 @@ class LeastMargins(Struct, frozen=True):
     jump: float = 40.0 * RAD_PER_DEG
 
 
-BARE = LeastMargins(0.01 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.006, 0.98, 44.0 * RAD_PER_DEG)
-"""The least that a program must keep to be converted."""
+BARE_MARGINS = LeastMargins(0.01 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.006, 0.98, 44.0 * RAD_PER_DEG)
+"""The least margins that a program must keep to be converted."""
 
 
 class Margins(Struct, frozen=True, eq=False):
-    """Margins of n configurations. NaN where there is none: out of reach.
+    """Margins of n configurations; NaN for poses out of reach.
 
-    :param joint: smallest distance of a joint to its limits [rad]; of A4 and A6 on the best of their turns.
-    :param wrist: distance of A5 from where A4 and A6 are in line [rad].
-    :param elbow: distance of A3 from the stretched arm [rad].
-    :param shoulder: distance of the wrist centre from the axis of A1 [m].
+    :param joint: (n,) smallest distance of a joint to its limits [rad]; A4 and A6 count with the best whole turns.
+    :param wrist: (n,) distance of A5 from the angle at which A4 and A6 are in line [rad].
+    :param elbow: (n,) distance of A3 from the angle at which the arm is stretched [rad].
+    :param shoulder: (n,) distance of the wrist centre from the axis of A1 [m].
     """
 
     joint: Array
@@ -69,14 +69,18 @@ class Margins(Struct, frozen=True, eq=False):
 
 
 def solve(robot: RobotModel, flange: Array, branch: int | Ints) -> Array:
-    """Return joint angles (6, n) [rad] of flanges (3, 4, n), within half a turn of the middle of the limits."""
+    """Return joint angles (6, n) [rad], each within half a turn of the middle of its limits; NaN out of reach.
+
+    :param flange: (3, 4, n) flange frames in the root [m].
+    :param branch: branch of the inverse kinematics, of all or of each (n,).
+    """
     q = kinematics.closed_form(robot).solve(flange, branch)
     middle = 0.5 * (robot.lower + robot.upper)[:, None]
     return middle + wrap_angles(q - middle)
 
 
 def margins(robot: RobotModel, q: Array) -> Margins:
-    """Return the margins of joint angles (6, n) [rad] as `solve` returns them."""
+    """Return the margins of joint angles (6, n) [rad], which are near the middle of their limits as from `solve`."""
     form = kinematics.closed_form(robot)
     with np.errstate(invalid="ignore"):
         joint = np.minimum(q - robot.lower[:, None], robot.upper[:, None] - q).min(axis=0)
@@ -92,13 +96,14 @@ def margins(robot: RobotModel, q: Array) -> Margins:
 def reason(margin: Margins, speed: Array, jump: Array, keep: LeastMargins, hit: Bools | None = None) -> Ints:
     """Return the first reason (...,) to refuse configurations, as an index in `REASONS`; 0: none.
 
-    :param speed: (...,) largest joint speed as a share of its limit; `jump` (...,) largest turn of a joint from the
-        sample before [rad].
+    :param margin: margins (...,) of the configurations.
+    :param speed: (...,) largest joint speed as a share of its limit.
+    :param jump: (...,) largest turn of a joint from the sample before [rad].
     :param keep: margins to keep.
-    :param hit: (...,) whether bodies come too close; None: not checked.
+    :param hit: (...,) True where bodies come too close; None: not checked.
     """
     with np.errstate(invalid="ignore"):
-        reasons = np.zeros(margin.joint.shape, dtype=np.int64)  # the last assignment of these counts
+        reasons = np.zeros(margin.joint.shape, dtype=np.int64)  # assigned from the last reason to the first
         if hit is not None:
             reasons[hit] = COLLISION
         reasons[~(speed <= keep.speed)] = SPEED
@@ -110,8 +115,11 @@ def reason(margin: Margins, speed: Array, jump: Array, keep: LeastMargins, hit: 
 
 
 def expected_error(samples: PathSamples, rows: Ints, turn: Array, q: Array) -> tuple[Array, Array]:
-    """Return the expected error (95 %) and the deflection (n,) [m] at samples (n,); NaN where q is, or no equilibrium.
+    """Return the expected error (95 %) (n,) and the deflection (n,) [m] at samples.
 
+    Both are NaN where `q` is NaN, and without equilibrium. The expected error is also NaN if the model states none.
+
+    :param rows: (n,) the samples.
     :param turn: (n,) turn of the tool about its axis [rad].
     :param q: (n, 6) joint angles [rad].
     """
@@ -126,12 +134,14 @@ def expected_error(samples: PathSamples, rows: Ints, turn: Array, q: Array) -> t
 
 
 def errors(robot_in_cell: RobotInCell, q: Array, tool: Array, load: Load) -> tuple[Array, Array]:
-    """Return the expected error (95 %) and the deflection (n,) [m] at joint angles (n, 6); NaN without equilibrium.
+    """Return the expected error (95 %) (n,) and the deflection (n,) [m]; NaN without equilibrium.
 
-    The expected error is that of the model and the forces, as `u95_mm` of the report has it, but for flanks of lost
-    motion that turn on the way; NaN if the model has none.
+    The expected error is by the model and the forces, as `u95_mm` of the report, without the error of lost motion that
+    reverses along the path. It is NaN if the model states no uncertainty.
 
-    :param tool: (4, 4) or (n, 4, 4) in the flange frame [m].
+    :param q: (n, 6) joint angles [rad].
+    :param tool: `$TOOL` (4, 4) or (n, 4, 4) in the flange frame [m].
+    :param load: loads of the tool at these joint angles.
     """
     deflection = _deflections(robot_in_cell, q, tool, load.wrench, load.pose)
     series = _in_series(robot_in_cell.tool_spring, load.pose)
@@ -156,7 +166,8 @@ def _in_series(spring: ToolSpring | None, pose: Array) -> Array | None:
 def _deflections(robot_in_cell: RobotInCell, q: Array, tool: Array, wrench: Array, pose: Array) -> Array:
     """Return the deviation (n,) [m] of the tip from nominal without correction; NaN without equilibrium.
 
-    :param q: (n, 6) joint angles [rad]; `tool` (4, 4) or (n, 4, 4) in the flange frame [m].
+    :param q: (n, 6) joint angles [rad].
+    :param tool: `$TOOL` (4, 4) or (n, 4, 4) in the flange frame [m].
     :param wrench: (n, 6) on the tool at its tip, root axes [N, N·m].
     :param pose: (n, 4, 4) nominal tool frames in the root [m].
     """
@@ -180,6 +191,6 @@ def timed_speed(robot: RobotModel, step: Array, time: Array) -> Array:
         return np.asarray((np.abs(step) / robot.speed[:, None]).max(axis=0) / time)
 
 
-def any_bad(reasons: Ints) -> Bools:
+def is_refused(reasons: Ints) -> Bools:
     """Return True for configurations (...) that are refused; `reasons` (...) are indices in `REASONS`."""
     return np.asarray(reasons != FREE)

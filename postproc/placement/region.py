@@ -30,20 +30,20 @@ from postproc.program import Bools, Ints, Program, distinct
 from postproc.under_load import RobotInCell
 
 AXES = ("X", "Y", "Z", "A", "E1")
-"""What a place is given by: mm, A in degrees."""
+"""Coordinates of a place [mm], A [deg]."""
 _STATIONS = 120
-"""Samples of all programs together that a place is judged by; the best place is judged by all (assumed)."""
-_COARSE = {"X": 6, "Y": 6, "Z": 4, "A": 5, "E1": 4}
-"""Places along each axis of the coarse grid: 720 for X, Y, Z and A together."""
-_SLICE = 15
-"""Places along each side of the finer slice (assumed)."""
-_STARTS, _HALVINGS = 4, 5
-"""Places from which the compass search starts, and how often its steps are halved."""
-_SAME_FRAME = 1e-6
+"""Number of samples of all programs by which a place is judged; the best place is judged by all samples (assumed)."""
+_GRID_COUNTS = {"X": 6, "Y": 6, "Z": 4, "A": 5, "E1": 4}
+"""Number of places along each axis of the coarse grid: 720 for X, Y, Z and A together."""
+_SLICE_COUNT = 15
+"""Number of places along each side of the finer slice (assumed)."""
+_START_COUNT, _HALVING_COUNT = 4, 5
+"""Number of places from which the compass search starts, and number of times that its steps are halved."""
+_FRAME_TOLERANCE = 1e-6
 """Entries of frames [m, 1] that differ by less are equal but for rounding."""
-_SAME_COORDINATE = 1e-9
+_COORDINATE_TOLERANCE = 1e-9
 """Coordinates of places that differ by less [mm, deg] are equal but for rounding."""
-_GAIN = 1e-3
+_LEAST_GAIN_SHARE = 1e-3
 """Share of the expected error by which a step of the compass search must lower it."""
 _SIMILAR_COST = 0.01
 """Places whose expected errors differ by less than this share are alike: the one with more margin is better."""
@@ -64,10 +64,10 @@ class Region(Struct, frozen=True):
         """Return the nearest place (5,) in the region."""
         return np.clip(place, self.low, self.high)
 
-    def settable(self, place: Array) -> Array:
+    def rounded(self, place: Array) -> Array:
         """Return the nearest place (5,) in the region in whole millimetres and degrees, as a person sets it.
 
-        Coordinates that are not free stay as they are.
+        Coordinates that are not free are not rounded.
         """
         rounded_place = place.copy()
         rounded_place[self.free] = np.round(place[self.free])
@@ -75,12 +75,12 @@ class Region(Struct, frozen=True):
 
 
 class Assessment(Struct, frozen=True):
-    """What the conversion of all programs at a place states: the worst of them [m].
+    """Results of a conversion of all programs at a place; of several programs the worst counts.
 
-    :param deflection: largest deflection at cutting targets.
-    :param uncorrected: largest expected error (95 %) of the programs as read; None where the model has none.
-    :param corrected: the same of the corrected programs.
-    :param chance: that correction makes the part better; None where nothing is corrected.
+    :param deflection: largest deflection at cutting targets [m].
+    :param uncorrected: largest expected error (95 %) of the programs as read [m]; None if the model states none.
+    :param corrected: largest expected error (95 %) of the corrected programs [m]; None if the model states none.
+    :param chance: probability that the correction makes the part better; None if nothing is corrected.
     :param problem: why a program cannot be converted there; empty if all can.
     """
 
@@ -92,22 +92,22 @@ class Assessment(Struct, frozen=True):
 
     @property
     def cost(self) -> float:
-        """Expected error of the corrected programs, or the deflection where the model has none [m]."""
+        """Expected error of the corrected programs, or the deflection if the model states none [m]."""
         return self.deflection if self.corrected is None else self.corrected
 
 
 class JudgedPlace(Struct, frozen=True):
-    """A place and how the programs are there, by samples of their paths.
+    """A place, and the judgement of the programs there by samples of their paths.
 
     :param place: X, Y, Z, A, E1 [mm, deg].
-    :param reason: row of `drive.PLACE_REASONS`; 0 = the programs can be driven.
-    :param deflection: largest deflection on cuts [m], NaN if refused.
-    :param u95: largest expected error (95 %) on cuts [m], NaN if refused or if the model has none.
-    :param margin: smallest distance of a joint to its limits [rad], NaN out of reach.
-    :param singular: smallest singular value of the Jacobian, NaN if refused.
+    :param reason: index in `drive.PLACE_REASONS`; 0: the programs can be driven.
+    :param deflection: largest deflection on cuts [m]; NaN if refused.
+    :param u95: largest expected error (95 %) on cuts [m]; NaN if refused or if the model states none.
+    :param margin: smallest distance of a joint to its limits [rad]; NaN out of reach.
+    :param singular: smallest singular value of the Jacobian; NaN if refused.
     :param turn: turn of the tool about its axis, added to that of the cell [rad].
-    :param branch: of the inverse kinematics.
-    :param assessment: of a conversion at this place; None: there was none.
+    :param branch: branch of the inverse kinematics; −1: not known.
+    :param assessment: results of a conversion at this place; None: the programs were not converted there.
     """
 
     place: tuple[float, ...]
@@ -122,26 +122,26 @@ class JudgedPlace(Struct, frozen=True):
 
     @property
     def problem(self) -> str:
-        """Why the programs cannot be driven; empty if they can."""
+        """Why the programs cannot be driven or converted; empty if they can."""
         if self.reason != FREE:
             return drive.PLACE_REASONS[self.reason]
         return "" if self.assessment is None else self.assessment.problem
 
     @property
     def reachable(self) -> bool:
-        """Whether the programs can be driven."""
+        """Whether the programs can be driven, and converted if this was tried."""
         return not self.problem
 
     @property
     def cost(self) -> float:
-        """Expected error at the samples, or the deflection where the model has none [m]; infinite if refused."""
+        """Expected error at the samples, or the deflection if the model states none [m]; infinite if refused."""
         if not self.reachable:
             return np.inf
         return self.deflection if np.isnan(self.u95) else self.u95
 
     @property
     def stated_cost(self) -> float:
-        """The same by the conversion at this place, if there was one."""
+        """Cost by the conversion at this place; by samples if the programs were not converted, infinite if refused."""
         return self.cost if self.assessment is None or not self.reachable else self.assessment.cost
 
 
@@ -149,11 +149,11 @@ class Search(Struct, frozen=True, eq=False):
     """The places that were tried.
 
     :param today: the place of the cell.
-    :param best: the best place, None if all are refused.
-    :param trials: all places; those of the map first.
+    :param best: the best place; None if all are refused.
+    :param trials: all places that were tried; first those of the grid, then those of the finer slice.
     :param slice: X and Y of the finer slice, at the Z, A and E1 of `slice_place`; empty if X or Y is fixed.
-    :param slice_place: place through which the slice goes.
-    :param refusals: places that can be driven at stations but were refused by every sample or by a conversion there.
+    :param slice_place: place that the slice contains.
+    :param refusals: places that can be driven by stations, but were refused by all samples or by a conversion.
     """
 
     today: JudgedPlace
@@ -167,9 +167,10 @@ class Search(Struct, frozen=True, eq=False):
 class _Stations(Struct, frozen=True, eq=False):
     """Samples of one program by which places are judged.
 
-    :param row: (n,) samples; `before` (n,) the ones before them.
-    :param shift: (2n, 3) how far E1 carries the robot [m]: before the stations, then at them.
-    :param branch: (2n,) branches that the program states, in the same order; −1 = that of the start.
+    :param samples: all samples of the program.
+    :param row: (n,) rows of the stations among these, and `before` (n,) rows of the samples before them.
+    :param shift: (2n, 3) displacement of the robot by E1 [m]: first at `before`, then at the stations.
+    :param branch: (2n,) branches that the program states, in the same order; −1: the branch of the start.
     :param cuts: (n,) False on rapid moves.
     :param first_joints: (k, 6) joint targets before the first station [rad].
     """
@@ -184,16 +185,16 @@ class _Stations(Struct, frozen=True, eq=False):
 
     @property
     def shift_at_stations(self) -> Array:
-        """(n, 3) how far E1 carries the robot at the stations [m]."""
+        """(n, 3) displacement of the robot by E1 at the stations [m]."""
         return self.shift[len(self.row) :]
 
 
 class _JointPath(NamedTuple):
     """The joint angles of a program at its stations.
 
-    :param q: (n, 6) [rad].
-    :param reason: to refuse a station, the first one of `drive.REASONS`; `FREE` for none.
-    :param margin: smallest distance of a joint to its limits [rad], NaN out of reach.
+    :param q: (n, 6) joint angles [rad]; NaN out of reach.
+    :param reason: first reason in `drive.REASONS` to refuse a station; `FREE`: no station is refused.
+    :param margin: smallest distance of a joint to its limits [rad]; NaN if no station is in reach.
     """
 
     q: Array
@@ -204,8 +205,8 @@ class _JointPath(NamedTuple):
 class _Errors(NamedTuple):
     """The errors of a program at its stations that cut.
 
-    :param deflection: the largest one [m]; NaN without equilibrium.
-    :param u95: the largest expected error (95 %) [m]; NaN where the model has none.
+    :param deflection: the largest deflection [m]; NaN without equilibrium.
+    :param u95: the largest expected error (95 %) [m]; NaN if the model states none.
     :param singular: the smallest singular value of the Jacobian at all stations.
     """
 
@@ -227,9 +228,9 @@ class Programs:
     ) -> None:
         """Choose the stations.
 
-        :param samples: of the path of each program.
+        :param samples: samples of the path of each program.
         :param keep: margins that a place must keep.
-        :param turns: whether the tool may be turned about its axis.
+        :param turns: whether the tool may be turned about its axis, by the angles `drive.TRIED_TURNS`.
         :param clearance_mm: smallest allowed distance of the bodies of [collision]; None: they are not compared.
         :raises CellError: a body cannot be read.
         """
@@ -237,17 +238,18 @@ class Programs:
         self.robot_in_cell = samples[0].robot_in_cell
         self.robot = self.robot_in_cell.robot
         self.today = inverse(self.robot_in_cell.cell.base.pose())
-        self.turns = drive.TURNS if turns else np.zeros(1)
+        self.turns = drive.TRIED_TURNS if turns else np.zeros(1)
         self.branch = int(kinematics.closed_form(self.robot).branch_of(self.robot_in_cell.cell.start_joints[None])[0])
         self.bodies = None if clearance_mm is None else [Bodies(item, clearance_mm) for item in samples]
-        total = sum(len(item) for item in samples)
+        total = sum(len(item) for item in samples)  # stations are in proportion to samples, at least 24 of a program
         self.station_choice = [_stations(item, max(24, _STATIONS * len(item) // total)) for item in samples]
         self.full_stations = [_stations(item, len(item)) for item in samples]
 
     def judge(self, place: Array, *, all_samples: bool = False) -> JudgedPlace:
         """Return the judgement of a place (5,) [mm, deg] with the best turn of the tool about its axis.
 
-        The tool keeps the turn of the cell if the programs can be driven with it, and no other turn saves enough.
+        The tool keeps the turn of the cell if the programs can be driven with it, and no other turn saves enough. If no
+        turn can be driven, the judgement with the last reason in the order of `drive.PLACE_REASONS` is returned.
 
         :param all_samples: judge by every sample of the programs; else by some stations of them.
         """
@@ -263,16 +265,16 @@ class Programs:
                 cell_turn = judgement if turn == 0.0 else cell_turn
             elif judgement.reason > nearest.reason or np.isnan(nearest.margin):
                 nearest = judgement
-        if best is not None and cell_turn is not None and cell_turn.cost <= (1.0 + drive.REAL) * best.cost:
+        if best is not None and cell_turn is not None and cell_turn.cost <= (1.0 + drive.LEAST_SAVING) * best.cost:
             return cell_turn
         return nearest if best is None else best
 
     def _judge(self, place: Array, turn: float, branch: int, stations: Sequence[_Stations]) -> JudgedPlace:
         """Return the judgement of a place (5,) [mm, deg]: the first reason to refuse it, or its largest expected error.
 
-        :param turn: of the tool about its axis, added to that of the cell [rad].
-        :param branch: of the inverse kinematics at the start.
-        :param stations: of each program.
+        :param turn: turn of the tool about its axis, added to that of the cell [rad].
+        :param branch: branch of the inverse kinematics at the start.
+        :param stations: stations of each program.
         """
         base_motion, e1_shift = self._motion_to(place)
         coordinates = tuple(map(float, place))
@@ -301,7 +303,7 @@ class Programs:
         return JudgedPlace(coordinates, FREE, deflection, u95, margin, singular, turn, branch)
 
     def _motion_to(self, place: Array) -> tuple[Array, Array]:
-        """Return the motion (4, 4) of the part from its place in the cell, and how far E1 carries the robot (3,) [m].
+        """Return the motion (4, 4) of the part from its place in the cell, and the displacement (3,) by E1 [m].
 
         :param place: (5,) X, Y, Z, A and E1 [mm, deg].
         """
@@ -316,14 +318,15 @@ class Programs:
         """Return the joint angles at stations, and the first reason to refuse one of them.
 
         :param base_motion: (4, 4) motion of `$BASE` that the place makes, root axes [m].
-        :param e1_shift: (3,) by which E1 carries the robot to the place [m].
-        :param turn: of the tool about its axis [rad]; `branch` of the inverse kinematics at the start.
+        :param e1_shift: (3,) displacement of the robot by E1 at the place [m].
+        :param turn: turn of the tool about its axis [rad].
+        :param branch: branch of the inverse kinematics at the start.
         """
         flange = product(base_motion, self._flange(group, turn))
         flange[:, :3, 3] -= group.shift + e1_shift
         branches = np.where(group.branch >= 0, group.branch, branch)
         is_one_branch = bool((branches == branches[0]).all())
-        # rows of samples before the stations, then of the stations; one branch for all is solved faster
+        # first the samples before the stations, then the stations; one branch for all is solved faster
         q = drive.solve(self.robot, kinematics.components(flange), int(branches[0]) if is_one_branch else branches)
         margins, count = drive.margins(self.robot, q), len(group.row)
         step = np.nan_to_num(wrap_angles(q[:, count:] - q[:, :count]))
@@ -352,9 +355,9 @@ class Programs:
 
     @cache  # noqa: B019
     def _load(self, group: _Stations, turn: float) -> Load:
-        """Return wrenches, their standard deviations and poses of the stations that cut, in the root at E1 = 0.
+        """Return the loads of the stations that cut, in the root at E1 = 0.
 
-        :param turn: of the tool about its axis [rad].
+        :param turn: turn of the tool about its axis [rad].
         """
         rows = group.row[group.cuts]
         load = group.samples.load(rows, np.full(len(rows), turn))
@@ -362,20 +365,20 @@ class Programs:
         return load
 
     def _collision_reason(self, bodies: Bodies, group: _Stations, q: Array, base_motion: Array, e1_shift: Array) -> int:
-        """Return the reason if bodies come too close at stations, or on the move from [start] to them; else `FREE`.
+        """Return the reason to refuse a place if bodies come too close at stations or on the way to them; else `FREE`.
 
         If the stations are all samples of a program, bodies are compared between them too.
 
         :param q: (n, 6) joint angles at the stations [rad].
         :param base_motion: (4, 4) motion of `$BASE` that the place makes, root axes [m].
-        :param e1_shift: (3,) by which E1 carries the robot to the place [m].
+        :param e1_shift: (3,) displacement of the robot by E1 at the place [m].
         """
         count = len(group.row)
         shift = group.shift_at_stations + e1_shift
         if bodies.is_closer(q, group.row, shift, base_motion):
             return drive.COLLISION
         approach = np.concatenate([self.robot_in_cell.cell.start_joints[None], group.first_joints])
-        # stations that are not all samples are no path: only the move to the first one is looked at
+        # stations that are not all samples are no path: bodies are compared along the move to the first one only
         path_count = count if count == len(group.samples) else 1
         path = np.concatenate([approach, q[:path_count]])
         rows = np.append(np.full(len(approach), group.row[0]), group.row[:path_count])
@@ -390,7 +393,7 @@ class Programs:
 
         :param q: (6, n) joint angles without whole turns [rad].
         """
-        joints = list(drive.WINDING)
+        joints = list(drive.WINDING_JOINTS)
         start = self.robot_in_cell.cell.start_joints[joints, None]
         steps = np.nan_to_num(wrap_angles(np.diff(q[joints], axis=1, prepend=start)))
         angle = start + np.cumsum(steps, axis=1)
@@ -398,11 +401,12 @@ class Programs:
         return np.asarray(((angle < low) | (angle > high)).any(axis=0))
 
     def _errors(self, group: _Stations, base_motion: Array, e1_shift: Array, turn: float, q: Array) -> _Errors:
-        """Return the largest errors at stations that cut.
+        """Return the largest errors at stations that cut; 0 if none cuts.
 
         :param base_motion: (4, 4) motion of `$BASE` that the place makes, root axes [m].
-        :param e1_shift: (3,) by which E1 carries the robot to the place [m].
-        :param turn: of the tool about its axis [rad]; `q` (n, 6) joint angles at the stations [rad].
+        :param e1_shift: (3,) displacement of the robot by E1 at the place [m].
+        :param turn: turn of the tool about its axis [rad].
+        :param q: (n, 6) joint angles at the stations [rad].
         """
         cuts = np.flatnonzero(group.cuts)
         samples = group.samples
@@ -428,9 +432,9 @@ class Programs:
 
 
 def _stations(samples: PathSamples, max_count: int) -> _Stations:
-    """Return stations of a program: samples evenly along its path, and those with the extreme coordinates.
+    """Return stations of a program: samples evenly along its path, and the samples with the extreme coordinates.
 
-    :param max_count: number of even ones, at most.
+    :param max_count: largest number of even samples.
     """
     m = samples.program.motions
     motion = samples.sample.motion
@@ -459,24 +463,25 @@ def _stations(samples: PathSamples, max_count: int) -> _Stations:
 def numbers_of_base(cell: Cell) -> tuple[str, ...]:
     """Return the numbers n of `[base_data.n]` that state the same frame as `[base]`: they move with it.
 
-    None if the cell names a `$config.dat`: its frames stay as they are.
+    There are none if the cell names a `$config.dat`: its frames stay as they are.
     """
     if cell.config_dat is not None:
         return ()
     base = cell.base.pose()
-    return tuple(n for n, frame in cell.base_data.items() if np.abs(frame.pose() - base).max() < _SAME_FRAME)
+    return tuple(n for n, frame in cell.base_data.items() if np.abs(frame.pose() - base).max() < _FRAME_TOLERANCE)
 
 
 def has_base(program: Program, frame: Frame) -> bool:
     """Return whether a frame is among the `$BASE` of a program."""
-    return bool((np.abs(program.bases - frame.pose()).max(axis=(1, 2)) < _SAME_FRAME).any())
+    return bool((np.abs(program.bases - frame.pose()).max(axis=(1, 2)) < _FRAME_TOLERANCE).any())
 
 
 def check_base(program: Program, robot_in_cell: RobotInCell, shifted_program: Program | None = None) -> None:
     """Check that a program is in the `$BASE` of the cell, and moves with it.
 
-    :param shifted_program: the program as it is read with another `[base]`; None: its dialect has no frames of its own.
-    :raises InputError: it has frames of its own, which do not move with the cell's.
+    :param shifted_program: the program as it is read with another `[base]`; None: programs of its dialect set no
+        frames.
+    :raises InputError: the program has frames that do not move with `[base]` of the cell.
     """
     base, m = robot_in_cell.cell.base.pose(), program.motions
     # frames that are equal today are one row of `bases`, also where one of them moves with the cell and another stays
@@ -486,8 +491,9 @@ def check_base(program: Program, robot_in_cell: RobotInCell, shifted_program: Pr
     for row, second_row in np.unique(pairs[cartesian], axis=0).tolist():
         first = cartesian[np.argmax((pairs[cartesian] == (row, second_row)).all(axis=1))]
         shift = np.abs(second_program.bases[second_row] - program.bases[row]).max()
-        stays = shifted_program is not None and shift < _SAME_FRAME
-        if stays or np.abs(program.bases[row] - base).max() > _SAME_FRAME:
+        # a frame that is the same with both `[base]` does not move with it
+        stays = shifted_program is not None and shift < _FRAME_TOLERANCE
+        if stays or np.abs(program.bases[row] - base).max() > _FRAME_TOLERANCE:
             raise InputError(
                 f"line {program.motions.line[first]}: the motions are in a $BASE that the program sets itself: they "
                 "would not move with [base] of the cell",
@@ -498,7 +504,7 @@ def check_base(program: Program, robot_in_cell: RobotInCell, shifted_program: Pr
 
 
 def _is_better(place: JudgedPlace, rival: JudgedPlace) -> bool:
-    """Return whether a place is better than another: by a smaller error, or by more margin if errors are alike."""
+    """Return whether a place is better than another: by a smaller error, or by more margin if errors are similar."""
     if (
         place.reachable
         and rival.reachable
@@ -518,10 +524,13 @@ def search(
     progress: Callable[[int, int], None] | None = None,
     assess: Assess | None = None,
 ) -> Search:
-    """Find the best place in a region: by a grid, a finer slice at its best place, and steps from the best of all.
+    """Return the places tried in a region, and the best of them.
 
-    :param progress: called with the number of places done and of all.
-    :param assess: converts the programs at today's place and at the best one; None: samples decide.
+    They are a grid, a finer slice through its best place, and steps from the best places of both. Today's place stays
+    if it is in the region and no other place saves enough.
+
+    :param progress: called with the number of places done and their expected total; None: not called.
+    :param assess: converts the programs at today's place and at the best place; None: samples decide.
     """
     cell = programs.robot_in_cell.cell
     today = programs.judge(np.array([cell.base.X, cell.base.Y, cell.base.Z, cell.base.A, 0.0]), all_samples=True)
@@ -529,7 +538,7 @@ def search(
     lines = _grid_lines(region)
     grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(AXES))
     has_slice = {0, 1} <= set(region.free)
-    total = len(grid) + (_SLICE**2 if has_slice else 0)
+    total = len(grid) + (_SLICE_COUNT**2 if has_slice else 0)
     judgements: list[JudgedPlace] = []
 
     def judged(place: Array) -> JudgedPlace:
@@ -546,15 +555,16 @@ def search(
     slice_centre = np.array(best_of_grid.place) if best_of_grid.reachable else middle
     x = y = np.zeros(0)
     if has_slice:
-        x, y = (np.linspace(region.low[k], region.high[k], _SLICE) for k in (0, 1))
+        x, y = (np.linspace(region.low[k], region.high[k], _SLICE_COUNT) for k in (0, 1))
         for place_x, place_y in itertools.product(x, y):
             judged(np.array([place_x, place_y, *slice_centre[2:]]))
-    starts = sorted((place for place in judgements if place.reachable), key=lambda place: place.cost)[:_STARTS]
-    steps = np.array([0.5 * float(np.diff(line[:2]).sum()) for line in lines])  # half of the grid's; 0 where it has one
+    starts = sorted((place for place in judgements if place.reachable), key=lambda place: place.cost)[:_START_COUNT]
+    # half of the steps of the grid; 0 along an axis that is not free
+    steps = np.array([0.5 * float(np.diff(line[:2]).sum()) for line in lines])
     for start in starts:
         _descend(judged, region, start, steps)
     best, refusals = _best_by_conversion(programs, region, judgements, assess)
-    limit = np.inf if best is None else (1.0 + drive.REAL) * best.stated_cost
+    limit = np.inf if best is None else (1.0 + drive.LEAST_SAVING) * best.stated_cost
     if _contains(region, today) and today.reachable and today.stated_cost <= limit:
         best = today
     slice_lines = tuple(x.tolist()), tuple(y.tolist())
@@ -562,9 +572,11 @@ def search(
 
 
 def _grid_lines(region: Region) -> list[Array]:
-    """Return the coordinates of the grid along each of the five axes [mm, deg]: one where an axis is not free."""
+    """Return the coordinates of the grid along each of the five axes [mm, deg]; an axis that is not free has one."""
     return [
-        np.linspace(region.low[k], region.high[k], _COARSE[axis]) if k in region.free else np.array([region.low[k]])
+        np.linspace(region.low[k], region.high[k], _GRID_COUNTS[axis])
+        if k in region.free
+        else np.array([region.low[k]])
         for k, axis in enumerate(AXES)
     ]
 
@@ -575,13 +587,13 @@ def _assess(place: JudgedPlace, assess: Assess | None) -> JudgedPlace:
 
 
 def _descend(judge: Callable[[Array], JudgedPlace], region: Region, start: JudgedPlace, steps: Array) -> None:
-    """Judge places from `start` on to better neighbours along the axes, with steps that are halved without any.
+    """Judge neighbours of `start` along the axes, and move to better ones; without any, halve the steps.
 
-    :param judge: judges a place (5,), and keeps the judgement.
-    :param steps: (5,) along each axis to begin with [mm, deg].
+    :param judge: judges a place (5,), and records the judgement.
+    :param steps: (5,) first steps along each axis [mm, deg].
     """
     best, free = start, region.free
-    for _ in range(_HALVINGS):
+    for _ in range(_HALVING_COUNT):
         is_improving = True
         while is_improving:
             is_improving = False
@@ -595,36 +607,36 @@ def _descend(judge: Callable[[Array], JudgedPlace], region: Region, start: Judge
 def _better_neighbour(
     judge: Callable[[Array], JudgedPlace], region: Region, place: JudgedPlace, k: int, step: float
 ) -> JudgedPlace | None:
-    """Return the first of two neighbours of a place that is clearly better; None: neither is.
+    """Return the first of two neighbours of a place that is clearly better; None if neither is.
 
-    :param judge: judges a place (5,), and keeps the judgement.
+    :param judge: judges a place (5,), and records the judgement.
     :param k: row of `AXES` along which the neighbours are.
     :param step: distance of the neighbours, up and down [mm, deg].
     """
     for sign in (1.0, -1.0):
         coordinates = np.array(place.place)
         coordinates[k] += sign * step
-        coordinates = region.settable(coordinates)
-        if abs(coordinates[k] - place.place[k]) < _SAME_COORDINATE:  # at the bound of the region
+        coordinates = region.rounded(coordinates)
+        if abs(coordinates[k] - place.place[k]) < _COORDINATE_TOLERANCE:  # at the bound of the region
             continue
         neighbour = judge(coordinates)
-        if neighbour.cost < (1.0 - _GAIN) * place.cost:
+        if neighbour.cost < (1.0 - _LEAST_GAIN_SHARE) * place.cost:
             return neighbour
     return None
 
 
 def _contains(region: Region, place: JudgedPlace) -> bool:
     """Return whether a place is in a region."""
-    return bool(np.allclose(region.clip(np.array(place.place)), place.place, rtol=0.0, atol=_SAME_COORDINATE))
+    return bool(np.allclose(region.clip(np.array(place.place)), place.place, rtol=0.0, atol=_COORDINATE_TOLERANCE))
 
 
 _MAX_CHECKS = 200
-"""Places that are judged by all samples until one can be driven (assumed)."""
+"""Largest number of places that are judged by all samples until one can be driven (assumed)."""
 _MAX_ASSESSMENTS = 40
-"""Places at which the programs are converted until all can be (assumed)."""
-_MAX_SAME = 8
-"""Places at which the programs are converted if the error is the same each time: it does not depend on the place
-(assumed)."""
+"""Largest number of places at which the programs are converted until all can be (assumed)."""
+_MAX_EQUAL_PROBLEMS = 8
+"""Largest number of places at which the programs are converted if the problem is the same each time: then it does not
+depend on the place (assumed)."""
 _NEIGHBOURHOOD, _CONVERSION_NEIGHBOURHOOD = 1.0 / 30.0, 1.0 / 10.0
 """Share of the region around a place, along every axis, that is taken to be refused with it: by samples, and by a
 conversion, which takes longer (assumed)."""
@@ -633,10 +645,13 @@ conversion, which takes longer (assumed)."""
 def _best_by_conversion(
     programs: Programs, region: Region, judgements: Sequence[JudgedPlace], assess: Assess | None
 ) -> tuple[JudgedPlace | None, tuple[JudgedPlace, ...]]:
-    """Return the best place by every sample of the programs, at which they are converted, and the refused places.
+    """Return the best place by all samples at which the programs can be converted, and the places refused before it.
 
-    It is one that a person sets: next to a place of the grid, in whole millimetres and degrees. Neighbours of a refused
-    place are not tried.
+    The place is one that was judged by stations, rounded to whole millimetres and degrees as a person sets it.
+    Neighbours of a refused place are not tried. None: too many places are refused, see `_MAX_CHECKS`.
+
+    :param judgements: places judged by stations.
+    :param assess: converts the programs at a place; None: samples decide.
     """
     reachable = sorted((place for place in judgements if place.reachable), key=lambda place: place.cost)
     similar = [place for place in reachable if place.cost <= (1.0 + _SIMILAR_COST) * reachable[0].cost]
@@ -647,14 +662,14 @@ def _best_by_conversion(
     for place in order:
         if any(_is_neighbour(region, span, place, refusal) for refusal in refusals):
             continue
-        judgement = programs.judge(region.settable(np.array(place.place)), all_samples=True)
+        judgement = programs.judge(region.rounded(np.array(place.place)), all_samples=True)
         if judgement.reachable:
             judgement = _assess(judgement, assess)
             if judgement.reachable:
                 return judgement, tuple(refusals)
             problems.append(judgement.problem)
         refusals.append(judgement)
-        is_everywhere = len(problems) >= _MAX_SAME and len(set(problems)) == 1
+        is_everywhere = len(problems) >= _MAX_EQUAL_PROBLEMS and len(set(problems)) == 1
         if len(refusals) >= _MAX_CHECKS or len(problems) >= _MAX_ASSESSMENTS or is_everywhere:
             break
     return None, tuple(refusals)
@@ -663,7 +678,7 @@ def _best_by_conversion(
 def _is_neighbour(region: Region, span: Array, place: JudgedPlace, refusal: JudgedPlace) -> bool:
     """Return whether a place is so near to a refused one that it is taken for refused too.
 
-    :param span: (k,) of the region along the free axes [mm, deg].
+    :param span: (k,) extent of the region along the k free axes [mm, deg].
     """
     share = _NEIGHBOURHOOD if refusal.assessment is None else _CONVERSION_NEIGHBOURHOOD
     gap = np.abs(np.subtract(place.place, refusal.place))[region.free]

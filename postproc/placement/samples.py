@@ -15,19 +15,19 @@ from postproc.program import PTP, SPL, Bools, Ints, Program
 from postproc.toolpath import Segments, Toolpath
 from postproc.under_load import RobotInCell
 
-_STEP = 0.020
+_SAMPLE_SPACING = 0.020
 """Largest spacing of samples [m] (assumed)."""
-_TURN = np.radians(5.0)
+_SAMPLE_ROTATION = np.radians(5.0)
 """Largest rotation of the tool between samples [rad] (assumed)."""
 _SHORTEST_TRAVEL = 1e-6
 """Pieces of path shorter than this [m] turn the tool in place: the feed does not time them (assumed)."""
-AXIS = {"+Z": (0.0, 0.0, 1.0), "-Z": (0.0, 0.0, -1.0), "+X": (1.0, 0.0, 0.0), "-X": (-1.0, 0.0, 0.0)}
+SPINDLE_AXES = {"+Z": (0.0, 0.0, 1.0), "-Z": (0.0, 0.0, -1.0), "+X": (1.0, 0.0, 0.0), "-X": (-1.0, 0.0, 0.0)}
 
 
 class Load(NamedTuple):
     """Loads of the tool at n samples, root axes.
 
-    :param wrench: (n, 6) on the tool at its tip [N, N·m].
+    :param wrench: (n, 6) wrench on the tool at its tip [N, N·m].
     :param spread: `force_spread` of `elastostatics.position_bound`; None if the forces are certain.
     :param pose: (n, 4, 4) tool frame in the root [m].
     :param is_scaled: (n,) `is_proportional` of `elastostatics.position_bound`.
@@ -46,9 +46,9 @@ class PathSamples(Struct, frozen=True, eq=False):
     :param robot_in_cell: the robot in its cell.
     :param segments: start and length of its motions.
     :param forces: the forces along them.
-    :param sample: the places and their poses in `$BASE`.
-    :param time: (N,) time from the sample before at the programmed feed [s]; infinite where the feed does not time it:
-        joint interpolation, rapid moves (which are slowed if a joint would be too fast), turns in place.
+    :param sample: places of the samples and their poses in `$BASE`.
+    :param time: (N,) time from the sample before at the programmed feed [s]. It is infinite if the feed does not state
+        it: on joint interpolations, rapid moves (which are slowed if a joint would be too fast) and turns in place.
     """
 
     program: Program
@@ -60,15 +60,17 @@ class PathSamples(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, program: Program, robot_in_cell: RobotInCell, source: ForceSource | None) -> PathSamples:
-        """Sample a program: the end of every motion, and places between.
+        """Return samples of a program: the end of every motion, and places between.
 
-        :param source: forces that take precedence over the comments of the program.
+        A joint interpolation and a piece of a spline have their end only.
+
+        :param source: forces that take precedence over the comments of the program; None: the comments only.
         :raises ForceError: the forces do not match the motions.
         """
         m = program.motions
         segments = toolpath.segments(program, robot_in_cell.start_flange)
         path_forces = forces.assign(program, segments, source, robot_in_cell.spindle, robot_in_cell.ramp)
-        parts = toolpath.even_parts(segments.travel, segments.turn, _STEP, _TURN)
+        parts = toolpath.even_parts(segments.travel, segments.turn, _SAMPLE_SPACING, _SAMPLE_ROTATION)
         parts[(m.kind == PTP) | (m.kind == SPL)] = 1
         motion, t = toolpath.even_places(np.arange(len(m)), parts)
         sample = toolpath.at(program, segments, motion, t)
@@ -84,7 +86,7 @@ class PathSamples(Struct, frozen=True, eq=False):
     @property
     def axis(self) -> Array:
         """Direction (3,) from the spindle to the tip in the tool frame."""
-        return np.array(AXIS[self.robot_in_cell.spindle])
+        return np.array(SPINDLE_AXES[self.robot_in_cell.spindle])
 
     def rotation(self, turn: Array) -> Array:
         """Return the rotations (n, 3, 3), in the tool frame, that turn the tool by angles (n,) [rad] about its axis.
@@ -117,11 +119,11 @@ class PathSamples(Struct, frozen=True, eq=False):
 
     @property
     def cuts(self) -> Array:
-        """(N,) True on motions at feed."""
+        """(N,) True for samples of motions at feed."""
         return np.asarray(~self.program.motions.rapid[self.sample.motion])
 
     @property
     def travel(self) -> Array:
-        """(N,) path length from the sample before [m]; joint interpolation by its chord."""
-        steps = np.append(0.0, norm(np.diff(self.sample.pose.position, axis=0)))
-        return np.asarray(steps)
+        """(N,) distance from the sample before [m], along chords; 0 for the first one."""
+        distances = np.append(0.0, norm(np.diff(self.sample.pose.position, axis=0)))
+        return np.asarray(distances)

@@ -25,44 +25,44 @@ from postproc.frames import FULL_TURN, MM_PER_M, RAD_PER_DEG, Array, inverse, wr
 from postproc.kinematics.components import components, product
 from postproc.placement import drive
 from postproc.placement.bodies import Bodies
-from postproc.placement.drive import WINDING, LeastMargins, Margins
+from postproc.placement.drive import WINDING_JOINTS, LeastMargins, Margins
 from postproc.placement.samples import PathSamples
 from postproc.program import PTP, Bools, Ints, distinct
 from postproc.robot import RobotModel
 from postproc.toolpath import cut_lengths, flange_from_tcp
 
-_BLOCK = 0.010
+_LEAST_BLOCK_LENGTH = 0.010
 """Shortest block of several motions [m]; the length of the path over `MOST_BLOCKS` if that is longer (assumed)."""
 MOST_BLOCKS = 1000
-"""Most blocks of a path: time and memory of the map are in proportion to them."""
+"""Largest number of blocks of a path: time and memory of the map are in proportion to it."""
 BINS_OF_BLOCK = 6
-"""Most bins of a block (assumed)."""
+"""Largest number of bins of a block (assumed)."""
 MOST_BINS = 2500
-"""Most bins of all blocks together: each is solved for every turn of the tool."""
+"""Largest number of bins of all blocks together: each is solved for every turn of the tool."""
 SAMPLES_AT_ONCE = 4096
-"""Samples solved together."""
+"""Number of samples that are solved together."""
 MOST_POSES = 2500
-"""Samples of a path at which collisions are looked for with every turn; more only where the line goes."""
-_PER_MM = 1.0 * RAD_PER_DEG
+"""Number of samples of a path at which bodies are compared with every turn; along a line, they are at all samples."""
+_TURN_PER_MM = 1.0 * RAD_PER_DEG
 """Largest change of the turn at feed per millimetre [rad] (assumed)."""
-_PER_SECOND = 30.0 * RAD_PER_DEG
+_TURN_PER_SECOND = 30.0 * RAD_PER_DEG
 """Largest turning speed at feed [rad/s]: well below any wrist's."""
-_RAPID_PER_MM = 3.0 * RAD_PER_DEG
+_RAPID_TURN_PER_MM = 3.0 * RAD_PER_DEG
 """Largest change per millimetre on rapid moves [rad]; those are slowed if a joint would be too fast (assumed)."""
-_PER_BIN = 60.0 * RAD_PER_DEG
-"""Largest change in one bin: which way round A4 and A6 go is then certain."""
-_LARGEST = 170.0 * RAD_PER_DEG
-"""Largest change in one block: a motion turns the tool the short way."""
+_TURN_PER_BIN = 60.0 * RAD_PER_DEG
+"""Largest change of the turn in one bin [rad]: then it is certain in which direction A4 and A6 turn."""
+_TURN_PER_BLOCK = 170.0 * RAD_PER_DEG
+"""Largest change of the turn in one block [rad]: a motion turns the tool by less than half a turn."""
 _MARGIN_WEIGHT = 0.01
-"""Share of the expected error that may be given for margin: lines whose errors differ by less are alike."""
-_STEADY = 0.003
-"""Cost of turning by a radian, as a share of the cost of all cuts: of lines alike, the one that turns least."""
+"""Weight of missing margin, as a share of the squared expected error: lines whose errors differ by less are alike."""
+_TURN_COST = 0.003
+"""Cost of turning by a radian, as a share of the cost of all cuts: of similar lines, the least turning one is best."""
 _TURNING_PRICE = 5e-5
-"""Expected error [m] that a cut must save to turn at `_PER_MM`; less in proportion. Assumed: nothing measures what a
-fast turn of the wrist costs on the part."""
+"""Expected error [m] that a cut must save to turn at `_TURN_PER_MM`, and less in proportion for a slower turn. Assumed:
+nothing measures what a fast turn of the wrist costs on the part."""
 _HAND_SHARE = 0.1
-"""Share of `_STEADY` that A4 or A6 costs for each radian of a joint interpolation, which cuts nothing (assumed)."""
-_EASY = 15.0 * RAD_PER_DEG
+"""Share of `_TURN_COST` that A4 or A6 costs for each radian of a joint interpolation, which cuts nothing (assumed)."""
+_EASY_MARGIN = 15.0 * RAD_PER_DEG
 """Margin of joints and wrist beyond which more margin is worth little [rad]."""
 
 
@@ -71,9 +71,9 @@ class Blocks(Struct, frozen=True, eq=False):
 
     :param first: (K,) first sample of each bin.
     :param block: (K,) block of each bin.
-    :param share: (K,) share of the block's path at the end of the bin, in (0, 1].
+    :param share: (K,) share of the path of its block at the end of the bin, in (0, 1].
     :param cut_length: (K,) length of the cutting path in the bin [m], see `toolpath.cut_lengths`; 0 on rapid moves.
-    :param begins: (B,) True for blocks that do not continue the one before: the first, and joint interpolations.
+    :param begins: (B,) True for blocks that do not continue the block before: the first one, and joint interpolations.
     :param cuts: (B,) True for blocks at feed.
     :param length: (B,) path length [m].
     :param time: (B,) duration at the programmed feed [s]; 0 for rapid blocks, whose turn no time limits.
@@ -94,22 +94,23 @@ class Blocks(Struct, frozen=True, eq=False):
     def of(cls, samples: PathSamples) -> Blocks:
         """Return the path divided into blocks, and these into bins.
 
-        A block is a piece of a run between PTP motions or changes of rapid; its samples are divided evenly into bins.
-        All sums over blocks and bins are differences of running sums over the path.
+        A run is the motions between two joint interpolations, or between changes from feed to rapid moves and back. A
+        block is a piece of a run; its samples are divided evenly into bins.
         """
         program, segments, motion = samples.program, samples.segments, samples.sample.motion
         m = program.motions
         jump = m.kind == PTP
         length = np.where(jump, 0.0, segments.length)
         starts_run = np.concatenate([[True], jump[1:] | jump[:-1] | (m.rapid[1:] != m.rapid[:-1])])
-        step = max(_BLOCK, float(length.sum()) / MOST_BLOCKS)
+        step = max(_LEAST_BLOCK_LENGTH, float(length.sum()) / MOST_BLOCKS)
         block = _block_of_motion(length, starts_run, step)
         of_sample = block[motion]
         distance = samples.sample.distance
+        # `distance` counts from the start of each motion
         begins_motion = np.diff(motion, prepend=-1) != 0
         travel = np.where(jump[motion], 0.0, np.where(begins_motion, distance, np.diff(distance, prepend=0.0)))
         first, share = _bins(of_sample, travel)
-        ends = np.append(np.flatnonzero(np.diff(block)), len(block) - 1)
+        ends = np.append(np.flatnonzero(np.diff(block)), len(block) - 1)  # last motion of each block
         # each sample stands for the path that leads to it: samples are dense, and their forces those of their motions
         goes_on = np.zeros(len(motion), dtype=bool)
         cut_length = cut_lengths(m, length, motion, samples.sample.t, goes_on)
@@ -129,13 +130,18 @@ class Blocks(Struct, frozen=True, eq=False):
 
     @property
     def last(self) -> Ints:
-        """(K,) last sample of each bin but the last."""
+        """(K − 1,) last sample of each bin except the last bin."""
         return self.first[1:] - 1
 
     def turn_of_motions(self, samples: PathSamples, knots: Array) -> Array:
-        """Return the turn (M,) [rad] at the end of each motion for turns (B,) at the ends of blocks."""
+        """Return the turn (M,) [rad] at the end of each motion.
+
+        Within a block, the turn changes in proportion to the path.
+
+        :param knots: (B,) turns at the ends of blocks [rad].
+        """
         segments, m = samples.segments, samples.program.motions
-        block = np.searchsorted(self.motion, np.arange(len(m)))
+        block = np.searchsorted(self.motion, np.arange(len(m)))  # `motion` are the last motions of blocks, ascending
         length = np.where(m.kind == PTP, 0.0, segments.length)
         total = self.length[block]
         path_length = np.cumsum(length)
@@ -148,37 +154,39 @@ class Blocks(Struct, frozen=True, eq=False):
 
 
 def _bins(block: Ints, travel: Array) -> tuple[Ints, Array]:
-    """Return the first sample of each bin (K,), and the share of its block's path at the end of the bin (K,).
+    """Return the first sample of each bin (K,), and the share of the path of its block at the end of the bin (K,).
 
     The samples of a block are divided evenly into bins.
 
     :param block: (N,) block of each sample, ascending.
     :param travel: (N,) length of the path from the sample before [m].
     """
-    count = np.bincount(block)
+    count = np.bincount(block)  # samples of each block
     bin_count = np.minimum(count, min(BINS_OF_BLOCK, max(1, MOST_BINS // len(count))))
     start = np.concatenate([[0], np.cumsum(count)[:-1]])
     bin_in_block = (np.arange(len(block)) - start[block]) * bin_count[block] // count[block]
     first = np.flatnonzero((np.diff(bin_in_block, prepend=-1) != 0) | (np.diff(block, prepend=-1) != 0))
-    last = np.append(first[1:], len(block)) - 1
+    last = np.append(first[1:], len(block)) - 1  # last sample of each bin
     length = np.bincount(block, travel)
     preceding_length = np.cumsum(length) - length
-    whole = length[block[last]]
+    block_length = length[block[last]]
     length_at_end = np.cumsum(travel)[last] - preceding_length[block[last]]
-    share = np.where(whole > 0.0, length_at_end / np.where(whole > 0.0, whole, 1.0), 1.0)
+    # a block without length has its whole path at the end of any bin
+    share = np.where(block_length > 0.0, length_at_end / np.where(block_length > 0.0, block_length, 1.0), 1.0)
     return first, np.clip(share, 0.0, 1.0)
 
 
 def _block_of_motion(length: Array, starts_run: Array, step: float) -> Ints:
     """Return the block (M,) of each motion: runs are divided where another `step` of their length begins.
 
-    :param length: (M,) of the motions [m].
-    :param starts_run: (M,) True where a run begins.
+    :param length: (M,) lengths of the motions [m].
+    :param starts_run: (M,) True for motions that begin a run.
+    :param step: least length of a block [m].
     """
     run = np.cumsum(starts_run) - 1
     path_length = np.cumsum(length)
     begin = (path_length - length)[np.flatnonzero(starts_run)]
-    # a motion that begins at a multiple of the step but for rounding begins a block
+    # 1e-9: a motion that begins at a multiple of the step begins a block, also if rounding puts it just before
     number = np.floor((path_length - length - begin[run]) / step + 1e-9).astype(np.int64)
     change = starts_run | (np.diff(number, prepend=-1) != 0)
     return np.asarray(np.cumsum(change) - 1)
@@ -187,18 +195,19 @@ def _block_of_motion(length: Array, starts_run: Array, step: float) -> Ints:
 class TurnMap(Struct, frozen=True, eq=False):
     """The map: K bins of the path × J turns.
 
-    :param blocks: the bins.
-    :param base: (N,) turn of each sample [rad] to which `offset` adds.
-    :param offset: (J,) [rad], ascending in equal steps.
-    :param margin: worst margins in each bin (K, J).
+    :param blocks: the division of the path into bins.
+    :param base: (N,) turn of each sample [rad], to which `offset` is added.
+    :param offset: (J,) turns relative to `base` [rad], ascending in equal steps.
+    :param margin: smallest margins in each cell (K, J).
     :param speed: (K, J) largest joint speed at the programmed feed with this turn, as a share of its limit.
     :param jump: (K, J) largest turn of a joint between samples [rad].
     :param rate: (K, J) largest joint speed per turn speed, as a share of its limit [s/rad].
-    :param hit: (K, J) whether bodies come too close, or None: not checked.
+    :param hit: (K, J) True where bodies come too close; None: not checked.
     :param q: (K, J, 6) joint angles at the end of each bin [rad].
-    :param winding: (K, J, 2, 3) A4 and A6 along the bin: how far they turn in all, least and most [rad].
-    :param u95: (K, J) expected error in the middle of the bin [m]; NaN where there is none.
-    :param deflection: (K, J) deflection there [m].
+    :param winding: (K, J, 2, 3) turns of A4 and A6 from the start of the bin [rad]: at its end, the least and the
+        largest.
+    :param u95: (K, J) expected error (95 %) in the middle of the bin [m]; NaN if the model states none.
+    :param deflection: (K, J) deflection in the middle of the bin [m].
     """
 
     blocks: Blocks
@@ -221,7 +230,7 @@ class TurnMap(Struct, frozen=True, eq=False):
 
     @property
     def base_at_ends(self) -> Array:
-        """(K,) turn at the end of each bin to which `offset` adds [rad]."""
+        """(K,) turn at the end of each bin, to which `offset` is added [rad]."""
         return np.asarray(self.base[np.append(self.blocks.first[1:], len(self.base)) - 1])
 
     def reasons(self, keep: LeastMargins) -> Ints:
@@ -230,7 +239,7 @@ class TurnMap(Struct, frozen=True, eq=False):
 
     @property
     def error(self) -> Array:
-        """(K, J) expected error, or the deflection where the model has none [m]; zero on rapid moves."""
+        """(K, J) expected error (95 %), or the deflection if the model states none [m]; zero on rapid moves."""
         return np.where(np.isnan(self.u95), self.deflection, self.u95)
 
 
@@ -242,39 +251,42 @@ def evaluate(
     offset: Array,
     bodies: Bodies | None = None,
 ) -> TurnMap:
-    """Evaluate every sample at every turn.
+    """Return the map of every sample at every turn.
 
-    :param branch: of the inverse kinematics.
-    :param base: (N,) turn of each sample [rad]; `offset` (J,) added to it.
-    :param bodies: None = collisions are not checked.
+    :param branch: branch of the inverse kinematics.
+    :param base: (N,) turn of each sample [rad], and `offset` (J,) turns that are added to it [rad].
+    :param bodies: bodies of the cell; None: collisions are not checked.
     """
     robot = samples.robot_in_cell.robot
     turn_map = _empty_map(blocks, base, offset, has_bodies=bodies is not None)
     bounds = np.append(blocks.first, len(samples))
     middle = (bounds[:-1] + bounds[1:] - 1) // 2
-    middles = np.empty(turn_map.q.shape)
+    middle_q = np.empty(turn_map.q.shape)  # joint angles at the samples in the middle of bins
     for chunk in _chunks(samples, blocks):
         for j in range(len(offset)):
             q, step = _solve(samples, chunk, base, offset[j : j + 1], branch)
             _fill(turn_map, j, samples, chunk, q, step)
             q = q[:, chunk.lead :]
-            middles[chunk.bins, j] = q[:, middle[chunk.bins] - chunk.begin].T
+            middle_q[chunk.bins, j] = q[:, middle[chunk.bins] - chunk.begin].T
             if turn_map.hit is not None and bodies is not None:
                 turn_map.hit[chunk.bins, j] = np.logical_or.reduceat(_hits(bodies, chunk, q), chunk.starts)
     rate = turn_map.rate
     if len(offset) > 1:
-        step = offset[1] - offset[0]
+        offset_step = offset[1] - offset[0]
         gap = wrap_angles(np.roll(turn_map.q, -1, axis=1) - turn_map.q)
-        if (len(offset) + 0.5) * step < FULL_TURN:
-            gap[:, -1] = np.nan  # no turn follows the last one of a part of the circle
-        rate = np.abs(gap / robot.speed).max(axis=2) / step
-        rate = np.fmax(rate, np.roll(rate, 1, axis=1))
-    u95, deflection = _errors(samples, middle, base[middle][:, None] + offset, middles)
+        if (len(offset) + 0.5) * offset_step < FULL_TURN:
+            gap[:, -1] = np.nan  # the turns are a part of the circle: no turn follows the last one
+        rate = np.abs(gap / robot.speed).max(axis=2) / offset_step
+        rate = np.fmax(rate, np.roll(rate, 1, axis=1))  # the larger one to both neighbours
+    u95, deflection = _errors(samples, middle, base[middle][:, None] + offset, middle_q)
     return replace(turn_map, rate=rate, u95=u95, deflection=deflection)
 
 
 def _empty_map(blocks: Blocks, base: Array, offset: Array, *, has_bodies: bool) -> TurnMap:
-    """Return a map whose cells are to be filled; without bodies nothing is hit."""
+    """Return a map whose cells are still to be filled.
+
+    :param has_bodies: True: no cell is hit yet; False: hits are not checked.
+    """
     shape = (len(blocks.first), len(offset))
     return TurnMap(
         blocks,
@@ -293,16 +305,17 @@ def _empty_map(blocks: Blocks, base: Array, offset: Array, *, has_bodies: bool) 
 
 
 class _Chunk(NamedTuple):
-    """Samples that are solved together: n of whole bins, and with `lead` the one before them.
+    """Samples that are solved together: the n samples of k whole bins, and the sample before them if there is one.
 
-    :param bins: of the map.
-    :param begin: first sample of the bins; lead: 1 if the sample before it is in the rows, or 0.
+    :param bins: bins of the map.
+    :param begin: first sample of the bins.
+    :param lead: 1 if `rows` begin with the sample before; 0 at the start of the path.
     :param rows: (lead + n,) samples.
-    :param starts: (k,) first sample of each bin, ends: (k,) last sample, from `begin` on.
-    :param is_free: (n,) True on joint interpolations: no step between samples counts.
-    :param pose_rows: samples at which collisions are looked for, from `begin` on.
+    :param starts: (k,) first sample of each bin, and `ends` (k,) last sample, counted from `begin`.
+    :param is_free: (n,) True on joint interpolations: steps from the sample before do not count.
+    :param pose_rows: samples at which bodies are compared, counted from `begin`.
     :param pose: (3, 4, lead + n) tool frames in the root, without turn.
-    :param tool: (3, 4, 1 or lead + n) flange in the tool frame.
+    :param tool: (3, 4, 1 or lead + n) flange in the tool frame; 1: one tool for all samples.
     :param joints: (lead + n, 6) programmed joint angles [rad]; NaN where poses are programmed.
     """
 
@@ -325,7 +338,7 @@ class _Chunk(NamedTuple):
 
 
 def _chunks(samples: PathSamples, blocks: Blocks) -> Iterator[_Chunk]:
-    """Yield the samples of the path in chunks of whole bins, `SAMPLES_AT_ONCE` samples or one bin."""
+    """Yield the samples of the path in chunks of whole bins, of at most `SAMPLES_AT_ONCE` samples or of one bin."""
     motions, count = samples.program.motions, len(blocks.first)
     pose_rows = np.arange(0, len(samples), max(1, len(samples) // MOST_POSES))
     pose_rows = distinct(np.concatenate([pose_rows, blocks.last, [len(samples) - 1]]))
@@ -334,6 +347,7 @@ def _chunks(samples: PathSamples, blocks: Blocks) -> Iterator[_Chunk]:
     tools = components(inverse(samples.program.tools))
     from_bin = 0
     while from_bin < count:
+        # `bounds` are the first samples of bins, and the end of the path
         to_bin = int(np.searchsorted(bounds, bounds[from_bin] + SAMPLES_AT_ONCE, side="right")) - 1
         to_bin = min(max(to_bin, from_bin + 1), count)
         begin, end = int(bounds[from_bin]), int(bounds[to_bin])
@@ -357,10 +371,12 @@ def _chunks(samples: PathSamples, blocks: Blocks) -> Iterator[_Chunk]:
 
 
 def _solve(samples: PathSamples, chunk: _Chunk, base: Array, offset: Array, branch: int) -> tuple[Array, Array]:
-    """Return joint angles (6, lead + n) of a chunk at a turn, and their steps (6, n) from sample to sample [rad].
+    """Return joint angles (6, lead + n) of a chunk at a turn, and their steps (6, n) from the sample before [rad].
 
-    :param base: (N,) turn of each sample [rad]; `offset` (1,) added to it.
-    :param branch: of the inverse kinematics.
+    The first sample of the path has the step 0.
+
+    :param base: (N,) turn of each sample [rad], and `offset` (1,) that is added to it [rad].
+    :param branch: branch of the inverse kinematics.
     """
     has_base = base[chunk.rows].any()
     turn = samples.rotation(base[chunk.rows] + offset[0]) if has_base else samples.rotation(offset)
@@ -375,14 +391,14 @@ def _solve(samples: PathSamples, chunk: _Chunk, base: Array, offset: Array, bran
 
 
 def _fill(turn_map: TurnMap, j: int, samples: PathSamples, chunk: _Chunk, q: Array, step: Array) -> None:
-    """Enter what joints do on the bins of a chunk with turn j into the map.
+    """Enter margins, speeds, jumps and windings of the joints on the bins of a chunk into column j of the map.
 
-    :param q: (6, lead + n) joint angles [rad]; step: (6, n) from sample to sample [rad].
+    :param q: (6, lead + n) joint angles with this turn [rad], and `step` (6, n) from the sample before [rad].
     """
     robot, bins, starts = samples.robot_in_cell.robot, chunk.bins, chunk.starts
     q = q[:, chunk.lead :]
-    # A4 and A6 may wind; half a turn of another joint between samples is a jump to another solution
-    flips = (np.abs(np.delete(step, WINDING, axis=0)) > np.pi).any(axis=0) & ~chunk.is_free
+    # A4 and A6 may wind; half a turn of another joint between samples is a jump to another solution, and refused
+    flips = (np.abs(np.delete(step, WINDING_JOINTS, axis=0)) > np.pi).any(axis=0) & ~chunk.is_free
     step = np.nan_to_num(wrap_angles(step))
     step[:, chunk.is_free] = 0.0
     margin = drive.margins(robot, q)
@@ -395,11 +411,11 @@ def _fill(turn_map: TurnMap, j: int, samples: PathSamples, chunk: _Chunk, q: Arr
     turn_map.speed[bins, j] = np.maximum.reduceat(drive.timed_speed(robot, step, time), starts)
     turn_map.jump[bins, j] = np.maximum.reduceat(np.abs(step).max(axis=0), starts)
     turn_map.q[bins, j] = q[:, chunk.ends].T
-    turn_map.winding[bins, j] = _wound(step[list(WINDING)], starts)
+    turn_map.winding[bins, j] = _windings(step[list(WINDING_JOINTS)], starts)
 
 
 def _hits(bodies: Bodies, chunk: _Chunk, q: Array) -> Bools:
-    """Return at which samples (n,) of a chunk bodies come too close, for joint angles (6, n) [rad]."""
+    """Return True for samples (n,) of a chunk at which bodies come too close, for joint angles (6, n) [rad]."""
     rows = chunk.pose_rows
     is_hit = np.zeros(q.shape[1], dtype=bool)
     samples = chunk.rows[chunk.lead :][rows]
@@ -417,10 +433,11 @@ def _tool_frames(samples: PathSamples, rows: Ints) -> Array:
     return components(flange @ tool)
 
 
-def _wound(step: Array, starts: Ints) -> Array:
-    """Return the turns (k, 2, 3) of joints along bins: in all, least and most, from steps (2, n) between samples.
+def _windings(step: Array, starts: Ints) -> Array:
+    """Return the turns (k, 2, 3) of two joints from the start of each bin: at its end, the least and the largest.
 
-    :param starts: (k,) first sample of each bin; turns count from there: the running sum before it is subtracted.
+    :param step: (2, n) steps from the sample before.
+    :param starts: (k,) first sample of each bin; the running sum before it is subtracted.
     """
     total = np.cumsum(step, axis=1)
     bin_start = np.concatenate([np.zeros((2, 1)), total[:, starts[1:] - 1]], axis=1)
@@ -432,10 +449,10 @@ def _wound(step: Array, starts: Ints) -> Array:
 
 
 def _errors(samples: PathSamples, middle: Ints, turn: Array, q: Array) -> tuple[Array, Array]:
-    """Return expected error and deflection (K, J) [m] at one sample of each bin; zero on rapid moves.
+    """Return the expected error (95 %) (K, J) and the deflection (K, J) [m] at a sample of each bin; 0 on rapid moves.
 
     :param middle: (K,) the samples.
-    :param turn: (K, J) turns of the tool there [rad], and `q` (K, J, 6) joint angles [rad].
+    :param turn: (K, J) turns of the tool at these samples [rad], and `q` (K, J, 6) joint angles [rad].
     """
     cuts = np.flatnonzero(samples.cuts[middle])
     u95, deflection = np.zeros(turn.shape), np.zeros(turn.shape)
@@ -448,7 +465,7 @@ def _errors(samples: PathSamples, middle: Ints, turn: Array, q: Array) -> tuple[
     return u95, deflection
 
 
-def whole_circle(step: float) -> Array:
+def turns_of_circle(step: float) -> Array:
     """Return turns (J,) from −180° to below 180° in steps of `step` [rad]."""
     number = round(2.0 * np.pi / step)
     return np.asarray((np.arange(number) - number // 2) * (2.0 * np.pi / number))
@@ -464,7 +481,8 @@ class Line(Struct, frozen=True, eq=False):
     """A line through the map.
 
     :param knots: (B,) turn at the end of each block [rad], continuous along the path.
-    :param cost: mean of the squared expected error over the cuts, as a share of that of the map, with what margins add.
+    :param cost: mean of the squared expected error over the cuts, as a share of that with the least error of each bin,
+        and the costs of turning and of missing margin.
     """
 
     knots: Array
@@ -472,7 +490,7 @@ class Line(Struct, frozen=True, eq=False):
 
 
 class BlockedMap(Struct, frozen=True):
-    """There is no line: every turn is refused up to the block `block`, which no line passes."""
+    """No line passes through the map; `block` is the first block that no line passes."""
 
     block: int
 
@@ -486,28 +504,28 @@ def line_through(
     turn_at_feed: bool,
     is_circle: bool,
 ) -> Line | BlockedMap:
-    """Find the line through the map with the smallest expected error, under the limits of the joints.
+    """Return the line through the map with the least cost, under the limits of the joints.
 
     :param keep: margins to keep.
-    :param start: (6,) joint angles before the program [rad]: A4 and A6 are counted from there.
+    :param start: (6,) joint angles before the program [rad], from which the whole turns of A4 and A6 count.
     :param turn_at_feed: whether the turn may change on cuts; else on rapid moves only.
     :param is_circle: whether the map is a whole circle of turns.
     :returns: the line, or the first block that no line passes.
     """
-    is_forbidden = drive.any_bad(turn_map.reasons(keep))
+    is_forbidden = drive.is_refused(turn_map.reasons(keep))
     lowest, highest = _limits(robot, keep)
     search = _LineSearch(
         turn_map=turn_map,
         is_forbidden=is_forbidden,
         costs=_costs(turn_map, is_forbidden),
-        start=np.asarray(start)[list(WINDING)],
+        start=np.asarray(start)[list(WINDING_JOINTS)],
         lowest=lowest,
         highest=highest,
         turn_at_feed=turn_at_feed,
         is_circle=is_circle,
     )
     blocks = turn_map.blocks
-    bounds = np.searchsorted(blocks.block, np.arange(len(blocks.length) + 1)).tolist()
+    bounds = np.searchsorted(blocks.block, np.arange(len(blocks.length) + 1)).tolist()  # first bin of each block
     cost, origins = np.full((3, 3, len(turn_map.offset)), np.inf), list[_Origins]()
     for b, bins in enumerate(itertools.starmap(slice, itertools.pairwise(bounds))):
         cost, origin = search.begin(bins, cost) if blocks.begins[b] else search.advance(b, bins, cost)
@@ -520,9 +538,9 @@ def line_through(
 class _Costs(NamedTuple):
     """Costs of bins (K,) and cells (K, J).
 
-    :param cell: (K, J) squared error as a share of that of the least errors, and a little for missing margin.
-    :param error: (K, J) expected error [m].
-    :param share: (K,) cost of a squared error [1/m²].
+    :param cell: (K, J) cost of a cell: its squared error, as a share of the sum of the least ones, and missing margin.
+    :param error: (K, J) expected error [m]; 0 for refused cells.
+    :param share: (K,) cost of a squared error of 1 m² in a bin.
     """
 
     cell: Array
@@ -530,42 +548,50 @@ class _Costs(NamedTuple):
     share: Array
 
     def turning(self, k: int, columns: Ints, price: Array) -> Array:
-        """Return what it costs (J, D) that errors in a bin at columns (J, D) grow by a price (D,) [m]."""
+        """Return the cost (J, D) of an increase of the errors in a bin: of (e + p)² instead of e².
+
+        :param k: the bin.
+        :param columns: (J, D) columns of the map that are crossed.
+        :param price: (D,) increase p of the error [m].
+        """
         return np.asarray(self.share[k] * (2.0 * self.error[k][columns] + price) * price)
 
 
 def _costs(turn_map: TurnMap, bad: Bools) -> _Costs:
-    """Return the costs of a map; without forces errors cost nothing.
+    """Return the costs of a map; without forces, errors cost nothing.
 
-    :param bad: (K, J) True for cells that are refused: their errors do not count.
+    :param bad: (K, J) True for refused cells: their errors do not count.
     """
     blocks = turn_map.blocks
-    bins = np.diff(np.append(blocks.first, len(turn_map.base)))
+    sample_count = np.diff(np.append(blocks.first, len(turn_map.base)))  # of each bin
     error = np.where(bad | np.isnan(turn_map.error), np.inf, turn_map.error)
     total = float(blocks.cut_length @ np.nan_to_num(error.min(axis=1), posinf=0.0) ** 2)
-    share = blocks.cut_length / total if total > 0.0 else np.zeros(len(bins))
+    share = blocks.cut_length / total if total > 0.0 else np.zeros(len(sample_count))
     error[~np.isfinite(error)] = 0.0
     margin = np.minimum(turn_map.margin.joint, turn_map.margin.wrist)
     with np.errstate(over="ignore"):
-        margin_price = np.exp(-np.nan_to_num(margin, posinf=1e3) / _EASY)  # 0 on axis targets, whose margin is infinite
-    sample_share = (bins / bins.sum())[:, None]
+        margin_price = np.exp(
+            -np.nan_to_num(margin, posinf=1e3) / _EASY_MARGIN
+        )  # 0 on axis targets, whose margin is infinite
+    sample_share = (sample_count / sample_count.sum())[:, None]
     return _Costs(share[:, None] * error**2 + _MARGIN_WEIGHT * margin_price * sample_share, error, share)
 
 
 def _limits(robot: RobotModel, keep: LeastMargins) -> tuple[Array, Array]:
-    """Return the least and largest angle (2,) of A4 and A6 [rad] with the margin to keep."""
-    joints = list(WINDING)
+    """Return the least angles (2,) and the largest angles (2,) of A4 and A6 [rad] with the margin to keep."""
+    joints = list(WINDING_JOINTS)
     return robot.lower[joints] + keep.joint, robot.upper[joints] - keep.joint
 
 
 class _Origins(NamedTuple):
-    """The states from which those at the end of a block, (3, 3, J), are reached at least cost.
+    """For each state (3, 3, J) at the end of a block, the state at its start from which it is reached at least cost.
 
     A state is the number of whole turns of A4 and of A6 (−1, 0 or 1, as index 0, 1 or 2) and a column of the map.
 
     :param turns4: (3, 3, J) index of the whole turns of A4 at the start of the block; `turns6` (3, 3, J): of A6.
     :param column: (3, 3, J) column of the map at the start of the block.
-    :param step: (3, 3, J) change of the turn on the block, in steps of the map; None: the block begins with its turn.
+    :param step: (3, 3, J) change of the turn on the block, in steps of the map; None: the block does not continue the
+        block before, and has one turn.
     """
 
     turns4: Ints
@@ -577,9 +603,9 @@ class _Origins(NamedTuple):
 class _State(NamedTuple):
     """A state at the start of a block.
 
-    :param place: index of the whole turns of A4 and A6, and column of the map, as in `_Origins`.
-    :param angle: (2,) of A4 and A6 [rad].
-    :param cost: of the cheapest line to it.
+    :param place: index of the whole turns of A4, of A6, and column of the map, as in `_Origins`.
+    :param angle: (2,) angles of A4 and A6 [rad].
+    :param cost: cost of the cheapest line to this state.
     """
 
     place: tuple[int, int, int]
@@ -590,8 +616,8 @@ class _State(NamedTuple):
 class _Changes(NamedTuple):
     """Changes of the turn on a block.
 
-    :param step: (D,) in steps of the map; 0 is one of them.
-    :param size: (D,) their sizes with the change along a column of the map [rad].
+    :param step: (D,) changes in steps of the map; 0 is one of them.
+    :param size: (D,) absolute changes of the turn [rad]: these, and the change of `base` along a column of the map.
     """
 
     step: Ints
@@ -599,13 +625,13 @@ class _Changes(NamedTuple):
 
 
 class _Crossing(NamedTuple):
-    """Ways over a block: J columns of the map at its end × D changes of the turn.
+    """Crossings of a block: J columns of the map at its end × D changes of the turn.
 
     :param source: (J, D) column at the start of the block.
-    :param price: (J, D) cost; infinite where the way is blocked.
-    :param extra_turns: (J, D, 2) whole turns of A4 and A6 by which the way differs from the angles of the map.
-    :param low_angle: (J, D, 2) least angle of A4 and A6 on the way, counted from that of the map at its start [rad].
-    :param high_angle: (J, D, 2) largest one.
+    :param price: (J, D) cost; infinite where the crossing is blocked.
+    :param extra_turns: (J, D, 2) whole turns of A4 and A6 at the end, relative to the angles of the map there.
+    :param low_angle: (J, D, 2) least angles of A4 and A6 on the crossing, if it starts at the angles of the map [rad].
+    :param high_angle: (J, D, 2) largest angles.
     """
 
     source: Ints
@@ -616,9 +642,9 @@ class _Crossing(NamedTuple):
 
 
 class _HandAngles(NamedTuple):
-    """Angles of A4 and A6 on ways over a block (J, D, 2) [rad], counted from those of the map at its start.
+    """Angles of A4 and A6 on crossings of a block (J, D, 2) [rad] that start at the angles of the map.
 
-    :param low: the least ones; `high` the largest; `end` those at the end.
+    :param low: the least angles, `high` the largest ones, and `end` the angles at the end.
     """
 
     low: Array
@@ -631,7 +657,7 @@ class _LineSearch(Struct, frozen=True, eq=False):
 
     :param turn_map: the map.
     :param is_forbidden: (K, J) True for cells that are refused.
-    :param costs: of the cells.
+    :param costs: costs of the cells.
     :param start: (2,) angles of A4 and A6 before the program [rad].
     :param lowest: (2,) least permitted angles of A4 and A6 [rad]; `highest` (2,) the largest.
     :param turn_at_feed: whether the turn may change on cuts.
@@ -648,14 +674,14 @@ class _LineSearch(Struct, frozen=True, eq=False):
     is_circle: bool
 
     def begin(self, bins: slice, cost: Array) -> tuple[Array, _Origins]:
-        """Return costs (3, 3, J) and origins of states at the end of a block that begins anew, with any turn.
+        """Return costs (3, 3, J) and origins of states at the end of a block that does not continue the block before.
 
-        The joint interpolation to it takes A4 and A6 the short way from where they are.
+        It may have any turn. The joint interpolation to it turns A4 and A6 by at most half a turn from where they are.
 
-        :param bins: of the block.
-        :param cost: (3, 3, J) of the states before the block; those before the first block of the path do not count.
+        :param bins: bins of the block.
+        :param cost: (3, 3, J) costs of the states before the block; not used for the first block of the path.
         """
-        end_angle = self.turn_map.q[bins.stop - 1][:, WINDING]
+        end_angle = self.turn_map.q[bins.stop - 1][:, WINDING_JOINTS]
         is_free = ~self.is_forbidden[bins].any(axis=0)
         cell_cost = self.costs.cell[bins].sum(axis=0)
         next_cost = np.full(cost.shape, np.inf)
@@ -664,25 +690,25 @@ class _LineSearch(Struct, frozen=True, eq=False):
             turns = np.rint((state.angle - end_angle) / FULL_TURN)
             angle = end_angle + FULL_TURN * turns
             fits = is_free & self._is_permitted(angle, angle) & (np.abs(turns) <= 1).all(axis=1)
-            value = state.cost + cell_cost + _STEADY * _HAND_SHARE * np.abs(angle - state.angle).max(axis=1)
+            value = state.cost + cell_cost + _TURN_COST * _HAND_SHARE * np.abs(angle - state.angle).max(axis=1)
             rows = np.flatnonzero(fits)
             index4, index6 = turns[rows].T.astype(np.int64) + 1
             is_cheaper = value[rows] < next_cost[index4, index6, rows]
-            at = index4[is_cheaper], index6[is_cheaper], rows[is_cheaper]
-            next_cost[at] = value[rows[is_cheaper]]
-            turns4[at], turns6[at], column[at] = state.place
+            cheaper_states = index4[is_cheaper], index6[is_cheaper], rows[is_cheaper]
+            next_cost[cheaper_states] = value[rows[is_cheaper]]
+            turns4[cheaper_states], turns6[cheaper_states], column[cheaper_states] = state.place
         return next_cost, _Origins(turns4, turns6, column, None)
 
     def _states(self, bins: slice, cost: Array) -> Iterator[_State]:
-        """Yield the states from which a block may begin: of every turn before, the one that costs least.
+        """Yield the states from which a block may begin: for every column of the map before it, the cheapest state.
 
-        :param bins: of the block.
-        :param cost: (3, 3, J) of the states before it.
+        :param bins: bins of the block; before the first block of the path there is the start only.
+        :param cost: (3, 3, J) costs of the states before it.
         """
         if bins.start == 0:
             yield _State((0, 0, 0), self.start, 0.0)
             return
-        angle = self.turn_map.q[bins.start - 1][:, WINDING]
+        angle = self.turn_map.q[bins.start - 1][:, WINDING_JOINTS]
         for j in range(cost.shape[2]):
             index4, index6 = np.unravel_index(int(cost[:, :, j].argmin()), (3, 3))
             least = float(cost[index4, index6, j])
@@ -691,14 +717,14 @@ class _LineSearch(Struct, frozen=True, eq=False):
                 yield _State((int(index4), int(index6), j), angle[j] + FULL_TURN * turns, least)
 
     def _is_permitted(self, low_angle: Array, high_angle: Array) -> Bools:
-        """Return where (...,) least and largest angles (..., 2) of A4 and A6 [rad] are within the limits."""
+        """Return True (...,) where least and largest angles (..., 2) of A4 and A6 [rad] are within the limits."""
         return np.asarray(((low_angle >= self.lowest) & (high_angle <= self.highest)).all(axis=-1))
 
     def advance(self, b: int, bins: slice, cost: Array) -> tuple[Array, _Origins]:
-        """Return costs (3, 3, J) and origins of states at the end of a block that continues the one before.
+        """Return costs (3, 3, J) and origins of states at the end of a block that continues the block before.
 
-        :param b: the block; `bins` its bins.
-        :param cost: (3, 3, J) of the states at its start.
+        :param b: the block, and `bins` its bins.
+        :param cost: (3, 3, J) costs of the states at its start.
         """
         changes = self._changes(b, bins)
         crossing = self.crossing(b, bins, changes)
@@ -706,6 +732,7 @@ class _LineSearch(Struct, frozen=True, eq=False):
         turns4, turns6, column, step = (np.empty(cost.shape, dtype=np.int64) for _ in range(4))
         columns = np.arange(cost.shape[2])
         for n4, n6 in itertools.product(range(3), repeat=2):
+            # whole turns at the start that lead to n4 and n6 at the end
             start4, start6 = n4 - crossing.extra_turns[..., 0], n6 - crossing.extra_turns[..., 1]
             index4, index6 = np.clip(start4, 0, 2), np.clip(start6, 0, 2)
             turns = FULL_TURN * (np.stack([index4, index6], axis=2) - 1)
@@ -718,75 +745,85 @@ class _LineSearch(Struct, frozen=True, eq=False):
         return next_cost, _Origins(turns4, turns6, column, step)
 
     def _changes(self, b: int, bins: slice) -> _Changes:
-        """Return the changes of the turn that are permitted on a block, and at least the one along a column."""
+        """Return the permitted changes of the turn on a block; one along a column of the map is always among them.
+
+        :param b: the block, and `bins` its bins.
+        """
         turn_map, blocks = self.turn_map, self.turn_map.blocks
         step, turn_count = turn_map.step, len(turn_map.offset)
         base = turn_map.base_at_ends
         base_change = float(base[bins.stop - 1] - base[bins.start - 1])
         millimetres = float(blocks.length[b]) * MM_PER_M
         if not blocks.cuts[b]:
-            limit = _RAPID_PER_MM * millimetres
+            limit = _RAPID_TURN_PER_MM * millimetres
         elif self.turn_at_feed:
-            limit = min(_PER_MM * millimetres, _PER_SECOND * float(blocks.time[b]))
+            limit = min(_TURN_PER_MM * millimetres, _TURN_PER_SECOND * float(blocks.time[b]))
         else:
             return _Changes(np.array([0]), np.abs(np.array([0]) * step + base_change))
-        limit = min(limit, _PER_BIN * (bins.stop - bins.start), _LARGEST)
-        first = min(int(np.ceil((-limit - base_change) / step - _EXACT)), 0)
-        last = max(int(np.floor((limit - base_change) / step + _EXACT)), 0)
+        limit = min(limit, _TURN_PER_BIN * (bins.stop - bins.start), _TURN_PER_BLOCK)
+        first = min(int(np.ceil((-limit - base_change) / step - _COLUMN_TOLERANCE)), 0)
+        last = max(int(np.floor((limit - base_change) / step + _COLUMN_TOLERANCE)), 0)
         steps = np.arange(max(first, 1 - turn_count), min(last, turn_count - 1) + 1)
         return _Changes(steps, np.abs(steps * step + base_change))
 
     def crossing(self, b: int, bins: slice, changes: _Changes) -> _Crossing:
-        """Return the ways over a block with some changes of the turn; see `advance`."""
+        """Return the crossings of a block with some changes of the turn; see `advance` for `b` and `bins`."""
         turn_map, blocks, steps = self.turn_map, self.turn_map.blocks, changes.step
         turn_count = len(turn_map.offset)
-        source = np.arange(turn_count)[:, None] - steps
+        source = np.arange(turn_count)[:, None] - steps  # of the columns at the end, as rows
         is_blocked = np.zeros(source.shape, dtype=bool) if self.is_circle else (source < 0) | (source >= turn_count)
         source = source % turn_count
         share = np.append(0.0, blocks.share[bins])  # of the change, at the start and at the end of each bin
-        columns = [_column(source + steps * end_share, turn_count) for end_share in share]
+        columns = [_nearest_columns(source + steps * end_share, turn_count) for end_share in share]
         length = max(float(blocks.length[b]) * MM_PER_M, 1.0)
-        turning_price = _TURNING_PRICE * changes.size / (_PER_MM * length)
+        turning_price = _TURNING_PRICE * changes.size / (_TURN_PER_MM * length)
         turning = _turning_speed(turn_map, b, steps)
         price = np.zeros(source.shape)
         for n, k in enumerate(range(bins.start, bins.stop)):
             is_blocked |= _is_bad_between(self.is_forbidden[k], source + steps * share[n : n + 2, None, None])
-            middle_columns = _column(source + steps * (0.5 * (share[n] + share[n + 1])), turn_count)
+            middle_columns = _nearest_columns(source + steps * (0.5 * (share[n] + share[n + 1])), turn_count)
             price += self.costs.cell[k][middle_columns] + self.costs.turning(k, middle_columns, turning_price)
             if blocks.cuts[b] and len(steps) > 1:
                 end_columns = columns[n + 1]
                 is_blocked |= ~(turn_map.speed[k][end_columns] + turn_map.rate[k][end_columns] * turning <= 1.0)
         angles = self._hand_angles(bins, columns)
         with np.errstate(invalid="ignore"):
-            extra_turns = np.rint((angles.end - turn_map.q[bins.stop - 1][:, None, WINDING]) / FULL_TURN)
+            extra_turns = np.rint((angles.end - turn_map.q[bins.stop - 1][:, None, WINDING_JOINTS]) / FULL_TURN)
         is_blocked |= np.isnan(extra_turns).any(axis=2)
-        price = price + _STEADY * changes.size * (1.0 + changes.size / (_PER_MM * length))
+        price = price + _TURN_COST * changes.size * (1.0 + changes.size / (_TURN_PER_MM * length))
         price = np.where(is_blocked, np.inf, price)
         return _Crossing(source, price, np.nan_to_num(extra_turns).astype(np.int64), angles.low, angles.high)
 
     def _hand_angles(self, bins: slice, columns: Sequence[Ints]) -> _HandAngles:
-        """Return the angles of A4 and A6 on ways over a block.
+        """Return the angles of A4 and A6 on crossings of a block.
 
-        :param columns: (J, D) columns at the start of the block and at the end of each bin.
+        :param bins: bins of the block.
+        :param columns: (J, D) columns at the start of the block, then at the end of each bin.
         """
         turn_map = self.turn_map
-        angle = turn_map.q[bins.start - 1][columns[0]][..., WINDING]
+        angle = turn_map.q[bins.start - 1][columns[0]][..., WINDING_JOINTS]
         low, high = angle.copy(), angle.copy()
         for k, (start_columns, end_columns) in zip(
             range(bins.start, bins.stop), itertools.pairwise(columns), strict=True
         ):
-            in_all, least, most = np.moveaxis(turn_map.winding[k][start_columns], -1, 0)
-            low, high = np.minimum(low, angle + least), np.maximum(high, angle + most)
-            angle = angle + in_all
-            # from the column at the start of the bin to that at its end
+            # along the column at the start of the bin
+            end_turn, least_turn, largest_turn = np.moveaxis(turn_map.winding[k][start_columns], -1, 0)
+            low, high = np.minimum(low, angle + least_turn), np.maximum(high, angle + largest_turn)
+            angle = angle + end_turn
+            # then, at the end of the bin, from that column to the column at the end
             end_q = turn_map.q[k]
-            angle = angle + wrap_angles(end_q[end_columns][..., WINDING] - end_q[start_columns][..., WINDING])
+            angle = angle + wrap_angles(
+                end_q[end_columns][..., WINDING_JOINTS] - end_q[start_columns][..., WINDING_JOINTS]
+            )
             low, high = np.minimum(low, angle), np.maximum(high, angle)
         return _HandAngles(low, high, angle)
 
 
 def _turning_speed(turn_map: TurnMap, b: int, steps: Ints) -> Array:
-    """Return how fast changes of the turn (D,) in steps of the map turn the tool on a block [rad/s]."""
+    """Return the speed (D,) [rad/s] with which changes of the turn, in steps of the map, turn the tool on a block.
+
+    It is 0 on rapid blocks, whose time is not known.
+    """
     time = float(turn_map.blocks.time[b])
     if not time > 0.0:
         return np.zeros(len(steps))
@@ -794,43 +831,46 @@ def _turning_speed(turn_map: TurnMap, b: int, steps: Ints) -> Array:
 
 
 def _is_bad_between(bad: Bools, places: Array) -> Bools:
-    """Return which ways (J, D) through a bin touch bad columns.
+    """Return True for crossings (J, D) of a bin that touch refused columns.
 
-    :param bad: (J,) columns of the bin that are refused.
-    :param places: (2, J, D) column at the start and at the end of the bin; beyond the map by less than a round.
+    :param bad: (J,) True for refused columns of the bin.
+    :param places: (2, J, D) column at the start and at the end of the bin, which may be beyond the map by less than its
+        size.
     """
-    # three rounds of the map: ways may lead beyond it by less than one; differences of the running sum are counts
+    # three copies of the map, as crossings may be beyond it to both sides; differences of the running sum are counts
     bad_count = np.concatenate([[0], np.cumsum(np.tile(bad, 3))])
     low_place, high_place = np.sort(places, axis=0)
-    first = np.floor(low_place + _EXACT).astype(np.int64)
-    last = np.ceil(high_place - _EXACT).astype(np.int64)
+    first = np.floor(low_place + _COLUMN_TOLERANCE).astype(np.int64)
+    last = np.ceil(high_place - _COLUMN_TOLERANCE).astype(np.int64)
     return np.asarray(bad_count[last + len(bad) + 1] > bad_count[first + len(bad)])
 
 
-def _column(place: Array, count: int) -> Ints:
-    """Return the columns next to places on a circle of `count`."""
+def _nearest_columns(place: Array, count: int) -> Ints:
+    """Return the columns nearest to places on a circle of `count` columns."""
     return np.asarray(np.rint(place).astype(np.int64) % count)
 
 
-_EXACT = 1e-9
-"""Places that are this near a column [columns] are on it but for rounding."""
+_COLUMN_TOLERANCE = 1e-9
+"""Places that are this near to a column [columns] are on it, but for rounding."""
 
 
 def _trace_line(turn_map: TurnMap, cost: Array, origins: Sequence[_Origins]) -> Line:
     """Return the line that ends in the state that costs least.
 
-    :param cost: (3, 3, J) of the states at the end of the path.
-    :param origins: of the states at the end of each block.
+    :param cost: (3, 3, J) costs of the states at the end of the path.
+    :param origins: origins of the states at the end of each block.
     """
+    # index of the whole turns of A4, of A6, and column of the map
     state = tuple(int(index) for index in np.unravel_index(int(np.argmin(cost)), cost.shape))
-    columns_and_steps: list[tuple[int, int | None]] = []  # from the last block to the first
+    columns_and_steps: list[tuple[int, int | None]] = []  # at the end of each block, from the last to the first
     for origin in reversed(origins):
-        columns_and_steps.append((state[2], None if origin.step is None else int(origin.step[state])))
+        _, _, column = state
+        columns_and_steps.append((column, None if origin.step is None else int(origin.step[state])))
         state = (int(origin.turns4[state]), int(origin.turns6[state]), int(origin.column[state]))
     last_bins = np.append(np.flatnonzero(np.diff(turn_map.blocks.block)), len(turn_map.blocks.block) - 1)
     offsets, offset = [], 0.0
     for column, step in reversed(columns_and_steps):
-        # steps are summed, not looked up: on a circle the turn goes on beyond the last column
+        # steps are summed, not looked up: on a circle the turn continues beyond the last column
         offset = float(turn_map.offset[column]) if step is None else offset + step * turn_map.step
         offsets.append(offset)
     return Line(np.array(offsets) + turn_map.base_at_ends[last_bins], float(cost.min()))

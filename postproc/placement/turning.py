@@ -22,50 +22,51 @@ from postproc.kinematics import UnreachableError
 from postproc.kinematics.components import components
 from postproc.placement import drive, turn_map
 from postproc.placement.bodies import Bodies
-from postproc.placement.drive import BARE, REASONS, LeastMargins
-from postproc.placement.samples import AXIS, PathSamples
+from postproc.placement.drive import BARE_MARGINS, REASONS, LeastMargins
+from postproc.placement.samples import SPINDLE_AXES, PathSamples
 from postproc.placement.turn_map import BlockedMap, Blocks, Line, TurnMap
 from postproc.poses import Poses
 from postproc.program import PTP, Bools, Ints, Program, distinct, read_only
 from postproc.under_load import RobotInCell
 
 Mode = Literal["best", "path"]
-_COARSE = 5.0 * RAD_PER_DEG
-"""Step of the turns in the first map, of the whole circle; `_FINE` covers a step to both sides (assumed)."""
-_SAME_TURN = 1e-6
-"""Turns [rad] and lengths [m] below this are none but for rounding."""
+_COARSE_STEP = 5.0 * RAD_PER_DEG
+"""Step of the turns in the first map, of the whole circle; `_FINE_OFFSETS` covers a step to both sides (assumed)."""
+_TURN_TOLERANCE = 1e-6
+"""Turns [rad] and lengths [m] below this are zero, but for rounding."""
 _TILT_PROBLEM = (
     'redundancy = "path": this move tilts the tool, and turning it about its axis on the way would make it lean. Set '
     '[gcode] redundancy = "best".'
 )
 NO_CLEARANCE = "Collisions do not count in this choice: the cell has no [collision]."
 _MARGIN_PRICE = 5e-5
-"""Expected error [m] that a turn along the path must save to have no margin instead of a large one, less by e for each
-`_MARGIN_SCALE` of margin. Assumed: errors of mastering and of the place of the part take from it."""
+"""Expected error [m] that a turn along the path must save to have no margin instead of a large one; it falls by the
+factor e for each `_MARGIN_SCALE` of margin. Assumed: errors of mastering and of the place of the part reduce the
+margin."""
 _MARGIN_SCALE = 10.0 * RAD_PER_DEG
-"""Assumed, as `_MARGIN_PRICE`: with three times this margin, more of it is worth a twentieth."""
-_LEVELS = tuple(np.array([30.0, 20.0, 12.0, 7.0, 4.0]) * RAD_PER_DEG)
-"""Margins of joints, wrist and elbow at which a turn along the path is looked for, in addition to the least ones."""
+"""Margin by which its price falls by the factor e [rad] (assumed): three times this margin costs a twentieth."""
+_MARGIN_LEVELS = tuple(np.array([30.0, 20.0, 12.0, 7.0, 4.0]) * RAD_PER_DEG)
+"""Margins of joints, wrist and elbow with which a turn along the path is tried, in addition to the least margins."""
 _ROUNDS = 8
-"""How often a line with collisions that the map did not show is replaced (assumed)."""
+"""Largest number of times that a line with collisions which the map did not show is replaced (assumed)."""
 _MAX_ROWS = 8
-"""Samples of a bin of the map at which the bodies of an error are looked for."""
-_FINE = np.arange(-6.0, 7.0) * RAD_PER_DEG
-"""Offsets in the second map: a step of the first one to both sides, and 1° more."""
+"""Largest number of samples of a bin at which bodies are compared for an error message."""
+_FINE_OFFSETS = np.arange(-6.0, 7.0) * RAD_PER_DEG
+"""Offsets of turns in the second map [rad]: a step of the first map to both sides, and 1° more."""
 _NO_OFFSET = np.zeros(1)
-"""A map of one turn."""
+"""Offset of a map of one turn."""
 _MAX_SAMPLES = 4000
-"""Samples of a program by which branches are judged."""
+"""Largest number of samples of a program by which branches are judged."""
 _BRANCHES = 8
-"""Shoulder, elbow and wrist have two each."""
+"""Number of branches: shoulder, elbow and wrist have two solutions each."""
 _LARGE_ANGLE = 100.0
 """Stands for a pose that is not solved [rad]: beyond any A4 and A6, so that solved branches come first."""
 _MAX_POSES = 120
-"""Samples at which branches are looked at for collisions."""
+"""Largest number of samples at which bodies are compared to judge branches."""
 _DECIMALS = 4
-"""Of the joint angles [deg]."""
-_NO_WAY = "the cell has no [start], and no branch of the arm reaches the first target of the program"
-_NO_STATUS = (
+"""Decimals of the joint angles of a chosen start [deg]."""
+_NO_BRANCH_TEXT = "the cell has no [start], and no branch of the arm reaches the first target of the program"
+_NO_STATUS_TEXT = (
     "the cell has no [start], and the first target of the program is out of reach with the status S that it states"
 )
 
@@ -73,12 +74,12 @@ _NO_STATUS = (
 class Turn(Struct, frozen=True, eq=False):
     """The turn of the tool along a program, and the map that it was chosen on.
 
-    :param mode: "best" (one for each operation) or "path" (changing along the path).
+    :param mode: "best": one turn for each operation; "path": the turn changes along the path.
     :param map: reasons to refuse and errors by path and turn; its turns are added to `constant`.
     :param keep: margins that the line keeps.
     :param constant: `redundancy_deg` of the cell [rad].
     :param knots: (B,) chosen turn at the end of each block, without `constant` [rad]; continuous along the path.
-    :param of_motion: (M,) the same at the end of each motion.
+    :param of_motion: (M,) chosen turn at the end of each motion, without `constant` [rad].
     """
 
     mode: Mode
@@ -97,12 +98,14 @@ class Turn(Struct, frozen=True, eq=False):
 def turn_program(program: Program, axis: str, turn: Array) -> Program:
     """Return a program with its tool turned about its axis.
 
+    Targets that state joint angles are not changed.
+
     :param axis: axis of the tool frame that points from the spindle to the tip.
-    :param turn: (M,) at the end of each motion [rad], about the direction from the tip to the spindle, continuous along
-        the path: between the ends it changes evenly with the place. Axis targets are not changed.
+    :param turn: (M,) turn at the end of each motion [rad], about the direction from the tip to the spindle, continuous
+        along the path: between the ends it changes evenly with the place.
     """
     m = program.motions
-    rotation = rotation_from_vector(-turn[:, None] * np.array(AXIS[axis]))
+    rotation = rotation_from_vector(-turn[:, None] * np.array(SPINDLE_AXES[axis]))
     rotation[np.isfinite(m.joints[:, 0])] = np.eye(3)
     target = Poses(m.target.position, m.target.rotation @ rotation)
     swivel = program.swivel
@@ -115,9 +118,9 @@ def turn_program(program: Program, axis: str, turn: Array) -> Program:
 class TurnedProgram(NamedTuple):
     """A program with its tool turned about its axis.
 
-    :param program: the program; as it was if no turn was chosen.
-    :param turn: the chosen turn; None: none was.
-    :param issues: on the choice; an error if no turn lets the robot drive.
+    :param program: the program; unchanged if no turn was chosen.
+    :param turn: the chosen turn; None: no turn was chosen.
+    :param issues: issues of the choice; an error if no turn can be driven.
     """
 
     program: Program
@@ -126,10 +129,12 @@ class TurnedProgram(NamedTuple):
 
 
 def in_chosen_turn(program: Program, robot_in_cell: RobotInCell, source: ForceSource | None) -> TurnedProgram:
-    """Return a program with its tool turned about its axis as `[gcode] redundancy` of the cell asks.
+    """Return a program with its tool turned about its axis as `[gcode] redundancy` of the cell states.
 
-    A robot program states its orientations, and with `redundancy = "constant"` the program has its turn as it is read:
-    both are returned as they are. So is a program that no turn lets the robot drive; the issue of level error says why.
+    A robot program states its orientations, and with `redundancy = "constant"` a program has its turn when it is read:
+    both are returned unchanged. A program that cannot be driven with any turn is returned unchanged, with an error.
+
+    :param source: forces in addition to those of the program; None: there are none.
 
     :raises ForceError: the forces do not match the motions.
     :raises CellError: a body of [collision] cannot be read.
@@ -145,43 +150,50 @@ def in_chosen_turn(program: Program, robot_in_cell: RobotInCell, source: ForceSo
 def choose_turn(
     program: Program, robot_in_cell: RobotInCell, source: ForceSource | None, mode: Mode
 ) -> tuple[Turn | None, tuple[Issue, ...]]:
-    """Choose the turn of the tool; with [collision] in the cell, one at which no bodies come too close.
+    """Return the chosen turn of the tool, and issues; with [collision] in the cell, no bodies come too close with it.
 
-    :param source: forces in addition to those of the program.
-    :returns: the turn, None if no turn can be driven; issues.
+    :param source: forces in addition to those of the program; None: there are none.
+    :returns: the turn, and a note on it; or None, and the error that says why no turn can be driven.
     :raises ForceError: the forces do not match the motions.
     :raises CellError: a body of [collision] cannot be read.
     """
     samples = PathSamples.of(program, robot_in_cell, source)
-    if mode == "path" and program.swivel is None and (tilts := _is_tilting(samples)).any():
+    if mode == "path" and program.swivel is None and (tilts := _tilting_motions(samples)).any():
         return None, (program.motions.issue("error", "redundancy", _TILT_PROBLEM, np.flatnonzero(tilts)),)
     blocks = Blocks.of(samples)
     branch = turn_map.branch_of_start(samples)
     table = robot_in_cell.cell.collision
     bodies = None if table is None else Bodies(samples, table.clearance_mm)
-    whole = turn_map.evaluate(samples, blocks, branch, np.zeros(len(samples)), turn_map.whole_circle(_COARSE), bodies)
+    whole = turn_map.evaluate(
+        samples, blocks, branch, np.zeros(len(samples)), turn_map.turns_of_circle(_COARSE_STEP), bodies
+    )
     block: BlockedMap | None = None
     wide_margins = LeastMargins() if mode == "best" else _margins_of_least_cost(samples, whole, branch)
-    for keep in (wide_margins, BARE):
+    for keep in (wide_margins, BARE_MARGINS):
         line, whole = _free_line(samples, whole, branch, keep, mode, bodies)
-        if isinstance(line, BlockedMap):  # of two blocked maps the one that leads farther says more
+        if isinstance(line, BlockedMap):  # of two blocked maps, the one whose lines lead farther is reported
             block = block if block is not None and block.block > line.block else line
             continue
-        if keep is not BARE and _today_is_as_good(samples, whole, branch, keep, line, bodies):
+        if keep is not BARE_MARGINS and _today_is_as_good(samples, whole, branch, keep, line, bodies):
             line = Line(np.zeros(len(line.knots)), line.cost)
         of_motion = blocks.turn_of_motions(samples, line.knots)
         constant = robot_in_cell.cell.gcode.redundancy_deg * RAD_PER_DEG
-        turn = Turn(mode, whole, BARE if keep is BARE else LeastMargins(), constant, line.knots, of_motion)
+        turn = Turn(
+            mode, whole, BARE_MARGINS if keep is BARE_MARGINS else LeastMargins(), constant, line.knots, of_motion
+        )
         return turn, (_turn_issue(turn),)
     assert block is not None
     return None, (_blocked_error(samples, whole, block, mode, branch, bodies),)
 
 
 def _margins_of_least_cost(samples: PathSamples, whole: TurnMap, branch: int) -> LeastMargins:
-    """Return the margins at which a turn along the path costs least: its expected error and the price of its margin."""
+    """Return the margins with which a turn along the path costs least: its expected error and the price of its margin.
+
+    The least margins are returned if no line keeps any of the tried margins.
+    """
     best, least_cost = LeastMargins(), np.inf
-    for keep in (LeastMargins(), *(LeastMargins(level, level, level) for level in _LEVELS)):
-        line = _find(samples, whole, keep, "path", is_circle=True)
+    for keep in (LeastMargins(), *(LeastMargins(level, level, level) for level in _MARGIN_LEVELS)):
+        line = _cheapest_line(samples, whole, keep, "path", is_circle=True)
         if isinstance(line, BlockedMap):
             continue
         error, margin = _error_and_margin(samples, whole.blocks, branch, line)
@@ -192,10 +204,16 @@ def _margins_of_least_cost(samples: PathSamples, whole: TurnMap, branch: int) ->
 
 
 def _error_and_margin(samples: PathSamples, blocks: Blocks, branch: int, line: Line) -> tuple[float, float]:
-    """Return the RMS of the expected error along cuts [m], and the least margin of joints, wrist and elbow [rad]."""
-    column = turn_map.evaluate(samples, blocks, branch, _sample_turns(samples, blocks, line.knots), _NO_OFFSET, None)
-    error = np.nan_to_num(column.error[:, 0])
-    margins = (column.margin.joint, column.margin.wrist, column.margin.elbow)
+    """Return the RMS of the expected error along the cuts of a line [m], and its least margin [rad].
+
+    The RMS is 0 without cuts; bins without equilibrium count as 0. The margin is that of joints, wrist and elbow.
+
+    :param branch: branch of the inverse kinematics.
+    """
+    turns = _sample_turns(samples, blocks, line.knots)
+    line_map = turn_map.evaluate(samples, blocks, branch, turns, _NO_OFFSET)  # a map of one column
+    error = np.nan_to_num(line_map.error[:, 0])
+    margins = (line_map.margin.joint, line_map.margin.wrist, line_map.margin.elbow)
     total = float(blocks.cut_length.sum())
     rms = float(np.sqrt(blocks.cut_length @ error**2 / total)) if total > 0.0 else 0.0  # 0 without cuts
     return rms, min(float(values.min()) for values in margins)
@@ -204,17 +222,19 @@ def _error_and_margin(samples: PathSamples, blocks: Blocks, branch: int, line: L
 def _free_line(
     samples: PathSamples, whole: TurnMap, branch: int, keep: LeastMargins, mode: Mode, bodies: Bodies | None
 ) -> tuple[Line | BlockedMap, TurnMap]:
-    """Return the cheapest line, and the map, on which cells are closed where every sample of a line shows collisions.
+    """Return the cheapest line without collisions, and the map with cells closed where lines had collisions.
 
-    The map looks at some samples of long paths, and at no joint interpolations: they depend on both turns. A line that
-    still has collisions after some rounds is returned: the path is checked again when it is converted.
+    The map compares bodies at some samples of long paths only, and not on joint interpolations, which depend on two
+    turns. So all samples of a line are compared, and cells with collisions are closed for the next line. A line that
+    still has collisions after `_ROUNDS` lines is returned: the path is checked again when it is converted.
 
-    :param branch: of the inverse kinematics; `keep` the margins to keep.
-    :param bodies: whose collisions count; None: none do.
-    :returns: the line, or the block that none passes; and the map with the closed cells.
+    :param branch: branch of the inverse kinematics.
+    :param keep: margins to keep.
+    :param bodies: bodies that are compared; None: collisions are not checked.
+    :returns: the line, or the block that no line passes; and the map with the closed cells.
     """
     for _ in range(_ROUNDS):
-        line = _find(samples, whole, keep, mode, is_circle=True)
+        line = _cheapest_line(samples, whole, keep, mode, is_circle=True)
         if isinstance(line, BlockedMap):
             return line, whole
         fine = _refine_line(samples, whole.blocks, branch, line, keep=keep, mode=mode, bodies=bodies)
@@ -233,10 +253,11 @@ def _today_is_as_good(
 ) -> bool:
     """Return whether the turn of the cell keeps the margins everywhere, and a line saves too little to change it.
 
-    Too little is a share `drive.REAL` of the RMS of the expected error along cuts.
+    The line saves too little if it lowers the RMS of the expected error along cuts by less than `drive.LEAST_SAVING`.
 
-    :param branch: of the inverse kinematics; `keep` the margins to keep.
-    :param bodies: whose collisions count; None: none do.
+    :param branch: branch of the inverse kinematics.
+    :param keep: margins to keep.
+    :param bodies: bodies that are compared; None: collisions are not checked.
     """
     no_turn = np.zeros(len(samples))
     at_line = _sample_turns(samples, whole.blocks, line.knots)
@@ -245,21 +266,23 @@ def _today_is_as_good(
         turn_map.evaluate(samples, whole.blocks, branch, base, _NO_OFFSET, None).error[:, 0]
         for base in (no_turn, at_line)
     )
-    if not np.sqrt(weight @ today**2) <= (1.0 + drive.REAL) * np.sqrt(weight @ best**2):  # also where an error is NaN
+    if not np.sqrt(weight @ today**2) <= (1.0 + drive.LEAST_SAVING) * np.sqrt(
+        weight @ best**2
+    ):  # also where an error is NaN
         return False
     # every other turn is closed, so that only the line of the cell is left
-    other_turns = np.broadcast_to(np.abs(wrap_angles(whole.offset)) > _SAME_TURN, whole.u95.shape)
+    other_turns = np.broadcast_to(np.abs(wrap_angles(whole.offset)) > _TURN_TOLERANCE, whole.u95.shape)
     hit = other_turns if whole.hit is None else whole.hit | other_turns
-    cell_line = _find(samples, replace(whole, hit=hit), keep, "best", is_circle=True)
+    cell_line = _cheapest_line(samples, replace(whole, hit=hit), keep, "best", is_circle=True)
     if isinstance(cell_line, BlockedMap):
         return False
     return bodies is None or not _is_hit(samples, whole.blocks, branch, cell_line, bodies).any()
 
 
 def _is_hit(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodies: Bodies) -> Bools:
-    """Return at, or before, which samples (N,) of a line bodies come too close, from [start] on.
+    """Return True for samples (N,) of a line at which, or before which, bodies come too close, from [start] on.
 
-    :param branch: of the inverse kinematics.
+    :param branch: branch of the inverse kinematics.
     """
     robot_in_cell, motion = samples.robot_in_cell, samples.sample.motion
     rows = np.arange(len(samples))
@@ -273,10 +296,13 @@ def _is_hit(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodie
 
 
 def _close_cells(samples: PathSamples, whole: TurnMap, line: Line, is_hit: Bools) -> TurnMap:
-    """Return the map with the cells closed, and those next to them, where samples (N,) of a line have collisions."""
+    """Return the map with the two cells next to a line closed where it has collisions.
+
+    :param is_hit: (N,) True for samples of the line with collisions.
+    """
     turn = _sample_turns(samples, whole.blocks, line.knots)
     rows = np.flatnonzero(is_hit)
-    bins = np.searchsorted(whole.blocks.first, rows, side="right") - 1
+    bins = np.searchsorted(whole.blocks.first, rows, side="right") - 1  # `first` are the first samples of bins
     place = (turn[rows] - whole.offset[0]) / whole.step  # in columns of the map, which is a circle
     assert whole.hit is not None
     hit = whole.hit.copy()
@@ -285,18 +311,22 @@ def _close_cells(samples: PathSamples, whole: TurnMap, line: Line, is_hit: Bools
     return replace(whole, hit=hit)
 
 
-def _is_tilting(samples: PathSamples) -> Bools:
-    """Return which motions (M,) at feed tilt the tool axis by one rotation: a turn in addition would make it lean."""
+def _tilting_motions(samples: PathSamples) -> Bools:
+    """Return True for motions (M,) at feed that tilt the tool axis: an additional turn would make the tool lean."""
     m = samples.program.motions
     end = m.target[:, :3, :3] @ samples.axis
     begin = samples.segments.start.at(np.arange(len(m)))[:, :3, :3] @ samples.axis
-    return np.asarray(~m.rapid & (m.kind != PTP) & (norm(end - begin) > _SAME_TURN))
+    return np.asarray(~m.rapid & (m.kind != PTP) & (norm(end - begin) > _TURN_TOLERANCE))
 
 
-def _find(
+def _cheapest_line(
     samples: PathSamples, whole: TurnMap, keep: LeastMargins, mode: Mode, *, is_circle: bool
 ) -> Line | BlockedMap:
-    """Return the line of turns through a map, or what blocks every line."""
+    """Return the cheapest line through a map, or the block that no line passes.
+
+    :param keep: margins to keep.
+    :param is_circle: whether the map is a whole circle of turns.
+    """
     robot, start = samples.robot_in_cell.robot, samples.robot_in_cell.cell.start_joints
     return turn_map.line_through(robot, whole, keep, start, turn_at_feed=mode == "path", is_circle=is_circle)
 
@@ -311,15 +341,15 @@ def _refine_line(
     mode: Mode,
     bodies: Bodies | None,
 ) -> Line | None:
-    """Return the cheapest line next to a line, on a fine map around it; None if no line passes.
+    """Return the cheapest line next to a line, on a fine map around it; None if no line passes through that map.
 
-    :param branch: of the inverse kinematics.
+    :param branch: branch of the inverse kinematics.
     :param keep: margins to keep.
-    :param bodies: whose collisions count; None: none do.
+    :param bodies: bodies that are compared; None: collisions are not checked.
     """
     base = _sample_turns(samples, blocks, line.knots)
-    fine_map = turn_map.evaluate(samples, blocks, branch, base, _FINE, bodies)
-    fine_line = _find(samples, fine_map, keep, mode, is_circle=False)
+    fine_map = turn_map.evaluate(samples, blocks, branch, base, _FINE_OFFSETS, bodies)
+    fine_line = _cheapest_line(samples, fine_map, keep, mode, is_circle=False)
     return None if isinstance(fine_line, BlockedMap) else fine_line
 
 
@@ -350,13 +380,14 @@ def _blocked_error(
 ) -> Issue:
     """Return the error that names the motion that no line passes, the reasons there, and bodies that are too close.
 
-    The bin named is the first one of the block without a free turn, or its last one.
+    The motion is that of the first bin of the block without a free turn; if all have one, of the last bin.
 
-    :param branch: of the inverse kinematics; `bodies` those compared, None without [collision].
+    :param branch: branch of the inverse kinematics.
+    :param bodies: bodies that were compared; None without [collision].
     """
     blocks = whole.blocks
     rows = np.flatnonzero(blocks.block == block.block)
-    reasons = whole.reasons(BARE)[rows]
+    reasons = whole.reasons(BARE_MARGINS)[rows]
     is_closed = (reasons != drive.FREE).all(axis=1)
     row = int(np.argmax(is_closed)) if is_closed.any() else len(rows) - 1  # in `rows`
     counts = np.bincount(reasons[row], minlength=len(REASONS))
@@ -389,10 +420,11 @@ def _blocked_error(
 
 
 def _closest_bodies(samples: PathSamples, whole: TurnMap, row: int, columns: Ints, branch: int, bodies: Bodies) -> str:
-    """Return in words which bodies are too close in a bin of the map, at that of some turns where they are farthest.
+    """Return in words which bodies are too close in a bin of the map, for the turn with the largest distance.
 
-    :param row: the bin; `columns` (c,) the turns that are compared, columns of the map.
-    :param branch: of the inverse kinematics.
+    :param row: the bin.
+    :param columns: (c,) columns of the map, the turns that are compared.
+    :param branch: branch of the inverse kinematics.
     """
     first = whole.blocks.first
     last = int(first[row + 1]) if row + 1 < len(first) else len(samples)
@@ -420,10 +452,10 @@ def bin_turns(turn: Turn) -> Array:
 
 
 class ChosenStart(Struct, frozen=True):
-    """Where a program starts.
+    """Joint angles at which a program starts.
 
     :param joints: A1…A6 [deg].
-    :param message: how they were found, in words.
+    :param message: how they were chosen, in words.
     """
 
     joints: tuple[float, float, float, float, float, float]
@@ -437,41 +469,42 @@ def _first_target_error(program: Program, problem: str, advice: str) -> ProgramE
 
 
 def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
-    """Choose the joint angles at the first target of a program.
+    """Return the chosen joint angles at the first target of a program.
 
-    A program that states them, or status and turn of its first target, starts there.
+    If the program states joint angles, or status and turn of its first target, it starts with these. Else the branch
+    with the most margin is chosen.
 
-    :param robot_in_cell: the robot in a cell with any [start].
+    :param robot_in_cell: the robot in a cell; its [start] is not used.
     :raises ProgramError: the first target is out of reach, on all branches or with the status that it states.
     """
     m = program.motions
     if np.isfinite(m.joints[0]).all():
-        return _start(m.joints[0], "whose joint angles it states")
+        return _chosen_start(m.joints[0], "whose joint angles it states")
     samples = PathSamples.of(program, robot_in_cell, None)
     if m.status[0] >= 0:
-        return _start(_stated_joints(program, samples), "with the status and turn that it states")
+        return _chosen_start(_stated_joints(program, samples), "with the status and turn that it states")
     turn_is_free = robot_in_cell.cell.gcode.redundancy != "constant" and not program.keeps_text
-    turns = drive.TURNS if turn_is_free else np.zeros(1)
+    turns = drive.TRIED_TURNS if turn_is_free else np.zeros(1)
     branches = _Branches.of(samples, _samples_on_one_branch(program, samples), turns)
     best, second = branches.order[:2]
     q = branches.start_path(best)
     if q is None:
-        raise _first_target_error(program, _NO_WAY, "Move the part, or give [start] joints.")
+        raise _first_target_error(program, _NO_BRANCH_TEXT, "Move the part, or give [start] joints.")
     if not np.isfinite(branches.margin[best]):
-        return _start(q[:, 0], "on the branch that reaches most of the program")
-    # The room along a constant turn says nothing of a path whose turn is still to be chosen.
+        return _chosen_start(q[:, 0], "on the branch that reaches most of the program")
+    # the turn along the path is still to be chosen: whole turns of A4 and A6 with this turn are of no use
     joints = q[:, 0] if turn_is_free else _unwind(robot_in_cell, q)
-    return _start(joints, _reason(best, second, branches.margin, branches.is_free))
+    return _chosen_start(joints, _branch_reason(best, second, branches.margin, branches.is_free))
 
 
 class _Branches(Struct, frozen=True, eq=False):
     """The eight branches of the arm along some samples of a program.
 
-    :param joint_paths: by branch and turn of the tool, joint angles (6, n) [rad].
-    :param margins: (8, turns, n) of each sample [rad], see `_margin`.
-    :param margin: (8,) least margin of each branch along the samples, each at its best turn [rad]; −inf if a sample, or
-        the first one, cannot be driven.
-    :param is_free: (8,) whether a branch is without collision, see `_free_of_collisions`.
+    :param joint_paths: by branch, then by turn of the tool: joint angles (6, n) [rad].
+    :param margins: (8, turns, n) margins of each sample [rad], see `_smallest_margins`.
+    :param margin: (8,) least margin of each branch along the samples, each sample at its best turn [rad]; −inf if a
+        sample cannot be driven.
+    :param is_free: (8,) whether a branch is without collision, see `_collision_free_branches`.
     """
 
     joint_paths: list[list[Array]]
@@ -481,18 +514,22 @@ class _Branches(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, samples: PathSamples, rows: Ints, turns: Array) -> _Branches:
-        """Return the branches at samples (n,) for turns of the tool about its axis [rad]."""
+        """Return the branches at samples.
+
+        :param rows: (n,) the samples.
+        :param turns: turns of the tool about its axis that are tried [rad].
+        """
         joint_paths = [[_solve(samples, rows, turn, branch) for turn in turns] for branch in range(_BRANCHES)]
-        margins = np.array([[_margin(samples.robot_in_cell, q) for q in paths] for paths in joint_paths])
+        margins = np.array([[_smallest_margins(samples.robot_in_cell, q) for q in paths] for paths in joint_paths])
         can_start = np.isfinite(margins[:, :, 0].max(axis=1))
         margin = np.where(can_start, margins.max(axis=1).min(axis=1), -np.inf)
-        return cls(joint_paths, margins, margin, _free_of_collisions(samples, rows, joint_paths, margin))
+        return cls(joint_paths, margins, margin, _collision_free_branches(samples, rows, joint_paths, margin))
 
     @property
     def order(self) -> list[int]:
-        """The branches, the best one first: without collision, with most margin, with most samples in reach.
+        """The branches, the best one first: without collision, then with most margin, then with most samples in reach.
 
-        Of branches alike, A4 and A6 nearest to zero at the start decide.
+        Of equal branches, the one with A4 and A6 nearest to zero at the start comes first.
         """
         reach_count = np.isfinite(self.margins.max(axis=1)).sum(axis=1)
         hand_angle = [np.abs(np.nan_to_num(paths[0][[3, 5], 0], nan=_LARGE_ANGLE)).sum() for paths in self.joint_paths]
@@ -503,7 +540,7 @@ class _Branches(Struct, frozen=True, eq=False):
         )
 
     def start_path(self, branch: int) -> Array | None:
-        """Return the joint angles (6, n) [rad] of a branch at its best turn of the start; None: it cannot start."""
+        """Return the joint angles (6, n) [rad] of a branch at its best turn of the start; None if it cannot start."""
         at_start = self.margins[branch, :, 0]
         return self.joint_paths[branch][int(at_start.argmax())] if np.isfinite(at_start).any() else None
 
@@ -511,7 +548,7 @@ class _Branches(Struct, frozen=True, eq=False):
 def _stated_joints(program: Program, samples: PathSamples) -> Array:
     """Return the joint angles (6,) [rad] at the first target of a program with the status and turn that it states.
 
-    :raises ProgramError: the target cannot be reached so.
+    :raises ProgramError: the target cannot be reached with this status.
     """
     first = int(np.argmax(samples.sample.t == 1.0))
     part = slice(first, first + 1)
@@ -519,7 +556,7 @@ def _stated_joints(program: Program, samples: PathSamples) -> Array:
     try:
         joint_path = samples.robot_in_cell.follow(program, sample.motion[part], sample.t[part], sample.pose.take(part))
     except UnreachableError as cause:
-        raise _first_target_error(program, _NO_STATUS, "Move the part, or correct S, $BASE and $TOOL.") from cause
+        raise _first_target_error(program, _NO_STATUS_TEXT, "Move the part, or correct S, $BASE and $TOOL.") from cause
     joints: Array = joint_path.q[0]
     return joints
 
@@ -534,12 +571,12 @@ def _samples_on_one_branch(program: Program, samples: PathSamples) -> Ints:
     return rows[distinct(np.linspace(0, len(rows) - 1, min(_MAX_SAMPLES, len(rows))).astype(np.int64))]
 
 
-def _reason(best: int, second: int, margin: Array, free: list[bool]) -> str:
+def _branch_reason(best: int, second: int, margin: Array, free: list[bool]) -> str:
     """Return why a branch is chosen, in words.
 
-    :param best: the chosen branch; `second`: the next best.
-    :param margin: (8,) least margin of each branch [rad], −inf if it cannot follow the path.
-    :param free: which branches are without collision.
+    :param best: the chosen branch, and `second` the next best one.
+    :param margin: (8,) least margin of each branch [rad]; −inf if it cannot follow the path.
+    :param free: (8,) whether each branch is without collision.
     """
     restriction = (
         " of those without collisions" if not all(free[k] for k in range(_BRANCHES) if np.isfinite(margin[k])) else ""
@@ -553,24 +590,27 @@ def _reason(best: int, second: int, margin: Array, free: list[bool]) -> str:
     return words
 
 
-def _free_of_collisions(samples: PathSamples, rows: Ints, joint_paths: list[list[Array]], worst: Array) -> list[bool]:
-    """Return on which branches some turn of the tool is without collision at each of some samples.
+def _collision_free_branches(
+    samples: PathSamples, rows: Ints, joint_paths: list[list[Array]], worst: Array
+) -> list[bool]:
+    """Return for each branch whether at each of some samples a turn of the tool is without collision.
 
-    All are if the cell has no [collision], or if none is: the check of the path then names the bodies.
+    It is True for all branches if the cell has no [collision], if fewer than two branches can follow the path, or if no
+    branch is without collision: then the check of the path names the bodies.
 
     :param rows: (n,) the samples.
-    :param joint_paths: by branch and turn of the tool, joint angles (6, n) [rad].
-    :param worst: (8,) least margin of each branch [rad], −inf if it cannot follow the path.
+    :param joint_paths: by branch, then by turn of the tool: joint angles (6, n) [rad].
+    :param worst: (8,) least margin of each branch [rad]; −inf if it cannot follow the path.
     """
     table = samples.robot_in_cell.cell.collision
-    able = [k for k in range(_BRANCHES) if np.isfinite(worst[k])]
-    if table is None or len(able) < 2:
+    possible_branches = [k for k in range(_BRANCHES) if np.isfinite(worst[k])]
+    if table is None or len(possible_branches) < 2:
         return [True] * _BRANCHES
     bodies = Bodies(samples, table.clearance_mm)
     compared_rows = distinct(np.linspace(0, len(rows) - 1, min(_MAX_POSES, len(rows))).astype(np.int64))
     breaks = np.ones(len(compared_rows), dtype=bool)
     is_free = [False] * _BRANCHES
-    for k in able:
+    for k in possible_branches:
         hits = [
             bodies.is_hit_along_path(q[:, compared_rows].T, rows[compared_rows], breaks, between_samples=False)
             for q in joint_paths[k]
@@ -579,8 +619,11 @@ def _free_of_collisions(samples: PathSamples, rows: Ints, joint_paths: list[list
     return is_free if any(is_free) else [True] * _BRANCHES
 
 
-def _start(q: Array, reason: str) -> ChosenStart:
-    """Return a start at joint angles [rad], rounded as a user would write them, with its message."""
+def _chosen_start(q: Array, reason: str) -> ChosenStart:
+    """Return a start at joint angles (6,) [rad], rounded as a user would write them, with its message.
+
+    :param reason: end of the message: how the angles were chosen.
+    """
     joints = [without_negative_zero(round(float(angle), _DECIMALS)) for angle in q * DEG_PER_RAD]
     joint_text = ", ".join(f"{angle:.1f}" for angle in joints)
     message = f"The cell has no [start]: the program starts at A1…A6 = {joint_text}, its first target, {reason}."
@@ -593,7 +636,7 @@ def _solve(samples: PathSamples, rows: Ints, turn: float, branch: int) -> Array:
     return drive.solve(samples.robot_in_cell.robot, components(flange), branch)
 
 
-def _margin(robot_in_cell: RobotInCell, q: Array) -> Array:
+def _smallest_margins(robot_in_cell: RobotInCell, q: Array) -> Array:
     """Return the smallest margin (n,) of joints, wrist and elbow [rad]; −inf out of reach or beyond a limit."""
     margins = drive.margins(robot_in_cell.robot, q)
     smallest = np.minimum(np.minimum(margins.joint, margins.wrist), margins.elbow)
@@ -601,14 +644,14 @@ def _margin(robot_in_cell: RobotInCell, q: Array) -> Array:
 
 
 def _unwind(robot_in_cell: RobotInCell, q: Array) -> Array:
-    """Return the joint angles (6,) [rad] at the start of a path, A4 and A6 moved by −1, 0 or 1 whole turns.
+    """Return the joint angles (6,) [rad] at the start of a path, with A4 and A6 moved by −1, 0 or 1 whole turns.
 
-    Of these, the turn with the largest margin of the whole path to the limits of the joint; 0 if it is as good.
+    For each joint, the number with the largest margin of the whole path to its limits is taken; 0 if it is as good.
 
     :param q: (6, n) joint angles along the path [rad]; NaN where the robot does not reach it.
     """
     robot, joints = robot_in_cell.robot, q[:, 0].copy()
-    for axis in drive.WINDING:
+    for axis in drive.WINDING_JOINTS:
         axis_path = q[axis, 0] + np.append(0.0, np.cumsum(np.nan_to_num(wrap_angles(np.diff(q[axis])))))
         limit_margins = [
             min(axis_path.min() + whole_turn - robot.lower[axis], robot.upper[axis] - axis_path.max() - whole_turn)

@@ -40,7 +40,7 @@ class TestPoses(Columns, frozen=True, eq=False):
     :param torque: (T, 6) on the joints by the wrench [N·m].
     :param regressor: (T, 3, 6) A₀ of Eq. (2), positions: ∂(tool tip)/∂(joint compliance) [m per rad/(N·m)].
     :param deflection: (T,) due to the force, without correction [m].
-    :param by_law: (T,) whether a cutting law computes the wrench; errors of such wrenches are one common factor.
+    :param is_law_force: (T,) whether a cutting law computes the wrench; errors of such wrenches are one common factor.
     :param source: names of the files of the poses.
     """
 
@@ -52,7 +52,7 @@ class TestPoses(Columns, frozen=True, eq=False):
     torque: Array
     regressor: Array
     deflection: Array
-    by_law: Bools
+    is_law_force: Bools
     source: str
 
     def __len__(self) -> int:
@@ -72,7 +72,7 @@ def evaluate(
     *,
     weight: Array,
     source: str,
-    by_law: Bools | None = None,
+    is_law_force: Bools | None = None,
 ) -> TestPoses:
     """Return the test poses of configurations under load, with torques, derivatives and deflections.
 
@@ -81,7 +81,7 @@ def evaluate(
     :param wrench: (T, 6) on the tool tip, root axes [N, N·m].
     :param weight: (T,) of the poses, of any sum.
     :param source: names of the files of the poses.
-    :param by_law: (T,) whether a cutting law computes the wrench; None: no wrench is computed.
+    :param is_law_force: (T,) whether a cutting law computes the wrench; None: no wrench is computed.
     """
     _, jacobian = kinematics.tcp(robot.nominal, q, tool)
     torque = np.einsum("nij,ni->nj", jacobian, wrench)
@@ -94,7 +94,7 @@ def evaluate(
         torque=torque,
         regressor=jacobian[:, :3] * torque[:, None],
         deflection=np.linalg.norm(deflection, axis=1),
-        by_law=np.zeros(len(q), dtype=np.bool_) if by_law is None else by_law,
+        is_law_force=np.zeros(len(q), dtype=np.bool_) if is_law_force is None else is_law_force,
         source=source,
     )
 
@@ -126,9 +126,11 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
             advice="Give forces with --forces, or as comments (FORCE FX= FY= FZ=), or test poses with --poses.",
         )
     rows, lengths = _thin_rows(cutting, length[cutting])
-    tool, law = program.tools[m.tool[motion[rows]]], motions.forces.by_law
-    by_law = None if law is None else np.isin(motion[rows], law.motion)
-    return evaluate(robot, path.joints.q[rows], tool, wrench[rows], weight=lengths, source=name, by_law=by_law)
+    tool, law = program.tools[m.tool[motion[rows]]], motions.forces.law_forces
+    is_law_force = None if law is None else np.isin(motion[rows], law.motion)
+    return evaluate(
+        robot, path.joints.q[rows], tool, wrench[rows], weight=lengths, source=name, is_law_force=is_law_force
+    )
 
 
 def _thin_rows(rows: Ints, length: Array) -> tuple[Ints, Array]:
@@ -174,7 +176,7 @@ def join(parts: Sequence[TestPoses]) -> TestPoses:
         torque=np.concatenate([part.torque for part in parts]),
         regressor=np.concatenate([part.regressor for part in parts]),
         deflection=np.concatenate([part.deflection for part in parts]),
-        by_law=np.concatenate([part.by_law for part in parts]),
+        is_law_force=np.concatenate([part.is_law_force for part in parts]),
         source=", ".join(part.source for part in parts),
     )
 
@@ -202,7 +204,7 @@ def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> Te
         torque=sample.torque * factor,
         regressor=sample.regressor * factor,
         deflection=sample.deflection * factor,
-        by_law=sample.by_law,
+        is_law_force=sample.is_law_force,
         source=tests.source,
     )
 

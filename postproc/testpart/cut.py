@@ -303,7 +303,7 @@ class Cut(Struct, frozen=True, eq=False):
     def lift_displacement(self, height: float) -> Shift:
         """Return the displacement of the tip of a rigid robot whose program runs too high over the block.
 
-        :param height: by how much it runs too high [m].
+        :param height: height above the written one [m].
         """
         return self._shift(height * self.up_direction)
 

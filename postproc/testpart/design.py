@@ -718,15 +718,16 @@ def _best_one_by_one(candidates_in_block: Candidates, criterion: Criterion, star
     :param start: (m, m) information without features.
     """
     rows: list[int] = []
-    whole = start
+    information = start
     for _ in range(count):
-        free = np.flatnonzero(candidates_in_block.is_apart[:, rows].all(axis=1))
-        if not len(free):
+        # features that touch none of the chosen ones
+        fitting_rows = np.flatnonzero(candidates_in_block.is_apart[:, rows].all(axis=1))
+        if not len(fitting_rows):
             break
-        gain = criterion(whole) - criterion(whole + candidates_in_block.information[free])
-        best = int(free[np.argmax(gain / candidates_in_block.seconds[free])])
+        gain = criterion(information) - criterion(information + candidates_in_block.information[fitting_rows])
+        best = int(fitting_rows[np.argmax(gain / candidates_in_block.seconds[fitting_rows])])
         rows.append(best)
-        whole = whole + candidates_in_block.information[best]
+        information = information + candidates_in_block.information[best]
     return rows
 
 
@@ -743,8 +744,10 @@ def _exchange(candidates_in_block: Candidates, criterion: Criterion, start: Arra
         time_left = candidates_in_block.seconds[rows].sum() - candidates_in_block.seconds[other_rows].sum()
         # 1e-9: rounding; the present feature is always among them
         is_short = candidates_in_block.seconds <= time_left + 1e-9
-        free = np.flatnonzero(candidates_in_block.is_apart[:, other_rows].all(axis=1) & is_short)
-        best = int(free[np.argmin(criterion(other_information + candidates_in_block.information[free]))])
+        fitting_rows = np.flatnonzero(candidates_in_block.is_apart[:, other_rows].all(axis=1) & is_short)
+        best = int(
+            fitting_rows[np.argmin(criterion(other_information + candidates_in_block.information[fitting_rows]))]
+        )
         new_value, old_value = (
             float(criterion(other_information + candidates_in_block.information[row])) for row in (best, rows[place])
         )

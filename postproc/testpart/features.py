@@ -439,7 +439,8 @@ def _head_lines(cutting: Cutting, touches: Array, first: int, placement_title: s
     for number, touch in enumerate(touches, start=first):
         x, y, z = without_negative_zero(touch * MM_PER_M).tolist()
         lines.append(f"(T{number:02d}: X{x:g} Y{y:g} Z{z:g}, left uncut, to be probed with the features)")
-        points.append(_ProgramPoint(f"T{number:02d}.top", 0, 0.0, touch, np.array([0.0, 0.0, 1.0])))
+        up = np.array([0.0, 0.0, 1.0])
+        points.append(_ProgramPoint(name=f"T{number:02d}.top", line=0, t=0.0, point=touch, normal=up))
     lines += ["G21 G90 G17 G94", f"T{cutting.tool} M6", f"S{cutting.rpm:g} M3"]
     return _Block(lines, points)
 
@@ -468,7 +469,7 @@ def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_heigh
         share = float((probe.point[0] - begin[0]) / (end[0] - begin[0]))
         point = to_base(feature, cutting.top, np.array([probe.point]))[0]
         normal = to_base(feature, cutting.top, np.array([probe.normal]), is_direction=True)[0]
-        points.append(_ProgramPoint(f"{name}.{probe.name}", line, share, point, normal))
+        points.append(_ProgramPoint(name=f"{name}.{probe.name}", line=line, t=share, point=point, normal=normal))
     return _Block(lines, points)
 
 
@@ -483,6 +484,16 @@ def _weight_stops(mass: float, places: Array, first: int) -> _Block:
         x, y, z = (place * MM_PER_M).tolist()
         lines.append(f"(W{number:02d}: set the gauge to 0, hang {mass:g} kg on the tool, read)")
         lines += [*([f"G0 Z{z:.4f}"] if number == first else []), f"G0 X{x:.4f} Y{y:.4f}"]
-        points.append(_ProgramPoint(f"W{number:02d}.gauge", len(lines), 1.0, place, np.array([0.0, 0.0, -1.0]), mass))
-        lines.append("M0")
+        # at the end of the move of the last line; the gauge reads positive downwards
+        points.append(
+            _ProgramPoint(
+                name=f"W{number:02d}.gauge",
+                line=len(lines),
+                t=1.0,
+                point=place,
+                normal=np.array([0.0, 0.0, -1.0]),
+                mass=mass,
+            )
+        )
+        lines.append("M0")  # stop
     return _Block(lines, points)

@@ -37,7 +37,7 @@ def samples_of(body: bodies.Body, count: int = 4000) -> np.ndarray:
 def test_the_mesh_of_a_round_body_is_around_it_by_a_hundredth_of_its_radius_at_most(kind, radius):
     """Also of a thin one: an engraving cutter has some tenths of a millimetre."""
     body = getattr(bodies, kind)("b", 3, "arm", BEGIN, END, radius)
-    assert (body.kind, body.size, body.carrier, body.of) == (kind, pytest.approx((radius, 0.5)), 3, "arm")
+    assert (body.kind, body.size, body.carrier, body.role) == (kind, pytest.approx((radius, 0.5)), 3, "arm")
     np.testing.assert_allclose(body.pose[:3, 3], [0.25, 0.0, 0.3], atol=1e-15)
     np.testing.assert_allclose(body.pose[:3, 2], [0.6, 0.8, 0.0], atol=1e-15)
     np.testing.assert_allclose(body.pose[:3, :3].T @ body.pose[:3, :3], np.eye(3), atol=1e-15)
@@ -92,7 +92,7 @@ def test_a_body_is_moved_with_its_pose_and_its_points():
 def test_the_capsule_in_a_cutter_is_smaller_by_the_accuracy(length, radius, half, expected):
     direction = np.array([0.6, 0.8, 0.0])
     capsule = inscribed_capsule(bodies.cylinder("cutter", 6, "cutter", BEGIN, BEGIN + length * direction, radius))
-    assert (capsule.name, capsule.carrier, capsule.of, capsule.kind) == ("cutter", 6, "tool", "capsule")
+    assert (capsule.name, capsule.carrier, capsule.role, capsule.kind) == ("cutter", 6, "tool", "capsule")
     assert capsule.size == pytest.approx((expected, 2 * half))
     np.testing.assert_allclose(capsule.pose[:3, 3], BEGIN + 0.5 * length * direction, atol=1e-12)
 
@@ -120,7 +120,7 @@ def test_the_holder_is_behind_the_tip_along_the_axis_of_the_tool(axis, column, s
     cell = replace(CELL, folder=str(tmp_path), collision=Collision(holder=parts), tool=replace(CELL.tool, axis=axis))
     tool = pose(TURN, [0.1, 0.2, 0.3])
     held = Scene.of(ROBOT, cell, tool=tool).bodies[-5:]
-    assert [(body.name, body.of, body.carrier) for body in held] == [
+    assert [(body.name, body.role, body.carrier) for body in held] == [
         ("cutter", "cutter", 6), ("holder 2", "tool", 6), ("spindle", "tool", 6), ("holder 4", "tool", 6),
         ("hose", "tool", 6),
     ]  # fmt: skip
@@ -149,7 +149,7 @@ def test_obstacles_have_their_names_kinds_and_frames(tmp_path):
     )
     cell = cells.load(tmp_path / "cell.toml")
     placed = Scene.of(ROBOT, cell)
-    assert [(b.name, b.of, b.kind, b.with_base, b.carrier) for b in placed.bodies[-4:]] == [
+    assert [(b.name, b.role, b.kind, b.moves_with_base, b.carrier) for b in placed.bodies[-4:]] == [
         ("obstacle 1", "obstacle", "box", False, -1),
         ("obstacle 2", "part", "box", True, -1),
         ("jaw", "obstacle", "mesh", True, -1),
@@ -166,7 +166,7 @@ def test_obstacles_have_their_names_kinds_and_frames(tmp_path):
 
 def test_obstacles_in_base_move_with_it_and_others_stay():
     fixed = bodies.box("post", -1, "obstacle", pose(np.eye(3), [1.0, 0, 0]), np.ones(3))
-    jaw = replace(bodies.cylinder("jaw", -1, "obstacle", BEGIN, END, 0.05), with_base=True)
+    jaw = replace(bodies.cylinder("jaw", -1, "obstacle", BEGIN, END, 0.05), moves_with_base=True)
     solids = Solids(scene(bodies.capsule("c", 6, "tool", np.zeros(3), np.ones(3), 0.1), fixed, jaw))
     motion = pose(TURN, [1.0, 2.0, 3.0])
     moved = solids.move_base(motion)
@@ -293,7 +293,7 @@ def test_the_arm_has_the_collision_shapes_of_its_urdf_and_capsules_where_the_cel
     arm = replace(ROBOT, geometries=urdf.geometries(text, "robot.urdf"), urdf=str(tmp_path / "robot.urdf"))
     placed = Scene.of(arm, replace(CELL, collision=Collision()))
     (link,) = placed.bodies
-    assert (link.name, link.carrier, link.of, link.kind, placed.remarks) == ("link of A3", 2, "arm", "mesh", ())
+    assert (link.name, link.carrier, link.role, link.kind, placed.remarks) == ("link of A3", 2, "arm", "mesh", ())
     np.testing.assert_allclose(np.ptp(link.points, axis=0), 0.2, atol=1e-7)
     capsules = Scene.of(arm, replace(CELL, collision=Collision(arm="capsules")))
     assert {body.kind for body in capsules.bodies} == {"capsule"}

@@ -39,7 +39,7 @@ class Solids:
         self.size = size
 
     def replace_last(self, body):
-        assert (body.name, body.of, body.kind) == (STOCK, "obstacle", "mesh")
+        assert (body.name, body.role, body.kind) == (STOCK, "obstacle", "mesh")
         return Solids(body.points[0, 0])
 
 
@@ -113,7 +113,7 @@ def test_what_is_not_decided_by_the_most_stocks_counts_as_close_pairs(reaching, 
 
 
 def body(name, of, kind="cylinder", *, fixed=False):
-    return SimpleNamespace(name=name, of=of, kind=kind, is_fixed=fixed)
+    return SimpleNamespace(name=name, role=of, kind=kind, is_fixed=fixed)
 
 
 BODIES = [
@@ -151,7 +151,7 @@ def test_the_tool_is_compared_where_it_turns_and_the_cutter_where_it_does_not_cu
             return iter(())
 
     monkeypatch.setattr(collisions, "_StockSearch", Search)
-    monkeypatch.setattr(collisions.collision, "inscribed_capsule", lambda part: body(f"inner {part.name}", part.of))
+    monkeypatch.setattr(collisions.collision, "inscribed_capsule", lambda part: body(f"inner {part.name}", part.role))
     states = States(np.array([0, 1, 2]), np.zeros((4, 6)), np.zeros((4, 6)), None)
     stock = SimpleNamespace(is_compared=np.array(compared, dtype=bool), removes_material=np.array(cuts, dtype=bool))
     assert not list(collisions.stock_contacts(SimpleNamespace(bodies=BODIES), states, stock, 0.02))
@@ -434,7 +434,7 @@ def test_without_two_bodies_to_compare_the_distance_is_infinite(monkeypatch):
 def test_the_cutter_is_compared_with_parts_on_rapid_moves_on_its_nominal_path(monkeypatch, kinds, rapid, expected):
     of = kinds.split()
     scene = SimpleNamespace(bodies=[body("link", "arm"), *(body(f"a {kind}", kind) for kind in of)])
-    monkeypatch.setattr(collisions.collision, "inscribed_capsule", lambda part: body(f"inner {part.name}", part.of))
+    monkeypatch.setattr(collisions.collision, "inscribed_capsule", lambda part: body(f"inner {part.name}", part.role))
     pairs = []
 
     def solids(scene, moving, fixed):

@@ -38,13 +38,13 @@ def test_places_behind_steps_at_jumps_and_without_a_correction_before_them_are_k
     length = np.array([0.01, 0.2, 0.3, 0.1])
     begins = np.array([True, False, False, True])
 
-    def behind_step(row, end):
+    def is_behind_step(row, end):
         return begins[row] & (end < 0.6)
 
     path = SimpleNamespace(
         program=made,
         motions=SimpleNamespace(
-            forces=SimpleNamespace(behind_step=behind_step), segments=SimpleNamespace(length=length)
+            forces=SimpleNamespace(is_behind_step=is_behind_step), segments=SimpleNamespace(length=length)
         ),
         robot_in_cell=SimpleNamespace(rest_is_nominal=rest_is_nominal),
     )

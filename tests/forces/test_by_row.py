@@ -154,7 +154,7 @@ def test_comments_that_hold_on_no_cutting_move_are_listed(seed):
     followed = [a.before == b.before and any(b.wrench) for a, b in pairwise(made.notes)]
     notes = [note for note, skipped in zip_longest(made.notes, followed) if not skipped]
     lines = sorted({note.line for note in notes if any(note.wrench) and (note.wrench, note.frame) not in used})
-    issues = list(precedence.unused_comments(made))
+    issues = list(precedence.unused_comment_issues(made))
     assert [issue.lines for issue in issues] == ([tuple(lines)] if lines else [])
     knots = precedence.comment_knots(made)
     assert knots.motion.tolist() == [k for k in range(COUNT) if comment_of(made, k)]
@@ -174,7 +174,7 @@ def test_the_largest_force_of_the_cuts_is_questioned_below_three_newtons(seed):
     wrench[:, :3] *= rng.choice([1.0, 0.1])  # all of them below 1 N too
     wrench[rng.integers(COUNT), 3] = rng.choice([0.0, 1.0], p=[0.8, 0.2])
     sizes = np.linalg.norm(wrench[:, :3], axis=1) * ~made.motions.rapid
-    issues = list(precedence.small_forces(made, Knots.throughout(motion, wrench, 0 * motion)))
+    issues = list(precedence.small_force_issues(made, Knots.throughout(motion, wrench, 0 * motion)))
     assert bool(issues) == (0.0 < sizes.max() < 3.0 and not wrench[:, 3:].any())
     if issues:
         row = int(sizes.argmax())
@@ -240,8 +240,8 @@ def test_pieces_with_one_force_keep_the_last_knot_alone(seed):
         rows = np.flatnonzero(motion == k)
         columns = np.hstack([wrench[rows], sigma[rows], factor[rows, None]])
         expected += rows.tolist() if np.abs(columns - columns[-1]).max() > 1e-6 else [rows[-1]]
-    np.testing.assert_array_equal(table._merge_knots(knots).t, t[expected])
-    assert table._merge_knots(knots).motion.tolist() == motion[expected].tolist()
+    np.testing.assert_array_equal(table._needed_knots(knots).t, t[expected])
+    assert table._needed_knots(knots).motion.tolist() == motion[expected].tolist()
 
 
 @pytest.mark.parametrize("count", [1, 2, 6, 7])

@@ -43,11 +43,11 @@ def whole(motion, wrench, frame, sigma=(0.0,) * 6):
 def test_places_behind_a_step_lie_within_one_and_a_half_times_its_length():
     made = program(MOVES)
     knots = Knots.along(np.array([1, 1, 4, 4]), np.array([0.0, 1.0] * 2), np.ones((4, 6)), np.zeros(4, dtype=int))
-    load = put_on(made, knots.or_fallback(whole([2, 3], [5.0] * 6, BASE)))
+    load = put_on(made, knots.with_fallback(whole([2, 3], [5.0] * 6, BASE)))
     length = load.axes.path.length
     motion = np.array([1, 1, 4, 4, 3])
     t = np.array([1.4e-5, 1.6e-5, 1.4e-5, 1.6e-5, 1.4e-5]) / length[motion]
-    assert load.behind_step(motion, t).tolist() == [True, False, True, False, False]
+    assert load.is_behind_step(motion, t).tolist() == [True, False, True, False, False]
 
 
 @pytest.mark.parametrize("count", [1, 3, MAX_ERRORS + 4])

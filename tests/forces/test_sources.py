@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from postproc import forces, toolpath
 from postproc.errors import ForceError, Issue
 from postproc.forces import sources
-from postproc.forces.sources import BASE, FEED, ByLaw, Knots
+from postproc.forces.sources import BASE, FEED, Knots, LawForces
 from postproc.jobs import find_jobs
 from tests.programs import program
 
@@ -56,19 +56,19 @@ def test_a_source_wins_over_comments_for_the_motions_it_knows():
 def test_what_a_source_states_besides_forces_goes_with_them():
     """Its issues, the motions of a cutting law and the stock; a law knows its units, so small forces are right."""
     known = {
-        "issues": (Issue("info", "from-source", "words", 2),), "by_law": ByLaw((1.0, 2.0), np.array([1])),
+        "issues": (Issue("info", "from-source", "words", 2),), "law_forces": LawForces((1.0, 2.0), np.array([1])),
         "stock": object(),
     }  # fmt: skip
     small = np.array([[0.0] * 6, [0.5, 0, 0, 0, 0, 0]])
     _, load = put_on(rising(wrench=small, **known), notes=[(3, (0.4, 0, 0, 0, 0, 0))])
-    assert (load.by_law, load.stock) == (known["by_law"], known["stock"])
+    assert (load.law_forces, load.stock) == (known["law_forces"], known["stock"])
     kinds = [issue.kind for issue in load.issues]
     assert kinds == ["force-sources", "from-source"]
     _, load = put_on(rising(wrench=small), notes=[(3, (0.4, 0, 0, 0, 0, 0))])
     assert [issue.kind for issue in load.issues] == ["force-sources", "force-unit"]
-    assert (load.by_law, load.stock) == (None, None)
+    assert (load.law_forces, load.stock) == (None, None)
     _, load = put_on(None, notes=[(2, (70.0, 0, 0, 0, 0, 0))])
-    assert (load.issues, load.by_law, load.stock) == ((), None, None)
+    assert (load.issues, load.law_forces, load.stock) == ((), None, None)
 
 
 @pytest.mark.parametrize(

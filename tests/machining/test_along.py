@@ -288,7 +288,7 @@ def test_a_force_by_hand_replaces_computed_ones_in_its_operation_only(tmp_path):
     rest = program.motions.line[computed.motion] > text.splitlines().index("(FINISH)")
     np.testing.assert_array_equal(given.wrench[~own], computed.wrench[rest])
     assert np.abs(computed.wrench[rest]).max() > 100.0
-    assert given.by_law.motion.tolist() == np.unique(computed.motion[rest]).tolist()
+    assert given.law_forces.motion.tolist() == np.unique(computed.motion[rest]).tolist()
 
 
 def test_an_operation_that_is_not_there(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from postproc.placement import turn_map, turning
-from postproc.placement.samples import AXIS, PathSamples
+from postproc.placement.samples import SPINDLE_AXES, PathSamples
 from postproc.placement.turn_map import Blocks
 from postproc.under_load import RobotInCell
 from tests.placement.setting import cell, read_with_robot
@@ -127,8 +127,8 @@ def test_the_turn_changes_in_proportion_to_the_path_of_each_block(path):
 
 
 def test_axes_point_where_their_names_say():
-    assert AXIS.keys() == {"+X", "-X", "+Z", "-Z"}
-    for name, direction in AXIS.items():
+    assert SPINDLE_AXES.keys() == {"+X", "-X", "+Z", "-Z"}
+    for name, direction in SPINDLE_AXES.items():
         assert direction == tuple(float(f"{name[0]}1") * (letter == name[1]) for letter in "XYZ")
 
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from postproc import kinematics
 from postproc.errors import NotConvergedError
 from postproc.placement import drive, turn_map, turning
-from postproc.placement.drive import BARE, LeastMargins
+from postproc.placement.drive import BARE_MARGINS, LeastMargins
 from postproc.placement.samples import PathSamples
 from postproc.placement.turn_map import BlockedMap, Blocks, Line
 from postproc.placement.turning import chosen_start
@@ -76,7 +76,7 @@ def test_margins_are_kept_at_which_error_and_price_of_the_margin_are_least(seed,
         row = row_of[keep.joint, keep.wrist]
         return BlockedMap(0) if blocked[row] else Line(np.full(1, float(row)), 0.0)
 
-    monkeypatch.setattr(turning, "_find", find)
+    monkeypatch.setattr(turning, "_cheapest_line", find)
     monkeypatch.setattr(
         turning,
         "_error_and_margin",
@@ -89,7 +89,7 @@ def test_margins_are_kept_at_which_error_and_price_of_the_margin_are_least(seed,
 
 def test_cells_next_to_a_line_with_collisions_are_closed_on_both_sides(path):
     samples, blocks, _ = path
-    offset = turn_map.whole_circle(np.radians(30.0))
+    offset = turn_map.turns_of_circle(np.radians(30.0))
     columns = turn_map._empty_map(blocks, np.zeros(len(samples)), offset, has_bodies=True)
     columns.hit[2, 7] = True
     knots = np.radians(np.linspace(-200.0, 230.0, len(blocks.length)))
@@ -202,7 +202,9 @@ REASONS = ("free", "out of reach", "joint limit", "singular pose", "joint speed"
 
 def map_of_reasons(samples, blocks, reasons):
     """A map (K, 12) whose cells are refused for these reasons."""
-    made = turn_map._empty_map(blocks, np.zeros(len(samples)), turn_map.whole_circle(np.radians(30.0)), has_bodies=True)
+    made = turn_map._empty_map(
+        blocks, np.zeros(len(samples)), turn_map.turns_of_circle(np.radians(30.0)), has_bodies=True
+    )
     margin = drive.Margins(*(np.where(reasons == drive.REACH, np.nan, 1.0) for _ in range(4)))
     margin.joint[reasons == drive.LIMIT] = -1.0
     margin.wrist[reasons == drive.SINGULAR] = 0.0
@@ -281,7 +283,7 @@ def test_the_error_of_collisions_names_the_bodies_at_the_turn_where_they_are_far
         names = np.rint(distance * 1e7).astype(int)
         return SimpleNamespace(distance=distance, first=names, second=names + 1)
 
-    bodies = SimpleNamespace(clearance=clearance, name=lambda row: f"body {row}", need=0.08)
+    bodies = SimpleNamespace(clearance=clearance, name=lambda row: f"body {row}", min_distance=0.08)
     issue = turning._blocked_error(samples, whole, BlockedMap(int(blocks.block[row])), "best", branch, bodies)
     least = {n: min(distances(single.q[i]) for i in part) for n, single in singles.items()}
     farthest = max(least.values())
@@ -319,7 +321,7 @@ def test_the_turn_of_the_cell_is_as_good_within_two_percent_where_it_can_be_driv
         assert not base.any() or np.array_equal(base, at_line)
         return SimpleNamespace(error=error[:, None])
 
-    offset = turn_map.whole_circle(np.radians(30.0)) + 2.0 * np.pi
+    offset = turn_map.turns_of_circle(np.radians(30.0)) + 2.0 * np.pi
     whole = replace(turn_map._empty_map(blocks, np.zeros(len(samples)), offset, has_bodies=has_bodies))
     if has_bodies:
         whole.hit[1, 6] = True
@@ -333,7 +335,7 @@ def test_the_turn_of_the_cell_is_as_good_within_two_percent_where_it_can_be_driv
         struck.append((line.knots.any(), bodies))
         return np.array([False, is_hit])
 
-    for name, function in (("_find", find), ("_is_hit", strike)):
+    for name, function in (("_cheapest_line", find), ("_is_hit", strike)):
         monkeypatch.setattr(turning, name, function)
     monkeypatch.setattr(turn_map, "evaluate", evaluate)
     bodies = "bodies" if has_bodies else None
@@ -370,7 +372,12 @@ def test_lines_with_collisions_are_replaced_eight_times_at_most(monkeypatch, has
         closed.append(float(line.knots[0]))
         return whole
 
-    for name, function in (("_find", find), ("_refine_line", refined), ("_is_hit", strike), ("_close_cells", close)):
+    for name, function in (
+        ("_cheapest_line", find),
+        ("_refine_line", refined),
+        ("_is_hit", strike),
+        ("_close_cells", close),
+    ):
         monkeypatch.setattr(turning, name, function)
     whole = SimpleNamespace(blocks=None)
     line, after = turning._free_line(None, whole, 0, LeastMargins(), "best", "bodies")
@@ -396,7 +403,7 @@ def test_lines_with_collisions_are_replaced_eight_times_at_most(monkeypatch, has
 
 
 def test_a_blocked_map_has_no_line(monkeypatch):
-    monkeypatch.setattr(turning, "_find", lambda *arguments, is_circle: BlockedMap(3))
+    monkeypatch.setattr(turning, "_cheapest_line", lambda *arguments, is_circle: BlockedMap(3))
     whole = SimpleNamespace(blocks=None)
     assert turning._free_line(None, whole, 0, LeastMargins(), "best", "bodies") == (BlockedMap(3), whole)
 
@@ -416,7 +423,7 @@ def test_cuts_that_tilt_the_tool_are_those_whose_axis_differs_at_both_ends():
     expected = [
         k > 0 and not motions.rapid[k] and np.linalg.norm(axes[k] - axes[k - 1]) > 1e-6 for k in range(len(motions))
     ]
-    assert turning._is_tilting(tilted_samples).tolist() == expected
+    assert turning._tilting_motions(tilted_samples).tolist() == expected
     assert 0 < sum(expected) < len(expected) - 2
 
 
@@ -460,7 +467,8 @@ def test_the_turn_keeps_wide_margins_if_a_line_does_else_the_least_ones(
     asked_bodies = ("bodies", samples, 7.0) if has_bodies else None
     for name, function in (
         ("PathSamples", SimpleNamespace(of=lambda program, place, source: samples)), ("_free_line", free_line),
-        ("Blocks", SimpleNamespace(of=lambda paths: blocks)), ("_is_tilting", lambda paths: np.zeros(3, dtype=bool)),
+        ("Blocks", SimpleNamespace(of=lambda paths: blocks)),
+        ("_tilting_motions", lambda paths: np.zeros(3, dtype=bool)),
         ("Bodies", lambda paths, need: ("bodies", paths, need)),
         ("_margins_of_least_cost", lambda paths, whole, branch: priced),
         ("_today_is_as_good", lambda *parts: today_is_as_good), ("_turn_issue", lambda turn: "said"),
@@ -474,7 +482,7 @@ def test_the_turn_keeps_wide_margins_if_a_line_does_else_the_least_ones(
     first_keep = LeastMargins() if mode == "best" else priced
     expected = [("map 0", 3, first_keep, mode, asked_bodies)]
     if isinstance(wide, BlockedMap):
-        expected.append(("map 1", 3, turning.BARE, mode, asked_bodies))
+        expected.append(("map 1", 3, turning.BARE_MARGINS, mode, asked_bodies))
     assert asked == expected
     if isinstance(wide, BlockedMap) and isinstance(bare, BlockedMap):
         assert turn is None
@@ -482,7 +490,11 @@ def test_the_turn_keeps_wide_margins_if_a_line_does_else_the_least_ones(
         return
     is_bare = isinstance(wide, BlockedMap)
     knots = bare.knots if is_bare else 0.0 * wide.knots if today_is_as_good else wide.knots
-    assert (turn.mode, turn.map, turn.keep) == (mode, f"map {len(asked)}", turning.BARE if is_bare else LeastMargins())
+    assert (turn.mode, turn.map, turn.keep) == (
+        mode,
+        f"map {len(asked)}",
+        turning.BARE_MARGINS if is_bare else LeastMargins(),
+    )
     np.testing.assert_array_equal(turn.knots, knots)
     np.testing.assert_array_equal(turn.of_motion, 10.0 + knots)
     assert turn.constant == pytest.approx(np.radians(20.0))
@@ -493,7 +505,7 @@ def test_the_turn_keeps_wide_margins_if_a_line_does_else_the_least_ones(
 def test_tilting_cuts_are_refused_along_the_path_alone(monkeypatch, path, mode, is_refused):
     samples, _, _ = path
     tilts = np.arange(6) == 4
-    monkeypatch.setattr(turning, "_is_tilting", lambda paths: tilts)
+    monkeypatch.setattr(turning, "_tilting_motions", lambda paths: tilts)
     monkeypatch.setattr(turning, "_free_line", lambda *parts: (BlockedMap(0), None))
     monkeypatch.setattr(turning, "_blocked_error", lambda *parts: "why")
     monkeypatch.setattr(turning, "_margins_of_least_cost", lambda *parts: LeastMargins())
@@ -544,10 +556,10 @@ def test_the_fine_map_lies_around_the_line_and_is_no_circle(monkeypatch, path, m
     monkeypatch.setattr(turn_map, "evaluate", evaluate)
     monkeypatch.setattr(turn_map, "line_through", line_through)
     line = Line(knots, 0.0)
-    found = turning._refine_line(samples, blocks, branch, line, keep=BARE, mode=mode, bodies="bodies")
+    found = turning._refine_line(samples, blocks, branch, line, keep=BARE_MARGINS, mode=mode, bodies="bodies")
     assert found.knots[0] == 5.0
-    assert calls == [(branch, "bodies"), (samples.robot_in_cell.robot, "fine", BARE, mode == "path", False)]
-    assert turning._refine_line(samples, blocks, branch, line, keep=BARE, mode=mode, bodies="bodies") is None
+    assert calls == [(branch, "bodies"), (samples.robot_in_cell.robot, "fine", BARE_MARGINS, mode == "path", False)]
+    assert turning._refine_line(samples, blocks, branch, line, keep=BARE_MARGINS, mode=mode, bodies="bodies") is None
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -573,16 +585,16 @@ def test_branches_on_which_some_turn_is_free_at_each_sample_have_no_collision(mo
     monkeypatch.setattr(turning, "Bodies", Bodies)
     table = SimpleNamespace(clearance_mm=7.0)
     samples = SimpleNamespace(robot_in_cell=SimpleNamespace(cell=SimpleNamespace(collision=table)))
-    found = turning._free_of_collisions(samples, np.arange(20, 20 + count), q, worst)
+    found = turning._collision_free_branches(samples, np.arange(20, 20 + count), q, worst)
     able = [k for k in range(8) if np.isfinite(worst[k])]
     free = [k in able and all(any(not hits[k, t, n] for t in range(turns)) for n in range(count)) for k in range(8)]
     assert found == (free if len(able) > 1 and any(free) else [True] * 8)
     samples.robot_in_cell.cell.collision = None
-    assert turning._free_of_collisions(samples, np.arange(20, 20 + count), q, worst) == [True] * 8
+    assert turning._collision_free_branches(samples, np.arange(20, 20 + count), q, worst) == [True] * 8
 
 
 def test_a_start_is_stated_with_four_decimals_and_no_negative_zero():
-    start = turning._start(np.radians([-0.00004, 12.34567, -90.0, 180.0, 0.05, -0.04]), "because")
+    start = turning._chosen_start(np.radians([-0.00004, 12.34567, -90.0, 180.0, 0.05, -0.04]), "because")
     assert start.joints == (0.0, 12.3457, -90.0, 180.0, 0.05, -0.04)
     assert str(start.joints[0]) == "0.0"
     words = "A1…A6 = 0.0, 12.3, -90.0, 180.0, 0.1, -0.0, its first target, because."

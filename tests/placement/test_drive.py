@@ -81,12 +81,12 @@ def test_the_first_reason_to_refuse_counts(changes, expected):
     assert reasons[0, 0] == expected
     without = drive.reason(margins, state["speed"], state["jump"], KEEP)[0, 0]
     assert without == (FREE if expected == COLLISION else expected)
-    assert drive.any_bad(reasons)[0, 0] == (expected != FREE)
+    assert drive.is_refused(reasons)[0, 0] == (expected != FREE)
 
 
 def test_margins_are_those_of_the_documentation_and_the_least_ones_just_what_a_conversion_accepts():
     """The checks of a conversion refuse 0° to a joint limit, 0.2° of A5 and A3, 5 mm, all of a speed, turns of 45°."""
-    keep, bare = LeastMargins(), drive.BARE
+    keep, bare = LeastMargins(), drive.BARE_MARGINS
     assert np.degrees([keep.joint, keep.wrist, keep.elbow]) == pytest.approx([2.0, 1.0, 1.0])
     assert (keep.shoulder, keep.speed, np.degrees(keep.jump)) == (0.02, 0.95, pytest.approx(40.0))
     assert 0.0 < np.degrees(bare.joint) < 0.02

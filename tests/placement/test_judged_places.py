@@ -10,7 +10,7 @@ from postproc import correction, forces, kinematics
 from postproc.cell import ExternalAxis, Frame, Start
 from postproc.errors import InputError
 from postproc.placement import LeastMargins, PathSamples, drive, region, turn_map
-from postproc.placement.drive import BARE
+from postproc.placement.drive import BARE_MARGINS
 from postproc.placement.region import JudgedPlace, Programs
 from postproc.under_load import RobotInCell
 from tests.collision.setting import frame
@@ -234,7 +234,7 @@ STATUS = KRL.replace("E1 {0}}}\n;F", "E1 {0},S {2}}}\n;F").replace("$TOOL={{X 35
 def test_a_program_that_states_its_status_is_judged_on_that_branch(status):
     program, model = read_with_robot(STATUS.format(0.0, 70.0, status), CARRIED, "krl")
     assert program.motions.status.max() == status
-    judged = Programs([PathSamples.of(program, RobotInCell.of(model, CARRIED), None)], BARE)
+    judged = Programs([PathSamples.of(program, RobotInCell.of(model, CARRIED), None)], BARE_MARGINS)
     result = correction.process(program, model, CARRIED, mode="predict")
     assert not result.failed
     found = judged.judge(np.array([1500.0, 0.0, 700.0, 0.0, 0.0]), all_samples=True)
@@ -277,7 +277,7 @@ def test_bodies_are_compared_at_poses_and_along_a_whole_program_from_the_start(a
     long = KRL.replace("END", (away + back) * 5 + "END")
     program, model = read_with_robot(long.format(0.0, 70.0), CARRIED, "krl")
     samples = PathSamples.of(program, RobotInCell.of(model, CARRIED), None)
-    judged = Programs([samples], BARE)
+    judged = Programs([samples], BARE_MARGINS)
     judged.bodies = [Touching(at_poses, between)]
     result = judged.judge(PLACE, all_samples=all_samples)
     assert result.reason == reason
@@ -342,7 +342,9 @@ def test_a_program_without_cuts_has_no_error_and_its_singular_value():
     program, model = read_with_robot(text, STATED)
     samples = PathSamples.of(program, RobotInCell.of(model, STATED), None)
     place = np.array([1500.0, 0.0, 700.0, 0.0, 0.0])
-    found = Programs([samples], BARE)._judge(place, -0.8, 2, [Programs([samples], BARE).full_stations[0]])
+    found = Programs([samples], BARE_MARGINS)._judge(
+        place, -0.8, 2, [Programs([samples], BARE_MARGINS).full_stations[0]]
+    )
     assert (found.reason, found.deflection, found.u95) == (drive.FREE, 0.0, 0.0)
     single = SampleBySample(samples, 2, np.full(len(samples), -0.8))
     values = [np.linalg.svd(jacobian(single.q[i], single.tool(i)))[1][-1] for i in range(len(samples))]
@@ -351,7 +353,7 @@ def test_a_program_without_cuts_has_no_error_and_its_singular_value():
 
 @pytest.mark.parametrize("order", [0, 1])
 def test_a_place_without_equilibrium_of_one_program_is_refused_as_singular(monkeypatch, order):
-    judged = Programs([gcode(STATED), gcode(STATED)], BARE)
+    judged = Programs([gcode(STATED), gcode(STATED)], BARE_MARGINS)
     place, calls = np.array([1500.0, 0.0, 700.0, 0.0, 0.0]), []
     free = judged._judge(place, -0.8, judged.branch, judged.full_stations)
     assert free.reason == drive.FREE
@@ -372,7 +374,7 @@ def test_a_place_without_equilibrium_of_one_program_is_refused_as_singular(monke
 def test_a_status_that_todays_place_does_not_reach_leaves_the_branch_of_the_start():
     there = moved(CARRIED, [5000.0, 0.0, 700.0, 0.0])
     program, model = read_with_robot(STATUS.format(0.0, 70.0, 6), there, "krl")
-    judged = Programs([PathSamples.of(program, RobotInCell.of(model, there), None)], BARE)
+    judged = Programs([PathSamples.of(program, RobotInCell.of(model, there), None)], BARE_MARGINS)
     assert (judged.full_stations[0].branch == -1).all()
     assert (judged.full_stations[0].shift[:, 1] <= 0.07).all()
     found = judged.judge(np.array([1500.0, 0.0, 700.0, 0.0, 0.0]), all_samples=True)
@@ -381,7 +383,7 @@ def test_a_status_that_todays_place_does_not_reach_leaves_the_branch_of_the_star
 
 def test_stations_know_the_sample_before_them_and_how_far_e1_carries_the_robot():
     samples = krl(CARRIED)
-    (group,) = Programs([samples], BARE).full_stations
+    (group,) = Programs([samples], BARE_MARGINS).full_stations
     motion, t = samples.sample.motion, samples.sample.t
     assert group.row.tolist() == list(range(len(samples)))
     assert group.before.tolist() == [max(i - 1, 0) for i in range(len(samples))]

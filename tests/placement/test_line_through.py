@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from postproc.placement.drive import LeastMargins, Margins, wrap_angles
-from postproc.placement.turn_map import BlockedMap, Blocks, TurnMap, line_through, whole_circle
+from postproc.placement.turn_map import BlockedMap, Blocks, TurnMap, line_through, turns_of_circle
 from tests.kr270 import ROBOT
 
 COLUMNS = 12
@@ -18,7 +18,7 @@ def made(seed, blocks=4, wide=2, closed=0.3):
     """A random map with one bin a block; A6 follows the turn, so that a whole circle is one turn of A6."""
     rng = np.random.default_rng(seed)
     shape = (blocks, COLUMNS)
-    offset = whole_circle(STEP)
+    offset = turns_of_circle(STEP)
     q = np.zeros((*shape, 6))
     q[..., 1], q[..., 2], q[..., 4] = -1.2, 1.9, 0.9
     q[..., 5] = wrap_angles(offset + rng.uniform(-0.2, 0.2, (blocks, 1)))

@@ -30,7 +30,7 @@ def test_a_way_through_a_bin_is_bad_if_a_column_that_it_touches_is():
 def test_winding_of_bins_is_the_way_of_the_joints_from_the_end_of_the_bin_before():
     rng = np.random.default_rng(2)
     step, starts = rng.normal(size=(2, 20)), np.array([0, 3, 4, 11])
-    found = turn_map._wound(step, starts)
+    found = turn_map._windings(step, starts)
     assert found.shape == (4, 2, 3)
     for k, (first, last) in enumerate(zip(starts, [3, 4, 11, 20], strict=True)):
         for joint in range(2):
@@ -41,7 +41,7 @@ def test_winding_of_bins_is_the_way_of_the_joints_from_the_end_of_the_bin_before
 
 @pytest.mark.parametrize(("step", "count"), [(5.0, 72), (30.0, 12), (7.0, 51)])
 def test_turns_of_a_whole_circle_are_even_and_begin_at_half_a_turn(step, count):
-    turns = np.degrees(turn_map.whole_circle(np.radians(step)))
+    turns = np.degrees(turn_map.turns_of_circle(np.radians(step)))
     assert len(turns) == count
     np.testing.assert_allclose(np.diff(turns), 360.0 / count)
     assert -180.0 - 1e-9 <= turns[0] < -180.0 + 360.0 / count

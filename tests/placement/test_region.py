@@ -204,7 +204,7 @@ def test_the_best_place_is_one_that_a_person_sets():
         assert place[k] == round(place[k]) or place[k] in (bounds.low[k], bounds.high[k])
     assert sum(place[k] == round(place[k]) for k in (0, 1, 3)) >= 2
     np.testing.assert_array_equal(
-        bounds.settable(np.array([1699.9, 0.4, 500.0, -20.9, 3.0])), [1699.6, 0, 600.25, -20.6, 0]
+        bounds.rounded(np.array([1699.9, 0.4, 500.0, -20.9, 3.0])), [1699.6, 0, 600.25, -20.6, 0]
     )
 
 

@@ -157,8 +157,6 @@ def test_a_place_states_its_problem_and_its_cost():
 def test_a_person_sets_whole_millimetres_and_degrees_within_the_region():
     bounds = Region((0.5, 0.0, 7.25, 0.0, 0.0), (99.4, 10.0, 7.25, 10.0, 0.0))
     assert bounds.free == [0, 1, 3]
-    np.testing.assert_array_equal(bounds.settable(np.array([0.2, 3.6, 7.25, 2.4, 0.0])), [0.5, 4.0, 7.25, 2.0, 0.0])
-    np.testing.assert_array_equal(
-        bounds.settable(np.array([99.6, 12.0, 7.25, -3.0, 0.0])), [99.4, 10.0, 7.25, 0.0, 0.0]
-    )
+    np.testing.assert_array_equal(bounds.rounded(np.array([0.2, 3.6, 7.25, 2.4, 0.0])), [0.5, 4.0, 7.25, 2.0, 0.0])
+    np.testing.assert_array_equal(bounds.rounded(np.array([99.6, 12.0, 7.25, -3.0, 0.0])), [99.4, 10.0, 7.25, 0.0, 0.0])
     np.testing.assert_array_equal(bounds.clip(np.array([99.6, 3.6, 9.0, 2.4, 5.0])), [99.4, 3.6, 7.25, 2.4, 0.0])

@@ -42,7 +42,7 @@ def inside(bounds, place):
     return np.minimum(np.maximum(place, bounds.low), bounds.high)
 
 
-def settable(bounds, place):
+def rounded(bounds, place):
     whole = [round(v) if bounds.high[k] > bounds.low[k] else v for k, v in enumerate(place)]
     return inside(bounds, np.array(whole, dtype=float))
 
@@ -80,7 +80,7 @@ def by_steps(programs, bounds, today, assess):
                     for sign in (1.0, -1.0):
                         place = np.array(best.place)
                         place[k] += sign * steps[k]
-                        place = settable(bounds, place)
+                        place = rounded(bounds, place)
                         if place[k] == best.place[k]:
                             continue
                         trial = judge(place)
@@ -97,7 +97,7 @@ def by_steps(programs, bounds, today, assess):
         gaps = [(np.abs(np.subtract(trial.place, other)), share) for other, share in refused]
         if any(((gap < share * span) | (span == 0.0)).all() for gap, share in gaps):
             continue
-        place = settable(bounds, np.array(trial.place))
+        place = rounded(bounds, np.array(trial.place))
         calls.append((tuple(place), True))
         exact = programs.value(place, True)
         if exact.reachable and (not assess or assess(exact).problem == ""):

@@ -301,7 +301,7 @@ def test_a_cut_that_tilts_the_tool_without_rotary_axes_is_not_turned_on_the_way(
 
 
 def test_the_turns_that_are_tried_divide_the_circle():
-    np.testing.assert_allclose(np.degrees(drive.TURNS), range(-180, 180, 30), atol=1e-9)
+    np.testing.assert_allclose(np.degrees(drive.TRIED_TURNS), range(-180, 180, 30), atol=1e-9)
 
 
 @pytest.mark.parametrize(

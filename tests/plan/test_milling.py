@@ -82,7 +82,7 @@ def test_poses_with_another_angle_of_a2_stand_for_themselves_though_they_are_loa
     q = np.zeros((40, 6))
     q[:, 1] = np.repeat([-1.5, -0.5], 20)
     same = {"wrench": np.ones((40, 6)), "torque": np.ones((40, 6)), "regressor": np.ones((40, 3, 6))}
-    shares = {"weight": np.full(40, 1 / 40), "by_law": np.zeros(40, dtype=bool)}
+    shares = {"weight": np.full(40, 1 / 40), "is_law_force": np.zeros(40, dtype=bool)}
     tests = milling.TestPoses(q=q, deflection=np.ones(40), source="alike", **same, **shares)
     few = milling.representatives(tests, np.ones(6), 2, 0)
     assert sorted(few.q[:, 1]) == [-1.5, -0.5]

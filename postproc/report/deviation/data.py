@@ -164,7 +164,7 @@ class Deviation(Struct, frozen=True, dict=True):
     def bodies(self) -> list[Body]:
         """Bodies of the cell that were checked for collisions, without the arm."""
         clearance = self.result.clearance
-        return [] if clearance is None else [body for body in clearance.scene.bodies if body.of != "arm"]
+        return [] if clearance is None else [body for body in clearance.scene.bodies if body.role != "arm"]
 
     @cached_property
     def operations(self) -> list[Operation]:
