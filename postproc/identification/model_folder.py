@@ -416,7 +416,7 @@ def _workspace_records(workspace: Workspace) -> list[record.InWorkspace]:
             load_N=level.load,
             deflection_mm=level.deflection * MM_PER_M,
             bound_mm=level.bound * MM_PER_M,
-            worst_share=level.worst,
+            worst_share=level.bound_ratio,
             chance=level.chance,
         )
         for level in workspace.levels

@@ -318,14 +318,14 @@ class WorkspaceLevel(Struct, frozen=True):
     :param load: force [N], median over the poses.
     :param deflection: of the tool [m], median.
     :param bound: u95 [m], median.
-    :param worst: bound over deflection that 95 % of the poses are below.
+    :param bound_ratio: bound over deflection that 95 % of the poses are below.
     :param chance: that correction makes a place better, which 95 % of the poses are above.
     """
 
     load: float
     deflection: float
     bound: float
-    worst: float
+    bound_ratio: float
     chance: float
 
 
@@ -350,9 +350,9 @@ class Workspace(Struct, frozen=True):
         return tuple(level for level in self.levels if level.load >= self.least) or self.levels[-1:]
 
     @property
-    def worst(self) -> WorkspaceLevel:
+    def worst_level(self) -> WorkspaceLevel:
         """The level of measured loads at which bound over deflection is largest; there must be levels."""
-        return max(self.measured_levels, key=lambda level: level.worst)
+        return max(self.measured_levels, key=lambda level: level.bound_ratio)
 
     @property
     def refusal(self) -> str:
@@ -370,15 +370,15 @@ class Workspace(Struct, frozen=True):
         if weakest_level is None:
             return ""
         is_wide = weakest_level.chance < elastostatics.WIDE
-        if not is_wide and self.worst.worst < _SIMILAR_RATIO:
+        if not is_wide and self.worst_level.bound_ratio < _SIMILAR_RATIO:
             return ""
         chance = (
             f"under {weakest_level.load:.0f} N there are poses where correction makes the part better with a chance of "
             f"{100.0 * weakest_level.chance:.0f} % only; "
         )
         return (
-            f"{chance if is_wide else ''}under {self.worst.load:.0f} N the bound is up to "
-            f"{self.worst.worst:.2g} times the deflection (A1 … A6 = {self._angles}°): {self.cause}"
+            f"{chance if is_wide else ''}under {self.worst_level.load:.0f} N the bound is up to "
+            f"{self.worst_level.bound_ratio:.2g} times the deflection (A1 … A6 = {self._angles}°): {self.cause}"
         )
 
     @property
@@ -392,10 +392,11 @@ class Workspace(Struct, frozen=True):
         if not self.levels:
             return f"workspace: {self.refusal}"
         text = (
-            f"bound over deflection in the workspace: below {self.worst.worst:.2g} in 95 % of the poses from "
+            "bound over deflection in the workspace: below "
+            f"{self.worst_level.bound_ratio:.2g} in 95 % of the poses from "
             f"{self.measured_levels[0].load:.0f} N to {self.levels[-1].load:.0f} N"
         )
-        exceeded_levels = [level for level in self.levels if level.worst > 1.0]
+        exceeded_levels = [level for level in self.levels if level.bound_ratio > 1.0]
         if exceeded_levels and exceeded_levels[-1].load < self.least:
             text += f"; at {exceeded_levels[-1].load:.0f} N and below the bound can exceed the deflection"
         return text
@@ -412,7 +413,7 @@ def bound_over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
     least_load = float(norm(data.wrench[data.loaded_states, :3]).min())
     largest_force = _largest_forces(robot, data, q, direction)
     levels: list[WorkspaceLevel] = []
-    worst, cause, worst_pose = 0.0, "", q[0]
+    largest_ratio, cause, worst_pose = 0.0, "", q[0]  # of levels of measured loads
     for share in SHARES:
         wrench = np.concatenate([share * largest_force[:, None] * direction, np.zeros_like(direction)], axis=1)
         try:
@@ -428,13 +429,13 @@ def bound_over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
             load=float(np.median(share * largest_force)),
             deflection=float(np.median(norm(deflection))),
             bound=float(np.median(bound)),
-            worst=float(np.quantile(ratio, _POSE_SHARE)),
+            bound_ratio=float(np.quantile(ratio, _POSE_SHARE)),
             chance=float(np.quantile(elastostatics.chance_at(errors, deflection), 1.0 - _POSE_SHARE)),
         )
         levels.append(level)
-        if level.load >= least_load and level.worst > worst:
-            row = int(np.argmin(np.abs(ratio - level.worst)))
-            worst, worst_pose = level.worst, q[row]
+        if level.load >= least_load and level.bound_ratio > largest_ratio:
+            row = int(np.argmin(np.abs(ratio - level.bound_ratio)))
+            largest_ratio, worst_pose = level.bound_ratio, q[row]
             cause = _main_cause(robot, q[row], tool, wrench[row], float(bound[row]))
     return Workspace(tuple(levels), least_load, cause, tuple(worst_pose.tolist()))
 

@@ -416,7 +416,7 @@ def _prediction(robot: RobotModel, data: Measurements, placement: Placement) -> 
     unloaded_pose = elastostatics.deflect(robot, q, load_frame, np.zeros_like(wrench)).pose
     displacement, bound = np.empty((len(q), len(data.points), 3)), np.zeros((len(q), len(data.points)))
     for index, point in enumerate(placement.points):
-        lever = np.append(point - data.load_point, 1.0)
+        lever = np.append(point - data.load_point, 1.0)  # homogeneous: displacements of the load point count too
         displacement[:, index] = ((pose - unloaded_pose) @ lever)[:, :3]
         tool = np.eye(4)
         tool[:3, 3] = point

@@ -103,7 +103,7 @@ def plan_compensator(robot: RobotModel, sigma: float, options: CompensatorOption
 
 
 def expected_intervals(value: Array, q2: Array, beta: Array, sigma: float, repeats: int) -> Array:
-    """Return the expected half widths (3,) of the 95 % intervals of L, a_x, a_y [m].
+    """Return the expected half widths (3,) of the 95 % intervals of L, a_x, a_y [m], for markers at `_RADIUS` from P0.
 
     :param value: (3,) L, a_x, a_y [m].
     :param q2: (m,) angles of joint 2 [rad].

@@ -195,7 +195,7 @@ def test_the_workspace_counts_loads_that_were_measured():
     space = Workspace(levels((50.0, 3.0, 0.6), (100.0, 1.1, 0.7), (400.0, 0.4, 0.9), (900.0, 0.5, 0.99)), 400.0,
                       "most of it comes from A3", tuple(np.radians([10, 20, 30, 40, 50, 60])))  # fmt: skip
     assert [level.load for level in space.measured_levels] == [400.0, 900.0]
-    assert space.worst.load == 900.0
+    assert space.worst_level.load == 900.0
     assert space.line == (
         "bound over deflection in the workspace: below 0.5 in 95 % of the poses from 400 N to 900 N; at 100 N and "
         "below the bound can exceed the deflection"

@@ -74,7 +74,7 @@ def test_states_torques_and_unmodelled_errors_are_those_of_the_readings(result):
     )
     for row, space in zip(written.workspace, result.workspace.levels, strict=True):
         lengths = 1e3 * space.deflection, 1e3 * space.bound
-        assert astuple(row) == pytest.approx((space.load, *lengths, space.worst, space.chance))
+        assert astuple(row) == pytest.approx((space.load, *lengths, space.bound_ratio, space.chance))
 
 
 def test_parameters_have_values_two_sided_intervals_and_those_of_the_prior(result):
