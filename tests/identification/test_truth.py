@@ -241,10 +241,10 @@ def test_few_configurations_of_a_real_robot_are_a_reservation_since_priors_and_b
     assert result["factor"] > 5.0
 
 
-@pytest.mark.parametrize(("case", "seed"), [({"sigma": 1e-3, "poses": 10}, 801), ({"levels": (0.02,)}, 805)])
-def test_links_that_noise_hides_are_in_the_bound(case, seed):
-    """Joint springs suffice for the readings, and the bound of least squares held at 14 % of the places."""
-    result = truth.tried(dataclasses.replace(row("two loads"), **case), seed)
+@pytest.mark.parametrize("case", [{"sigma": 1e-3, "poses": 10}, {"levels": (0.02,)}])
+def test_links_that_noise_hides_are_in_the_bound(case):
+    """Joint springs suffice for the readings; their bound alone would hold at 12 % and 84 % of the places."""
+    result = truth.tried(dataclasses.replace(row("two loads"), **case), 801)
     assert result["inside"] >= 0.9
     assert result["factor"] > 3.0
 
