@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from postproc.errors import Issue, ProgramError
-from postproc.files import foreign_single, seal, write_whole
+from postproc.files import find_foreign_file, seal, write_whole
 from postproc.program import Document
 from tests import fabricated
 from tests.commands import convert, invoke, run
@@ -236,13 +236,13 @@ def test_two_programs_that_would_get_one_name_are_an_error_before_anything_is_wr
 
 def test_a_single_file_carries_its_own_sum(tmp_path):
     path = tmp_path / "compensator.toml"
-    assert foreign_single(path) == []
+    assert find_foreign_file(path) == []
     write_whole(tmp_path, {path.name: seal(b"# made by us.\nL_mm = 5.0\n")})
-    assert foreign_single(path) == []
+    assert find_foreign_file(path) == []
     assert path.read_text().splitlines()[1] == "L_mm = 5.0"
     for text in (path.read_text().replace("5.0", "6.0"), "L_mm = 5.0\n", ""):
         path.write_text(text)
-        assert foreign_single(path) == [path]
+        assert find_foreign_file(path) == [path]
 
 
 @pytest.mark.parametrize(

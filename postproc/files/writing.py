@@ -76,10 +76,12 @@ def add_record(
     return {**digested_contents, name: rendered_record()}
 
 
-def foreign(folder: Path, names: Iterable[str], record: str) -> list[Path]:
-    """Return those of the files that exist and are not as postproc wrote them.
+def find_foreign_files(folder: Path, names: Iterable[str], record: str) -> list[Path]:
+    """Return the paths of files that exist and that postproc did not write, or that were changed since.
 
-    :param record: name of the record.
+    :param names: names of files of the folder.
+    :param record: name of the file with the names and digests of the files that were written. If it is missing or no
+        such record, all files that exist are foreign.
     """
     digests = _recorded_digests(folder / record)
     return [
@@ -108,9 +110,10 @@ def seal(text: bytes) -> bytes:
     return b"%s SHA-256 of what follows: %s\n%s" % (head, hashlib.sha256(body).hexdigest().encode(), body)
 
 
-def foreign_single(path: Path) -> list[Path]:
-    """Return the path in a list if the file exists and was not written with `seal`, or changed since; else no
-    path.
+def find_foreign_file(path: Path) -> list[Path]:
+    """Return the path in a list if the file exists and was not written with `seal`, or was changed since.
+
+    The list is empty for a file that is missing, or as it was written.
     """
     if not path.exists():
         return []

@@ -279,7 +279,9 @@ def protect(folder: Path) -> None:
 
     :raises InputError: the folder has such a model, which writing would overwrite.
     """
-    files.refuse(files.foreign(folder, ("model.toml", "robot.urdf", "report.html", record.NAME), record.NAME))
+    files.refuse(
+        files.find_foreign_files(folder, ("model.toml", "robot.urdf", "report.html", record.NAME), record.NAME)
+    )
 
 
 def read_prior(folder: Path, payload: Payload | None, source: str) -> ModelFile:

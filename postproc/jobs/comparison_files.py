@@ -16,7 +16,7 @@ from postproc.cell import Cell
 from postproc.comparison import compare
 from postproc.dialects import registry
 from postproc.errors import InputError, argument
-from postproc.files import add_record, foreign, json_bytes, recorded_files, refuse, write_whole
+from postproc.files import add_record, find_foreign_files, json_bytes, recorded_files, refuse, write_whole
 from postproc.forces.sources import extensions
 from postproc.frames import M_PER_MM
 from postproc.jobs import inputs
@@ -103,7 +103,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     names = (pairs, page, record)
     protect(request.reads(), folder, names)
     if not request.overwrite:
-        refuse(foreign(folder, names, record))
+        refuse(find_foreign_files(folder, names, record))
     source = force_source(request.forces, cell)
     file_origin = _origin_of_second(request, cell, nominal, second_program)
     if file_origin.without_forces:
@@ -167,7 +167,11 @@ def _stated_ends(path: Path) -> Bools | None:
     """
     table, record = (path.with_name(f"{path.stem}{suffix}") for suffix in (".targets.csv", ".report.json"))
     names = path.name, table.name
-    if not {*names} <= recorded_files(record).keys() or not table.exists() or foreign(path.parent, names, record.name):
+    if (
+        not {*names} <= recorded_files(record).keys()
+        or not table.exists()
+        or find_foreign_files(path.parent, names, record.name)
+    ):
         return None
     with table.open(encoding="utf-8", newline="") as file:
         return np.array([float(row["t"]) == 1.0 for row in csv.DictReader(file)], dtype=bool)

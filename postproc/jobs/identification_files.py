@@ -9,7 +9,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import cell as cells
-from postproc.files import foreign_single, refuse
+from postproc.files import find_foreign_file, refuse
 from postproc.identification import (
     Choices,
     IdentifiedFolder,
@@ -52,7 +52,7 @@ def identify_compensator(markers: Path, output: Path, *, overwrite: bool = False
     """
     protect([markers], output.parent, [output.name])
     if not overwrite:
-        refuse(foreign_single(output))
+        refuse(find_foreign_file(output))
     result = compensator_geometry.identify(compensator_geometry.read(markers))
     compensator_geometry.save(output, result, markers.name)
     return result

@@ -28,7 +28,7 @@ from postproc.dialects import registry
 from postproc.dialects.dialect import Calling
 from postproc.dialects.text import decode
 from postproc.errors import InputError, Issue, PostprocError, ProgramError
-from postproc.files import foreign, foreign_single, path_list, recorded_files, recorded_names, refuse
+from postproc.files import find_foreign_file, find_foreign_files, path_list, recorded_files, recorded_names, refuse
 from postproc.jobs.programs import FAILED, Job, Outcome, Settings, read_documents
 from postproc.program import Document, NeededFile
 from postproc.provenance import digest
@@ -373,7 +373,7 @@ class OutputPlan:
             self._refuse_called_names(job, job.writes(self._mode))
         if not self._overwrite:
             foreign_files = [path for job in self.jobs for path in self._foreign_files(job, job.writes(self._mode))]
-            refuse(foreign_files + [path for folder in self.overviews for path in foreign_single(folder / OVERVIEW)])
+            refuse(foreign_files + [path for folder in self.overviews for path in find_foreign_file(folder / OVERVIEW)])
 
     def _refuse_called_names(self, job: Job, names: Iterable[str]) -> None:
         """Check that files to be replaced are not called by a program of an earlier run, which would move differently.
@@ -425,7 +425,7 @@ class OutputPlan:
             )
         obsolete = [name for name in _obsolete_names(job, mode, names) if not folder.owners(job, name)]
         if not self._overwrite:
-            refuse(foreign(job.output, obsolete, job.report(mode)))
+            refuse(find_foreign_files(job.output, obsolete, job.report(mode)))
         partners = folder.programs_needing(changed_names) - {job.report(mode)} if changed_names else frozenset()
         return _PendingOutput(task, outcome, tuple(obsolete), partners)
 
@@ -495,7 +495,9 @@ class OutputPlan:
         """
         folder = self._folders[job.output]
         foreign_files = [
-            path for path in foreign(job.output, names, job.report(self._mode)) if not folder.is_needed_copy(job, path)
+            path
+            for path in find_foreign_files(job.output, names, job.report(self._mode))
+            if not folder.is_needed_copy(job, path)
         ]
         return (
             [path for path in foreign_files if path.name not in _intact_program_files(job, self._mode)]
@@ -762,7 +764,7 @@ def _overviews(jobs: Sequence[Job]) -> list[Path]:
 
 def _has_overview(folder: Path) -> bool:
     """Return whether a folder has an overview that postproc wrote."""
-    return (folder / OVERVIEW).is_file() and not foreign_single(folder / OVERVIEW)
+    return (folder / OVERVIEW).is_file() and not find_foreign_file(folder / OVERVIEW)
 
 
 def _may_share(job: Job) -> bool:

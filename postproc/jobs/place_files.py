@@ -14,7 +14,7 @@ from msgspec import Struct
 from postproc import cell as cells
 from postproc.cell import Cell, Frame
 from postproc.errors import CellError, InputError, OptionError, PostprocError, did_you_mean
-from postproc.files import add_record, foreign, refuse, write_whole
+from postproc.files import add_record, find_foreign_files, refuse, write_whole
 from postproc.frames import M_PER_MM, RAD_PER_DEG
 from postproc.jobs.conversion import convert_program, programs_under_force
 from postproc.jobs.output_plan import protect
@@ -77,7 +77,7 @@ def make_place(request: PlaceRequest, progress: Callable[[int, int], None] | Non
     inputs = [Path(program) for program in request.programs]
     protect([*inputs, request.cell, *filter(None, (request.forces, request.process))], request.output, FILES)
     if not request.overwrite:
-        refuse(foreign(request.output, FILES, _RECORD))
+        refuse(find_foreign_files(request.output, FILES, _RECORD))
     # a conversion chooses a new start at each place; the samples all have the start that is chosen here
     assess = partial(_assessment, request, cell, robot)
     started_cell, start_message = _cell_with_start(request, cell, robot)
@@ -117,7 +117,7 @@ def _write(output: Path, search: Search, cell: Cell, content: report.PlaceSummar
     }
     if search.best is not None:
         contents[_BASE] = report.base_toml(search, cell, content)
-    is_earlier_place_ours = not foreign(output, [_BASE], _RECORD)
+    is_earlier_place_ours = not find_foreign_files(output, [_BASE], _RECORD)
     written_files = write_whole(
         output, add_record(contents, _RECORD, lambda entries: report.place_json(content, entries))
     )

@@ -13,7 +13,7 @@ from postproc import interrupts
 from postproc.cell import Cell
 from postproc.dialects.krl.dialect import KRL
 from postproc.errors import InputError, MeasurementError
-from postproc.files import FileEntry, add_record, foreign, json_bytes, refuse, write_whole
+from postproc.files import FileEntry, add_record, find_foreign_files, json_bytes, refuse, write_whole
 from postproc.frames import RAD_PER_DEG
 from postproc.identification.readings import Angles, read, read_experiment
 from postproc.jobs.conversion import programs_under_force
@@ -112,7 +112,7 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
     names = (csv, src, html, record)
     protect(request.reads(), folder, names)
     if not request.overwrite:
-        refuse(foreign(folder, names, record))
+        refuse(find_foreign_files(folder, names, record))
     with interrupts.ending_a_search():
         result = plan_measurements(site, tests, request.options(), data, progress)
     contents: dict[str, bytes | Iterable[bytes]] = {csv: plan_csv(result)}
@@ -165,7 +165,7 @@ def make_compensator_plan(request: CompensatorRequest) -> CompensatorPlanFiles:
     folder, csv, record = request.output.parent, request.output.name, f"{request.output.stem}.json"
     protect([request.experiment], folder, (csv, record))
     if not request.overwrite:
-        refuse(foreign(folder, (csv, record), record))
+        refuse(find_foreign_files(folder, (csv, record), record))
     options = CompensatorOptions(request.angles, request.markers, request.repeats, request.margin * RAD_PER_DEG)
     plan = plan_compensator(robot, setup.sigma, options)
 

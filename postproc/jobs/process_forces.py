@@ -28,7 +28,7 @@ from postproc.chunks import Runs
 from postproc.collision import cylinders
 from postproc.correction import HeldFeed, Result
 from postproc.errors import ForceError, InputError, Issue
-from postproc.files import add_record, foreign, foreign_single, refuse, write_whole
+from postproc.files import add_record, find_foreign_file, find_foreign_files, refuse, write_whole
 from postproc.forces import Knots
 from postproc.frames import M_PER_MM, MM_PER_MIN, Array, norm
 from postproc.jobs.output_plan import protect
@@ -542,7 +542,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     folder, names = _output_folder_and_names(request)
     protect(filter(None, (request.program, request.cell, request.process, request.stock)), folder, names)
     if not request.overwrite:
-        refuse(foreign(folder, names, names[-1]))
+        refuse(find_foreign_files(folder, names, names[-1]))
     forces = None
     if process.material is not None:
         forces = machining.estimate(
@@ -616,7 +616,7 @@ def identify_forces(
     page = output.with_suffix(".html")
     protect([readings_path, process], output.parent, [output.name, page.name])
     if not overwrite:
-        refuse(foreign_single(output))
+        refuse(find_foreign_file(output))
     process_file = machining.load(process, tools_only=True)
     _, entry = identification.tool_of(process_file, tool)
     readings = identification.read(readings_path)

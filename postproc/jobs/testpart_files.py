@@ -213,7 +213,7 @@ def _protect_files(request: TestPartRequest, placements: Iterable[Placement]) ->
     names = [*programs, _TABLE, PROCESS, _PAGE]
     protect([request.cell, request.process], request.output, [*names, _RECORD])
     if not request.overwrite:
-        files.refuse(files.foreign(request.output, names, _RECORD))
+        files.refuse(files.find_foreign_files(request.output, names, _RECORD))
 
 
 class _ChosenPart(NamedTuple):

@@ -365,7 +365,7 @@ class _Watcher:
 
         If it cannot be written, or would replace a file that postproc did not write, a sentence says so once.
         """
-        if files.foreign_single(self.output / OVERVIEW) and not self.settings.overwrite:
+        if files.find_foreign_file(self.output / OVERVIEW) and not self.settings.overwrite:
             self._report_new(f"{self.output / OVERVIEW} was not written by postproc: there is no overview.")
             return
         failures = [
