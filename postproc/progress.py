@@ -62,7 +62,10 @@ def line_writer() -> Callable[[str, float], None]:
 
 
 def step(name: str) -> None:
-    """Print, for a program that reads progress, which step has begun whose share is unknown."""
+    """Write a line of progress to stderr: a step begins, and how much of it is done is unknown.
+
+    A closed stderr is ignored.
+    """
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.write(f"{MARK} {_UNKNOWN} {name}\n")
         sys.stderr.flush()

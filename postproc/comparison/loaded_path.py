@@ -397,7 +397,9 @@ class Search(Struct, frozen=True, eq=False):
     stretches: Stretches
 
     def deviations(self, row: Ints, t: Array, q: Array, guess: Array, *, sufficient_distance: float) -> _Deviations:
-        """Return the nearest places of the nominal path, and the distances of the tip from them by both programs.
+        """Return the place of the nominal path nearest to the loaded tip, for each of n places of the second program.
+
+        With it come the distances of the loaded tip from there: by the nominal program, and by the second one.
 
         :param row: (n,) motions of the second program; `t` (n,) places on them; `q` (n, 6) joint angles there [rad].
         :param guess: (n,) approximate arc lengths on the nominal path [m].

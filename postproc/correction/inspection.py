@@ -279,7 +279,8 @@ def _margins_and_steps(path: PathUnderLoad, q: Array, rows: Ints) -> _Margins:
         state = np.empty((9, len(rows)))
         state[:6] = q[samples].T
         state[:6, samples < 0] = path.robot_in_cell.cell.start_joints[:, None]
-        state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(state.T), form.elbow(state.T)
+        joints = state[:6].T
+        state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(joints), form.elbow(joints)
         margin = np.abs(state)
         margin[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
         states.append(state)

@@ -797,7 +797,11 @@ class _SlowedDrafts:
         self._issues_before = task.initial_issues
 
     def draft(self, division: _Division) -> Draft:
-        """Return the draft of a division of the path, slowed `_SLOWINGS` times at most; update the attributes."""
+        """Return the draft of a division of the path.
+
+        Motions in which a joint is too fast are slowed, `_SLOWINGS` times at most; `motions`, `slowing` and `task` are
+        then those of the slowed program.
+        """
         draft = self._written(division)
         for _ in range(_SLOWINGS):
             too_fast = [issue for issue in draft.issues if issue.kind.startswith(checks.JOINT_SPEED)]
@@ -806,7 +810,7 @@ class _SlowedDrafts:
             fast_lines = {line for issue in too_fast for line in (issue.source_line or 0, *issue.lines)}
             q, position = draft.q, draft.path.sample.pose.position
             slow_motions = inspection.slow_fast_motions(draft.path, q, position, self.slowing, fast_lines)
-            if slow_motions is None:
+            if slow_motions is None:  # nothing that may be slowed is too fast
                 break
             self.motions, self.slowing = slow_motions
             issue = self.slowing.issue(self.motions.program.motions)

@@ -188,7 +188,7 @@ def _turns(program: Program, start: Starts, shortest_turn: Array) -> Array:
     if program.with_path is not None:
         turn = turn.copy()
         rows = np.flatnonzero(program.with_path)
-        orientation_from_path = _turn_back(program, rows, m.sweep[rows], m.target[rows, :3, :3])
+        orientation_from_path = _turn_about_arc_axis(program, rows, -m.sweep[rows], m.target[rows, :3, :3])
         # the turn of the path and that relative to it: their sum is an upper bound
         turn[rows] = m.sweep[rows] + angle_between(start.at(rows)[:, :3, :3], orientation_from_path)
     return turn
@@ -269,17 +269,21 @@ def _axis_interpolated_rows(program: Program, path: Segments, motion: Ints, t: A
 
 
 def _arc_orientations(program: Program, path: Segments, rows: Ints, t: Array) -> Array:
-    """Return the orientations (n, 3, 3) at places (rows, t) of arcs with which the tool turns, `$BASE`."""
+    """Return the tool orientations (n, 3, 3) in `$BASE` at places (rows, t) of arcs whose orientation follows the path.
+
+    The orientation at the end is turned back by the sweep about the axis of the arc; between it and that at the start,
+    orientations relative to the path are interpolated; they are then turned forward with the path.
+    """
     m = program.motions
     end = m.target[rows]
-    end[:, :3, :3] = _turn_back(program, rows, m.sweep[rows], end[:, :3, :3])
+    end[:, :3, :3] = _turn_about_arc_axis(program, rows, -m.sweep[rows], end[:, :3, :3])
     orientation_from_path = interpolate(path.start.at(rows), end, t)[:, :3, :3]
-    return _turn_back(program, rows, -t * m.sweep[rows], orientation_from_path)
+    return _turn_about_arc_axis(program, rows, t * m.sweep[rows], orientation_from_path)
 
 
-def _turn_back(program: Program, rows: Ints, angle: Array, orientation: Array) -> Array:
-    """Return orientations (n, 3, 3) turned back by angles (n,) [rad] about the axes of arcs, rows (n,) of `Motions`."""
-    return np.asarray(rotation_from_vector(-angle[:, None] * program.motions.normal[rows]) @ orientation)
+def _turn_about_arc_axis(program: Program, rows: Ints, angle: Array, orientation: Array) -> Array:
+    """Return orientations (n, 3, 3) turned by angles (n,) [rad] about the axes of arcs, rows (n,) of `Motions`."""
+    return np.asarray(rotation_from_vector(angle[:, None] * program.motions.normal[rows]) @ orientation)
 
 
 def positions(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
