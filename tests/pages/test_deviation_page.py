@@ -500,7 +500,7 @@ def test_a_prediction_has_the_same_page_with_one_deviation(browser, results):
 
 
 def test_of_50_000_targets_the_worst_is_drawn(browser, tmp_path):
-    """Over ten times as many as a page draws."""
+    """Six times as many as the view draws."""
     base = fabricated.result(50_000)
     before = base.before.copy()
     before[31_457] = 5e-3
