@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from itertools import islice, takewhile, zip_longest
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc import toolpath
 from postproc.comparison.paths import SMALLEST_SHARE, PlacedProgram, distances_from_path, tool_of_nominal
@@ -29,6 +30,7 @@ from postproc.comparison.settings import (
     axis_target_differences,
     force_differences,
     frame_differences,
+    kind_changes,
     lowered_feed_notes,
     setting_differences,
 )
@@ -36,7 +38,7 @@ from postproc.comparison.statements import statement_differences
 from postproc.correction.targets import corners_of_motions
 from postproc.errors import Level
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, angle_between, norm
-from postproc.program import CIRC, PTP, Ints, Program, distinct
+from postproc.program import CIRC, LIN, PTP, Ints, Program, distinct
 
 _EXCESS_MARGIN = 5e-6
 """A deviation between targets is reported if it exceeds those at the targets by the tolerance and this [m]; assumed."""
@@ -96,6 +98,7 @@ def differences(
         *_unpaired_targets(comparison, nominal_path),
         *axis_target_differences(comparison, nominal_path, corrected_path),
         *_orientation_differences(comparison, nominal_path, corrected_path),
+        *_joint_motions_off_path(comparison, nominal_path, corrected_path),
         *(path_differences or _cut_corners(comparison, nominal_path, corrected_path)),
         *uncertain,
     )
@@ -412,6 +415,65 @@ _MAX_WAYS = 1000
 """Stretches whose distance from the nominal path is computed (assumed)."""
 _PLACES = 65
 """Places of the second path looked at on each of them (assumed)."""
+
+
+def _joint_motions_off_path(
+    comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
+) -> Iterator[Difference]:
+    """Yield point-to-point motions in place of cuts that leave the nominal path by more than the tolerance."""
+    nominal, second = comparison.nominal.motions, comparison.corrected
+    motion, rows = kind_changes(comparison)
+    is_cut = np.isin(nominal.kind[motion], (LIN, CIRC)) & ~nominal.rapid[motion]
+    begin_row = rows - 1 if second.after is None else second.after[rows]
+    # a motion that is its own predecessor begins at an unknown place
+    is_known = (begin_row >= 0) & (begin_row != rows) & (np.searchsorted(comparison.pair[:, 1], rows) > 0)
+    places = np.flatnonzero(is_cut & (second.motions.kind[rows] == PTP) & is_known)[:_MAX_WAYS]
+    excess = np.array(
+        [
+            _excess_of_joint_motion(comparison, nominal_path, corrected_path, int(begin_row[k]), int(rows[k]))
+            for k in places
+        ]
+    )
+    is_off_path = excess > nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN
+    places, excess = places[is_off_path], excess[is_off_path]
+    if len(places):
+        worst = places[np.argmax(excess)]
+        message = (
+            f"PTP instead of a cut: on the way to this target the tool leaves the nominal path by "
+            f"{excess.max() * MM_PER_M:.4f} mm. Write LIN or CIRC."
+        )
+        yield replace(
+            warning_at(comparison, "between", message, (int(motion[worst]), int(rows[worst])), len(places)),
+            level="error",
+        )
+
+
+def _excess_of_joint_motion(
+    comparison: Comparison,
+    nominal_path: PlacedProgram,
+    corrected_path: PlacedProgram,
+    begin_row: int,
+    row: int,
+) -> float:
+    """Return by how much the way to motion `row` is farther from the nominal path than its ends are [m].
+
+    All joints, and the axis that carries the robot, begin and end together.
+
+    :param begin_row: motion of the second program at whose end the way begins.
+    :param row: the motion, after that of the first pair.
+    """
+    share = np.linspace(0.0, 1.0, _PLACES)[:, None]
+    begin_offset, end_offset = corrected_path.carriage_displacement(np.array([begin_row, row]))
+    tips = corrected_path.loaded_tip(
+        np.full(_PLACES, row),
+        (1.0 - share) * corrected_path.joints[begin_row] + share * corrected_path.joints[row],
+        np.zeros((_PLACES, 6)),
+        (1.0 - share) * begin_offset + share * end_offset,
+    )
+    pair = int(np.searchsorted(comparison.pair[:, 1], row))
+    begin, end = nominal_path.arc_length[comparison.pair[pair - 1 : pair + 1, 0] + 1]
+    distances = distances_from_path(nominal_path, tips, np.full(_PLACES, begin), np.full(_PLACES, end))
+    return float(distances.max() - distances[[0, -1]].max())
 
 
 def _pairs_under_force(comparison: Comparison) -> Ints:

@@ -74,9 +74,20 @@ def lowered_feed_notes(comparison: Comparison) -> Iterator[Difference]:
 
 
 def _kind_differences(comparison: Comparison) -> Iterator[Difference]:
-    """Yield targets, inserted ones too, that the second program moves to in another way.
+    """Yield targets, inserted ones too, that the second program moves to in another way."""
+    motion, rows = kind_changes(comparison)
+    if len(rows):
+        nominal_kind = int(comparison.nominal.motions.kind[motion[0]])
+        corrected_kind = int(comparison.corrected.motions.kind[rows[0]])
+        message = f"the way to this target is {_KINDS[corrected_kind]} instead of {_KINDS[nominal_kind]}."
+        yield warning_at(comparison, "kind", message, (int(motion[0]), int(rows[0])), len(rows))
+
+
+def kind_changes(comparison: Comparison) -> tuple[Ints, Ints]:
+    """Return the motions (n,) of the nominal program that are of another kind in the second one, and its motions (n,).
 
     An arc may have become lines (``--linearize-arcs``): where these leave it, another difference gives the distance.
+    The nominal motion of an inserted target is that to the next pair.
     """
     nominal = comparison.nominal.motions
     rows = np.union1d(comparison.pair[:, 1], comparison.inserted_rows)
@@ -89,13 +100,7 @@ def _kind_differences(comparison: Comparison) -> Iterator[Difference]:
     kinds = np.where(np.isnan(nominal.joints[:, 0]), nominal.kind, -1)
     is_known_kind = [corrected_kind[k] in kinds[previous_motion[k] + 1 : motion[k]] for k in indices]
     indices = indices[~np.array(is_known_kind, dtype=bool)]
-    if len(indices):
-        first = indices[0]
-        message = (
-            f"the way to this target is "
-            f"{_KINDS[int(corrected_kind[first])]} instead of {_KINDS[int(nominal_kind[first])]}."
-        )
-        yield warning_at(comparison, "kind", message, (int(motion[first]), int(rows[first])), len(indices))
+    return motion[indices], rows[indices]
 
 
 def _approximation_differences(comparison: Comparison) -> Iterator[Difference]:

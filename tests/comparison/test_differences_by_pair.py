@@ -705,7 +705,7 @@ def test_programs_of_one_conversion_are_compared_by_their_targets_and_forces_alo
         "_repeated_positions": "twice",
         "_backward_moves": "back", "_unpaired_targets": "alone", "axis_target_differences": "axis",
         "_orientation_differences": "orientation", "_ways_off_path": "off", "_deviations_under_force": "under",
-        "_cut_corners": "corners", "_ambiguous_pairs": "ambiguous",
+        "_joint_motions_off_path": "joint", "_cut_corners": "corners", "_ambiguous_pairs": "ambiguous",
     }  # fmt: skip
     for name, word in names.items():
         is_empty = name in ("_ways_off_path", "_deviations_under_force") and not is_off
@@ -732,4 +732,4 @@ def test_programs_of_one_conversion_are_compared_by_their_targets_and_forces_alo
         "alone",
     ]
     paths = ["off", "under"] if is_off else ["corners"]
-    assert list(found) == [*whole, "axis", "orientation", *paths, *uncertain]
+    assert list(found) == [*whole, "axis", "orientation", "joint", *paths, *uncertain]

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests import commands
+from tests import commands, kr270
 from tests.comparison.krl_moves import TURNED, line_of
+from tests.oracle.arm import Arm, abc
 from tests.places import CELL_FILE
 
 PART = f"""DEF part( )
@@ -89,6 +92,46 @@ def test_one_motion_of_another_kind_is_told_and_no_other_force(was, now):
     (issue,) = [issue for issue in issues if issue["kind"] == "kind"]
     assert (issue["corrected_line"], issue["count"]) == (number + 1, 1)
     assert "force" not in {issue["kind"] for issue in issues}
+
+
+PTP_CUTS = [((10, 10), (60, 10)), ((60, 10), (110, 10)), ((150, 50), (110, 50))]
+"""Begin and end of lines of PART under force [mm]."""
+
+
+@pytest.mark.parametrize(("begin", "end"), PTP_CUTS)
+@pytest.mark.parametrize("part", [-1, 0])
+def test_a_cut_that_became_a_joint_motion_is_not_to_be_run_where_it_leaves_the_path(begin, end, part):
+    """Against an arm of its own: joints change in proportion from target to target.
+
+    :param part: which of the written motions along the line is the PTP, the last or the first one.
+    """
+    text, source = lines(), PART.splitlines()
+    rows = list(csv.DictReader(Path("out/part.targets.csv").read_text().splitlines()))
+    nominal_line = next(n for n, line in enumerate(source, 1) if line.startswith(f"LIN {{X {end[0]},Y {end[1]},Z 0,"))
+    # the ;POSTPROC line, left out of the text, is above all motions
+    number = [int(row["output_line"]) - 2 for row in rows if int(row["source_line"]) == nominal_line][part]
+    text[number] = text[number].replace("LIN", "PTP").replace("C_DIS", "").rstrip()
+    before = next(line for line in reversed(text[:number]) if line.startswith(("LIN", "CIRC", "SLIN", "  SPL")))
+    arm, tool = Arm.load(kr270.FOLDER), abc(0, 0, 350)
+    q = np.radians([0.0, -70, 110, 0, 50, 0])
+    ends = []
+    for line in (before, text[number]):
+        values = [float(v) for v in re.findall(r"[XYZABC] (-?[\d.]+)", line.rpartition("{")[2])]
+        q = arm.inverse(abc(1500, -200, 700) @ abc(*values), tool, q)
+        ends.append(q)
+    share = np.linspace(0.0, 1.0, 301)[:, None]
+    tip = arm.tcp((1 - share) * ends[0] + share * ends[1], tool)[:, :3, 3] * 1e3 - np.array([1500, -200, 700])
+    off_line = tip - np.array([*begin, 0.0])
+    off_line[:, 0] -= np.clip(off_line[:, 0], *sorted((0, end[0] - begin[0])))
+    distance = np.linalg.norm(off_line, axis=1)
+    excess = distance.max() - distance[[0, -1]].max()
+    content = compared(text)
+    found = [issue for issue in content["issues"] if issue["message"].startswith("PTP instead of a cut")]
+    assert len(found) == (excess > 0.01)
+    assert (content["verdict"]["state"] == "failed") == (excess > 0.01)
+    for issue in found:
+        assert (issue["level"], issue["source_line"], issue["corrected_line"]) == ("error", nominal_line, number + 1)
+        assert float(re.search(r"[\d.]+ mm", issue["message"])[0][:-3]) == pytest.approx(excess, abs=1e-3)
 
 
 @pytest.mark.parametrize("off", [0.05, 20.0])
