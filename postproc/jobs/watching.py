@@ -254,7 +254,10 @@ class _Watcher:
         return ready if is_setup_quiet and ready and self._can_write() else []
 
     def _forget_removed(self, programs: Collection[Path]) -> None:
-        """Remove the state of programs that are not in the folder any more; of all programs without a state file."""
+        """Remove the state of programs that are no longer in the folder; of all programs if the state file is missing.
+
+        Programs that had the name of a removed one are tried again.
+        """
         if self.entries and not (self.output / STATE).is_file():
             self.entries = {}
             self.finished.clear()

@@ -85,7 +85,7 @@ def arrivals(moves: Moves) -> tuple[Bools, Bools]:
 
 
 def add_approaches(moves: Moves, cell_frames: CellFrames) -> ApproachedMoves:
-    """Return the moves, those that come from home with a separate approach from the clearance height.
+    """Return the moves; each that comes from home is divided into an approach at the clearance height and the rest.
 
     The first move from `[start]` has no separate approach: the user chose that position. Without a clearance height no
     move has one.
@@ -104,12 +104,14 @@ def add_approaches(moves: Moves, cell_frames: CellFrames) -> ApproachedMoves:
     # each of these moves becomes two: the first of them ends at the clearance height, the second where the move ended
     approach_moves = np.cumsum(count)[returns[needs_approach]] - 2
     new_moves = moves.repeat(count)
-    end, turn = new_moves.end.copy(), new_moves.rotary_angles.copy()
+    end, rotary_angles = new_moves.end.copy(), new_moves.rotary_angles.copy()
     end[approach_moves] += tool_direction[needs_approach] * length[needs_approach][:, None]
-    turn[approach_moves + 1, 0] = turn[approach_moves, 1]
+    # at begin (0) and end (1) of each move: the approach turns the axes, the second move keeps them
+    rotary_angles[approach_moves + 1, 0] = rotary_angles[approach_moves, 1]
     is_arrival = np.repeat(is_arrival, count)
     is_arrival[approach_moves + 1] = False
-    return ApproachedMoves(replace(new_moves, end=end, rotary_angles=turn), np.repeat(is_held_back, count), is_arrival)
+    new_moves = replace(new_moves, end=end, rotary_angles=rotary_angles)
+    return ApproachedMoves(new_moves, np.repeat(is_held_back, count), is_arrival)
 
 
 def _approach_lengths(moves: Moves, returns: Ints, tool_direction: Array, clearance: float) -> Array:

@@ -24,9 +24,9 @@ from postproc.dialects.krl.language.tokens import (
     STRING,
     TAG,
     after_blanks,
-    after_nots,
     after_sign,
     operator_at,
+    read_negations,
     word_at,
     words_in,
 )
@@ -131,7 +131,7 @@ def condition(source: Source, start: int, stop: int, first: _Read | None = None)
     operators: list[str] = []
     begin = start
     while True:
-        is_negated, start = (False, start) if first is not None else after_nots(source.text, start, stop)
+        is_negated, start = (False, start) if first is not None else read_negations(source.text, start, stop)
         term, end = first or arithmetic(source, start, stop)
         first = None
         terms.append(term)

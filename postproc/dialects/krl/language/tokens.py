@@ -119,8 +119,13 @@ def operator_at(text: str, start: int, stop: int) -> tuple[str, int]:
     return (match[0].upper(), match.end()) if match else ("", start)
 
 
-def after_nots(text: str, start: int, stop: int) -> tuple[bool, int]:
-    """Return whether the words NOT at an offset are odd in number, and the offset behind them and their blanks."""
+def read_negations(text: str, start: int, stop: int) -> tuple[bool, int]:
+    """Return whether the words NOT at an offset negate what follows, and the offset at which that begins.
+
+    An odd number of them negates. Blanks are passed over, also without NOT.
+
+    :param stop: offset at which the text to be read ends.
+    """
     is_negated, start = False, after_blanks(text, start, stop)
     while match := _NOT_WORD.match(text, start, stop):
         is_negated = not is_negated

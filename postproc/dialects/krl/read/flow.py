@@ -518,7 +518,7 @@ class Flow:
         :raises InexactError: without that option, if a condition in one of the branches is not known.
         """
         run, block, recorder = self.run, nodes[index], self.recorder
-        if recorder is None or not isinstance(block, Block) or not self._may_be_skip(source, block):
+        if recorder is None or not isinstance(block, Block) or not self._may_follow_both_branches(source, block):
             return 0
         part = block.parts[0]
         next_index, end = self._jump_target(source, nodes, index, part.nodes[-1:], ends_routine=ends_routine)
@@ -549,10 +549,10 @@ class Flow:
             return 0
         return next_index
 
-    def _may_be_skip(self, source: Source, block: Block) -> bool:
-        """Return whether a control structure is an IF that may be followed as two branches.
+    def _may_follow_both_branches(self, source: Source, block: Block) -> bool:
+        """Return whether both branches of a control structure may be followed: one runs its statements, one skips them.
 
-        It is one without ELSE, its condition changes nothing, and it surely runs exactly once.
+        They may for an IF without ELSE that runs exactly once for certain, and whose condition has no effects.
         """
         level = self.run.level
         if not level.is_traced or level.loop_depth or not self.run.is_certain:

@@ -151,7 +151,9 @@ class Frames:
         if not isinstance(frame, Position) or number is None:
             return None
         if field in ANGLES and (name, row) in self._given_by_other_angles:
-            return None  # the other angles may be those that were given, or those that the controller shows
+            # the orientation was given by A, B, C that the controller may store in another form: it is not known which
+            # angles the other two are
+            return None
         return with_component(frame, field, number)
 
     def _state_with_named_frame(self, state: State, place: Place, name: str, reference: Reference, key: str) -> State:

@@ -159,13 +159,13 @@ def refuse_routines_with_force_comments(run: Run) -> None:
 
 
 def refuse_routines_under_force(run: Run, notes: Sequence[tuple[int, ForceNote]]) -> None:
-    """Refuse routines that are not followed and are called where a force comment holds.
+    """Refuse untraced routines that may move the tool and are called where a force comment other than zero holds.
 
-    :param notes: force comments of the trace, each with its line, in order.
+    :param notes: force comments of the trace in order, each with its row in the trace.
     :raises ProgramError: there is such a routine; the error names the statement that cannot be followed.
     """
     for call in run.untraced_calls:
-        acting_notes = [note for line, note in notes if line < call.row][-1:]  # the last comment before the call
+        acting_notes = [note for row, note in notes if row < call.row][-1:]  # the last comment before the call
         if acting_notes and any(acting_notes[0].wrench) and run.analysis.may_carry_force(call.module, call.routine):
             raise _uncorrected_error(run, call, ": a force comment holds there")
 

@@ -65,21 +65,22 @@ _END_RULE = "between two rapid moves, with the tool above everything that the pr
 def divide_into_modules(
     program: Program, targets: Targets, joints: TargetJoints, cell: Cell, comment_forces: TargetForces | None = None
 ) -> WrittenProgram:
-    """Return a program read from G-code as KRL, see `emit`.
+    """Return a program read from G-code as KRL text; `emit` says what that contains.
 
     It is divided into modules if it is larger than the memory of the controller, and the cell allows modules.
 
     :param joints: joint angles at the targets.
     :param comment_forces: forces to be written as comments; None: no force comments.
-    :raises ProgramError: see `emit`; the program cannot be divided so that each module fits.
+    :raises ProgramError: the program cannot be written (`emit`), or not be divided so that each module fits.
     """
     output = emit(program, targets, cell, comment_forces)
     if not cell.output.divide_into_modules or output.size <= cell.output.program_memory_MB * _MB:
         return output
+    # written twice more: where modules begin depends on the sizes of the lines, and their beginnings need lines too
     undivided = Emitter(program, targets, cell, comment_forces)
-    starts = _module_starts(program, targets, cell, undivided, undivided.write())
-    emitter = Emitter(program, targets, cell, comment_forces, starts)
-    return _Divider(emitter, emitter.write(), starts, joints).write()
+    module_starts = _module_starts(program, targets, cell, undivided, undivided.write())
+    emitter = Emitter(program, targets, cell, comment_forces, module_starts)
+    return _Divider(emitter, emitter.write(), module_starts, joints).write()
 
 
 def _line_ends(output: WrittenProgram) -> Ints:
