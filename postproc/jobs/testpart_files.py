@@ -588,9 +588,15 @@ def programs_of(probe_data: ProbedSurfaces, paths: tuple[Path, ...]) -> dict[Pat
     advice = "Give --program once for each name in the column program of probing.csv."
     by_name = {path.name: path for path in paths}
     for k, (name, base) in enumerate(zip(probe_data.program, probe_data.base.tolist(), strict=True)):
-        if name not in by_name or placement_of[name] != base or list(placement_of.values()).count(base) > 1:
-            problem = f"program {name!r} is not given" if name not in by_name else f"{name} has two placements"
-            raise MeasurementError(problem, file=probe_data.file, line=int(probe_data.row[k]), advice=advice)
+        if name not in by_name:
+            problem = f"program {name!r} is not given"
+        elif placement_of[name] != base:
+            problem = f"{name} has two placements"
+        elif list(placement_of.values()).count(base) > 1:
+            problem = f"{name} has the placement of another program"
+        else:
+            continue
+        raise MeasurementError(problem, file=probe_data.file, line=int(probe_data.row[k]), advice=advice)
     return {by_name[name]: base for name, base in placement_of.items()}
 
 

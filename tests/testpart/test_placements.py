@@ -159,6 +159,9 @@ def test_rows_that_do_not_name_their_placement_are_refused(folder):
     swapped = [*filled[:first], *moved, *filled[first + 2 :]]
     with pytest.raises(MeasurementError, match="has two placements"):
         programs_of(probing.read(written(swapped)), both)
+    one_place = [filled[0], *([*row[:2], filled[first][2], *row[3:]] for row in filled[1:])]
+    with pytest.raises(MeasurementError, match="has the placement of another program"):
+        programs_of(probing.read(written(one_place)), both)
     alone = probing.read(written([[row[0], *row[3:]] for row in filled]))
     assert programs_of(alone, both[:1]) == {both[0]: -1}
     with pytest.raises(MeasurementError, match="do not name the program"):
