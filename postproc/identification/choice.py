@@ -141,7 +141,7 @@ def full_structure(
     """Return the structure with all candidate parameters, and the kind of each parameter.
 
     :param in_gears: whether weights and compensator load the gears at rest.
-    :param compensator: whether K_c and s₀ are parameters.
+    :param compensator: whether stiffness K_c and free length s₀ of the compensator's spring are parameters.
     """
     idle_joints = unloaded_joints(robot, data)
     loaded_joints = [joint for joint in JOINT_COMPLIANCES if joint not in idle_joints]
@@ -157,7 +157,8 @@ def full_structure(
         BACKLASH: _gear_parameters(Backlash, _TURNS_OVER_AT, loaded_joints, largest_torque),
         # if the load alone acts on the gears, backlash is lost motion
         LOST_MOTION: _gear_parameters(LostMotion, _TURNS_OVER_AT, loaded_joints, largest_torque) if in_gears else (),
-        # a free compensator replaces the weights on joint 2: masses are not identifiable then
+        # masses are seen if they load the gears at rest, or if the geometry is that of the weightless robot; a free
+        # compensator replaces the weights on joint 2, so that they are not identifiable with it
         AT_REST: _gravity_parameters(robot) if not compensator and (in_gears or not robot.subtract_reference) else (),
     }
     pairs = [(parameter, kind) for kind, parameters in parameters_by_kind.items() for parameter in parameters]
@@ -627,32 +628,35 @@ def _stacking_weights(equations: LinearEquations, members: Sequence[Member], can
 
 
 def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurements, placement: Placement) -> Choice:
-    """Return the mean as a fit with its posterior covariance, cross-validation errors, and covariance of the bound.
+    """Return the mean of the candidate structures as one fit, with its posterior, its bound, and held-out errors.
 
     Parameters that change nothing are omitted: springs of links that are zero, waves of a compliance that is constant.
 
-    :param solution: the structure with all candidate parameters, for its evidence.
+    :param mean: the structures, weighed by their evidence.
+    :param solution: the equations of all candidate parameters, for their evidence.
     """
     # once more at the mean: the effect of nonlinear parameters depends on it a little
     mean = replace(mean, equations=linearise(mean.structure, mean.solve(), data, placement))
     equations, parameters = mean.equations, mean.structure.parameters
     values, posterior, spread = mean.solve(), mean.covariance(), mean.spread()
     jackknife, held_out_residual = _jackknife(mean)
-    # a spring of a link costs a coordinate of the model: springs that are zero are omitted, the others take their place
+    # each spring of a link is a coordinate of the model, which costs time: springs that are zero are left out, and the
+    # other parameters take over their effect (`projection`)
     is_link = np.array([isinstance(parameter, LinkSpring) for parameter in parameters])
     is_constant = _is_constant_over_pose(mean.structure, spread)
     columns = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link) & ~is_constant)
     transform = projection(equations, columns, spread)
     dof, influence = _effective_parameters(mean)
-    # twice the posterior times the design effect, and the jackknife: so the bound holds for nearly every robot
-    wider = 2.0 * design_effect(equations, influence, held_out_residual) * posterior + jackknife
+    # twice the posterior times the design effect, and the jackknife: the bound then holds for nearly every simulated
+    # robot (see the module)
+    bound_covariance = 2.0 * design_effect(equations, influence, held_out_residual) * posterior + jackknife
     fit = _fit_of(mean, columns, transform @ posterior @ transform.T, dof, data, placement)
     square_errors, table = equations.mean_squares(held_out_residual), _candidate_table(mean)
     is_narrower = np.sqrt(np.diag(posterior)) < _PRIOR_SHARE * spread
     held_out_by_state = held_out_residual.reshape(len(data.loaded_states), len(data.points), 3)
     return Choice(
         fit=fit,
-        bound_covariance=transform @ wider @ transform.T,
+        bound_covariance=transform @ bound_covariance @ transform.T,
         candidates=table,
         reason=_choice_reason(table, float(square_errors.mean())),
         held_out=square_errors,

@@ -233,16 +233,17 @@ class _Task(NamedTuple):
             self.program, self.path, self.tools, frame, cell, shift=self.shift, directions=self.directions
         )
 
-    def sweep(self, material: Stock, frame: Array, cell_error_sums: Array) -> Sweep:
-        """Return the sweep of a map of the stock, before any motion.
+    def sweep(self, stock: Stock, frame: Array, cell_error_sums: Array) -> Sweep:
+        """Return the sweep of the tools through a map of the stock, before any motion.
 
-        :param material: the map, which is cut in place; `frame` (4, 4) of it in the `$BASE` of the stock.
+        :param stock: the map, which the sweep cuts in place.
+        :param frame: (4, 4) of the map in the `$BASE` of the stock [m].
         :param cell_error_sums: (M, 2) sums that the sweep increases in place, see `Sweep`.
         """
         program, count = self.program, len(self.program.motions)
-        leans = ~self.directions.is_within(frame[:3, 2], AXIS_TOLERANCE)
+        leans = ~self.directions.is_within(frame[:3, 2], AXIS_TOLERANCE)  # the tool is not along Z of the map
         return Sweep(
-            stock=material,
+            stock=stock,
             process=self.process,
             tools=self.tools,
             feed=program.motions.feed,
@@ -252,7 +253,7 @@ class _Task(NamedTuple):
             cell_error_sums=cell_error_sums,
             is_deflected=self.shift is not None,
             guard=self.guard,
-            ceiling=None if self.guard is None else Ceiling(material),
+            ceiling=None if self.guard is None else Ceiling(stock),
         )
 
     def knots(self, poses: ToolPoses, cuts: Cuts) -> Knots:
@@ -999,36 +1000,39 @@ def _scale_issues(segments: StraightSegments, bounds: tuple[float, ...]) -> list
 
 
 def _beside_stock_issues(
-    program: Program, segments: StraightSegments, bounds: tuple[float, ...], margin: float
+    program: Program, segments: StraightSegments, bounds: tuple[float, ...], tool_radius: float
 ) -> list[Issue]:
     """Return a warning if a run of cuts between two rapid moves of a CAM program is nowhere near the stock.
 
-    Robot programs get none: their moves at feed may also position.
+    No warning is made for a robot program, whose moves at feed may also position. Heights do not count.
 
     :param segments: segments of all motions, in the frame of the map of the stock.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
-    :param margin: radius of the widest tool [m]: a run shorter than twice this radius does not count.
+    :param tool_radius: radius of the widest tool [m]: a run shorter than twice this radius does not count.
     """
     m = program.motions
-    if program.keeps_text:
+    if program.keeps_text:  # a robot program
         return []
-    is_near = near_stock(segments, (*bounds[:4], np.inf), margin, len(m))  # at any height
-    length = np.bincount(segments.motion, norm((segments.end - segments.begin)[:, :2]), minlength=len(m))
+    x_low, x_high, y_low, y_high, _ = bounds
+    is_near = near_stock(segments, (x_low, x_high, y_low, y_high, np.inf), tool_radius, len(m))  # at any height
+    horizontal_step = norm((segments.end - segments.begin)[:, :2])
+    length = np.bincount(segments.motion, horizontal_step, minlength=len(m))
     cut_motions = np.flatnonzero(~m.rapid)
     # number of the run of each cutting motion; −2 before the first motion begins the first run
     run = np.cumsum(np.diff(cut_motions, prepend=-2) > 1) - 1
     count = int(run[-1]) + 1 if len(run) else 0
     is_beside = (np.bincount(run, is_near[cut_motions], count) == 0.0) & (
-        np.bincount(run, length[cut_motions], count) > 2.0 * margin
+        np.bincount(run, length[cut_motions], count) > 2.0 * tool_radius
     )
     motions = cut_motions[is_beside[run]]
     if not len(motions):
         return []
-    x_low, x_high, y_low, y_high, _ = (MM_PER_M * value for value in bounds)
+    limits_x, limits_y = (
+        f"{low * MM_PER_M:.4g} … {high * MM_PER_M:.4g}" for low, high in ((x_low, x_high), (y_low, y_high))
+    )
     message = (
-        f"cuts beside the stock, which lies within X {x_low:.4g} … {x_high:.4g}, Y {y_low:.4g} … {y_high:.4g} mm: they "
-        "have no force, and are not corrected. Does [stock] describe another part? Give one for all, or convert part "
-        "by part"
+        f"cuts beside the stock, which lies within X {limits_x}, Y {limits_y} mm: they have no force, and are not "
+        "corrected. Does [stock] describe another part? Give one for all, or convert part by part"
     )
     return [m.issue("warning", "beside-stock", message, motions)]
 

@@ -391,7 +391,8 @@ class Programs:
     def _winds_past_limits(self, q: Array) -> Bools:
         """Return True for samples (n,) of a whole program at which A4 or A6 has wound past its limits since the start.
 
-        :param q: (6, n) joint angles without whole turns [rad].
+        :param q: (6, n) joint angles without whole turns [rad]; NaN where the robot does not reach. A step to or from
+            such a sample counts as no turn: the place is refused for it anyway.
         """
         joints = list(drive.WINDING_JOINTS)
         start = self.robot_in_cell.cell.start_joints[joints, None]

@@ -92,40 +92,42 @@ class Blocks(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, samples: PathSamples) -> Blocks:
-        """Return the path divided into blocks, and these into bins.
+        """Return the path divided into blocks, and the blocks into bins.
 
         A run is the motions between two joint interpolations, or between changes from feed to rapid moves and back. A
         block is a piece of a run; its samples are divided evenly into bins.
         """
         program, segments, motion = samples.program, samples.segments, samples.sample.motion
         m = program.motions
-        jump = m.kind == PTP
-        length = np.where(jump, 0.0, segments.length)
-        starts_run = np.concatenate([[True], jump[1:] | jump[:-1] | (m.rapid[1:] != m.rapid[:-1])])
-        step = max(_LEAST_BLOCK_LENGTH, float(length.sum()) / MOST_BLOCKS)
-        block = _block_of_motion(length, starts_run, step)
-        of_sample = block[motion]
+        is_ptp = m.kind == PTP
+        length = np.where(is_ptp, 0.0, segments.length)
+        starts_run = np.concatenate([[True], is_ptp[1:] | is_ptp[:-1] | (m.rapid[1:] != m.rapid[:-1])])
+        least_length = max(_LEAST_BLOCK_LENGTH, float(length.sum()) / MOST_BLOCKS)
+        block_of_motion = _block_of_motion(length, starts_run, least_length)
+        block_of_sample = block_of_motion[motion]
         distance = samples.sample.distance
         # `distance` counts from the start of each motion
         begins_motion = np.diff(motion, prepend=-1) != 0
-        travel = np.where(jump[motion], 0.0, np.where(begins_motion, distance, np.diff(distance, prepend=0.0)))
-        first, share = _bins(of_sample, travel)
-        ends = np.append(np.flatnonzero(np.diff(block)), len(block) - 1)  # last motion of each block
-        # each sample stands for the path that leads to it: samples are dense, and their forces those of their motions
+        travel = np.where(is_ptp[motion], 0.0, np.where(begins_motion, distance, np.diff(distance, prepend=0.0)))
+        first_samples, share = _bins(block_of_sample, travel)
+        last_motions = np.append(np.flatnonzero(np.diff(block_of_motion)), len(block_of_motion) - 1)  # of the blocks
+        first_motions = np.concatenate([[0], last_motions[:-1] + 1])
+        # no force goes on from sample to sample: the whole path that leads to a sample then counts for it. Samples are
+        # dense, and the forces at them are those of their motions
         goes_on = np.zeros(len(motion), dtype=bool)
         cut_length = cut_lengths(m, length, motion, samples.sample.t, goes_on)
-        seconds = length[~m.rapid] / m.feed[~m.rapid]
-        begin = np.concatenate([[0], ends[:-1] + 1])
+        is_cut = ~m.rapid
+        seconds = np.nan_to_num(length[is_cut] / m.feed[is_cut])  # a PTP at feed has no feed (NaN)
         return cls(
-            first=first,
-            block=of_sample[first],
+            first=first_samples,
+            block=block_of_sample[first_samples],
             share=share,
-            cut_length=np.add.reduceat(cut_length, first),
-            begins=jump[begin] | (begin == 0),
-            cuts=~m.rapid[begin],
-            length=np.asarray(np.bincount(of_sample, travel), dtype=float),
-            time=np.asarray(np.bincount(block[~m.rapid], np.nan_to_num(seconds), minlength=len(begin)), dtype=float),
-            motion=ends,
+            cut_length=np.add.reduceat(cut_length, first_samples),
+            begins=is_ptp[first_motions] | (first_motions == 0),
+            cuts=is_cut[first_motions],
+            length=np.asarray(np.bincount(block_of_sample, travel), dtype=float),
+            time=np.asarray(np.bincount(block_of_motion[is_cut], seconds, minlength=len(first_motions)), dtype=float),
+            motion=last_motions,
         )
 
     @property
@@ -700,13 +702,16 @@ class _LineSearch(Struct, frozen=True, eq=False):
         return next_cost, _Origins(turns4, turns6, column, None)
 
     def _states(self, bins: slice, cost: Array) -> Iterator[_State]:
-        """Yield the states from which a block may begin: for every column of the map before it, the cheapest state.
+        """Yield the cheapest state at the end of the previous block for each column of the map, if one can be reached.
 
-        :param bins: bins of the block; before the first block of the path there is the start only.
-        :param cost: (3, 3, J) costs of the states before it.
+        The first block of the path has one state before it: the start of the program, with cost 0.
+
+        :param bins: bins of the block that begins.
+        :param cost: (3, 3, J) costs of the states at the end of the previous block, by whole turns −1, 0 and 1 of A4
+            and of A6 and by column; infinite where a state cannot be reached.
         """
         if bins.start == 0:
-            yield _State((0, 0, 0), self.start, 0.0)
+            yield _State((0, 0, 0), self.start, 0.0)  # no state is before it: the place is not read
             return
         angle = self.turn_map.q[bins.start - 1][:, WINDING_JOINTS]
         for j in range(cost.shape[2]):

@@ -420,15 +420,16 @@ def _blocked_error(
 
 
 def _closest_bodies(samples: PathSamples, whole: TurnMap, row: int, columns: Ints, branch: int, bodies: Bodies) -> str:
-    """Return in words which bodies are too close in a bin of the map, for the turn with the largest distance.
+    """Return in words which two bodies are closest in a bin of the map, with the turn that keeps them farthest apart.
 
+    :param whole: the map.
     :param row: the bin.
-    :param columns: (c,) columns of the map, the turns that are compared.
-    :param branch: branch of the inverse kinematics.
+    :param columns: (c,) columns of the map: the turns that are compared.
+    :param branch: 0…7, the branch of the inverse kinematics.
     """
     first = whole.blocks.first
-    last = int(first[row + 1]) if row + 1 < len(first) else len(samples)
-    sample_rows = distinct(np.linspace(first[row], last - 1, _MAX_ROWS).astype(np.int64))
+    stop = int(first[row + 1]) if row + 1 < len(first) else len(samples)
+    sample_rows = distinct(np.linspace(first[row], stop - 1, _MAX_ROWS).astype(np.int64))
     rows, column = (values.ravel() for values in np.meshgrid(sample_rows, columns, indexing="ij"))
     turn = whole.base[rows] + whole.offset[column]
     flange = components(samples.flange(rows, turn))

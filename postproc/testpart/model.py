@@ -335,14 +335,17 @@ def _touch_off_fault(fit: Fit) -> str:
 
 
 def _vague_tilt_fault(fit: Fit, top: Top, half_tilt: float) -> str:
-    """Return the fault that the features of a placement do not determine the tilt of the program against the top.
+    """Return the message that the features of a placement determine the tilt of the program too poorly.
+
+    The tilt is that of the program against the top of the block.
 
     :param half_tilt: half width of the 95 % interval of the tilt [rad].
     """
     probe_data = fit.readings.probed
+    # points with a mass were probed under its weight: they are no cuts
     rows = np.flatnonzero((probe_data.base == top.base) & (probe_data.mass == 0.0))
-    count = len({probe_data.name[row].partition(".")[0] for row in rows})
-    frame = Placement("" if top.base < 0 else str(top.base)).title
+    count = len({probe_data.name[row].partition(".")[0] for row in rows})  # a name is such as T01.wall
+    frame = Placement("" if top.base < 0 else str(top.base)).title  # below 0: [base] of the cell
     features = "one feature is too few" if count == 1 else f"{count} features so close together are too few"
     return (
         f"{features} at {frame}: how the program is tilted against the uncut top is known to "

@@ -60,12 +60,12 @@ class PathSettings:
         :raises ProgramError: the speed of the path is not above 0, or beyond `FASTEST`.
         """
         for component_name, name in zip(("ORI1", "ORI2"), TURN_SPEEDS, strict=True):
-            component = self._assigned_component(place, field, component_name, value)
+            component = self._assigned_component(field, component_name, value)
             if component is not None:
                 state = state.with_values(**{name: turn_speed(self.variables.number(component))})
         if isinstance(value, Call) and value.name == "SVEL_CP" and value.arguments:
             value = value.arguments[0]  # the speed
-        component = self._assigned_component(place, field, "CP", value)
+        component = self._assigned_component(field, "CP", value)
         if component is None:
             return state
         number = self.variables.number(component)
@@ -89,7 +89,7 @@ class PathSettings:
             if argument is None:
                 return state
             field, value = "CDIS", argument
-        component = self._assigned_component(place, field, "CDIS", value)
+        component = self._assigned_component(field, "CDIS", value)
         if component is None:
             return state
         number = self.variables.number(component)
@@ -193,7 +193,7 @@ class PathSettings:
         return place.error(f"{name} is not known: {reason}", advice)
 
     def _assigned_component(
-        self, place: Place, field: str | None, component: str, value: Value | VariableValue
+        self, field: str | None, component: str, value: Value | VariableValue
     ) -> Value | VariableValue | None:
         """Return the value that an assignment to a structure, or to one of its components, gives a component.
 
