@@ -70,6 +70,7 @@ def named(found):
 
 POINT = f"LIN {{X 80,Y 0,Z 0,{TURNED}}}\n"
 APPROXIMATION = "the approximation before the target ($APO.CDIS, C_DIS) is"
+PTP_CUT = "PTP instead of a cut: on the way to this target the tool leaves the nominal path by"
 CASES = {
     "nothing": ([], []),
     "speed": (
@@ -78,11 +79,17 @@ CASES = {
     ),
     "kind": (
         [("LIN {X 80,Y 0", "PTP {X 80,Y 0")],
-        [("kind", "the way to this target is point to point (PTP) instead of a line (LIN).", 4, 4, 1)],
+        [
+            ("kind", "the way to this target is point to point (PTP) instead of a line (LIN).", 4, 4, 1),
+            ("between", f"{PTP_CUT} 0.0716 mm. Write LIN or CIRC.", 4, 4, 1),
+        ],
     ),
     "two kinds": (
         [("LIN {X 40,Y 0", "PTP {X 40,Y 0"), ("PTP {X 100,Y 0,Z 40", "LIN {X 100,Y 0,Z 40")],
-        [("kind", "the way to this target is point to point (PTP) instead of a line (LIN).", 1, 1, 2)],
+        [
+            ("kind", "the way to this target is point to point (PTP) instead of a line (LIN).", 1, 1, 2),
+            ("between", f"{PTP_CUT} 0.1107 mm. Write LIN or CIRC.", 1, 1, 1),
+        ],
     ),
     "no approximation": (
         [(f"X 40,Y 0,Z 0,{TURNED}}} C_DIS", f"X 40,Y 0,Z 0,{TURNED}}}")],

@@ -116,7 +116,7 @@ def test_moments_are_turned_as_those_of_turned_forces():
     mirror = np.eye(3)[[1, 0, 2]] @ turn(25.0, 0)
     lever, force = rng.normal(size=(2, 4, 3))
     data = readings_with(np.c_[force, np.cross(lever, force)])
-    turned = module._turned(data, mirror).wrench
+    turned = module._turned_loads(data, mirror).wrench
     assert turned[:, :3] == pytest.approx(force @ mirror.T)
     assert turned[:, 3:] == pytest.approx(np.cross(lever @ mirror.T, force @ mirror.T))
 

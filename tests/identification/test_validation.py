@@ -11,7 +11,7 @@ from postproc.identification import Choices, identify_folder
 from postproc.identification.validation import (
     MIN_CONFIGURATIONS,
     coverage,
-    inside,
+    is_inside_coverage,
     job_lines,
     job_share,
     torque_lines,
@@ -101,7 +101,7 @@ def test_a_job_that_turns_a_gear_over_is_not_assured_by_readings_that_never_do(o
         torque = load_torques(q, f, harness.TOOL[:3, 3])
         shares[sign] = job_share("part.nc", torque, np.full(len(q), 1.0 / len(q)), result.covered)
         if sign > 0:
-            kept[sign] = kept[sign][inside(torque, result.covered)]
+            kept[sign] = kept[sign][is_inside_coverage(torque, result.covered)]
     assert len(kept[1]) >= 15
     assert kept[1].mean() > 0.8  # nearly as validated
     assert kept[-1].mean() < 0.2  # turned over: the error is that of the backlash

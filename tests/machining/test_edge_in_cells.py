@@ -217,7 +217,7 @@ def test_the_chip_is_the_travel_along_the_normal():
 def test_loads_are_sums_over_the_points_of_a_turn(drill, covariance, cell):
     """The four points are on the end face, the round and the cylinder; chips count by their square root."""
     rng = np.random.default_rng(4)
-    law = SimpleNamespace(chip=np.sqrt, covariance=covariance)
+    law = SimpleNamespace(chip_factor=np.sqrt, covariance=covariance)
     turn = SimpleNamespace(
         law=law, drill=drill, sampling=1.5,
         radius=np.array([1, 2, 3, 3], np.float32), width=np.array([0.1, 0.2, 0.3, 0.4]),
