@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from itertools import islice, takewhile, zip_longest
 
 import numpy as np
-from msgspec.structs import replace
 
 from postproc import toolpath
 from postproc.comparison.paths import SMALLEST_SHARE, PlacedProgram, distances_from_path, tool_of_nominal
@@ -19,11 +18,11 @@ from postproc.comparison.result import (
     TIMES_OFFSET,
     Comparison,
     Difference,
+    difference_at,
     file_and_line,
     first_difference,
     pair_warning,
     place_of,
-    warning_at,
 )
 from postproc.comparison.settings import (
     SAME_LENGTH,
@@ -305,7 +304,7 @@ def _orientation_differences(
         worst = pairs[np.argmax(pair_angles[pairs])]
         rows, angle = comparison.pair[worst].tolist(), float(pair_angles[worst])
     message = f"the tool is turned by {angle * DEG_PER_RAD:.4f}° from its nominal orientation."
-    yield warning_at(comparison, "orientation", message, rows, len(pairs) + len(inserted_indices))
+    yield difference_at(comparison, "orientation", message, rows, len(pairs) + len(inserted_indices))
 
 
 def _inserted_rotations(
@@ -346,7 +345,7 @@ def _rapid_differences(comparison: Comparison, nominal_path: PlacedProgram) -> I
     if len(pairs) and not any(difference.kind == "base" for difference in frame_differences(comparison)):
         worst = pairs[np.argmax(offsets[pairs])]
         message = f"a rapid target is {offsets[worst] * MM_PER_M:.4f} mm off."
-        yield warning_at(comparison, "rapid", message, comparison.pair[worst].tolist(), len(pairs))
+        yield difference_at(comparison, "rapid", message, comparison.pair[worst].tolist(), len(pairs))
 
 
 def _repeated_positions(
@@ -363,7 +362,7 @@ def _repeated_positions(
     rows = np.flatnonzero(is_stop)
     if len(rows):
         message = "the same target twice in succession: the robot stops there."
-        yield warning_at(comparison, "twice", message, (-1, int(rows[0])), len(rows))
+        yield difference_at(comparison, "twice", message, (-1, int(rows[0])), len(rows))
 
 
 def _backward_moves(comparison: Comparison) -> Iterator[Difference]:
@@ -379,7 +378,7 @@ def _backward_moves(comparison: Comparison) -> Iterator[Difference]:
     if len(reversals):
         first = reversals[0]
         message = f"the robot goes {-steps[first] * MM_PER_M:.4f} mm back on its path."
-        yield warning_at(comparison, "back", message, (-1, int(rows[first + 1])), len(reversals))
+        yield difference_at(comparison, "back", message, (-1, int(rows[first + 1])), len(reversals))
 
 
 def _ways_off_path(
@@ -399,7 +398,7 @@ def _ways_off_path(
     # missing targets have a difference of their own
     missing_rows = comparison.only_nominal[comparison.only_nominal < nominal_row[-1]]
     is_off_path[np.searchsorted(nominal_row, missing_rows)] = False
-    pairs = np.flatnonzero(is_off_path)[:_MAX_WAYS]
+    pairs = np.flatnonzero(is_off_path)[:_MAX_STRETCHES]
     distances = np.array([_distance_on_stretch(comparison, nominal_path, corrected_path, int(k)) for k in pairs])
     exceeds = distances > limits[pairs]
     pairs, distances = pairs[exceeds], distances[exceeds]
@@ -408,10 +407,10 @@ def _ways_off_path(
         pair = pairs[worst]
         message = f"the path is {distances[worst] * MM_PER_M:.4f} mm from the nominal one on the way to this target."
         message += _arc_advice(comparison, np.arange(corrected_row[pair - 1] + 1, corrected_row[pair] + 1))
-        yield warning_at(comparison, "between", message, comparison.pair[pair].tolist(), len(pairs))
+        yield difference_at(comparison, "between", message, comparison.pair[pair].tolist(), len(pairs))
 
 
-_MAX_WAYS = 1000
+_MAX_STRETCHES = 1000
 """Stretches whose distance from the nominal path is computed (assumed)."""
 _PLACES = 65
 """Places of the second path looked at on each of them (assumed)."""
@@ -427,7 +426,7 @@ def _joint_motions_off_path(
     begin_row = rows - 1 if second.after is None else second.after[rows]
     # a motion that is its own predecessor begins at an unknown place
     is_known = (begin_row >= 0) & (begin_row != rows) & (np.searchsorted(comparison.pair[:, 1], rows) > 0)
-    places = np.flatnonzero(is_cut & (second.motions.kind[rows] == PTP) & is_known)[:_MAX_WAYS]
+    places = np.flatnonzero(is_cut & (second.motions.kind[rows] == PTP) & is_known)[:_MAX_STRETCHES]
     excess = np.array(
         [
             _excess_of_joint_motion(comparison, nominal_path, corrected_path, int(begin_row[k]), int(rows[k]))
@@ -442,10 +441,8 @@ def _joint_motions_off_path(
             f"PTP instead of a cut: on the way to this target the tool leaves the nominal path by "
             f"{excess.max() * MM_PER_M:.4f} mm. Write LIN or CIRC."
         )
-        yield replace(
-            warning_at(comparison, "between", message, (int(motion[worst]), int(rows[worst])), len(places)),
-            level="error",
-        )
+        worst_rows = (int(motion[worst]), int(rows[worst]))
+        yield difference_at(comparison, "between", message, worst_rows, len(places), level="error")
 
 
 def _excess_of_joint_motion(
@@ -530,7 +527,7 @@ def _deviations_under_force(comparison: Comparison, nominal_path: PlacedProgram)
         )
         message += _arc_advice(comparison, np.array([row]))
         rows = (int(comparison.pair[stretch[worst], 0]), row)
-        yield warning_at(comparison, "between", message, rows, len(distinct(cuts.row[places])))
+        yield difference_at(comparison, "between", message, rows, len(distinct(cuts.row[places])))
 
 
 def _cut_corners(
@@ -558,7 +555,7 @@ def _cut_corners(
             f"{allowed_rounding[worst] * MM_PER_M:.4g} mm. {remedy}"
         )
         worst_rows = (int(comparison.pair[next_pair, 0]), int(rows[worst]))
-        yield warning_at(comparison, "between", message, worst_rows, len(cut_corners))
+        yield difference_at(comparison, "between", message, worst_rows, len(cut_corners))
 
 
 def _allowed_rounding(comparison: Comparison, nominal_path: PlacedProgram, rows: Ints) -> Array:

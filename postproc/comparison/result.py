@@ -207,8 +207,10 @@ def first_difference(nominal: Sequence[object], corrected: Sequence[object]) -> 
     return next((k for k, (value, other_value) in pairs if value != other_value), min(len(nominal), len(corrected)))
 
 
-def warning_at(comparison: Comparison, kind: str, message: str, rows: Sequence[int], count: int) -> Difference:
-    """Return a warning at a motion of each program.
+def difference_at(
+    comparison: Comparison, kind: str, message: str, rows: Sequence[int], count: int, level: Level = "warning"
+) -> Difference:
+    """Return a difference at a motion of each program.
 
     :param rows: (2,) motion of the nominal and of the second program; −1 where one has none.
     :param count: number of places where the difference is.
@@ -217,9 +219,9 @@ def warning_at(comparison: Comparison, kind: str, message: str, rows: Sequence[i
         None if row < 0 else place_of(program, row)
         for program, row in zip((comparison.nominal, comparison.corrected), rows, strict=True)
     )
-    return Difference("warning", kind, message, nominal_place, corrected_place, count)
+    return Difference(level, kind, message, nominal_place, corrected_place, count)
 
 
 def pair_warning(comparison: Comparison, kind: str, message: str, pairs: Ints) -> Difference:
     """Return a warning at pairs (n,); the first of them is named."""
-    return warning_at(comparison, kind, message, comparison.pair[pairs[0]].tolist(), len(pairs))
+    return difference_at(comparison, kind, message, comparison.pair[pairs[0]].tolist(), len(pairs))

@@ -15,10 +15,10 @@ from postproc.comparison.paths import SAME_FRAME, PlacedProgram
 from postproc.comparison.result import (
     Comparison,
     Difference,
+    difference_at,
     file_and_line,
     first_difference,
     pair_warning,
-    warning_at,
     wrench_in_nominal_base,
 )
 from postproc.errors import Issue
@@ -69,7 +69,7 @@ def lowered_feed_notes(comparison: Comparison) -> Iterator[Difference]:
         lowest = pairs[np.argmin(corrected_speed[pairs] / nominal_speed[pairs])]
         speeds = f"{corrected_speed[lowest]:.4g} mm/s instead of {nominal_speed[lowest]:.4g} mm/s"
         message = f"the conversion has lowered the feed: {speeds}."
-        places = warning_at(comparison, "speed", message, comparison.pair[lowest].tolist(), len(pairs))
+        places = difference_at(comparison, "speed", message, comparison.pair[lowest].tolist(), len(pairs))
         yield replace(places, level="info")
 
 
@@ -80,7 +80,7 @@ def _kind_differences(comparison: Comparison) -> Iterator[Difference]:
         nominal_kind = int(comparison.nominal.motions.kind[motion[0]])
         corrected_kind = int(comparison.corrected.motions.kind[rows[0]])
         message = f"the way to this target is {_KINDS[corrected_kind]} instead of {_KINDS[nominal_kind]}."
-        yield warning_at(comparison, "kind", message, (int(motion[0]), int(rows[0])), len(rows))
+        yield difference_at(comparison, "kind", message, (int(motion[0]), int(rows[0])), len(rows))
 
 
 def kind_changes(comparison: Comparison) -> tuple[Ints, Ints]:
@@ -316,7 +316,7 @@ def _force_comment_differences(comparison: Comparison) -> Iterator[Difference]:
         for program in programs
     ]
     message = "its comments give another force than those of the nominal program."
-    yield warning_at(comparison, "force", message, rows, 1)
+    yield difference_at(comparison, "force", message, rows, 1)
 
 
 def axis_target_differences(
@@ -343,10 +343,10 @@ def axis_target_differences(
         nominal_angle = nominal_path.joints[row, joint] * DEG_PER_RAD
         corrected_angle = corrected_path.joints[partner, joint] * DEG_PER_RAD
         message = f"an axis target is another one: A{joint + 1} {corrected_angle:.4f}° instead of {nominal_angle:.4f}°."
-        yield warning_at(comparison, "axis-target", message, (row, partner), len(other_targets))
+        yield difference_at(comparison, "axis-target", message, (row, partner), len(other_targets))
     if unpaired_rows:
         message = "an axis target (PTP {A1 …}) is in one of the programs only."
-        yield warning_at(comparison, "axis-target", message, unpaired_rows[0], len(unpaired_rows))
+        yield difference_at(comparison, "axis-target", message, unpaired_rows[0], len(unpaired_rows))
 
 
 def _axis_targets(program: Program, paired_rows: Ints, *, from_first_pair: bool) -> dict[tuple[int, int], int]:

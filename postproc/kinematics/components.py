@@ -34,28 +34,17 @@ def matrices(pose: Array) -> Array:
     return matrix
 
 
-def combination(columns: Sequence[Array], factors: Array) -> Array:
-    """Return Σ columns[k]·factors[k] (m, n) of k columns (m, n) or (m, 1), with factors (k, n) or (k, 1).
+def combination(columns: Sequence[Array], factors: Sequence[float | Array] | Array) -> Array:
+    """Return Σ columns[k]·factors[k] (m, n) of k columns (m, n) or (m, 1).
 
-    A single factor of 0 or 1 costs nothing.
+    :param factors: k numbers, or arrays (n,) or (1,). A single factor of 0 or 1 costs nothing.
     """
     total: Array | None = None
     for column, factor in zip(columns, factors, strict=True):
-        constant = float(factor[0]) if len(factor) == 1 else None
+        constant = factor if isinstance(factor, float) else float(factor[0]) if len(factor) == 1 else None
         if constant == 0.0:
             continue
         term = column if constant == 1.0 else column * factor
-        total = term if total is None else total + term
-    return np.zeros((len(columns[0]), 1)) if total is None else total
-
-
-def constant_combination(columns: Sequence[Array], factors: Sequence[float]) -> Array:
-    """Return Σ columns[k]·factors[k] (m, n) of columns (m, n) or (m, 1); factors of 0 or 1 cost nothing."""
-    total: Array | None = None
-    for column, factor in zip(columns, factors, strict=True):
-        if factor == 0.0:
-            continue
-        term = column if factor == 1.0 else column * factor
         total = term if total is None else total + term
     return np.zeros((len(columns[0]), 1)) if total is None else total
 

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.frames import Array, sine_and_cosine
-from postproc.kinematics.components import combination, components, constant_combination, cross, matrices, product
+from postproc.kinematics.components import combination, components, cross, matrices, product
 from postproc.program import Ints
 from postproc.robot import Chain
 
@@ -154,18 +154,16 @@ def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = 
     axes, origins, moments = [], [], []
     for step, coordinate, (sine, cosine) in zip(steps, q, whole.sines_and_cosines(q), strict=True):
         if any(step.offset):
-            origin = origin + constant_combination(frame, step.offset)
+            origin = origin + combination(frame, step.offset)
         x, y, z = frame
-        y, z = [constant_combination((y, z), factors) for factors in step.tilt]
+        y, z = [combination((y, z), factors) for factors in step.tilt]
         axes.append(z)
         origins.append(origin)
         if not step.turns:
             origin = origin + z * coordinate
         frame = [x * cosine + y * sine, y * cosine - x * sine, z]
         if weigh:
-            moments.append(
-                step.mass * (origin[:2] + constant_combination([column[:2] for column in frame], step.centre))
-            )
+            moments.append(step.mass * (origin[:2] + combination([column[:2] for column in frame], step.centre)))
     return Posture(steps, axes, origins, [*frame, origin], end, moments)
 
 
