@@ -126,6 +126,21 @@ def test_status_and_turn_of_the_usual_home_position_are_2_and_the_signs_of_the_a
     np.testing.assert_array_equal(kinematics.turn_of(q), [0b000010, 0b010010, 0b100110])
 
 
+def test_status_and_branch_are_those_of_the_posture_where_joint_2_turns_the_other_way(tmp_path):
+    text = (FOLDER / "robot.urdf").read_text(encoding="utf-8")
+    (tmp_path / "robot.urdf").write_text(
+        text.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>', 1), encoding="utf-8"
+    )
+    (tmp_path / "model.toml").write_bytes((FOLDER / "model.toml").read_bytes())
+    reversed_robot = robot.load(tmp_path)
+    q = np.radians([[5, -90, 90, 0, 10, 0], [5, -70, 100, 30, -40, 20], [5, -90, -50, 0, 20, -1.0]])
+    reversed_q = q * [1, -1, 1, 1, 1, 1]
+    assert kinematics.status_of(reversed_robot, reversed_q).tolist() == [2, 6, 1]
+    poses = np.array([Arm.load(FOLDER).nominal_tcp(row, np.eye(4)) for row in q])
+    solution = kinematics.branch_joints(reversed_robot, poses, np.array([2, 6, 1]))
+    np.testing.assert_allclose(solution, reversed_q, rtol=0, atol=1e-9)
+
+
 def test_status_bit_1_changes_where_the_wrist_centre_crosses_the_line_through_axes_2_and_3(model):
     edge = kinematics.closed_form(model).elbow_stretched
     offset, forearm = OFFSET_AND_FOREARM[model.name]
