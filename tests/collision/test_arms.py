@@ -99,3 +99,16 @@ def test_each_link_follows_the_axis_of_its_joint_and_then_goes_straight_to_the_n
         for body, begin, end in zip(bodies, corners[:-1], corners[1:], strict=True):
             half = 0.5 * body.size[1] * body.pose[:3, 2]
             np.testing.assert_allclose([body.pose[:3, 3] - half, body.pose[:3, 3] + half], [begin, end], atol=1e-9)
+
+
+def test_balls_of_foot_and_shoulder_are_level_behind_joint_2_and_that_of_the_elbow_behind_joint_3_along_the_forearm():
+    """Joint 2 is ahead of, beside and above joint 1: the height does not count."""
+    offset = np.array([0.3, 0.4, 0.5])
+    arm = chain("KR 16-2")
+    placement, flange = arm.placement.copy(), arm.flange.copy()
+    placement[:, :3, 3] = flange[:3, 3] = offset
+    capsules = list(arm_capsules(replace(arm, placement=placement, flange=flange)))
+    length = 7.0 * np.sqrt(0.5)
+    for carrier, share, ahead in [(-1, 0.12, (0.6, 0.8, 0)), (0, 0.12, (0.6, 0.8, 0)), (2, 0.06, (1, 0, 0))]:
+        ball = next(body for body in capsules if body.carrier == carrier)
+        np.testing.assert_allclose(ball.pose[:3, 3], -share * length * np.array(ahead), atol=1e-3)
