@@ -8,7 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from postproc.chunks import Columns, in_chunks
-from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, rotation_from_angles, xyzabc_from_pose
+from postproc.frames import (
+    M_PER_MM,
+    RAD_PER_DEG,
+    Array,
+    largest,
+    rotation_from_angles,
+    twist_between,
+    xyzabc_from_pose,
+)
 
 _FIRST_THREE = slice(None, 3)
 
@@ -54,12 +62,12 @@ class Poses(Columns, frozen=True, eq=False):
         """(N, 3, 3) orientations, to be read only."""
         if self.orientation.ndim == 3:
             return self.orientation
-        return in_chunks(lambda angles: (rotation_from_angles(angles * RAD_PER_DEG),), self.orientation)[0]
+        return in_chunks(lambda angles: rotation_from_angles(angles * RAD_PER_DEG), self.orientation)
 
     def xyzabc(self, rows: NDArray[Any] | slice) -> Array:
         """Return X, Y, Z [mm], A, B, C [deg] (n, 6) of some of the poses."""
         if self.orientation.ndim == 3:
-            return xyzabc_from_pose(self[rows])
+            return in_chunks(lambda indices: xyzabc_from_pose(self[indices]), np.arange(len(self))[rows])
         return np.hstack([self.position[rows] / M_PER_MM, self.orientation[rows]])
 
     @property
@@ -96,6 +104,14 @@ class Poses(Columns, frozen=True, eq=False):
         """Return the rotations (n, 3, 3) of some of the poses."""
         orientation = self.orientation[rows]
         return orientation if self.orientation.ndim == 3 else rotation_from_angles(orientation * RAD_PER_DEG)
+
+
+def largest_differences(first: Poses, second: Poses) -> Array:
+    """Return by how much N poses differ from N others (N,): the largest component of position [m] and rotation [rad].
+
+    Its components are those of `twist_between`.
+    """
+    return in_chunks(lambda rows: largest(twist_between(first[rows], second[rows])), np.arange(len(first)))
 
 
 def as_poses(pose: Poses | Array) -> Poses:

@@ -25,7 +25,7 @@ def test_an_error_names_the_rows_of_the_whole(monkeypatch):
     def fails(a):
         if 16 in a:
             raise NotConvergedError("not found", np.flatnonzero(a == 16))
-        return (a,)
+        return a
 
     with pytest.raises(NotConvergedError, match="not found") as found:
         chunks.in_chunks(fails, np.arange(40))

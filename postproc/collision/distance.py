@@ -61,17 +61,17 @@ def link_frames(chain: Chain, q: Array, shift: Array | None = None) -> Array:
     :param shift: (n, 3) displacement of the robot from the root by E1 [m]; None: there is no E1.
     """
 
-    def frames_of(q: Array) -> tuple[Array]:
-        """Return the frames (n, 8, 4, 4) for joint angles (n, 6) [rad], in a tuple as `in_chunks` takes it."""
+    def unshifted_frames(q: Array) -> Array:
+        """Return the frames of the robot at the root."""
         joint_frames, flange = chain.joint_frames(q)  # of joints before they turn
         turn = rotation_from_vector(q[:, :, None] * chain.axis)
         frames = np.empty((len(q), 8, 4, 4))
         frames[:, 0], frames[:, 7] = np.eye(4), flange
         frames[:, 1:7] = joint_frames
         frames[:, 1:7, :3, :3] = joint_frames[:, :, :3, :3] @ turn
-        return (frames,)
+        return frames
 
-    frames = in_chunks(frames_of, q)[0]
+    frames = in_chunks(unshifted_frames, q)
     if shift is not None:
         frames[..., :3, 3] += shift[:, None]
     return frames

@@ -5,6 +5,7 @@ Both are simulated by `simulation.DrivenProgram`, under the force that acts wher
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -56,13 +57,13 @@ def deviation(side: PlacedProgram, motion: Ints, q: Array, wrench: Array, displa
     """
     program = side.program
 
-    def tip_offset(motion: Ints, q: Array, wrench: Array, displacement: Array) -> tuple[Array]:
+    def tip_offset(motion: Ints, q: Array, wrench: Array, displacement: Array) -> Array:
         """Return the offsets of some of the motions."""
         tip = side.loaded_tip(motion, q, wrench, displacement)
-        return (side.to_base(motion, tip) - program.motions.target.position[motion],)
+        return side.to_base(motion, tip) - program.motions.target.position[motion]
 
     try:
-        return in_chunks(tip_offset, motion, q, wrench, displacement)[0]
+        return in_chunks(tip_offset, motion, q, wrench, displacement)
     except NotConvergedError as cause:
         raise no_equilibrium(program, motion, cause) from None
 
@@ -114,17 +115,17 @@ def _orientation_errors(comparison: Comparison, nominal_path: PlacedProgram, wre
     """
     program = comparison.nominal
 
-    def angle(motion: Ints, wrench: Array, pose: Array) -> tuple[Array]:
+    def angle(motion: Ints, wrench: Array, pose: Array) -> Array:
         """Return the angles at some of the pairs."""
         target = toolpath.pose_in_root(program, motion, program.motions.target[motion])
         compensated_pose = nominal_path.robot_in_cell.compensate(
             target, nominal_path.joints[motion], toolpath.tool_of(program, motion), wrench
         ).pose
         compensated_pose = toolpath.pose_in_base(program, motion, compensated_pose)
-        return (angle_between(compensated_pose[:, :3, :3], pose[:, :3, :3]),)
+        return angle_between(compensated_pose[:, :3, :3], pose[:, :3, :3])
 
     try:
-        return in_chunks(angle, comparison.pair[:, 0], wrench, comparison.pose)[0]
+        return in_chunks(angle, comparison.pair[:, 0], wrench, comparison.pose)
     except NotConvergedError as cause:
         raise no_equilibrium(program, comparison.pair[:, 0], cause) from None
 
@@ -151,10 +152,8 @@ def cuts_between_pairs(
     places = _NearestPlaces.join([at_ends, _places_inside_pieces(search, end_length)])
     angles = np.zeros(len(places.row))  # targets come first; inside of pieces orientations are not checked
     angles[: len(at_ends.row)] = in_chunks(
-        lambda length, row: (_orientation_errors_at(nominal_path, corrected_path, load, length, row),),
-        at_ends.length,
-        at_ends.row,
-    )[0]
+        partial(_orientation_errors_at, nominal_path, corrected_path, load), at_ends.length, at_ends.row
+    )
     order = np.lexsort((places.t, places.row))
     places = places.take(order)
     return replace(
@@ -191,7 +190,7 @@ class _NearestPlaces(Columns, frozen=True, eq=False):
         :param guess: (n,) approximate arc lengths on the nominal path [m].
         :param sufficient_distance: a deviation that is small enough: no nearer place is sought [m].
         """
-        joints = in_chunks(lambda row, t: (search.corrected_path.joints_at(row, t),), row, t)[0]
+        joints = in_chunks(search.corrected_path.joints_at, row, t)
         is_reachable = np.isfinite(joints).all(axis=1)
         row, t, guess = row[is_reachable], t[is_reachable], guess[is_reachable]
         deviations = search.deviations(row, t, joints[is_reachable], guess, sufficient_distance=sufficient_distance)

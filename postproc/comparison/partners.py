@@ -391,7 +391,7 @@ def missing_distances(
     next_pair = np.searchsorted(pair[:, 0], motion)
     begin, end = pair_ends[next_pair], pair_ends[next_pair + 1]
 
-    def distances_in_chunk(motion: Ints, positions: Array, wrench: Array, begin: Array, end: Array) -> tuple[Array]:
+    def distances_in_chunk(motion: Ints, positions: Array, wrench: Array, begin: Array, end: Array) -> Array:
         """Return the distances (k,) of the second path from some of the positions (k, 3) [m]."""
 
         def second_tips(length: Array) -> Array:
@@ -402,11 +402,11 @@ def missing_distances(
             return tips.reshape(*length.shape, 3)
 
         try:
-            return (nearest(second_tips, positions, begin, end)[1],)
+            return nearest(second_tips, positions, begin, end)[1]
         except NotConvergedError as cause:
             raise no_equilibrium(nominal_path.program, motion[:1], NotConvergedError(str(cause), [0])) from None
 
-    distances[indices] = in_chunks(distances_in_chunk, motion, positions, wrench, begin, end)[0]
+    distances[indices] = in_chunks(distances_in_chunk, motion, positions, wrench, begin, end)
     return distances
 
 

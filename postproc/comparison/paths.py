@@ -202,11 +202,7 @@ def distances_from_path(path: PlacedProgram, positions: Array, begin: Array, end
         """Return the positions (k, s, 3) of the path at arc lengths (k, s) [m]."""
         return path.points(lengths.ravel()).reshape(*lengths.shape, 3)
 
-    def distances(positions: Array, begin: Array, end: Array) -> tuple[Array]:
-        """Return the distances of some of the points."""
-        return (nearest(path_points, positions, begin, end)[1],)
-
-    return in_chunks(distances, positions, begin, end)[0]
+    return in_chunks(lambda *rows: nearest(path_points, *rows)[1], positions, begin, end)
 
 
 class Chain(Struct, frozen=True, eq=False):
@@ -314,7 +310,7 @@ class Curves(Struct, frozen=True, eq=False):
         curve_indices = np.flatnonzero(~unknown[pair] & self._is_curved(end))
         if len(curve_indices):
             largest[curve_indices] = np.maximum(
-                largest[curve_indices], in_chunks(self._largest, begin[curve_indices], end[curve_indices])[0]
+                largest[curve_indices], in_chunks(self._largest, begin[curve_indices], end[curve_indices])
             )
         np.fmax.at(distances, pair, largest)
         distances[unknown] = np.nan
@@ -356,7 +352,7 @@ class Curves(Struct, frozen=True, eq=False):
         nominal_points, corrected_points = self.at(u)
         return norm(corrected_points - nominal_points)
 
-    def _largest(self, begin: Array, end: Array) -> tuple[Array]:
+    def _largest(self, begin: Array, end: Array) -> Array:
         """Return the largest distances (n,) [m] between u = begin (n,) and end (n,), where both paths are smooth."""
         largest = np.zeros(len(begin))
         for _ in range(_ROUNDS):
@@ -367,7 +363,7 @@ class Curves(Struct, frozen=True, eq=False):
             largest = np.maximum(largest, distance[row, sample])
             # the next samples are between the neighbours of the largest one
             begin, end = u[row, np.maximum(sample - 1, 0)], u[row, np.minimum(sample + 1, _SAMPLES - 1)]
-        return (largest,)
+        return largest
 
 
 def _pair_at_end(u: Array) -> Ints:

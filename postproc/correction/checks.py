@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from postproc import elastostatics, kinematics
-from postproc.chunks import Runs, in_chunks
+from postproc.chunks import Runs
 from postproc.errors import Issue, Level
 from postproc.frames import (
     DEG_PER_RAD,
@@ -466,13 +466,7 @@ def torque_warnings(
     """
     if robot.measured is None:
         return
-
-    def torques(q: Array, tool: Array, wrench: Array) -> tuple[Array]:
-        """Return the size (n, 6) of the torque of the wrench about each joint [N·m]."""
-        _, jacobian = kinematics.tcp(robot.actual, elastostatics.coordinates(robot, q), tool)
-        return (np.abs(np.einsum("kij,ki->kj", jacobian, wrench))[:, list(robot.actuated)],)
-
-    torque = in_chunks(torques, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench)[0]
+    torque = np.abs(elastostatics.load_torques(robot, q, tool, wrench))
     is_extrapolated = torque > _TORQUE_FACTOR * robot.measured.torque
     for joint in np.flatnonzero(is_extrapolated.any(axis=0)).tolist():
         message = (

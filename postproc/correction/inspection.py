@@ -333,8 +333,8 @@ def _line_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
     )
     length, turn = length[rows], turn[rows]
 
-    def is_near_limit(rows: Ints, length: Array, turn: Array) -> tuple[Bools]:
-        """Return the rows, as a 1-tuple of (n,), on which a margin is smaller than its largest change between samples.
+    def is_near_limit(rows: Ints, length: Array, turn: Array) -> Bools:
+        """Return on which rows (n,) a margin is smaller than its largest change between samples.
 
         :param rows: (n,) samples at the end of a step.
         :param length: (n,) of the step of the tool [m].
@@ -345,9 +345,9 @@ def _line_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
         change[:_SHOULDER] += length / _SMALLEST_LEVER + _JOINT_PER_TOOL_TURN * turn
         change[_SHOULDER] += length + _REACH_PER_TURN * turn + checks.SHOULDER_RADIUS
         change[_ELBOW] = _ELBOW_PER_M * length + _ELBOW_PER_TURN * turn
-        return (np.asarray((np.minimum(start_margin, margin) < change).any(axis=0)),)
+        return np.asarray((np.minimum(start_margin, margin) < change).any(axis=0))
 
-    is_examined = in_chunks(is_near_limit, rows, length, turn)[0] | is_fast[rows]
+    is_examined = in_chunks(is_near_limit, rows, length, turn) | is_fast[rows]
     rows, length, turn = rows[is_examined], length[is_examined], turn[is_examined]
     return Stretches(
         sample.motion[rows],

@@ -20,10 +20,10 @@ from msgspec.structs import replace
 
 from postproc import kinematics, toolpath
 from postproc.cell import Cell
-from postproc.chunks import chunks, in_chunks, ragged_range
+from postproc.chunks import chunks, ragged_range
 from postproc.forces.sources import FEED
-from postproc.frames import M_PER_MM, Array, largest, norm, sine_and_cosine, twist_between
-from postproc.poses import Poses
+from postproc.frames import M_PER_MM, Array, norm, sine_and_cosine
+from postproc.poses import Poses, largest_differences
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Targets, constant
 from postproc.robot import RobotModel
 from postproc.toolpath import Pieces, Segments, Toolpath, circle_through
@@ -459,10 +459,7 @@ def _unchanged_motions(path: PathUnderLoad, command: Commands) -> tuple[Bools, B
     m, sample = path.program.motions, path.sample
     if not path.program.keeps_text:
         return np.zeros(len(m), dtype=bool), np.zeros(len(m), dtype=bool)
-    (is_corrected,) = in_chunks(
-        lambda rows: (largest(twist_between(sample.pose[rows], command.pose[rows])) > _UNCHANGED,),
-        np.arange(len(sample)),
-    )
+    is_corrected = largest_differences(sample.pose, command.pose) > _UNCHANGED
     first_samples = np.flatnonzero(np.diff(sample.motion, prepend=-1))
     end_differs = is_corrected[sample.is_end]
     path_differs = np.maximum.reduceat(is_corrected, first_samples) | np.concatenate([[False], end_differs[:-1]])

@@ -17,7 +17,8 @@ from postproc.correction.targets import TargetSelection, corners_of_motions
 from postproc.dialects import registry
 from postproc.errors import Issue, Level, NotConvergedError, PostprocError, ProgramError
 from postproc.forces import BEHIND_STEP
-from postproc.frames import MM_PER_M, Array, angle_between, largest, norm, twist_between
+from postproc.frames import MM_PER_M, Array, norm, twist_between
+from postproc.poses import largest_differences
 from postproc.program import CIRC, Bools, Ints, Modules, Program, Targets, WrittenProgram
 from postproc.simulation import DrivenProgram, number_of_places
 from postproc.toolpath import Segments
@@ -143,14 +144,7 @@ def _mismatch(program: Program, targets: Targets, output_program: Program, row: 
     m, nominal = output_program.motions, program.motions
     if len(row) != len(targets):
         return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
-
-    def pose_error(target: Ints) -> tuple[Array]:
-        """Return the larger of position [m] and angle [rad] by which poses of targets (n,) differ as read back."""
-        pose_as_read, pose = m.target.take(row[target]), targets.pose.take(target)
-        angle = angle_between(pose_as_read.rotation, pose.rotation)
-        return (np.maximum(largest(pose_as_read.position - pose.position), angle),)
-
-    differs = (m.kind[row] != targets.kind) | (in_chunks(pose_error, np.arange(len(row)))[0] > _PRECISION)
+    differs = (m.kind[row] != targets.kind) | (largest_differences(m.target.take(row), targets.pose) > _PRECISION)
     for frames, expected_frames, frame, expected_frame in (
         (output_program.bases, program.bases, m.base[row], nominal.base[targets.motion]),
         (output_program.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),

@@ -21,11 +21,13 @@ import numpy as np
 from msgspec import Struct
 
 from postproc import kinematics
+from postproc.chunks import in_chunks
 from postproc.elastostatics.balance import (
     A2,
     Balance,
     balanced_torque,
     compensator_factor,
+    coordinates,
     elastic_coordinates,
     joint_angles,
     load_torque,
@@ -288,6 +290,22 @@ def linear_deflection(robot: RobotModel, q: Array, tool: Array, wrench: Array) -
     """
     state = undeflected_balance(robot, q, tool, wrench)
     return np.asarray((state.spring_jacobian() @ state.theta.T[..., None])[..., 0])
+
+
+def load_torques(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:
+    """Return the torques (N, 6) of loads about the axes of the joints [N·m].
+
+    :param q: (N, 6) joint angles that the controller holds [rad].
+    :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
+    :param wrench: (N, 6) at the TCP, root axes [N, N·m].
+    """
+
+    def torques(q: Array, tool: Array, wrench: Array) -> Array:
+        """Return the torques of some of the loads."""
+        _, jacobian = kinematics.tcp(robot.actual, coordinates(robot, q), tool)
+        return np.asarray(np.einsum("kij,ki->kj", jacobian, wrench)[:, list(robot.actuated)])
+
+    return in_chunks(torques, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench)
 
 
 def cartesian_stiffness(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:

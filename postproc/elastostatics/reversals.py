@@ -8,6 +8,7 @@ A gear with lost motion or backlash ±b is on one flank or the other. The model 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from msgspec import Struct
@@ -52,7 +53,7 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
     """
     tools = np.broadcast_to(tool, (len(q), 4, 4))
     signals = _signals(robot)
-    torque = in_chunks(lambda *rows: (_torques(robot, signals, *rows),), q, tools, wrench)[0]
+    torque = in_chunks(partial(_torques, robot, signals), q, tools, wrench)
     rows, all_start_rows, joints, steps = [], [], [], []
     for signal, signal_torque in zip(signals, torque.T, strict=True):
         largest = float(np.abs(signal_torque).max(initial=0.0))

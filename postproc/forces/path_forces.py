@@ -74,11 +74,11 @@ class PathForces(Struct, frozen=True, eq=False):
             """Return force and moment (k, 2, 3, 1) at knots (k,), in their frames."""
             return self.wrench.take(knots).reshape(-1, 2, 3, 1)
 
-        def in_chunk(rows: Ints) -> tuple[Array]:
+        def wrench_at(rows: Ints) -> Array:
             """Return the wrenches (n, 6) at some samples."""
-            return (self._columns_in_base(wrench_columns, sample.take(rows)).reshape(-1, 6),)
+            return self._columns_in_base(wrench_columns, sample.take(rows)).reshape(-1, 6)
 
-        return in_chunks(in_chunk, np.arange(len(sample)))[0]
+        return in_chunks(wrench_at, np.arange(len(sample)))
 
     def spread_at(self, sample: Toolpath) -> Array | None:
         """Return L (N, 2, 3, 3) of the covariances L·Lᵀ of force [N²] and moment [(N·m)²] at samples, `$BASE` axes.

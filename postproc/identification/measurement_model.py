@@ -437,11 +437,8 @@ def joint_torques(robot: RobotModel, data: Measurements) -> Array:
     """Return the torques (L, 6) of the loads about the joint axes [N·m], for L loaded states."""
     tool = np.eye(4)
     tool[:3, 3] = data.load_point
-    config = data.state_config[data.loaded_states]
-    x = elastostatics.coordinates(robot, data.q[config])
-    _, jacobian = kinematics.tcp(robot.actual, x, tool)
-    torque = np.einsum("lij,li->lj", jacobian, data.wrench[data.loaded_states])
-    return np.asarray(torque[:, list(robot.actuated)])
+    loaded_q = data.q[data.state_config[data.loaded_states]]
+    return elastostatics.load_torques(robot, loaded_q, tool, data.wrench[data.loaded_states])
 
 
 def levels_of(data: Measurements) -> Ints:

@@ -38,15 +38,15 @@ def tip_speeds(program: Program, path: Segments) -> Array:
     least_limit = limits.values.min(axis=1)[limits.run]
     rows = np.flatnonzero(has_feed & (path.turn / least_limit > seconds))  # `turn` is an upper bound
 
-    def turning_seconds(motion: Ints) -> tuple[Array]:
+    def turning_seconds(motion: Ints) -> Array:
         """Return how long the tool turns on motions (n,) [s]."""
         places, t = even_places(motion, np.full(len(motion), _PARTS), "both ends")
         inner_rotation = np.asarray(at(program, path, places, t).pose.rotation)
         rotation = inner_rotation.reshape(len(motion), _PARTS + 1, 3, 3)
         part_limits = np.repeat(limits.take(motion)[:, None], _PARTS, axis=1)
-        return (turn_seconds(rotation[:, :-1], rotation[:, 1:], part_limits).sum(axis=1),)
+        return np.asarray(turn_seconds(rotation[:, :-1], rotation[:, 1:], part_limits).sum(axis=1))
 
-    (turning,) = in_chunks(turning_seconds, rows)
+    turning = in_chunks(turning_seconds, rows)
     is_slowed = turning > seconds[rows] * (1.0 + _SAME_TIME)
     speed = feed.copy()
     speed[rows[is_slowed]] = path.length[rows[is_slowed]] / turning[is_slowed]

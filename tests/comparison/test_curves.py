@@ -174,7 +174,7 @@ def test_the_largest_distance_inside_a_piece_is_found_wherever_it_is():
     def distance(u):
         return 0.5 - np.abs(u - top[np.floor(u / 2.0).astype(int)])
 
-    (largest,) = Curves._largest(SimpleNamespace(_distance=distance), begin, end)
+    largest = Curves._largest(SimpleNamespace(_distance=distance), begin, end)
     assert (largest <= 0.5).all()
     np.testing.assert_allclose(largest, 0.5, atol=1.0 / 8 / 4**3)  # eighths of the piece, then thrice a quarter of that
 

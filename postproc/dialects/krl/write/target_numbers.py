@@ -7,7 +7,6 @@ from collections.abc import Iterable
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import in_chunks
 from postproc.decimals import decimal_text, without_negative_zero
 from postproc.dialects.krl.language.positions import CARTESIAN, LARGEST_B
 from postproc.dialects.krl.language.values import Number
@@ -80,7 +79,7 @@ def target_numbers(layout: Layout, targets: Targets) -> TargetNumbers:
     row = targets.motion
     is_last = np.append(row[1:] != row[:-1], True) if len(row) else np.zeros(0, dtype=np.bool_)  # of its motion
     keep = targets.keep & is_last
-    (exact_numbers,) = in_chunks(lambda rows: (targets.pose.xyzabc(rows),), np.arange(len(row)))
+    exact_numbers = targets.pose.xyzabc(slice(None))
     exact_numbers[:, 3:] = _nearest_angles(exact_numbers[:, 3:], layout.numbers[row, 3:])
     decimals = np.maximum(DECIMALS, np.minimum(_input_decimals(layout)[row], MOST_DECIMALS))
     numbers = np.where(keep[:, None], layout.numbers[row], _round_values(exact_numbers, decimals))
