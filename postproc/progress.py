@@ -61,7 +61,7 @@ def line_writer() -> Callable[[str, float], None]:
     return write_line
 
 
-def step(name: str) -> None:
+def write_step(name: str) -> None:
     """Write a line of progress to stderr: a step begins, and how much of it is done is unknown.
 
     A closed stderr is ignored.
@@ -71,14 +71,17 @@ def step(name: str) -> None:
         sys.stderr.flush()
 
 
-def read(line: str) -> tuple[float | None, str] | None:
-    """Return the share (None: unknown) and the step of a line; None: it is one of the output."""
+def parse_progress(line: str) -> tuple[float | None, str] | None:
+    """Return the share (None: unknown) and the step of a line of progress; None for any other line."""
     words = line.rstrip("\r\n").split(" ", 2)
-    if len(words) != 3 or words[0] != MARK:
+    if len(words) != 3:
         return None
-    if words[1] == _UNKNOWN:
-        return None, words[2]
+    mark, share, step = words
+    if mark != MARK:
+        return None
+    if share == _UNKNOWN:
+        return None, step
     try:
-        return float(words[1]), words[2]
+        return float(share), step
     except ValueError:
         return None

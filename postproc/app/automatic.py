@@ -73,8 +73,10 @@ class AutomaticConversion:
 
         :param time_s: monotonic time [s].
         """
-        is_idle, busy = self._idle_and_busy()
-        paths = [path for path in self._arrivals.ready(time_s, busy) if not self._workspace.name_fault(path.name)]
+        is_idle, user_programs = self._poll_runs()
+        paths = [
+            path for path in self._arrivals.ready(time_s, user_programs) if not self._workspace.name_fault(path.name)
+        ]
         if not (self.is_on and is_idle and paths):
             return
         items = {item.name: item for item in self._workspace.items()}
@@ -89,7 +91,7 @@ class AutomaticConversion:
                 self._arrivals.finish(path)
             return
 
-    def _idle_and_busy(self) -> tuple[bool, set[str]]:
+    def _poll_runs(self) -> tuple[bool, set[str]]:
         """Return whether no command runs, and the names of programs that users have converted since the last call.
 
         Programs that `step` converts are not among them: if such a program changes meanwhile, it is converted again.

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from postproc.errors import InputError, argument
-from postproc.progress import LINES, VARIABLE, read
+from postproc.progress import LINES, VARIABLE, parse_progress
 
 MAX_COMMANDS = 4
 """Largest number of commands at the same time; more would only share the processors."""
@@ -72,7 +72,7 @@ class Run:
         with self._process.stdout as stream:
             for data in stream:
                 line = data.decode(errors="replace").replace("\r\n", "\n")
-                if (progress := read(line)) is not None:
+                if (progress := parse_progress(line)) is not None:
                     self.share, self.step = progress
                 else:
                     self._text = (self._text + line)[-_MAX_OUTPUT_CHARACTERS:]

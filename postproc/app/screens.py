@@ -23,7 +23,7 @@ from postproc.app.testpart import SENT_FILES as PART_FILES
 from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Item, Workspace
 from postproc.errors import InputError, PostprocError
-from postproc.jobs.cell_edit import FRAMES, feed_rule, frame_tables, robot_of, table_help
+from postproc.jobs.cell_edit import FRAMES, feed_rule, frame_tables, robot_name, table_help, uses_model
 from postproc.jobs.cell_picture import cell_picture
 from postproc.jobs.experiments import Readings, model_of
 from postproc.jobs.file_form import FormField
@@ -86,14 +86,15 @@ def _page(template: str, **context: Any) -> Page:
     :param context: values that the template uses.
     """
     nonce = secrets.token_urlsafe(16)
-    return Page(_environment().get_template(template).render(nonce=nonce, **context).encode(errors="replace"), nonce)
+    html = _environment().get_template(template).render(nonce=nonce, **context)
+    return Page(html.encode(errors="replace"), nonce)
 
 
 def answers_of(item: Item) -> dict[str, Any]:
     """Return what the templates show of the result of a program: name → text.
 
-    `run` says whether the program may be run, `kind` is its style. Without a result, or with a name that the window
-    cannot use, only the first names are in it.
+    `run` says whether the program may be run, `kind` is the style of that text. Without a result, or with a name that
+    the window cannot use, there are only `state`, `run`, `kind`, `headline` and `reasons`.
     """
     content = None if item.entry is None else item.entry.content
     if item.name_fault:
@@ -132,7 +133,7 @@ class Row(Struct, frozen=True):
     waits_for: str
 
 
-def programs(workspace: Workspace, programs: Sequence[Row], stamp: str, *, is_automatic: bool) -> Page:
+def programs_page(workspace: Workspace, programs: Sequence[Row], stamp: str, *, is_automatic: bool) -> Page:
     """Return the page of all programs.
 
     :param programs: rows of the list, in order.
@@ -173,16 +174,16 @@ def _controls(field: Field) -> dict[str, Any]:
     question, kind = field.question, field.question.key.partition(".")[0]
     control = {"key": question.key, "text": question.text, "fault": field.fault, "value": field.text}
     control["id"], control["hint"] = question.key.replace(".", "-"), ""
-    has_example = bool(question.default) and not question.optional
+    example = "" if question.optional else question.default or ""
     if kind in _FRAME_KEYS:
-        if has_example and question.default:
-            pairs = zip("XYZABC", question.default.split(","), strict=False)
+        if example:
+            pairs = zip("XYZABC", example.split(","), strict=False)  # A, B, C may be missing
             control["hint"] = f"for example {', '.join(' '.join(pair) for pair in pairs)}"
         words = [word.strip() for word in field.text.split(",")] if field.text else []
-        values = list(zip("XYZABC", [*words, *[""] * 6][:6], strict=True))
+        values = list(zip("XYZABC", [*words, *[""] * 6][:6], strict=True))  # numbers not given are empty
         return {**control, "kind": "frame", "values": values, "text": question.text.partition(": X,Y")[0]}
     if kind == "cutter":
-        sizes = [*field.text.replace(",", " ").split(), "", "", ""][:3]
+        sizes = [*field.text.replace(",", " ").split(), "", "", ""][:3]  # shape, diameter, corner radius
         title = question.text.partition(": shape")[0]
         return {**control, "kind": "cutter", "values": sizes, "choices": _choices(kind), "text": title}
     if kind == "stock" and (spans := _spans(field.text)) is not None:
@@ -192,7 +193,7 @@ def _controls(field: Field) -> dict[str, Any]:
         return {**control, "kind": "number"}
     choices = _choices(kind)
     if not choices:
-        return {**control, "kind": "text", "hint": f"for example {question.default}" if has_example else ""}
+        return {**control, "kind": "text", "hint": f"for example {example}" if example else ""}
     other_choice = {field.text: field.text} if field.text and field.text not in choices else {}
     title = "Robot" if kind == "robot" else question.text
     return {**control, "kind": "choice", "choices": choices | other_choice, "text": title}
@@ -253,8 +254,10 @@ def _cutter_text(parts: Mapping[str, str]) -> str:
 
     :param parts: texts of "shape", "diameter" and "corner"; only a bull nose has a corner radius.
     """
+    if not parts.get("diameter"):
+        return ""
     corner = f",{parts.get('corner', '')}" if parts["shape"] == "bull" else ""
-    return f"{parts['shape']},{parts.get('diameter', '')}{corner}" if parts.get("diameter") else ""
+    return f"{parts['shape']},{parts['diameter']}{corner}"
 
 
 def _box_text(parts: Mapping[str, str]) -> str:
@@ -273,11 +276,13 @@ def _frame_text(parts: Mapping[str, str]) -> str:
     :param parts: texts of the numbers by axis; an empty one counts as 0.
     """
     values = [parts.get(axis, "") for axis in "XYZABC"]
-    has_turn = any(values[3:])
-    return ",".join(value or "0" for value in values[: 6 if has_turn else 3]) if any(values) else ""
+    if not any(values):
+        return ""
+    has_angles = any(values[3:])
+    return ",".join(value or "0" for value in (values if has_angles else values[:3]))
 
 
-def setup(
+def setup_page(
     name: str,
     *,
     facts: Sequence[str],
@@ -302,8 +307,9 @@ def setup(
     :param frames: tables of frames that the program needs and this cell lacks, such as ``"tools.2"``.
     """
     groups: dict[str, list[dict[str, Any]]] = {"Robot and cell": [], "Tool, material and stock": [], "Details": []}
-    if is_posted and not fault and (count := sum(bool(field.fault) for field in form.fields)):
-        fault = f"Nothing was begun. Missing or unusable answers: {count}."
+    faulty_answers = sum(bool(field.fault) for field in form.fields)
+    if is_posted and not fault and faulty_answers:
+        fault = f"Nothing was begun. Missing or unusable answers: {faulty_answers}."
     for field in form.fields:
         kind = field.question.key.partition(".")[0]
         is_of_cutting = kind in ("material", "cutter", "flutes", "rpm", "stock")
@@ -326,7 +332,9 @@ def setup(
     )
 
 
-def program(item: Item, workspace: Workspace, other_programs: Sequence[str], *, run: Run | None, command: str) -> Page:
+def program_page(
+    item: Item, workspace: Workspace, other_programs: Sequence[str], *, run: Run | None, command: str
+) -> Page:
     """Return the page of one program.
 
     :param other_programs: results and programs with which it can be compared.
@@ -372,7 +380,7 @@ def _menu_of(run: Run) -> str:
     return "testpart" if run.page == "/testpart" else "robots" if run.page else "programs"
 
 
-def running(run: Run) -> Page:
+def run_page(run: Run) -> Page:
     """Return the page of a command with its output and its exit state."""
     return _page(
         "run.html",
@@ -421,10 +429,13 @@ def _table_title(table: str) -> str:
     :param table: name of the table, such as "base" or "tools.2".
     """
     name, _, number = table.partition(".")
-    return FRAMES[name][0].format(number) if number else _CELL_TITLES[name]  # [0]: the title
+    if not number:
+        return _CELL_TITLES[name]
+    title, _ = FRAMES[name]
+    return title.format(number)
 
 
-def cell(
+def cell_page(
     workspace: Workspace,
     fields: Sequence[FormField],
     *,
@@ -463,7 +474,7 @@ def cell(
         file=file,
         frames=frames,
         robots=_robot_titles(),
-        cell_robot=robot_of(workspace.cell, workspace.cell)[0],
+        cell_robot=robot_name(workspace.cell),
         command="",
         **_picture(workspace.cell),
     )
@@ -496,7 +507,7 @@ def posted_fields(form: Mapping[str, str], fields: Sequence[FormField]) -> dict[
     return texts
 
 
-def process(
+def process_page(
     name: str,
     path: Path,
     workspace: Workspace,
@@ -535,24 +546,24 @@ def process(
 def _shown_table(item: ProcessTable) -> dict[str, Any]:
     """Return a table of the process as values for the template; keys that few users need are among its details."""
     kind, _, number = item.name.partition(".")
-    title, is_detail = _FOLDED_KEYS.get(kind, ("", lambda _: False))
+    details_title, is_detail_key = _FOLDED_KEYS.get(kind, ("", lambda _: False))
 
-    def is_folded(field: FormField) -> bool:
+    def is_detail(field: FormField) -> bool:
         """Return whether a field is among the details."""
-        return field.table == "stock.place" or (field.table != "stock.box" and is_detail(field.key))
+        return field.table == "stock.place" or (field.table != "stock.box" and is_detail_key(field.key))
 
     return {
         "title": _PROCESS_TITLES.get(kind) or ("Every tool" if number == "default" else f"Tool {number}"),
         "help": item.help,
         "comment": item.comment,
         "is_new": item.is_new,
-        "fields": [field for field in item.fields if not is_folded(field)],
-        "details": [field for field in item.fields if is_folded(field)],
-        "details_title": title,
+        "fields": [field for field in item.fields if not is_detail(field)],
+        "details": [field for field in item.fields if is_detail(field)],
+        "details_title": details_title,
     }
 
 
-def processes(rows: Sequence[tuple[str, str]]) -> Page:
+def processes_page(rows: Sequence[tuple[str, str]]) -> Page:
     """Return the page with the list of programs and the sources of their forces.
 
     :param rows: name and source of each program, such as its process file.
@@ -579,7 +590,7 @@ def _picture(path: Path) -> dict[str, Any]:
     }
 
 
-def robots(name: str, workspace: Workspace, readings: Sequence[Readings]) -> Page:
+def robots_page(name: str, workspace: Workspace, readings: Sequence[Readings]) -> Page:
     """Return the page of all robot models, or of one with the source of each value.
 
     :param name: name of the model; empty: all models.
@@ -589,13 +600,17 @@ def robots(name: str, workspace: Workspace, readings: Sequence[Readings]) -> Pag
     folders = robot.shipped_models()
     if name and name not in folders:
         raise InputError(f"no robot {name!r}", advice="Choose one of the list.")
-    rows = [(key, robot.load(folder)) for key, folder in folders.items()] if not name else []
+    models = {} if name else {key: robot.load(folder) for key, folder in folders.items()}
     model = robot.load(folders[name]) if name else None
     return _page(
         "robots.html",
         here="robots",
         title=model.title if model else "Robot models",
-        rows=[(key, item.title, sum(entry.assumed for entry in item.sources), len(item.sources)) for key, item in rows],
+        # name, title, numbers of assumed values and of all values
+        rows=[
+            (key, item.title, sum(entry.assumed for entry in item.sources), len(item.sources))
+            for key, item in models.items()
+        ],
         model=model,
         readings=[_readings_row(workspace, entry) for entry in readings],
         command=command_line(["robots", *([name] if name else [])]),
@@ -613,7 +628,7 @@ def _readings_row(workspace: Workspace, entry: Readings) -> dict[str, Any]:
     }
 
 
-def readings(name: str, workspace: Workspace, entry: Readings) -> Page:
+def readings_page(name: str, workspace: Workspace, entry: Readings) -> Page:
     """Return the page of the readings of an experiment: commands that identify a model, its verdict and its use.
 
     :param name: path of the experiment in the folder of the window.
@@ -642,13 +657,12 @@ def _use_of_model(name: str, workspace: Workspace, folder: Path) -> dict[str, An
     if model is None:
         return None
     has_cell = workspace.cell.is_file()
-    cell_robot, is_used = robot_of(workspace.cell, folder) if has_cell else ("", False)
     return {
         "name": name,
         "model": model,
         "has_cell": has_cell,
-        "cell_robot": cell_robot,
-        "is_used": is_used,
+        "cell_robot": robot_name(workspace.cell) if has_cell else "",
+        "is_used": has_cell and uses_model(workspace.cell, folder),
         "page": f"/model?name={quote(name)}",
         "material": f"../{workspace.relative_name(folder)}/material.toml"
         if (folder / "material.toml").is_file()
@@ -656,7 +670,7 @@ def _use_of_model(name: str, workspace: Workspace, folder: Path) -> dict[str, An
     }
 
 
-def testpart(part: TestPart) -> Page:
+def testpart_page(part: TestPart) -> Page:
     """Return the page of the test part: its program, the points to probe, the probed deviations, the model."""
     workspace = part.workspace
     is_written, is_probed = (part.folder / "testpart.nc").is_file(), part.probing_path.is_file()
@@ -676,6 +690,6 @@ def testpart(part: TestPart) -> Page:
     )
 
 
-def message(title: str, text: str) -> Page:
+def message_page(title: str, text: str) -> Page:
     """Return a page with a sentence: what is wrong, and what to do."""
     return _page("message.html", here="", title=title, text=text, command="")

@@ -47,6 +47,8 @@ _LARGEST_FORM = 1 << 16
 """Largest size of a form [bytes]: its fields are a few kilobytes, but another program could send any number."""
 _PROGRAM_SUFFIXES = (".src", ".mod")
 """Extensions of written programs, with which a program can be compared."""
+_MOST_FIELDS = 20
+"""Largest number of fields in an address."""
 _TIMEOUT_S = 60.0
 """Time [s] after which the connection to a silent browser is closed."""
 _WINDOW_POLICY = (
@@ -100,8 +102,6 @@ class _Handler(BaseHTTPRequestHandler):
     """Answers one request; an error becomes a page that says what to do.
 
     Methods without parameters answer the request for one address, see `_PAGES` and `_CHANGES`.
-
-    :ivar query: name → value of the fields in the address, but for the token.
     """
 
     server: Window
@@ -116,6 +116,14 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         """Carry out a posted command, and redirect the browser to the page that shows its result."""
         self._answer(_CHANGES, is_change=True)
+
+    @property
+    def query(self) -> dict[str, str]:
+        """Fields in the address of the request: name → value.
+
+        :raises ValueError: there are too many.
+        """
+        return dict(parse_qsl(urlsplit(self.path).query, keep_blank_values=True, max_num_fields=_MOST_FIELDS))
 
     def _answer(self, routes: dict[str, Callable[[_Handler], None]], *, is_change: bool) -> None:
         """Answer a request; if it fails, send a page that says what to do.
@@ -134,8 +142,8 @@ class _Handler(BaseHTTPRequestHandler):
             text, status = f"{cause}. Try again.", 500
         except Exception as cause:
             text, status = _report_fault(cause), 500
-        self.close_connection = True  # a body that was not read would be taken for the next request
-        return self._send_page(screens.message("That did not work", text), status)
+        self._close_after_response()
+        return self._send_page(screens.message_page("That did not work", text), status)
 
     def _route(self, routes: dict[str, Callable[[_Handler], None]], *, is_change: bool) -> None:
         """Answer a request by the method for its address; refuse it without access, or if there is no such page.
@@ -145,22 +153,21 @@ class _Handler(BaseHTTPRequestHandler):
         :param routes: address → method that answers it.
         :param is_change: the request may change files.
         """
-        address = urlsplit(self.path)
-        self.query = dict(parse_qsl(address.query, keep_blank_values=True, max_num_fields=20))
-        token = self.query.pop("token", "")
+        path, token = urlsplit(self.path).path, self.query.get("token", "")
         if reason := self.server.access.refusal(dict(self.headers.items()), is_change=is_change, token=token):
-            self.close_connection = True  # as in _answer
+            self._close_after_response()
             return self._send(403, reason.encode(), "text/plain; charset=utf-8")
         if token:  # the address of a page may be copied: the secret goes into a cookie instead
-            return self._redirect(
-                address.path if address.path in routes else "/", ("Set-Cookie", self.server.access.cookie)
-            )
-        route = routes.get(address.path)
-        if route is None:
-            return self._send_page(screens.message("Not found", "There is no such page. Go to the programs."), 404)
-        return route(self)
+            return self._redirect(path if path in routes else "/", ("Set-Cookie", self.server.access.cookie))
+        if path not in routes:
+            return self._send_page(screens.message_page("Not found", "There is no such page. Go to the programs."), 404)
+        return routes[path](self)
 
-    def form(self) -> dict[str, str]:
+    def _close_after_response(self) -> None:
+        """Close the connection after the response: bytes not read yet would be taken for the next request."""
+        self.close_connection = True
+
+    def posted_form(self) -> dict[str, str]:
         """Return the fields of a posted form: name → value.
 
         :raises InputError: the form is too large, or does not state its size.
@@ -193,16 +200,16 @@ class _Handler(BaseHTTPRequestHandler):
         """
         self._send(303, b"", "text/plain", ("Location", path), *headers)
 
-    def _send(self, status: int, content: bytes, kind: str, *headers: tuple[str, str]) -> None:
+    def _send(self, status: int, content: bytes, media_type: str, *headers: tuple[str, str]) -> None:
         """Send a response. Browsers do not store it, and take its type as stated.
 
         :param status: HTTP status.
-        :param kind: media type of the content.
+        :param media_type: of the content.
         :param headers: name and value of further headers.
         """
         self.send_response(status)
         for name, value in (
-            ("Content-Type", kind),
+            ("Content-Type", media_type),
             ("Content-Length", str(len(content))),
             ("Cache-Control", "no-store"),
             ("X-Content-Type-Options", "nosniff"),
@@ -218,7 +225,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     # pages
 
-    def programs(self) -> None:
+    def send_programs(self) -> None:
         """Send the list of programs."""
         workspace, runs = self.server.workspace, self.server.runs
         stamp, items = self._stamp(), workspace.items()
@@ -226,7 +233,7 @@ class _Handler(BaseHTTPRequestHandler):
             screens.Row(item, runs.latest_run(item.name), waits_for="" if self._has_forces(item.name) else "what cuts")
             for item in items
         ]
-        self._send_page(screens.programs(workspace, rows, stamp, is_automatic=self.server.automatic.is_on))
+        self._send_page(screens.programs_page(workspace, rows, stamp, is_automatic=self.server.automatic.is_on))
 
     def _has_forces(self, name: str) -> bool:
         """Return whether the forces of a program are known: by a process file, or by comments in the program."""
@@ -242,12 +249,12 @@ class _Handler(BaseHTTPRequestHandler):
         active = "-".join(str(run.number) for run in server.runs.active_runs())
         return f"{server.workspace.stamp()}-{server.automatic.is_on}-{server.runs.count}-{active}"
 
-    def programs_state(self) -> None:
+    def send_programs_state(self) -> None:
         """Send as JSON the stamp of the list of programs, and the progress of each running command."""
         progress_texts = {run.key: run.progress for run in self.server.runs.active_runs()}
         self._send(200, json.dumps({"stamp": self._stamp(), "working": progress_texts}).encode(), "application/json")
 
-    def questions(self, texts: dict[str, str] | None = None) -> None:
+    def send_questions(self, texts: dict[str, str] | None = None) -> None:
         """Send the page with the questions about a program; begin to correct it once all posted answers can be used.
 
         :param texts: posted answers by key of the question; None: the page is opened, with the answers saved earlier.
@@ -264,13 +271,13 @@ class _Handler(BaseHTTPRequestHandler):
         arguments, fault = start_arguments(program, form), ""
         if texts is not None and form.is_complete and not needs.refusal:
             try:
-                return self.begin(name, f"Correct {name}", arguments)
+                return self.begin_command(name, f"Correct {name}", arguments)
             except InputError as cause:
                 fault = str(cause)
         cutters = [named_text(number, cutter.text) for number, cutter in needs.cutters.items() if cutter.text]
         kept_cell = "" if is_asked["cell"] else robot_and_frames_text(workspace.cell, needs.tools)
         frames = () if is_asked["cell"] else missing_frames(workspace.cell, needs)
-        page = screens.setup(
+        page = screens.setup_page(
             name,
             facts=cutters,
             refusal=needs.refusal,
@@ -284,7 +291,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send_page(page)
         return None
 
-    def program(self) -> None:
+    def send_program(self) -> None:
         """Send the page of a program.
 
         :raises InputError: there is no such program.
@@ -295,22 +302,22 @@ class _Handler(BaseHTTPRequestHandler):
         if item is None:
             raise InputError(f"{name} is no program")
         results = list(workspace.results.iterdir()) if workspace.results.is_dir() else []
-        # results of this program first
+        # the results of this program come first: False sorts before True
         results.sort(key=lambda path: (path.stem.lower() != Path(name).stem.lower(), path.name))
         other_programs = [f"{RESULTS}/{path.name}" for path in results if path.suffix in _PROGRAM_SUFFIXES]
         other_programs += [other_program.name for other_program in workspace.items() if other_program.name != name]
         command = command_line(workspace.conversion_arguments(name))
         run = self.server.runs.latest_run(name)
-        self._send_page(screens.program(item, workspace, other_programs, run=run, command=command))
+        self._send_page(screens.program_page(item, workspace, other_programs, run=run, command=command))
 
-    def run(self) -> None:
+    def send_run(self) -> None:
         """Send the page of a command.
 
         :raises InputError: there is no such command.
         """
-        self._send_page(screens.running(self.server.runs.run_of_number(self.query.get("number", ""))))
+        self._send_page(screens.run_page(self.server.runs.run_of_number(self.query.get("number", ""))))
 
-    def run_state(self) -> None:
+    def send_run_state(self) -> None:
         """Send as JSON the exit code of a command, its output, and its progress.
 
         :raises InputError: there is no such command.
@@ -319,7 +326,7 @@ class _Handler(BaseHTTPRequestHandler):
         content = {"code": run.code, "text": run.text, "share": run.share, "progress": run.progress}
         self._send(200, json.dumps(content).encode(), "application/json")
 
-    def cell(self, fault: str = "", texts: Mapping[str, str] = _NO_TEXTS) -> None:
+    def send_cell(self, fault: str = "", texts: Mapping[str, str] = _NO_TEXTS) -> None:
         """Send the form with the numbers of the cell, or a message if there is no cell yet.
 
         :param fault: reason why posted numbers were not written; empty: none were refused.
@@ -328,15 +335,15 @@ class _Handler(BaseHTTPRequestHandler):
         workspace = self.server.workspace
         if not workspace.cell.is_file():
             text = "There is no cell yet: the set-up of the first program asks for robot, base and tool."
-            return self._send_page(screens.message("Cell", text))
+            return self._send_page(screens.message_page("Cell", text))
         frames = self._frames()
         fields = fields_of(workspace.existing_cell(), frames)
-        page = screens.cell(
+        page = screens.cell_page(
             workspace, fields, fault=fault, texts=texts, is_saved="saved" in self.query, frames=",".join(frames)
         )
         return self._send_page(page, 400 if fault else 200)
 
-    def process(self, fault: str = "", texts: Mapping[str, str] = _NO_TEXTS) -> None:
+    def send_process(self, fault: str = "", texts: Mapping[str, str] = _NO_TEXTS) -> None:
         """Send the form with tools, material and stock of a program; without a name, the list of programs.
 
         :param fault: reason why posted values were not written; empty: none were refused.
@@ -346,13 +353,15 @@ class _Handler(BaseHTTPRequestHandler):
         workspace, name = self.server.workspace, self.query.get("name", "")
         if not name:
             rows = [(item.name, self._process_in_words(item.name)) for item in workspace.items()]
-            return self._send_page(screens.processes(rows))
+            return self._send_page(screens.processes_page(rows))
         program = workspace.usable_program(name)
         path, needs = workspace.process_to_edit(name), needs_of(program)
         if needs.refusal:
             raise InputError(f"{name} cannot be read: {needs.refusal}")
         tables = process_tables(path, needs)
-        page = screens.process(name, path, workspace, tables, fault=fault, texts=texts, is_saved="saved" in self.query)
+        page = screens.process_page(
+            name, path, workspace, tables, fault=fault, texts=texts, is_saved="saved" in self.query
+        )
         return self._send_page(page, 400 if fault else 200)
 
     def _process_in_words(self, name: str) -> str:
@@ -363,20 +372,20 @@ class _Handler(BaseHTTPRequestHandler):
         has_forces = states_forces(self.server.workspace.program_file(name))
         return "forces in its comments" if has_forces else "not stated yet"
 
-    def robots(self) -> None:
+    def send_robots(self) -> None:
         """Send the page of all robot models, or of one, with the readings from which a model can be identified."""
         workspace = self.server.workspace
-        self._send_page(screens.robots(self.query.get("name", ""), workspace, readings_of(workspace.folder)))
+        self._send_page(screens.robots_page(self.query.get("name", ""), workspace, readings_of(workspace.folder)))
 
-    def readings(self) -> None:
+    def send_readings(self) -> None:
         """Send the page of readings: the model identified from them, and the commands that use it.
 
         :raises InputError: there are no such readings.
         """
         workspace, name = self.server.workspace, self.query.get("name", "")
-        self._send_page(screens.readings(name, workspace, workspace.readings(name)))
+        self._send_page(screens.readings_page(name, workspace, workspace.readings(name)))
 
-    def model_page(self) -> None:
+    def send_model_page(self) -> None:
         """Send the report of the model of an experiment, or of the test part without a name.
 
         :raises InputError: there is no such experiment, or its model has no report.
@@ -393,18 +402,18 @@ class _Handler(BaseHTTPRequestHandler):
         workspace = self.server.workspace
         return workspace.model_folder(workspace.readings(name).experiment) if name else self.server.part.model
 
-    def testpart(self) -> None:
+    def send_testpart(self) -> None:
         """Send the page of the test part."""
-        self._send_page(screens.testpart(self.server.part))
+        self._send_page(screens.testpart_page(self.server.part))
 
-    def testpart_file(self) -> None:
+    def send_testpart_file(self) -> None:
         """Send a file of the test part.
 
         :raises InputError: there is no such file.
         """
         self._send_file(self.server.part.file(self.query.get("name", "")))
 
-    def result(self) -> None:
+    def send_result(self) -> None:
         """Send a file of the folder of results.
 
         :raises InputError: there is no such file.
@@ -413,15 +422,15 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _send_file(self, path: Path) -> None:
         """Send a file of a type in `MEDIA_TYPES`: the browser shows HTML, and saves other files."""
-        kind, name = MEDIA_TYPES[path.suffix.lower()], quote(path.name)
+        suffix = path.suffix.lower()
         headers = [("Content-Security-Policy", _REPORT_POLICY)]
-        if path.suffix.lower() != ".html":
-            headers.append(("Content-Disposition", f"attachment; filename*=UTF-8''{name}"))
-        self._send(200, path.read_bytes(), kind, *headers)
+        if suffix != ".html":
+            headers.append(("Content-Disposition", f"attachment; filename*=UTF-8''{quote(path.name)}"))
+        self._send(200, path.read_bytes(), MEDIA_TYPES[suffix], *headers)
 
     # changes
 
-    def add(self) -> None:
+    def add_program(self) -> None:
         """Save a program that was dropped on the page, and send the address of the next page."""
         workspace, name = self.server.workspace, self.query.get("name", "")
 
@@ -441,21 +450,20 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             add()
         except InputError as cause:
-            # bytes of the file that were not read would be taken for the next request
-            self.close_connection = True
+            self._close_after_response()
             return self._send(400, json.dumps({"fault": str(cause)}).encode(), "application/json")
         return self._send(200, json.dumps({"next": next_page()}).encode(), "application/json")
 
     def submit_answers(self) -> None:
         """Take posted answers of the set-up, see `questions`."""
-        self.questions(screens.posted_answers(self.form()))
+        self.send_questions(screens.posted_answers(self.posted_form()))
 
-    def convert(self) -> None:
+    def convert_program(self) -> None:
         """Correct a program again, with the options of the form.
 
         :raises InputError: there is no such program, or the command cannot begin.
         """
-        form = self.form()
+        form = self.posted_form()
         arguments = self.server.workspace.conversion_arguments(self._program_name(form))
         for option in screens.FORM_OPTIONS:
             text = form.get(option.name, "").strip()
@@ -463,16 +471,18 @@ class _Handler(BaseHTTPRequestHandler):
                 arguments.append(option.flags[-1])
             elif text:
                 arguments.append(f"{option.flags[-1]}={text}")
-        self.begin(form["name"], f"Correct {form['name']}", arguments)
+        self.begin_command(form["name"], f"Correct {form['name']}", arguments)
 
-    def place(self) -> None:
+    def search_place(self) -> None:
         """Begin to search the best place of the part of a program.
 
         :raises InputError: there is no such program, or the command cannot begin.
         """
-        name = self._program_name(self.form())
+        name = self._program_name(self.posted_form())
         folder = f"{RESULTS}/place-{Path(name).stem}"
-        self.begin(name, f"Best place for {name}", self.server.workspace.cell_arguments("place", name, output=folder))
+        self.begin_command(
+            name, f"Best place for {name}", self.server.workspace.command_arguments("place", name, output=folder)
+        )
 
     def use_best_place(self) -> None:
         """Write the frames of the best place into the cell, and begin to correct the program again.
@@ -481,7 +491,7 @@ class _Handler(BaseHTTPRequestHandler):
 
         :raises InputError: there is no such program or no best place, or the command cannot begin.
         """
-        name = self._program_name(self.form())
+        name = self._program_name(self.posted_form())
         workspace = self.server.workspace
         place = tomllib.loads(workspace.best_place_file(name).read_text(encoding="utf-8"))
         frames = {f"base_data.{number}": frame for number, frame in place.get("base_data", {}).items()}
@@ -489,71 +499,77 @@ class _Handler(BaseHTTPRequestHandler):
         # fields of the form of the cell, such as base.X
         texts = {f"{table}.{axis}": str(value) for table, frame in tables.items() for axis, value in frame.items()}
         arguments = workspace.conversion_arguments(name)
-        self.begin(name, f"Correct {name}", arguments, lambda: edit(workspace.existing_cell(), texts, [*frames]))
+        self.begin_command(
+            name, f"Correct {name}", arguments, lambda: edit(workspace.existing_cell(), texts, [*frames])
+        )
 
-    def feed(self) -> None:
+    def set_feed(self) -> None:
         """Write the rule of feeds into the cell, and begin to correct a program again.
 
         "hold" lowers feeds where the tolerance of the part would be exceeded; "program" keeps the feeds of the program.
 
         :raises InputError: there is no such program or no cell, or the command cannot begin.
         """
-        form, workspace = self.form(), self.server.workspace
+        form, workspace = self.posted_form(), self.server.workspace
         name, rule = self._program_name(form), "hold" if form.get("rule") == "hold" else "program"
         cell = workspace.existing_cell()
-        self.begin(name, f"Correct {name}", workspace.conversion_arguments(name), lambda: set_feed_rule(cell, rule))
+        self.begin_command(
+            name, f"Correct {name}", workspace.conversion_arguments(name), lambda: set_feed_rule(cell, rule)
+        )
 
-    def automatic(self) -> None:
+    def switch_automatic(self) -> None:
         """Turn the automatic correction of programs on or off."""
-        self.server.automatic.switch(is_on=self.form().get("to") == "on")
+        self.server.automatic.switch(is_on=self.posted_form().get("to") == "on")
         self._redirect("/")
 
-    def compare(self) -> None:
+    def compare_programs(self) -> None:
         """Begin to compare a program with another program of the folder, or with a written program of its results.
 
         :raises InputError: there is no such program, or the command cannot begin.
         """
-        form = self.form()
+        form = self.posted_form()
         name, other_program = self._program_name(form), form.get("other", "")
         if other_program.startswith(f"{RESULTS}/"):
             self.server.workspace.result_file(other_program.removeprefix(f"{RESULTS}/"))
         else:
             self.server.workspace.program_file(other_program)
-        arguments = self.server.workspace.cell_arguments("compare", name)
+        arguments = self.server.workspace.command_arguments("compare", name)
         arguments.insert(2, other_program)  # after "compare" and the first program
         if "--process" in arguments:  # `compare` takes process files by --forces too
             arguments[arguments.index("--process")] = "--forces"
-        self.begin(name, f"Compare {name}", arguments)
+        self.begin_command(name, f"Compare {name}", arguments)
 
-    def identify(self) -> None:
+    def identify_model(self) -> None:
         """Begin to identify a model from readings.
 
         :raises InputError: there are no such readings, or the command cannot begin.
         """
-        form, workspace = self.form(), self.server.workspace
+        form, workspace = self.posted_form(), self.server.workspace
         name = form.get("name", "")
         arguments = identify_arguments(workspace, workspace.readings(name), form)
-        self.begin(f"model {name}", f"Model from {name}", arguments, page=f"/readings?name={quote(name)}")
+        self.begin_command(f"model {name}", f"Model from {name}", arguments, page=f"/readings?name={quote(name)}")
 
-    def validate(self) -> None:
+    def validate_model(self) -> None:
         """Begin to check a model with readings that were not used to identify it.
 
         :raises InputError: there are no such readings, or the command cannot begin.
         """
-        form, workspace = self.form(), self.server.workspace
+        form, workspace = self.posted_form(), self.server.workspace
         name = form.get("name", "")
         entry = workspace.readings(name)
         arguments = ["identify", "validate", workspace.relative_name(workspace.model_folder(entry.experiment))]
         arguments += [workspace.relative_name(model_path(entry.files, form.get("readings", "")))]
         arguments += ["--experiment", workspace.relative_name(entry.experiment)]
-        self.begin(f"model {name}", f"Check of the model from {name}", arguments, page=f"/readings?name={quote(name)}")
+        self.begin_command(
+            f"model {name}", f"Check of the model from {name}", arguments, page=f"/readings?name={quote(name)}"
+        )
 
     def use_identified_model(self) -> None:
         """Write an identified model into the cell as its robot.
 
         :raises InputError: there is no such model, it was refused, or a command runs.
         """
-        workspace, name = self.server.workspace, self.form().get("name", "")
+        workspace, name = self.server.workspace, self.posted_form().get("name", "")
         model = model_of(self._model_folder(name))
         if model is None or model.refused:
             raise InputError(f"{name}: there is no model that may be used", advice="Identify one first.")
@@ -565,8 +581,8 @@ class _Handler(BaseHTTPRequestHandler):
 
         :raises InputError: there is no such process file, or the command cannot begin.
         """
-        arguments = self.server.part.write_arguments(self.form())
-        self.begin("testpart", "Test part", arguments, page="/testpart")
+        arguments = self.server.part.write_arguments(self.posted_form())
+        self.begin_command("testpart", "Test part", arguments, page="/testpart")
 
     def add_probed(self) -> None:
         """Save a probing file that was filled in and dropped on the page."""
@@ -577,16 +593,16 @@ class _Handler(BaseHTTPRequestHandler):
 
         :raises InputError: the command cannot begin.
         """
-        compare = bool(self.form().get("compare"))
+        compare = bool(self.posted_form().get("compare"))
         title = "Check of the cell's model by the part" if compare else "Model from the test part"
-        self.begin("testpart", title, self.server.part.identify_arguments(compare=compare), page="/testpart")
+        self.begin_command("testpart", title, self.server.part.identify_arguments(compare=compare), page="/testpart")
 
-    def stop(self) -> None:
+    def stop_command(self) -> None:
         """Stop a command, and wait up to 5 s for its end.
 
         :raises InputError: there is no such command.
         """
-        run = self.server.runs.run_of_number(self.form().get("number", ""))
+        run = self.server.runs.run_of_number(self.posted_form().get("number", ""))
         run.stop()
         run.wait(5.0)
         self._redirect(f"/run?number={run.number}")
@@ -596,13 +612,13 @@ class _Handler(BaseHTTPRequestHandler):
 
         :raises InputError: no shipped robot has that name, or there is no cell.
         """
-        name, path = self.form().get("robot", ""), self.server.workspace.existing_cell()
+        name, path = self.posted_form().get("robot", ""), self.server.workspace.existing_cell()
         if name not in shipped_models():
             raise InputError(f"no robot {name!r}", advice="Choose one of the list.")
         try:
             self.server.runs.edit(lambda: set_robot(path, name))
         except InputError as cause:
-            return self.cell(str(cause))
+            return self.send_cell(str(cause))
         return self._redirect("/cell?saved")
 
     def change_start(self) -> None:
@@ -614,12 +630,12 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             self.server.runs.edit(lambda: choose_start(path))
         except InputError as cause:
-            return self.cell(str(cause))
+            return self.send_cell(str(cause))
         return self._redirect("/cell?saved")
 
     def change_cell(self) -> None:
         """Write changed numbers of the form into the cell; if refused, send the form again with the fault."""
-        form, path, frames = self.form(), self.server.workspace.existing_cell(), self._frames()
+        form, path, frames = self.posted_form(), self.server.workspace.existing_cell(), self._frames()
         texts = screens.posted_fields(form, fields_of(path, frames))
 
         def write() -> None:
@@ -629,7 +645,7 @@ class _Handler(BaseHTTPRequestHandler):
         try:
             self.server.runs.edit(write)
         except InputError as cause:
-            return self.cell(str(cause), texts)
+            return self.send_cell(str(cause), texts)
         return self._redirect(f"/cell?saved&frames={','.join(frames)}" if frames else "/cell?saved")
 
     def _frames(self) -> tuple[str, ...]:
@@ -638,7 +654,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def change_process(self) -> None:
         """Write changed tools, material and stock of a program; if refused, send the form again with the fault."""
-        workspace, name, form = self.server.workspace, self.query.get("name", ""), self.form()
+        workspace, name, form = self.server.workspace, self.query.get("name", ""), self.posted_form()
         path, needs = workspace.process_to_edit(name), needs_of(workspace.usable_program(name))
 
         def fields() -> list[FormField]:
@@ -651,10 +667,10 @@ class _Handler(BaseHTTPRequestHandler):
                 lambda: edit_process(path, needs, changes_of_user(fields(), texts, screens.shown_texts(form)))
             )
         except InputError as cause:
-            return self.process(str(cause), texts)
+            return self.send_process(str(cause), texts)
         return self._redirect(f"/process?name={quote(name)}&saved")
 
-    def begin(
+    def begin_command(
         self,
         key: str,
         title: str,
@@ -699,37 +715,37 @@ def _report_fault(fault: Exception) -> str:
 
 
 _PAGES: dict[str, Callable[[_Handler], None]] = {
-    "/": _Handler.programs,
-    "/programs.json": _Handler.programs_state,
-    "/setup": _Handler.questions,
-    "/program": _Handler.program,
-    "/run": _Handler.run,
-    "/run.json": _Handler.run_state,
-    "/cell": _Handler.cell,
-    "/process": _Handler.process,
-    "/robots": _Handler.robots,
-    "/readings": _Handler.readings,
-    "/model": _Handler.model_page,
-    "/testpart": _Handler.testpart,
-    "/testpart-file": _Handler.testpart_file,
-    "/result": _Handler.result,
+    "/": _Handler.send_programs,
+    "/programs.json": _Handler.send_programs_state,
+    "/setup": _Handler.send_questions,
+    "/program": _Handler.send_program,
+    "/run": _Handler.send_run,
+    "/run.json": _Handler.send_run_state,
+    "/cell": _Handler.send_cell,
+    "/process": _Handler.send_process,
+    "/robots": _Handler.send_robots,
+    "/readings": _Handler.send_readings,
+    "/model": _Handler.send_model_page,
+    "/testpart": _Handler.send_testpart,
+    "/testpart-file": _Handler.send_testpart_file,
+    "/result": _Handler.send_result,
 }
 _CHANGES: dict[str, Callable[[_Handler], None]] = {
-    "/add": _Handler.add,
+    "/add": _Handler.add_program,
     "/setup": _Handler.submit_answers,
-    "/convert": _Handler.convert,
-    "/automatic": _Handler.automatic,
-    "/place": _Handler.place,
+    "/convert": _Handler.convert_program,
+    "/automatic": _Handler.switch_automatic,
+    "/place": _Handler.search_place,
     "/take-place": _Handler.use_best_place,
-    "/compare": _Handler.compare,
-    "/feed": _Handler.feed,
-    "/identify": _Handler.identify,
-    "/validate": _Handler.validate,
+    "/compare": _Handler.compare_programs,
+    "/feed": _Handler.set_feed,
+    "/identify": _Handler.identify_model,
+    "/validate": _Handler.validate_model,
     "/use-model": _Handler.use_identified_model,
     "/testpart": _Handler.write_part,
     "/add-probed": _Handler.add_probed,
     "/identify-part": _Handler.identify_part,
-    "/stop": _Handler.stop,
+    "/stop": _Handler.stop_command,
     "/cell": _Handler.change_cell,
     "/robot": _Handler.change_robot,
     "/start": _Handler.change_start,

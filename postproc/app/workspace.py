@@ -113,9 +113,9 @@ class Workspace(Struct, frozen=True):
 
     def name_fault(self, name: str) -> str:
         """Return the reason why the window cannot use the name of a program; empty: it can."""
-        return _name_fault(name, self._names())
+        return _name_fault(name, self._program_names())
 
-    def _names(self) -> list[str]:
+    def _program_names(self) -> list[str]:
         """Return the names of the programs of the folder, sorted."""
         extensions = set(registry.extensions())
         return sorted(
@@ -169,9 +169,9 @@ class Workspace(Struct, frozen=True):
 
     def conversion_arguments(self, name: str) -> list[str]:
         """Return the arguments of the command that corrects a program."""
-        return self.cell_arguments("convert", name)
+        return self.command_arguments("convert", name)
 
-    def cell_arguments(self, command: str, name: str, output: str = RESULTS) -> list[str]:
+    def command_arguments(self, command: str, name: str, output: str = RESULTS) -> list[str]:
         """Return the arguments of a command about a program, with the cell, its process if it has one, and the output.
 
         :param command: name of the command.
@@ -222,7 +222,7 @@ class Workspace(Struct, frozen=True):
     def items(self) -> list[Item]:
         """Return the programs of the folder with their results, sorted by name."""
         entries = {entry.name: entry for entry in reported_programs(self.results)} if self.results.is_dir() else {}
-        setup, names = Setup.of(self.cell), self._names()
+        setup, names = Setup.of(self.cell), self._program_names()
         return [
             Item(name, entries.get(name), self._changes(name, entries.get(name), setup), _name_fault(name, names))
             for name in names
@@ -297,10 +297,11 @@ def _name_fault(name: str, names: Sequence[str]) -> str:
 def _written_stems(name: str) -> frozenset[str]:
     """Return the names, without extension and in lower case, that written files of a program may have."""
     stem = Path(name).stem
-    # reports have the name of the program, written programs a name that their language allows
-    return frozenset(
-        text.lower() for text in (stem, *(registry.written_in(language)[1].valid_name(stem) for language in _LANGUAGES))
-    )
+    stems = {stem}  # of the reports; written programs have a name that their language allows
+    for language in _LANGUAGES:
+        _, writer = registry.written_in(language)
+        stems.add(writer.valid_name(stem))
+    return frozenset(text.lower() for text in stems)
 
 
 def _path_in_folder(folder: Path, name: str) -> Path:

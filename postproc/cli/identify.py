@@ -345,7 +345,7 @@ def _print_step(message: str) -> None:
     from postproc import progress
 
     if progress.as_lines():
-        progress.step(message)
+        progress.write_step(message)
     elif sys.stderr.isatty():
         click.echo(f"{message} …", err=True)
 

@@ -123,18 +123,21 @@ def edit(path: Path, texts: Mapping[str, str], frames: Sequence[str] = ()) -> bo
     return True
 
 
-def robot_of(path: Path, model: Path) -> tuple[str, bool]:
-    """Return the name or path of the robot in a cell file, and whether a model folder is its model.
+def robot_name(path: Path) -> str:
+    """Return the name or path of the robot in a cell file; empty if the cell is unusable."""
+    try:
+        return cells.load(path).robot
+    except PostprocError:
+        return ""
 
-    If the cell is unusable, an empty text and False are returned.
 
-    :param model: the model folder.
-    """
+def uses_model(path: Path, model: Path) -> bool:
+    """Return whether a model folder is the robot of a cell file; False if the cell is unusable."""
     try:
         cell = cells.load(path)
-        return cell.robot, robots.find(cell.robot, Path(cell.folder)).resolve() == model.resolve()
+        return robots.find(cell.robot, Path(cell.folder)).resolve() == model.resolve()
     except PostprocError:
-        return "", False
+        return False
 
 
 def feed_rule(path: Path) -> str:

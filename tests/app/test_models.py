@@ -72,9 +72,9 @@ def test_a_model_that_may_not_be_used_is_not_taken(window):
 
 
 def test_a_step_of_unknown_length_is_read(capsys):
-    progress.step("joint springs and compensator")
+    progress.write_step("joint springs and compensator")
     line = capsys.readouterr().err
-    assert progress.read(line) == (None, "joint springs and compensator")
+    assert progress.parse_progress(line) == (None, "joint springs and compensator")
 
 
 @needs_chromium
