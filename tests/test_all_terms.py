@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, frames, kinematics, robot
 from postproc.elastostatics import balance, equilibrium
-from postproc.elastostatics.equilibrium import springs_at_target
+from postproc.elastostatics.equilibrium import deflection_at_target
 from postproc.errors import ModelError, NotConvergedError
 from postproc.robot import parameters, urdf
 from postproc.robot.model_file import (
@@ -121,7 +121,7 @@ def test_the_loaded_equilibrium_and_the_command_that_undoes_it_are_those_of_the_
     x = (elastostatics.coordinates(model, q) + state.theta).T
     there = kinematics.posture(model.loaded, x, kinematics.components(FAR_OFFSET_TOOL), weigh=True)
     load = np.einsum("ikn,ni->kn", there.jacobian(), wrench)
-    springs = springs_at_target(model, x, load, balance.static_torque(model, x, there))
+    springs = deflection_at_target(model, x, load, balance.static_torque(model, x, there))
     for row in range(len(q)):
         theta, pose = arm.equilibrium(q[row], FAR_OFFSET_TOOL, wrench[row])
         assert np.linalg.norm(pose[:3, 3] - arm.given(q[row], FAR_OFFSET_TOOL, wrench[row])[1](0.0)[0][:3, 3]) > 5e-4
@@ -308,7 +308,7 @@ def test_errors_name_the_rows_that_have_no_equilibrium(monkeypatch):
     load = np.zeros_like(x)
     load[3, 1] = 1e6
     with pytest.raises(NotConvergedError, match="too large for the springs") as found:
-        springs_at_target(model, x, load, balance.static_torque(model, x))
+        deflection_at_target(model, x, load, balance.static_torque(model, x))
     assert found.value.rows == (1,)
     monkeypatch.setattr(elastostatics.equilibrium, "MAX_ITERATIONS", 1)
     still = wrench * [[1.0], [0.0], [1.0]]
@@ -319,7 +319,7 @@ def test_errors_name_the_rows_that_have_no_equilibrium(monkeypatch):
     load = np.zeros_like(x)
     load[3, [0, 2]] = 500.0
     with pytest.raises(NotConvergedError, match="not found") as found:
-        springs_at_target(model, x, load, balance.static_torque(model, x))
+        deflection_at_target(model, x, load, balance.static_torque(model, x))
     assert found.value.rows == (0, 2)
 
 
@@ -336,7 +336,7 @@ def test_a_singular_pose_has_no_step_and_others_have_theirs():
     square = np.random.default_rng(3).normal(size=(6, 6, 3))
     square[:, 2, 1] = 0.0
     twist_of = np.ones((6, 3))
-    step = equilibrium._newton(square, twist_of)
+    step = equilibrium._newton_step(square, twist_of)
     assert np.isnan(step[:, 1]).all()
     for row in (0, 2):
         np.testing.assert_allclose(square[..., row] @ step[:, row], twist_of[:, row], rtol=1e-9)
@@ -376,7 +376,7 @@ def test_a_compensator_stiffer_than_its_joint_is_solved(gravity):
     model, arm = robot.assemble("stiff compensator", file, urdf.read(KUKA, "any.urdf")), WholeArm(KUKA, file)
     _, _, q, wrench = arms(0, gravity)
     x = balance.coordinates(model, q).T
-    factor = balance.compensator_factor(model, x, np.repeat(model.steady[:, None], len(q), axis=1))
+    factor = balance.compensator_factor(model, x, np.repeat(model.constant_compliance[:, None], len(q), axis=1))
     assert (factor > 2.0).sum() == 2
     state = elastostatics.deflect(model, q, FAR_OFFSET_TOOL, wrench)
     target = np.array([arm.nominal(row, FAR_OFFSET_TOOL) for row in q])
@@ -393,8 +393,8 @@ def test_a_compensator_stiffer_than_its_joint_is_solved(gravity):
 @pytest.mark.parametrize(("seed", "most"), [(0, 4), (1, 4), (7, 4)])
 def test_commands_converge_in_a_few_steps_to_the_last_digits(seed, most, monkeypatch):
     model, arm, q, wrench = arms(seed, GRAVITIES[1])
-    target, rounds, solve = np.array([arm.nominal(row, FAR_OFFSET_TOOL) for row in q]), [], equilibrium._newton
-    monkeypatch.setattr(equilibrium, "_newton", lambda *given: (rounds.append(1), solve(*given))[1])
+    target, rounds, solve = np.array([arm.nominal(row, FAR_OFFSET_TOOL) for row in q]), [], equilibrium._newton_step
+    monkeypatch.setattr(equilibrium, "_newton_step", lambda *given: (rounds.append(1), solve(*given))[1])
     found = elastostatics.compensate(model, target, q, FAR_OFFSET_TOOL, wrench)
     assert len(rounds) <= most
     x = balance.elastic_coordinates(model, found.q.T) + found.theta.T
@@ -586,5 +586,5 @@ def test_a_soft_arm_is_solved_as_exactly_as_a_stiff_one(compliance):
     x = (elastostatics.coordinates(model, q) + expected).T
     there = kinematics.posture(model.loaded, x, kinematics.components(FAR_OFFSET_TOOL), weigh=True)
     load = np.einsum("ikn,ni->kn", there.jacobian(), wrench)
-    springs = springs_at_target(model, x, load, balance.static_torque(model, x, there))
+    springs = deflection_at_target(model, x, load, balance.static_torque(model, x, there))
     np.testing.assert_allclose(springs.T, expected, rtol=0, atol=3e-9)

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, frames, kinematics, robot
 from postproc.elastostatics import balance
-from postproc.elastostatics.equilibrium import springs_at_target
+from postproc.elastostatics.equilibrium import deflection_at_target
 from postproc.errors import NotConvergedError
 from tests.kr270 import FOLDER, ROBOT, TURNED_TOOL
 from tests.oracle.arm import Arm
@@ -68,7 +68,7 @@ def test_springs_at_a_known_actual_pose_invert_the_deflection(pair):
     x = (q + state.theta).T
     stands = kinematics.posture(model.loaded, x, kinematics.components(TURNED_TOOL), weigh=True)
     load = np.einsum("ikn,ni->kn", stands.jacobian(), wrench)
-    found = springs_at_target(model, x, load, balance.static_torque(model, x, stands))
+    found = deflection_at_target(model, x, load, balance.static_torque(model, x, stands))
     np.testing.assert_allclose(found, state.theta.T, atol=1e-8)  # rad: what is asked of the correction
 
 

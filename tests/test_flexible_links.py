@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, kinematics, robot
 from postproc.elastostatics import balance
-from postproc.elastostatics.equilibrium import springs_at_target
+from postproc.elastostatics.equilibrium import deflection_at_target
 from postproc.errors import ModelError
 from postproc.robot import parameters
 from postproc.robot.model_file import Gravity, Stiffening
@@ -61,7 +61,7 @@ def test_inverse_and_compensation_undo_the_deflection(in_gears, reference):
     x = (elastostatics.coordinates(model, q) + found.theta).T
     stands = kinematics.posture(model.loaded, x, kinematics.components(SIDE_TOOL), weigh=True)
     load = np.einsum("ikn,ni->kn", stands.jacobian(), wrench)
-    theta = springs_at_target(model, x, load, balance.static_torque(model, x, stands))
+    theta = deflection_at_target(model, x, load, balance.static_torque(model, x, stands))
     np.testing.assert_allclose(theta, found.theta.T, atol=2e-8)
     target = kinematics.tcp(model.nominal, q, SIDE_TOOL)[0]
     command = elastostatics.compensate(model, target, q, SIDE_TOOL, wrench)

@@ -21,7 +21,7 @@ from postproc.kinematics import Posture
 from postproc.robot import Chain, CompensatorTorque, LinkMass, Parameter, RobotModel, Spring
 
 A2 = 1
-"""Place of joint A2 among the actuated coordinates: the compensator acts on it."""
+"""Index of joint A2 among the actuated coordinates: the compensator acts on it."""
 
 
 def coordinates(robot: RobotModel, q: Array) -> Array:
@@ -31,13 +31,13 @@ def coordinates(robot: RobotModel, q: Array) -> Array:
 
 def elastic_coordinates(robot: RobotModel, q: Array) -> Array:
     """Return the coordinates (nv, n) of the elastic chain for joint angles q (6, n): zero for virtual joints."""
-    full = np.zeros((robot.actual.nv, q.shape[-1]))
-    full[list(robot.actuated)] = q if robot.transmission is None else robot.transmission.actual(q)
-    return full
+    x = np.zeros((robot.actual.nv, q.shape[-1]))
+    x[list(robot.actuated)] = q if robot.transmission is None else robot.transmission.actual(q)
+    return x
 
 
 def joint_angles(robot: RobotModel, x: Array) -> Array:
-    """Return the joint angles (6, n) [rad] that the controller holds at coordinates x (nv, n): without link springs."""
+    """Return the joint angles (6, n) [rad] that the controller holds at coordinates x (nv, n) of the elastic chain."""
     joints = x[list(robot.actuated)]
     return joints if robot.transmission is None else robot.transmission.commanded_angles(joints)
 
@@ -56,16 +56,16 @@ def spring_deflection(
     :param load_part: (nv, n) torque of the load alone, if that is not `torque`; it moves lost motion.
     """
     load_part = torque if load_part is None else load_part
-    steady = robot.steady[:, None]
+    linear_compliance = robot.constant_compliance[:, None]
     if not robot.terms:
-        return steady * torque, np.broadcast_to(steady, torque.shape)
-    theta, slope = steady * torque, np.repeat(steady, torque.shape[1], axis=1)
+        return linear_compliance * torque, np.broadcast_to(linear_compliance, torque.shape)
+    theta, slope = linear_compliance * torque, np.repeat(linear_compliance, torque.shape[1], axis=1)
     for parameter, value in robot.torque_terms:
         moving_torque = torque if parameter.with_rest_torque else load_part
         for row, torque_row in robot.pairs(parameter):
             unit_deflection, unit_slope = parameter.effect(moving_torque[torque_row], preload[torque_row])
             theta[row] += value * unit_deflection
-            if row == torque_row:
+            if row == torque_row:  # else a coupling, see `RobotModel.coupling_compliance`
                 slope[row] += value * unit_slope
     if robot.over_pose is not None:
         joints = list(robot.actuated)
@@ -130,10 +130,13 @@ class Balance(Struct, frozen=True, eq=False):
         Zero where τ is the torque of the load alone: `slope` then contains lost motion.
         """
         compliance, load_part = np.zeros_like(self.x), self.load_part
-        for parameter, value in () if load_part is self.torque else self.robot.terms:
+        if load_part is self.torque:
+            return compliance
+        for parameter, value in self.robot.terms:
             if not parameter.with_rest_torque:
                 row = self.robot.row(parameter)
-                compliance[row] += value * parameter.effect(load_part[row], np.zeros_like(load_part[row]))[1]
+                _, slope = parameter.effect(load_part[row], np.zeros_like(load_part[row]))
+                compliance[row] += value * slope
         return compliance
 
     def spring_jacobian(self) -> Array:
@@ -150,24 +153,28 @@ class Balance(Struct, frozen=True, eq=False):
     def _residual_slopes(self, jacobian: Array) -> Array:
         """Return ∂(θ − c(τ(θ)))/∂θ (n, nv, nv), see `spring_jacobian`; `jacobian` (n, 6, nv) of the tool."""
         hessian = kinematics.load_stiffness(jacobian, self.wrench.T) - self._static_stiffness(self.robot.loaded)
-        slopes = np.eye(len(self.x)) - self.deflection_by(np.moveaxis(hessian, 0, -1)).transpose(2, 0, 1)
+        slopes = np.eye(len(self.x)) - self.deflection_under_torque(np.moveaxis(hessian, 0, -1)).transpose(2, 0, 1)
         if (over_pose := self.robot.over_pose) is not None:
             joints = list(self.robot.actuated)
             by_angle = over_pose.slopes(self.x[joints]) * self.torque[joints][:, None]
             slopes[:, np.array(joints)[:, None], joints] -= np.moveaxis(by_angle, -1, 0)
         lost_motion = self.lost_motion_compliance
-        # the static torque does not move it, though it is part of τ
-        if lost_motion.any():
+        if lost_motion.any():  # τ contains the static torque, which does not move it
             slopes -= lost_motion.T[:, :, None] * self._static_stiffness(self.robot.actual)
         return slopes
 
-    def deflection_by(self, torque: Array) -> Array:
+    def deflection_under_torque(self, torque: Array) -> Array:
         """Return the deflections (nv, ..., n) [rad, m] by small torques (nv, ..., n) [N·m, N], at first order."""
-        middle_axes = (1,) * (torque.ndim - 2)  # those that `slope` (nv, n) lacks
-        deflection = self.slope.reshape(len(self.slope), *middle_axes, -1) * torque
+        nv, n = self.slope.shape
+        slope = self.slope.reshape(nv, *(1,) * (torque.ndim - 2), n)
+        deflection = slope * torque
         if self.robot.coupling_compliance is not None:
             deflection = deflection + np.tensordot(self.robot.coupling_compliance, torque, axes=1)
         return np.asarray(deflection)
+
+    def deflection_by_wrench(self) -> Array:
+        """Return the deflections (n, nv, 6) of the springs per unit of the wrench, at first order; SI units."""
+        return np.moveaxis(self.deflection_under_torque(np.swapaxes(self.jacobian, 0, 1)), -1, 0)
 
     def _static_stiffness(self, chain: Chain) -> Array:
         """Return ∂²U_g/∂x² + U_c″ (n, nv, nv), the derivative of the static torque by the coordinates.
@@ -200,11 +207,11 @@ def undeflected_balance(robot: RobotModel, q: Array, tool: Array, wrench: Array)
 def static_torque(robot: RobotModel, x: Array, state: Posture | None = None) -> Array:
     """Return ∇U_g + U_c′ (nv, n): the static torque of weights and compensator at coordinates x (nv, n).
 
-    :param state: posture at x with the weights to count; by default that without payload.
+    :param state: posture at x of the chain whose weights count; None: of the robot without payload.
     """
     if state is None:
         state = kinematics.posture(robot.actual, x, weigh=robot.has_weight)
-    torque = state.weight() if robot.has_weight else np.zeros_like(x)
+    torque = state.weight_torques() if robot.has_weight else np.zeros_like(x)
     if robot.compensator is not None:
         row = robot.actuated[A2]
         torque[row] += robot.compensator.gradient(x[row])
@@ -226,14 +233,15 @@ def preload(robot: RobotModel, rest_torque: Array) -> Array:
 
     :param rest_torque: (nv, n) or (nv, 1) from `balanced_torque`.
     """
-    carries = bool(robot.terms) and robot.carries_weight and robot.subtract_reference
-    return -rest_torque if carries else np.zeros((len(rest_torque), 1))
+    has_preload = bool(robot.terms) and robot.carries_weight and robot.subtract_reference
+    return -rest_torque if has_preload else np.zeros((len(rest_torque), 1))
 
 
 def load_torque(robot: RobotModel, x: Array, torque: Array) -> Array:
     """Return the part of the torque τ that comes from the load, payload included (nv, n) [N·m, N].
 
-    It is all of τ where the static torque is balanced at rest, and where no spring asks for the difference.
+    It is all of τ if the static torque is balanced at rest. If all springs deflect by all of τ, so that no spring needs
+    the part by itself, τ is returned too.
 
     :param x: (nv, n) actual coordinates.
     :param torque: (nv, n) τ at the springs.
@@ -281,15 +289,15 @@ def twists_by_parameters(state: Balance, spring_jacobian: Array, parameters: Seq
             static_columns.append(column)
     if not static_columns:
         return twist
-    loaded, unloaded = StaticTorqueSlopes(robot, state.x), StaticTorqueSlopes(robot, q)
+    loaded_slopes, rest_slopes = StaticTorqueSlopes(robot, state.x), StaticTorqueSlopes(robot, q)
     by_preload = compliance_by_preload(robot, state.torque, state.preload)
     for column in static_columns:
-        loaded_torque = loaded.by(parameters[column])
+        loaded_torque = loaded_slopes.slope(parameters[column])
         if robot.subtract_reference:
-            rest_torque = unloaded.by(parameters[column])
-            deflection = -state.deflection_by(loaded_torque - rest_torque) - by_preload * rest_torque
+            rest_torque = rest_slopes.slope(parameters[column])
+            deflection = -state.deflection_under_torque(loaded_torque - rest_torque) - by_preload * rest_torque
         else:
-            deflection = state.lost_motion_compliance * loaded_torque - state.deflection_by(loaded_torque)
+            deflection = state.lost_motion_compliance * loaded_torque - state.deflection_under_torque(loaded_torque)
         twist[:, :, column] = np.einsum("nik,kn->ni", spring_jacobian, deflection)
     return twist
 
@@ -317,7 +325,7 @@ class StaticTorqueSlopes:
         """Posture of the chain whose links have unit masses."""
         return kinematics.posture(self._robot.unit_mass_chain, self._x, weigh=True)
 
-    def by(self, parameter: Parameter) -> Array:
+    def slope(self, parameter: Parameter) -> Array:
         """Return the derivative (nv, n) by a link mass or a parameter of the compensator.
 
         :raises ModelError: the robot does not have the parameter, or it is of another kind.
@@ -325,12 +333,12 @@ class StaticTorqueSlopes:
         robot = self._robot
         row = robot.row(parameter)
         if isinstance(parameter, LinkMass):
-            return self._unit_masses.weight(row)
+            return self._unit_masses.weight_torques(row)
         if not isinstance(parameter, CompensatorTorque) or robot.compensator is None:
             raise ModelError(f"{parameter.name} is no parameter of {robot.name}")
-        slope = np.zeros_like(self._x)
-        slope[row] = parameter.effect(robot.compensator, self._x[row])[0]
-        return slope
+        slopes = np.zeros_like(self._x)
+        slopes[row], _ = parameter.effect(robot.compensator, self._x[row])
+        return slopes
 
 
 def compliance_by_preload(robot: RobotModel, torque: Array, preload: Array) -> Array:

@@ -9,7 +9,7 @@ equilibrium. No matrix per sample is formed. Eq. (1) and (5) of the paper, its l
 into joint angles q by its nominal geometry; the tool is then at g_actual(q + θ(q, F)). Off-line compensation (paper,
 Fig. 1) finds the pose for which this is the target, in position and orientation, to convergence. The actual coordinates
 x = q + θ at the target are known from inverse kinematics of the actual geometry. So the load on each spring is known,
-and with it θ (`springs_at_target`). If the geometry is nominal and only joints deflect, one evaluation solves the
+and with it θ (`deflection_at_target`). If the geometry is nominal and only joints deflect, one evaluation solves the
 problem. Otherwise Newton's steps move the joints to the target, and coordinates of link springs to their deflections.
 """
 
@@ -48,6 +48,8 @@ _SPRING_TOLERANCE = 3e-9
 """Largest error of a spring's deflection [rad, m] left by the iterations; the correction needs 1e-8 rad."""
 _FIRST_RATIO = 0.02
 """Assumed ratio of the second step to the first; usable arms have a far smaller one."""
+_LEAST_RATIO = 1e-4
+"""Assumed least ratio of a step to the step before it."""
 MAX_ITERATIONS = 40
 """Usable arms need under ten, each step being at most a few hundredths of the one before: more is no convergence."""
 _NO_EQUILIBRIUM = "equilibrium not found: check the payload, the forces and the robot model"
@@ -165,26 +167,26 @@ def solve_equilibrium(
     """
     rest_torque, wrench = balanced_torque(robot, x0), np.ascontiguousarray(wrench)
     theta = np.zeros_like(x0) if guess is None else np.ascontiguousarray(guess)
-    previous = np.full(x0.shape[1], np.nan)
+    previous_size = np.full(x0.shape[1], np.nan)
     for _ in range(MAX_ITERATIONS):
         state = Balance.at(robot, x0 + theta, rest_torque, tool, wrench)
         step = state.theta - theta
         step[robot.actuated[A2]] /= compensator_factor(robot, state.x, state.slope)
         theta = theta + step
         tool_step = np.einsum("ikn,kn->in", state.jacobian, step)
-        size = _largest(tool_step[:3]) + _largest(tool_step[3:])
-        is_moving = _needs_iteration(size, previous, _POSITION_TOLERANCE)
+        step_size = _largest(tool_step[:3]) + _largest(tool_step[3:])  # [m] + [rad]
+        is_moving = _needs_iteration(step_size, previous_size, _POSITION_TOLERANCE)
         if not is_moving.any():
             _check_size(theta)
             return theta, state.point + tool_step[:3]
-        previous = size
+        previous_size = step_size
     raise NotConvergedError(_NO_EQUILIBRIUM, np.flatnonzero(is_moving))
 
 
-def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) -> Array:
-    """Return θ (nv, n) of the equilibrium at known ACTUAL coordinates: the inverse problem, the sample index last.
+def deflection_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) -> Array:
+    """Return the deflection θ (nv, n) [rad, m] of the equilibrium at actual coordinates x = q + θ, the inverse problem.
 
-    With x = q + θ given, the torques are known, and only the reference state q = x − θ has to be found.
+    With x given, the torques are known, and only the reference state q = x − θ has to be found.
 
     :param x: (nv, n) actual coordinates [rad, m].
     :param load: (nv, n) torque JᵀF of the wrench at x [N·m, N].
@@ -194,7 +196,7 @@ def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) 
     # the first reference is x itself: without payload its static torque is known already
     rest_torque = weights if robot.subtract_reference and robot.loaded is robot.actual else balanced_torque(robot, x)
     theta = np.zeros_like(x)
-    previous = np.full(x.shape[1], np.nan)
+    previous_size = np.full(x.shape[1], np.nan)
     for _ in range(MAX_ITERATIONS):
         torque = load - weights + rest_torque
         deflection, slope = spring_deflection(
@@ -204,13 +206,13 @@ def springs_at_target(robot: RobotModel, x: Array, load: Array, weights: Array) 
         if robot.subtract_reference:
             step[robot.actuated[A2]] /= compensator_factor(robot, x, slope)
         theta = theta + step
-        size = _largest(step)
+        step_size = _largest(step)
         # a weightless robot's geometry has no reference state: the first step is exact
-        is_moving = _needs_iteration(size, previous, _SPRING_TOLERANCE) & robot.subtract_reference
+        is_moving = _needs_iteration(step_size, previous_size, _SPRING_TOLERANCE) & robot.subtract_reference
         if not is_moving.any():
             _check_size(theta)
             return theta
-        previous = size
+        previous_size = step_size
         rest_torque = balanced_torque(robot, x - theta)
     raise NotConvergedError(_NO_EQUILIBRIUM, np.flatnonzero(is_moving))
 
@@ -220,18 +222,21 @@ def _largest(values: Array) -> Array:
     return np.asarray(np.abs(values).max(axis=0))
 
 
-def _needs_iteration(size: Array, previous: Array, tolerance: float) -> Bools:
-    """Return which samples (n,) need another round: the next step, extrapolated from the last two, is not negligible.
+def _needs_iteration(step_size: Array, previous_size: Array, tolerance: float) -> Bools:
+    """Return which samples (n,) need another iteration: the next step, extrapolated from the last two, is too large.
 
-    :param size: (n,) of the last step, `previous` (n,) of the one before; NaN if there was none.
-    :param tolerance: size of a step that is negligible.
+    :param step_size: (n,) size of the last step.
+    :param previous_size: (n,) size of the step before; NaN if there was none.
+    :param tolerance: largest size of a step that is negligible.
     :raises NotConvergedError: a step is not finite.
     """
-    if not np.isfinite(size).all():
-        raise NotConvergedError(_NO_EQUILIBRIUM, np.flatnonzero(~np.isfinite(size)))
-    # two steps that are alike by accident do not make the next one zero; steps that grow are not extrapolated
-    ratio = np.where(np.isnan(previous), _FIRST_RATIO, size / np.where(previous > 0.0, previous, 1.0))
-    return np.asarray(~(size * np.clip(ratio, 1e-4, 1.0) <= tolerance))
+    if not np.isfinite(step_size).all():
+        raise NotConvergedError(_NO_EQUILIBRIUM, np.flatnonzero(~np.isfinite(step_size)))
+    ratio = step_size / np.where(previous_size > 0.0, previous_size, 1.0)
+    ratio = np.where(np.isnan(previous_size), _FIRST_RATIO, ratio)
+    # a step that is tiny by accident is not followed by none; steps that grow are not extrapolated
+    next_size = step_size * np.clip(ratio, _LEAST_RATIO, 1.0)
+    return np.asarray(next_size > tolerance)
 
 
 def _check_size(theta: Array) -> None:
@@ -254,8 +259,7 @@ def tangent_compliance(robot: RobotModel, q: Array, tool: Array, wrench: Array) 
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
     """
     state = undeflected_balance(robot, q, tool, wrench)
-    by_wrench = np.moveaxis(state.deflection_by(np.swapaxes(state.jacobian, 0, 1)), -1, 0)
-    return np.asarray(state.spring_jacobian() @ by_wrench)
+    return np.asarray(state.spring_jacobian() @ state.deflection_by_wrench())
 
 
 def linear_compliance(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:
@@ -269,9 +273,9 @@ def linear_compliance(robot: RobotModel, q: Array, tool: Array, wrench: Array) -
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
     """
     state = undeflected_balance(robot, q, tool, wrench)
-    by_wrench = np.moveaxis(state.deflection_by(np.swapaxes(state.jacobian, 0, 1)), -1, 0)
-    by_wrench[:, robot.actuated[A2]] /= compensator_factor(robot, state.x, state.slope)[:, None]
-    return np.asarray(np.moveaxis(state.jacobian, -1, 0) @ by_wrench)
+    deflection = state.deflection_by_wrench()
+    deflection[:, robot.actuated[A2]] /= compensator_factor(robot, state.x, state.slope)[:, None]
+    return np.asarray(np.moveaxis(state.jacobian, -1, 0) @ deflection)
 
 
 def linear_deflection(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:
@@ -346,30 +350,35 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
     for _ in range(_MOST_STEPS):
         state = kinematics.posture(robot.loaded, x, tools, weigh=robot.has_weight)
         jacobian, missing_twist = state.jacobian(), kinematics.twist_between(state.pose, goal)
-        remaining_twist = np.abs(missing_twist)
+        error = np.abs(missing_twist)
         # without link springs the deflection matters at the target only
-        if len(passive) or not _exceeds_tolerance(remaining_twist).any():
+        if len(passive) or not _exceeds_tolerance(error).any():
             load = np.einsum("ikn,in->kn", jacobian, wrench)
-            theta = springs_at_target(robot, x, load, static_torque(robot, x, state))
+            theta = deflection_at_target(robot, x, load, static_torque(robot, x, state))
+            # twist of the tool by what the coordinates of link springs lack to their deflections
             link_twist = np.einsum("ikn,kn->in", jacobian[:, passive], (theta - x)[passive])
-            remaining_twist, missing_twist = remaining_twist + np.abs(link_twist), missing_twist - link_twist
-        rows = np.flatnonzero(_exceeds_tolerance(remaining_twist))
+            error, missing_twist = error + np.abs(link_twist), missing_twist - link_twist
+        rows = np.flatnonzero(_exceeds_tolerance(error))
         if len(rows) == 0:
             q = joint_angles(robot, x - theta)
             pose = kinematics.posture(robot.nominal, q, tools).pose
             return Compensation(q.T, kinematics.matrices(pose), theta.T)
-        step = _newton(jacobian[:, joints][..., rows], missing_twist[:, rows])
+        step = _newton_step(jacobian[:, joints][..., rows], missing_twist[:, rows])
         x[np.ix_(joints, rows)] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
         x[np.ix_(passive, rows)] = theta[np.ix_(passive, rows)]
     raise NotConvergedError("no loaded equilibrium at the target: pose singular or load too large", rows.tolist())
 
 
-def _exceeds_tolerance(left: Array) -> Bools:
-    """Return which twists (n,) exceed the tolerances of position or orientation; `left` (6, n): sizes [m, rad]."""
-    return np.asarray(~((left[:3].max(axis=0) <= _AT_TARGET) & (left[3:].max(axis=0) <= _ORIENTATION_TOLERANCE)))
+def _exceeds_tolerance(error: Array) -> Bools:
+    """Return which errors of a pose (n,) exceed the tolerance of position or orientation.
+
+    :param error: (6, n) sizes of the components of the twist [m, rad]; NaN exceeds the tolerance.
+    """
+    position_error, orientation_error = error[:3].max(axis=0), error[3:].max(axis=0)
+    return np.asarray(~((position_error <= _AT_TARGET) & (orientation_error <= _ORIENTATION_TOLERANCE)))
 
 
-def _newton(jacobian: Array, twist: Array) -> Array:
+def _newton_step(jacobian: Array, twist: Array) -> Array:
     """Return the step (6, n) [rad] of the joints that moves the tool by a twist (6, n) [m, rad]; NaN where singular.
 
     :param jacobian: (6, 6, n) of the tool by the joints.

@@ -348,7 +348,7 @@ def _linear_sensitivity(
         if isinstance(parameter, Spring):
             columns.append(_displacement_by_spring(robot, state, parameter))
             continue
-        shift = -by_preload * static_slopes.by(parameter)
+        shift = -by_preload * static_slopes.slope(parameter)
         if isinstance(parameter, CompensatorTorque) and robot.compensator is not None:
             _, stiffness = parameter.effect(robot.compensator, state.x[second])
             shift[second] -= state.slope[second] * state.theta[second] * stiffness
@@ -388,6 +388,6 @@ def _payload(robot: RobotModel, x: Array) -> Array:
     if robot.loaded is robot.actual:
         return np.zeros_like(x)
     with_payload, without_payload = (
-        kinematics.posture(chain, x, weigh=True).weight() for chain in (robot.loaded, robot.actual)
+        kinematics.posture(chain, x, weigh=True).weight_torques() for chain in (robot.loaded, robot.actual)
     )
     return np.asarray(with_payload - without_payload)

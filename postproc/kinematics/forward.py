@@ -118,7 +118,7 @@ class Posture(Struct, frozen=True, eq=False):
                 columns[:3, joint] = axis
         return columns
 
-    def weight(self, link: int | None = None) -> Array:
+    def weight_torques(self, link: int | None = None) -> Array:
         """Return the torques ∇U_g (nv, n) that hold the weights of the links [N·m], forces of sliding joints [N].
 
         Needs a posture with moments (`weigh=True`). Gravity is along −Z of the root: the torque on a joint is
@@ -145,7 +145,7 @@ def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = 
 
     :param q: (nv, n) coordinates [rad, m].
     :param tool: (3, 4, n) or (3, 4, 1) in the flange frame [m]; None: the frames are those of the flange.
-    :param weigh: whether to compute the moments of the links' masses, which `Posture.weight` needs.
+    :param weigh: whether to compute the moments of the links' masses, which `Posture.weight_torques` needs.
     """
     whole = _steps(chain)
     first_turn, steps, end = whole.first_turn, whole.joints, whole.flange
@@ -186,7 +186,7 @@ def tool_pose(chain: Chain, q: Array, tool: Array) -> Array:
 
 def gravity_torque(chain: Chain, q: Array) -> Array:
     """Return ∇U_g (N, nv): torques [N·m] (forces of sliding joints [N]) that hold the links at q (N, nv) [rad, m]."""
-    return posture(chain, by_coordinate(q), weigh=True).weight().T
+    return posture(chain, by_coordinate(q), weigh=True).weight_torques().T
 
 
 def by_coordinate(rows: Array) -> Array:

@@ -321,7 +321,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return np.asarray(1.0 / np.diag(self.stiffness))
 
     @cached_property
-    def steady(self) -> Array:
+    def constant_compliance(self) -> Array:
         """Compliance (nv,) that does not change with the torque [rad/(N·m), m/N]."""
         return self.compliance - self._initial_compliance(self.terms)
 
@@ -400,7 +400,11 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
             return 0.0
         if not isinstance(parameter, Spring):
             raise _missing_parameter(parameter)
-        return float(self.steady[self.row(parameter)]) if parameter.linear else dict(self.terms).get(parameter, 0.0)
+        return (
+            float(self.constant_compliance[self.row(parameter)])
+            if parameter.linear
+            else dict(self.terms).get(parameter, 0.0)
+        )
 
     def prior_sigma(self, parameter: Parameter) -> float:
         """Return the standard deviation that the model states for a mass or the compensator's size, SI; else inf."""
@@ -510,7 +514,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
         :raises ModelError: the robot does not have one of the springs.
         """
-        steady, terms = self.steady.copy(), dict(self.terms)
+        steady, terms = self.constant_compliance.copy(), dict(self.terms)
         for parameter, value in values.items():
             if not isinstance(parameter, Spring):
                 continue

@@ -6,7 +6,7 @@ import pytest
 
 from postproc import elastostatics, kinematics, robot
 from postproc.elastostatics import balance
-from postproc.elastostatics.equilibrium import springs_at_target
+from postproc.elastostatics.equilibrium import deflection_at_target
 from postproc.identification import identify_folder, model_folder
 from postproc.identification.measurement_model import Structure, predict
 from postproc.robot.model_file import BacklashEntry, PayloadEntry
@@ -127,7 +127,7 @@ def test_lost_motion_is_turned_over_by_the_load_alone_whatever_the_geometry_desc
         x = (elastostatics.coordinates(model, q) + found.theta).T
         state = kinematics.posture(model.loaded, x, kinematics.components(harness.TOOL), weigh=model.has_weight)
         load = np.einsum("ikn,in->kn", state.jacobian(), wrench.T)
-        there = springs_at_target(model, x, load, balance.static_torque(model, x, state))
+        there = deflection_at_target(model, x, load, balance.static_torque(model, x, state))
         np.testing.assert_allclose(there, found.theta.T, atol=1e-8)
     size = np.linalg.norm(moved["calibrated"], axis=1)
     assert np.linalg.norm(moved["rigid"] - moved["calibrated"], axis=1).max() < 0.02 * size.max()
