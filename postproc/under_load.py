@@ -163,8 +163,8 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         :raises UnreachableError: a pose has no solution on its branch.
         """
         m = program.motions
-        free = (t == 1.0) & (m.kind[motion] == PTP)
-        ptp = motion[free]
+        is_ptp_target = (t == 1.0) & (m.kind[motion] == PTP)
+        ptp = motion[is_ptp_target]
 
         def flange(rows: Ints) -> Array:
             """Return the nominal flange (n, 4, 4) in the root at some of the places [m]."""
@@ -174,7 +174,7 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
             self.robot,
             flange,
             self.cell.start_joints,
-            free=free,
+            is_ptp_target=is_ptp_target,
             axis_target=m.joints[ptp],
             status=m.status[ptp],
             turn=m.turn[ptp],

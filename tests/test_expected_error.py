@@ -37,9 +37,14 @@ def test_the_chance_of_one_unknown_factor_is_known_in_closed_form(s):
     )
 
 
-def _sources(slopes, covariance, by_forces=None, other=None):
+def _sources(slopes, covariance, force_displacements=None, other_covariances=None):
     n = len(slopes)
-    return SourcesOfError(slopes, covariance, (np.zeros((n, 3, 0)),) if by_forces is None else by_forces, other or {})
+    return SourcesOfError(
+        slopes,
+        covariance,
+        (np.zeros((n, 3, 0)),) if force_displacements is None else force_displacements,
+        other_covariances or {},
+    )
 
 
 def _chance(sources, deviation, left=None, length=None, parts=1, path_distance=None):
@@ -51,8 +56,8 @@ def _chance(sources, deviation, left=None, length=None, parts=1, path_distance=N
         own = replace(
             sources,
             slopes=sources.slopes[rows],
-            by_forces=tuple(each[rows] for each in sources.by_forces),
-            other={name: each[rows] for name, each in sources.other.items()},
+            force_displacements=tuple(each[rows] for each in sources.force_displacements),
+            other_covariances={name: each[rows] for name, each in sources.other_covariances.items()},
         )
         gain.add(own, deviation[rows], left[rows], path_distance[rows], length[rows])
     return gain.chance
@@ -116,7 +121,9 @@ def test_errors_of_unknown_correlation_count_as_if_they_were_all_the_same():
     deviation = RNG.normal(size=(10, 3))
     size = np.linalg.norm(deviation, axis=1)
     common = (0.5 * size)[:, None, None] ** 2 * np.eye(3)
-    found = _chance(_sources(np.zeros((10, 3, 0)), np.zeros((0, 0)), other={"unmodelled": common}), deviation)
+    found = _chance(
+        _sources(np.zeros((10, 3, 0)), np.zeros((0, 0)), other_covariances={"unmodelled": common}), deviation
+    )
     assert found == pytest.approx(normal.cdf(0.5 * np.sum(size**2) / np.sum(size * 0.5 * size)))
 
 

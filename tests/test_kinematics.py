@@ -35,7 +35,9 @@ def model(request):
 
 
 def followed(robot, flange, start, free, axis_target, status, turn):
-    return kinematics.follow(robot, flange, start, free=free, axis_target=axis_target, status=status, turn=turn)
+    return kinematics.follow(
+        robot, flange, start, is_ptp_target=free, axis_target=axis_target, status=status, turn=turn
+    )
 
 
 def by_wrist(robot, count, motion, joints, tip, base, tool):
@@ -313,7 +315,7 @@ def test_margins_of_poses_with_tools_of_their_own_and_of_few_and_many_rows():
         return np.linalg.svd([*linear, *angular], compute_uv=False)[-1]
 
     each = [smallest(row, tool) for row, tool in zip(q, tools, strict=True)]
-    np.testing.assert_allclose(kinematics.singular_values(ROBOT, q, tools), each, rtol=1e-9)
+    np.testing.assert_allclose(kinematics.smallest_singular_values(ROBOT, q, tools), each, rtol=1e-9)
     assert kinematics.smallest_singular_value(ROBOT, q, tools) == pytest.approx(min(each), rel=1e-9)
     many = np.repeat(q, 200, axis=0)
     assert kinematics.smallest_singular_value(ROBOT, many, np.repeat(tools, 200, axis=0)) == pytest.approx(min(each))

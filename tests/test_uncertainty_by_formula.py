@@ -51,9 +51,9 @@ def sources(model=ROBOT, spread=None, in_series=None, proportional=(False, False
 
 def test_certain_forces_have_no_error():
     errors = sources()
-    assert len(errors.by_forces) == 1
-    assert errors.by_forces[0].shape == (2, 3, 0)
-    np.testing.assert_allclose(errors.covariances()[0], errors.by_robot)
+    assert len(errors.force_displacements) == 1
+    assert errors.force_displacements[0].shape == (2, 3, 0)
+    np.testing.assert_allclose(errors.covariances()[0], errors.robot_covariance)
 
 
 def test_independent_components_displace_the_tool_by_the_compliance():
@@ -61,7 +61,7 @@ def test_independent_components_displace_the_tool_by_the_compliance():
     series = np.random.default_rng(4).normal(size=(2, 6, 6)) * 1e-8
     errors = sources(spread=spread, in_series=series)
     reaction = REACTION + series[:, :3]
-    (by_forces,) = errors.by_forces
+    (by_forces,) = errors.force_displacements
     expected = reaction @ spread @ spread.transpose(0, 2, 1) @ reaction.transpose(0, 2, 1)
     np.testing.assert_allclose(by_forces @ by_forces.transpose(0, 2, 1), expected, rtol=1e-9)
     for row in range(2):
@@ -72,7 +72,7 @@ def test_independent_components_displace_the_tool_by_the_compliance():
 
 def test_forces_that_may_err_by_one_factor_are_compared_both_ways():
     spread = np.random.default_rng(3).normal(size=(2, 6, 13))
-    independent, by_factor = sources(spread=spread).by_forces
+    independent, by_factor = sources(spread=spread).force_displacements
     assert independent.shape == (2, 3, 6)
     assert by_factor.shape == (2, 3, 7)
     both = np.concatenate([independent, by_factor], axis=2)
@@ -93,13 +93,13 @@ def test_the_factor_of_forces_counts_with_the_parameters_where_the_law_is_its_ow
     np.testing.assert_allclose(errors.slopes[0, :, 2], 0.0)
     np.testing.assert_allclose(errors.slopes[1, :, 2], REACTION[1] @ WRENCH[1])
     np.testing.assert_allclose(errors.covariance, [[0.04, 0.001, 0.002], [0.001, 0.01, -0.003], [0.002, -0.003, 0.09]])
-    independent, by_factor = errors.by_forces
-    np.testing.assert_allclose(independent[0], plain.by_forces[0][0])
-    np.testing.assert_allclose(by_factor[0], plain.by_forces[1][0])
-    np.testing.assert_allclose(by_factor[1, :, :6], plain.by_forces[1][1, :, :6])
+    independent, by_factor = errors.force_displacements
+    np.testing.assert_allclose(independent[0], plain.force_displacements[0][0])
+    np.testing.assert_allclose(by_factor[0], plain.force_displacements[1][0])
+    np.testing.assert_allclose(by_factor[1, :, :6], plain.force_displacements[1][1, :, :6])
     np.testing.assert_allclose(by_factor[1, :, 6], 0.0)
-    np.testing.assert_allclose(independent[1], plain.by_forces[1][1, :, :6])
-    (six,) = sources(model, spread[:, :, :6], proportional=(False, True)).by_forces
+    np.testing.assert_allclose(independent[1], plain.force_displacements[1][1, :, :6])
+    (six,) = sources(model, spread[:, :, :6], proportional=(False, True)).force_displacements
     assert not six[1].any()
     assert six[0].any()
 
@@ -109,18 +109,22 @@ def test_sources_of_the_robot_add_up_as_covariances():
     off = robot.Discrepancy(np.array([1.0, 1e4]), np.array([1e-4, 1e-4]))
     model = replace(ROBOT, geometry_error=everywhere, discrepancy=off, terms=((Backlash("A1", 1e9), 1e-4),))
     errors = sources(model)
-    assert set(errors.other) == {
+    assert set(errors.other_covariances) == {
         "the calibrated geometry", "the unmodelled error of the robot model", "lost motion of the gears",
     }  # fmt: skip
-    np.testing.assert_allclose(errors.other["the calibrated geometry"][0], np.eye(3) * (3e-4 / LENGTH_95) ** 2)
     np.testing.assert_allclose(
-        errors.other["the unmodelled error of the robot model"][1], np.eye(3) * (1e-4 / LENGTH_95) ** 2
+        errors.other_covariances["the calibrated geometry"][0], np.eye(3) * (3e-4 / LENGTH_95) ** 2
+    )
+    np.testing.assert_allclose(
+        errors.other_covariances["the unmodelled error of the robot model"][1], np.eye(3) * (1e-4 / LENGTH_95) ** 2
     )
     by_parameters = errors.slopes @ ROBOT.covariance.matrix @ errors.slopes.transpose(0, 2, 1)
-    np.testing.assert_allclose(errors.by_robot, by_parameters + sum(errors.other.values()), rtol=1e-12)
-    assert set(sources().other) == {"lost motion of the gears"}
+    np.testing.assert_allclose(
+        errors.robot_covariance, by_parameters + sum(errors.other_covariances.values()), rtol=1e-12
+    )
+    assert set(sources().other_covariances) == {"lost motion of the gears"}
     bound = uncertainty.position_bound(model, Q, OFF_AXIS_TOOL, WRENCH)
-    np.testing.assert_allclose(bound, length_bound(errors.by_robot), rtol=1e-9)
+    np.testing.assert_allclose(bound, length_bound(errors.robot_covariance), rtol=1e-9)
     assert uncertainty.position_bound(replace(model, covariance=None), Q, OFF_AXIS_TOOL, WRENCH) is None
 
 

@@ -280,7 +280,11 @@ def _margins_and_steps(path: PathUnderLoad, q: Array, rows: Ints) -> _Margins:
         state[:6] = q[samples].T
         state[:6, samples < 0] = path.robot_in_cell.cell.start_joints[:, None]
         joints = state[:6].T
-        state[_WRIST], state[_SHOULDER], state[_ELBOW] = state[4], form.reach(joints), form.elbow(joints)
+        state[_WRIST], state[_SHOULDER], state[_ELBOW] = (
+            state[4],
+            form.wrist_distance_ahead(joints),
+            form.angle_from_stretched(joints),
+        )
         margin = np.abs(state)
         margin[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
         states.append(state)

@@ -27,7 +27,14 @@ from postproc.elastostatics.equilibrium import (
     loaded_tip,
     tangent_compliance,
 )
-from postproc.elastostatics.expected_error import HARM, WIDE, ChanceOfGain, ExpectedAt, chance_at, expected_errors
+from postproc.elastostatics.expected_error import (
+    HARMFUL_CHANCE,
+    UNCERTAIN_CHANCE,
+    ChanceOfGain,
+    ExpectedErrorsAtPlaces,
+    chances_of_gain,
+    expected_errors,
+)
 from postproc.elastostatics.reversals import Reversals, reversals
 from postproc.elastostatics.tool_spring import ToolSpring
 from postproc.elastostatics.uncertainty import (
@@ -41,19 +48,19 @@ from postproc.elastostatics.uncertainty import (
 )
 
 __all__ = [
-    "HARM",
+    "HARMFUL_CHANCE",
     "LENGTH_95",
-    "WIDE",
+    "UNCERTAIN_CHANCE",
     "ChanceOfGain",
     "Compensation",
     "Deflection",
-    "ExpectedAt",
+    "ExpectedErrorsAtPlaces",
     "LoadedPlaces",
     "Reversals",
     "SourcesOfError",
     "ToolSpring",
     "cartesian_stiffness",
-    "chance_at",
+    "chances_of_gain",
     "compensate",
     "coordinates",
     "deflect",

@@ -41,13 +41,13 @@ from postproc.elastostatics.uncertainty import SourcesOfError, largest_length
 from postproc.frames import Array, norm
 from postproc.program import Bools
 
-HARM = 0.5
+HARMFUL_CHANCE = 0.5
 """Chance below which correction does more harm than good."""
-WIDE = 0.84
+UNCERTAIN_CHANCE = 0.84
 """Chance below which a bound is wide: the gain is smaller than one standard deviation of itself (Φ(1) = 0.84)."""
 
 
-class ExpectedAt(Struct, frozen=True, eq=False):
+class ExpectedErrorsAtPlaces(Struct, frozen=True, eq=False):
     """Expected errors (95 %) on the part at n places (n,) [m].
 
     :param bound: of the prediction.
@@ -64,26 +64,27 @@ class ExpectedAt(Struct, frozen=True, eq=False):
     with_known_forces: Array
 
 
-def expected_errors(errors: SourcesOfError, deviation: Array, remaining_deviation: Array) -> ExpectedAt:
+def expected_errors(errors: SourcesOfError, deviation: Array, remaining_deviation: Array) -> ExpectedErrorsAtPlaces:
     """Return the expected errors at n places.
 
     :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m].
     :param remaining_deviation: (n, 3) from nominal with correction [m].
     """
     covariances = errors.covariances()
-    return ExpectedAt(
+    return ExpectedErrorsAtPlaces(
         bound=largest_length(covariances),
         before=largest_length(covariances, deviation),
         after=largest_length(covariances, remaining_deviation),
         with_known_robot=largest_length(
-            [factor @ np.swapaxes(factor, 1, 2) for factor in errors.by_forces], remaining_deviation
+            [displacement @ np.swapaxes(displacement, 1, 2) for displacement in errors.force_displacements],
+            remaining_deviation,
         ),
-        with_known_forces=largest_length([errors.by_robot], remaining_deviation),
+        with_known_forces=largest_length([errors.robot_covariance], remaining_deviation),
     )
 
 
-def chance_at(errors: SourcesOfError, deviation: Array) -> Array:
-    """Return the chance (n,) that correction makes each of n places better by itself, see the module; 1 without error.
+def chances_of_gain(errors: SourcesOfError, deviation: Array) -> Array:
+    """Return the probability (n,) that correction improves each of n places, see the module; 1 without error.
 
     :param deviation: (n, 3) from nominal if nothing is corrected, root axes [m]; correction takes all of it back.
     """
@@ -91,8 +92,10 @@ def chance_at(errors: SourcesOfError, deviation: Array) -> Array:
         [np.einsum("ni,nij,nj->n", deviation, covariance, deviation) for covariance in errors.covariances()], axis=0
     )
     with np.errstate(divide="ignore", invalid="ignore"):
-        gain = 0.5 * np.sum(deviation**2, axis=1) / np.sqrt(2.0 * np.maximum(variance, 0.0))
-    return 0.5 * np.array([math.erfc(-value) for value in np.nan_to_num(gain, nan=0.0, posinf=np.inf).tolist()])
+        gain_over_sigma = 0.5 * np.sum(deviation**2, axis=1) / np.sqrt(2.0 * np.maximum(variance, 0.0))
+    # Φ(z) = ½·erfc(−z/√2); 0/0 is a place without deviation
+    ratios = np.nan_to_num(gain_over_sigma, nan=0.0, posinf=np.inf).tolist()
+    return 0.5 * np.array([math.erfc(-ratio) for ratio in ratios])
 
 
 class ChanceOfGain:
@@ -126,15 +129,18 @@ class ChanceOfGain:
         :param path_distance: (n,) largest distance from the nominal path on the way to each target with correction [m].
         :param cut_length: (n,) length of the cutting path for which each target stands [m]; those with 0 do not count.
         """
-        counts = cut_length > 0.0
-        deviation, remaining_deviation, length = deviation[counts], remaining_deviation[counts], cut_length[counts]
-        change = deviation - remaining_deviation
-        self._is_changed |= bool(change.any())
-        distance_left = np.maximum(path_distance[counts], norm(remaining_deviation))
-        self._expected_gain += 0.5 * float(length @ (np.sum(deviation**2, axis=1) - distance_left**2))
-        weighted_change = length[:, None] * change
-        slopes = np.einsum("ni,nip->p", weighted_change, errors.slopes[counts])
-        sigmas = [np.einsum("ni,nik->k", weighted_change, factor[counts]) for factor in errors.by_forces]
+        is_cut = cut_length > 0.0
+        deviation, remaining_deviation, length = deviation[is_cut], remaining_deviation[is_cut], cut_length[is_cut]
+        correction = deviation - remaining_deviation
+        self._is_changed |= bool(correction.any())
+        remaining_distance = np.maximum(path_distance[is_cut], norm(remaining_deviation))
+        self._expected_gain += 0.5 * float(length @ (np.sum(deviation**2, axis=1) - remaining_distance**2))
+        weighted_correction = length[:, None] * correction
+        slopes = np.einsum("ni,nip->p", weighted_correction, errors.slopes[is_cut])
+        sigmas = [
+            np.einsum("ni,nik->k", weighted_correction, displacement[is_cut])
+            for displacement in errors.force_displacements
+        ]
         if self._parameter_slopes is None:
             self._parameter_slopes = np.zeros_like(slopes)
             self._sigmas_by_force_case = [np.zeros_like(case_sigmas) for case_sigmas in sigmas]
@@ -143,7 +149,7 @@ class ChanceOfGain:
         self._sigmas_by_force_case = [
             total + addend for total, addend in zip(self._sigmas_by_force_case, sigmas, strict=True)
         ]
-        for name, sigma in _sums_by_source(errors.other, weighted_change, counts).items():
+        for name, sigma in _sigma_sums(errors.other_covariances, weighted_correction, is_cut).items():
             self._sigma_by_source[name] = self._sigma_by_source.get(name, 0.0) + sigma
 
     @property
@@ -161,17 +167,20 @@ class ChanceOfGain:
         variance += sum(sigma**2 for sigma in self._sigma_by_source.values())
         if variance <= 0.0:
             return float(self._expected_gain > 0.0)
+        # Φ(z) = ½·erfc(−z/√2)
         return 0.5 * math.erfc(-self._expected_gain / math.sqrt(2.0 * variance))
 
 
-def _sums_by_source(covariances: Mapping[str, Array], change: Array, counts: Bools) -> dict[str, float]:
+def _sigma_sums(covariances: Mapping[str, Array], correction: Array, is_cut: Bools) -> dict[str, float]:
     """Return the sums over targets of the standard deviations of errors along the corrections, by source [m³].
 
     :param covariances: (N, 3, 3) of the positions of all targets [m²], by source.
-    :param change: (n, 3) corrections of the targets that count, each times the length of path it stands for [m²].
-    :param counts: (N,) True for the n targets that count.
+    :param correction: (n, 3) corrections of the n targets of cuts, each times the length of path it stands for [m²].
+    :param is_cut: (N,) True for the n targets of cuts.
     """
-    squares = {
-        name: np.einsum("ni,nij,nj->n", change, covariance[counts], change) for name, covariance in covariances.items()
+    variances = {
+        name: np.einsum("ni,nij,nj->n", correction, covariance[is_cut], correction)
+        for name, covariance in covariances.items()
     }
-    return {name: float(np.sum(np.sqrt(np.maximum(square, 0.0)))) for name, square in squares.items()}
+    # rounding may make a variance of zero negative
+    return {name: float(np.sum(np.sqrt(np.maximum(variance, 0.0)))) for name, variance in variances.items()}

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import in_chunks
+from postproc.chunks import Columns, in_chunks
 from postproc.elastostatics.balance import Balance, undeflected_balance
 from postproc.frames import Array, norm
 from postproc.program import Bools, Ints
@@ -25,7 +25,7 @@ _NO_TORQUE = 1e-3
 """So does a torque below this [N·m] (assumed)."""
 
 
-class Reversals(Struct, frozen=True, eq=False):
+class Reversals(Columns, frozen=True, eq=False):
     """M changes of the direction of a joint's torque, in the order of the path.
 
     :param row: (M,) first place with the new direction.
@@ -54,22 +54,18 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
     tools = np.broadcast_to(tool, (len(q), 4, 4))
     signals = _signals(robot)
     torque = in_chunks(partial(_torques, robot, signals), q, tools, wrench)
-    rows, all_start_rows, joints, steps = [], [], [], []
+    parts = []
     for signal, signal_torque in zip(signals, torque.T, strict=True):
         largest = float(np.abs(signal_torque).max(initial=0.0))
-        start_rows, reversal_rows = _changes(signal_torque, max(signal.threshold, _NO_DIRECTION * largest))
-        step = np.zeros(len(reversal_rows))
+        before, row = _sign_changes(signal_torque, max(signal.threshold, _NO_DIRECTION * largest))
+        step = np.zeros(len(row))
         if signal.half_play > 0.0:
-            state = undeflected_balance(robot, q[reversal_rows], tools[reversal_rows], wrench[reversal_rows])
+            state = undeflected_balance(robot, q[row], tools[row], wrench[row])
             lever = np.moveaxis(state.jacobian[:3, robot.actuated[signal.joint]], 0, -1)
             step = 2.0 * signal.half_play * norm(lever)
-        rows.append(reversal_rows)
-        all_start_rows.append(start_rows)
-        joints.append(np.full(len(reversal_rows), signal.joint))
-        steps.append(step)
-    row = np.concatenate(rows)
-    order = np.argsort(row, kind="stable")
-    return Reversals(row[order], *(np.concatenate(column)[order] for column in (all_start_rows, joints, steps)))
+        parts.append(Reversals(row, before, np.full(len(row), signal.joint), step))
+    order = np.argsort(np.concatenate([part.row for part in parts]), kind="stable")
+    return Reversals.join(parts, order)
 
 
 class _Signal(Struct, frozen=True):
@@ -89,7 +85,7 @@ class _Signal(Struct, frozen=True):
 
 def _signals(robot: RobotModel) -> list[_Signal]:
     """Return the torques to watch: of joints without backlash or lost motion, then one for each such term."""
-    terms = _flanks(robot)
+    terms = _backlash_terms(robot)
     modelled_joints = [robot.actuated.index(robot.row(term)) for term, _ in terms]
     signals = [_Signal(joint) for joint in range(6) if joint not in modelled_joints]
     return signals + [
@@ -101,10 +97,11 @@ def _signals(robot: RobotModel) -> list[_Signal]:
 def _torques(robot: RobotModel, signals: Sequence[_Signal], q: Array, tool: Array, wrench: Array) -> Array:
     """Return the torques (n, k) [N·m] of k signals at n places; parameters as of `reversals`."""
     state = undeflected_balance(robot, q, tool, wrench)
-    total = np.broadcast_to(state.torque - state.rest_torque, state.torque.shape)
+    # the torque without the static torque that is balanced at rest
+    joint_torque = np.broadcast_to(state.torque - state.rest_torque, state.torque.shape)
     return np.stack(
         [
-            total[robot.actuated[signal.joint]] if signal.term is None else _moving_torque(state, signal.term)
+            joint_torque[robot.actuated[signal.joint]] if signal.term is None else _moving_torque(state, signal.term)
             for signal in signals
         ],
         axis=1,
@@ -117,10 +114,10 @@ def flank_covariance(robot: RobotModel, q: Array, tool: Array, wrench: Array, tu
     :param q: (n, 6) joint angles that the controller holds [rad].
     :param tool: (4, 4) or (n, 4, 4) tool in the flange frame [m].
     :param wrench: (n, 6) at the TCP, root axes [N, N·m].
-    :param turning: (n, 6) the gear changes its flank next to this place: it may be on either.
+    :param turning: (n, 6) True for gears that change their flank next to a place: they may be on either flank there.
     """
     covariance = np.zeros((len(q), 3, 3))
-    terms = _flanks(robot)
+    terms = _backlash_terms(robot)
     if not terms:
         return covariance
     state = undeflected_balance(robot, q, tool, wrench)
@@ -133,7 +130,7 @@ def flank_covariance(robot: RobotModel, q: Array, tool: Array, wrench: Array, tu
     return covariance
 
 
-def _flanks(robot: RobotModel) -> list[tuple[Backlash, float]]:
+def _backlash_terms(robot: RobotModel) -> list[tuple[Backlash, float]]:
     """Return the backlash and lost-motion terms of a model with their values b > 0 [rad]: the gear is at +b or −b."""
     return [(parameter, value) for parameter, value in robot.terms if isinstance(parameter, Backlash) and value > 0.0]
 
@@ -146,7 +143,7 @@ def _moving_torque(state: Balance, parameter: Backlash) -> Array:
     return np.asarray(state.torque[row] + np.broadcast_to(state.preload, state.torque.shape)[row])
 
 
-def _changes(torque: Array, threshold: float) -> tuple[Ints, Ints]:
+def _sign_changes(torque: Array, threshold: float) -> tuple[Ints, Ints]:
     """Return the rows (m,) before and after each change of sign of a torque (N,).
 
     Rows with a torque of at most `threshold` [N·m] have no sign and are skipped.

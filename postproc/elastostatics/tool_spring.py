@@ -34,9 +34,10 @@ class ToolSpring(Struct, frozen=True, eq=False):
         :param orientation: (n, 3, 3) of the tool frame in the axes of the wrench.
         :param wrench: (n, 6) on the tip [N, N·m].
         """
-        # (n, 2, 3): force and moment, then displacement and rotation, in the axes of the tool
-        in_tool = np.einsum("nij,nki->nkj", orientation, wrench.reshape(-1, 2, 3)) * self.compliance.reshape(2, 3)
-        return np.asarray(np.einsum("nij,nkj->nki", orientation, in_tool)).reshape(-1, 6)
+        # (n, 2, 3): force and moment, or displacement and rotation
+        wrench_in_tool = np.einsum("nij,nki->nkj", orientation, wrench.reshape(-1, 2, 3))
+        deflection_in_tool = wrench_in_tool * self.compliance.reshape(2, 3)
+        return np.asarray(np.einsum("nij,nkj->nki", orientation, deflection_in_tool)).reshape(-1, 6)
 
     def matrices(self, orientation: Array) -> Array:
         """Return the compliance (n, 6, 6) of tool frames with orientations (n, 3, 3), in the axes of these."""
@@ -59,7 +60,7 @@ class ToolSpring(Struct, frozen=True, eq=False):
             arm_pose[:, :3, :3] = rotation_from_vector(-twist[:, 3:]) @ target[:, :3, :3]
         tip_shift = self.deflection(arm_pose[:, :3, :3], wrench)[:, :3]
         arm_pose[:, :3, 3] = target[:, :3, 3] - tip_shift
-        return arm_pose, about_arm(wrench, tip_shift)
+        return arm_pose, wrench_on_arm(wrench, tip_shift)
 
     def loaded_tip(
         self, robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: Array | None
@@ -75,16 +76,20 @@ class ToolSpring(Struct, frozen=True, eq=False):
         x, tools = elastic_coordinates(robot, q.T), kinematics.components(tool)
         theta = None if guess is None else guess.T
         tip_shift = np.zeros((len(q), 3))
-        # the shift of the tip changes the moment on the arm by the shift times the force: a second round has that
+        # the second round has the moment that the force gets by the shift of the tip
         for _ in range(2):
-            theta, tip = solve_equilibrium(robot, x, tools, about_arm(wrench, tip_shift).T, theta)
+            theta, tip = solve_equilibrium(robot, x, tools, wrench_on_arm(wrench, tip_shift).T, theta)
             pose = kinematics.matrices(kinematics.posture(robot.loaded, x + theta, tools).pose)
             tip_shift = self.deflection(pose[:, :3, :3], wrench)[:, :3]
         return tip.T + tip_shift, tip_shift
 
 
-def about_arm(wrench: Array, lever: Array) -> Array:
-    """Return wrenches (n, 6) about points from which they act at (n, 3) [m]."""
-    result = wrench.copy()
-    result[:, 3:] += np.cross(lever, wrench[:, :3])
-    return result
+def wrench_on_arm(wrench: Array, lever: Array) -> Array:
+    """Return the wrenches (n, 6) on the arm, with their moments about the tip of the unbent tool [N, N·m].
+
+    :param wrench: (n, 6) on the deflected tip.
+    :param lever: (n, 3) from the tip of the unbent tool to the deflected tip [m].
+    """
+    arm_wrench = wrench.copy()
+    arm_wrench[:, 3:] += np.cross(lever, wrench[:, :3])
+    return arm_wrench

@@ -135,21 +135,21 @@ class SourcesOfError(Struct, frozen=True, eq=False):
 
     :param slopes: (n, 3, P) displacement for one unit of each parameter; with a factor of forces it is the last one.
     :param covariance: (P, P) of the parameters.
-    :param by_forces: for each correlation of the components of a wrench that is possible, (n, 3, k) displacements by
+    :param force_displacements: for each possible correlation of the components of a wrench, (n, 3, k) displacements by
         one standard deviation of k independent causes; one entry or two.
-    :param other: (n, 3, 3) covariances by sources that are neither parameters nor forces, by name.
+    :param other_covariances: (n, 3, 3) covariances by sources that are neither parameters nor forces, by name.
     """
 
     slopes: Array
     covariance: Array
-    by_forces: tuple[Array, ...]
-    other: dict[str, Array]
+    force_displacements: tuple[Array, ...]
+    other_covariances: dict[str, Array]
 
     @property
-    def by_robot(self) -> Array:
+    def robot_covariance(self) -> Array:
         """(n, 3, 3) covariance by all sources but the forces."""
         by_parameters = self.slopes @ self.covariance @ np.swapaxes(self.slopes, 1, 2)
-        return sum(self.other.values(), by_parameters)
+        return sum(self.other_covariances.values(), by_parameters)
 
     def with_parameters(self, slopes: Array, covariance: Array) -> SourcesOfError:
         """Return the errors with k more parameters.
@@ -163,8 +163,11 @@ class SourcesOfError(Struct, frozen=True, eq=False):
 
     def covariances(self) -> list[Array]:
         """Return the covariance (n, 3, 3) of the position for each correlation of the forces that is possible."""
-        by_robot = self.by_robot
-        return [by_robot + factor @ np.swapaxes(factor, 1, 2) for factor in self.by_forces]
+        robot_covariance = self.robot_covariance
+        return [
+            robot_covariance + displacement @ np.swapaxes(displacement, 1, 2)
+            for displacement in self.force_displacements
+        ]
 
 
 def sources_of_error(robot: RobotModel, places: LoadedPlaces) -> SourcesOfError:
@@ -213,19 +216,21 @@ def _parameter_errors(robot: RobotModel, places: LoadedPlaces, reaction: Array |
         return _ParameterErrors(slopes, matrix)
     by_factor = np.einsum("nij,nj->ni", reaction, places.wrench) * places.is_proportional[:, None]
     size = len(matrix)
-    whole_matrix = np.empty((size + 1, size + 1))
-    whole_matrix[:size, :size] = matrix
-    whole_matrix[size], whole_matrix[:, size] = factor.covariance, factor.covariance
-    return _ParameterErrors(np.concatenate([slopes, by_factor[:, :, None]], axis=2), whole_matrix)
+    matrix_with_factor = np.empty((size + 1, size + 1))
+    matrix_with_factor[:size, :size] = matrix
+    matrix_with_factor[size], matrix_with_factor[:, size] = factor.covariance, factor.covariance
+    return _ParameterErrors(np.concatenate([slopes, by_factor[:, :, None]], axis=2), matrix_with_factor)
 
 
 def _other_covariances(robot: RobotModel, places: LoadedPlaces) -> dict[str, Array]:
     """Return the covariances (N, 3, 3) [m²] of the position that come from neither parameters nor forces, by source."""
     covariances = {}
     if robot.geometry_error is not None:
-        covariances["the calibrated geometry"] = _any_direction(robot.geometry_error.at(places.q))
+        covariances["the calibrated geometry"] = _isotropic_covariances(robot.geometry_error.at(places.q))
     if robot.discrepancy is not None:
-        covariances["the unmodelled error of the robot model"] = _any_direction(robot.discrepancy.at(places.wrench))
+        covariances["the unmodelled error of the robot model"] = _isotropic_covariances(
+            robot.discrepancy.at(places.wrench)
+        )
     covariances["lost motion of the gears"] = flank_covariance(
         robot, places.q, places.tool, places.wrench, places.turning
     )
@@ -239,8 +244,8 @@ _COMPONENTS = 6
 def _force_displacements(places: LoadedPlaces, reaction: Array | None) -> tuple[Array, ...]:
     """Return the displacements (N, 3, k) by one standard deviation of the forces for each correlation that is possible.
 
-    Each is that of a wrench whose component is larger in size by one standard deviation, whatever its sign. Where the
-    errors by the cutting law are `RobotModel.force_factor`, which counts as a parameter, only the others are left.
+    A standard deviation makes a component of the wrench larger in size, whatever its sign. Where the error of the
+    cutting law is `RobotModel.force_factor`, which counts as a parameter, only the other errors of the forces are left.
 
     :param reaction: (N, 3, 6) displacement per wrench; None if the forces are certain: then k is 0.
     :returns: one entry for independent components alone; two if errors may also be one factor: for independent
@@ -254,15 +259,15 @@ def _force_displacements(places: LoadedPlaces, reaction: Array | None) -> tuple[
     if spread.shape[2] <= _COMPONENTS:
         return (displacement * ~is_proportional[:, None, None],)
     independent, by_factor = displacement[:, :, :_COMPONENTS], displacement[:, :, _COMPONENTS:]
+    # without the error of the cutting law both correlations are one
     by_factor[is_proportional, :, -1] = 0.0
-    # what is left there is the same for both correlations
     other_columns = by_factor.shape[2] - 1
     independent[is_proportional] = 0.0
     independent[is_proportional, :, :other_columns] = by_factor[is_proportional, :, :other_columns]
     return independent, by_factor
 
 
-def _any_direction(length: Array) -> Array:
+def _isotropic_covariances(length: Array) -> Array:
     """Return the covariances (N, 3, 3) of errors whose length stays below `length` (N,) in 95 % of cases."""
     return np.asarray((length / LENGTH_95)[:, None, None] ** 2 * np.eye(3))
 
@@ -339,37 +344,37 @@ def _linear_sensitivity(
     robot: RobotModel, parameters: Sequence[Parameter], q: Array, tool: Array, wrench: Array
 ) -> Array:
     """Return ∂(position of the TCP)/∂(linear value) (N, 3, P) of parameters [m per SI unit]."""
-    state = _first_order(robot, q, tool, wrench)
+    state = _first_order_springs(robot, q, tool, wrench)
     by_preload = compliance_by_preload(robot, state.torque, state.preload)
     static_slopes = StaticTorqueSlopes(robot, state.x)
-    second = robot.actuated[A2]
+    a2 = robot.actuated[A2]
     columns = []
     for parameter in parameters:
         if isinstance(parameter, Spring):
             columns.append(_displacement_by_spring(robot, state, parameter))
             continue
-        shift = -by_preload * static_slopes.slope(parameter)
+        theta_slope = -by_preload * static_slopes.slope(parameter)
         if isinstance(parameter, CompensatorTorque) and robot.compensator is not None:
-            _, stiffness = parameter.effect(robot.compensator, state.x[second])
-            shift[second] -= state.slope[second] * state.theta[second] * stiffness
-        columns.append(np.einsum("nik,nk->ni", state.lever, shift.T))
+            _, stiffness = parameter.effect(robot.compensator, state.x[a2])
+            theta_slope[a2] -= state.slope[a2] * state.theta[a2] * stiffness
+        columns.append(np.einsum("nik,nk->ni", state.lever, theta_slope.T))
     return np.stack(columns, axis=2)
 
 
-def _first_order(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> _FirstOrder:
+def _first_order_springs(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> _FirstOrder:
     """Return the springs under a load at first order; parameters as of `sensitivity`."""
     x = coordinates(robot, q).T
     _, jacobian = kinematics.tcp(robot.loaded, x.T, tool)
-    torque = np.einsum("nij,ni->jn", jacobian, wrench) - _payload(robot, x)
+    torque = np.einsum("nij,ni->jn", jacobian, wrench) - _payload_torque(robot, x)
     preload = np.zeros_like(torque)
     if robot.carries_weight or not robot.subtract_reference:
         preload = -static_torque(robot, x)
     _, slope = spring_deflection(robot, x, torque, preload)
-    factor, second = compensator_factor(robot, x, slope), robot.actuated[A2]
-    torque[second] /= factor  # the compensator carries the rest
+    factor, a2 = compensator_factor(robot, x, slope), robot.actuated[A2]
+    torque[a2] /= factor  # the compensator carries the rest
     theta, slope = spring_deflection(robot, x, torque, preload)
     lever = jacobian[:, :3].copy()
-    lever[:, :, second] /= factor[:, None]
+    lever[:, :, a2] /= factor[:, None]
     return _FirstOrder(x, lever, torque, preload, theta, slope)
 
 
@@ -383,7 +388,7 @@ def _displacement_by_spring(robot: RobotModel, state: _FirstOrder, parameter: Sp
     return displacement
 
 
-def _payload(robot: RobotModel, x: Array) -> Array:
+def _payload_torque(robot: RobotModel, x: Array) -> Array:
     """Return the torque (nv, n) [N·m, N] of the cell's payload at coordinates x (nv, n)."""
     if robot.loaded is robot.actual:
         return np.zeros_like(x)

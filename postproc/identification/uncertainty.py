@@ -19,14 +19,14 @@ load measured up to all of it, smaller where a joint would get more torque than 
 model is worth less: the unmodelled error does not shrink with the force. The verdict counts loads that were measured.
 
 **Verdict** (`judge`): whether the model may be used, and notes on gaps of its readings. A model may not be used if
-correction is expected to do more harm than good (a chance below `elastostatics.HARM`). With an error of mean zero the
-chance is Φ(d/2σ) at a place with the deflection d (`elastostatics.expected_error`): a wide bound brings it near to one
-half, and never below. So width alone refuses no model. Where it is below `elastostatics.WIDE` at 5 % of the poses, the
-verdict says so, and where the bound is about as large as the deflection; each program that is converted states its own
-chance. A robot that deflects as no robot of its kind does gets a reservation too: a common error of all loads is in no
-residual. Refused are readings from which no bound can be estimated, and models that have no equilibrium under loads
-that were measured. Noise of the measuring device decides
-nothing: a better one shows more of what the model lacks, of the same robot.
+correction is expected to do more harm than good (a chance below `elastostatics.HARMFUL_CHANCE`). With an error of mean
+zero the chance is Φ(d/2σ) at a place with the deflection d (`elastostatics.expected_error`): a wide bound brings it
+near to one half, and never below. So width alone refuses no model. Where it is below `elastostatics.UNCERTAIN_CHANCE`
+at 5 % of the poses, the verdict says so, and where the bound is about as large as the deflection; each program that is
+converted states its own chance. A robot that deflects as no robot of its kind does gets a reservation too: a common
+error of all loads is in no residual. Refused are readings from which no bound can be estimated, and models that have no
+equilibrium under loads that were measured. Noise of the measuring device decides nothing: a better one shows more of
+what the model lacks, of the same robot.
 """
 
 from __future__ import annotations
@@ -363,13 +363,13 @@ class Workspace(Struct, frozen=True):
     def reservation(self) -> str:
         """Clause on measured loads under which correction may gain little, and the cause; empty if there are none.
 
-        It may gain little if the chance that correction makes the part better is below `elastostatics.WIDE` in 5 % of
-        the poses, or if the bound is about as large as the deflection.
+        It may gain little if the chance that correction makes the part better is below
+        `elastostatics.UNCERTAIN_CHANCE` in 5 % of the poses, or if the bound is about as large as the deflection.
         """
         weakest_level = min(self.measured_levels, key=lambda level: level.chance, default=None)
         if weakest_level is None:
             return ""
-        is_wide = weakest_level.chance < elastostatics.WIDE
+        is_wide = weakest_level.chance < elastostatics.UNCERTAIN_CHANCE
         if not is_wide and self.worst_level.bound_ratio < _SIMILAR_RATIO:
             return ""
         chance = (
@@ -430,7 +430,7 @@ def bound_over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
             deflection=float(np.median(norm(deflection))),
             bound=float(np.median(bound)),
             bound_ratio=float(np.quantile(ratio, _POSE_SHARE)),
-            chance=float(np.quantile(elastostatics.chance_at(errors, deflection), 1.0 - _POSE_SHARE)),
+            chance=float(np.quantile(elastostatics.chances_of_gain(errors, deflection), 1.0 - _POSE_SHARE)),
         )
         levels.append(level)
         if level.load >= least_load and level.bound_ratio > largest_ratio:

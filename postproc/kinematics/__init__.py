@@ -11,8 +11,8 @@ from postproc.kinematics.inverse import (
     branch_joints,
     follow,
     joint_margin,
-    singular_values,
     smallest_singular_value,
+    smallest_singular_values,
     turn_of,
 )
 
@@ -33,8 +33,8 @@ __all__ = [
     "matrices",
     "posture",
     "require_pinocchio",
-    "singular_values",
     "smallest_singular_value",
+    "smallest_singular_values",
     "status_of",
     "tcp",
     "tool_pose",

@@ -80,14 +80,14 @@ class ClosedForm(Struct, frozen=True, eq=False):
         """A3 [rad] at which the wrist centre lies on the line through axes 2 and 3."""
         return float(wrap_angles(self.sign[2] * (self.tilt[0] - self.tilt[1])))
 
-    def reach(self, q: Array) -> Array:
+    def wrist_distance_ahead(self, q: Array) -> Array:
         """Return how far (N,) [m] the wrist centre is ahead of the A1 axis at angles (N, 6) [rad]; < 0 overhead."""
-        upper = self.tilt[0] + self.sign[1] * q[:, 1]
-        fore = self.tilt[1] + self.sign[1] * q[:, 1] + self.sign[2] * q[:, 2]
-        (upper, _), (fore, _) = sine_and_cosine(upper), sine_and_cosine(fore)
-        return np.asarray(self.shoulder + self.upper_arm * upper + self.forearm * fore)
+        upper_angle = self.tilt[0] + self.sign[1] * q[:, 1]
+        forearm_angle = self.tilt[1] + self.sign[1] * q[:, 1] + self.sign[2] * q[:, 2]
+        (upper_sine, _), (forearm_sine, _) = sine_and_cosine(upper_angle), sine_and_cosine(forearm_angle)
+        return np.asarray(self.shoulder + self.upper_arm * upper_sine + self.forearm * forearm_sine)
 
-    def elbow(self, q: Array) -> Array:
+    def angle_from_stretched(self, q: Array) -> Array:
         """Return A3 minus its value for the stretched arm (N,) [rad], from −π to π, at angles (N, 6) [rad]."""
         return wrap_angles(q[:, 2] - self.elbow_stretched)
 
@@ -97,8 +97,8 @@ class ClosedForm(Struct, frozen=True, eq=False):
         Bit 0: the wrist centre is behind the A1 axis (overhead). Bit 1: A3 is beyond the stretched arm. Bit 2: the
         wrist is bent to the negative side.
         """
-        is_overhead = self.reach(q) < 0.0
-        is_elbow_positive = self.elbow(q) >= 0.0
+        is_overhead = self.wrist_distance_ahead(q) < 0.0
+        is_elbow_positive = self.angle_from_stretched(q) >= 0.0
         is_wrist_negative = wrap_angles(q[:, 4] + self.bend) < -_IN_LINE
         return np.asarray(is_overhead * 1 + is_elbow_positive * 2 + is_wrist_negative * 4, dtype=np.int64)
 
@@ -159,8 +159,10 @@ class ClosedForm(Struct, frozen=True, eq=False):
         """
         hand = np.stack([combination(columns, column[:, None]) for column in self.hand.T], axis=1)
         x, y, z = np.tensordot(self.axes, hand, 1)
+        # turned back by A1
         sine, cosine = sine_and_cosine(arm.heading)
         x, y = x * cosine + y * sine, y * cosine - x * sine
+        # turned back by A2 and A3
         sine, cosine = sine_and_cosine(arm.upper + arm.elbow - self.tilt[1])
         x, z = x * cosine - z * sine, z * cosine + x * sine
         # m = Rz(A4)·Ry(A5 + bend)·Rz(A6)
@@ -168,12 +170,12 @@ class ClosedForm(Struct, frozen=True, eq=False):
         wrist_sine = np.sqrt(m[0, 2] * m[0, 2] + m[1, 2] * m[1, 2])
         is_unique = wrist_sine > _NO_TURN
         factor = (1 - 2 * wrist_bit) / np.where(is_unique, wrist_sine, 1.0)
-        # of A4
-        cosine, sine = np.where(is_unique, m[0, 2] * factor, 1.0), np.where(is_unique, m[1, 2] * factor, 0.0)
+        cosine_a4 = np.where(is_unique, m[0, 2] * factor, 1.0)
+        sine_a4 = np.where(is_unique, m[1, 2] * factor, 0.0)
         return (
-            np.arctan2(sine, cosine),
-            np.arctan2(cosine * m[0, 2] + sine * m[1, 2], m[2, 2]) - self.bend,
-            np.arctan2(cosine * m[1, 0] - sine * m[0, 0], cosine * m[1, 1] - sine * m[0, 1]),
+            np.arctan2(sine_a4, cosine_a4),
+            np.arctan2(cosine_a4 * m[0, 2] + sine_a4 * m[1, 2], m[2, 2]) - self.bend,
+            np.arctan2(cosine_a4 * m[1, 0] - sine_a4 * m[0, 0], cosine_a4 * m[1, 1] - sine_a4 * m[0, 1]),
         )
 
 
@@ -187,11 +189,11 @@ def closed_form(robot: RobotModel) -> ClosedForm:
         inverse kinematics do not agree.
     """
     chain = robot.nominal
-    form = _read_off(chain)
+    form = _form_at_zero_angles(chain)
     q = np.sin(np.arange(120.0)).reshape(20, 6)  # spread evenly enough
     with np.errstate(divide="ignore", invalid="ignore"):
         solution = form.solve(components(tcp(chain, q, np.eye(4))[0]), form.branch_of(q)).T
-    if not np.abs(wrap_angles(solution - q)).max() < _TOLERANCE:
+    if not np.abs(wrap_angles(solution - q)).max() < _TOLERANCE:  # NaN too is no solution
         raise ModelError(
             f"robot {robot.name}: not an arm with vertical A1, parallel A2 and A3 and a spherical wrist",
             advice="Only such arms (all common KUKA six-axis robots) are supported.",
@@ -199,10 +201,11 @@ def closed_form(robot: RobotModel) -> ClosedForm:
     return form
 
 
-def _read_off(chain: Chain) -> ClosedForm:
-    """Return the lengths and directions of a chain (of six joints) at zero angles, whether or not it has the form."""
+def _form_at_zero_angles(chain: Chain) -> ClosedForm:
+    """Return the lengths and directions of a chain of six joints at zero angles; the chain need not have this form."""
     zero = posture(chain, np.zeros((6, 1)))
-    axis, origin = (np.array([vector[:, 0] for vector in vectors]) for vectors in (zero.axis, zero.origin))
+    axis = np.array([vector[:, 0] for vector in zero.axis])
+    origin = np.array([vector[:, 0] for vector in zero.origin])
     flange = zero.pose[..., 0]
     up = np.array([0.0, 0.0, 1.0])
     y_axis = axis[1]
@@ -248,4 +251,5 @@ def status_of(robot: RobotModel, q: Array) -> Ints:
 
     :raises ModelError: the robot has no closed form.
     """
-    return np.asarray(closed_form(robot).branch_of(q) & 3 | (q[:, 4] < 0.0) * 4)
+    bits_0_and_1 = closed_form(robot).branch_of(q) & 3
+    return np.asarray(bits_0_and_1 | (q[:, 4] < 0.0) * 4)

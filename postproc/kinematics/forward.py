@@ -67,15 +67,16 @@ class _Steps(NamedTuple):
 
     def sines_and_cosines(self, q: Array) -> Iterator[tuple[Array, Array]]:
         """Yield sine and cosine, (n,) or (1,), of the angle of each joint at coordinates q (nv, n) [rad, m]."""
-        known = {}
+        computed = {}
         if q.shape[1] <= _FEW:
-            rows = self.turning
-            known = dict(zip(rows.tolist(), zip(*sine_and_cosine(q[rows] + self.turn[rows]), strict=True), strict=True))
+            sines, cosines = sine_and_cosine(q[self.turning] + self.turn[self.turning])
+            computed = dict(zip(self.turning.tolist(), zip(sines, cosines, strict=True), strict=True))
+        fixed_sine, fixed_cosine = self.fixed
         for row, step in enumerate(self.joints):
             if not step.turns:
-                yield self.fixed[0][row], self.fixed[1][row]
+                yield fixed_sine[row], fixed_cosine[row]
             else:
-                yield known.get(row) or sine_and_cosine(q[row] + step.turn)
+                yield computed.get(row) or sine_and_cosine(q[row] + step.turn)
 
 
 class Posture(Struct, frozen=True, eq=False):
@@ -85,7 +86,7 @@ class Posture(Struct, frozen=True, eq=False):
     :param axis: of each joint.
     :param origin: of each joint [m].
     :param frame: columns X, Y, Z and origin [m] of the last link.
-    :param tool: (3, 4, n) or (3, 4, 1) in it [m].
+    :param tool: (3, 4, n) or (3, 4, 1) in the frame of the last link [m].
     :param moment: (2, n) mass times X and Y of the centre of mass of each link [kg·m]; empty without weights.
     """
 
@@ -133,8 +134,8 @@ class Posture(Struct, frozen=True, eq=False):
             if self.steps[joint].mass and link in (None, joint):
                 mass, moment = mass + self.steps[joint].mass, moment + self.moment[joint]
             if mass and self.steps[joint].turns:
-                (x, y, _), lever = self.axis[joint], moment - mass * self.origin[joint][:2]
-                torque[joint] = GRAVITY * (x * lever[1] - y * lever[0])
+                (axis_x, axis_y, _), lever = self.axis[joint], moment - mass * self.origin[joint][:2]
+                torque[joint] = GRAVITY * (axis_x * lever[1] - axis_y * lever[0])
             elif mass:
                 torque[joint] = GRAVITY * mass * self.axis[joint][2]
         return torque
@@ -147,12 +148,11 @@ def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = 
     :param tool: (3, 4, n) or (3, 4, 1) in the flange frame [m]; None: the frames are those of the flange.
     :param weigh: whether to compute the moments of the links' masses, which `Posture.weight_torques` needs.
     """
-    whole = _steps(chain)
-    first_turn, steps, end = whole.first_turn, whole.joints, whole.flange
-    end = end if tool is None else product([*end.swapaxes(0, 1)], tool)
-    frame, origin = [*np.moveaxis(first_turn, 1, 0)], np.zeros((3, 1))
+    steps = _steps(chain)
+    # the frame by its columns X, Y, Z
+    frame, origin = [*np.moveaxis(steps.first_turn, 1, 0)], np.zeros((3, 1))
     axes, origins, moments = [], [], []
-    for step, coordinate, (sine, cosine) in zip(steps, q, whole.sines_and_cosines(q), strict=True):
+    for step, coordinate, (sine, cosine) in zip(steps.joints, q, steps.sines_and_cosines(q), strict=True):
         if any(step.offset):
             origin = origin + combination(frame, step.offset)
         x, y, z = frame
@@ -164,7 +164,8 @@ def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = 
         frame = [x * cosine + y * sine, y * cosine - x * sine, z]
         if weigh:
             moments.append(step.mass * (origin[:2] + combination([column[:2] for column in frame], step.centre)))
-    return Posture(steps, axes, origins, [*frame, origin], end, moments)
+    tool_in_last_link = steps.flange if tool is None else product([*steps.flange.swapaxes(0, 1)], tool)
+    return Posture(steps.joints, axes, origins, [*frame, origin], tool_in_last_link, moments)
 
 
 def tcp(chain: Chain, q: Array, tool: Array) -> tuple[Array, Array]:

@@ -66,7 +66,7 @@ def follow(
     flange: Callable[[Ints], Array],
     start: Array,
     *,
-    free: Bools,
+    is_ptp_target: Bools,
     axis_target: Array,
     status: Ints,
     turn: Ints,
@@ -79,18 +79,18 @@ def follow(
     :param robot: the robot.
     :param flange: returns the flange poses (n, 4, 4) in the root [m] of samples (n,).
     :param start: (6,) joint angles before the first sample [rad].
-    :param free: (N,) True where the sample is the target of a PTP move.
+    :param is_ptp_target: (N,) True where the sample is the target of a PTP move; there are J.
     :param axis_target: (J, 6) joint angles of the PTP moves to an axis target [rad], NaN for the others.
     :param status: (J,) S of the PTP targets, −1 where none.
     :param turn: (J,) T of the PTP targets, −1 where none.
     :raises UnreachableError: a pose has no solution on its branch.
     """
-    ptp_rows, status, turn = np.flatnonzero(free), status.astype(np.int64), turn.astype(np.int64)
+    ptp_rows, status, turn = np.flatnonzero(is_ptp_target), status.astype(np.int64), turn.astype(np.int64)
     by_axes = np.isfinite(axis_target[:, 0])
     branches = _path_branches(robot, flange(ptp_rows), start, axis_target, status)
-    branch = np.repeat(branches, np.diff(ptp_rows, prepend=0, append=len(free)))
+    branch = np.repeat(branches, np.diff(ptp_rows, prepend=0, append=len(is_ptp_target)))
     q = np.zeros((len(branch), 6))
-    # of the last sample of the part before
+    # angles of the last sample of the part before, and the whole turns subtracted from them
     start_angles, removed_turns = np.asarray(start, dtype=float), np.zeros(6)
     unreached: list[int] = []
     for part in chunks(len(branch)):
@@ -150,12 +150,12 @@ def _continuous_angles(q: Array, start_angles: Array, turns_removed: Array, exac
     if not turns.any() and not turns_removed.any():
         return q, turns_removed
     turns[exact_rows] = 0.0
-    total = turns_removed + np.cumsum(turns, axis=0)
+    total_turns = turns_removed + np.cumsum(turns, axis=0)
     # the last exact row up to each row, −1 before the first
     exact_row = np.full(len(q), -1)
     exact_row[exact_rows] = exact_rows
     exact_row = np.maximum.accumulate(exact_row)
-    excess_turns = total - np.where(exact_row[:, None] >= 0, total[exact_row], 0.0)
+    excess_turns = total_turns - np.where(exact_row[:, None] >= 0, total_turns[exact_row], 0.0)
     return q - FULL_TURN * excess_turns, excess_turns[-1]
 
 
@@ -188,7 +188,7 @@ def _whole_turns(robot: RobotModel, angles: Array, turn: Ints) -> Array:
     return np.asarray(np.take_along_axis(candidates, best[..., None], axis=2)[..., 0])
 
 
-_LOOKED_AT = 2_000
+_MOST_SAMPLED_ROWS = 2_000
 """Rows of a path that are evaluated in the first pass (assumed)."""
 
 
@@ -206,15 +206,15 @@ def joint_margin(robot: RobotModel, q: Array) -> Array:
 def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:
     """Return the smallest singular value of the tool's Jacobian along a path: metres and radians per radian.
 
-    It changes slowly along a dense path. Of more than `_LOOKED_AT` rows, every n-th is evaluated first, then all rows
-    around the smallest.
+    It changes slowly along a dense path. Of more than `_MOST_SAMPLED_ROWS` rows, every n-th is evaluated first, then
+    all rows around the smallest value.
 
     :param q: (N, 6) joint angles [rad]; the result is NaN if N is 0.
     :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
     """
     if len(q) == 0:
         return float("nan")
-    stride = len(q) // _LOOKED_AT + 1
+    stride = len(q) // _MOST_SAMPLED_ROWS + 1
 
     def tools(rows: slice) -> Array:
         """Return the tool frames of some rows; a tool that is the same for all rows is returned as it is."""
@@ -226,10 +226,10 @@ def smallest_singular_value(robot: RobotModel, q: Array, tool: Array) -> float:
     squares = np.linalg.eigvalsh(jacobian @ np.swapaxes(jacobian, 1, 2))
     smallest_row = int(np.argmin(squares[:, 0])) * stride
     rows = slice(max(0, smallest_row - stride), smallest_row + stride + 1)
-    return float(singular_values(robot, q[rows], tools(rows)).min())
+    return float(smallest_singular_values(robot, q[rows], tools(rows)).min())
 
 
-def singular_values(robot: RobotModel, q: Array, tool: Array) -> Array:
+def smallest_singular_values(robot: RobotModel, q: Array, tool: Array) -> Array:
     """Return the smallest singular value (N,) of the tool's Jacobian: metres and radians per radian.
 
     :param q: (N, 6) joint angles [rad].

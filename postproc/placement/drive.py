@@ -88,8 +88,8 @@ def margins(robot: RobotModel, q: Array) -> Margins:
         return Margins(
             joint,
             np.abs(wrap_angles(q[4] + form.bend)),
-            np.abs(form.elbow(rows)),
-            np.abs(form.reach(rows)),
+            np.abs(form.angle_from_stretched(rows)),
+            np.abs(form.wrist_distance_ahead(rows)),
         )
 
 

@@ -412,7 +412,7 @@ class Programs:
         cuts = np.flatnonzero(group.cuts)
         samples = group.samples
         tool = toolpath.tool_of(samples.program, samples.sample.motion[group.row])
-        singular = float(kinematics.singular_values(self.robot, q, tool).min())
+        singular = float(kinematics.smallest_singular_values(self.robot, q, tool).min())
         if not len(cuts):
             return _Errors(0.0, 0.0, singular)
         load = self._load(group, turn)

@@ -6,10 +6,10 @@ follow from one table:
 | answer | ok | warning | failed |
 |---|---|---|---|
 | drive | nothing is wrong | a warning on motions, or a joint near its limit | it may not be driven |
-| better | the chance is at least `WIDE`, or nothing to judge | below, unknown, or a worse worst place | below `HARM` |
+| better | ≥ `UNCERTAIN_CHANCE`, or nothing to judge | below, unknown, or a worse worst place | < `HARMFUL_CHANCE` |
 | tolerance | held | cannot be judged | not held |
 
-`WIDE` and `HARM` are those of `postproc.elastostatics`.
+`UNCERTAIN_CHANCE` and `HARMFUL_CHANCE` are chances of a gain, see `postproc.elastostatics`.
 The state of the whole is the worst of the three. A wide bound alone never fails: with both expected errors the user
 can decide.
 """

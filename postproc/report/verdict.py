@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.correction import Mode, Result, share_beyond, statistics
-from postproc.elastostatics import HARM, WIDE
+from postproc.elastostatics import HARMFUL_CHANCE, UNCERTAIN_CHANCE
 from postproc.errors import Issue
 from postproc.frames import MM_PER_M
 from postproc.program import SPL
@@ -145,11 +145,16 @@ def _improvement_answer(
     # the chance matters only if deviations are larger than the tolerance of the path, or than CUT_MM
     largest_mm = max(content.before.max_mm, content.after.max_mm)
     is_chance_judged = content.mode == "convert" and largest_mm > min(content.tolerance_mm or CUT_MM, CUT_MM)
-    if is_chance_judged and errors.chance is not None and errors.chance < HARM:
+    if is_chance_judged and errors.chance is not None and errors.chance < HARMFUL_CHANCE:
         failures.append(
             Finding(_FIRST_COST, _CHANCE.format("does more harm than good", chance_in_words(errors.chance)))
         )
-    elif is_chance_judged and errors.chance is not None and errors.chance < WIDE and not (tolerance and tolerance.held):
+    elif (
+        is_chance_judged
+        and errors.chance is not None
+        and errors.chance < UNCERTAIN_CHANCE
+        and not (tolerance and tolerance.held)
+    ):
         wide = _CHANCE.format("is not much larger than its uncertainty", chance_in_words(errors.chance))
         actions = _remedies(result, content)
         doubts.append(

@@ -200,7 +200,7 @@ def test_the_workspace_counts_loads_that_were_measured():
         "bound over deflection in the workspace: below 0.5 in 95 % of the poses from 400 N to 900 N; at 100 N and "
         "below the bound can exceed the deflection"
     )
-    assert elastostatics.WIDE > 0.8
+    assert elastostatics.UNCERTAIN_CHANCE > 0.8
     doubt = replace(space, levels=levels((50.0, 3.0, 0.6), (400.0, 0.9, 0.8), (900.0, 1.2, 0.7)))
     assert doubt.reservation == (
         "under 900 N there are poses where correction makes the part better with a chance of 70 % only; under 900 N "

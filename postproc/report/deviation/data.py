@@ -631,5 +631,5 @@ def _singular_values(result: Result, row: Ints) -> Array:
     """
     samples = distinct(np.linspace(0, len(row) - 1, min(len(row), _MOST_DECOMPOSITIONS)).astype(np.int64))
     tool = result.program.tools[result.program.motions.tool[result.motion[row[samples]]]]
-    values = kinematics.singular_values(result.robot, result.q[row[samples]], tool)
+    values = kinematics.smallest_singular_values(result.robot, result.q[row[samples]], tool)
     return np.interp(np.arange(len(row)), samples, values)
