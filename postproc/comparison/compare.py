@@ -17,7 +17,7 @@ from postproc.comparison.loaded_path import cuts_between_pairs, deviation, pair_
 from postproc.comparison.pairing import partners
 from postproc.comparison.partners import (
     count_as_inserted,
-    deviation_left,
+    deviations_by_partners,
     judge_unpaired,
     moved_partners,
     ordered_partners,
@@ -59,27 +59,27 @@ def compare(
     :param source: forces of the nominal program, in addition to its comments; None: its comments alone. If the nominal
         program has no forces at all, the comments of `corrected_program` count.
     :param same_origin: one conversion read the nominal program and wrote the second: only the correction differs.
-    :param ends: (n,) whether Cartesian targets of the second program end a motion of the first, or were inserted, as
-        the conversion states it; None: pairs follow from their places.
+    :param ends: (c,) True for Cartesian targets of the second program that end a motion of the first, False for
+        inserted ones, as the conversion states it; None: pairs follow from positions and forces.
     :raises ProgramError: a target is out of reach.
     :raises ForceError: forces that cannot be assigned to the motions, or without an equilibrium of the arm.
     """
-    place = RobotInCell.of(robot, cell)
-    nominal, _, _ = placement.in_chosen_turn(nominal, place, source)
-    nominal_path = PlacedProgram.of(nominal, place)
-    place = place.in_touched_frames(nominal, nominal_path.segments)
-    nominal_path = replace(nominal_path, robot_in_cell=place)
-    corrected_path = PlacedProgram.of(corrected_program, place)
+    robot_in_cell = RobotInCell.of(robot, cell)
+    nominal, _, _ = placement.in_chosen_turn(nominal, robot_in_cell, source)
+    nominal_path = PlacedProgram.of(nominal, robot_in_cell)
+    robot_in_cell = robot_in_cell.in_touched_frames(nominal, nominal_path.segments)
+    nominal_path = replace(nominal_path, robot_in_cell=robot_in_cell)
+    corrected_path = PlacedProgram.of(corrected_program, robot_in_cell)
     stated_pairs = _stated_partners(nominal_path, corrected_path, ends)
-    if source is None and not nominal.notes:
-        partner = partners(nominal_path.track(), corrected_path.track()) if stated_pairs is None else stated_pairs
-        pairing = _Pairing(nominal_path, partner, np.full(len(partner), same_origin), None)
-    else:
+    has_forces = source is not None or bool(nominal.notes)
+    if has_forces:
         pairing = _pair_under_forces(nominal_path, corrected_path, source, stated_pairs)
+    else:
+        pairing = _pair_by_position(nominal_path, corrected_path, stated_pairs, is_certain=same_origin)
     nominal_path, loads = pairing.nominal_path, pairing.loads
     comparison = _all_pairs(nominal_path, corrected_path, pairing.partner, pairing.certain, loads)
     if loads is not None:
-        comparison = _complete_cuts(comparison, nominal_path, corrected_path, loads, place.tolerance)
+        comparison = _complete_cuts(comparison, nominal_path, corrected_path, loads)
     else:
         if same_origin:
             comparison = _explain_as_inserted(comparison, nominal_path)
@@ -97,29 +97,28 @@ def compare(
 
 
 def _with_partner_feeds(nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints) -> Program | None:
-    """Return the nominal program at the feeds of the second one; None if they are its own.
+    """Return the nominal program at the feeds of the second one; None if both programs have the same feeds.
 
-    A process gives the forces of a feed, and the second program is corrected for those of its own: it may hold a
-    tolerance by its feeds, or keep the speeds of joints.
+    The forces of a process depend on the feed, and the second program is corrected for its own feeds.
 
-    :param partner: (n,) target of the second program of each of the nominal one, −1 for none.
+    :param partner: (n,) index in `corrected_path.rows` of the partner of each nominal target; −1 for none.
     """
     motions, feed = nominal_path.program.motions, nominal_path.program.motions.feed.copy()
     rows, partner_rows = nominal_path.rows[partner >= 0], corrected_path.rows[partner[partner >= 0]]
     partner_feed = corrected_path.program.motions.feed[partner_rows]
-    is_other = ~motions.rapid[rows] & (np.abs(partner_feed - feed[rows]) > _SAME_FEED * feed[rows])
-    if not is_other.any():
+    differs = ~motions.rapid[rows] & (np.abs(partner_feed - feed[rows]) > _SAME_FEED * feed[rows])
+    if not differs.any():
         return None
-    feed[rows[is_other]] = partner_feed[is_other]
+    feed[rows[differs]] = partner_feed[differs]
     return replace(nominal_path.program, motions=replace(motions, feed=feed), feed_as_read=motions.feed)
 
 
 class _Loads(Struct, frozen=True, eq=False):
-    """Forces of the nominal program, and what they do at its n targets.
+    """Forces of the nominal program, and deflections at its n targets.
 
     :param path: forces along the program.
-    :param wrench: (n, 6) at the targets [N, N·m].
-    :param deflection: (n, 3) of the tool tip there [m].
+    :param wrench: (n, 6) at the targets, root axes [N, N·m].
+    :param deflection: (n, 3) of the tool tip at the targets, in their `$BASE` [m].
     """
 
     path: PathForces
@@ -134,16 +133,14 @@ class _Loads(Struct, frozen=True, eq=False):
         """
         path, rows = nominal_path.forces(source), nominal_path.rows
         wrench = nominal_path.wrench(path, rows)
-        joints = nominal_path.joints[rows]
-        return cls(
-            path, wrench, deviation(nominal_path, rows, joints, wrench, nominal_path.carriage_displacement(rows))
-        )
+        displacement = nominal_path.carriage_displacement(rows)
+        return cls(path, wrench, deviation(nominal_path, rows, nominal_path.joints[rows], wrench, displacement))
 
 
 class _Pairing(Struct, frozen=True, eq=False):
     """The partners of the n targets of the nominal program, and the loads by which they were found.
 
-    :param nominal_path: the nominal program at the feeds for which the loads are.
+    :param nominal_path: the nominal program, at the feeds for which the loads are computed.
     :param partner: (n,) index of the partner in the targets of the second program; −1 for none.
     :param certain: (n,) True where the partner is right for certain.
     :param loads: forces of the nominal program; None if they are not known.
@@ -155,53 +152,68 @@ class _Pairing(Struct, frozen=True, eq=False):
     loads: _Loads | None
 
 
+def _pair_by_position(
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, stated_pairs: Ints | None, *, is_certain: bool
+) -> _Pairing:
+    """Return the partners without forces.
+
+    :param stated_pairs: (n,) partners that the conversion states; None: they follow from positions.
+    :param is_certain: True if all partners are right for certain.
+    """
+    partner = partners(nominal_path.track(), corrected_path.track()) if stated_pairs is None else stated_pairs
+    return _Pairing(nominal_path, partner, np.full(len(partner), is_certain), None)
+
+
 def _pair_under_forces(
     nominal_path: PlacedProgram, corrected_path: PlacedProgram, source: ForceSource | None, stated_pairs: Ints | None
 ) -> _Pairing:
-    """Return the partners under the forces of the nominal program; those of a process are at the second one's feeds.
+    """Return the partners under the forces of the nominal program.
+
+    Forces of a process are computed at the feeds of the second program.
 
     :param source: forces in addition to the comments of the nominal program; None: its comments alone.
-    :param stated_pairs: (n,) partners that the conversion states; None: they follow from places and forces.
+    :param stated_pairs: (n,) partners that the conversion states; None: they follow from positions and forces.
     :raises ForceError: the arm has no equilibrium under a force.
     """
-    place = nominal_path.robot_in_cell
+    robot_in_cell = nominal_path.robot_in_cell
     loads = _Loads.of(nominal_path, source)
-    partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs, place.tolerance)
+    partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs)
     at_feeds = None if loads.path.law_forces is None else _with_partner_feeds(nominal_path, corrected_path, partner)
     if at_feeds is not None:
-        nominal_path = PlacedProgram.of(at_feeds, place)
+        nominal_path = PlacedProgram.of(at_feeds, robot_in_cell)
         loads = _Loads.of(nominal_path, source)
-        partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs, place.tolerance)
+        partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs)
     return _Pairing(nominal_path, partner, certain, loads)
 
 
 def _partners_under_load(
-    nominal_path: PlacedProgram,
-    corrected_path: PlacedProgram,
-    loads: _Loads,
-    stated_pairs: Ints | None,
-    tolerance: float,
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, loads: _Loads, stated_pairs: Ints | None
 ) -> tuple[Ints, Bools]:
     """Return the partner (n,) of each nominal target, −1 for none, and whether it is certain (n,).
 
-    :param stated_pairs: (n,) partners that the conversion states; None: they follow from places and forces.
-    :param tolerance: distance of the loaded tip from its target within which a partner is certain [m].
+    A partner is certain if the loaded tip by the second program is within the tolerance of the nominal target.
+
+    :param stated_pairs: (n,) partners that the conversion states, all of them certain; None: they are searched.
     """
     if stated_pairs is not None:
         return stated_pairs, np.ones(len(stated_pairs), dtype=bool)
     # the second program is expected to command poses that the deflection takes back to the targets
-    predicted_partner = partners(nominal_path.track(-loads.deflection), corrected_path.track())
+    expected_track = nominal_path.track(-loads.deflection)
+    predicted_partner = partners(expected_track, corrected_path.track())
     partner = partners_under_force(nominal_path, corrected_path, predicted_partner, loads.wrench)
-    return partner, norm(deviation_left(nominal_path, corrected_path, partner, loads.wrench)) <= tolerance
+    remaining_deviation = norm(deviations_by_partners(nominal_path, corrected_path, partner, loads.wrench))
+    return partner, remaining_deviation <= nominal_path.robot_in_cell.tolerance
 
 
 def _all_pairs(
     nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, certain: Bools, loads: _Loads | None
 ) -> Comparison:
-    """Return the comparison of targets with their partners, those included that were moved alone.
+    """Return the comparison of nominal targets with their partners.
+
+    A second round pairs missing targets with additional ones to which the second program has moved them.
 
     :param partner: (n,) index of the partner in `corrected_path.rows`; −1 for none.
-    :param certain: (n,) True where it is right for certain.
+    :param certain: (n,) True where the partner is right for certain.
     :param loads: forces of the nominal program; None if they are not known.
     """
     load = None if loads is None else loads.path
@@ -220,23 +232,25 @@ def _all_pairs(
 
 
 def _complete_cuts(
-    comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram, loads: _Loads, tolerance: float
+    comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram, loads: _Loads
 ) -> Comparison:
-    """Return a comparison with where both programs cut under the nominal forces, also between targets.
+    """Return a comparison with the deviations of both programs under the nominal forces, also between targets.
 
-    :param tolerance: an additional target within this distance of the nominal path is an inserted one [m].
+    An additional target whose loaded tip is within the tolerance of the nominal path becomes an inserted one.
     """
     partner = partners_of(comparison, nominal_path, corrected_path)
-    deviation_in_second = deviation_left(nominal_path, corrected_path, partner, loads.wrench)
+    corrected_deviation = deviations_by_partners(nominal_path, corrected_path, partner, loads.wrench)
     target_of_pair = np.searchsorted(nominal_path.rows, comparison.pair[:, 0])
     cuts = pair_cuts(
         comparison,
         nominal_path,
         loads.wrench[target_of_pair],
         nominal_deviation=loads.deflection[target_of_pair],
-        corrected_deviation=deviation_in_second[target_of_pair],
+        corrected_deviation=corrected_deviation[target_of_pair],
     )
     cuts = cuts_between_pairs(comparison, cuts, nominal_path, corrected_path, loads.path)
+    tolerance = nominal_path.robot_in_cell.tolerance
+    tolerance = nominal_path.robot_in_cell.tolerance
     rows_on_path = cuts.row[(cuts.t == 1.0) & (cuts.corrected_distance <= tolerance)]  # t = 1: targets
     return count_as_inserted(replace(comparison, cuts=cuts), np.isin(comparison.additional_rows, rows_on_path))
 
@@ -257,9 +271,10 @@ def _explain_as_inserted(comparison: Comparison, nominal_path: PlacedProgram) ->
 
 
 def _add_cuts(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Comparison:
-    """Return a comparison with where both programs cut under the forces that the corrected one states."""
+    """Return a comparison with the deviations at the pairs, under the forces in comments of the second program."""
     nominal_rows, corrected_rows = comparison.pair.T
-    wrench = corrected_path.wrench(corrected_path.forces(None), corrected_rows)
+    comment_forces = corrected_path.forces(None)
+    wrench = corrected_path.wrench(comment_forces, corrected_rows)
     # both are deviations from the nominal targets, of the joint angles that each program commands
     nominal_deviation, corrected_deviation = (
         deviation(nominal_path, nominal_rows, path.joints[rows], wrench, path.carriage_displacement(rows))
@@ -278,9 +293,8 @@ def _add_cuts(comparison: Comparison, nominal_path: PlacedProgram, corrected_pat
 def _stated_partners(nominal_path: PlacedProgram, corrected_path: PlacedProgram, ends: Bools | None) -> Ints | None:
     """Return the partners (n,) of `nominal_path.rows` that the conversion states, as indices in `corrected_path.rows`.
 
-    :param ends: (c,) whether each of `corrected_path.rows` ends a nominal motion; the others were inserted. None: it is
-        not stated.
-    :returns: None without `ends`, or if they are not those of both programs: their counts do not fit.
+    :param ends: (c,) True for each of `corrected_path.rows` that ends a nominal motion, False for inserted ones.
+    :returns: None if `ends` is None, or if the numbers of targets do not fit those of the programs.
     """
     if ends is None or len(ends) != len(corrected_path.rows) or int(np.count_nonzero(ends)) != len(nominal_path.rows):
         return None

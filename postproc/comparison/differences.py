@@ -67,21 +67,21 @@ def differences(
     """Return the differences besides offsets.
 
     :param in_file: forces of the nominal program come from a file.
-    :param same_origin: one conversion made the second program of the first, or both: only lowered feeds, missing or
-        additional targets and what the forces show are differences then.
-    :param pairs_certain: pairs are the targets that the loaded tip comes to, or those that the conversion states.
+    :param same_origin: one conversion made the second program of the first, or both. Settings and statements are then
+        not compared.
+    :param pairs_certain: pairs were found under forces, or the conversion states them.
     """
-    uncertain = () if pairs_certain else tuple(_ambiguous_pairs(comparison, nominal_path, corrected_path))
+    ambiguous_pairs = () if pairs_certain else tuple(_ambiguous_pairs(comparison, nominal_path, corrected_path))
     if same_origin:
         return (
             *lowered_feed_notes(comparison),
             *_uncompared_motions(comparison),
             *_unpaired_targets(comparison, nominal_path),
             *_deviations_under_force(comparison, nominal_path),
-            *uncertain,
+            *ambiguous_pairs,
         )
     path_differences = (
-        *_ways_off_path(comparison, nominal_path, corrected_path),
+        *_stretches_off_path(comparison, nominal_path, corrected_path),
         *_deviations_under_force(comparison, nominal_path),
     )
     return (
@@ -99,7 +99,7 @@ def differences(
         *_orientation_differences(comparison, nominal_path, corrected_path),
         *_joint_motions_off_path(comparison, nominal_path, corrected_path),
         *(path_differences or _cut_corners(comparison, nominal_path, corrected_path)),
-        *uncertain,
+        *ambiguous_pairs,
     )
 
 
@@ -123,9 +123,9 @@ def _unresolved_differences(comparison: Comparison) -> Iterator[Difference]:
 
 
 def _unresolved_statement_differences(comparison: Comparison) -> Iterator[Difference]:
-    """Yield motions known at run time only if the statements that decide on them differ; not of divided programs.
+    """Yield an error for each motion known at run time only before which the statements differ.
 
-    Those are the statements back to the motion, or the end of a block, before it.
+    Compared are the statements back to the motion, or the end of a block, before it.
     """
     nominal, corrected = comparison.nominal, comparison.corrected
     if not nominal.keeps_text or not corrected.keeps_text:
@@ -138,7 +138,7 @@ def _unresolved_statement_differences(comparison: Comparison) -> Iterator[Differ
         if nominal_motion.file not in nominal_lines or corrected_motion.file not in corrected_lines:
             continue
         preceding_statements = _statements_before(nominal_lines[nominal_motion.file], nominal_motion.line)
-        nominal_statements = list(takewhile(bool, preceding_statements))
+        nominal_statements = list(takewhile(bool, preceding_statements))  # "": a motion, or the end of a block
         # the second program may have inserted motions between them: its statements are compared past these
         corrected_statements = filter(
             None, _statements_before(corrected_lines[corrected_motion.file], corrected_motion.line)
@@ -222,7 +222,7 @@ def _is_called(name: str, program: Program) -> bool:
 
 def _unpaired_targets(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Difference]:
     """Yield missing and additional targets; a missing one that the second path leaves out is an error."""
-    rows, distances = comparison.only_nominal, np.nan_to_num(comparison.missing_distance)
+    rows, distances = comparison.only_nominal, np.nan_to_num(comparison.missing_distance)  # NaN for PTP
     if len(rows):
         worst = int(np.argmax(distances))
         is_off_path = distances[worst] > nominal_path.robot_in_cell.tolerance
@@ -244,10 +244,10 @@ def _unpaired_targets(comparison: Comparison, nominal_path: PlacedProgram) -> It
 def _ambiguous_pairs(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
-    """Yield pairs whose nominal target may as well belong to a target inserted next to its partner.
+    """Yield a warning for pairs whose nominal target may as well belong to a target inserted next to its partner.
 
-    Without forces of the nominal program the correction is unknown. Since pairs may be wrong ones, so may their largest
-    offset: a target is possible within twice that.
+    An inserted target may be the right partner if it is within twice the largest offset: without forces the offsets of
+    right pairs are unknown.
     """
     if not len(comparison.pair) or not len(comparison.inserted_rows):
         return
@@ -280,16 +280,17 @@ def _next_partner(comparison: Comparison, row: int) -> tuple[str, int] | None:
 def _orientation_differences(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
-    """Yield targets, inserted ones too, at which the tool is turned by more than the tolerance over a part of it.
+    """Yield targets, inserted ones too, at which a tool of length `LEVER` is turned by more than the tolerance.
 
-    The angle is that from the orientation which keeps the loaded tool nominal, or from the nominal orientation, which
-    programs have that correct positions alone.
+    The angle is the smaller of two: from the orientation that keeps the loaded tool nominal, and from the nominal
+    orientation, which programs have that correct positions alone. Without forces only the second is known, and nothing
+    is yielded if `$BASE` differs.
     """
     limit = nominal_path.robot_in_cell.tolerance / LEVER
     pair_angles = (
         comparison.rotation if comparison.cuts is None else np.minimum(comparison.rotation, comparison.cuts.rotation)
     )
-    if comparison.cuts is None and any(difference.kind == "base" for difference in frame_differences(comparison)):
+    if comparison.cuts is None and _has_other_base(comparison):
         return
     pairs = np.flatnonzero(pair_angles > limit)
     inserted_rows, inserted_angles = _inserted_rotations(comparison, nominal_path, corrected_path)
@@ -307,12 +308,18 @@ def _orientation_differences(
     yield difference_at(comparison, "orientation", message, rows, len(pairs) + len(inserted_indices))
 
 
+def _has_other_base(comparison: Comparison) -> bool:
+    """Return whether `$BASE` differs at a pair: this is reported by itself, and may explain offsets and rotations."""
+    return any(difference.kind == "base" for difference in frame_differences(comparison))
+
+
 def _inserted_rotations(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> tuple[Ints, Array]:
     """Return inserted targets (n,) and the angles by which they turn the tool from the nominal path there (n,) [rad].
 
-    Without forces, at the same share of the stretch, and less the rotations of the pairs next to it.
+    Without forces, the angle counts from the nominal orientation at the same share of the stretch between two pairs.
+    The larger rotation of these pairs is subtracted.
     """
     cuts = comparison.cuts
     if cuts is not None and len(cuts.row):
@@ -335,14 +342,17 @@ def _inserted_rotations(
 
 
 def _rapid_differences(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Difference]:
-    """Yield a difference if rapid targets have an offset: no force acts on them that would explain it."""
+    """Yield a difference if rapid targets have an offset: no force acts on them that would explain it.
+
+    Nothing is yielded if `$BASE` differs.
+    """
     offsets = (
         comparison.distance
         if comparison.cuts is None
         else np.minimum(comparison.distance, norm(comparison.cuts.corrected_deviation))
     )
     pairs = np.flatnonzero((offsets > nominal_path.robot_in_cell.tolerance) & comparison.rapid)
-    if len(pairs) and not any(difference.kind == "base" for difference in frame_differences(comparison)):
+    if len(pairs) and not _has_other_base(comparison):
         worst = pairs[np.argmax(offsets[pairs])]
         message = f"a rapid target is {offsets[worst] * MM_PER_M:.4f} mm off."
         yield difference_at(comparison, "rapid", message, comparison.pair[worst].tolist(), len(pairs))
@@ -351,7 +361,7 @@ def _rapid_differences(comparison: Comparison, nominal_path: PlacedProgram) -> I
 def _repeated_positions(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
-    """Yield targets of the second program at the present position of the robot: it stops there even if approximated."""
+    """Yield targets of the second program at which the robot already is: it stops there even if approximated."""
     is_stop, is_nominal_stop = (
         (side.segments.travel < _NO_TRAVEL) & (side.segments.turn < _NO_TRAVEL) & (side.program.motions.kind != PTP)
         for side in (corrected_path, nominal_path)
@@ -381,7 +391,7 @@ def _backward_moves(comparison: Comparison) -> Iterator[Difference]:
         yield difference_at(comparison, "back", message, (-1, int(rows[first + 1])), len(reversals))
 
 
-def _ways_off_path(
+def _stretches_off_path(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
     """Yield stretches between pairs on which the second path is farther from the nominal one than its targets are.
@@ -399,7 +409,7 @@ def _ways_off_path(
     missing_rows = comparison.only_nominal[comparison.only_nominal < nominal_row[-1]]
     is_off_path[np.searchsorted(nominal_row, missing_rows)] = False
     pairs = np.flatnonzero(is_off_path)[:_MAX_STRETCHES]
-    distances = np.array([_distance_on_stretch(comparison, nominal_path, corrected_path, int(k)) for k in pairs])
+    distances = np.array([_distance_on_stretch(comparison, nominal_path, corrected_path, k) for k in pairs.tolist()])
     exceeds = distances > limits[pairs]
     pairs, distances = pairs[exceeds], distances[exceeds]
     if len(pairs):
@@ -411,9 +421,9 @@ def _ways_off_path(
 
 
 _MAX_STRETCHES = 1000
-"""Stretches whose distance from the nominal path is computed (assumed)."""
-_PLACES = 65
-"""Places of the second path looked at on each of them (assumed)."""
+"""Largest number of stretches whose distance from the nominal path is computed (assumed)."""
+_SAMPLES = 65
+"""Samples of the second path on each of these stretches (assumed)."""
 
 
 def _joint_motions_off_path(
@@ -426,23 +436,23 @@ def _joint_motions_off_path(
     begin_row = rows - 1 if second.after is None else second.after[rows]
     # a motion that is its own predecessor begins at an unknown place
     is_known = (begin_row >= 0) & (begin_row != rows) & (np.searchsorted(comparison.pair[:, 1], rows) > 0)
-    places = np.flatnonzero(is_cut & (second.motions.kind[rows] == PTP) & is_known)[:_MAX_STRETCHES]
+    changes = np.flatnonzero(is_cut & (second.motions.kind[rows] == PTP) & is_known)[:_MAX_STRETCHES]
     excess = np.array(
         [
             _excess_of_joint_motion(comparison, nominal_path, corrected_path, int(begin_row[k]), int(rows[k]))
-            for k in places
+            for k in changes
         ]
     )
     is_off_path = excess > nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN
-    places, excess = places[is_off_path], excess[is_off_path]
-    if len(places):
-        worst = places[np.argmax(excess)]
+    changes, excess = changes[is_off_path], excess[is_off_path]
+    if len(changes):
+        worst = changes[np.argmax(excess)]
         message = (
             f"PTP instead of a cut: on the way to this target the tool leaves the nominal path by "
             f"{excess.max() * MM_PER_M:.4f} mm. Write LIN or CIRC."
         )
         worst_rows = (int(motion[worst]), int(rows[worst]))
-        yield difference_at(comparison, "between", message, worst_rows, len(places), level="error")
+        yield difference_at(comparison, "between", message, worst_rows, len(changes), level="error")
 
 
 def _excess_of_joint_motion(
@@ -452,24 +462,24 @@ def _excess_of_joint_motion(
     begin_row: int,
     row: int,
 ) -> float:
-    """Return by how much the way to motion `row` is farther from the nominal path than its ends are [m].
+    """Return by how much a PTP leaves the nominal path farther than its two ends do [m].
 
     All joints, and the axis that carries the robot, begin and end together.
 
-    :param begin_row: motion of the second program at whose end the way begins.
-    :param row: the motion, after that of the first pair.
+    :param begin_row: motion of the second program at whose end the PTP begins.
+    :param row: the PTP, a motion of the second program after the first pair.
     """
-    share = np.linspace(0.0, 1.0, _PLACES)[:, None]
+    share = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
     begin_offset, end_offset = corrected_path.carriage_displacement(np.array([begin_row, row]))
     tips = corrected_path.loaded_tip(
-        np.full(_PLACES, row),
+        np.full(_SAMPLES, row),
         (1.0 - share) * corrected_path.joints[begin_row] + share * corrected_path.joints[row],
-        np.zeros((_PLACES, 6)),
+        np.zeros((_SAMPLES, 6)),
         (1.0 - share) * begin_offset + share * end_offset,
     )
     pair = int(np.searchsorted(comparison.pair[:, 1], row))
     begin, end = nominal_path.arc_length[comparison.pair[pair - 1 : pair + 1, 0] + 1]
-    distances = distances_from_path(nominal_path, tips, np.full(_PLACES, begin), np.full(_PLACES, end))
+    distances = distances_from_path(nominal_path, tips, np.full(_SAMPLES, begin), np.full(_SAMPLES, end))
     return float(distances.max() - distances[[0, -1]].max())
 
 
@@ -486,7 +496,7 @@ def _distance_on_stretch(
 ) -> float:
     """Return the largest distance [m] of the second path from the nominal one, between pair k − 1 and pair k > 0.
 
-    0 unless it clearly exceeds the distance of the inserted targets: corrections move those off the nominal path.
+    0 unless it clearly exceeds the distance of inserted targets, since corrections move these off the nominal path.
     """
     assert comparison.curves is not None
     chain = comparison.curves.corrected_chain
@@ -494,11 +504,11 @@ def _distance_on_stretch(
     inserted_rows = comparison.inserted_rows
     inserted_rows = inserted_rows[(inserted_rows > first_row) & (inserted_rows < last_row)]
     inserted_u = chain.end[inserted_rows - chain.row[0]]  # rows of a chain are consecutive
-    u = np.append(k - 1.0 + np.linspace(SMALLEST_SHARE, 1.0, _PLACES), inserted_u)
+    u = np.append(k - 1.0 + np.linspace(SMALLEST_SHARE, 1.0, _SAMPLES), inserted_u)
     second_points = comparison.curves.second_points_in_cell(u)
     begin, end = nominal_path.arc_length[comparison.pair[k - 1 : k + 1, 0] + 1]
     distances = distances_from_path(nominal_path, second_points, np.full(len(u), begin), np.full(len(u), end))
-    inserted_distance = float(distances[_PLACES:].max(initial=0.0))
+    inserted_distance = float(distances[_SAMPLES:].max(initial=0.0))
     largest = float(distances.max())
     return largest if largest > OFF_PATH + TIMES_OFFSET * inserted_distance else 0.0
 

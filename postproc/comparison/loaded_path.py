@@ -52,7 +52,7 @@ def deviation(side: PlacedProgram, motion: Ints, q: Array, wrench: Array, displa
     :param motion: (n,) motions of `side`.
     :param q: (n, 6) commanded joint angles [rad].
     :param wrench: (n, 6) at the tip, root axes [N, N·m].
-    :param displacement: (n, 3) how far E1 has carried the robot [m].
+    :param displacement: (n, 3) of the robot by E1 [m].
     :raises ForceError: the arm has no equilibrium under the force.
     """
     program = side.program
@@ -85,7 +85,7 @@ def pair_cuts(
     nominal_deviation: Array,
     corrected_deviation: Array,
 ) -> Cuts:
-    """Return the deviations at the pairs; there are none between pairs yet.
+    """Return the deviations at the pairs; the arrays for places between pairs are empty.
 
     :param wrench: (P, 6) at the tip, root axes [N, N·m].
     :param nominal_deviation: (P, 3) by the nominal program, its `$BASE` [m].
@@ -133,7 +133,7 @@ def _orientation_errors(comparison: Comparison, nominal_path: PlacedProgram, wre
 def cuts_between_pairs(
     comparison: Comparison, cuts: Cuts, nominal_path: PlacedProgram, corrected_path: PlacedProgram, load: PathForces
 ) -> Cuts:
-    """Return the deviations at the pairs with those at the other targets of the second program, and between targets.
+    """Return `cuts` with the deviations at the unpaired targets of the second program, and between its targets.
 
     Each place of the second program is compared with the place of the nominal path that its loaded tip is nearest to,
     on the stretch between the same pairs.
@@ -144,8 +144,11 @@ def cuts_between_pairs(
     """
     stretches = Stretches.from_pairs(comparison, nominal_path, corrected_path)
     search = Search(nominal_path, corrected_path, load, stretches)
-    ends = stretches.targets(comparison)
-    at_ends = _NearestPlaces.by(search, ends, np.ones(len(ends)), stretches.guess(ends), _SUFFICIENT_DISTANCE)
+    targets = stretches.targets(comparison)
+    at_ends = _NearestPlaces.of(
+        search, targets, np.ones(len(targets)), stretches.guessed_lengths(targets), _SUFFICIENT_DISTANCE
+    )
+    # where on the nominal path each motion of the second program ends
     end_length = np.full(len(corrected_path.program.motions), np.nan)
     end_length[comparison.pair[:, 1]] = nominal_path.arc_length[comparison.pair[:, 0] + 1]
     end_length[at_ends.row] = at_ends.length
@@ -168,12 +171,12 @@ def cuts_between_pairs(
 
 
 class _NearestPlaces(Columns, frozen=True, eq=False):
-    """Places of the second program, and the nominal path where their loaded tip is nearest to it.
+    """Places of the second program, and the places of the nominal path that their loaded tips are nearest to.
 
     :param row: (n,) motions of the second program; `t` (n,) places on them.
-    :param length: (n,) arc lengths on the nominal path [m].
-    :param nominal_distance: (n,) distance of the tip by the nominal program from that place [m], `corrected_distance`
-        (n,) by the second one.
+    :param length: (n,) arc lengths of the nearest places on the nominal path [m].
+    :param nominal_distance: (n,) distance of the loaded tip from the nearest place by the nominal program [m].
+    :param corrected_distance: (n,) the same by the second program [m].
     """
 
     row: Ints
@@ -183,8 +186,8 @@ class _NearestPlaces(Columns, frozen=True, eq=False):
     corrected_distance: Array
 
     @classmethod
-    def by(cls, search: Search, row: Ints, t: Array, guess: Array, sufficient_distance: float) -> _NearestPlaces:
-        """Return those of n places of the second program that the robot reaches, with the nearest nominal ones.
+    def of(cls, search: Search, row: Ints, t: Array, guess: Array, sufficient_distance: float) -> _NearestPlaces:
+        """Return the places on the nominal path nearest to n places of the second program, without those out of reach.
 
         :param row: (n,) motions of the second program; `t` (n,) places on them.
         :param guess: (n,) approximate arc lengths on the nominal path [m].
@@ -200,19 +203,20 @@ class _NearestPlaces(Columns, frozen=True, eq=False):
 def _places_inside_pieces(search: Search, end_length: Array) -> _NearestPlaces:
     """Return places inside the lines and arcs of the second program, with the nearest places of the nominal path.
 
-    Nearest is meant to the loaded tool tip at each place.
+    Pieces of unknown length, very short ones, and those that cover a step of the force are left out.
 
-    :param end_length: (M,) arc lengths on the nominal path at which its motions end [m]; NaN where unknown.
+    :param end_length: (M,) arc lengths on the nominal path at which the second program's motions end [m]; NaN where
+        unknown.
     """
     nominal_path, corrected_path, stretches = search.nominal_path, search.corrected_path, search.stretches
     pieces = stretches.pieces()
-    begin, end = stretches.begins(pieces, end_length), end_length[pieces]
-    is_valid = (end - begin > _MIN_PIECE_LENGTH) & ~_covers_step(nominal_path, search.load, end)
-    pieces, begin = pieces[is_valid], begin[is_valid]
+    begin, end = stretches.begin_lengths(pieces, end_length), end_length[pieces]
+    is_checked = (end - begin > _MIN_PIECE_LENGTH) & ~_covers_step(nominal_path, search.load, end)
+    pieces, begin = pieces[is_checked], begin[is_checked]
     row, t = places_on_pieces(corrected_path, pieces, _is_steep(nominal_path, corrected_path, pieces, end_length))
     begin_length = begin[np.searchsorted(pieces, row)]  # of the piece of each place: pieces are ascending motions
     guess = begin_length + t * (end_length[row] - begin_length)
-    return _NearestPlaces.by(search, row, t, guess, nominal_path.robot_in_cell.tolerance)
+    return _NearestPlaces.of(search, row, t, guess, nominal_path.robot_in_cell.tolerance)
 
 
 class Stretches(Struct, frozen=True, eq=False):
@@ -241,7 +245,7 @@ class Stretches(Struct, frozen=True, eq=False):
         unknown = (np.isin(m.kind, (PTP, SPL)) | m.rapid) & np.isnan(m.joints[:, 0])
         # a stretch is comparable if the count of unknown motions is the same at its begin and its end
         count = np.append(0, np.cumsum(unknown | _has_uncorrected_start(nominal_path)))
-        count_at_pairs = count[np.append(-1, nominal_rows) + 1]  # those before the first stretch, too
+        count_at_pairs = count[np.append(-1, nominal_rows) + 1]  # with that at the begin of the first stretch
         pairs = np.arange(len(comparison.pair))
         begin, end = stretch_limits(nominal_path, nominal_rows, pairs)
         return cls(
@@ -253,24 +257,28 @@ class Stretches(Struct, frozen=True, eq=False):
             is_comparable=np.diff(count_at_pairs) == 0,
         )
 
-    def _is_known(self, row: Ints) -> Bools:
+    def _is_on_comparable_stretch(self, row: Ints) -> Bools:
         """Return which motions `row` (n,) of the second program are on a stretch that is comparable."""
         return np.append(self.is_comparable, False)[self.stretch[row]]  # after the last pair is no stretch
 
     def targets(self, comparison: Comparison) -> Ints:
-        """Return the motions (n,) whose ends, without partner, are compared with the nominal path."""
+        """Return the targets (n,) without a partner that are compared with the nominal path, ascending.
+
+        Those are all inserted targets, and additional ones that end lines or arcs on comparable stretches.
+        """
         additional_rows = comparison.additional_rows
         kind = self.corrected_path.program.motions.kind
-        additional_rows = additional_rows[self._is_known(additional_rows) & np.isin(kind[additional_rows], (LIN, CIRC))]
+        is_cut = np.isin(kind[additional_rows], (LIN, CIRC))
+        additional_rows = additional_rows[self._is_on_comparable_stretch(additional_rows) & is_cut]
         return np.sort(np.append(comparison.inserted_rows, additional_rows))
 
     def pieces(self) -> Ints:
         """Return the lines and arcs (n,) of the second program that are compared with the nominal path inside."""
         rows = self.corrected_path.rows
         rows = rows[np.isin(self.corrected_path.program.motions.kind[rows], (LIN, CIRC))]
-        return rows[self._is_known(rows) & ~_has_uncorrected_start(self.corrected_path)[rows]]
+        return rows[self._is_on_comparable_stretch(rows) & ~_has_uncorrected_start(self.corrected_path)[rows]]
 
-    def guess(self, row: Ints) -> Array:
+    def guessed_lengths(self, row: Ints) -> Array:
         """Return arc lengths (n,) on the nominal path [m] at the same share of the stretch as the ends of motions.
 
         :param row: (n,) motions of the second program.
@@ -280,22 +288,23 @@ class Stretches(Struct, frozen=True, eq=False):
         share = (self.corrected_path.arc_length[row + 1] - begin) / np.maximum(end - begin, NO_DISTANCE)
         return np.asarray(self.begin[stretch] + share * (self.end[stretch] - self.begin[stretch]))
 
-    def begins(self, row: Ints, place: Array) -> Array:
-        """Return the arc lengths (n,) on the nominal path at which motions begin [m]: where the target before ends.
+    def begin_lengths(self, row: Ints, end_length: Array) -> Array:
+        """Return the arc lengths (n,) on the nominal path at which motions begin [m].
+
+        A motion begins at the target before it, the first one where its stretch begins.
 
         :param row: (n,) motions of the second program.
-        :param place: (M,) arc lengths on the nominal path at which its motions end [m].
+        :param end_length: (M,) arc lengths on the nominal path at which the second program's motions end [m].
         """
-        previous_target = np.searchsorted(self.corrected_path.rows, row) - 1  # −1: there is none before
-        return np.where(
-            previous_target >= 0, place[self.corrected_path.rows[previous_target]], self.begin[self.stretch[row]]
-        )
+        previous_target = np.searchsorted(self.corrected_path.rows, row) - 1  # −1: none
+        previous_row = self.corrected_path.rows[previous_target]
+        return np.where(previous_target >= 0, end_length[previous_row], self.begin[self.stretch[row]])
 
 
 def _covers_step(nominal_path: PlacedProgram, load: PathForces, end_length: Array) -> Bools:
     """Return True (n,) for pieces that end so soon after a step of the force that they cover it.
 
-    Such steps are where moves start.
+    The force steps where cuts start.
 
     :param end_length: (n,) arc lengths on the nominal path at which the pieces end [m]; NaN where unknown.
     """
@@ -303,7 +312,10 @@ def _covers_step(nominal_path: PlacedProgram, load: PathForces, end_length: Arra
 
 
 def _has_uncorrected_start(side: PlacedProgram) -> Bools:
-    """Return which motions (M,) begin at an unknown place, or at the start or an axis target that is not nominal."""
+    """Return which motions (M,) begin at an unknown place, or at a pose that is not corrected.
+
+    The start of the program and axis targets are not corrected, unless the arm at rest is nominal.
+    """
     m, predecessors = side.program.motions, side.program.after
     rows = np.arange(len(m))
     start_rows = rows - 1 if predecessors is None else predecessors
@@ -312,17 +324,20 @@ def _has_uncorrected_start(side: PlacedProgram) -> Bools:
     return np.asarray((start_rows == rows) | (is_axis_target & (not side.robot_in_cell.rest_is_nominal)))
 
 
-def _is_steep(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pieces: Ints, place: Array) -> Bools:
+def _is_steep(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pieces: Ints, end_length: Array) -> Bools:
     """Return which lines and arcs (n,) of the second program are displaced differently at their ends.
 
-    True as well where the displacement of an end is unknown.
+    The displacement is from the nominal path. True as well where that of an end is unknown.
 
     :param pieces: (n,) motions of the second program.
-    :param place: (M,) arc lengths on the nominal path of the ends of its motions [m]; NaN where unknown.
+    :param end_length: (M,) arc lengths on the nominal path of the ends of the second program's motions [m]; NaN where
+        unknown.
     """
-    ends = np.flatnonzero(np.isfinite(place))
-    displacements = np.full((len(place), 3), np.nan)
-    displacements[ends] = corrected_path.points(corrected_path.arc_length[ends + 1]) - nominal_path.points(place[ends])
+    rows = np.flatnonzero(np.isfinite(end_length))
+    displacements = np.full((len(end_length), 3), np.nan)
+    displacements[rows] = corrected_path.points(corrected_path.arc_length[rows + 1]) - nominal_path.points(
+        end_length[rows]
+    )
     previous_target = np.maximum(np.searchsorted(corrected_path.rows, pieces) - 1, 0)
     changes = norm(displacements[pieces] - displacements[corrected_path.rows[previous_target]])
     return ~np.asarray(changes <= _STEEP_CHANGE)  # True for NaN
@@ -335,11 +350,10 @@ def places_on_pieces(corrected_path: PlacedProgram, pieces: Ints, steep: Bools) 
     :param steep: (n,) True where the displacement differs between both ends: more places are checked there.
     """
     kind, segments = corrected_path.program.motions.kind[pieces], corrected_path.segments
-    arcs = kind == CIRC
+    is_arc = kind == CIRC
     length, turn = segments.length[pieces], segments.turn[pieces]
-    number = number_of_places(kind, length, turn, is_curved=arcs, is_steep=arcs | steep)
-    parts = np.maximum(number, _MIN_PARTS)
-    row, t = toolpath.even_places(pieces, parts)
+    part_counts = number_of_places(kind, length, turn, is_curved=is_arc, is_steep=is_arc | steep)
+    row, t = toolpath.even_places(pieces, np.maximum(part_counts, _MIN_PARTS))
     is_inside = t < 1.0
     return row[is_inside], t[is_inside]
 
@@ -372,11 +386,11 @@ def _orientation_errors_at(
 
 
 class _Deviations(NamedTuple):
-    """Places of the nominal path that the loaded tip is nearest to, and the distances of the tip from them.
+    """Places of the nominal path that the loaded tip of the second program is nearest to, and the tips' distances.
 
-    :param length: (n,) arc lengths on the nominal path [m].
-    :param nominal_distance: (n,) by the nominal program, of the same place [m].
-    :param corrected_distance: (n,) by the second program [m].
+    :param length: (n,) arc lengths of these places on the nominal path [m].
+    :param nominal_distance: (n,) distances of the loaded tip of the nominal program from these places [m].
+    :param corrected_distance: (n,) distances of the loaded tip of the second program from these places [m].
     """
 
     length: Array
@@ -421,18 +435,17 @@ class Search(Struct, frozen=True, eq=False):
     ) -> tuple[Array, Array]:
         """Return arc lengths (n,) on the nominal path nearest to the tip, and the distances there (n,) [m].
 
-        Where the tip is far from the place near the guess, many places of the stretch are tried. Parameters as of
-        `deviations`.
+        Newton steps begin at the guess. Where they end far from the tip, many places of the stretch are tried.
+        Parameters as of `deviations`.
         """
         stretch, displacement = self.stretches.stretch[row], self.corrected_path.carriage_displacement(row, t)
         low, high = self.stretches.begin[stretch], self.stretches.end[stretch]
-        low = np.minimum(low + _MIN_PIECE_LENGTH * 1e-4, high)  # a little behind the end of the motion before
-        length, distance = self._newton_steps(
-            q, displacement, np.clip(guess, low, high), (low, high), sufficient_distance
-        )
-        distant_rows = np.flatnonzero(
-            distance > max(sufficient_distance, _CLOSE_SHARE * self.nominal_path.robot_in_cell.tolerance)
-        )
+        # a little behind the end of the motion before, whose force and tool may be others
+        low = np.minimum(low + _MIN_PIECE_LENGTH * 1e-4, high)
+        start = np.clip(guess, low, high)
+        length, distance = self._newton_steps(q, displacement, start, (low, high), sufficient_distance)
+        close_distance = max(sufficient_distance, _CLOSE_SHARE * self.nominal_path.robot_in_cell.tolerance)
+        distant_rows = np.flatnonzero(distance > close_distance)
         if len(distant_rows):
             q, displacement = q[distant_rows], displacement[distant_rows]
             limits = low[distant_rows], high[distant_rows]
@@ -446,7 +459,7 @@ class Search(Struct, frozen=True, eq=False):
     def _tip_offset(self, q: Array, displacement: Array, length: Array) -> Array:
         """Return the tips (n, 3) under the forces at places of the nominal path, minus these places, in the cell [m].
 
-        :param q: (n, 6) commanded joint angles [rad], `displacement` (n, 3) how far E1 has carried the robot [m].
+        :param q: (n, 6) commanded joint angles [rad], `displacement` (n, 3) of the robot by E1 [m].
         :param length: (n,) arc lengths on the nominal path [m].
         """
         motion, t = self.nominal_path.at(length)
@@ -456,8 +469,8 @@ class Search(Struct, frozen=True, eq=False):
     def _tip(self, q: Array, displacement: Array, motion: Ints, wrench: Array) -> Array:
         """Return the loaded tips (n, 3) in the cell [m] at joint angles q (n, 6) [rad].
 
-        :param displacement: (n, 3) how far E1 has carried the robot [m].
-        :param motion: (n,) nominal motions, whose tool counts; `wrench` (n, 6) at the tip, root axes [N, N·m].
+        :param displacement: (n, 3) of the robot by E1 [m].
+        :param motion: (n,) nominal motions, whose tool is used; `wrench` (n, 6) at the tip, root axes [N, N·m].
         :raises ForceError: there is no equilibrium on a motion.
         """
         try:
@@ -472,8 +485,8 @@ class Search(Struct, frozen=True, eq=False):
 
         Gauss-Newton steps of the square of the distance, whose derivative is a finite difference.
 
-        :param q: (n, 6) commanded joint angles [rad], `displacement` (n, 3) how far E1 has carried the robot [m].
-        :param length: (n,) start values [m]; it is overwritten.
+        :param q: (n, 6) commanded joint angles [rad], `displacement` (n, 3) of the robot by E1 [m].
+        :param length: (n,) start values [m]; changed in place.
         :param limits: smallest and largest arc lengths, (n,) each [m].
         :param accuracy: a distance that is not improved further [m].
         """

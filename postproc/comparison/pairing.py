@@ -95,7 +95,9 @@ def partners(nominal_track: Track, corrected_track: Track) -> Ints:
 
 
 def _settle_partners(nominal_track: Track, corrected_track: Track, partner: Ints) -> None:
-    """Move partners to a free neighbour where the offsets then change less, in metres, from pair to pair.
+    """Replace partners by their free neighbours where the offset then changes less from pair to pair.
+
+    A neighbour is free if it is no partner of another target.
 
     :param partner: (n,) partner of each nominal target, −1 for none; changed in place.
     """
@@ -106,20 +108,17 @@ def _settle_partners(nominal_track: Track, corrected_track: Track, partner: Ints
     )
 
     def change(candidate: Ints) -> Array:
-        """Return the change of the offset [m] from the pair before and to the pair behind, with candidates (k,)."""
+        """Return the change of the offset [m] from the pair before plus that to the next pair, for candidates (k,)."""
         offset = corrected_track.position[candidate] - nominal_track.position[row]
         return norm(offset - previous_offset) + norm(offset - next_offset)
 
     first_change = change(partner[row])
-    for step in (-1, 1):  # one that moved back would only return, to no smaller change
+    for step in (-1, 1):  # step 1 does not undo step −1: its change would be the first one again
         candidate = partner[row] + step
-        free = (
-            (candidate > partner[previous_row])
-            & (candidate < partner[next_row])
-            & (corrected_track.joint[candidate] == nominal_track.joint[row])
-        )
-        better = free & (change(candidate) < first_change)
-        partner[row[better]] = candidate[better]
+        is_free = (candidate > partner[previous_row]) & (candidate < partner[next_row])
+        is_same_kind = corrected_track.joint[candidate] == nominal_track.joint[row]
+        is_better = is_free & is_same_kind & (change(candidate) < first_change)
+        partner[row[is_better]] = candidate[is_better]
 
 
 def _part(track: Track, rows: slice) -> Track:
@@ -140,11 +139,11 @@ def _noticeable_change(step: Array) -> Array:
 def _common_length(nominal_track: Track, corrected_track: Track) -> int:
     """Return the number of equal steps at the beginning of two tracks, less the last two before they differ.
 
-    Those may belong to what differs: their partners are sought with it.
+    The partners of these two are uncertain: they are sought together with those of the targets that differ.
     """
     count = min(len(nominal_track), len(corrected_track))
     offset = corrected_track.position[:count] - nominal_track.position[:count]
-    change = norm(np.diff(offset, axis=0, prepend=np.zeros((min(1, count), 3))))
+    change = norm(np.diff(offset, axis=0, prepend=np.zeros((min(1, count), 3))))  # the first one from no offset
     change += np.abs(corrected_track.step[:count] - nominal_track.step[:count])
     is_same = (change < _STEP_TOLERANCE * _noticeable_change(nominal_track.step[:count])) & (
         nominal_track.joint[:count] == corrected_track.joint[:count]
@@ -170,11 +169,11 @@ class _States(Struct, eq=False):
 
 
 class _Origin(NamedTuple):
-    """The pairs before those of one target of the first program.
+    """The pair before each possible pair of one nominal target, in the cheapest assignment.
 
-    :param window: (k,) its possible partners.
-    :param row: (k,) nominal target of the pair before, with each of them; −1 for none.
-    :param partner: (k,) partner of that pair.
+    :param window: (k,) possible partners of the target, consecutive.
+    :param row: (k,) nominal target of the pair before; −1 for none.
+    :param partner: (k,) partner of the pair before; −1 for none.
     """
 
     window: Ints
@@ -183,7 +182,9 @@ class _Origin(NamedTuple):
 
 
 def _assign_partners(nominal_track: Track, corrected_track: Track, last_pair: tuple[Array, Array] | None) -> Ints:
-    """Return the partners (n,) of the targets of one program in the other, by dynamic programming; −1 for none.
+    """Return the partners (n,) of nominal targets in the second program, by dynamic programming; −1 for none.
+
+    A run of equal targets is paired at once, after a pair of equal targets.
 
     :param last_pair: positions (3,) of the pair before both tracks begin [m]; None: it is not known.
     """
@@ -197,7 +198,7 @@ def _assign_partners(nominal_track: Track, corrected_track: Track, last_pair: tu
     row = 0
     while row < len(nominal_track):
         cheapest = int(np.argmin(states.cost))
-        # after a pair of equal targets, equal ones follow one another
+        # the target before is paired with an equal one
         if states.row[cheapest] == row - 1 >= 0 and norm(states.offset[cheapest]) < _EQUAL:
             first_partner = int(states.partner[cheapest]) + 1
             run = _equal_count(nominal_track, corrected_track, row, first_partner)
@@ -238,7 +239,7 @@ class _Tracks(Struct, frozen=True, eq=False):
         return cls(nominal, corrected, lengths, corrected_lengths, has_last_pair)
 
     def state_of_pair(self, row: int, partner: int) -> _States:
-        """Return the only assignment that is left after a pair that is certain; it costs nothing."""
+        """Return the single assignment that ends with a certain pair; its cost is 0."""
         offset = self.corrected.position[partner] - self.nominal.position[row]
         return _States(np.array([partner]), np.array([row]), np.zeros(1), offset[None])
 
@@ -259,9 +260,9 @@ class _Tracks(Struct, frozen=True, eq=False):
         return pair_states, _Origin(window, states.row[previous_state], states.partner[previous_state])
 
     def window(self, states: _States, row: int) -> Ints:
-        """Return the possible partners (k,) of the nominal target `row`, consecutive ones.
+        """Return the possible partners (k,) of the nominal target `row`, consecutive and ascending.
 
-        Those are about as far from the last pair of the cheapest assignment as the nominal target, along the path.
+        Along the path, they are about as far from the last pair of the cheapest assignment as the nominal target.
         """
         cheapest = int(np.argmin(states.cost))
         length = self.lengths[row + 1] - self.lengths[states.row[cheapest] + 1]
@@ -273,7 +274,7 @@ class _Tracks(Struct, frozen=True, eq=False):
     def pair_costs(self, states: _States, row: int, window: Ints) -> Array:
         """Return the costs (k, w) of the nominal target `row` with each of `window` (k,) as partner, after each state.
 
-        Infinite for partners that are not behind those of the states.
+        The cost is infinite for a partner that does not follow that of the state.
         """
         offset = self.corrected.position[window] - self.nominal.position[row]
         offset_change = norm(offset[:, None] - states.offset)
@@ -283,7 +284,7 @@ class _Tracks(Struct, frozen=True, eq=False):
         length_change = np.abs(corrected_length - length)
         scale = _noticeable_change(length)
         cost = np.minimum(np.log1p(offset_change / scale), _MAX_CHANGE_COST)
-        if not self.has_last_pair:  # the first pair may have any offset, but nothing should come before it
+        if not self.has_last_pair:  # the first pair may have any offset, but no target should precede it
             cost[:, states.row == _NO_PARTNER] = 0.0
         weight = np.where(window[:, None] - states.partner > 1, 1.0, _LENGTH_WEIGHT)
         cost += weight * np.minimum(np.log1p(length_change / scale), _MAX_CHANGE_COST)
@@ -308,7 +309,7 @@ def _write_pairs(assignment: Ints, states: _States, origins: dict[int, _Origin])
 
 
 def _equal_count(nominal_track: Track, corrected_track: Track, row: int, partner: int) -> int:
-    """Return the number of targets in a row, from `row` and `partner` on, that are equal after steps of equal length.
+    """Return the number of consecutive targets, from `row` and `partner` on, that are equal in both tracks.
 
     The positions of equal targets differ by less than `_EQUAL`, and so do the lengths of the steps to them; both are
     PTP or neither is. At most `_RUN_CHUNK` targets are compared.

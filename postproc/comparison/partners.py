@@ -27,8 +27,8 @@ from postproc.frames import Array, norm, twist_between
 from postproc.program import PTP, Bools, Ints
 
 _MAX_MOVES, _MAX_CANDIDATES = 200, 64
-"""Largest numbers of targets for which other partners are tried, and of partners that are tried (assumed): with more,
-it is another program."""
+"""Largest number of targets for which other partners are tried, and largest number of partners tried for each: with
+more, the second program is another one (assumed)."""
 
 
 def partners_of(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
@@ -40,10 +40,12 @@ def partners_of(comparison: Comparison, nominal_path: PlacedProgram, corrected_p
     return partner
 
 
-def deviation_left(nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, wrench: Array) -> Array:
+def deviations_by_partners(
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, wrench: Array
+) -> Array:
     """Return the deviations (n, 3) of the loaded tip by the second program at `nominal_path.rows`, `$BASE` [m].
 
-    0 without partner.
+    The deviation of a target without a partner is 0.
 
     :param partner: (n,) index in `corrected_path.rows`; −1 for none.
     :param wrench: (n, 6) at the tip, root axes [N, N·m].
@@ -64,7 +66,9 @@ def deviation_left(nominal_path: PlacedProgram, corrected_path: PlacedProgram, p
 def partners_under_force(
     nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, wrench: Array
 ) -> Ints:
-    """Return partners (n,) of `nominal_path.rows`, swapped for free neighbours that bring the tip to the target.
+    """Return partners (n,) of `nominal_path.rows`, replaced by free neighbours that bring the loaded tip to the target.
+
+    A partner is replaced only if the tip misses the target by more than the tolerance.
 
     :param partner: (n,) index in `corrected_path.rows` of the present partners; −1 for none.
     :param wrench: (n, 6) at the tip, root axes [N, N·m].
@@ -73,8 +77,8 @@ def partners_under_force(
     tolerance, new_partner = nominal_path.robot_in_cell.tolerance, partner.copy()
     is_ptp = nominal_path.program.motions.kind[nominal_path.rows] == PTP
     is_corrected_ptp = corrected_path.program.motions.kind[corrected_path.rows] == PTP
-    for _ in range(2):  # what the first pass frees may be the partner of a neighbour
-        distances = norm(deviation_left(nominal_path, corrected_path, new_partner, wrench))
+    for _ in range(2):  # a partner that the first pass replaced may be that of a neighbour
+        distances = norm(deviations_by_partners(nominal_path, corrected_path, new_partner, wrench))
         is_mismatched = (new_partner < 0) | ~(distances <= tolerance)
         for k in np.flatnonzero(is_mismatched)[:_MAX_MOVES].tolist():
             candidates = _free_neighbours(new_partner, k, len(corrected_path.rows))
@@ -100,10 +104,10 @@ def _free_neighbours(partner: Ints, k: int, count: int) -> Ints:
 
 
 class _PairedTargets(NamedTuple):
-    """What follows from pairs (P, 2): offsets, and whether the second program's other targets are on the nominal path.
+    """Offsets of pairs, and the second program's targets without a partner.
 
-    :param pose: (P, 4, 4) where the second program sends the nominal tool, nominal `$BASE` [m].
-    :param twist: (P, 6) from the nominal targets to there [m, rad].
+    :param pose: (P, 4, 4) poses to which the second program sends the nominal tool, nominal `$BASE` [m].
+    :param twist: (P, 6) from the nominal targets to these poses [m, rad].
     :param unpaired_rows: (r,) motions of the second program without a partner.
     :param is_on_path: (r,) True for those on the nominal path between two pairs.
     """
@@ -125,7 +129,9 @@ def _paired_targets(nominal_path: PlacedProgram, corrected_path: PlacedProgram, 
 def pair_targets(
     nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, certain: Bools
 ) -> Comparison:
-    """Return the comparison of `nominal_path.rows` with their partners, before missing targets and forces are judged.
+    """Return the comparison of `nominal_path.rows` with their partners.
+
+    All nominal targets without a partner count as missing until `judge_unpaired`; there are no forces and differences.
 
     :param partner: (n,) index in `corrected_path.rows`; −1 for none.
     :param certain: (n,) True where the partner is right for certain, so that no neighbour of it is tried.
@@ -169,7 +175,7 @@ def pair_targets(
 def judge_unpaired(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram, load: PathForces | None
 ) -> Comparison:
-    """Return the comparison with nominal targets without partner divided into passed and missing ones.
+    """Return the comparison with its missing targets divided into those that the second path passes and missing ones.
 
     :param load: forces along the nominal program; None if they are not known.
     :raises ForceError: the arm has no equilibrium under a force.
@@ -215,9 +221,9 @@ def ordered_partners(partner: Ints) -> Ints:
 
 
 def count_as_inserted(comparison: Comparison, on_path: Bools) -> Comparison:
-    """Return the comparison with those additional targets counted as inserted that are True in `on_path`.
+    """Return the comparison with some additional targets counted as inserted.
 
-    :param on_path: (a,) one for each of `comparison.additional_rows`.
+    :param on_path: (a,) True for those of `comparison.additional_rows` that count as inserted.
     """
     inserted_rows = np.sort(np.append(comparison.inserted_rows, comparison.additional_rows[on_path]))
     return replace(comparison, inserted_rows=inserted_rows, additional_rows=comparison.additional_rows[~on_path])
@@ -228,9 +234,9 @@ def missed_targets(
 ) -> tuple[Array, Bools]:
     """Return the distances of the second path from nominal targets without partner (n,) [m], and which it passes (n,).
 
-    Without forces the correction is unknown. A distance up to the difference of the offsets of the neighbouring pairs
-    is then no miss, and a point that only divides a line or an arc is passed within a multiple of them, as inserted
-    targets are on the path.
+    With forces, a target is passed within the tolerance. Without forces the correction is unknown: the difference of
+    the offsets of the two neighbouring pairs is subtracted from the distance, and a point that only divides a line or
+    an arc is passed within a multiple of these offsets.
 
     :param load: forces along the nominal program; None if they are not known.
     :raises ForceError: the arm has no equilibrium under a force.
@@ -253,10 +259,10 @@ def missed_targets(
 
 
 def offsets_of(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints) -> tuple[Array, Array]:
-    """Return where the second program sends the nominal tool, and the twists from the nominal targets to there.
+    """Return the poses to which the second program sends the nominal tool, and their offsets from the nominal targets.
 
     :param pair: (P, 2) motions of the pairs.
-    :returns: poses (P, 4, 4) in the nominal `$BASE`, and twists (P, 6) [m, rad].
+    :returns: poses (P, 4, 4) in the nominal `$BASE` [m], and twists (P, 6) from the nominal targets to them [m, rad].
     """
     target = corrected_path.program.motions.target[pair[:, 1]]
     pose = tool_of_nominal(nominal_path.program, pair[:, 0], corrected_path.program, pair[:, 1], target)
@@ -274,9 +280,9 @@ def moved_pairs(
 ) -> Ints:
     """Return pairs (P, 2) in which moved targets replace their inserted neighbours.
 
-    A target off the path (`rows`) next to one with a partner was moved, and not added, under two conditions: the target
-    with the partner is on the path, as inserted ones are, and its offset is the larger one and unlike those of the
-    neighbouring pairs.
+    A target off the path (`rows`) takes the partner of the target next to it under three conditions: the offset of that
+    pair is unlike those of both neighbouring pairs; the new offset is no larger; the replaced target is on the path, as
+    inserted targets are.
 
     :param pair: (P, 2) motions of the pairs, `offset` (P, 3) of their targets [m].
     :param rows: (r,) motions of the second program without a partner, off the nominal path.
@@ -284,7 +290,7 @@ def moved_pairs(
     """
     pair, distance = pair.copy(), norm(offset)
     change = np.pad(norm(np.diff(offset, axis=0)), 1, constant_values=np.inf)
-    # a target moved alone: its offset is unlike those of both neighbours
+    # the offset of the pair is unlike those of both neighbours
     is_single_change = (np.minimum(change[:-1], change[1:]) > OFF_PATH) & ~certain
     target_number = {row: number for number, row in enumerate(corrected_path.rows.tolist())}  # of motions with a target
     for row in rows[:_MAX_MOVES].tolist():
@@ -292,28 +298,39 @@ def moved_pairs(
         for k in (next_pair, next_pair - 1):
             if not 0 <= k < len(pair) or not is_single_change[k]:
                 continue
-            if abs(target_number[int(pair[k, 1])] - target_number[row]) != 1:
-                continue  # not next to each other
-            replaced_row, new_pair, new_distance = pair[k, 1:].copy(), pair.copy(), distance.copy()
-            # the offset of the moved target may be of any size: it does not widen what counts as on the path
-            new_pair[k, 1], new_distance[k] = row, 0.0
-            _, new_twist = offsets_of(nominal_path, corrected_path, new_pair[k : k + 1])
-            if norm(new_twist[:, :3])[0] > distance[k]:
-                continue
-            if _is_on_path(nominal_path, corrected_path, new_pair, new_distance, replaced_row)[0]:
-                pair = new_pair
+            are_neighbours = abs(target_number[int(pair[k, 1])] - target_number[row]) == 1
+            if are_neighbours and _is_moved_target(nominal_path, corrected_path, pair, distance, k, row):
+                pair[k, 1] = row
                 break
     return pair
+
+
+def _is_moved_target(
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints, distance: Array, k: int, row: int
+) -> bool:
+    """Return whether motion `row` of the second program is a better partner in pair `k`, and the present one inserted.
+
+    :param pair: (P, 2) motions of the pairs, `distance` (P,) sizes of their offsets [m].
+    """
+    new_pair, new_distance = pair.copy(), distance.copy()
+    # the offset of a moved target may be of any size: it does not widen what counts as on the path
+    new_pair[k, 1], new_distance[k] = row, 0.0
+    _, new_twist = offsets_of(nominal_path, corrected_path, new_pair[k : k + 1])
+    if norm(new_twist[:, :3])[0] > distance[k]:
+        return False
+    present_partner = pair[k, 1:]
+    return bool(_is_on_path(nominal_path, corrected_path, new_pair, new_distance, present_partner)[0])
 
 
 def _is_on_path(
     nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints, distance: Array, rows: Ints
 ) -> Bools:
-    """Return which of the second program's targets without partner, `rows` (r,), are on the nominal path.
+    """Return which targets of the second program without a partner are on the nominal path between two pairs.
 
-    They are on the path between two pairs, hardly farther from the nominal path than these are from their partners.
+    They may be as far from it as a multiple of the larger offset of these pairs. PTP, and stretches with PTP, are not.
 
     :param pair: (P, 2) motions of the pairs, `distance` (P,) sizes of their offsets [m].
+    :param rows: (r,) motions of the second program that end at the targets.
     """
     is_on_path = np.zeros(len(rows), dtype=bool)
     next_pair = np.searchsorted(pair[:, 1], rows)
@@ -323,12 +340,13 @@ def _is_on_path(
     target = toolpath.at(corrected_path.program, corrected_path.segments, rows, np.ones(len(rows))).pose[:]
     flange = toolpath.flange_from_tcp(corrected_path.program, rows, target, None)
     position = (flange @ toolpath.tool_of(nominal_path.program, pair[next_pair, 0]))[:, :3, 3]
-    limit = OFF_PATH + TIMES_OFFSET * np.maximum(np.append(0.0, distance)[next_pair], distance[next_pair])
+    previous_distance = np.append(0.0, distance)[next_pair]  # 0 before the first pair
+    limit = OFF_PATH + TIMES_OFFSET * np.maximum(previous_distance, distance[next_pair])
     begin, end = stretch_limits(nominal_path, pair[:, 0], next_pair)
     corrected_begin, corrected_end = stretch_limits(corrected_path, pair[:, 1], next_pair)
     length, path_distance = corrected_path.arc_length[rows + 1], np.full(len(rows), np.inf)
-    # places at the same share of the stretch, at the same length from its begin and to its end: a detour of the second
-    # program is on one side of the target only
+    # three likely places are cheap to try: at the same share of the stretch, at the same length from its begin, and at
+    # the same length to its end
     share = (length - corrected_begin) / np.maximum(corrected_end - corrected_begin, NO_DISTANCE)
     for nominal_length in (
         begin + share * (end - begin),
@@ -367,10 +385,10 @@ def missing_distances(
 ) -> Array:
     """Return the distances of the second path from nominal targets without partner (n,) [m]; NaN for PTP.
 
-    Under the forces if they are known; else after moving the path back by the offsets of the pairs next to them. A
-    target is sought on the second path between the pairs before and behind it.
+    With forces, the path is that of the loaded tip. Without, the targets are moved by the offsets of the neighbouring
+    pairs, interpolated. Each is compared with the second path between the pairs before and after it.
 
-    :param pair: (P, 2) the pairs; `rows` (n,) motions of the nominal program.
+    :param pair: (P, 2) the pairs; `rows` (n,) nominal motions that end at the targets.
     :param load: forces along the nominal program; None if they are not known.
     :param offset: (P, 3) from the nominal to the commanded position at the pairs, in the cell [m].
     :raises ForceError: the arm has no equilibrium under a force.

@@ -74,7 +74,7 @@ def lowered_feed_notes(comparison: Comparison) -> Iterator[Difference]:
 
 
 def _kind_differences(comparison: Comparison) -> Iterator[Difference]:
-    """Yield targets, inserted ones too, that the second program moves to in another way."""
+    """Yield a warning if the second program moves to targets, inserted ones too, by another kind of motion."""
     motion, rows = kind_changes(comparison)
     if len(rows):
         nominal_kind = int(comparison.nominal.motions.kind[motion[0]])
@@ -86,8 +86,8 @@ def _kind_differences(comparison: Comparison) -> Iterator[Difference]:
 def kind_changes(comparison: Comparison) -> tuple[Ints, Ints]:
     """Return the motions (n,) of the nominal program that are of another kind in the second one, and its motions (n,).
 
-    An arc may have become lines (``--linearize-arcs``): where these leave it, another difference gives the distance.
-    The nominal motion of an inserted target is that to the next pair.
+    An arc that has become lines (``--linearize-arcs``) is no change of kind. The nominal motion of an inserted target
+    is that to the next pair.
     """
     nominal = comparison.nominal.motions
     rows = np.union1d(comparison.pair[:, 1], comparison.inserted_rows)
@@ -95,16 +95,16 @@ def kind_changes(comparison: Comparison) -> tuple[Ints, Ints]:
     motion = comparison.pair[next_pair, 0]
     nominal_kind, corrected_kind = nominal.kind[motion], comparison.corrected.motions.kind[rows]
     indices = np.flatnonzero((nominal_kind != corrected_kind) & ~((nominal_kind == CIRC) & (corrected_kind == LIN)))
-    # between a pair and the next one the nominal program may have Cartesian targets without partner, of this kind
+    # a nominal target without partner before the pair may be of the same kind: the motion may belong to it
     previous_motion = np.append(-1, comparison.pair[:, 0])[next_pair]
-    kinds = np.where(np.isnan(nominal.joints[:, 0]), nominal.kind, -1)
-    is_known_kind = [corrected_kind[k] in kinds[previous_motion[k] + 1 : motion[k]] for k in indices]
-    indices = indices[~np.array(is_known_kind, dtype=bool)]
+    cartesian_kind = np.where(np.isnan(nominal.joints[:, 0]), nominal.kind, -1)
+    has_unpaired_kind = [corrected_kind[k] in cartesian_kind[previous_motion[k] + 1 : motion[k]] for k in indices]
+    indices = indices[~np.array(has_unpaired_kind, dtype=bool)]
     return motion[indices], rows[indices]
 
 
 def _approximation_differences(comparison: Comparison) -> Iterator[Difference]:
-    """Yield targets that are approximated by another distance; of G-code the writer chooses it."""
+    """Yield a warning if targets are approximated by another distance; nothing for G-code, whose writer chooses it."""
     if not comparison.nominal.keeps_text:
         return
     nominal_blend, corrected_blend = (
@@ -122,7 +122,7 @@ def _approximation_differences(comparison: Comparison) -> Iterator[Difference]:
 
 
 def _external_axis_differences(comparison: Comparison) -> Iterator[Difference]:
-    """Yield external axes with other values: of the axis that carries the robot, at pairs; then of those that stay."""
+    """Yield a warning each for external axes with other values: the axis that carries the robot, and fixed axes."""
     nominal_axis, corrected_axis = comparison.nominal.carriage, comparison.corrected.carriage
     if nominal_axis is not None and corrected_axis is not None:
         nominal_e1, corrected_e1 = nominal_axis.at(comparison.pair[:, 0]), corrected_axis.at(comparison.pair[:, 1])
@@ -139,7 +139,10 @@ def _external_axis_differences(comparison: Comparison) -> Iterator[Difference]:
 
 
 def _fixed_axis_differences(comparison: Comparison) -> Iterator[Difference]:
-    """Yield external axes that stay at another position in each program, as the issues of the reader state them."""
+    """Yield a warning for each external axis that keeps another position in the second program.
+
+    The positions are those in the issues of the reader.
+    """
     programs = comparison.nominal, comparison.corrected
     nominal_axes, corrected_axes = (
         {issue.subject: issue for issue in program.issues if issue.kind == "external-axis"} for program in programs
@@ -169,7 +172,7 @@ def _position(axis: str, issue: Issue | None) -> str:
 def _posture_differences(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
-    """Yield targets with other joint angles: their S or T, or an axis target before them, is another one."""
+    """Yield a warning if targets have other joint angles, since S, T or an axis target before them differs."""
     differences = np.abs(nominal_path.joints[comparison.pair[:, 0]] - corrected_path.joints[comparison.pair[:, 1]])
     pairs = np.flatnonzero((differences > _SAME_POSTURE).any(axis=1))
     if len(pairs):
@@ -186,7 +189,7 @@ def _posture_differences(
 
 
 def _status_and_turn_differences(comparison: Comparison, corrected_path: PlacedProgram) -> Iterator[Difference]:
-    """Yield PTP targets whose S or T one program alone gives, or whose T is not that of the joint angles there."""
+    """Yield a warning for PTP targets with S or T in one program only, or with a T unlike the signs of the joints."""
     nominal_motions, corrected_motions = (program.motions for program in (comparison.nominal, comparison.corrected))
     nominal_row, corrected_row = comparison.pair.T
     is_ptp = (nominal_motions.kind[nominal_row] == PTP) & (corrected_motions.kind[corrected_row] == PTP)
@@ -194,8 +197,8 @@ def _status_and_turn_differences(comparison: Comparison, corrected_path: PlacedP
     nominal_status, corrected_status = nominal_motions.status[nominal_row], corrected_motions.status[corrected_row]
     nominal_turn, corrected_turn = nominal_motions.turn[nominal_row], corrected_motions.turn[corrected_row]
     q = corrected_path.joints[corrected_row]
-    is_negative = corrected_turn[:, None] >> np.arange(6) & 1  # bit k of T is set where joint k + 1 is negative
-    is_wrong_turn = ((is_negative != (q < 0.0)) & (np.abs(q) > _NO_SIGN)).any(axis=1)
+    turn_bits = corrected_turn[:, None] >> np.arange(6) & 1  # bit k of T is set where joint k + 1 is negative
+    is_wrong_turn = ((turn_bits != (q < 0.0)) & (np.abs(q) > _NO_SIGN)).any(axis=1)
     is_wrong_turn &= (corrected_turn != nominal_turn) & (corrected_turn >= 0)
     is_missing = ((nominal_turn < 0) != (corrected_turn < 0)) | ((nominal_status < 0) != (corrected_status < 0))
     pairs = np.flatnonzero(is_ptp & comparison.nominal.keeps_text & (is_wrong_turn | is_missing))
@@ -216,7 +219,10 @@ def _status_and_turn_text(status: int, turn: int) -> str:
 
 
 def _orientation_type_differences(comparison: Comparison) -> Iterator[Difference]:
-    """Yield pairs whose `$ORI_TYPE` differs, except where it differs to keep the A, B, C of a corrected target."""
+    """Yield a warning for pairs whose `$ORI_TYPE` differs, except where the correction set it to keep A, B, C.
+
+    Nothing is yielded for programs that are not KRL.
+    """
     nominal_layout, corrected_layout = comparison.nominal.layout, comparison.corrected.layout
     if nominal_layout is None or corrected_layout is None:
         return
@@ -275,7 +281,7 @@ class _FramesOfPairs(NamedTuple):
 
 
 def force_differences(comparison: Comparison, corrected_path: PlacedProgram, *, in_file: bool) -> Iterator[Difference]:
-    """Yield places where comments of the second program give another force than the nominal program has.
+    """Yield a warning if force comments of the second program give other forces than the nominal program has.
 
     :param in_file: the nominal program has its forces from a file: comments in both programs must then be the same.
     """
@@ -350,9 +356,10 @@ def axis_target_differences(
 
 
 def _axis_targets(program: Program, paired_rows: Ints, *, from_first_pair: bool) -> dict[tuple[int, int], int]:
-    """Return the axis targets of a program, its motions, by place: number of pairs before, and number since the last.
+    """Return the motions of a program to axis targets, by their place among the pairs.
 
-    Axis targets of two programs belong together that are at the same place.
+    A place is the number of pairs before the motion, and its number among the axis targets since the last pair. Axis
+    targets of two programs at the same place are partners.
 
     :param paired_rows: (P,) motions of the program that end at the pairs.
     :param from_first_pair: leave out those before the first pair.

@@ -49,8 +49,8 @@ class _Texts:
     def statements_between(self, start: tuple[str, int], end: tuple[str, int]) -> list[Statement] | None:
         """Return the compared statements from a motion to the next one.
 
-        If the next motion is not behind, a loop leads back to it: from the motion to the end of the loop, and from its
-        begin to the next motion.
+        If the next motion is above in the text, a loop leads back to it. The statements are then those down to the end
+        of the loop, and those from its begin to the next motion.
 
         :param start: file and 1-based line of the motion, `end` of the next one.
         :returns: None where the motions are in different files, or no loop is around them.
@@ -86,10 +86,10 @@ class _Texts:
         return (file, first), (file, last)
 
     def _loop_bound(self, file: str, numbers: range, *, opens: re.Pattern[str], closes: re.Pattern[str]) -> int | None:
-        """Return the line of the begin or end of the loop around the first of these lines; None without such a loop.
+        """Return the line where the loop around the first of these lines begins or ends; None without such a loop.
 
-        :param numbers: lines, in the direction of the search.
-        :param opens: statement at which another loop starts in this direction; `closes`: at which a loop is over.
+        :param numbers: line numbers, in the direction of the search.
+        :param opens: statement at which a nested loop starts in this direction; `closes`: at which a loop is over.
         """
         depth = 0
         for number in numbers:
@@ -118,7 +118,10 @@ def _normal_text(text: str) -> str:
 
 
 def statement_differences(comparison: Comparison) -> Iterator[Difference]:
-    """Yield the statements that are between the same motions of one of two KRL programs only."""
+    """Yield a warning for each statement that is between the same motions in one of two KRL programs only.
+
+    Nothing is yielded for other dialects.
+    """
     programs = comparison.nominal, comparison.corrected
     if any(program.dialect != "krl" or not program.keeps_text for program in programs) or not len(comparison.pair):
         return
@@ -139,15 +142,15 @@ def statement_differences(comparison: Comparison) -> Iterator[Difference]:
 
 
 def _places_of_motions(texts: _Texts, rows: Ints) -> list[tuple[str, int]]:
-    """Return file and line of motions (n,), with the begin of the first one's routine before, the last one's end after.
+    """Return file and line of motions (n,) of a program, n > 0.
 
-    :param rows: (n,) motions of the program, n > 0.
+    The list begins with the DEF of the first motion's routine, and ends with the END of the last one's.
     """
     places = texts.program.places(rows)
     motions = [(places.files[int(file)], int(line)) for file, line in zip(places.file, places.line, strict=True)]
-    begin, _ = texts.routine_limits(motions[0])
-    _, end = texts.routine_limits(motions[-1])
-    return [begin, *motions, end]
+    routine_begin, _ = texts.routine_limits(motions[0])
+    _, routine_end = texts.routine_limits(motions[-1])
+    return [routine_begin, *motions, routine_end]
 
 
 class _UnmatchedStatement(NamedTuple):
@@ -165,22 +168,25 @@ class _UnmatchedStatement(NamedTuple):
 
 def _unmatched_statements(first: Sequence[Statement], second: Sequence[Statement]) -> Iterator[_UnmatchedStatement]:
     """Yield the statements that only one of two sequences has; if only their order differs, all of the second."""
-    first_counts, second_counts = (Counter(text for text, _ in side) for side in (first, second))
+    first_counts, second_counts = (Counter(text for text, _ in statements) for statements in (first, second))
     if first_counts == second_counts:
-        yield from (_UnmatchedStatement(text, line, True) for text, line in second)
+        yield from (_UnmatchedStatement(text, line, is_in_second=True) for text, line in second)
         return
     sides = ((False, first, first_counts - second_counts), (True, second, second_counts - first_counts))
-    for is_in_second, side, surplus in sides:
-        for text, line in side:
-            if surplus[text] > 0:
-                surplus[text] -= 1
+    for is_in_second, statements, surplus_counts in sides:
+        for text, line in statements:
+            if surplus_counts[text] > 0:
+                surplus_counts[text] -= 1
                 yield _UnmatchedStatement(text, line, is_in_second)
 
 
 def _list_differences(
     comparison: Comparison, occurrences: _Occurrences, nominal_texts: _Texts, corrected_texts: _Texts
 ) -> Iterator[Difference]:
-    """Yield the statements that only one program has, the first of each text; beyond `_MAX_STATEMENTS` as one count."""
+    """Yield a warning for each text of a statement that only one program has, at its first place.
+
+    Beyond `_MAX_STATEMENTS` texts, one warning gives the number of the others.
+    """
     order = sorted(occurrences.items(), key=lambda entry: entry[1][0])
     for (_, is_in_second), places in order[:_MAX_STATEMENTS]:
         pair, line = places[0]

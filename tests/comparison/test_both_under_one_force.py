@@ -83,7 +83,10 @@ def test_additional_targets_at_which_the_loaded_tip_is_on_the_path_were_inserted
     rng = np.random.default_rng(seed)
     found = random_pairs(rng)
     rows = np.sort(np.append(found.pair[:, 0], np.setdiff1d(np.arange(COUNT), found.pair[:, 0])[:2]))
-    sides = SimpleNamespace(rows=rows), SimpleNamespace(rows=np.arange(COUNT))
+    sides = (
+        SimpleNamespace(rows=rows, robot_in_cell=SimpleNamespace(tolerance=1e-4)),
+        SimpleNamespace(rows=np.arange(COUNT)),
+    )
     loads = SimpleNamespace(
         path="forces", wrench=rng.normal(size=(len(rows), 6)), deflection=rng.normal(size=(len(rows), 3))
     )
@@ -109,9 +112,13 @@ def test_additional_targets_at_which_the_loaded_tip_is_on_the_path_were_inserted
         none = np.zeros(30)
         return Cuts(none, none, none, none, row, t, none, distance, none, none)
 
-    for name, function in (("deviation_left", remaining), ("pair_cuts", at_pairs), ("cuts_between_pairs", between)):
+    for name, function in (
+        ("deviations_by_partners", remaining),
+        ("pair_cuts", at_pairs),
+        ("cuts_between_pairs", between),
+    ):
         monkeypatch.setattr(compare, name, function)
-    made = compare._complete_cuts(found, *sides, loads, 1e-4)
+    made = compare._complete_cuts(found, *sides, loads)
     on_path = {int(row[n]) for n in range(30) if t[n] == 1.0 and distance[n] <= 1e-4}
     moved = [int(k) for k in found.additional_rows if int(k) in on_path]
     assert made.inserted_rows.tolist() == sorted([*found.inserted_rows.tolist(), *moved])
@@ -155,8 +162,8 @@ def test_pieces_are_looked_at_inside_if_they_cover_some_of_the_nominal_path_with
         return np.repeat(rows, 2), np.tile([0.25, 0.75], len(rows))
 
     ways = SimpleNamespace(
-        targets=lambda comparison: ends, pieces=lambda: pieces, guess=lambda rows: rows * 1e-3,
-        begins=lambda rows, values: begin,
+        targets=lambda comparison: ends, pieces=lambda: pieces, guessed_lengths=lambda rows: rows * 1e-3,
+        begin_lengths=lambda rows, values: begin,
     )  # fmt: skip
     for name, value in (
         ("Stretches", SimpleNamespace(from_pairs=lambda *sides: ways)),

@@ -277,8 +277,8 @@ def test_ways_begin_at_the_start_or_behind_the_pair_before_and_end_with_their_ow
     )
     assert ways.stretch.tolist() == [0, 0, 0, 1, 2, 2, 2, 3]
     share = other.arc_length[2] / other.arc_length[3]
-    np.testing.assert_allclose(ways.guess(np.array([1])), share * one.arc_length[2])
-    assert ways.begins(np.array([0, 3]), np.arange(8) * 1.0).tolist() == [0.0, 2.0]
+    np.testing.assert_allclose(ways.guessed_lengths(np.array([1])), share * one.arc_length[2])
+    assert ways.begin_lengths(np.array([0, 3]), np.arange(8) * 1.0).tolist() == [0.0, 2.0]
 
 
 @pytest.mark.parametrize(("inside", "found"), [(0.6, 0.0), (0.65, 0.0), (0.2, 0.0)])

@@ -651,12 +651,12 @@ def test_ways_that_leave_the_nominal_path_by_more_than_their_targets_are_named(m
     ]  # fmt: skip
     worst = max(bad, key=lambda k: exact[k], default=None)
     expected = None if worst is None else ("between", found.pair[worst], len(bad))
-    message = the_only(differences._ways_off_path(found, SIDE, SIDE), expected)
+    message = the_only(differences._stretches_off_path(found, SIDE, SIDE), expected)
     if bad:
         assert f"the path is {1e3 * exact[worst]:.4f} mm from the nominal one" in message
         way = range(found.pair[worst - 1, 1] + 1, found.pair[worst, 1] + 1)
         assert ("Check the auxiliary point" in message) == any(found.corrected.motions.kind[row] == CIRC for row in way)
-    assert not list(differences._ways_off_path(replace(found, curves=None), SIDE, SIDE))
+    assert not list(differences._stretches_off_path(replace(found, curves=None), SIDE, SIDE))
     assert differences._pairs_under_force(found).tolist() == sorted(checked)
 
 
@@ -704,11 +704,11 @@ def test_programs_of_one_conversion_are_compared_by_their_targets_and_forces_alo
         "statement_differences": "statements", "force_differences": "forces", "_rapid_differences": "rapid",
         "_repeated_positions": "twice",
         "_backward_moves": "back", "_unpaired_targets": "alone", "axis_target_differences": "axis",
-        "_orientation_differences": "orientation", "_ways_off_path": "off", "_deviations_under_force": "under",
+        "_orientation_differences": "orientation", "_stretches_off_path": "off", "_deviations_under_force": "under",
         "_joint_motions_off_path": "joint", "_cut_corners": "corners", "_ambiguous_pairs": "ambiguous",
     }  # fmt: skip
     for name, word in names.items():
-        is_empty = name in ("_ways_off_path", "_deviations_under_force") and not is_off
+        is_empty = name in ("_stretches_off_path", "_deviations_under_force") and not is_off
         monkeypatch.setattr(
             differences, name, lambda *parts, word=word, empty=is_empty, **options: [] if empty else [word]
         )

@@ -421,10 +421,10 @@ def test_pieces_begin_where_the_one_before_ends():
     ways = Stretches.from_pairs(found, one, other)
     ends = np.array([0.0, 10.0, 30.0, 40.0, 52.0, 70.0]) * 1e-3
     place = np.append(np.nan, one.arc_length[2] + ends)  # row 0 is the axis target
-    begins = ways.begins(np.arange(2, 7), place)
+    begins = ways.begin_lengths(np.arange(2, 7), place)
     np.testing.assert_allclose(begins - one.arc_length[2], ends[:-1], atol=1e-9)
-    np.testing.assert_allclose(ways.begins(np.array([1]), place), one.arc_length[1], atol=1e-9)
-    np.testing.assert_allclose(ways.guess(np.arange(2, 7)) - one.arc_length[2], ends[1:], atol=1e-9)
+    np.testing.assert_allclose(ways.begin_lengths(np.array([1]), place), one.arc_length[1], atol=1e-9)
+    np.testing.assert_allclose(ways.guessed_lengths(np.arange(2, 7)) - one.arc_length[2], ends[1:], atol=1e-9)
 
 
 def test_forces_at_pairs_are_those_at_the_end_of_the_motion():

@@ -45,7 +45,7 @@ def test_targets_without_a_partner_have_no_deviation(monkeypatch):
         return np.full((len(rows), 3), 5.0)
 
     monkeypatch.setattr(partners, "deviation", deviation)
-    found = partners.deviation_left(nominal, corrected, np.array([0, -1, 2, -1]), wrench)
+    found = partners.deviations_by_partners(nominal, corrected, np.array([0, -1, 2, -1]), wrench)
     np.testing.assert_array_equal(found, [[5.0] * 3, [0.0] * 3, [5.0] * 3, [0.0] * 3])
     ((path, rows, q, forces, carried),) = calls
     assert (path, rows, carried) == (nominal, [1, 4], [0, 5])
@@ -202,12 +202,12 @@ def test_ways_between_pairs_are_compared_where_all_of_the_nominal_way_is_known(s
         begin, end = ways.second[way[row]]
         share = (corrected.arc_length[row + 1] - begin) / (end - begin)
         expected.append(ways.begin[way[row]] + share * (ways.end[way[row]] - ways.begin[way[row]]))
-    np.testing.assert_allclose(ways.guess(inside), expected)
+    np.testing.assert_allclose(ways.guessed_lengths(inside), expected)
     place = rng.uniform(0.0, 1.0, COUNT)
     rows = corrected.rows[corrected.rows < found.pair[-1, 1]]
     before = [corrected.rows[corrected.rows < row] for row in rows]
     begins = [place[b[-1]] if len(b) else ways.begin[way[row]] for b, row in zip(before, rows, strict=True)]
-    np.testing.assert_allclose(ways.begins(rows, place), begins)
+    np.testing.assert_allclose(ways.begin_lengths(rows, place), begins)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -326,7 +326,11 @@ def test_stated_pairs_hold_under_a_load_and_others_follow_from_the_deflection(mo
     rng = np.random.default_rng(2)
     deflection, wrench = rng.normal(size=(5, 3)), rng.normal(size=(5, 6))
     left = np.array([0.0, 0.9e-4, 1.0e-4, 1.1e-4, np.nan])[:, None] * np.array([[0.6, 0.0, -0.8]])
-    sides = SimpleNamespace(track=lambda offset: ("first", offset)), SimpleNamespace(track=lambda: "second")
+    robot_in_cell = SimpleNamespace(tolerance=1.05e-4)
+    sides = (
+        SimpleNamespace(track=lambda offset: ("first", offset), robot_in_cell=robot_in_cell),
+        SimpleNamespace(track=lambda: "second"),
+    )
 
     def swapped(nominal, corrected, partner, forces):
         assert (nominal, corrected) == sides
@@ -343,10 +347,14 @@ def test_stated_pairs_hold_under_a_load_and_others_follow_from_the_deflection(mo
         assert (first[0], second) == ("first", "second")
         return np.arange(5)
 
-    for name, function in (("partners", paired), ("partners_under_force", swapped), ("deviation_left", remaining)):
+    for name, function in (
+        ("partners", paired),
+        ("partners_under_force", swapped),
+        ("deviations_by_partners", remaining),
+    ):
         monkeypatch.setattr(compare, name, function)
     loads = SimpleNamespace(deflection=deflection, wrench=wrench)
-    partner, certain = compare._partners_under_load(*sides, loads, None, 1.05e-4)
+    partner, certain = compare._partners_under_load(*sides, loads, None)
     assert (partner.tolist(), certain.tolist()) == ([4, 3, 2, 1, 0], [True, True, True, False, False])
-    partner, certain = compare._partners_under_load(*sides, loads, np.array([0, 2, -1]), 1e-4)
+    partner, certain = compare._partners_under_load(*sides, loads, np.array([0, 2, -1]))
     assert (partner.tolist(), certain.tolist()) == ([0, 2, -1], [True] * 3)
