@@ -12,6 +12,7 @@ from postproc.cli.options import Choice
 
 if TYPE_CHECKING:
     from postproc.identification import IdentifiedFolder
+    from postproc.jobs.identification_files import Work
 
 _FILE = click.Path(path_type=Path)
 
@@ -193,9 +194,22 @@ def validate(
     if is_probing_table(measurements):
         if experiment or forces or cell is None or process is None or not programs:
             raise click.UsageError("A probed part needs --cell, --process and --program, and nothing else.")
-        ctx.exit(0 if _holds_for_part(model, measurements, cell, process, tuple(map(Path, programs))) else 3)
-    if experiment is None:
+        holds = _holds_for_part(model, measurements, cell, process, tuple(map(Path, programs)))
+    elif experiment is None:
         raise click.UsageError("Tracker readings need --experiment.")
+    else:
+        holds = _holds_for_readings(model, measurements, experiment, _work_of(cell, programs, forces, process))
+    if not holds:
+        ctx.exit(3)
+
+
+def _work_of(cell: Path | None, programs: tuple[str, ...], forces: Path | None, process: Path | None) -> Work | None:
+    """Return the job that the options of `validate` state; None if they state none.
+
+    :raises click.UsageError: options that exclude each other, or that are missing.
+    """
+    from postproc.jobs.identification_files import Work
+
     if (cell is None) != (not programs):
         raise click.UsageError("Give --cell and --program together.")
     if forces is not None and process is not None:
@@ -204,19 +218,25 @@ def validate(
         raise click.UsageError("--forces and --process need --cell and --program.")
     if process is not None and process.suffix.lower() != ".toml":
         raise click.BadParameter(f"{process} is no .toml file.", param_hint="--process")
-    from postproc.jobs.identification_files import Work, validate_model
+    return None if cell is None else Work(cell=cell, programs=programs, forces=process or forces)
 
-    work = None if cell is None else Work(cell=cell, programs=programs, forces=process or forces)
+
+def _holds_for_readings(model: Path, measurements: Path, experiment: Path, work: Work | None) -> bool:
+    """Print the validation of a model with tracker readings; return whether the model holds.
+
+    :param work: the job whose cover by the readings is printed too; None: no job.
+    """
+    from postproc.jobs.identification_files import validate_model
+
     result, text = validate_model(model, measurements, experiment, work)
     click.echo(text)
     for warning in result.warnings:
         click.echo(f"warning: {warning}", err=True)
-    if not result.holds:
-        ctx.exit(3)
+    return result.holds
 
 
 def _holds_for_part(model: Path, readings: Path, cell: Path, process: Path, programs: tuple[Path, ...]) -> bool:
-    """Print how a model agrees with a probed part; return whether the model holds.
+    """Print the validation of a model with a probed part; return whether the model holds.
 
     :param programs: programs by which the part was cut.
     """

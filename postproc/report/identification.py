@@ -30,7 +30,6 @@ from postproc.report.kit import (
     Tiles,
     Verdict,
 )
-from postproc.report.kit.parts import PlotItem
 from postproc.robot import WITH_LINKS
 from postproc.robot.parameters import parameter_of_name
 
@@ -173,51 +172,45 @@ def _interval_parts(entries: Mapping[str, Parameter], note: str) -> tuple[Part, 
 def _interval_plot(entries: Mapping[str, Parameter], titles: list[str], note: str) -> Plot:
     """Return the plot of half widths of 95 % intervals, and of errors of prior values, in percent of the values.
 
+    A parameter is a category of the y axis: its dots are at the height of its number in `entries`.
+
     :param titles: titles of the parameters, in the order of `entries`.
     :param note: a sentence below the plot.
     """
-    # a parameter is at the height of its number in `entries`: y is a category
-    shares = [(row, share) for row, entry in enumerate(entries.values()) if (share := entry.share) is not None]
-    prior_errors = [
-        (row, abs(entry.prior / entry.value - 1.0))
+    shares = {row: entry.share for row, entry in enumerate(entries.values()) if entry.share is not None}
+    smallest, largest = min([_LEAST_SHARE_SHOWN, *shares.values()]), max([1.0, *shares.values()])
+    prior_errors = {
+        row: abs(entry.prior / entry.value - 1.0)
         for row, entry in enumerate(entries.values())
         if entry.prior is not None and entry.value and entry.share is not None
-    ]
-    smallest = min([_LEAST_SHARE_SHOWN, *(share for _, share in shares)])
-    largest = max([1.0, *(share for _, share in shares)])
-    texts = [f"{titles[row]}: known to {_percent_text(share)}" for row, share in shares]
-    traces: list[PlotItem] = [
-        Points(
-            [100.0 * min(max(prior_error, smallest), largest) for _, prior_error in prior_errors],
-            [float(row) for row, _ in prior_errors],
-            "prior value off by",
-            "soft",
-            hollow=True,
-            texts=[
-                f"{titles[row]}: prior value off by {_percent_text(prior_error)}" for row, prior_error in prior_errors
-            ],
-        ),
-        Points(
-            [100.0 * share for _, share in shares],
-            [float(row) for row, _ in shares],
-            "half width of the interval",
-            "after",
-            texts=texts,
-        ),
-    ]
-    marks = [
-        Mark(100.0 * limit, f"{100.0 * limit:.0f} %", "soft") for limit in (_WELL_KNOWN_SHARE, _BARELY_KNOWN_SHARE)
-    ]
+    }
+    prior_dots = Points(
+        [100.0 * min(max(error, smallest), largest) for error in prior_errors.values()],
+        [float(row) for row in prior_errors],
+        "prior value off by",
+        "soft",
+        hollow=True,
+        texts=[f"{titles[row]}: prior value off by {_percent_text(error)}" for row, error in prior_errors.items()],
+    )
+    interval_dots = Points(
+        [100.0 * share for share in shares.values()],
+        [float(row) for row in shares],
+        "half width of the interval",
+        "after",
+        texts=[f"{titles[row]}: known to {_percent_text(share)}" for row, share in shares.items()],
+    )
     return Plot(
         label="Half width of each 95 % interval in per cent of the value; the table has the numbers",
-        traces=traces,
+        traces=[prior_dots, interval_dots],
         x=Axis(
             title="half width of the interval, % of the value",
             logarithmic=True,
             range=(80.0 * smallest, 130.0 * largest),  # in percent, with a margin
         ),
         y=Axis(categories=titles),
-        marks=marks,
+        marks=[
+            Mark(100.0 * limit, f"{100.0 * limit:.0f} %", "soft") for limit in (_WELL_KNOWN_SHARE, _BARELY_KNOWN_SHARE)
+        ],
         height=90 + 22 * len(titles),
         note=note,
     )

@@ -187,32 +187,29 @@ def _program_table(entries: Sequence[Entry], reports: Sequence[ReportEntry]) -> 
         "Compensated",
         "Margin, °",
     )
-    rows = []
-    for entry in entries:
-        state_text, kind = _STATE_WORDS[entry.state]
-        name = Cell(entry.name, href=quote(entry.page))
-        if entry.content is None:
-            rows.append(
-                Row((name, Cell(state_text, kind), entry.message if entry.called else "see below", *("-",) * 7))
-            )
-            continue
-        content = entry.content
-        better, tolerance = content.verdict.better, content.verdict.tolerance
-        rows.append(
-            Row(
-                (
-                    name,
-                    Cell(state_text, kind),
-                    content.verdict.reasons[0] if entry.state != "ok" else "",
-                    str(content.targets),
-                    *("unknown" if length is None else two_digit_text(length) for length in content.expected_mm),
-                    "-" if better is None or better.chance is None else chance_in_words(better.chance),
-                    "-" if tolerance is None or tolerance.of != "part" else f"{tolerance.mm:g}",
-                    percent_text(content.compensated_percent),
-                    number_text(content.limits.min_joint_margin_deg, 1),
-                )
-            )
-        )
+    rows = tuple(_program_row(entry) for entry in entries)
     targets = sum(content.targets for content in reports)
     note = f"{targets} targets in {len(reports)} programs; largest values of each. Failed ones come first."
-    return Table(head, tuple(rows), "Programs of the folder", texts=(1, 2), sortable=True, note=note)
+    return Table(head, rows, "Programs of the folder", texts=(1, 2), sortable=True, note=note)
+
+
+def _program_row(entry: Entry) -> Row:
+    """Return the row of a program in the table; its numbers are "-" if the program was not written."""
+    state_text, kind = _STATE_WORDS[entry.state]
+    name, content = Cell(entry.name, href=quote(entry.page)), entry.content
+    if content is None:
+        return Row((name, Cell(state_text, kind), entry.message if entry.called else "see below", *("-",) * 7))
+    better, tolerance = content.verdict.better, content.verdict.tolerance
+    return Row(
+        (
+            name,
+            Cell(state_text, kind),
+            content.verdict.reasons[0] if entry.state != "ok" else "",
+            str(content.targets),
+            *("unknown" if length is None else two_digit_text(length) for length in content.expected_mm),
+            "-" if better is None or better.chance is None else chance_in_words(better.chance),
+            "-" if tolerance is None or tolerance.of != "part" else f"{tolerance.mm:g}",
+            percent_text(content.compensated_percent),
+            number_text(content.limits.min_joint_margin_deg, 1),
+        )
+    )
