@@ -355,6 +355,7 @@ def test_the_model_file_has_what_the_part_determines_and_the_rest_of_the_prior(p
             continue
         assert entry.compliance_urad_per_Nm == pytest.approx(PRIOR.values[k] + z[k])
         assert (entry.source, entry.sigma_percent, entry.assumed) == ("a part", None, False)
+        assert entry.ci95 == pytest.approx(Z95 * 0.5 * PRIOR.sigma[k])
     stiffness = found.compensator.stiffness_N_per_m
     assert stiffness == pytest.approx(PRIOR.values[6] + z[6])
     assert found.compensator.free_length_mm == content.compensator.free_length_mm
