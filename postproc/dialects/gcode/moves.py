@@ -629,22 +629,21 @@ class _Walk:
         self._add_rapid(row, self.position + direction * ((clearance - z) / rise))
 
     def _check_height(self, begin: int, end: int) -> None:
-        """Add a fault for the first line that depends on the height after a retract, which machine and robot differ in.
+        """Add a fault for the first line on which machine and robot would move to different heights after a retract.
 
-        In G90, a move at feed without a Z before it depends on it; in G91, a Z or a cycle. Words in G90 make machine
-        and robot agree again: `is_displaced` and `is_lifted` are updated.
+        In G90 that is a move at feed before the first Z, in G91 a Z or a cycle. A coordinate that G90 states is the
+        same for machine and robot again: `is_displaced` and `is_lifted` are updated.
 
         :param begin: first row of the lines, all in G90 or all in G91; `end`: row after the last.
         """
-        lines = self.lines
-        has_word = ~np.isnan(lines.xyz[begin:end])
+        lines, rows = self.lines, slice(begin, end)
+        has_word, z = ~np.isnan(lines.xyz[rows]), lines.xyz[rows, 2]
         if lines.is_incremental[begin]:
-            is_wrong = self.is_displaced[2] & (
-                (has_word[:, 2] & (lines.xyz[begin:end, 2] != 0.0)) | lines.is_drilling[begin:end]
-            )
+            is_wrong = self.is_displaced[2] & ((has_word[:, 2] & (z != 0.0)) | lines.is_drilling[rows])
         else:
-            is_wrong = self.is_lifted & lines.is_moving[begin:end] & (lines.motion[begin:end] > 0.0)
-            is_wrong &= ~np.logical_or.accumulate(has_word[:, 2])  # no Z so far
+            has_z_before = np.logical_or.accumulate(has_word[:, 2])
+            is_at_feed = lines.is_moving[rows] & (lines.motion[rows] > 0.0)
+            is_wrong = self.is_lifted & is_at_feed & ~has_z_before
             self.is_displaced &= ~has_word.any(axis=0)
             self.is_lifted &= bool(self.is_displaced[2])
         if is_wrong.any():

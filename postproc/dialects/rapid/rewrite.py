@@ -493,8 +493,12 @@ class _Rewriter:
         return [*(int(self.configuration[k, axis]) + quadrant_offsets[axis] for axis in range(3)), programmed_conf[3]]
 
     def _edited_text(self) -> tuple[str, Ints]:
-        """Return the text with all edits, and the 1-based line (K,) of each target."""
-        edits = sorted(set(self.edits), key=lambda edit: (edit.start, edit.stop))
+        """Return the text with all edits, and the 1-based line (K,) of each target.
+
+        The line of an inserted target is in the new text of its edit. The last target of a move is on the line where
+        the statement of the move begins.
+        """
+        edits = sorted(set(self.edits), key=lambda edit: (edit.start, edit.stop))  # they do not overlap
         pieces: list[str] = []
         position = 0
         for edit in edits:
@@ -502,19 +506,16 @@ class _Rewriter:
             position = edit.stop
         pieces.append(self.text[position:])
         text = "".join(pieces)
-        # offset of each piece in the new text
-        begins = list(accumulate((len(piece) for piece in pieces), initial=0))
-        offset = np.zeros(len(self.row), dtype=np.int64)
-        for number, edit in enumerate(edits):
-            for k, text_offset in edit.targets:
-                offset[k] = begins[2 * number + 1] + text_offset  # pieces alternate: old text, new text of an edit
-        starts = np.array([edit.start for edit in edits])
-        stops = np.array([edit.stop for edit in edits])
+        piece_offsets = list(accumulate((len(piece) for piece in pieces), initial=0))
+        edit_offsets = piece_offsets[1::2]  # pieces alternate: old text, new text of an edit
+        offset = np.zeros(len(self.row), dtype=np.int64)  # of each target in the new text
+        for edit, edit_offset in zip(edits, edit_offsets, strict=False):
+            for k, offset_in_edit in edit.targets:
+                offset[k] = edit_offset + offset_in_edit
         ends = np.flatnonzero(self.is_last)
         statement_start = np.array([self.moves[row].statement.start for row in self.row[ends].tolist()], dtype=np.int64)
-        edit_counts = np.searchsorted(stops, statement_start, side="right")  # number of edits before the statement
-        edit_counts = np.minimum(edit_counts, np.searchsorted(starts, statement_start, side="right"))
-        # growth of the text by all edits before each
+        edits_before = np.searchsorted([edit.stop for edit in edits], statement_start, side="right")
+        # growth of the text by the first edits
         added_lengths = np.cumsum([0, *(len(edit.text) - (edit.stop - edit.start) for edit in edits)])
-        offset[ends] = statement_start + added_lengths[edit_counts]
+        offset[ends] = statement_start + added_lengths[edits_before]
         return text, np.searchsorted(line_spans(text)[0], offset, side="right")

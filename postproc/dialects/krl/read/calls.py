@@ -333,7 +333,7 @@ class Calls:
             self._leave_routine(bound)
             return None
         finally:
-            self.run.place = place  # the statement with the call
+            self.run.statement_place = place  # the statement with the call
         self._end_routine(bound)
         return level.result if level.result != NO_VALUE else UnknownValue(str(place))
 
@@ -523,7 +523,7 @@ class _PureFunctions(Struct, frozen=True, eq=False):
 
     def value(self, call: Call) -> VariableValue:
         """Return the value of a call of a pure function at the statement that runs; `NO_VALUE` before the first one."""
-        place = self.calls.run.place
+        place = self.calls.run.statement_place
         return NO_VALUE if place is None else self.calls.follow_call(place, call, is_certain=False)
 
 

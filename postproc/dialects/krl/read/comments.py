@@ -112,6 +112,7 @@ class _ActiveForce:
     def __init__(self, course: Course, motions: Ints, is_rapid: Bools, unchecked_joins: Set[Join]) -> None:
         """Begin before the first line, without a force.
 
+        :param course: the execution trace.
         :param motions: (M,) lines of the motions in the trace.
         :param is_rapid: (M,) True for motions that carry no force.
         :param unchecked_joins: joins at which branches may end in different poses.

@@ -62,7 +62,7 @@ class Counter:
             raise inexact_error(self.place, problem, "Count by an INT, and compute the REAL from it in the loop.")
         self.key, self.bound_values = key, stmt.bounds
         self._has_constant_bounds = all(isinstance(bound, Number) for bound in stmt.bounds[1:] if bound is not None)
-        run.place = self.place
+        run.statement_place = self.place  # functions in the bounds are called from here
         self.last, self.step = self._bounds()
         self._set_value(self._whole_number(self.bound_values[0]))
         self.value()  # raises the error if the counter may change at any time
@@ -88,7 +88,7 @@ class Counter:
 
         :raises InexactError: the last value or the step has changed, or the counter is not known.
         """
-        self.run.place = self.place
+        self.run.statement_place = self.place  # functions in the bounds are called from here
         if not self._has_constant_bounds and self._bounds() != (self.last, self.step):
             raise inexact_error(self.place, "motion inside FOR: its end changes while it runs", LOOP_ADVICE)
         self._set_value(self.value() + self.step)

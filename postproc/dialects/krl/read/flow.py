@@ -629,7 +629,7 @@ class Flow:
         :raises ProgramError: a CASE cannot be read.
         """
         place, stmt = Place(source, block.first), statement(source, block.first)
-        self.run.place = place
+        self.run.statement_place = place
         if isinstance(stmt, tree.If):
             holds = self.run.variables.truth(stmt.condition)
             if holds is None:
@@ -843,7 +843,7 @@ class Flow:
         :raises InexactError: the condition is not known before run time.
         """
         place, head = Place(source, jump.first), statement(source, jump.first)
-        self.run.place = place
+        self.run.statement_place = place
         holds = self.run.variables.truth(head.condition) if isinstance(head, tree.If) else None
         if holds is None:
             # on the line of the GOTO, before ENDIF
@@ -976,7 +976,7 @@ class Flow:
         :raises InexactError: the condition is not known before run time.
         """
         stmt, holds = statement(source, line), None
-        self.run.place = Place(source, line)
+        self.run.statement_place = Place(source, line)
         if isinstance(stmt, tree.While):
             holds = self.run.variables.truth(stmt.condition)
         if holds is None:

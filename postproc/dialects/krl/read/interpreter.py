@@ -87,7 +87,7 @@ class Interpreter:
 
         :raises ProgramError: the statement is not understood, or its effect on motion is not modelled.
         """
-        self.run.place = place
+        self.run.statement_place = place
         if isinstance(stmt, _MOTION_STATEMENTS):
             if self.run.is_traced:
                 self._take_motion(place, stmt)

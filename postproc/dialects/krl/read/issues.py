@@ -27,11 +27,11 @@ _MOST_FILES = 3
 """Most files named for one variable."""
 
 
-def issues_of(main: MainRoutine, in_force: MotionStates, rows: MotionColumns, layout: Layout) -> Iterator[Issue]:
+def issues_of(main: MainRoutine, motion_states: MotionStates, rows: MotionColumns, layout: Layout) -> Iterator[Issue]:
     """Yield the issues about a program that has been followed.
 
     :param main: has followed the program.
-    :param in_force: settings in force at the motions of the program.
+    :param motion_states: settings in force at the motions of the program.
     :param rows: the motions.
     :raises ProgramError: a called program is known to move the robot by a sensor.
     """
@@ -39,7 +39,7 @@ def issues_of(main: MainRoutine, in_force: MotionStates, rows: MotionColumns, la
     yield from _uncalled_routine_warnings(main)
     yield from _unreachable_motion_warnings(main)
     yield from _changed_variable_warnings(main)
-    yield from _initial_frame_warnings(main, in_force, rows, layout)
+    yield from _initial_frame_warnings(main, motion_states, rows, layout)
 
 
 def _absent_program_warnings(main: MainRoutine) -> Iterator[Issue]:
@@ -116,17 +116,17 @@ def _changed_variable_warnings(main: MainRoutine) -> Iterator[Issue]:
 
 
 def _initial_frame_warnings(
-    main: MainRoutine, in_force: MotionStates, rows: MotionColumns, layout: Layout
+    main: MainRoutine, motion_states: MotionStates, rows: MotionColumns, layout: Layout
 ) -> Iterator[Issue]:
     """Yield a warning for `$BASE` and `$TOOL` if they are frames of the cell only because no statement sets them.
 
-    :param in_force: settings in force at the motions `rows`.
+    :param motion_states: settings in force at the motions `rows`.
     """
     has_axis_target = np.zeros(len(rows), dtype=np.bool_)  # needs no frames
     has_axis_target[[row for row, move in layout.statements.items() if move.end.position.is_axis]] = True
     for name, table in (("$BASE", "[base]"), ("$TOOL", "[tool]")):
-        is_assumed = np.array([name in main.run.settings.assumed_frames(state) for state in in_force.states])
-        affected_rows = np.flatnonzero(is_assumed[in_force.index] & ~has_axis_target)
+        is_assumed = np.array([name in main.run.settings.assumed_frames(state) for state in motion_states.states])
+        affected_rows = np.flatnonzero(is_assumed[motion_states.index] & ~has_axis_target)
         if not len(affected_rows) and name not in main.run.settings.frames.uncertain_names:
             continue
         kuka_frame = "BASE(0), that is $ROBROOT" if name == "$BASE" else "TOOL_DATA[1]"

@@ -58,24 +58,21 @@ class JoinedEnds(NamedTuple):
     ends: tuple[int, ...]
 
 
-def free_joins(course: Course, sequence: OrderedMotions) -> frozenset[Join]:
-    """Return the joins at which branches may end in different poses.
+def joins_before_joint_targets(course: Course, sequence: OrderedMotions) -> frozenset[Join]:
+    """Return the joins after which every motion that may run next is a PTP to joint angles.
 
-    On every path from such a join, the next motion is a PTP to joint angles, or the program ends without one.
+    Branches may end in different poses there. A join that no motion can follow is returned, too.
     """
     successors = _Successors(course, sequence)
-    return frozenset(
-        step
-        for number, step in enumerate(successors.steps)
-        if isinstance(step, Join) and successors.leads_to_joints(number)
-    )
+    joins = [(number, step) for number, step in enumerate(successors.steps) if isinstance(step, Join)]
+    return frozenset(join for number, join in joins if successors.leads_to_joints(number))
 
 
 class _Successors:
     """Finds the motions that may follow each fork, branch and join of an execution trace."""
 
     def __init__(self, course: Course, sequence: OrderedMotions) -> None:
-        """Find the forks, branches and joins of the trace: `steps`. A step is given by its index in them."""
+        """Find the forks, branches and joins of an execution trace, and store them in `steps`."""
         self.steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
         self._course, self._sequence = course, sequence
         self._results: dict[int, bool] = {}
@@ -285,25 +282,28 @@ def _branch_predecessors(
     return _BranchPredecessors(branch_predecessors, fork_lines, joins)
 
 
-def branches(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
+def branch_spans(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
     """Return, for each branch with motions, its first motion and the motion after its last; see `Program.branches`.
 
+    :param course: the execution trace with its forks, branches and joins.
     :param line: (M,) lines of the trace with the motions.
     """
-    rows: list[tuple[int, int]] = []
-    branch_begins: list[int] = []  # per open fork: the row at which its latest branch begins, −1 before the first
+    spans: list[tuple[int, int]] = []
+    first_motions: list[int | None] = []  # of the present branch of each open fork; None: no branch has begun
     for step in course.steps:
         if not isinstance(step, Fork | Branch | Join):
             continue
-        row = int(np.searchsorted(line, step.row, side="right"))  # the first motion after the step
+        next_motion = int(np.searchsorted(line, step.row, side="right"))
         if isinstance(step, Fork):
-            branch_begins.append(-1)
+            first_motions.append(None)
             continue
-        if (begin := branch_begins.pop()) >= 0 and row > begin:  # a branch with motions ends here
-            rows.append((begin, row))
+        # a branch or a join ends the branch before
+        first_motion = first_motions.pop()
+        if first_motion is not None and next_motion > first_motion:
+            spans.append((first_motion, next_motion))
         if isinstance(step, Branch):
-            branch_begins.append(row)
-    return tuple(rows)
+            first_motions.append(next_motion)
+    return tuple(spans)
 
 
 class _Transitions(NamedTuple):
@@ -459,7 +459,7 @@ def _raise_combined(faults: Sequence[BranchError]) -> None:
 def _start_dependence(sequence: OrderedMotions, row: int) -> str:
     """Return why a motion, for which `depends_on_start` holds, depends on its start, as text for a message."""
     kind, move = int(sequence.rows.kind[row]), sequence.moves.get(row)
-    if kind != PTP and sequence.in_force.at(row).orientation == CONSTANT:
+    if kind != PTP and sequence.motion_states.at(row).orientation == CONSTANT:
         return "$ORI_TYPE=#CONSTANT keeps the orientation"
     if kind == SPL:
         return "there is an SPL"

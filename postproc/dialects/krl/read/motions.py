@@ -65,14 +65,14 @@ class OrderedMotions(NamedTuple):
     """All R motions in order: the contents of their lines, and the settings in force.
 
     :ivar rows: the motions.
-    :ivar in_force: settings in force at each motion; for the fields `plain_settings.NUMBERS` see `numbers`.
+    :ivar motion_states: settings in force at each motion; for the fields `plain_settings.NUMBERS` see `numbers`.
     :ivar numbers: (R, 4) speed, distance of approximation, two turn speeds (`plain_settings.NUMBERS`), as runs. Plain
         settings change these, and create no states.
     :ivar moves: row → statement, for motions that are not plain.
     """
 
     rows: MotionColumns
-    in_force: MotionStates
+    motion_states: MotionStates
     numbers: Runs
     moves: dict[int, MotionStatement]
 
@@ -81,12 +81,12 @@ class _MergedSettings(NamedTuple):
     """The order of all R motions, and the settings in force.
 
     :ivar places: (R,) places in execution order, from 0, of the plain motions, then of the statements.
-    :ivar in_force: settings in force at each motion, in execution order.
+    :ivar motion_states: settings in force at each motion, in execution order.
     :ivar numbers: (R, 4) see `OrderedMotions.numbers`.
     """
 
     places: Ints
-    in_force: MotionStates
+    motion_states: MotionStates
     numbers: Runs
 
 
@@ -98,11 +98,11 @@ def ordered_motions(main: MainRoutine, plain_parts: list[MotionColumns]) -> Orde
     """
     plain_parts += [rounds.rows for rounds in main.rounds]
     statement_rows = main.motions.rows()
-    places, in_force, numbers = _merged_settings(main, [rows.line for rows in plain_parts], statement_rows.line)
+    places, motion_states, numbers = _merged_settings(main, [rows.line for rows in plain_parts], statement_rows.line)
     first = sum(map(len, plain_parts))  # index in `places` of the first statement
     moves = {places.item(first + index): move for index, move in main.motions.special}
     plain_parts.append(statement_rows)
-    return OrderedMotions(merged_motions(plain_parts, places), in_force, numbers, moves)
+    return OrderedMotions(merged_motions(plain_parts, places), motion_states, numbers, moves)
 
 
 def _merged_settings(main: MainRoutine, plain_lines: list[Ints], statement_lines: Ints) -> _MergedSettings:
@@ -114,11 +114,11 @@ def _merged_settings(main: MainRoutine, plain_lines: list[Ints], statement_lines
     """
     line = np.concatenate(plain_lines)
     plain_states = _states_of_lines(main.run.settings, line)  # statements have their states with them
-    states, statement_index = _with_statement_states(plain_states.in_force.states, main.motions.states)
+    states, statement_index = _with_statement_states(plain_states.motion_states.states, main.motions.states)
     plain_places, statement_places = _merged_places(line, statement_lines)
     places = compact(np.concatenate([plain_places, statement_places]), np.int32)
     index: NDArray[Any] = np.empty(len(places), dtype=np.int32)
-    index[places] = np.concatenate([plain_states.in_force.index, statement_index])
+    index[places] = np.concatenate([plain_states.motion_states.index, statement_index])
     numbers = np.array([[getattr(state, field) for field in NUMBERS] for state in states])[index]
     # plain settings are not part of the states: they replace the numbers of the plain motions
     for column in range(len(NUMBERS)):
@@ -182,17 +182,17 @@ def motions_and_layout(
     """
     trace, settings = main.course.trace, main.run.settings
     sequence = _with_approximation(main, sequence)
-    rows, in_force, _, moves = sequence
+    rows, motion_states, _, moves = sequence
     _check_settings(settings, sequence)
     targets, axis_issues = _text_targets(main, sequence, predecessors)
     text_ends = rows.numbers[rows.kind == CIRC, :3]  # a copy: `end_poses` completes the numbers in place
     ends = end_poses(targets, start_joints, kinematics, predecessors)
-    is_wrist_led = _wrist_led_rows(trace, rows, in_force, ends, targets.carriage)
-    _check_automatic_wrist_mode(trace, rows, in_force, ends, settings)
+    is_wrist_led = _wrist_led_rows(trace, rows, motion_states, ends, targets.carriage)
+    _check_automatic_wrist_mode(trace, rows, motion_states, ends, settings)
     path = _Path(targets, ends, _circle_columns(sequence, targets, ends, text_ends, settings))
     motions = _motions(trace, sequence, path)
     layout = _layout(main, sequence, motions, path, is_wrist_led)
-    has_assumed_speed = in_force.column(lambda state: state.is_speed_assumed) & (rows.kind != PTP)
+    has_assumed_speed = motion_states.column(lambda state: state.is_speed_assumed) & (rows.kind != PTP)
     issues = [
         *axis_issues,
         *_assumption_issues(motions.line, targets.is_missing, has_assumed_speed, moves),
@@ -210,7 +210,7 @@ def _with_approximation(main: MainRoutine, sequence: OrderedMotions) -> OrderedM
 
     :raises ProgramError: a motion is not allowed inside, or outside, of a spline block.
     """
-    rows, block = sequence.rows, sequence.in_force.column(lambda state: state.spline_block)
+    rows, block = sequence.rows, sequence.motion_states.column(lambda state: state.spline_block)
     check_words(main.course.trace, rows, block)
     is_approximated = approximated_motions(rows, block != "", main.splines.approximated_ends)
     return sequence._replace(rows=replace(rows, approximated=is_approximated))
@@ -224,11 +224,11 @@ def _text_targets(
     :param predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
     :raises ProgramError: an external axis moves, or a circle turns the tool in a way that is not known.
     """
-    trace, settings, (rows, in_force, _, moves) = main.course.trace, main.run.settings, sequence
+    trace, settings, (rows, motion_states, _, moves) = main.course.trace, main.run.settings, sequence
     base, tool = (
         # only motions to axis targets have unknown frames here: they get row 0
         np.where(column < 0, 0, column) if (column < 0).any() else column
-        for column in (in_force.column(lambda state: state.base), in_force.column(lambda state: state.tool))
+        for column in (motion_states.column(lambda state: state.base), motion_states.column(lambda state: state.tool))
     )
     frames = FrameColumns(base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools))
     relative_rows = np.array([row for row, move in moves.items() if move.relative_axes], dtype=np.int64)
@@ -237,7 +237,7 @@ def _text_targets(
     issues, carriage = external_axes(
         trace, rows, relative_rows, uses_root, direction=settings.cell.carriage, predecessors=predecessors
     )
-    control = _orientation_control(trace, rows, in_force)
+    control = _orientation_control(trace, rows, motion_states)
     is_missing = np.isnan(rows.numbers)
     is_missing[~uses_root] = False
     is_missing[relative_rows] = False
@@ -295,7 +295,7 @@ def _layout(main: MainRoutine, sequence: OrderedMotions, motions: Motions, path:
     :param sequence: all motions; `motions` and `path` are what has been computed from them.
     :param is_wrist_led: (M,) True for motions on which the wrist axes turn the tool.
     """
-    rows, in_force, _, moves = sequence
+    rows, motion_states, _, moves = sequence
     targets, ends, circles = path
     run = main.run
     elements = tuple(_elements_of_program(rows, rounds) for rounds in main.rounds)
@@ -314,13 +314,13 @@ def _layout(main: MainRoutine, sequence: OrderedMotions, motions: Motions, path:
         via_target=rows.via_target,
         starts_from_joints=ends.starts_from_joints,
         # PTP has no orientation control: index 0
-        orientation=np.where(rows.kind == PTP, np.int8(0), in_force.column(_orientation_index)),
+        orientation=np.where(rows.kind == PTP, np.int8(0), motion_states.column(_orientation_index)),
         ignores_orientation=ends.ignores_orientation,
         turns_with_path=targets.control.turns_with_path,
         is_wrist_led=is_wrist_led,
         drops_via_orientation=circles.drops_via_orientation,
-        is_distance_known=in_force.column(lambda s: all(field != "cdis" for field, _ in s.uncertain_fields)),
-        is_in_spline_block=in_force.column(lambda state: state.spline_block) != "",
+        is_distance_known=motion_states.column(lambda s: all(field != "cdis" for field, _ in s.uncertain_fields)),
+        is_in_spline_block=motion_states.column(lambda state: state.spline_block) != "",
         statements=moves,
         elements=elements,
         types=dict(run.settings.variables.types),
@@ -359,11 +359,11 @@ def _target_starts(target: Offsets, elements: tuple[Elements, ...]) -> Offsets:
 class _LineStates(NamedTuple):
     """Settings in force at n lines.
 
-    :ivar in_force: states at the lines.
+    :ivar motion_states: states at the lines.
     :ivar change_lines: (n,) line of the trace from which on the state holds.
     """
 
-    in_force: MotionStates
+    motion_states: MotionStates
     change_lines: Ints
 
 
@@ -415,14 +415,14 @@ def settings_at(settings: Settings, line: Ints) -> list[LineSettings]:
 
     :param line: (n,) lines of the trace.
     """
-    in_force, change_lines = _states_of_lines(settings, line)
+    motion_states, change_lines = _states_of_lines(settings, line)
     numbers = [
-        settings.plain_assignments.values_at(row, line, change_lines, in_force.column(attrgetter(field)))
+        settings.plain_assignments.values_at(row, line, change_lines, motion_states.column(attrgetter(field)))
         for row, field in enumerate(NUMBERS)
     ]
     entries = []
-    for index, *values in zip(in_force.index.tolist(), *(column.tolist() for column in numbers), strict=True):
-        state = in_force.states[index]
+    for index, *values in zip(motion_states.index.tolist(), *(column.tolist() for column in numbers), strict=True):
+        state = motion_states.states[index]
         base = _frame_or_zeros(settings.frames.bases, state.base)
         tool = _frame_or_zeros(settings.frames.tools, state.tool)
         # frames are compared by their numbers: only unknown ones keep their row
@@ -480,11 +480,11 @@ def uncertain_motions(settings: Settings, sequence: OrderedMotions) -> Iterator[
 
     They are grouped by their states, not in the order of the program.
     """
-    rows, in_force, _, moves = sequence
-    for index, state in enumerate(in_force.states):
+    rows, motion_states, _, moves = sequence
+    for index, state in enumerate(motion_states.states):
         if not state.uncertain_fields and state.base >= 0 and state.tool >= 0:
             continue
-        for row in np.flatnonzero(in_force.index == index).tolist():
+        for row in np.flatnonzero(motion_states.index == index).tolist():
             has_axis_target = row in moves and moves[row].end.position.is_axis  # plain motions have none
             fields = fields_used(
                 int(rows.kind[row]), has_axis_target=has_axis_target, is_approximated=bool(rows.approximated[row])
@@ -495,7 +495,7 @@ def uncertain_motions(settings: Settings, sequence: OrderedMotions) -> Iterator[
                 yield row, cause
 
 
-def _orientation_control(trace: Trace, rows: MotionColumns, in_force: MotionStates) -> OrientationControl:
+def _orientation_control(trace: Trace, rows: MotionColumns, motion_states: MotionStates) -> OrientationControl:
     """Return how the orientation of each motion is controlled: KUKA, KSS 8.x, `$ORI_TYPE` and `$CIRC_TYPE`.
 
     `$ORI_TYPE` #CONSTANT: the orientation of the start stays, and A, B, C of the target are disregarded. `$CIRC_TYPE`
@@ -505,20 +505,22 @@ def _orientation_control(trace: Trace, rows: MotionColumns, in_force: MotionStat
     :raises ProgramError: a circle is under #PATH and an `$ORI_TYPE` other than `_ONE_ROTATION_MODES`.
     """
     is_circle = rows.kind == CIRC
-    is_unsupported = is_circle & in_force.column(
+    is_unsupported = is_circle & motion_states.column(
         lambda state: state.circle == "#PATH" and state.orientation not in _ONE_ROTATION_MODES
     )
     if is_unsupported.any():
         first = int(np.argmax(is_unsupported))
-        problem = f"a circle under $ORI_TYPE={in_force.at(first).orientation} and $CIRC_TYPE=#PATH"
+        problem = f"a circle under $ORI_TYPE={motion_states.at(first).orientation} and $CIRC_TYPE=#PATH"
         raise trace.error(problem, int(rows.line[first]), "Use $CIRC_TYPE=#BASE, or $ORI_TYPE=#VAR.")
-    is_constant = in_force.column(lambda state: state.orientation == CONSTANT) & (rows.kind != PTP)
-    is_path_mode = in_force.column(lambda state: state.circle == "#PATH" and state.orientation in _ONE_ROTATION_MODES)
+    is_constant = motion_states.column(lambda state: state.orientation == CONSTANT) & (rows.kind != PTP)
+    is_path_mode = motion_states.column(
+        lambda state: state.circle == "#PATH" and state.orientation in _ONE_ROTATION_MODES
+    )
     return OrientationControl(keeps_orientation=is_constant, turns_with_path=is_circle & is_path_mode, via=rows.via)
 
 
 def _wrist_led_rows(
-    trace: Trace, rows: MotionColumns, in_force: MotionStates, ends: EndPoses, carriage: Carriage | None
+    trace: Trace, rows: MotionColumns, motion_states: MotionStates, ends: EndPoses, carriage: Carriage | None
 ) -> Bools:
     """Return which motions (R,) turn the tool by the wrist axes: lines under `$ORI_TYPE=#JOINT` that change it.
 
@@ -526,11 +528,11 @@ def _wrist_led_rows(
     """
     is_wrist_led = np.zeros(len(rows), dtype=np.bool_)
     candidates = np.flatnonzero(
-        in_force.column(lambda state: state.orientation not in _ONE_ROTATION_MODES) & (rows.kind != PTP)
+        motion_states.column(lambda state: state.orientation not in _ONE_ROTATION_MODES) & (rows.kind != PTP)
     )
     if not len(candidates):
         return is_wrist_led
-    modes = in_force.take(candidates).column(lambda state: state.orientation)
+    modes = motion_states.take(candidates).column(lambda state: state.orientation)
     next_rows = np.minimum(candidates + 1, len(rows) - 1)
     is_turned, is_next_turned = (
         ~same_orientation(ends.start.at(subset)[:, :3, :3], ends.pose[subset, :3, :3])
@@ -551,7 +553,7 @@ def _wrist_led_rows(
 
 
 def _check_automatic_wrist_mode(
-    trace: Trace, rows: MotionColumns, in_force: MotionStates, ends: EndPoses, settings: Settings
+    trace: Trace, rows: MotionColumns, motion_states: MotionStates, ends: EndPoses, settings: Settings
 ) -> None:
     """Refuse spline motions whose orientation the controller may lead by the wrist axes.
 
@@ -560,17 +562,17 @@ def _check_automatic_wrist_mode(
 
     :raises ProgramError: the orientation changes on such a motion.
     """
-    may_use_wrist = in_force.column(
+    may_use_wrist = motion_states.column(
         lambda state: state.by_wrist == "#ON" or any(field == "by_wrist" for field, _ in state.uncertain_fields)
     )
     if not may_use_wrist.any():
         return
-    is_free = in_force.column(lambda state: state.orientation == FREE) & may_use_wrist & (rows.kind != PTP)
+    is_free = motion_states.column(lambda state: state.orientation == FREE) & may_use_wrist & (rows.kind != PTP)
     free_rows = np.flatnonzero(is_free)
     spline_rows = free_rows[is_spline(trace, rows, free_rows)]
     turn = angle_between(ends.start.at(spline_rows)[:, :3, :3], ends.pose[spline_rows, :3, :3])
     for row in spline_rows[turn > _TURN_TOLERANCE].tolist():
-        settings.refuse_uncertain(in_force.at(row), ["by_wrist"])  # the stored reason, if the mode is not known
+        settings.refuse_uncertain(motion_states.at(row), ["by_wrist"])  # the stored reason, if the mode is not known
         problem = "the orientation changes under $SPL_ORI_JOINT_AUTO=#ON: the wrist axes may lead it, not one rotation"
         raise trace.error(problem, int(rows.line[row]), "Use $SPL_ORI_JOINT_AUTO=#OFF.")
 
@@ -603,7 +605,7 @@ def _circle_columns(
     :param text_ends: (n, 3) X, Y, Z of the ends of the n circles as the text gives them [mm].
     :raises ProgramError: a circle is not defined by its points, or it is not known how the tool turns on it.
     """
-    trace, (rows, in_force, _, moves) = targets.trace, sequence
+    trace, (rows, motion_states, _, moves) = targets.trace, sequence
     drops_via_orientation = np.zeros(len(rows), dtype=np.bool_)
     nan_rows = np.broadcast_to(np.nan, (len(rows), 3))  # takes no memory
     circle_rows = np.flatnonzero(rows.kind == CIRC)
@@ -614,8 +616,8 @@ def _circle_columns(
     has_angle = ~np.isnan(angle)  # circles with CA
     ends_elsewhere = has_angle & ~(np.abs(angle - circles.arcs.angle) < _ARC_TOLERANCE)
     _check_circular_angles(targets, circle_rows[ends_elsewhere], ends)
-    orientations = auxiliary_orientations(trace, rows, moves, circle_rows, in_force.take(circle_rows))
-    _check_turns(circles, orientations, targets, in_force, settings)
+    orientations = auxiliary_orientations(trace, rows, moves, circle_rows, motion_states.take(circle_rows))
+    _check_turns(circles, orientations, targets, motion_states, settings)
     drops_via_orientation[circle_rows] = orientations.has_effect
     centre, normal, sweep = nan_rows.copy(), nan_rows.copy(), nan_rows[:, 0].copy()
     centre[circle_rows] = circles.arcs.centre
@@ -628,19 +630,19 @@ def _check_turns(
     circles: Circles,
     orientations: AuxiliaryOrientations,
     targets: TextTargets,
-    in_force: MotionStates,
+    motion_states: MotionStates,
     settings: Settings,
 ) -> None:
     """Refuse circles on which the tool does not turn by the shorter rotation, or may not.
 
     :param orientations: orientations of the auxiliary points of the circles.
-    :param in_force: settings in force at all motions.
+    :param motion_states: settings in force at all motions.
     :raises ProgramError: there is such a circle; with the stored reason if the mode of its orientation is not known.
     """
     index = first_other_rotation(circles, orientations, targets.control.turns_with_path[circles.rows])
     if index >= 0:
         row = circles.rows.item(index)
-        settings.refuse_uncertain(in_force.at(row), ["auxiliary"])
+        settings.refuse_uncertain(motion_states.at(row), ["auxiliary"])
         is_led_through = bool(orientations.is_led_through[index])
         raise other_rotation_error(targets.trace, targets.line.item(row), is_led_through=is_led_through)
 

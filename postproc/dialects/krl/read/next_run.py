@@ -130,8 +130,8 @@ def _first_difference(
         (first.rows.external, second.rows.external),
         (first.rows.via, second.rows.via),
         (
-            _settings_by_state(first_settings, first)[first.in_force.index],
-            _settings_by_state(second_settings, second)[second.in_force.index],
+            _settings_by_state(first_settings, first)[first.motion_states.index],
+            _settings_by_state(second_settings, second)[second.motion_states.index],
         ),
         (first.numbers[:, :2], second.numbers[:, :2]),  # speed and distance, without turn speeds
     ):
@@ -166,7 +166,7 @@ def _settings_by_state(settings: Settings, sequence: OrderedMotions) -> Array:
                     [hash(mode) for mode in (state.orientation, state.circle, state.auxiliary, state.by_wrist)],
                 ]
             )
-            for state in sequence.in_force.states
+            for state in sequence.motion_states.states
         ]
     )
 

@@ -37,14 +37,14 @@ from postproc.dialects.krl.read.joins import (
     BranchError,
     FramesAndStart,
     JoinedEnds,
-    branches,
+    branch_spans,
     check_endless_loop,
     check_force,
     check_joins,
     endless_loop_issue,
     endless_rounds,
-    free_joins,
     is_ptp_to_joints,
+    joins_before_joint_targets,
     predecessors_and_joins,
     transitions,
 )
@@ -263,7 +263,7 @@ class _Reading(Struct, frozen=True, eq=False):
             turn_speeds=stated_turn_speeds(sequence.numbers),
             after=order.predecessors,
             joins=joined_ends,
-            branches=branches(course, sequence.rows.line),
+            branches=branch_spans(course, sequence.rows.line),
             transitions=transitions(
                 course, layout.line, order.predecessors, order.uncorrected_lines, order.unchecked_joins
             ),
@@ -282,7 +282,9 @@ class _Reading(Struct, frozen=True, eq=False):
         """
         run, course, sequence = main.run, main.course, separation.sequence
         # E1 must be in one position at each join
-        unchecked_joins = frozenset() if self.cell.carriage is not None else free_joins(course, sequence)
+        unchecked_joins = (
+            frozenset() if self.cell.carriage is not None else joins_before_joint_targets(course, sequence)
+        )
         notes = force_notes(
             course, sequence.rows.line, sequence.rows.kind == PTP, run.unknown_force_reasons, unchecked_joins
         )
@@ -403,7 +405,7 @@ def _program_issues(
     """
     main, separation = executed_program.main, executed_program.separation
     yield from (*main.run.issues, *separation.issues, *assumptions, *executed_program.data_issues)
-    yield from issues_of(main, separation.sequence.in_force, separation.sequence.rows, layout)
+    yield from issues_of(main, separation.sequence.motion_states, separation.sequence.rows, layout)
     yield from _cell_value_issues(executed_program)
     if (loop := main.course.endless_loop) is not None:
         yield endless_loop_issue(main.course, loop)

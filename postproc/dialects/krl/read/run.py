@@ -192,7 +192,7 @@ class Run:
     :ivar shown_line: line of the program's own `.src` to report for the present row; 0 if the trace is complete: the
         trace has the line then.
     :ivar is_final: False if the statements must run once more when the trace is complete.
-    :ivar place: the statement that runs, in the file of its routine; None before the first.
+    :ivar statement_place: the statement that runs, in the file of its routine; None before the first.
     :ivar level: the routine that runs.
     :ivar stack: the routines that have been called and have not ended, the running routine last.
     :ivar statement_count: number of statements that have run in called routines and in control structures without
@@ -227,7 +227,7 @@ class Run:
         self.analysis = Analysis(library, self.scopes.scope_of)
         self.row = self.shift = self.shown_line = 0
         self.is_final = True
-        self.place: Place | None = None
+        self.statement_place: Place | None = None
         self.level = Level(library.program, routine, Scope(), is_traced=True)
         self.stack: list[Routine] = [routine]
         self.statement_count = self.call_count = 0

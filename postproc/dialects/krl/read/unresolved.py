@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -138,7 +139,7 @@ def _without_rows(sequence: OrderedMotions, is_dropped: Bools) -> OrderedMotions
     new_row = np.cumsum(is_kept) - 1  # row of each kept motion among the kept ones
     return OrderedMotions(
         rows=sequence.rows.take(is_kept),
-        in_force=sequence.in_force.take(is_kept),
+        motion_states=sequence.motion_states.take(is_kept),
         numbers=sequence.numbers.of_rows(is_kept),
         moves={int(new_row[row]): move for row, move in sequence.moves.items() if is_kept[row]},
     )
@@ -153,65 +154,99 @@ def _synchronised_motions(main: MainRoutine, line: Ints) -> Iterator[tuple[int, 
 
     :param line: (R,) lines of the motions in the trace.
     """
-    trace, marks = main.run.trace, _sync_lines(main)
-    if not marks:
+    trace, sync_lines = main.run.trace, _sync_lines(main)
+    if not sync_lines:
         return
-    # between two marks, and behind the last one unless the programs only wait there
+    # between two lines, and behind the last one unless the programs only wait there
     sections = [
-        (begin, end, f"between SYNCCMD ({trace.place(begin)}) and SYNCCMD ({trace.place(end)})")
-        for (begin, _), (end, _) in pairwise(marks)
+        (begin.row, end.row, f"between SYNCCMD ({trace.place(begin.row)}) and SYNCCMD ({trace.place(end.row)})")
+        for begin, end in pairwise(sync_lines)
     ]
-    last, waits = marks[-1]
-    if not waits:
-        sections.append((last, len(trace) + 1, f"behind SYNCCMD ({trace.place(last)})"))
+    last = sync_lines[-1]
+    if not last.only_waits:
+        sections.append((last.row, len(trace) + 1, f"behind SYNCCMD ({trace.place(last.row)})"))
     for begin, end, section_text in sections:
         for row in np.flatnonzero((line > begin) & (line <= end)).tolist():  # `end` may be the motion before a LOOP
             problem = f"the motion is {section_text}: another robot may move in time with it"
             yield row, trace.error(problem, int(line[row]), _SYNC_ADVICE)
 
 
-def _sync_lines(main: MainRoutine) -> list[tuple[int, bool]]:
-    """Return the lines of the trace that synchronise robots, in order, each with whether the programs only wait there.
+class _SyncLine(NamedTuple):
+    """A line that synchronises robots.
 
-    A SYNCCMD in the action of an INTERRUPT or a TRIGGER may run at any time behind its declaration: no line only waits
-    then. If a LOOP without EXIT contains such lines, the lines before and behind its round are returned too.
+    :ivar row: row of the trace.
+    :ivar only_waits: True if the programs of the robots only wait for each other there.
+    """
+
+    row: int
+    only_waits: bool
+
+
+def _sync_lines(main: MainRoutine) -> list[_SyncLine]:
+    """Return the lines of the trace that synchronise robots, in order.
+
+    If a LOOP without EXIT contains such lines, the lines before and behind its round are returned too.
 
     :returns: empty if no file that has been read synchronises robots.
     """
-    run, course = main.run, main.course
-    modules = [run.library.program, *run.library.read_modules()]
-    if not any(_synchronises(module.source.text) for module in modules):
+    course, trace = main.course, main.course.trace
+    if (words := _sync_words(main)) is None:
         return []
-    routines = [(module, routine) for module in modules for routine in module.routines.values()]
-    sync_words_of = {
-        routine: {_sync_word(routine.source, line) for line in routine.statement_lines} - {""}
-        for _, routine in routines
-    }
-    sync_routines = {routine for routine, routine_words in sync_words_of.items() if routine_words}
-    # names of the routines that synchronise robots, themselves or by calls
-    names = {
-        routine.name.upper()
-        for module, routine in routines
-        if not sync_routines.isdisjoint(run.analysis.reachable_routines(module, routine))
-    }
-    only_waits = set().union(*sync_words_of.values()) <= {_WAIT_WORD}
-    may_run_later = any(
-        isinstance(statement(routine.source, line), Event) and _sync_word(routine.source, line, names)
-        for _, routine in routines
-        for line in routine.statement_lines
-    )
     entry_rows = {step.row for step in course.steps if isinstance(step, RoutineEntry)}
-    marks, trace = [], course.trace
+    sync_lines = []
     for row in range(course.body.first, course.body.stop):
         # rows that set the counter of a FOR are no lines of the file
         if not trace.is_count[row - 1] and (course.may_run is None or course.may_run[row - 1]):
-            word = _sync_word(*trace.place(row), names, is_entered=row in entry_rows)
+            word = _sync_word(*trace.place(row), words.names, is_entered=row in entry_rows)
             if word:
-                marks.append((row, not may_run_later and (only_waits or word == _WAIT_WORD)))
+                only_waits = not words.may_run_later and (words.only_wait or word == _WAIT_WORD)
+                sync_lines.append(_SyncLine(row, only_waits))
     loop = course.endless_loop
-    if loop is not None and any(loop.first <= row < loop.stop for row, _ in marks):
-        marks += [(loop.first - 1, True), (loop.stop, True)]
-    return sorted(marks)
+    if loop is not None and any(loop.first <= line.row < loop.stop for line in sync_lines):
+        sync_lines += [_SyncLine(loop.first - 1, only_waits=True), _SyncLine(loop.stop, only_waits=True)]
+    return sorted(sync_lines)
+
+
+class _SyncWords(NamedTuple):
+    """How the files of a program synchronise robots.
+
+    :ivar names: names, upper case, of the routines that synchronise robots, by their own lines or by calls.
+    :ivar only_wait: True if the programs of the robots only wait for each other at all SYNCCMD.
+    :ivar may_run_later: True if a SYNCCMD is in the action of an INTERRUPT or a TRIGGER: it may run at any time behind
+        its declaration.
+    """
+
+    names: frozenset[str]
+    only_wait: bool
+    may_run_later: bool
+
+
+def _sync_words(main: MainRoutine) -> _SyncWords | None:
+    """Return how the files of a program synchronise robots; None if no file that has been read does."""
+    run = main.run
+    modules = [run.library.program, *run.library.read_modules()]
+    if not any(_synchronises(module.source.text) for module in modules):
+        return None
+    routines = [(module, routine) for module in modules for routine in module.routines.values()]
+    words_of_routine = {
+        routine: {_sync_word(routine.source, line) for line in routine.statement_lines} - {""}
+        for _, routine in routines
+    }
+    sync_routines = {routine for routine, words in words_of_routine.items() if words}
+    names = frozenset(
+        routine.name.upper()
+        for module, routine in routines
+        if not sync_routines.isdisjoint(run.analysis.reachable_routines(module, routine))
+    )
+    return _SyncWords(
+        names,
+        only_wait=set().union(*words_of_routine.values()) <= {_WAIT_WORD},
+        may_run_later=any(
+            isinstance(statement(routine.source, line), Event) and _sync_word(routine.source, line, names)
+            for _, routine in routines
+            for line in routine.statement_lines
+        ),
+    )
 
 
 def _synchronises(text: str, size: int = _PIECE_LENGTH) -> bool:
@@ -260,7 +295,7 @@ def depends_on_start(sequence: OrderedMotions, row: int, *, arcs: bool = True) -
     :param arcs: False to disregard the shape of arcs: circles with complete points and without CA do not count then.
     """
     move = sequence.moves.get(row)
-    if sequence.rows.kind[row] != PTP and sequence.in_force.at(row).orientation == CONSTANT:
+    if sequence.rows.kind[row] != PTP and sequence.motion_states.at(row).orientation == CONSTANT:
         return True
     if move is not None and (move.is_via_incomplete or move.angle is not None):
         return True
