@@ -508,7 +508,8 @@ class _Rewriter:
         text = "".join(pieces)
         piece_offsets = list(accumulate((len(piece) for piece in pieces), initial=0))
         edit_offsets = piece_offsets[1::2]  # pieces alternate: old text, new text of an edit
-        offset = np.zeros(len(self.row), dtype=np.int64)  # of each target in the new text
+        # offsets of the targets in the new text
+        offset = np.zeros(len(self.row), dtype=np.int64)
         for edit, edit_offset in zip(edits, edit_offsets, strict=False):
             for k, offset_in_edit in edit.targets:
                 offset[k] = edit_offset + offset_in_edit
