@@ -44,7 +44,7 @@ _MAX_STATES = 48
 """Largest number of assignments that are kept at each target (assumed)."""
 _PASSES = 3
 """Each pass moves a partner by one place at most: assignments are off by no more than three (assumed)."""
-_EQUAL = 5e-6
+_EQUAL_DISTANCE = 5e-6
 """Targets that are this near [m], after steps that differ by no more, are the same ones (assumed)."""
 _MIN_RUN, _RUN_CHUNK = 3, 4096
 """Equal targets in a row that leave no other assignment likely, and the number of targets compared at once; assumed."""
@@ -199,15 +199,15 @@ def _assign_partners(nominal_track: Track, corrected_track: Track, last_pair: tu
     while row < len(nominal_track):
         cheapest = int(np.argmin(states.cost))
         # the target before is paired with an equal one
-        if states.row[cheapest] == row - 1 >= 0 and norm(states.offset[cheapest]) < _EQUAL:
+        if states.row[cheapest] == row - 1 >= 0 and norm(states.offset[cheapest]) < _EQUAL_DISTANCE:
             first_partner = int(states.partner[cheapest]) + 1
-            run = _equal_count(nominal_track, corrected_track, row, first_partner)
-            if run >= _MIN_RUN:  # nothing else is more likely
+            run_length = _equal_count(nominal_track, corrected_track, row, first_partner)
+            if run_length >= _MIN_RUN:  # nothing else is more likely
                 _write_pairs(assignment, states, origins)
-                assignment[row : row + run] = np.arange(first_partner, first_partner + run)
-                states = tracks.state_of_pair(row + run - 1, first_partner + run - 1)
+                assignment[row : row + run_length] = np.arange(first_partner, first_partner + run_length)
+                states = tracks.state_of_pair(row + run_length - 1, first_partner + run_length - 1)
                 origins.clear()
-                row += run
+                row += run_length
                 continue
         pair_states, origins[row] = tracks.pair_states(states, row)
         unpaired_cost = _PASSED_COST if nominal_track.is_continued[row] else _MISSING_COST
@@ -311,14 +311,14 @@ def _write_pairs(assignment: Ints, states: _States, origins: dict[int, _Origin])
 def _equal_count(nominal_track: Track, corrected_track: Track, row: int, partner: int) -> int:
     """Return the number of consecutive targets, from `row` and `partner` on, that are equal in both tracks.
 
-    The positions of equal targets differ by less than `_EQUAL`, and so do the lengths of the steps to them; both are
-    PTP or neither is. At most `_RUN_CHUNK` targets are compared.
+    The positions of equal targets differ by less than `_EQUAL_DISTANCE`, and so do the lengths of the steps to them.
+    Both are PTP, or neither is. At most `_RUN_CHUNK` targets are compared.
     """
     count = min(len(nominal_track) - row, len(corrected_track) - partner, _RUN_CHUNK)
     nominal_part = _part(nominal_track, slice(row, row + count))
     corrected_part = _part(corrected_track, slice(partner, partner + count))
-    is_same = (norm(corrected_part.position - nominal_part.position) < _EQUAL) & (
-        np.abs(corrected_part.step - nominal_part.step) < _EQUAL
+    is_same = (norm(corrected_part.position - nominal_part.position) < _EQUAL_DISTANCE) & (
+        np.abs(corrected_part.step - nominal_part.step) < _EQUAL_DISTANCE
     )
     is_same &= nominal_part.joint == corrected_part.joint
     return count if is_same.all() else int(np.argmin(is_same))

@@ -301,29 +301,40 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     :param q: (N, 6) commanded joint angles [rad].
     :param position: (N, 3) commanded positions [m]: the controller's path speed is along these.
     """
-    m = program.motions
-    feed = m.feed[sample.motion[1:]]
-    motion_step = np.diff(sample.motion)
-    unchanged_frames = [rows[sample.motion[1:]] == rows[sample.motion[:-1]] for rows in (m.base, m.tool)]
-    has_same_frames = (unchanged_frames[0] & unchanged_frames[1] & (motion_step <= 1)) | (motion_step == 0)
+    m, motion = program.motions, sample.motion[1:]  # of the step before each sample but the first
+    feed = m.feed[motion]
     nominal_travel = norm(np.diff(sample.pose.position, axis=0))
     travel = np.maximum(nominal_travel, norm(np.diff(position, axis=0)))
-    # a run that turns the tool more than it moves it is timed by the controller's orientation speed, not by the feed
-    turning_runs = np.flatnonzero(turn[sample.motion[1:]] > _SMALLEST_ROTATION)
-    rotation = sample.pose[turning_runs + 1, :3, :3] @ np.swapaxes(sample.pose[turning_runs, :3, :3], 1, 2)
-    is_timed_by_turning = np.zeros(len(nominal_travel), dtype=bool)
-    rotation_at_feed = norm(rotation_vector(rotation)) * np.nan_to_num(feed[turning_runs])
-    is_timed_by_turning[turning_runs] = rotation_at_feed > _ORIENTATION_SPEED * nominal_travel[turning_runs]
+    motion_step = np.diff(sample.motion)
+    is_same_base, is_same_tool = (rows[motion] == rows[sample.motion[:-1]] for rows in (m.base, m.tool))
+    has_same_frames = (is_same_base & is_same_tool & (motion_step <= 1)) | (motion_step == 0)
     is_timed_by_feed = (
-        (m.kind[sample.motion[1:]] != PTP)
+        (m.kind[motion] != PTP)
         & has_same_frames
-        & ~is_timed_by_turning
+        & ~_is_timed_by_turning(sample, turn, nominal_travel, feed)
         & (nominal_travel > _SHORTEST_TRAVEL)
         & (feed > 0)
     )
     speed = np.abs(np.diff(q, axis=0, prepend=q[:1]))
     speed[1:] *= np.where(is_timed_by_feed, feed / np.where(is_timed_by_feed, travel, 1.0), 0.0)[:, None]
     return speed
+
+
+def _is_timed_by_turning(sample: Toolpath, turn: Array, travel: Array, feed: Array) -> Bools:
+    """Return which steps between N samples (N − 1,) are timed by the controller's orientation speed, not by the feed.
+
+    Those turn the tool, and would turn it faster at the programmed feed.
+
+    :param turn: (M,) rotation of the tool by each motion [rad].
+    :param travel: (N − 1,) lengths of the steps [m].
+    :param feed: (N − 1,) programmed feeds [m/s]; NaN for PTP.
+    """
+    turning_steps = np.flatnonzero(turn[sample.motion[1:]] > _SMALLEST_ROTATION)
+    rotation = sample.pose[turning_steps + 1, :3, :3] @ np.swapaxes(sample.pose[turning_steps, :3, :3], 1, 2)
+    rotation_at_feed = norm(rotation_vector(rotation)) * np.nan_to_num(feed[turning_steps])
+    is_timed_by_turning = np.zeros(len(travel), dtype=bool)
+    is_timed_by_turning[turning_steps] = rotation_at_feed > _ORIENTATION_SPEED * travel[turning_steps]
+    return is_timed_by_turning
 
 
 def joint_speed_issues(program: Program, robot: RobotModel, sample: Toolpath, speed: Array) -> Iterator[Issue]:

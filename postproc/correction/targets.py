@@ -91,15 +91,16 @@ class ChosenSamples(NamedTuple):
 def choose_samples(
     path: CommandedPath, kind: Ints, is_whole: Bools, is_dense: Bools, least_arc: tuple[float, float]
 ) -> ChosenSamples:
-    """Choose which samples become targets.
+    """Choose which samples become targets: the ends of all motions, and those that the tolerance requires.
 
     :param kind: (M,) kind of each motion to be written; arcs to be written as lines are given as `LIN`.
-    :param is_whole: (M,) motions that are written as one target because their text is kept.
-    :param is_dense: (M,) motions of which every sample becomes a target.
+    :param is_whole: (M,) True for motions that are written as one target because their text is kept.
+    :param is_dense: (M,) True for motions of which every sample becomes a target.
     :param least_arc: smallest arc of the controller, see `dialects.dialect.Writer`; smaller ones become lines.
     """
     sample, arcs = path.sample, path.arcs
-    is_target, kinds, via = sample.is_end | is_dense[sample.motion], kind[sample.motion], np.full(len(sample), -1)
+    is_target = sample.is_end | is_dense[sample.motion]
+    kinds, via = kind[sample.motion], np.full(len(sample), -1)  # of the target at each sample; −1: no auxiliary point
     count = np.bincount(sample.motion, minlength=len(kind))
     divisible_lines = np.flatnonzero((count > 1) & (kind == LIN) & ~is_whole)
     if len(divisible_lines):

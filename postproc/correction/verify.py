@@ -419,9 +419,8 @@ class _ProbeErrors:
 def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackProgram) -> _Probes:
     """Return the probes: the places of the written path at which the deviation is computed.
 
-    A short straight run of a straight move is followed by the deflection in proportion: its end is enough. Runs that
-    are long or turn, those on which the force changes, and pieces of arcs are looked at between; closer where the
-    correction changes much over the run.
+    Each piece, from one target to the next, has a probe at its end. Pieces that are long or curved, that turn the tool,
+    or along which the force changes, have more; and the more, the more the correction changes along them.
     """
     targets, m = selection.targets, readback.program.motions
 
@@ -432,7 +431,7 @@ def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackP
     rows = np.arange(len(targets))
     arc_rows = np.flatnonzero((path.program.motions.kind[targets.motion] == CIRC) | (m.kind[readback.row] == CIRC))
     is_curved, is_uneven = np.zeros((2, len(targets)), dtype=np.bool_)
-    # samples that were found needless are where the force changes: the path is off by part of the tolerance there
+    # the force changes at samples that are no targets: the path may be off there by part of the tolerance
     skips_samples = np.diff(selection.row, prepend=-1) > 1
     is_curved[arc_rows] = True
     limit = _UNEVEN_SHARE * path.robot_in_cell.tolerance

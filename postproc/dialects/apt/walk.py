@@ -223,7 +223,9 @@ class _Walk:
                 self.course.faults.append(_fault_of(cause, int(statements.points[first])))
 
     def _add_gotos(self, row: Ints, numbers: Array) -> None:
-        """Add the moves of GOTO statements: first points of a pending arc, then holes of a cycle or straight moves.
+        """Add the moves of GOTO statements.
+
+        The first points may belong to a pending arc; the others are holes of a cycle, or ends of straight moves.
 
         :param row: (n,) rows of the statements, n > 0.
         :param numbers: (n, 6) x, y, z, i, j, k in the unit of the file; i, j, k are NaN if they are not stated.
@@ -236,7 +238,8 @@ class _Walk:
         self.is_axis_open = False
         first_left = 0  # index of the first statement behind the arc
         circle, self.circle_before = self.circle_before, None
-        if circle is not None and circle.fault_at(end[0]) is None:
+        is_on_circle_before = circle is not None and circle.fault_at(end[0]) is None
+        if is_on_circle_before:
             raise StatementError(*_AMBIGUOUS, int(row[0]))
         if self.pending_arc is not None:
             pending, self.pending_arc = self.pending_arc, None

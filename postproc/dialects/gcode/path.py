@@ -233,11 +233,12 @@ def _rotation_rates(motion_moves: _MotionMoves, lines: LineStates, axes: Array) 
         return rate
     index = motion_moves.index[rotations]
     row, angles = motion_moves.moves.row[index], motion_moves.moves.rotary_angles[index]
-    degrees = norm(angles[:, 1] - angles[:, 0])
+    begin_angles, end_angles = angles[:, 0], angles[:, 1]
+    degrees = norm(end_angles - begin_angles)
     if angles.shape[2] == COMPONENTS:  # directions: no control states the unit of F for their turns
         degrees = np.full(len(rotations), np.nan)
     minutes = np.where(lines.is_inverse_time[row], 1.0, degrees) / lines.written_feed[row]
-    swept_angles = _swept_angles(axes, angles[:, 0] * RAD_PER_DEG, angles[:, 1] * RAD_PER_DEG)
+    swept_angles = _swept_angles(axes, begin_angles * RAD_PER_DEG, end_angles * RAD_PER_DEG)
     rate[rotations] = swept_angles / (minutes * S_PER_MIN)
     return rate
 

@@ -271,7 +271,8 @@ def _data_name(expression: Expression, scope: Scope) -> str:
     variable = scope.find(expression.value)
     if variable is not None and variable.declaration is not None:
         return variable.declaration.spelling
-    return "" if expression.value in scope.inner else str(expression.value)
+    is_parameter_or_local = expression.value in scope.inner
+    return "" if is_parameter_or_local else str(expression.value)
 
 
 def _numbers(value: Value, *, joints: bool) -> list[float]:

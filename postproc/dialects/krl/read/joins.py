@@ -252,33 +252,33 @@ def _branch_predecessors(
     open_forks: list[_OpenFork] = []
     joins: list[tuple[Join, JoinedEnds]] = []
     fork_lines = np.full(count + 1, 0)
-    previous_row, row_count = -1, 0  # last motion before the present step on its branch; number of motions passed
+    last_motion, next_motion = -1, 0  # that runs last before the present step; that is the first after it
 
-    def run_to(row: int) -> None:
-        """Pass the motions up to, not including, `row`; the first of them begins at the end of `previous_row`."""
-        nonlocal previous_row, row_count
-        if row > row_count:
-            if branch_predecessors[row_count] != row_count:
-                branch_predecessors[row_count] = previous_row
-            previous_row, row_count = row - 1, row
+    def pass_motions(stop: int) -> None:
+        """Pass the motions before `stop`; the first of them begins at the end of `last_motion`."""
+        nonlocal last_motion, next_motion
+        if stop > next_motion:
+            if branch_predecessors[next_motion] != next_motion:  # its start is known
+                branch_predecessors[next_motion] = last_motion
+            last_motion, next_motion = stop - 1, stop
 
     for step in steps:
-        run_to(int(np.searchsorted(line, step.row, side="right")))  # motions up to the line of the step
-        fork_lines[row_count] = open_forks[-1].line if open_forks else step.row
+        pass_motions(int(np.searchsorted(line, step.row, side="right")))  # those up to the line of the step
+        fork_lines[next_motion] = open_forks[-1].line if open_forks else step.row
         if isinstance(step, Fork):
-            open_forks.append(_OpenFork(step.row, previous_row, [], is_begun=False))
+            open_forks.append(_OpenFork(step.row, last_motion, [], is_begun=False))
             continue
         fork, entry, ends, is_begun = open_forks.pop()
         if isinstance(step, Branch):
             # the branch before ends here, if this one is not the first
-            open_forks.append(_OpenFork(fork, entry, [*ends, previous_row] if is_begun else ends, is_begun=True))
-            previous_row = entry
+            open_forks.append(_OpenFork(fork, entry, [*ends, last_motion] if is_begun else ends, is_begun=True))
+            last_motion = entry
         else:
             # if all branches may be skipped, the motion before the fork is an end too
-            ends = [*ends, previous_row, *([] if step.is_exhaustive else [entry])]
+            ends = [*ends, last_motion, *([] if step.is_exhaustive else [entry])]
             joins.append((step, JoinedEnds(fork, tuple(sorted(set(ends))))))
-            previous_row = min(ends)
-    run_to(count)
+            last_motion = min(ends)
+    pass_motions(count)
     return _BranchPredecessors(branch_predecessors, fork_lines, joins)
 
 
@@ -322,50 +322,51 @@ class _Transitions(NamedTuple):
 def transitions(
     course: Course, line: Ints, predecessors: Ints | None, kept_lines: Sequence[int], unchecked_joins: Set[Join]
 ) -> tuple[tuple[int, int], ...]:
-    """Return pairs of a motion and another motion at whose end it may begin too, see `Program.transitions`.
+    """Return pairs (motion, previous motion): further motions at whose ends a motion may begin.
 
-    The motion at whose end it begins by `predecessors` is left out.
+    See `Program.transitions`. The previous motions that `predecessors` states are left out.
 
     :param line: (M,) lines of the trace with the motions.
     :param predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
-    :param kept_lines: lines of uncorrected motions; behind the last corrected motion, they end a round in an unknown
-        pose.
+    :param kept_lines: lines of uncorrected motions. If one is behind the last corrected motion, an endless loop ends
+        its round in an unknown pose.
     :param unchecked_joins: joins at which branches may end in different poses; at other joins all branches end in one
         pose, so that one of their last motions stands for all.
     """
     previous_rows = np.arange(len(line)) - 1 if predecessors is None else predecessors
     further_transitions: list[tuple[int, int]] = []
     open_forks: list[_Transitions] = []
-    ends, row_count = {-1}, 0  # motions that may end right before the present step; number of motions so far
+    last_motions, next_motion = {-1}, 0  # that may run last before the present step; that is the first after it
 
-    def run_to(row: int) -> None:
-        """Pass the motions up to, not including, `row`; note at which further ends the first of them may begin."""
-        nonlocal ends, row_count
-        if row > row_count:
-            if previous_rows[row_count] != row_count:
-                further_transitions.extend((row_count, end) for end in sorted(ends) if end != previous_rows[row_count])
-            ends, row_count = {row - 1}, row
+    def pass_motions(stop: int) -> None:
+        """Pass the motions before `stop`; add the transitions from `last_motions` to the first of them."""
+        nonlocal last_motions, next_motion
+        if stop > next_motion:
+            previous_row = previous_rows[next_motion]
+            if previous_row != next_motion:  # its start is known
+                further_transitions.extend((next_motion, end) for end in sorted(last_motions) if end != previous_row)
+            last_motions, next_motion = {stop - 1}, stop
 
     for step in course.steps:
         if not isinstance(step, Fork | Branch | Join):
             continue
-        run_to(int(np.searchsorted(line, step.row, side="right")))  # motions up to the line of the step
+        pass_motions(int(np.searchsorted(line, step.row, side="right")))  # those up to the line of the step
         if isinstance(step, Fork):
-            open_forks.append(_Transitions(ends, set(), is_begun=False))
+            open_forks.append(_Transitions(last_motions, set(), is_begun=False))
             continue
         entries, branch_ends, is_begun = open_forks.pop()
         if is_begun or isinstance(step, Join):  # a branch ends here
-            branch_ends = branch_ends | ends
+            branch_ends = branch_ends | last_motions
         if isinstance(step, Branch):
             open_forks.append(_Transitions(entries, branch_ends, is_begun=True))
-            ends = entries
+            last_motions = entries
         else:
             # if all branches may be skipped, the motions before the fork are ends too
             branch_ends = branch_ends if step.is_exhaustive else branch_ends | entries
-            ends = branch_ends if step in unchecked_joins else {min(branch_ends)}
-    run_to(len(line))
+            last_motions = branch_ends if step in unchecked_joins else {min(branch_ends)}
+    pass_motions(len(line))
     if max(kept_lines, default=0) < max(line, default=0):  # the last motion is corrected
-        further_transitions += _round_transitions(course, line, previous_rows, ends)
+        further_transitions += _round_transitions(course, line, previous_rows, last_motions)
     return tuple(dict.fromkeys(further_transitions))
 
 

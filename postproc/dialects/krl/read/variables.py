@@ -815,7 +815,7 @@ def component(position: Position, field: str) -> VariableValue:
     value = position.values[CARTESIAN.index(field)]
     if field in ANGLES and not _has_unique_angles(position):
         return UnknownValue(reason=f"two sets of A, B, C describe this orientation, and {field} may be that of either")
-    return Number(value, 0, 0)  # a REAL, in no text
+    return Number(value, start=0, stop=0)  # a REAL that is in no text
 
 
 def with_component(position: Position, field: str, value: float) -> Position | None:

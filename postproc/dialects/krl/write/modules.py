@@ -18,6 +18,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -163,9 +164,10 @@ def _possible_ends(program: Program, cell: Cell) -> Ints:
 
 
 def _heights_above_cuts(program: Program, cell: Cell, candidates: Ints) -> Array:
-    """Return the heights (n,) [m] of the ends of motions above everything that the program cuts; negative below.
+    """Return the heights (n,) [m] of the ends of motions above everything that the program cuts.
 
-    The height of a motion is measured along its own tool axis. Arcs count as whole circles.
+    The height of a motion is measured along its own tool axis. It is negative below the highest cut, and infinite
+    without cuts. Arcs count as whole circles.
 
     :param candidates: (n,) the motions.
     """
@@ -176,19 +178,40 @@ def _heights_above_cuts(program: Program, cell: Cell, candidates: Ints) -> Array
     tool_axis = sign * np.einsum(
         "nij,nj->ni", base[candidates, :3, :3], motions.target[candidates, :3, :3][:, :, column]
     )
-    cuts = np.flatnonzero(~motions.rapid)
-    arcs = np.flatnonzero(motions.kind == CIRC)
-    centre = np.einsum("nij,nj->ni", base[arcs, :3, :3], motions.centre[arcs]) + base[arcs, :3, 3]
-    normal = np.einsum("nij,nj->ni", base[arcs, :3, :3], motions.normal[arcs])
-    radius = norm(np.cross(motions.normal[arcs], motions.target.position[arcs] - motions.centre[arcs]))
+    cut_ends, circles = position[~motions.rapid], _circles_in_root(program)
     height = np.empty(len(candidates))
     axes, axis_index = np.unique(tool_axis.round(_AXIS_DECIMALS), axis=0, return_inverse=True)
     for index, axis in enumerate(axes):
         along_axis = np.flatnonzero(axis_index.ravel() == index)
-        arc_heights = centre @ axis + radius * norm(np.cross(normal, axis))  # of the highest point of each circle
-        highest_cut = max((position[cuts] @ axis).max(initial=-np.inf), arc_heights.max(initial=-np.inf))
+        circle_tops = circles.centre @ axis + circles.radius * norm(np.cross(circles.normal, axis))
+        highest_cut = max((cut_ends @ axis).max(initial=-np.inf), circle_tops.max(initial=-np.inf))
         height[along_axis] = position[candidates[along_axis]] @ axis - highest_cut
     return height
+
+
+class _Circles(NamedTuple):
+    """The circles of the n arcs of a program, in the robot root.
+
+    :ivar centre: (n, 3) [m].
+    :ivar normal: (n, 3) unit vectors.
+    :ivar radius: (n,) [m].
+    """
+
+    centre: Array
+    normal: Array
+    radius: Array
+
+
+def _circles_in_root(program: Program) -> _Circles:
+    """Return the circles of the arcs of a program, in the robot root."""
+    motions = program.motions
+    arcs = np.flatnonzero(motions.kind == CIRC)
+    base = program.bases[motions.base[arcs]]
+    return _Circles(
+        centre=np.einsum("nij,nj->ni", base[:, :3, :3], motions.centre[arcs]) + base[:, :3, 3],
+        normal=np.einsum("nij,nj->ni", base[:, :3, :3], motions.normal[arcs]),
+        radius=norm(np.cross(motions.normal[arcs], motions.target.position[arcs] - motions.centre[arcs])),
+    )
 
 
 def _text(lines: Sequence[str]) -> str:
