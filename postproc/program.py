@@ -320,7 +320,7 @@ class Starts(Struct, frozen=True, eq=False):
 
     def at(self, motion: Ints) -> Array:
         """Return the tool frames (n, 4, 4) at the start of motions (n,), in their `$BASE` [m]."""
-        pose = self.end(motion - 1)
+        pose = self.end(motion - 1)  # of motion 0, which is a changed one, replaced below
         place, has_start = self.find_changed(motion)
         pose[has_start] = self.pose[place[has_start]]
         return pose

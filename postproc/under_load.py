@@ -506,7 +506,7 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
         :param linearize_arcs: replace arcs by chords.
         """
         tolerance = self.robot_in_cell.tolerance
-        arcs = toolpath.pieces(self.program, self.segments, tolerance, self.estimate, linearize_arcs=linearize_arcs)
+        arcs = toolpath.pieces(self.segments, tolerance, self.estimate, linearize_arcs=linearize_arcs)
         return forces.refined_arcs(self.forces, arcs, self.estimate, self.compliance, SHARE_OF_TOLERANCE * tolerance)
 
 

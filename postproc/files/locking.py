@@ -56,21 +56,21 @@ def _lock_folder(folder: Path, waiting: Callable[[str], None] | None) -> Iterato
     from filelock import FileLock  # takes 15 ms, where files are written only
 
     new_folders = _missing_folders(folder)
-    lock = FileLock(folder / _NAME)
-    _acquire(lock, folder, waiting)
+    file_lock = FileLock(folder / _NAME)
+    _acquire(file_lock, folder, waiting)
     _locked_folders.add(folder)
     try:
-        if lock.is_locked and lock.__class__ is FileLock:  # else the file has the content that makes it a lock
+        if file_lock.is_locked and file_lock.__class__ is FileLock:  # a soft lock writes its file itself
             with contextlib.suppress(OSError):
                 (folder / _NAME).write_text(_this_process(), encoding="utf-8")
         yield
     finally:
         _locked_folders.discard(folder)
-        if lock.is_locked:
+        if file_lock.is_locked:
             if _POSIX:  # removed while locked: a process that has it open notices, and makes another
                 with contextlib.suppress(OSError):
                     (folder / _NAME).unlink()
-            lock.release()
+            file_lock.release()
         if not _POSIX:
             with contextlib.suppress(OSError):
                 (folder / _NAME).unlink()
@@ -79,7 +79,7 @@ def _lock_folder(folder: Path, waiting: Callable[[str], None] | None) -> Iterato
                 path.rmdir()  # where nothing was written
 
 
-def _acquire(lock: BaseFileLock, folder: Path, waiting: Callable[[str], None] | None) -> None:
+def _acquire(file_lock: BaseFileLock, folder: Path, waiting: Callable[[str], None] | None) -> None:
     """Make a folder and wait for its lock; goes on without it if the folder cannot be made or the drive has no locks.
 
     :param waiting: is called with a message if another process has the lock.
@@ -92,7 +92,7 @@ def _acquire(lock: BaseFileLock, folder: Path, waiting: Callable[[str], None] | 
         while True:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
-                lock.acquire(timeout=0)
+                file_lock.acquire(timeout=0)
                 break
             except Timeout:
                 attempts += 1

@@ -146,26 +146,46 @@ def convert(
         kind = msgspec.inspect.type_info(structure)
         wrong_keys = list(islice(_wrong_keys(data, kind, ""), MAX_ERRORS + 1))
         if wrong_keys:
-            has_only_missing_keys = all(problem.startswith("missing") for problem, _ in wrong_keys)
-            advice = example if example and has_only_missing_keys else None
-            advices = [valid for _, valid in wrong_keys]
-            advices[-1] = "\n".join(filter(None, (advices[-1], advice))) or None
-            errors = [
-                error(problem, file=file, line=line_of_unknown(text, problem), advice=valid)
-                for (problem, _), valid in zip(wrong_keys, advices, strict=True)
-            ]
-            raise combined_error(errors) from cause
-        message, key = str(cause).removesuffix("`"), ""
-        if " - at `$" in message:
-            message, key = message.split(" - at `$")
-            message = _explain_value(f"{key.removeprefix('.')}: {message}", data, key.removeprefix("."))
-        valid = _valid_values(kind, key, re.search(r"enum value '(.*)'", message))
-        message = _explain_quoted_number(message)
-        for old, new in (("`object`", "a table"), ("`array`", "a list"), ("Invalid enum value", "no such value:")):
-            message = message.replace(old, new)
-        given_key = message.partition(": ")[0] if key else ""
-        line = line_of(text, given_key if "..." not in given_key else key.removeprefix("."))
-        raise error(message, file=file, line=line, advice=valid) from cause
+            raise _error_of_keys(wrong_keys, file, error, example, text) from cause
+        raise _error_of_value(str(cause), data, kind, file, error, text) from cause
+
+
+def _error_of_keys(
+    wrong_keys: Sequence[tuple[str, str | None]], file: str, error: type[Error], example: str | None, text: str
+) -> Error:
+    """Return the error for keys that are unknown or missing.
+
+    :param wrong_keys: problem and advice for each, as of `_wrong_keys`; at least one.
+    :param example: added to the last advice if keys are missing and none is unknown; None: no example.
+    :param text: see `convert`.
+    """
+    advices = [advice for _, advice in wrong_keys]
+    if example and all(problem.startswith("missing") for problem, _ in wrong_keys):
+        advices[-1] = "\n".join(filter(None, (advices[-1], example)))
+    return combined_error(
+        error(problem, file=file, line=line_of_unknown(text, problem), advice=advice)
+        for (problem, _), advice in zip(wrong_keys, advices, strict=True)
+    )
+
+
+def _error_of_value(cause: str, data: object, kind: Any, file: str, error: type[Error], text: str) -> Error:
+    """Return the error for a value of a wrong type or out of range.
+
+    :param cause: message of msgspec, which ends with the key after "at `$" if it is about a key.
+    :param kind: msgspec's type of the data.
+    :param text: see `convert`.
+    """
+    message, _, path = cause.removesuffix("`").partition(" - at `$")
+    key = path.removeprefix(".")
+    if path:
+        message = _explain_value(f"{key}: {message}", data, key)
+    advice = _valid_values(kind, path, re.search(r"enum value '(.*)'", message))
+    message = _explain_quoted_number(message)
+    for old, new in (("`object`", "a table"), ("`array`", "a list"), ("Invalid enum value", "no such value:")):
+        message = message.replace(old, new)
+    full_key = message.partition(": ")[0] if path else ""
+    line = line_of(text, full_key if "..." not in full_key else key)
+    return error(message, file=file, line=line, advice=advice)
 
 
 _RANGE = re.compile(r"Expected `(?:float|int)` (?P<relation><=|>=|<|>) (?P<limit>\S+)$")
@@ -255,7 +275,8 @@ def _wrong_keys_of_table(
             parent, _, entry = at.rpartition(".")
             advice = f'A name with a dot is in quotes: [{parent}."{entry}.{name}"]. {advice}'
         yield f"unknown {key}", advice
-    intended_names = {nearest_name(name, fields) for name in unknown_names}  # a intended_names key is not missing too
+    # the key that a misspelt one means is not missing too
+    intended_names = {nearest_name(name, fields) for name in unknown_names}
     missing_keys = [
         f"[{_full_key(at, name)}]" if isinstance(_type_without_none(field.type), msgspec.inspect.StructType) else name
         for name, field in fields.items()
@@ -595,10 +616,9 @@ def read_facets(path: Path) -> tuple[Array, Array]:
     """
     mesh = read_mesh(path, InputError, "mesh of the part")
     corners: Array = np.asarray(mesh.triangles) * M_PER_MM
-    coarse = _chord_heights(mesh) * M_PER_MM
-    if mesh.is_watertight and mesh.volume < 0.0:
+    if mesh.is_watertight and mesh.volume < 0.0:  # inside out
         corners = corners[:, ::-1]
-    return _subdivide(corners, coarse)
+    return _subdivide(corners, _chord_heights(mesh) * M_PER_MM)
 
 
 def _chord_heights(mesh: Any) -> Array:
@@ -609,7 +629,7 @@ def _chord_heights(mesh: Any) -> Array:
     facets, angle = np.asarray(mesh.face_adjacency), np.asarray(mesh.face_adjacency_angles)
     is_smooth = angle < _EDGE
     ends = np.asarray(mesh.vertices)[np.asarray(mesh.face_adjacency_edges)[is_smooth]]
-    length = np.maximum(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), 1e-12)
+    length = np.maximum(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), 1e-12)  # it is a divisor
     height = np.zeros(len(mesh.faces))
     for side in range(2):
         facet = facets[is_smooth, side]
@@ -618,11 +638,12 @@ def _chord_heights(mesh: Any) -> Array:
     return height
 
 
-def _subdivide(corners: Array, coarse: Array) -> tuple[Array, Array]:
+def _subdivide(corners: Array, chord_height: Array) -> tuple[Array, Array]:
     """Return facets, halved until the longest side of each is short compared with the part, or there are too many.
 
-    :param corners: (F, 3, 3) [m]; `coarse`: (F,) values of the facets, which their halves inherit.
-    :returns: corners (G, 3, 3) [m] and values (G,) of the facets after that.
+    :param corners: (F, 3, 3) [m].
+    :param chord_height: (F,) [m]; the halves of a facet inherit it.
+    :returns: corners (G, 3, 3) [m] and chord heights (G,) [m] of the halved facets.
     """
     limit = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) / _SIDES_PER_PART
     while True:
@@ -630,10 +651,11 @@ def _subdivide(corners: Array, coarse: Array) -> tuple[Array, Array]:
         longest_side = np.argmax(side, axis=1)
         is_long = side.max(axis=1) > limit
         if not is_long.any() or len(corners) + np.count_nonzero(is_long) > _MOST_FACETS:
-            return corners, coarse
-        rows, first = np.flatnonzero(is_long), longest_side[is_long]
-        a, b, c = (corners[rows, (first + k) % 3] for k in range(3))
+            return corners, chord_height
+        # a and b are the ends of the longest side
+        rows, first_corner = np.flatnonzero(is_long), longest_side[is_long]
+        a, b, c = (corners[rows, (first_corner + k) % 3] for k in range(3))
         middle = 0.5 * (a + b)
         halves = [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]
         corners = np.concatenate([corners[~is_long], *halves])
-        coarse = np.concatenate([coarse[~is_long], coarse[is_long], coarse[is_long]])
+        chord_height = np.concatenate([chord_height[~is_long], chord_height[is_long], chord_height[is_long]])

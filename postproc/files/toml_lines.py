@@ -25,21 +25,22 @@ def line_of(text: str, key: str) -> int | None:
     :param text: empty: there is none.
     :param key: with its tables, as ``gcode.motions``; indices are left out. ``[...]`` stands for any name or index.
     """
-    plain = re.sub(r"\[\d+\]", "", key).replace("[...]", f".{_ANY_KEY}")
-    key_parts = [part.strip("\"'") for part in _PART.findall(plain)]
-    exact, inline, table = [], [], list[str]()
+    key_without_indices = re.sub(r"\[\d+\]", "", key).replace("[...]", f".{_ANY_KEY}")
+    key_parts = [part.strip("\"'") for part in _PART.findall(key_without_indices)]
+    lines_of_key, lines_around_key, table = list[int](), list[int](), list[str]()
     for number, line in enumerate(text.splitlines(), 1):
         if header := _HEADER.match(line):
             path = table = _key_parts(header[1])
         elif "=" in line and not line.lstrip().startswith("#"):
             path = [*table, *_key_parts(line.partition("=")[0])]
-            if _is_part_of_line(path, key_parts):
-                inline.append(number)
         else:
             continue
-        if len(path) == len(key_parts) and _is_part_of_line(path, key_parts):
-            exact.append(number)
-    lines = exact or inline
+        if _is_in_line(path, key_parts):
+            if len(path) == len(key_parts):
+                lines_of_key.append(number)
+            elif not header:  # an inline table or list, which has the key in it
+                lines_around_key.append(number)
+    lines = lines_of_key or lines_around_key
     return lines[0] if len(lines) == 1 else None
 
 
@@ -48,12 +49,11 @@ def _key_parts(text: str) -> list[str]:
     return [part.strip().strip("\"'") for part in _PART.findall(text.strip())]
 
 
-def _is_part_of_line(path: Sequence[str], key_parts: Sequence[str]) -> bool:
-    """Return whether the parts of a key begin with those of a line, ``*`` being any part.
+def _is_in_line(path: Sequence[str], key_parts: Sequence[str]) -> bool:
+    """Return whether a line gives a key, or an inline table or list that has the key in it.
 
-    The key is then that of the line, or inside its inline table or list.
-
-    :param path: parts of the key of the line; `key_parts`: of the wanted key.
+    :param path: parts of the key of the line.
+    :param key_parts: parts of the wanted key; ``*`` is any part.
     """
     return len(path) <= len(key_parts) and all(
         key_part in (part, _ANY_KEY) for part, key_part in zip(path, key_parts, strict=False)

@@ -449,7 +449,7 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
         motion=place_motion[order],
         t=place_t[order],
         change=np.append(_displacement_sizes(change, compliance)[knot_rows], step_size[step])[order],
-        bends=np.append(bends[knot_rows], np.ones(len(step), dtype=np.bool_))[order],
+        is_bend=np.append(bends[knot_rows], np.ones(len(step), dtype=np.bool_))[order],
         turning=rotating_size,
         size=_largest_of_motions(forces, _displacement_sizes(forces.wrench[:], compliance)),
         swings=swings,

@@ -65,7 +65,7 @@ class Segments(Struct, frozen=True, eq=False):
 
     def begin(self, motion: Ints) -> Array:
         """Return the positions (n, 3) where motions (n,) start [m]."""
-        position = self.end.take(motion - 1, axis=0)
+        position = self.end.take(motion - 1, axis=0)  # of motion 0, which is a changed one, replaced below
         index, is_changed = self.start.find_changed(motion)
         position[is_changed] = self.start.pose[index[is_changed], :3, 3]
         return position
@@ -96,7 +96,8 @@ class Arcs(Struct, frozen=True, eq=False):
     def position(self, motion: Ints, t: Array) -> Array:
         """Return the positions (n, 3) at places (motion, t) [m]."""
         arc = np.searchsorted(self.motion, motion)
-        (sine, cosine), scale = sine_and_cosine(self.sweep[arc] * t), 1.0 + self.growth[arc] * t
+        sine, cosine = sine_and_cosine(self.sweep[arc] * t)
+        scale = 1.0 + self.growth[arc] * t
         point = self.centre.take(arc, axis=0)  # `take` of rows is several times faster than an index
         for share, vector in ((scale * cosine, self.radial), (scale * sine, self.across), (t, self.climb)):
             point += share[:, None] * vector.take(arc, axis=0)
@@ -105,9 +106,11 @@ class Arcs(Struct, frozen=True, eq=False):
     def velocity(self, motion: Ints, t: Array) -> Array:
         """Return the derivatives (n, 3) of the positions by t at places (motion, t) [m]."""
         arc = np.searchsorted(self.motion, motion)
-        angle, scale, growth = self.sweep[arc] * t, 1.0 + self.growth[arc] * t, self.growth[arc]
-        (sin, cos), turning = sine_and_cosine(angle), self.sweep[arc] * scale
-        radial_rate, tangential_rate = growth * cos - turning * sin, growth * sin + turning * cos
+        sweep, growth = self.sweep[arc], self.growth[arc]
+        sine, cosine = sine_and_cosine(sweep * t)
+        scaled_sweep = sweep * (1.0 + growth * t)
+        radial_rate = growth * cosine - scaled_sweep * sine
+        tangential_rate = growth * sine + scaled_sweep * cosine
         radial, tangential, climb = (vector.take(arc, axis=0) for vector in (self.radial, self.across, self.climb))
         return np.asarray(radial_rate[:, None] * radial + tangential_rate[:, None] * tangential + climb)
 
@@ -332,16 +335,17 @@ def continues(program: Program, path: Segments) -> Bools:
     Both motions have the same `$BASE` and `$TOOL`, turn the tool by as much per length, and are both rapid or not.
     """
     m = program.motions
-    is_continued = np.zeros(len(m), dtype=bool)
-    smooth = np.logical_and.reduce([column[1:] == column[:-1] for column in (m.kind, m.base, m.tool, m.rapid)])
-    smooth &= np.minimum(path.length[:-1], path.length[1:]) > _SAME_LINE
-    smooth &= np.abs(np.diff(path.turn / np.maximum(path.length, _SAME_LINE))) < _SAME_RATE
+    # row k is the pair of motions k and k + 1
+    is_alike = np.logical_and.reduce([column[1:] == column[:-1] for column in (m.kind, m.base, m.tool, m.rapid)])
+    is_alike &= np.minimum(path.length[:-1], path.length[1:]) > _SAME_LINE
+    is_alike &= np.abs(np.diff(path.turn / np.maximum(path.length, _SAME_LINE))) < _SAME_RATE
     if program.after is not None:
-        smooth &= program.after[1:] == np.arange(len(m) - 1)
-    lines, arcs = (np.flatnonzero(smooth & (m.kind[1:] == kind)) for kind in (LIN, CIRC))
-    is_continued[lines + 1] = _is_line_continued(program, path, lines)
-    is_continued[arcs + 1] = _is_arc_continued(program, path, arcs)
-    return is_continued
+        is_alike &= program.after[1:] == np.arange(len(m) - 1)
+    lines, arcs = (np.flatnonzero(is_alike & (m.kind[1:] == kind)) for kind in (LIN, CIRC))
+    continues_motion = np.zeros(len(m), dtype=bool)
+    continues_motion[lines + 1] = _is_line_continued(program, path, lines)
+    continues_motion[arcs + 1] = _is_arc_continued(program, path, arcs)
+    return continues_motion
 
 
 def _is_line_continued(program: Program, path: Segments, lines: Ints) -> Bools:
@@ -392,8 +396,8 @@ def circle_through(a: Array, b: Array, c: Array) -> ArcsThroughPoints:
     normal = np.cross(ab, ac)
     square = np.einsum("ni,ni->n", normal, normal)[:, None]
     # the height of b over ac is ‖normal‖/‖ac‖: below 1e-12 of ‖ac‖ the points are on one line in double precision
-    flat = square[:, 0] <= 1e-24 * np.einsum("ni,ni->n", ac, ac) ** 2
-    square = np.where(flat[:, None], 1.0, square)
+    is_straight = square[:, 0] <= 1e-24 * np.einsum("ni,ni->n", ac, ac) ** 2
+    square = np.where(is_straight[:, None], 1.0, square)
     ab2, ac2 = np.einsum("ni,ni->n", ab, ab)[:, None], np.einsum("ni,ni->n", ac, ac)[:, None]
     centre = a + np.cross(ab2 * ac - ac2 * ab, normal) / (2.0 * square)
     unit = normal / np.sqrt(square)
@@ -485,13 +489,13 @@ def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point
     :param t: places on the motions.
     """
     m = program.motions
-    in_tool = inverse(program.tools) @ np.append(point, 1.0)
-    if len(program.bases) == len(program.tools) == 1:
-        in_base = np.einsum("nij,j->ni", pose_tcp_in_base, in_tool[0])
-        position = np.einsum("ij,nj->ni", program.bases[0, :3], in_base)
+    point_in_tool = inverse(program.tools) @ np.append(point, 1.0)  # a row for each tool; homogeneous
+    if len(program.bases) == len(program.tools) == 1:  # the usual case, without a copy of the frames for each row
+        point_in_base = np.einsum("nij,j->ni", pose_tcp_in_base, point_in_tool[0])
+        position = np.einsum("ij,nj->ni", program.bases[0, :3], point_in_base)
     else:
-        point_in_base = pose_tcp_in_base @ in_tool[m.tool[motion]][..., None]
-        position = (program.bases[m.base[motion], :3] @ point_in_base)[..., 0]
+        column_in_base = pose_tcp_in_base @ point_in_tool[m.tool[motion]][..., None]
+        position = (program.bases[m.base[motion], :3] @ column_in_base)[..., 0]
     if program.carriage is not None and t is not None:
         position = position - program.carriage.offset(motion, t)
     return np.asarray(position)

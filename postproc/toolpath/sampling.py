@@ -34,16 +34,16 @@ _LARGEST_ANGLE = 120.0 * RAD_PER_DEG
 """Largest angle of a piece of an arc: three points then define the circle well (assumed)."""
 _COARSE_ANGLE = 45.0 * RAD_PER_DEG
 """Pieces at most this large show how many are needed: their error grows with the square of their angle."""
-_TURNING, _GROWING = 0.2, 0.13
+_TURNING_ERROR, _GROWING_ERROR = 0.2, 0.13
 """A circle through three points of an arc misses displacements that turn with the arc by the first times the square of
 its angle [1/rad²], and those that grow along it by the second times its angle [1/rad] (found by trying: of their
 size)."""
 _DEFLECTION_LENGTH = 1.0
 """Length [m] over which the deflection changes by its own size: about that of an arm (assumed)."""
-_LEAST_SHARE = 0.1
+_LEAST_CHANGE_SHARE = 0.1
 """Share of the tolerance by which the displacement must change along an arc that is divided at bends of the force
 (assumed)."""
-_CERTAIN = 0.2
+_ACCEPTED_SHARE = 0.2
 """Share of the tolerance up to which the estimated error of a piece is accepted without being measured (assumed)."""
 _SAME_PLACE = 1e-9
 """Places t on a motion that differ by less are one place: the difference is rounding."""
@@ -95,7 +95,7 @@ class DisplacementEstimate(Struct, frozen=True, eq=False):
         other motions those where it bends.
     :param t: (K,) place on it, in [0, 1].
     :param change: (K,) change of the displacement since the previous place on the motion [m].
-    :param bends: (K,) True inside a motion where the rate of the force changes, or the force has a step.
+    :param is_bend: (K,) True inside a motion where the rate of the force changes, or the force has a step.
     :param turning: (M,) size of the displacement that turns with the direction of travel [m].
     :param size: (M,) largest size of the displacement [m].
     :param swings: (M,) True for arcs that come near the direction of the spindle, where FEED axes turn quickly.
@@ -104,7 +104,7 @@ class DisplacementEstimate(Struct, frozen=True, eq=False):
     motion: Ints
     t: Array
     change: Array
-    bends: Bools
+    is_bend: Bools
     turning: Array
     size: Array
     swings: Bools
@@ -186,21 +186,14 @@ class Pieces(Columns, frozen=True, eq=False):
         return np.searchsorted(self.motion + self.begin, motion + t) - 1
 
 
-def pieces(
-    program: Program,
-    path: Segments,
-    tolerance: float,
-    estimate: DisplacementEstimate,
-    *,
-    linearize_arcs: bool = False,
-) -> Pieces:
+def pieces(path: Segments, tolerance: float, estimate: DisplacementEstimate, *, linearize_arcs: bool = False) -> Pieces:
     """Return the numbers of pieces with which the subdivision of the arcs begins.
 
-    Where the estimated error of the least number of pieces is small that number is final, elsewhere a first try.
+    The least number of pieces is final if its estimated error is small. Else an even number is a first try.
 
     :param tolerance: largest path error [m].
     :param estimate: the change of the displacement along the motions.
-    :param linearize_arcs: pieces are chords that keep half the tolerance.
+    :param linearize_arcs: pieces are chords that keep half the tolerance; their number is final.
     """
     arcs = path.arcs
     stretches = _stretches(arcs.motion, estimate, tolerance)
@@ -213,7 +206,7 @@ def pieces(
         samples = np.maximum(samples, angle * np.sqrt(radius / tolerance) / 2.0)
     min_pieces = np.maximum(1, np.ceil(angle / _LARGEST_ANGLE - _ROUNDING).astype(np.int64))
     path_error = _stretch_errors(path, estimate, stretches) / min_pieces**2
-    uncertain = (path_error > _CERTAIN * tolerance) & (not linearize_arcs)
+    uncertain = (path_error > _ACCEPTED_SHARE * tolerance) & (not linearize_arcs)
     even_number = 2 * np.ceil(np.maximum(angle / _COARSE_ANGLE, min_pieces) / 2.0 - _ROUNDING).astype(np.int64)
     return Pieces(
         motion=motion,
@@ -238,7 +231,7 @@ def _stretch_errors(path: Segments, estimate: DisplacementEstimate, stretches: _
     turning_part = estimate.turning[motion] + size * radius / _DEFLECTION_LENGTH
     growth = norm(arcs.climb)[arc] + np.abs(arcs.growth[arc]) * radius + size * path.turn[motion]
     growing_part = stretches.change + share * growth
-    return _TURNING * angle**2 * turning_part + _GROWING * angle * growing_part
+    return _TURNING_ERROR * angle**2 * turning_part + _GROWING_ERROR * angle * growing_part
 
 
 class _Stretches(NamedTuple):
@@ -262,9 +255,10 @@ def _stretches(arcs: Ints, estimate: DisplacementEstimate, tolerance: float) -> 
     """
     rows = np.flatnonzero(np.isin(estimate.motion, arcs))
     arc_of_row = np.searchsorted(arcs, estimate.motion[rows])
-    is_noticeable = np.bincount(arc_of_row, estimate.change[rows], len(arcs)) > _LEAST_SHARE * tolerance
+    is_noticeable = np.bincount(arc_of_row, estimate.change[rows], len(arcs)) > _LEAST_CHANGE_SHARE * tolerance
     rows, arc_of_row = rows[is_noticeable[arc_of_row]], arc_of_row[is_noticeable[arc_of_row]]
-    is_bend = estimate.bends[rows]
+    # stretches begin at the starts of the arcs and at the bends
+    is_bend = estimate.is_bend[rows]
     arc = np.concatenate([np.arange(len(arcs)), arc_of_row[is_bend]])
     begin = np.concatenate([np.zeros(len(arcs)), estimate.t[rows[is_bend]]])
     # a stretch ends where the next one of its arc begins, the last one of an arc at t = 1
@@ -294,7 +288,7 @@ def places(
     :param extra_places: further places of straight motions: motion (n,) and t (n,); None: there are none.
     :returns: motion (N,) and t (N,), in order.
     """
-    bends = np.flatnonzero(estimate.bends & (program.motions.kind[estimate.motion] == LIN))
+    bends = np.flatnonzero(estimate.is_bend & (program.motions.kind[estimate.motion] == LIN))
     further_places = [(estimate.motion[bends], estimate.t[bends]), _arc_places(arcs)]
     if extra_places is not None:
         further_places.append(extra_places)
@@ -353,8 +347,8 @@ def swivel_pieces(program: Program, path: Segments, tolerance: float) -> Ints:
 
     :param tolerance: largest path error [m].
     """
-    turning = program.turning
     number = np.ones(len(program.motions), dtype=np.int64)
+    turning = program.turning
     if turning is None:
         return number
     travel = turning.travel

@@ -198,7 +198,7 @@ def test_the_displacement_by_the_force_is_estimated_from_its_changes(seed):
     np.testing.assert_array_equal(found.motion, [row[0] for row in rows])
     np.testing.assert_allclose(found.t, [row[1] for row in rows])
     np.testing.assert_allclose(found.change, [row[2] for row in rows], atol=1e-15)
-    np.testing.assert_array_equal(found.bends, [row[3] for row in rows])
+    np.testing.assert_array_equal(found.is_bend, [row[3] for row in rows])
 
 
 def leaning(begin, end, *moves_):
@@ -270,7 +270,7 @@ def test_pieces_where_the_force_swings_round_are_halved_until_circles_follow_it(
     load = forces.assign(made, path, Given(knots), "+Z", RAMP)
     found, limit = forces.displacement_estimate(load, (1e-9, 1e-9)), 2e-6
     assert found.swings.tolist() == [False, True, False, False]
-    arcs = toolpath.pieces(made, path, 1e-5, found)
+    arcs = toolpath.pieces(path, 1e-5, found)
     halved = forces.refined_arcs(load, arcs, found, compliance, limit)
     other = halved.motion == 3
     np.testing.assert_array_equal(halved.number[other], arcs.number[arcs.motion == 3])
@@ -349,7 +349,7 @@ def test_where_the_force_jumps_pieces_of_an_arc_are_halved_down_to_a_tenth_of_a_
     knots = Knots.throughout(np.array([1]), np.array([[100.0, 0, 0, 0, 0, 0]]), np.array([FEED]))
     load = forces.assign(made, path, Given(knots), "+Z", RAMP)
     found = forces.displacement_estimate(load, (1e-6, 0.0))
-    halved = forces.refined_arcs(load, toolpath.pieces(made, path, 1e-5, found), found, (1e-6, 0.0), 1e-6)
+    halved = forces.refined_arcs(load, toolpath.pieces(path, 1e-5, found), found, (1e-6, 0.0), 1e-6)
     width = (halved.end - halved.begin).min()
     smallest = width * min(1.0, path.length[1])
     assert 0.5e-7 < smallest <= 1e-7

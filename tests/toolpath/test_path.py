@@ -41,7 +41,7 @@ def _still(made, **changes):
 
 def _places(made, estimate):
     path = toolpath.segments(made, np.eye(4))
-    return toolpath.places(made, path, 1e-5, estimate, toolpath.pieces(made, path, 1e-5, estimate))
+    return toolpath.places(made, path, 1e-5, estimate, toolpath.pieces(path, 1e-5, estimate))
 
 
 def test_every_end_is_sampled_and_nothing_is_further_apart_than_20_mm():
@@ -59,11 +59,11 @@ def test_an_arc_is_one_piece_of_two_samples_unless_it_is_large_or_the_displaceme
     np.testing.assert_array_equal(_places(made, _still(made, size=1e-4))[1], [1.0, 0.5, 1.0])
     path = toolpath.segments(made, np.eye(4))
     for change in ({"turning": 1e-4}, {"ramp": 1e-4}, {"size": 0.1}):
-        found = toolpath.pieces(made, path, 1e-5, _still(made, **change))
+        found = toolpath.pieces(path, 1e-5, _still(made, **change))
         assert found.uncertain.all()
         np.testing.assert_array_equal(found.number, [2])
     kink = _still(made, ramp=1e-4, ramp_end=[1.0, 0.25])
-    found = toolpath.pieces(made, path, 1e-5, kink)
+    found = toolpath.pieces(path, 1e-5, kink)
     np.testing.assert_array_equal(found.begin, [0.0, 0.25])
     motion, t = toolpath.places(made, path, 1e-5, kink, found.with_enough_pieces(np.array([3, 2])))
     np.testing.assert_allclose(t[motion == 1], [*(np.arange(1, 7) / 24), *(0.25 + 0.1875 * np.arange(1, 5))])

@@ -36,7 +36,7 @@ def arc_of(degrees, radius=50.0, climb=0.0, growth=0.0):
 
 
 def pieces(made, found, tolerance=TOLERANCE, **options):
-    return toolpath.pieces(made, toolpath.segments(made, START), tolerance, found, **options)
+    return toolpath.pieces(toolpath.segments(made, START), tolerance, found, **options)
 
 
 def largest_certain(uncertain, most=1.0):
@@ -210,7 +210,7 @@ def test_places_of_lines_and_what_is_added_to_them():
     made = replace(made, motions=replace(made.motions, kind=np.array([2, 0, 0, 0, SPL, 0]), target=Poses.of(target)))
     path = toolpath.segments(made, START)
     none = estimate(made)
-    no_arcs = toolpath.pieces(made, path, TOLERANCE, none)
+    no_arcs = toolpath.pieces(path, TOLERANCE, none)
     for tolerance, counts in ((1e-5, [1, 13, 2, 13, 1, 14]), (4e-5, [1, 7, 1, 7, 1, 14])):
         motion, t = toolpath.places(made, path, tolerance, none, no_arcs)
         np.testing.assert_array_equal(np.bincount(motion), counts)
@@ -346,7 +346,7 @@ def test_lines_on_rotary_axes_are_divided_until_the_tool_leans_less_than_the_tol
             elif by_turn == 1:
                 assert leaned(found[k]) < 1.1 * tolerance
                 assert leaned(found[k] - 1) > 0.9 * tolerance
-        motion, _ = toolpath.places(made, path, 1e-5, estimate(made), toolpath.pieces(made, path, 1e-5, estimate(made)))
+        motion, _ = toolpath.places(made, path, 1e-5, estimate(made), toolpath.pieces(path, 1e-5, estimate(made)))
         assert (np.bincount(motion)[1:6] >= toolpath.swivel_pieces(made, path, 1e-5)[1:6]).all()
     assert (toolpath.swivel_pieces(made, path, 1e-5) > toolpath.swivel_pieces(made, path, 1e-4)).any()
     assert (toolpath.swivel_pieces(mixed(), toolpath.segments(mixed(), START), 1e-9) == 1).all()
