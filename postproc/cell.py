@@ -510,8 +510,8 @@ def load(path: str | Path) -> Cell:
     """
     path = Path(path)
     file = str(path)
-    absent = f"Write one with: postproc init {argument(path)}"
-    cell = files.read_toml(path, CellFile, CellError, _EXAMPLE, absent)
+    missing_advice = f"Write one with: postproc init {argument(path)}"
+    cell = files.read_toml(path, CellFile, CellError, _EXAMPLE, missing_advice)
     if cell.start is not None and _looks_like_radians(cell.start.joints):
         advice = "Angles are in degrees: write 110 for 1.92 rad. If degrees are meant, round them."
         raise CellError(f"[start] joints = {list(cell.start.joints)} look like radians", file=file, advice=advice)

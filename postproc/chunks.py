@@ -140,7 +140,7 @@ class Runs(Struct, frozen=True, eq=False):
 def compact(column: NDArray[Any], kind: type[np.integer[Any]]) -> NDArray[Any]:
     """Return a column of whole numbers in a smaller type that holds them.
 
-    One of one value still takes no memory, and one that is read-only stays so.
+    A column that repeats one value without memory (stride 0) still does, and one that is read-only stays read-only.
 
     :raises OverflowError: the type does not hold them.
     """

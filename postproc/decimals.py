@@ -59,34 +59,51 @@ class Number(Struct, frozen=True, eq=False):
             Number(self.scaled[:1], self.decimals, self.groups).put(text[:1], at)
             text[1:, at : at + self.width] = text[0, at : at + self.width]
             return
-        empty = np.isnan(self.scaled)
-        has_empty = bool(empty.any())
-        digits = np.abs(np.where(empty, 0.0, self.scaled) if has_empty else self.scaled).astype(np.uint64)
+        is_empty = np.isnan(self.scaled)
+        has_empty = bool(is_empty.any())
+        digits = np.abs(np.where(is_empty, 0.0, self.scaled) if has_empty else self.scaled).astype(np.uint64)
         whole = digits // np.uint64(10**self.decimals)
         point, end = at + 1 + 4 * self.groups, at + self.width
         if self.decimals:
-            # groups of four digits from the right; the first group may be too long, and is then overwritten by the
-            # point and the whole part
-            remaining = _in_32_bits(digits - whole * np.uint64(10**self.decimals), 10**self.decimals)
-            for stop in range(end, point + 1, -4):
-                higher = remaining // remaining.dtype.type(10_000)
-                _four_bytes_before(text, stop)[...] = _FOUR.take(remaining - higher * remaining.dtype.type(10_000))
-                remaining = higher
+            # the first group of four decimals may begin before the point: it is overwritten below
+            _put_decimals(text, point + 1, end, digits - whole * np.uint64(10**self.decimals))
             text[:, point] = ord(".")
-        remaining = _in_32_bits(whole, 10 ** (4 * self.groups))
-        for stop in range(point, at + 1, -4):
-            higher = remaining // remaining.dtype.type(10_000)
-            low = remaining - higher * remaining.dtype.type(10_000)
-            four = _FOUR_SHORT.take(low)
-            if self.groups > 1:
-                four = np.where(higher > 0, _FOUR.take(low), four)
-                if stop < point:
-                    four[remaining == 0] = _ABSENT
-            _four_bytes_before(text, stop)[...] = four
-            remaining = higher
+        _put_whole_part(text, at + 1, point, whole)
         np.multiply((self.scaled < 0.0).view(np.uint8), np.uint8(ord("-")), out=text[:, at])
         if has_empty:
-            text[empty, at:end] = _ABSENT
+            text[is_empty, at:end] = _ABSENT
+
+
+def _put_decimals(text: Bytes, begin: int, end: int, decimals: NDArray[np.uint64]) -> None:
+    """Write whole numbers (n,) with leading zeros into columns of (n, w) bytes, four digits at once from the right.
+
+    :param begin: first column; up to three columns before it are overwritten too.
+    :param end: column after the last digit.
+    """
+    remaining = _in_32_bits(decimals, 10 ** (end - begin))
+    for stop in range(end, begin, -4):
+        higher = remaining // remaining.dtype.type(10_000)
+        _four_bytes_before(text, stop)[...] = _FOUR.take(remaining - higher * remaining.dtype.type(10_000))
+        remaining = higher
+
+
+def _put_whole_part(text: Bytes, begin: int, end: int, numbers: NDArray[np.uint64]) -> None:
+    """Write whole numbers (n,) without leading zeros into columns of (n, w) bytes, four digits at once.
+
+    :param begin: first column; the number of columns is a multiple of four.
+    :param end: column after the last digit.
+    """
+    remaining = _in_32_bits(numbers, 10 ** (end - begin))
+    for stop in range(end, begin, -4):
+        higher = remaining // remaining.dtype.type(10_000)
+        low = remaining - higher * remaining.dtype.type(10_000)
+        four_digits = _FOUR_SHORT.take(low)
+        if end - begin > 4:
+            four_digits = np.where(higher > 0, _FOUR.take(low), four_digits)
+            if stop < end:
+                four_digits[remaining == 0] = _ABSENT
+        _four_bytes_before(text, stop)[...] = four_digits
+        remaining = higher
 
 
 def without_negative_zero(values: _FloatOrArray) -> _FloatOrArray:
@@ -138,7 +155,7 @@ def _four_bytes_before(digits: Bytes, end: int) -> NDArray[np.uint32]:
     return np.ndarray(len(digits), np.uint32, digits, end - 4, digits.shape[1:])
 
 
-def numbers_in(text: Bytes) -> tuple[Ints, Ints]:
+def word_bounds(text: Bytes) -> tuple[Ints, Ints]:
     """Return where the words of a text of words and blanks begin, (n,), and stop, (n,)."""
     word = np.concatenate([[False], text != ord(" "), [False]])
     borders = np.flatnonzero(word[1:] != word[:-1])
@@ -156,16 +173,11 @@ def parsed_numbers(text: Bytes, starts: Ints, stops: Ints) -> Array | None:
     >>> parsed_numbers(np.frombuffer(b"X 1.5 Y -.25", dtype=np.uint8), np.array([2, 8]), np.array([5, 12])).tolist()
     [1.5, -0.25]
     """
-    points = np.flatnonzero(text == ord("."))
-    if len(points) != len(starts) or (points < starts).any() or (points >= stops).any():
-        point = np.append(points, len(text))[np.searchsorted(points, starts)]
-        point = np.minimum(point, stops)
-        if np.count_nonzero(point < stops) != len(points):
-            return None
-        points = point
-    first = text[starts]
-    negative = first == ord("-")
-    whole = points - starts - (negative | (first == ord("+")))
+    points = _decimal_points(text, starts, stops)
+    if points is None:
+        return None
+    is_negative = text[starts] == ord("-")
+    whole = points - starts - (is_negative | (text[starts] == ord("+")))
     places = np.maximum(stops - points - 1, 0)
     digits = whole + places
     if not ((whole <= 8) & (places <= 8) & (digits > 0) & (digits <= 15)).all():
@@ -181,7 +193,20 @@ def parsed_numbers(text: Bytes, starts: Ints, stops: Ints) -> Array | None:
     value: Array = (_values_of_eight_digits(whole_digits) * scale + _values_of_eight_digits(decimal_digits)).astype(
         np.float64
     ) / scale
-    return np.where(negative, -value, value)
+    return np.where(is_negative, -value, value)
+
+
+def _decimal_points(text: Bytes, starts: Ints, stops: Ints) -> Ints | None:
+    """Return the offset of the point in each number (n,), its stop without a point; None if a number has two points.
+
+    Parameters as of `parsed_numbers`.
+    """
+    points = np.flatnonzero(text == ord("."))
+    if len(points) == len(starts) and (points >= starts).all() and (points < stops).all():
+        return points
+    next_points = np.append(points, len(text))[np.searchsorted(points, starts)]
+    point_or_stop = np.minimum(next_points, stops)
+    return point_or_stop if np.count_nonzero(point_or_stop < stops) == len(points) else None
 
 
 _ZEROS, _HIGH = np.uint64(0x3030303030303030), np.uint64(0xF0F0F0F0F0F0F0F0)

@@ -120,9 +120,7 @@ class InputError(PostprocError):
     ) -> None:
         self.problem, self.file, self.line, self.text, self.advice = problem, file, line, text, advice
         self.further_errors = tuple(further_errors)
-        place = "" if file is None else f"{file}: " if line is None else f"{file}:{line}: "
-        if file is None and line is not None:
-            place = f"line {line}: "
+        place = _place(file, line)
         quotation = "" if text is None else f" Text: {text.strip()[:160]!r}."
         first_message = f"{place}{problem}.{quotation}{'' if advice is None else ' ' + advice}"
         messages = [first_message, *map(str, self.further_errors[: MAX_ERRORS - 1])]
@@ -140,6 +138,13 @@ class InputError(PostprocError):
             advice=self.advice,
             further_errors=[error.with_file(name, path) for error in self.further_errors],
         )
+
+
+def _place(file: str | None, line: int | None) -> str:
+    """Return the beginning of a message that names file and line, such as ``"part.nc:12: "``; empty without both."""
+    if file is None:
+        return "" if line is None else f"line {line}: "
+    return f"{file}: " if line is None else f"{file}:{line}: "
 
 
 AnyInputError = TypeVar("AnyInputError", bound=InputError)

@@ -104,7 +104,7 @@ def allow() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def ending_a_search() -> Iterator[None]:
+def interruptible_search() -> Iterator[None]:
     """Let Ctrl-C raise `KeyboardInterrupt`, for a search that then returns the best it has."""
     if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is not _leave:
         yield

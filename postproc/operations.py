@@ -19,10 +19,10 @@ from msgspec import Struct
 
 from postproc.program import FORCE_COMMENT, Event, Ints, Program
 
-_BEGIN = re.compile(r"\s*(?:begin|start)\s+operation\s*[:=]\s*(.*)", re.IGNORECASE)
-_END = re.compile(r"\s*(?:finish|end)\s+operation\s*[:=]\s*(.*)", re.IGNORECASE)
-_STRONG = re.compile(r"\s*(?:operation|toolpath|op)\s*(?:\d+\s*)?[:=]", re.IGNORECASE)
-_PREFIX = re.compile(r"\A\s*(?:(?:operation|toolpath|op)\s*(?:\d+\s*)?[:=]\s*-?|[-=*]+)\s*", re.IGNORECASE)
+_BEGIN_OPERATION = re.compile(r"\s*(?:begin|start)\s+operation\s*[:=]\s*(.*)", re.IGNORECASE)
+_END_OPERATION = re.compile(r"\s*(?:finish|end)\s+operation\s*[:=]\s*(.*)", re.IGNORECASE)
+_OPERATION_PREFIX = re.compile(r"\s*(?:operation|toolpath|op)\s*(?:\d+\s*)?[:=]", re.IGNORECASE)
+_NAME_PREFIX = re.compile(r"\A\s*(?:(?:operation|toolpath|op)\s*(?:\d+\s*)?[:=]\s*-?|[-=*]+)\s*", re.IGNORECASE)
 _NO_NAME = re.compile(
     r"(?:T\s*\d+\b|tools?\b|dia|end ?mill\b.*:|exported|post|output|generated|created|made\s|using\b|programm?\b|this\b"
     r"|date|time|machin(?:e|ing time)|material|vendor|model\b|descri|units?\b|files?\b|cam\b|version|author|stock"
@@ -101,15 +101,15 @@ def title(comment: str) -> str:
     >>> title("begin operation:  Contour  2"), title("Toolpath:- Profile 1"), title("2D Pocket1")
     ('Contour 2', 'Profile 1', '2D Pocket1')
     """
-    explicit = _BEGIN.match(comment)
-    text = explicit[1] if explicit else _PREFIX.sub("", comment, count=1)
+    explicit = _BEGIN_OPERATION.match(comment)
+    text = explicit[1] if explicit else _NAME_PREFIX.sub("", comment, count=1)
     name = " ".join(text.split()).strip("-=* ")
     return name if re.search(r"[^\W\d]", name) else " ".join(comment.split())
 
 
 def finished_operation(comment: str) -> str | None:
     """Return the name in ``finish operation: NAME``, None for every other comment."""
-    match = _END.match(comment)
+    match = _END_OPERATION.match(comment)
     return None if match is None else " ".join(match[1].split())
 
 
@@ -123,12 +123,14 @@ def ignored_comments(program: Program) -> tuple[Event, ...]:
     comments = [event for event in program.events if event.kind == "comment" and 0 < event.before < rows]
     lines = _numbered_lines(program, comments)
     comments_without_operation: list[Event] = []
-    if any(_BEGIN.match(event.text) for event in comments):
+    if any(_BEGIN_OPERATION.match(event.text) for event in comments):
         return ()
     for event in _separate_events(comments, lines):
         name = title(event.text)
         is_name = _naming_comment([event], is_first=False, is_explicit=False) is not None
-        is_remark = name and not is_name and not FORCE_COMMENT.match(event.text) and not _END.match(event.text)
+        is_remark = (
+            name and not is_name and not FORCE_COMMENT.match(event.text) and not _END_OPERATION.match(event.text)
+        )
         is_at_retract = _is_at_retract(program, event.before, [event], lines, has_change=False)
         if is_name != is_at_retract and (is_name or is_remark):
             comments_without_operation.append(event)
@@ -137,7 +139,7 @@ def ignored_comments(program: Program) -> tuple[Event, ...]:
 
 def _is_name(comment: str) -> bool:
     """Return whether a comment reads like the name of an operation."""
-    remark = _NO_NAME.match(title(comment)) or FORCE_COMMENT.match(comment) or _END.match(comment)
+    remark = _NO_NAME.match(title(comment)) or FORCE_COMMENT.match(comment) or _END_OPERATION.match(comment)
     return bool(comment.strip()) and not remark
 
 
@@ -178,7 +180,7 @@ def _starts_at_marks(program: Program, marks: list[Event], names: Names) -> dict
     :param marks: comments and tool changes.
     :param names: which comments name operations.
     """
-    is_explicit = any(event.kind == "comment" and _BEGIN.match(event.text) for event in marks)
+    is_explicit = any(event.kind == "comment" and _BEGIN_OPERATION.match(event.text) for event in marks)
     lines = _numbered_lines(program, marks)
     starts: dict[int, tuple[str, int]] = {}
     for row, group in groupby(sorted(marks, key=lambda event: event.before), key=lambda event: event.before):
@@ -268,14 +270,17 @@ def _naming_comment(events: list[Event], *, is_first: bool, is_explicit: bool) -
     :param is_explicit: True if the program marks operations with ``begin operation``: other comments then name none.
     """
     if is_explicit:
-        return next((event for event in reversed(events) if event.kind == "comment" and _BEGIN.match(event.text)), None)
+        return next(
+            (event for event in reversed(events) if event.kind == "comment" and _BEGIN_OPERATION.match(event.text)),
+            None,
+        )
     last_change = max((k for k, event in enumerate(events) if event.kind == "tool_change"), default=None)
     names_before_change: list[Event] = []
     names_after_change: list[Event] = []
     for place, event in enumerate(events):
         if event.kind == "tool_change":
             continue
-        if _STRONG.match(event.text):
+        if _OPERATION_PREFIX.match(event.text):
             return event
         is_milling = last_change is None and not is_first and bool(_END_MILLING.match(title(event.text)))
         if is_milling or _is_name(event.text):

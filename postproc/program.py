@@ -154,7 +154,7 @@ class Swivel(Struct, frozen=True, eq=False):
     @property
     def travel(self) -> Array:
         """(M,) largest rotation of the tool [rad]: 0 where it is parallel to the axis that turns."""
-        rotation = turning(self.axes, self.begin, self.end)
+        rotation = largest_rotation(self.axes, self.begin, self.end)
         if self.spin is not None:
             rotation = rotation + np.abs(self.spin[:, 1] - self.spin[:, 0])
         return np.asarray(np.where(self.active, rotation, 0.0))
@@ -213,7 +213,7 @@ def direction(axes: Array, angles: Array) -> Array:
     return vector
 
 
-def turning(axes: Array, begin: Array, end: Array) -> Array:
+def largest_rotation(axes: Array, begin: Array, end: Array) -> Array:
     """Return the largest rotation of a tool (n,) [rad] while rotary axes turn evenly from `begin` to `end` (n, k).
 
     An axis at the angle β to the tool moves its direction by sin β times its own turn; tilted by the shortest way

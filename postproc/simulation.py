@@ -17,12 +17,12 @@ from postproc.program import PTP, SPL, Bools, Ints, Program
 from postproc.toolpath import Segments
 from postproc.under_load import RobotInCell
 
-_LONG, _MAX_ROTATION = 0.005, 0.02
+_MAX_LENGTH, _MAX_ROTATION = 0.005, 0.02
 """Pieces of a path that are longer [m] or turn the tool by more [rad] are looked at between their ends: on shorter ones
 the deflection is linear."""
 _SPACING = 0.010
 """Distance of places looked at on them [m] (assumed)."""
-_ON_RAMPS = 4
+_PLACES_ON_RAMPS = 4
 """Number of places looked at where the correction changes much over a piece, or unevenly along an arc (assumed)."""
 
 
@@ -81,8 +81,8 @@ def number_of_places(kind: Ints, length: Array, turn: Array, *, is_curved: Bools
     :param is_steep: (n,) True where the correction changes much, or unevenly, over the piece.
     """
     number = np.where(is_curved, 2, 1)
-    is_long = (length > _LONG) | (turn > _MAX_ROTATION)
+    is_long = (length > _MAX_LENGTH) | (turn > _MAX_ROTATION)
     number[is_long] = np.maximum(2, toolpath.even_parts(length[is_long], turn[is_long], _SPACING, _MAX_ROTATION))
-    number[is_steep] = np.maximum(number[is_steep], _ON_RAMPS)
+    number[is_steep] = np.maximum(number[is_steep], _PLACES_ON_RAMPS)
     number[(kind == PTP) | (kind == SPL)] = 1
     return number.astype(np.int64)

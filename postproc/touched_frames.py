@@ -15,13 +15,13 @@ from msgspec import Struct
 from postproc.frames import Array, hat, inverse, norm, rigid_displacement, rotation_vector
 from postproc.program import Ints, distinct
 
-_SPREAD = 8
+_MOST_FAR_POINTS = 8
 """Points of the cuts in each `$BASE`, far from each other, of which three may have been touched (assumed)."""
-_TOUCHED = 3
+_TOUCHED_POINTS = 3
 """Points that a controller needs for a frame: origin, one on X, one on Y."""
-_WIDE = 0.5
+_LEAST_AREA_SHARE = 0.5
 """Touched points span at least this share of the largest triangle (assumed): who touches takes far ones."""
-_FLAT = 1e-3
+_FLAT_SHARE = 1e-3
 """Share of the square of their largest distance that points span at most if they are taken for points of a line."""
 
 
@@ -64,14 +64,14 @@ def _errors_by_touch(points: Array, residual: Array, centre: Array) -> Array:
     :param points: (n, 3) of the cuts in one `$BASE`, `residual` (n, 3) what the fit leaves there [m].
     """
     spread = _far_points(points)
-    triples = np.array(list(permutations(spread, _TOUCHED)), dtype=np.int64).reshape(-1, _TOUCHED)
+    triples = np.array(list(permutations(spread, _TOUCHED_POINTS)), dtype=np.int64).reshape(-1, _TOUCHED_POINTS)
     edges = points[triples[:, 1:]] - points[triples[:, :1]]
     area = norm(np.cross(edges[:, 0], edges[:, 1]))
     largest_edge = norm(edges).max(initial=0.0)
-    if area.max(initial=0.0) <= _FLAT * largest_edge**2:
+    if area.max(initial=0.0) <= _FLAT_SHARE * largest_edge**2:
         # points of a line give no frame: that was touched elsewhere, and is displaced as they are
         return np.concatenate([residual[spread], np.zeros((len(spread), 3))], axis=1)
-    triples = triples[area >= _WIDE * area.max()]
+    triples = triples[area >= _LEAST_AREA_SHARE * area.max()]
     displacement = _frame_of(points[triples] + residual[triples]) @ inverse(_frame_of(points[triples]))
     rotation = displacement[:, :3, :3]
     return np.concatenate([rotation @ centre + displacement[:, :3, 3] - centre, rotation_vector(rotation)], axis=1)
@@ -88,10 +88,10 @@ def _frame_of(touched: Array) -> Array:
 
 
 def _far_points(points: Array) -> list[int]:
-    """Return up to `_SPREAD` rows of points (n, 3), each the farthest from those before it."""
+    """Return up to `_MOST_FAR_POINTS` rows of points (n, 3), each the farthest from those before it."""
     distance = norm(points - points.mean(axis=0))
     rows: list[int] = []
-    while len(rows) < _SPREAD and distance.max() > 0.0:
+    while len(rows) < _MOST_FAR_POINTS and distance.max() > 0.0:
         rows.append(int(np.argmax(distance)))
         to_last = norm(points - points[rows[-1]])
         distance = to_last if len(rows) == 1 else np.minimum(distance, to_last)

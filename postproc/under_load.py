@@ -39,7 +39,7 @@ _MOST_REACHES = 10_000
 """A path longer than this many times the reach is refused: it would take two days at 10 m/min."""
 _MOST_CUTS = 2000
 """Cuts by which the displacement of the arm at rest is fitted: it changes little over a part."""
-_WIDE = 0.1
+_LEAST_CHECKED_SHARE = 0.1
 """Arcs shorter than this share of the reach are checked only at their ends (assumed)."""
 
 
@@ -89,7 +89,7 @@ def check_arcs(program: Program, robot: RobotModel, path: Segments) -> None:
     message = f"an arc of {turns.max(initial=0.0):.1f} turns, more than the permitted {_MOST_TURNS}. Check its angle."
     _check(program, arcs, is_invalid, "turns", message)
     is_invalid = (turns >= 1.0) & ~(radius <= reach)
-    wide = np.flatnonzero((turns < 1.0) & (path.length[arcs] > _WIDE * reach))
+    wide = np.flatnonzero((turns < 1.0) & (path.length[arcs] > _LEAST_CHECKED_SHARE * reach))
     for share in (0.25, 0.5, 0.75):
         pose = toolpath.at(program, path, arcs[wide], np.full(len(wide), share)).pose[:]
         is_invalid[wide] |= ~(_root_distance(program, arcs[wide], pose, share) <= reach)
@@ -322,10 +322,10 @@ class _PtpEnds(NamedTuple):
     begin: Array
     end: Array
 
-    def of(self, motion: Ints) -> tuple[Array, Array]:
+    def joints_of(self, motion: Ints) -> tuple[Array, Array]:
         """Return the joint angles (n, 6) at begin and end of PTP motions (n,), rows of `Motions` [rad]."""
-        place = np.searchsorted(self.row, motion)
-        return self.begin[place], self.end[place]
+        ptp = np.searchsorted(self.row, motion)
+        return self.begin[ptp], self.end[ptp]
 
 
 _STEP_ANGLE = 0.5 * np.pi
@@ -378,7 +378,7 @@ class PtpMoves(Struct, frozen=True, eq=False, dict=True):
 
         :raises ImpossiblePathError: a pose before the last PTP is out of reach.
         """
-        begin, end = self._ends.of(motion)
+        begin, end = self._ends.joints_of(motion)
         q = begin + t[:, None] * (end - begin)
         flange = kinematics.matrices(kinematics.posture(self.robot_in_cell.robot.nominal, q.T).pose)
         pose = product(flange, toolpath.tool_of(self.program, motion))
@@ -389,7 +389,7 @@ class PtpMoves(Struct, frozen=True, eq=False, dict=True):
 
         :raises ImpossiblePathError: a pose before the last PTP is out of reach.
         """
-        begin, end = self._ends.of(motion)
+        begin, end = self._ends.joints_of(motion)
         return np.asarray(np.abs(end - begin).sum(axis=1))
 
 
@@ -401,7 +401,7 @@ def segments_in_cell(program: Program, robot_in_cell: RobotInCell) -> Segments:
     return replace(path, joint_moves=PtpMoves(program, robot_in_cell, path))
 
 
-_UNCLEAR = np.radians(90.0)
+_MOST_WRIST_TURN = np.radians(90.0)
 """Farther than this no wrist axis may turn on a motion: which way round would not be certain."""
 _LEAST_A5 = np.radians(1.0)
 """A5 may not be nearer to 0 where the wrist turns the tool: A4 and A6 are not certain there."""
@@ -426,11 +426,12 @@ def led_by_wrist(program: Program, robot_in_cell: RobotInCell) -> Program:
     previous = (motions - 1 if program.after is None else program.after)[motion]
     begin = np.where(previous[:, None] >= 0, ends[previous], robot_in_cell.cell.start_joints)
     change = (ends[motion] - begin + np.pi) % (2.0 * np.pi) - np.pi  # by the shorter way
-    is_unclear = (np.abs(change[:, 3:]) > _UNCLEAR).any(axis=1)
+    is_unclear = (np.abs(change[:, 3:]) > _MOST_WRIST_TURN).any(axis=1)
     is_unclear |= np.minimum(np.abs(begin[:, 4]), np.abs(ends[motion, 4])) < _LEAST_A5
     message = (
         "under $ORI_TYPE=#JOINT this motion begins or ends near the singular pose of the wrist, or a wrist axis turns "
-        f"by more than {np.degrees(_UNCLEAR):g}°: how the controller leads A4 to A6 is not certain. {_WRIST_ADVICE}"
+        f"by more than {np.degrees(_MOST_WRIST_TURN):g}°: how the controller leads A4 to A6 is not certain. "
+        f"{_WRIST_ADVICE}"
     )
     _check(program, motion, is_unclear, "wrist-led", message)
     poses = segments.start.at(motion), m.target[motion]

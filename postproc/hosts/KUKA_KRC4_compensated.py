@@ -43,12 +43,12 @@ class RobotPost:
     def __init__(self, robotpost: str = "", robotname: str = "", robot_axes: int = 6, **kwargs: Any) -> None:
         self.robot = robotname
         self.axes = robot_axes
-        self.given: dict[str, str] = {}  # names in the station, also of called programs, by those of KRL in lower case
+        self.station_names: dict[str, str] = {}  # name in KRL, in lower case → name in the station
         self.programs: dict[str, list[Block]] = {}
         self.joints: dict[str, dict[int, list[float]]] = {}
         self.name = ""
         self.blended = False
-        self.MAX_LINES_X_PROG = _limit(kwargs.get("lines_x_prog"), self.MAX_LINES_X_PROG)
+        self.MAX_LINES_X_PROG = _line_limit(kwargs.get("lines_x_prog"), self.MAX_LINES_X_PROG)
         self.PROG_FILES: list[str] = []
         self.LOG = ""
 
@@ -57,21 +57,21 @@ class RobotPost:
 
         :raises HostError: the controller would take its name for that of another one of them.
         """
-        self.name = self._valid(progname)
+        self.name = self._krl_name(progname)
         self.programs[self.name] = []
         self.joints[self.name] = {}
-        self._line(f"DEF {self.name}()")
+        self._add_line(f"DEF {self.name}()")
 
     def ProgFinish(self, progname: str) -> None:
         """End the program."""
-        self._line("END")
+        self._add_line("END")
 
     def ProgSave(self, folder: str, progname: str, ask_user: bool = False, show_result: Any = False) -> None:
         """Correct all programs by postproc and write them; programs without motion are written as they are.
 
         :raises HostError: a program cannot be converted; nothing is written of it.
         """
-        target = Path(_ask(folder, progname) if ask_user or not Path(folder).is_dir() else folder)
+        target = Path(_chosen_folder(folder, progname) if ask_user or not Path(folder).is_dir() else folder)
         cell = _cell_file(target)
         flags = [("--cell", str(cell))]
         if self.MAX_LINES_X_PROG:
@@ -112,11 +112,11 @@ class RobotPost:
 
     def MoveJ(self, pose: Any, joints: Sequence[float], conf_RLF: Any = None) -> None:
         """Move the joints to a target."""
-        self._line(f"PTP {{{','.join(_axes(joints))}}}", "MoveJ")
+        self._add_line(f"PTP {{{','.join(_axis_texts(joints))}}}", "MoveJ")
 
     def MoveL(self, pose: Any, joints: Sequence[float], conf_RLF: Any = None) -> None:
         """Move in a straight line."""
-        self._line(f"LIN {{{_pose(pose, joints)}}}{self._end()}", "MoveL", joints)
+        self._add_line(f"LIN {{{_pose_text(pose, joints)}}}{self._approximation()}", "MoveL", joints)
 
     def MoveC(
         self,
@@ -128,29 +128,33 @@ class RobotPost:
         conf_RLF_2: Any = None,
     ) -> None:
         """Move along the arc through two targets."""
-        self._line(f"CIRC {{{_pose(pose1, joints1)}}},{{{_pose(pose2, joints2)}}}{self._end()}", "MoveC", joints2)
+        self._add_line(
+            f"CIRC {{{_pose_text(pose1, joints1)}}},{{{_pose_text(pose2, joints2)}}}{self._approximation()}",
+            "MoveC",
+            joints2,
+        )
 
     def setFrame(self, pose: Any, frame_id: int | None = None, frame_name: str | None = None) -> None:
         """Set the frame that the following targets are in, in the base of the robot."""
-        self._line(f"; frame {one_line(str(frame_name or frame_id))}")
-        self._line(f"$BASE={{{_pose(pose)}}}", "setFrame")
+        self._add_line(f"; frame {one_line(str(frame_name or frame_id))}")
+        self._add_line(f"$BASE={{{_pose_text(pose)}}}", "setFrame")
 
     def setTool(self, pose: Any, tool_id: int | None = None, tool_name: str | None = None) -> None:
         """Set the frame of the tool in that of the flange."""
-        self._line(f"; tool {one_line(str(tool_name or tool_id))}")
-        self._line(f"$TOOL={{{_pose(pose)}}}", "setTool")
+        self._add_line(f"; tool {one_line(str(tool_name or tool_id))}")
+        self._add_line(f"$TOOL={{{_pose_text(pose)}}}", "setTool")
 
     def Pause(self, time_ms: float) -> None:
         """Wait; a negative time waits for the operator."""
-        self._line("HALT" if time_ms < 0 else f"WAIT SEC {time_ms / 1000.0:.3f}")
+        self._add_line("HALT" if time_ms < 0 else f"WAIT SEC {time_ms / 1000.0:.3f}")
 
     def setSpeed(self, speed_mms: float) -> None:
         """Set the speed of the tool, in mm/s."""
-        self._line(f"$VEL.CP={speed_mms / 1000.0:.6f}", "setSpeed")
+        self._add_line(f"$VEL.CP={speed_mms / 1000.0:.6f}", "setSpeed")
 
     def setAcceleration(self, accel_mmss: float) -> None:
         """Set the acceleration of the tool, in mm/s²."""
-        self._line(f"$ACC.CP={accel_mmss / 1000.0:.6f}")
+        self._add_line(f"$ACC.CP={accel_mmss / 1000.0:.6f}")
 
     def setSpeedJoints(self, speed_degs: float) -> None:
         """Set the speed of the joints, in deg/s: KRL needs a share of the maximum, which RoboDK does not state."""
@@ -164,21 +168,21 @@ class RobotPost:
         """Set how far corners may be rounded, in mm; negative: exact stops."""
         self.blended = zone_mm >= 0.0
         if self.blended:
-            self._line(f"$APO.CDIS={zone_mm:.3f}", "setZoneData")
+            self._add_line(f"$APO.CDIS={zone_mm:.3f}", "setZoneData")
 
     def setDO(self, io_var: str | int, io_value: Any) -> None:
         """Set a digital output."""
-        self._line(f"{_signal('OUT', io_var)}={_truth(io_value)}", "setDO")
+        self._add_line(f"{_signal_text('OUT', io_var)}={_truth_text(io_value)}", "setDO")
 
     def setAO(self, io_var: str | int, io_value: float) -> None:
         """Set an analogue output."""
-        self._line(f"{_signal('ANOUT', io_var)}={_operand(io_value)}", "setAO")
+        self._add_line(f"{_signal_text('ANOUT', io_var)}={_operand_text(io_value)}", "setAO")
 
     def waitDI(self, io_var: str | int, io_value: Any, timeout_ms: float = -1) -> None:
         """Wait for a digital input."""
         if timeout_ms >= 0:
             self.addlog("waitDI: KRL waits without a time limit.")
-        self._line(f"WAIT FOR {_signal('IN', io_var)}=={_truth(io_value)}")
+        self._add_line(f"WAIT FOR {_signal_text('IN', io_var)}=={_truth_text(io_value)}")
 
     def RunCode(self, code: str, is_function_call: bool = False) -> None:
         """Call a program, or insert lines of KRL.
@@ -186,25 +190,25 @@ class RobotPost:
         :raises HostError: the controller would take the called program for another one.
         """
         if not is_function_call:
-            self._code(code, "RunCode")
+            self._add_code(code, "RunCode")
             return
         name, bracket, arguments = code.partition("(")
-        callee = self._valid(name.strip() if bracket else name)
-        self._line(f"{callee}({one_line(arguments)}" if bracket else f"{callee}()", "RunCode")
+        callee = self._krl_name(name.strip() if bracket else name)
+        self._add_line(f"{callee}({one_line(arguments)}" if bracket else f"{callee}()", "RunCode")
 
     def RunMessage(self, message: str, iscomment: bool = False) -> None:
         """Show a message, or insert a comment."""
-        self._line(f"; {one_line(message)}" if iscomment else f'MsgNotify("{string_content(message)}")')
+        self._add_line(f"; {one_line(message)}" if iscomment else f'MsgNotify("{string_content(message)}")')
 
     def addline(self, newline: str) -> None:
         """Insert lines of KRL."""
-        self._code(newline, "addline")
+        self._add_code(newline, "addline")
 
     def addlog(self, newline: str) -> None:
         """Note what the user should know."""
         self.LOG = f"{self.LOG}{newline}\n" if newline else self.LOG
 
-    def _valid(self, name: str) -> str:
+    def _krl_name(self, name: str) -> str:
         """Return the name that a program of the station has in KRL.
 
         :raises HostError: it has no name, or another program has the same one in KRL.
@@ -212,26 +216,26 @@ class RobotPost:
         if not name.strip():
             subject = f"A call in program {self.name}" if self.name else "A program"
             _refuse(f"{subject} has no name of a program: enter it in the station.")
-        valid = _name(name)
-        station_name = self.given.setdefault(valid.lower(), name)
-        if station_name != name:
+        krl_name = _allowed_name(name)
+        first_name = self.station_names.setdefault(krl_name.lower(), name)
+        if first_name != name:
             _refuse(
-                f"The programs {one_line(station_name)!r} and {one_line(name)!r} would both be {valid} in KRL: names "
+                f"The programs {one_line(first_name)!r} and {one_line(name)!r} would both be {krl_name} in KRL: names "
                 "have at most 24 letters, digits and _ there, and case does not count. Rename one of them in the "
                 "station."
             )
-        return valid
+        return krl_name
 
-    def _end(self) -> str:
+    def _approximation(self) -> str:
         """Return the end of a path motion: approximation by distance, or nothing for an exact stop."""
         return " C_DIS" if self.blended else ""
 
-    def _code(self, text: str, origin: str) -> None:
+    def _add_code(self, text: str, origin: str) -> None:
         """Add the lines of a text to the program; `origin`: method of the post that got it."""
         for line in re.split("[\r\n]+", text.strip("\r\n")):
-            self._line(line, origin)
+            self._add_line(line, origin)
 
-    def _line(self, text: str, origin: str = "", joints: Any = ()) -> None:
+    def _add_line(self, text: str, origin: str = "", joints: Any = ()) -> None:
         """Add a line to the program, with its place in the station.
 
         :param origin: method of the post that adds it; empty: not named.
@@ -243,13 +247,13 @@ class RobotPost:
         lines.append(Block(text, f"program {self.name}, line {len(lines) + 1}" + f" ({origin})" * bool(origin)))
 
 
-def _name(name: str) -> str:
+def _allowed_name(name: str) -> str:
     """Return a name that KRL allows."""
     valid = re.sub("[^A-Za-z0-9_]", "_", name)[:24]
     return valid if re.match("[A-Za-z]", valid) else f"P{valid}"[:24]
 
 
-def _limit(lines: Any, default: int) -> int:
+def _line_limit(lines: Any, default: int) -> int:
     """Return RoboDK's limit of lines; the default where it has none, or one so large that none is meant."""
     return int(lines) if lines and 0 < lines < 1e6 else default
 
@@ -285,16 +289,16 @@ def _with_written_name(block: Block, names: dict[str, str]) -> Block:
     return block._replace(text=names[match[1].lower()] + block.text[match.end(1) :])
 
 
-def _pose(pose: Any, joints: Sequence[float] = ()) -> str:
+def _pose_text(pose: Any, joints: Sequence[float] = ()) -> str:
     """Return a pose as KRL has it, with the external axes of `joints`."""
     from robodk.robomath import Pose_2_KUKA
 
     numbers = Pose_2_KUKA(pose)
     parts = [f"{axis} {number:.{4 if axis in 'XYZ' else 5}f}" for axis, number in zip("XYZABC", numbers)]
-    return ",".join([*parts, *_axes(joints)[6:]])
+    return ",".join([*parts, *_axis_texts(joints)[6:]])
 
 
-def _axes(joints: Sequence[float]) -> list[str]:
+def _axis_texts(joints: Sequence[float]) -> list[str]:
     """Return the joints [deg], then the external axes, as KRL has them, such as ``A1 12.50000``."""
     return [f"{axis} {float(value):.5f}" for axis, value in zip(_AXES, _numbers(joints))]
 
@@ -323,29 +327,29 @@ def _compare_postures(conversion: Converted, joints: dict[int, list[float]]) -> 
                 for path in conversion.files:
                     path.unlink()
                 raise HostError(
-                    f"Line {row['source_line']}: RoboDK has the robot at A1-A6 {_angles(station_angles)}, but from "
-                    f"[start] of the cell it arrives with {_angles(angles)}. Begin the program with a MoveJ, or state "
-                    "the joint angles before its first motion under [start]."
+                    f"Line {row['source_line']}: RoboDK has the robot at A1-A6 {_angles_text(station_angles)}, but "
+                    f"from [start] of the cell it arrives with {_angles_text(angles)}. Begin the program with a MoveJ, "
+                    "or state the joint angles before its first motion under [start]."
                 )
 
 
-def _angles(joints: list[float]) -> str:
+def _angles_text(joints: list[float]) -> str:
     """Return the first six joint angles [deg] as text."""
     return ", ".join(f"{value:.1f}" for value in joints[:6])
 
 
-def _signal(kind: str, signal: str | int) -> str:
+def _signal_text(kind: str, signal: str | int) -> str:
     """Return a signal as KRL has it, such as ``$OUT[3]``; a name stays as it is. `kind`: IN, OUT or ANOUT."""
     text = str(signal).strip()
-    return f"${kind}[{text}]" if text.isdigit() else _operand(text)
+    return f"${kind}[{text}]" if text.isdigit() else _operand_text(text)
 
 
-def _truth(value: Any) -> str:
+def _truth_text(value: Any) -> str:
     """Return TRUE or FALSE; a text is the name of a KRL variable."""
-    return _operand(value) if isinstance(value, str) else "TRUE" if value else "FALSE"
+    return _operand_text(value) if isinstance(value, str) else "TRUE" if value else "FALSE"
 
 
-def _operand(value: Any) -> str:
+def _operand_text(value: Any) -> str:
     """Return a number, or the name of a KRL variable or signal.
 
     :raises HostError: it is neither.
@@ -373,7 +377,7 @@ def _cell_file(folder: Path) -> Path:
     )
 
 
-def _ask(folder: str, name: str) -> str:
+def _chosen_folder(folder: str, name: str) -> str:
     """Return the folder to write into, which the user chooses.
 
     :param folder: in which the dialog begins; `name`: of the program.

@@ -61,7 +61,7 @@ HOSTS = {
 }
 
 
-def _folder(host: Host, folder: Path | None) -> Path:
+def _post_folder(host: Host, folder: Path | None) -> Path:
     """Return the folder of the host's post-processors.
 
     :param folder: as the user named it; None: the first of the host's usual places that exists.
@@ -107,7 +107,7 @@ def install_post(name: str, folder: Path | None = None) -> list[Path]:
     :raises InputError: there is no such place, or it cannot be written to.
     """
     host = HOSTS[name]
-    target = _folder(host, folder)
+    target = _post_folder(host, folder)
     source = Path(__file__).parent
     shared_folder = target / _SHARED_FOLDER
     post, package, setting, module = (
@@ -121,7 +121,7 @@ def install_post(name: str, folder: Path | None = None) -> list[Path]:
         shutil.copyfile(source / host.post, post)
         shutil.copyfile(source / _SHARED_FOLDER / "__init__.py", package)
         shutil.copyfile(source.parent / _COPIED_FILE, module)
-        content = {"command": _command(target)}
+        content = {"command": _host_command(target)}
         setting.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as cause:
         raise InputError(f"{target}: the post cannot be written there: {cause.strerror}.") from cause
@@ -137,7 +137,7 @@ def remove_post(name: str, folder: Path | None = None) -> list[Path]:
     :raises InputError: there is no such place, or it cannot be written to.
     """
     host = HOSTS[name]
-    target = _folder(host, folder)
+    target = _post_folder(host, folder)
     other_posts = [target / other_host.post for other_host in HOSTS.values() if other_host is not host]
     files = [target / host.post]
     if not any(path.is_file() for path in other_posts):
@@ -153,7 +153,7 @@ def remove_post(name: str, folder: Path | None = None) -> list[Path]:
     return existing_files
 
 
-def _command(folder: Path) -> list[str]:
+def _host_command(folder: Path) -> list[str]:
     """Return the command that runs this postproc from the host; for a host on Windows and postproc in WSL, by `wsl`."""
     words = [sys.executable, "-m", "postproc"]
     if "microsoft" not in platform.release().lower() or folder.resolve().parts[1:2] != ("mnt",):

@@ -91,18 +91,18 @@ def _post(FreeCAD: Any, objects: list[Any], filename: str, argstring: str) -> st
 
     :raises HostError: arguments exclude each other, or the program does not fit into one text.
     """
-    options = _options(argstring)
+    options = _parsed_arguments(argstring)
     blocks = _blocks(objects)
     document = FreeCAD.ActiveDocument
     folder, name = _folder_and_name(options, filename, document, objects)
-    flags = [("--cell", _file(options.cell, document)), ("--lines-per-file", "0")]  # FreeCAD takes one text
+    flags = [("--cell", _absolute_path(options.cell, document)), ("--lines-per-file", "0")]  # FreeCAD takes one text
     if sum(bool(source) for source in (options.forces, options.process, options.material)) > 1:
         raise HostError("Arguments of the post: --forces, --process and --material exclude each other.")
-    flags += [("--forces", _file(options.forces, document))] if options.forces else []
-    flags += [("--process", _file(options.process, document))] if options.process else []
+    flags += [("--forces", _absolute_path(options.forces, document))] if options.forces else []
+    flags += [("--process", _absolute_path(options.process, document))] if options.process else []
     process_files: dict[str, bytes] = {}
     if options.material:
-        process_files = _process(_job(document, objects), name, options.material)
+        process_files = _process_files(_posted_job(document, objects), name, options.material)
         flags.append(("--process", f"{name}.process.toml"))
     flags += [("--tolerance", options.tolerance)] if options.tolerance else []
     flags += [("--nominal", "")] if options.nominal else []
@@ -136,12 +136,12 @@ def _show(FreeCAD: Any, message: str) -> None:
         QtGui.QMessageBox.critical(None, "KUKA, corrected: nothing is written", message)
 
 
-def _options(argstring: str) -> argparse.Namespace:
+def _parsed_arguments(argstring: str) -> argparse.Namespace:
     """Return the arguments of the job; Windows paths need no escapes."""
     return _parser.parse_args(shlex.split(argstring, posix="\\" not in argstring))
 
 
-def _file(path: str, document: Any) -> str:
+def _absolute_path(path: str, document: Any) -> str:
     """Return a path as absolute; a relative one starts at the folder of the document."""
     if not path:
         return ""
@@ -153,11 +153,11 @@ def _folder_and_name(options: argparse.Namespace, filename: str, document: Any, 
     """Return the folder to write into and the name of the program."""
     target = None if filename in ("", "-") else Path(filename)
     if options.out_dir:
-        folder = Path(_file(options.out_dir, document))
+        folder = Path(_absolute_path(options.out_dir, document))
     elif target is not None:
         folder = target.resolve().parent
     else:
-        folder = Path(_file("corrected", document))
+        folder = Path(_absolute_path("corrected", document))
         target = _output_file(document, objects)
     name = options.name or (target.stem if target is not None else document.Label if document is not None else "part")
     name = re.sub("[^A-Za-z0-9_]", "_", name)[:24]
@@ -169,7 +169,7 @@ def _folder_and_name(options: argparse.Namespace, filename: str, document: Any, 
     return folder, name
 
 
-def _job(document: Any, objects: list[Any]) -> Any:
+def _posted_job(document: Any, objects: list[Any]) -> Any:
     """Return the job that is posted, of which FreeCAD hands over the operations; None: none of the document."""
     posted_names = {getattr(item, "Name", None) for item in objects}
     for job in [] if document is None else document.Objects:
@@ -180,7 +180,7 @@ def _job(document: Any, objects: list[Any]) -> Any:
 
 def _output_file(document: Any, objects: list[Any]) -> Path | None:
     """Return the output file of the job that is posted, which FreeCAD from 1.0 on writes itself; None: it has none."""
-    file = getattr(_job(document, objects), "PostProcessorOutputFile", "")
+    file = getattr(_posted_job(document, objects), "PostProcessorOutputFile", "")
     return Path(file) if file and "%" not in file else None
 
 
@@ -190,7 +190,7 @@ _CELLS = 4e6
 """Cells of the map of the stock (assumed)."""
 
 
-def _process(job: Any, name: str, material: str) -> dict[str, bytes]:
+def _process_files(job: Any, name: str, material: str) -> dict[str, bytes]:
     """Return the process file of a job, and the mesh of its stock if that is no box: file name → content.
 
     :param name: of the program.
@@ -208,7 +208,7 @@ def _process(job: Any, name: str, material: str) -> dict[str, bytes]:
             controllers[int(tool_controller.ToolNumber)] = tool_controller
     text = [f"# {one_line(job.Label)}: as the job states it", "[material]", f"name = {json.dumps(material)}", ""]
     for number, controller in sorted(controllers.items()):
-        text += [f"[tools.{number}]  # {_comment(controller.Label)}", *_tool(controller), ""]
+        text += [f"[tools.{number}]  # {_comment(controller.Label)}", *_tool_lines(controller), ""]
     stock = getattr(getattr(job, "Stock", None), "Shape", None)
     if stock is None or stock.isNull() or not stock.Volume > 0.0:
         raise HostError(f"--material: {job.Label} has no stock: set it in the job's Setup tab.")
@@ -223,10 +223,10 @@ def _process(job: Any, name: str, material: str) -> dict[str, bytes]:
         text.append(f"box = {{ {sides} }}")
         return {f"{name}.process.toml": "\n".join([*text, ""]).encode()}
     text.append(f'file = "{name}.stock.stl"')
-    return {f"{name}.process.toml": "\n".join([*text, ""]).encode(), f"{name}.stock.stl": _stl(stock)}
+    return {f"{name}.process.toml": "\n".join([*text, ""]).encode(), f"{name}.stock.stl": _stl_bytes(stock)}
 
 
-def _tool(controller: Any) -> list[str]:
+def _tool_lines(controller: Any) -> list[str]:
     """Return the lines of [tools.n] of a process file: shape, diameter, flutes.
 
     :param controller: tool controller of FreeCAD.
@@ -240,7 +240,7 @@ def _tool(controller: Any) -> list[str]:
             f"{subject}: forces of the shape {name!r} are not known, but of {', '.join(_SHAPES)}. "
             "Give --process FILE.toml."
         )
-    diameter, flutes = _number(tool, "Diameter"), int(_number(tool, "Flutes"))
+    diameter, flutes = _property_number(tool, "Diameter"), int(_property_number(tool, "Flutes"))
     if diameter <= 0.0 or flutes < 1:
         quantity = "diameter" if diameter <= 0.0 else "number of flutes"
         raise HostError(
@@ -248,18 +248,18 @@ def _tool(controller: Any) -> list[str]:
         )
     lines = [f'shape = "{shape}"', f"diameter_mm = {diameter:.6g}", f"flutes = {flutes}"]
     if shape == "bull":
-        corner = _number(tool, "CornerRadius") or 0.5 * diameter - _number(tool, "FlatRadius")
+        corner = _property_number(tool, "CornerRadius") or 0.5 * diameter - _property_number(tool, "FlatRadius")
         lines.append(f"corner_radius_mm = {corner:.6g}")
     return lines
 
 
-def _number(item: Any, key: str) -> float:
+def _property_number(item: Any, key: str) -> float:
     """Return a property as a number, lengths in mm; 0 where there is none."""
     value = getattr(item, key, 0.0)
     return float(getattr(value, "Value", value))
 
 
-def _stl(shape: Any) -> bytes:
+def _stl_bytes(shape: Any) -> bytes:
     """Return a shape as a binary STL in mm."""
     points, facets = shape.tessellate(0.05)
     rows = [struct.pack("<80xI", len(facets))]
@@ -281,16 +281,16 @@ def _blocks(objects: list[Any]) -> list[Block]:
         place = f"operation {item.Label}"
         blocks.append(Block(f"({_comment(item.Label)})", place))
         coolant = _coolant(item)
-        blocks += [Block(code, place) for code in _ON.get(coolant, ())]
+        blocks += [Block(code, place) for code in _COOLANT_CODES.get(coolant, ())]
         for number, command in enumerate(item.Path.Commands, start=1):
-            text = _block(command)
+            text = _gcode_block(command)
             if text:
                 blocks.append(Block(text, f"{place}, command {number} ({text})"))
-        blocks += [Block("M9", place)] * bool(_ON.get(coolant))
+        blocks += [Block("M9", place)] * bool(_COOLANT_CODES.get(coolant))
     return [*blocks, Block("M5", "end"), Block("M2", "end")]
 
 
-_ON = {"Flood": ("M8",), "Mist": ("M7",)}
+_COOLANT_CODES = {"Flood": ("M8",), "Mist": ("M7",)}
 
 
 def _coolant(item: Any) -> str:
@@ -304,7 +304,7 @@ def _comment(text: str) -> str:
     return re.sub("[()]", " ", one_line(text))
 
 
-def _block(command: Any) -> str:
+def _gcode_block(command: Any) -> str:
     """Return a command of FreeCAD as a block of G-code; empty for a message, which moves nothing."""
     name: str = command.Name
     if name.startswith("("):
@@ -319,11 +319,11 @@ def _block(command: Any) -> str:
             del words[letter]
     letters = [letter for letter in _WORDS if letter in words]
     return " ".join(
-        [name, *(_word(letter, words[letter]) for letter in (*letters, *sorted(set(words) - set(letters))))]
+        [name, *(_gcode_word(letter, words[letter]) for letter in (*letters, *sorted(set(words) - set(letters))))]
     )
 
 
-def _word(letter: str, value: float) -> str:
+def _gcode_word(letter: str, value: float) -> str:
     """Return a word of G-code; FreeCAD has feeds in mm/s, F is in mm/min."""
     if value == int(value):
         return f"{letter}{int(value) * (60 if letter == 'F' else 1)}"

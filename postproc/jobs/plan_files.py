@@ -113,7 +113,7 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
     protect(request.reads(), folder, names)
     if not request.overwrite:
         refuse(find_foreign_files(folder, names, record))
-    with interrupts.ending_a_search():
+    with interrupts.interruptible_search():
         result = plan_measurements(site, tests, request.options(), data, progress)
     contents: dict[str, bytes | Iterable[bytes]] = {csv: plan_csv(result)}
     if robot.language in ("", KRL.name):

@@ -14,7 +14,7 @@ import postproc
 from postproc import toolpath
 from postproc.cell import Cell, Frame, Machine, Rotary
 from postproc.errors import ProgramError
-from postproc.program import CIRC, LIN, PTP, Program, direction, tilt_to, turning
+from postproc.program import CIRC, LIN, PTP, Program, direction, largest_rotation, tilt_to
 from postproc.robot import RobotModel
 from tests.dialects.gcode_reading import CELL, START_FLANGE, ends, outcome, read
 from tests.places import CELL_FILE, SAMPLES
@@ -163,7 +163,7 @@ def test_by_how_much_the_tool_turns_is_bounded(axes: list[str]) -> None:
     rng = np.random.default_rng(5)
     vectors = np.array([np.eye(3)["ABC".index(axis)] for axis in axes])
     begin, end = rng.uniform(-1.4, 1.4, (2, 40, len(axes)))
-    bound = turning(vectors, begin, end)
+    bound = largest_rotation(vectors, begin, end)
     turned = np.zeros(40)
     before = tilt_to(direction(vectors, begin))
     for share in np.linspace(0.0, 1.0, 400)[1:]:

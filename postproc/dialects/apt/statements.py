@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.chunks import ragged_range
-from postproc.decimals import numbers_in, parsed_numbers
+from postproc.decimals import parsed_numbers, word_bounds
 from postproc.dialects.text import line_spans
 from postproc.errors import did_you_mean
 from postproc.frames import Array
@@ -177,7 +177,7 @@ def _plain_gotos(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, 
     rows, count = _goto_candidates(chars, ends)
     for _ in range(2):  # a second time without the statements that are not plain
         text = _numbers_text(chars, ends, rows)
-        first, last = numbers_in(text)
+        first, last = word_bounds(text)
         length = np.diff(ends)[rows] - len(_GOTO)
         # offset in `text` at which the numbers of each statement begin, and its end
         begin = np.concatenate([[0], np.cumsum(length)])

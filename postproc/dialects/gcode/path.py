@@ -48,9 +48,9 @@ from postproc.program import (
     constant,
     direction,
     distinct,
+    largest_rotation,
     read_only,
     tilt_to,
-    turning,
 )
 
 _HEIGHT_TOLERANCE_MM = 1e-6
@@ -194,7 +194,7 @@ def rotation_bound(moves: Moves, axes: Array) -> Array:
     turning_moves = np.flatnonzero((moves.rotary_angles[:, 0] != moves.rotary_angles[:, 1]).any(axis=1))
     if len(turning_moves):
         angle_pairs = moves.rotary_angles[turning_moves] * RAD_PER_DEG
-        angles[turning_moves] = turning(axes, angle_pairs[:, 0], angle_pairs[:, 1])
+        angles[turning_moves] = largest_rotation(axes, angle_pairs[:, 0], angle_pairs[:, 1])
     return angles
 
 

@@ -24,7 +24,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from postproc.chunks import chunks, compact
-from postproc.decimals import numbers_in, parsed_numbers
+from postproc.decimals import parsed_numbers, word_bounds
 from postproc.errors import Level
 from postproc.frames import Array
 from postproc.program import Document, Ints, distinct
@@ -276,7 +276,7 @@ def _numbers(code: bytes) -> Array:
     """Return the numbers of all words of plain blocks (n,), in order."""
     number_texts = code.translate(_TO_NUMBERS)  # blanks between the numbers
     characters = np.frombuffer(number_texts, dtype=np.uint8)
-    values = parsed_numbers(characters, *numbers_in(characters))
+    values = parsed_numbers(characters, *word_bounds(characters))
     return np.fromstring(number_texts, sep=" ") if values is None else values  # numbers with too many digits
 
 

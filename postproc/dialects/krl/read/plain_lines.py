@@ -19,7 +19,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.chunks import chunks, compact
-from postproc.decimals import Bytes, numbers_in, parsed_numbers
+from postproc.decimals import Bytes, parsed_numbers, word_bounds
 from postproc.dialects.krl.language.positions import COLUMNS
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.trace import Trace
@@ -266,7 +266,7 @@ class _NumberTokens(NamedTuple):
 def _number_tokens(body: bytes) -> _NumberTokens | None:
     """Return the numbers in a text; None if a number cannot be read."""
     number_codes = _codes_of_numbers(body)
-    starts, stops = numbers_in(number_codes)
+    starts, stops = word_bounds(number_codes)
     values = parsed_numbers(number_codes, starts, stops)
     if values is None:  # a number is not plain, as with an exponent
         values = _parsed_numbers(number_codes)
