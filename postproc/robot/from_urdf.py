@@ -208,11 +208,8 @@ def _count_from_kuka_zero(arm: Chain) -> tuple[Chain, Array]:
         frames, flange = (array[0] for array in arm.joint_frames(zero[None]))
         axes = np.einsum("jab,jb->ja", frames[:, :3, :3], arm.axis)
         goal, direction = _zero_goal(joint, axes, frames[:, :3, 3], flange)
-        axis = axes[joint]
-        # angle about the axis from the direction to the goal, both projected on the plane perpendicular to the axis
-        angle = float(
-            np.arctan2(axis @ np.cross(direction, goal), direction @ goal - (direction @ axis) * (goal @ axis))
-        )
+        # angle about the axis, which is perpendicular to the goal: what of the direction is along it does not count
+        angle = float(np.arctan2(axes[joint] @ np.cross(direction, goal), direction @ goal))
         zero[joint] = angle if abs(angle) > _TOLERANCE else 0.0
     placement = arm.placement.copy()
     placement[:, :3, :3] = placement[:, :3, :3] @ rotation_from_vector(zero[:, None] * arm.axis)
@@ -236,8 +233,7 @@ def _zero_goal(joint: int, axes: Array, points: Array, flange: Array) -> tuple[A
         offset = (points[1] - points[0]) @ normal
         return (x, normal * offset) if abs(offset) > _TOLERANCE else (y, _towards(axes[1], y))
     if joint == 1:
-        upper_arm = points[2] - points[1]
-        return x, upper_arm - axes[1] * (upper_arm @ axes[1])
+        return x, points[2] - points[1]
     if joint == 2:
         return x, _towards(axes[3], points[4] - points[2])
     if joint == 3:
