@@ -161,7 +161,7 @@ def read_force_csv(path: Path) -> ForceTable:
     frame = columns.frame()
     t = columns.positions()
     order = np.lexsort((columns.row, lines.first))
-    columns.check_order(order, lines, t, frame)
+    columns.add_order_errors(order, lines, t, frame)
     if faults:
         raise combined_error(faults)
     if not len(columns.row):
@@ -229,9 +229,11 @@ class _Columns(Struct, frozen=True, eq=False):
         for label, column, is_separate in (("line", first, True), ("line_end", last, last != first)):
             is_invalid = (column != np.floor(column)) | ~((column >= 1.0) & (column <= _MOST_LINES))
             is_new_fault = is_invalid & is_separate & np.isfinite(column)
-            self.check(is_new_fault, f"{label} is {{:g}}", column, "Give a line number of the program, counted from 1.")
+            self.add_errors(
+                is_new_fault, f"{label} is {{:g}}", column, "Give a line number of the program, counted from 1."
+            )
             valid &= ~is_invalid
-        self.check(valid & (last < first), "line_end is before line", last)
+        self.add_errors(valid & (last < first), "line_end is before line", last)
         first_line, last_line = (np.where(valid, column, 0.0).astype(np.int64) for column in (first, last))
         return _SourceLines(first_line, last_line, valid)
 
@@ -242,7 +244,7 @@ class _Columns(Struct, frozen=True, eq=False):
             if name in self.numbers:
                 wrench[:, index] = self.numbers[name]
                 advice = "This is more than any robot carries: give newtons and newton metres."
-                self.check(np.abs(wrench[:, index]) > MOST_FORCE, f"{name} is {{:g}}", wrench[:, index], advice)
+                self.add_errors(np.abs(wrench[:, index]) > MOST_FORCE, f"{name} is {{:g}}", wrench[:, index], advice)
         return _Wrenches(wrench, *self._sigma_and_factor(wrench))
 
     def _sigma_and_factor(self, wrench: Array) -> tuple[Array, Array]:
@@ -258,7 +260,7 @@ class _Columns(Struct, frozen=True, eq=False):
             deviations = self._deviations(name, MOST_FORCE)
             has_both |= np.isfinite(deviations) & np.isfinite(percent)
             sigma[:, index] = np.where(np.isnan(deviations), sigma[:, index], deviations)
-        self.check(
+        self.add_errors(
             has_both, "standard deviations in addition to sigma_percent = {:g}", percent, "Give one or the other."
         )
         return sigma, factor
@@ -271,7 +273,7 @@ class _Columns(Struct, frozen=True, eq=False):
         """
         values = self.numbers.get(name, np.full(len(self.row), np.nan))
         is_wrong = ~((values >= 0.0) & (values <= limit) | np.isnan(values))
-        self.check(
+        self.add_errors(
             is_wrong,
             f"{name} is {{:g}}",
             values,
@@ -287,17 +289,17 @@ class _Columns(Struct, frozen=True, eq=False):
         names = [name.upper() or "BASE" for name in self.frames] or ["BASE"] * len(self.row)
         code_of: dict[str, int] = {name: code for code, name in enumerate(FORCE_FRAMES)}
         frame = np.array([code_of.get(name, -1) for name in names], dtype=np.int64)
-        self.check(frame < 0, "unknown frame {!r}", names, valid=FORCE_FRAMES)
+        self.add_errors(frame < 0, "unknown frame {!r}", names, valid=FORCE_FRAMES)
         return frame
 
     def positions(self) -> Array:
         """Return positions along moves (R,), NaN for rows of a whole move; add errors for positions out of [0, 1]."""
         t = self.numbers.get("t", np.full(len(self.row), np.nan))
         advice = "Give a position along the move: 0 at its start, 1 at its end."
-        self.check(~((t >= 0.0) & (t <= 1.0) | np.isnan(t)), "t is {:g}", t, advice)
+        self.add_errors(~((t >= 0.0) & (t <= 1.0) | np.isnan(t)), "t is {:g}", t, advice)
         return t
 
-    def check_order(self, order: Ints, lines: _SourceLines, t: Array, frame: Ints) -> None:
+    def add_order_errors(self, order: Ints, lines: _SourceLines, t: Array, frame: Ints) -> None:
         """Add errors for rows of one line that are not in order of t or have several frames, and for repeated lines.
 
         Each row is compared with the row before it. Rows without valid lines are not reported again.
@@ -305,7 +307,7 @@ class _Columns(Struct, frozen=True, eq=False):
         :param order: (R,) rows, sorted by their first lines.
         :param t: (R,) position on the move of each row, and `frame` (R,) its frame; see `ForceTable`.
         """
-        begin, end, usable = lines.first[order], lines.last[order], lines.valid[order]
+        begin, end, is_valid = lines.first[order], lines.last[order], lines.valid[order]
         t, frame = t[order], frame[order]
         rank = np.argsort(order)  # of each row of the file
         has_same_lines = np.append(False, (np.diff(begin) == 0) & (np.diff(end) == 0))
@@ -313,16 +315,16 @@ class _Columns(Struct, frozen=True, eq=False):
         # two positions along the same move
         shares_line = has_same_lines & ~np.isnan(t) & ~np.isnan(previous_t)
         previous_end = np.append(0, np.maximum.accumulate(end)[:-1])  # largest last line of all rows before
-        repeats_line = usable & (begin <= previous_end) & ~shares_line
+        repeats_line = is_valid & (begin <= previous_end) & ~shares_line
         step = np.diff(t, prepend=0.0)
         for is_invalid, problem, column, advice in (
             (repeats_line, "a second row for line {:g}", begin, None),
-            (usable & shares_line & (step <= 0.0), "t = {:g} is not larger than in the row before", t, _ORDER_ADVICE),
-            (usable & shares_line & (np.diff(frame, prepend=0) != 0), "another frame than the row before", t, None),
+            (is_valid & shares_line & (step <= 0.0), "t = {:g} is not larger than in the row before", t, _ORDER_ADVICE),
+            (is_valid & shares_line & (np.diff(frame, prepend=0) != 0), "another frame than the row before", t, None),
         ):
-            self.check(is_invalid[rank], problem, column[rank].astype(float), advice)
+            self.add_errors(is_invalid[rank], problem, column[rank].astype(float), advice)
 
-    def check(
+    def add_errors(
         self,
         is_wrong: Bools,
         problem: str,
@@ -451,7 +453,7 @@ def _knot_places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
     Ramped forces are given at the end of the piece; other forces at its start, at the knots between, and at its end.
     """
     begin, end = targets.begin(np.arange(len(targets))), targets.t
-    # motion + t is one increasing key: knots from `low` to `high` (exclusive) are inside the piece
+    # motion + t increases along the program: knots from `low` to `high` (exclusive) are inside the piece
     low = np.searchsorted(forces.place, targets.motion + begin + _PLACE_TOLERANCE)
     high = np.maximum(np.searchsorted(forces.place, targets.motion + end - _PLACE_TOLERANCE), low)
     count = np.where(forces.ramped[targets.motion], 1, high - low + 2)

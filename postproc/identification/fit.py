@@ -179,7 +179,7 @@ def gauss_newton(
             if values is last_good_values:  # the start itself: there is no step to halve
                 raise
             cost = np.inf
-        if cost > _MAX_GROWTH * smallest_cost:  # a step too far, or without equilibrium: halve it
+        if cost > _MAX_GROWTH * smallest_cost:  # the step was too large, or there is no equilibrium: halve it
             values = 0.5 * (last_good_values + values)
             continue
         last_good_values, smallest_cost = values, min(cost, smallest_cost)
@@ -277,7 +277,8 @@ def to_file_units(fit: Fit) -> FileValues:
     """
     parameters = fit.structure.parameters
     slopes = file_slopes(parameters, fit.parameter_values)
-    values = np.array([parameter.file_value(fit.parameter_values)[0] for parameter in parameters])
+    values_and_slopes = [parameter.file_value(fit.parameter_values) for parameter in parameters]
+    values = np.array([value for value, _ in values_and_slopes])
     is_finite = np.isfinite(values) & np.isfinite(fit.covariance).all(axis=1)
     if not is_finite.all():
         infinite_names = ", ".join(parameters[index].name for index in np.flatnonzero(~is_finite))
@@ -589,7 +590,7 @@ class Regression(Struct, frozen=True, eq=False):
 
         :param values: (p,) result of `solve`, SI.
         """
-        active = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
+        active = self._active_parameters(values)
         normal, _ = self._normal(equations)
         noise_weight = (equations.weight / self.noise)[:, None]
         design = equations.design[:, self.columns[active]] * self.spread[active] * noise_weight
@@ -606,9 +607,13 @@ class Regression(Struct, frozen=True, eq=False):
 
         :param values: (p,) result of `solve`, SI.
         """
-        active = np.flatnonzero((values[self.columns] != 0.0) | self.signed)
+        active = self._active_parameters(values)
         normal, _ = self._normal(equations)
         return float(len(active) - np.trace(np.linalg.inv(normal[np.ix_(active, active)])))
+
+    def _active_parameters(self, values: Array) -> Ints:
+        """Return the indices, from 0 to n − 1, of the parameters that are not at their bound 0; `values` (p,), SI."""
+        return np.flatnonzero((values[self.columns] != 0.0) | self.signed)
 
     def _normal(self, equations: LinearEquations, excluded_configs: Ints | None = None) -> tuple[Array, Array]:
         """Return matrix (n, n) and right side (n,) of the normal equations, readings and prior together.
@@ -651,14 +656,15 @@ class _Evidence(Struct, frozen=True, eq=False):
         size, mean = prior.size[columns], prior.mean[columns]
         kinds = [name for index, name in enumerate(prior.kinds) if (prior.kind_index[columns] == index).any()]
         square, right, target_square = equations.normal_equations(columns)
+        log_priors = [*(FACTORS[name] for name in kinds), (0.0, _LOG_NOISE_SIGMA)]
         return cls(
             square=square * np.outer(size, size),
             right=(right - square @ mean) * size,
             square_sum=float(target_square) - 2.0 * float(mean @ right) + float(mean @ square @ mean),
             count=equations.reading_count,
             kind_rows=[np.flatnonzero(prior.kind_index[columns] == prior.kinds.index(name)) for name in kinds],
-            log_mean=np.array([*(FACTORS[name][0] for name in kinds), 0.0]),
-            log_sigma=np.array([*(FACTORS[name][1] for name in kinds), _LOG_NOISE_SIGMA]),
+            log_mean=np.array([log_mean for log_mean, _ in log_priors]),
+            log_sigma=np.array([log_sigma for _, log_sigma in log_priors]),
         )
 
     def factors(self, logs: Array) -> Array:

@@ -138,43 +138,44 @@ def _improvement_answer(
     errors, failures = judged_result.errors, list[Finding]()
     doubts = [*doubts, *_doubts_of_input(result, content, is_error_known=errors is not None)]
     if errors is None or _is_corrected_input(content):
-        return Improvement("warning" if doubts else "ok", None, None, None, None, None, _sorted_texts(doubts))
-    uncorrected, corrected_errors = (
-        statistics(error, judged_result.cut_length) for error in (errors.before, errors.after)
-    )
+        return Improvement(
+            state="warning" if doubts else "ok",
+            uncorrected_mm=None,
+            corrected_mm=None,
+            uncorrected_rms_mm=None,
+            corrected_rms_mm=None,
+            chance=None,
+            reasons=_sorted_texts(doubts),
+        )
+    uncorrected, corrected = (statistics(error, judged_result.cut_length) for error in (errors.before, errors.after))
+    corrected_mm = corrected.largest * MM_PER_M
     # the chance matters only if deviations are larger than the tolerance of the path, or than CUT_MM
     largest_mm = max(content.before.max_mm, content.after.max_mm)
     is_chance_judged = content.mode == "convert" and largest_mm > min(content.tolerance_mm or CUT_MM, CUT_MM)
-    if is_chance_judged and errors.chance is not None and errors.chance < HARMFUL_CHANCE:
-        failures.append(
-            Finding(_FIRST_COST, _CHANCE.format("does more harm than good", chance_in_words(errors.chance)))
-        )
-    elif (
-        is_chance_judged
-        and errors.chance is not None
-        and errors.chance < UNCERTAIN_CHANCE
-        and not (tolerance and tolerance.held)
-    ):
-        wide = _CHANCE.format("is not much larger than its uncertainty", chance_in_words(errors.chance))
-        actions = _remedies(result, content)
-        doubts.append(
-            Finding(
-                corrected_errors.largest * MM_PER_M,
-                f"{wide}. What would help: {remedies_text(actions)}" if actions else wide,
-            )
-        )
-    if content.mode == "convert" and (corrected_errors.largest - uncorrected.largest) * MM_PER_M > CUT_MM:
-        doubts.append(Finding(corrected_errors.largest * MM_PER_M, _WORSE_PLACE))
+    chance = errors.chance if is_chance_judged else None
+    if chance is not None and chance < HARMFUL_CHANCE:
+        failures.append(Finding(_FIRST_COST, _CHANCE.format("does more harm than good", chance_in_words(chance))))
+    elif chance is not None and chance < UNCERTAIN_CHANCE and not (tolerance and tolerance.held):
+        doubts.append(Finding(corrected_mm, _uncertain_gain_text(result, content, chance)))
+    if content.mode == "convert" and (corrected.largest - uncorrected.largest) * MM_PER_M > CUT_MM:
+        doubts.append(Finding(corrected_mm, _WORSE_PLACE))
     state: State = "failed" if failures else "warning" if doubts else "ok"
     return Improvement(
         state=state,
         uncorrected_mm=uncorrected.largest * MM_PER_M,
-        corrected_mm=corrected_errors.largest * MM_PER_M,
+        corrected_mm=corrected_mm,
         uncorrected_rms_mm=uncorrected.rms * MM_PER_M,
-        corrected_rms_mm=corrected_errors.rms * MM_PER_M,
+        corrected_rms_mm=corrected.rms * MM_PER_M,
         chance=errors.chance,
         reasons=[*_sorted_texts(failures), *_sorted_texts(doubts)],
     )
+
+
+def _uncertain_gain_text(result: Result, content: Summary, chance: float) -> str:
+    """Return the doubt that the gain is not much larger than its uncertainty, with remedies if there are any."""
+    text = _CHANCE.format("is not much larger than its uncertainty", chance_in_words(chance))
+    actions = _remedies(result, content)
+    return f"{text}. What would help: {remedies_text(actions)}" if actions else text
 
 
 def _doubts_of_input(result: Result, content: Summary, *, is_error_known: bool) -> list[Finding]:
@@ -217,14 +218,38 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
         if not reasons or content.tolerance_mm is None:
             return None
         percent = 100.0 * share_beyond(result.after * MM_PER_M, content.tolerance_mm, result.cut_length)
-        return Tolerance("failed", "path", content.tolerance_mm, False, percent, [], reasons)
+        return Tolerance(
+            state="failed",
+            of="path",
+            mm=content.tolerance_mm,
+            held=False,
+            beyond_percent=percent,
+            would_help=[],
+            reasons=reasons,
+        )
     is_frame_unknown = any(issue.kind == _FRAMES_AT_REST for issue in result.issues)
     if part.held is None or part.expected_mm is None or (part.held and is_frame_unknown):
         state: State = "failed" if reasons else "warning"
         unknown_reason = _UNKNOWN_UNCERTAINTY if part.held is None else _UNKNOWN_FRAMES
-        return Tolerance(state, "part", part.tolerance_mm, None, None, [], [*reasons, unknown_reason])
+        return Tolerance(
+            state=state,
+            of="part",
+            mm=part.tolerance_mm,
+            held=None,
+            beyond_percent=None,
+            would_help=[],
+            reasons=[*reasons, unknown_reason],
+        )
     if part.held:
-        return Tolerance("failed" if reasons else "ok", "part", part.tolerance_mm, True, 0.0, [], reasons)
+        return Tolerance(
+            state="failed" if reasons else "ok",
+            of="part",
+            mm=part.tolerance_mm,
+            held=True,
+            beyond_percent=0.0,
+            would_help=[],
+            reasons=reasons,
+        )
     actions = [
         remedy
         for remedy in (*_remedies(result, content), *other_remedies)
@@ -235,8 +260,15 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
         f"corners and path included), more than the {part.tolerance_mm:g} mm of [part] tolerance_mm, on "
         f"{_percent_digits(part.beyond_percent)} % of the cutting path"
     )
-    reasons = [_with_line(text, part.source_line), *reasons]
-    return Tolerance("failed", "part", part.tolerance_mm, False, part.beyond_percent, actions, reasons)
+    return Tolerance(
+        state="failed",
+        of="part",
+        mm=part.tolerance_mm,
+        held=False,
+        beyond_percent=part.beyond_percent,
+        would_help=actions,
+        reasons=[_with_line(text, part.source_line), *reasons],
+    )
 
 
 def _path_reasons(content: Summary) -> list[str]:

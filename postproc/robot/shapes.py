@@ -21,7 +21,7 @@ _FINEST = 1e-3
 """Cells [m] that simplification begins with; each further grid is coarser by `_COARSER`."""
 _COARSER = 1.25
 """Factor between grids: the first grid with few enough triangles has at least two thirds of the allowed triangles."""
-_MAX_PLACES = 3
+_MAX_LISTED_PATHS = 3
 """Places of a missing mesh that a note names."""
 
 
@@ -60,7 +60,7 @@ class LinkShape(Struct, frozen=True, eq=False):
 def read(geometries: Iterable[Geometry], urdf: Path) -> tuple[list[LinkShape], list[str]]:
     """Return the surface of each geometry that can be read, in metres, and a sentence for each that cannot.
 
-    :param urdf: path of the file that names the meshes, see `_places`.
+    :param urdf: path of the file that names the meshes, see `_candidate_paths`.
     """
     surfaces, problems = [], []
     for geometry in geometries:
@@ -81,10 +81,10 @@ def _mesh(geometry: Geometry, urdf: Path) -> Any:
     :raises ModelError: the mesh is missing or cannot be read, or the kind is unknown.
     """
     if geometry.kind == "mesh":
-        places = _places(geometry.file, urdf)
-        path = next((place for place in places if place.is_file()), None)
+        paths = _candidate_paths(geometry.file, urdf)
+        path = next((path for path in paths if path.is_file()), None)
         if path is None:
-            raise ModelError(f"there is no such file; looked for {_place_list(places)}", file=geometry.file)
+            raise ModelError(f"there is no such file; looked for {_path_list(paths)}", file=geometry.file)
         mesh = read_mesh(path, ModelError, "mesh")
         if path.suffix.lower() == ".dae":  # the only format of meshes here that states its unit
             mesh.convert_units("meters")
@@ -101,13 +101,13 @@ def _mesh(geometry: Geometry, urdf: Path) -> Any:
     raise ModelError("is neither a mesh nor a box, cylinder or sphere")
 
 
-def _place_list(places: list[Path]) -> str:
-    """Return the first `_MAX_PLACES` paths as a list with commas, then the number of further paths."""
-    suffix = f", and {len(places) - _MAX_PLACES} more above" if len(places) > _MAX_PLACES else ""
-    return f"{', '.join(str(place) for place in places[:_MAX_PLACES])}{suffix}"
+def _path_list(paths: list[Path]) -> str:
+    """Return the first `_MAX_LISTED_PATHS` paths as a list with commas, then the number of further paths."""
+    suffix = f", and {len(paths) - _MAX_LISTED_PATHS} more above" if len(paths) > _MAX_LISTED_PATHS else ""
+    return f"{', '.join(map(str, paths[:_MAX_LISTED_PATHS]))}{suffix}"
 
 
-def _places(name: str, urdf: Path) -> list[Path]:
+def _candidate_paths(name: str, urdf: Path) -> list[Path]:
     """Return the possible paths of a file that a URDF at the path `urdf` names, the likeliest first.
 
     `package://NAME/…` is below the package folder. This is a folder called NAME above the URDF, a folder NAME in a
@@ -121,15 +121,18 @@ def _places(name: str, urdf: Path) -> list[Path]:
     package, _, subpath = relative_path.partition("/")
     paths = []
     for parent in urdf.resolve().parents:
-        folders = [parent / package]
-        description = parent / "package.xml"
-        if parent.name == package or (
-            description.is_file()
-            and re.search(rf"<name>\s*{re.escape(package)}\s*</name>", description.read_text(errors="replace"))
-        ):
-            folders.append(parent)
-        paths += [folder / subpath for folder in folders]
+        paths.append(parent / package / subpath)
+        if parent.name == package or _states_package(parent / "package.xml", package):
+            paths.append(parent / subpath)
     return paths
+
+
+def _states_package(description: Path, package: str) -> bool:
+    """Return whether a file `package.xml` exists and states the name of a package."""
+    if not description.is_file():
+        return False
+    name = rf"<name>\s*{re.escape(package)}\s*</name>"
+    return re.search(name, description.read_text(errors="replace")) is not None
 
 
 def simplify(surface: LinkShape, face_limit: int) -> tuple[LinkShape, float]:
