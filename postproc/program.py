@@ -562,11 +562,11 @@ class Program(Struct, frozen=True, eq=False):
     :param transitions: motions that may also begin at the end of another one than `after` says, and that one (rows;
         −1: the start): behind branches that end apart, and in the second round of a LOOP without EXIT.
     :param swivel: orientation along motions given by rotary axes; None: LIN and CIRC turn it by one rotation.
-    :param by_wrist: (M,) True for lines on which the wrist axes turn the tool (``$ORI_TYPE=#JOINT``); None: on none.
+    :param is_wrist_led: (M,) True for lines on which the wrist axes turn the tool (``$ORI_TYPE=#JOINT``); None: none.
     :param wrist: how they do so with the robot of the cell, see `under_load.led_by_wrist`.
     :param carriage: the linear axis that carries the robot; None: there is none.
-    :param with_path: (M,) True for arcs with whose direction of travel the tool turns: its orientation as seen from
-        there is what changes by one rotation. None: there are none.
+    :param turns_with_path: (M,) True for arcs along which the tool turns with the direction of travel: the orientation
+        relative to this direction changes by one rotation. None: there are none.
     :param turn_speeds: (M, 3) largest speeds at which motions may turn the tool [rad/s]: any turn (RAPID, v_ori), that
         of its x axis and that about it (`$VEL.ORI1`, `$VEL.ORI2`); infinite where none is stated. None: none is.
     :param unforced: rows of feed moves that come from `[start]` of the cell: an error if a force acts there.
@@ -593,10 +593,10 @@ class Program(Struct, frozen=True, eq=False):
     branches: tuple[tuple[int, int], ...] = ()
     transitions: tuple[tuple[int, int], ...] = ()
     swivel: Swivel | None = None
-    by_wrist: Bools | None = None
+    is_wrist_led: Bools | None = None
     wrist: Turning | None = None
     carriage: Carriage | None = None
-    with_path: Bools | None = None
+    turns_with_path: Bools | None = None
     turn_speeds: Runs | None = None
     unforced: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     unresolved: tuple[UnresolvedMotion, ...] = ()

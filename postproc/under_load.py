@@ -416,11 +416,11 @@ def led_by_wrist(program: Program, robot_in_cell: RobotInCell) -> Program:
 
     :raises ImpossiblePathError: a wrist axis turns too far to be certain, or a pose has no solution.
     """
-    if program.by_wrist is None:
+    if program.is_wrist_led is None:
         return program
     check_ends(program, robot_in_cell.robot)
     m, motions = program.motions, np.arange(len(program.motions))
-    motion = np.flatnonzero(program.by_wrist)
+    motion = np.flatnonzero(program.is_wrist_led)
     segments = toolpath.segments(program, robot_in_cell.start_flange)
     ends = robot_in_cell.end_joints(program)
     previous = (motions - 1 if program.after is None else program.after)[motion]

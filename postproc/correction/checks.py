@@ -150,7 +150,7 @@ def half_turn_issues(program: Program, sample: Toolpath, turn: Array, pose: Pose
     has_open_direction = m.kind != PTP
     if program.turning is not None:
         has_open_direction &= ~program.turning.active
-    rotation = turn if program.with_path is None else turn - np.where(program.with_path, m.sweep, 0.0)
+    rotation = turn if program.turns_with_path is None else turn - np.where(program.turns_with_path, m.sweep, 0.0)
     motion = np.flatnonzero(has_open_direction & (rotation > np.pi - _HALF_TURN_MARGIN))
     if not len(motion):
         return
@@ -160,7 +160,7 @@ def half_turn_issues(program: Program, sample: Toolpath, turn: Array, pose: Pose
     may_reverse = is_corrected.any(axis=0) & (previous >= 0) & np.isnan(m.joints[previous, 0])
     problem = "this move turns the tool by about 180°: rounding decides the direction"
     advice = "Add a target between that fixes the direction."
-    if program.with_path is not None and program.with_path[motion].all():
+    if program.turns_with_path is not None and program.turns_with_path[motion].all():
         advice = (
             "The tool turns with the path of this circle: CirPathMode\\ObjectFrame (RAPID) or $CIRC_TYPE=#BASE (KRL) "
             "keeps its orientation. Or divide the circle."

@@ -244,17 +244,17 @@ _STEPS = np.array([1.0, 2.0, 5.0])
 class Corners(Struct, frozen=True):
     """The K targets of a path as corners.
 
-    :ivar sharp: (K,) |b − a| = 2 sin(turn/2); 0 where nothing can be rounded: at PTP, at pieces of splines,
+    :ivar sharpness: (K,) |b − a| = 2 sin(turn/2); 0 where nothing can be rounded: at PTP, at pieces of splines,
         at the end, where frames change.
     :ivar reach: (K,) half the length of the shorter one of the neighbouring pieces [m]: blending begins no earlier.
     """
 
-    sharp: Array
+    sharpness: Array
     reach: Array
 
     def rounding(self, distance: Array) -> Array:
         """Return the distance (K,) [m] of each corner from the rounded path, by approximation distances (K,) [m]."""
-        return np.asarray(0.25 * np.minimum(distance, self.reach) * self.sharp)
+        return np.asarray(0.25 * np.minimum(distance, self.reach) * self.sharpness)
 
 
 def _corners(bend: Array, length: Array, is_continuous: Bools) -> Corners:
@@ -265,10 +265,10 @@ def _corners(bend: Array, length: Array, is_continuous: Bools) -> Corners:
     :param length: (K,) [m].
     :param is_continuous: (K,) whether the next piece follows at once, in the same frames.
     """
-    sharp, reach = np.zeros(len(length)), np.zeros(len(length))
+    sharpness, reach = np.zeros(len(length)), np.zeros(len(length))
     reach[:-1] = 0.5 * np.minimum(length[:-1], length[1:])
-    sharp[:-1] = np.where(is_continuous[:-1] & (reach[:-1] > 0.0), bend, 0.0)
-    return Corners(sharp, reach)
+    sharpness[:-1] = np.where(is_continuous[:-1] & (reach[:-1] > 0.0), bend, 0.0)
+    return Corners(sharpness, reach)
 
 
 def _is_continuous(program: Program, motion: Ints, kind: Ints) -> Bools:
@@ -376,7 +376,7 @@ def approximation_distances(program: Program, targets: Targets, corners: Corners
     end_distance = m.blend[motion]
     is_exact_stop = corners.rounding(end_distance) > m.rounding[motion]
     # `Corners.rounding` solved for the distance; a straight corner has no limit that matters
-    limit = 4.0 * _ROUNDING_SHARE * cell.tolerance / np.maximum(corners.sharp, 1e-9)
+    limit = 4.0 * _ROUNDING_SHARE * cell.tolerance / np.maximum(corners.sharpness, 1e-9)
     if program.keeps_text:
         inner_distance = np.where((end_distance > 0.0) | (corners.reach <= limit), np.inf, 0.0)
     else:

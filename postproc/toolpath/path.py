@@ -188,9 +188,9 @@ def _turns(program: Program, start: Starts, shortest_turn: Array) -> Array:
     turn = shortest_turn if shortest_turn.any() else constant(0.0, len(m))
     if program.turning is not None:
         turn = np.maximum(turn, program.turning.travel)
-    if program.with_path is not None:
+    if program.turns_with_path is not None:
         turn = turn.copy()
-        rows = np.flatnonzero(program.with_path)
+        rows = np.flatnonzero(program.turns_with_path)
         orientation_from_path = _turn_about_arc_axis(program, rows, -m.sweep[rows], m.target[rows, :3, :3])
         # the turn of the path and that relative to it: their sum is an upper bound
         turn[rows] = m.sweep[rows] + angle_between(start.at(rows)[:, :3, :3], orientation_from_path)
@@ -219,7 +219,7 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
 
     LIN: position linear, orientation by one rotation, or as rotary axes or the wrist turn (`Program.turning`). CIRC:
     rotation about the arc's axis with a linear rise; the orientation is interpolated as for LIN, in axes that turn with
-    the arc where `Program.with_path` is set. PTP: from joint interpolation (`Segments.joint_moves`); without a
+    the arc where `Program.turns_with_path` is set. PTP: from joint interpolation (`Segments.joint_moves`); without a
     robot, its end everywhere. A piece of a spline is represented by its chord.
     """
     pose = program.motions.target.take(motion)
@@ -249,8 +249,8 @@ def _rotations(program: Program, path: Segments, motion: Ints, t: Array, end: Po
         is_swivel = program.turning.active[motion[turning]]
         swivel_rows, turning = turning[is_swivel], turning[~is_swivel]
         rotation[swivel_rows] = program.turning.at(motion[swivel_rows], t[swivel_rows])
-    if program.with_path is not None and len(turning):
-        is_led = program.with_path[motion[turning]]
+    if program.turns_with_path is not None and len(turning):
+        is_led = program.turns_with_path[motion[turning]]
         led_rows, turning = turning[is_led], turning[~is_led]
         rotation[led_rows] = _arc_orientations(program, path, motion[led_rows], t[led_rows])
     if len(turning):

@@ -203,6 +203,6 @@ def test_an_arc_comes_to_its_end_in_another_direction_than_it_begins():
     path = toolpath.segments(made, np.eye(4))
     turns = [0.0, 0.0, 90.0, 0.0, 90.0]  # degrees, at the ends of rows 1 to 5
     corners = correction_targets.corners_of_motions(made, path, np.arange(1, 7))
-    np.testing.assert_allclose(corners.sharp[:-1], 2.0 * np.sin(np.radians(turns) / 2.0), atol=1e-9)
+    np.testing.assert_allclose(corners.sharpness[:-1], 2.0 * np.sin(np.radians(turns) / 2.0), atol=1e-9)
     length = np.array([40.0, 10.0 * np.pi, 30.0, 30.0 * np.pi, 70.0, 40.0]) / 1e3
     np.testing.assert_allclose(corners.reach[:-1], np.minimum(length[:-1], length[1:]) / 2.0, rtol=1e-9)

@@ -186,14 +186,14 @@ def test_status_and_turn_that_the_angles_do_not_have_are_named():
 def test_an_arc_along_which_the_tool_turns_with_the_path_does_not_turn_it_by_its_sweep():
     """A turn of 250° on an arc of 70.1°: 179.9° are left, and 180° less a tenth may go the other way."""
     motions = replace(MADE.motions, sweep=np.radians([np.nan, np.nan, 70.1, np.nan, np.nan]))
-    with_path = np.array([False, False, True, False, False])
+    turns_with_path = np.array([False, False, True, False, False])
     turn = np.radians([0.0, 0.0, 250.0, 0.0, 0.0])
     at = sample(range(5))
-    made = replace(MADE, motions=motions, with_path=with_path)
+    made = replace(MADE, motions=motions, turns_with_path=turns_with_path)
     assert len(list(checks.half_turn_issues(made, at, turn, at.pose))) == 1
     small = np.radians([0.0, 0.0, 200.0, 0.0, 0.0])
     assert list(checks.half_turn_issues(made, at, small, at.pose)) == []
-    assert len(list(checks.half_turn_issues(replace(made, with_path=None), at, small, at.pose))) == 1
+    assert len(list(checks.half_turn_issues(replace(made, turns_with_path=None), at, small, at.pose))) == 1
 
 
 @pytest.mark.parametrize(("degrees", "is_wrong"), [(0.009, False), (0.011, True)])

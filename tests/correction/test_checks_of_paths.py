@@ -179,11 +179,13 @@ def test_half_a_turn_from_the_start_or_from_an_axis_target_is_a_warning():
 
 def test_half_a_turn_with_the_path_is_the_turn_seen_from_the_path():
     sweep = np.array([0.0, 0.0, np.pi - 1.0, 0.0])
-    led = replace(MADE, motions=replace(MADE.motions, sweep=sweep), with_path=np.array([False, False, True, False]))
+    led = replace(
+        MADE, motions=replace(MADE.motions, sweep=sweep), turns_with_path=np.array([False, False, True, False])
+    )
     assert half_turn([(3, 0, 1e-3)], led) == []
     assert half_turn([(3, 0, 1e-3)], led, turn=2 * np.pi - 1.0) == [("half-turn", "error", (3,))]
-    assert half_turn([(3, 0, 1e-3)], replace(led, with_path=None)) == [("half-turn", "error", (3,))]
-    line = replace(led, with_path=np.array([False, True, False, False]))  # another motion is led by its path
+    assert half_turn([(3, 0, 1e-3)], replace(led, turns_with_path=None)) == [("half-turn", "error", (3,))]
+    line = replace(led, turns_with_path=np.array([False, True, False, False]))  # another motion is led by its path
     assert half_turn([(3, 0, 1e-3)], line) == [("half-turn", "error", (3,))]
     axes = SimpleNamespace(active=np.array([False, False, True, False]))  # rotary axes say which way round
     assert half_turn([(3, 0, 1e-3)], replace(MADE, swivel=axes)) == []

@@ -96,7 +96,7 @@ def test_corners_are_turns_between_pieces_that_follow_each_other_in_the_same_fra
     for k in range(count):
         np.testing.assert_allclose(arrive[k], pieces[k][1], atol=1e-9)
         if k == count - 1:
-            assert corners.sharp[k] == corners.reach[k] == 0.0
+            assert corners.sharpness[k] == corners.reach[k] == 0.0
             continue
         reach = 0.5 * min(pieces[k][2], pieces[k + 1][2])
         assert corners.reach[k] == pytest.approx(reach, abs=1e-12)
@@ -105,7 +105,7 @@ def test_corners_are_turns_between_pieces_that_follow_each_other_in_the_same_fra
         follows = follows and (made.after is None or here == there or made.after[there] == here)
         is_path = {int(rows.kind[k]), int(rows.kind[k + 1])} <= {LIN, CIRC}
         sharp = np.linalg.norm(pieces[k + 1][0] - pieces[k][1]) if follows and is_path and reach > 0.0 else 0.0
-        assert corners.sharp[k] == pytest.approx(sharp, abs=1e-9)
+        assert corners.sharpness[k] == pytest.approx(sharp, abs=1e-9)
 
 
 @pytest.mark.parametrize("keeps_text", [False, True])
@@ -121,7 +121,7 @@ def test_approximation_distances_stay_unless_they_round_a_corner_too_much(seed, 
     found = targets.approximation_distances(made, rows, corners, cell)
     for k in range(len(rows)):
         motion = rows.motion[k]
-        at_end, sharp, reach = made.motions.blend[motion], corners.sharp[k], corners.reach[k]
+        at_end, sharp, reach = made.motions.blend[motion], corners.sharpness[k], corners.reach[k]
         allowed = 4.0 * 0.2 * cell.tolerance / max(sharp, 1e-9)  # a fifth of the tolerance is passed at d/4·sharp
         if rows.kind[k] == PTP:
             expected = 0.0

@@ -55,7 +55,7 @@ def test_the_wrist_leads_the_orientation_as_in_the_cell():
         here = toolpath.at(program, segments, row, np.array([share])).pose[0]
         np.testing.assert_allclose(here[:3, 3], pose[:3, 3], atol=1e-10)
         np.testing.assert_allclose(here[:3, :3], pose[:3, :3], atol=1e-9)
-        if share == 0.5 and program.by_wrist[index]:
+        if share == 0.5 and program.is_wrist_led[index]:
             begin, end = segments.start.at(row), program.motions.target[row]
             assert angle_between(here[:3, :3], interpolate(begin, end, np.array([0.5]))[0, :3, :3]) > 1e-3
             looked += 1
@@ -82,7 +82,7 @@ def test_the_corrected_program_holds_the_tool_in_the_cell_at_targets_and_between
         length = 1e-3 * np.linalg.norm([row[k] - last[k] for k in "XYZ"])
         if (
             share == 0.5
-            and program.by_wrist[result.motion[index - 1]]
+            and program.is_wrist_led[result.motion[index - 1]]
             and begin > 0.2
             and length > 1e-3
             and index % 3 == 0
@@ -152,7 +152,7 @@ def test_where_e1_stands_still_the_wrist_leads_as_without_it(e1):
     lines = (FORCE, LINES[0], "LIN {X 240,Y -60,Z 10,A 165,B 25,C 160}")
     _, _, without = processed(*lines)
     _, program = on_rail(*lines, e1=e1)
-    assert program.by_wrist.sum() == 2
+    assert program.is_wrist_led.sum() == 2
     result = correction.process(program, ROBOT, RAIL)
     assert not result.failed, result.issues
     written = re.sub(rf",\s*E1 {e1}(\.0*)?(?=[,}}])", "", result.documents[0].text)

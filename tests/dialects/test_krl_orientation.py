@@ -95,7 +95,7 @@ def test_inline_forms_name_the_modes_by_their_data():
     data = "DEFDAT part\nDECL LDAT LCPDAT1={VEL 2.0,ACC 100.0,ORI_TYP #CONSTANT,CIRC_TYP #PATH}\nENDDAT\n"
     circle = "SCIRC {X 50,Y 50,Z 0},{X 100,Y 0,Z 0,A 1,B 2,C 3} WITH $ORI_TYPE=SORI_TYP(LCPDAT1), "
     program = read(body(FULL, f"{circle}$CIRC_TYPE=SCIRC_TYP(LCPDAT1), $CIRC_MODE=SCIRC_M(LCPDAT1)"), data)
-    assert program.with_path.tolist() == [False, True]
+    assert program.turns_with_path.tolist() == [False, True]
     assert program.layout.orientation.tolist() == [0, 1]
 
 

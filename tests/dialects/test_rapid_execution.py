@@ -261,11 +261,11 @@ def test_settings_hold_from_their_statement_on():
     ]
     assert read_code(code).motions.status.tolist() == [-1, 7, -1, 7]
     code = ["SingArea\\Wrist;", move(1), "SingArea\\Off;", move(2), "SingArea\\Wrist;", move(3), "SingArea;", move(4)]
-    assert read_code(code).by_wrist.tolist() == [False, True, False, True, False]
+    assert read_code(code).is_wrist_led.tolist() == [False, True, False, True, False]
     circle = f"MoveC {at(10, 10, 20)},{at(20, 0, 20)}{tail()}"
     back = f"MoveC {at(10, 10, 20)},{at(0, 0, 20)}{tail()}"
     code = [move(0), circle, "CirPathMode\\ObjectFrame;", back, "CirPathMode;", circle, "CirPathMode\\PathFrame;", back]
-    assert read_code(code).with_path.tolist() == [False, False, True, False, True, True]
+    assert read_code(code).turns_with_path.tolist() == [False, False, True, False, True, True]
 
 
 @pytest.mark.parametrize(

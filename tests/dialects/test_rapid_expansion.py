@@ -97,7 +97,7 @@ def test_a_loop_is_written_out_line_by_line(kind):
     assert code_of(program) == ["", "PROC main()", "ConfL\\Off;", MOVE_HOME, *text, "ENDPROC"]
     assert line == lines
     assert positions == x
-    assert program.layout.plain == (kind == "one round")
+    assert program.layout.is_plain == (kind == "one round")
     first = [number for number, text in enumerate(code, 9) if text.startswith(("FOR", "WHILE"))]
     assert [(issue.kind, issue.source_line) for issue in program.issues] == (
         [] if kind == "one round" else [("loop-expanded", first[0])]

@@ -329,9 +329,9 @@ def test_a_tool_of_another_module_is_that_of_the_cell_and_a_second_one_is_refuse
 
 def test_circles_turn_the_tool_with_their_path_unless_the_object_frame_is_set():
     code = [f"MoveL {at(0, 0, 20)}{tail()}", f"MoveC {at(10, 10, 20)},{at(20, 0, 20)}{tail()}"]
-    assert read(module(code)).with_path.tolist() == [False, False, True]
+    assert read(module(code)).turns_with_path.tolist() == [False, False, True]
     program = read(module(["CirPathMode\\ObjectFrame;", *code]))
-    assert program.with_path is None
+    assert program.turns_with_path is None
     assert program.motions.kind.tolist() == [PTP, LIN, CIRC]
 
 

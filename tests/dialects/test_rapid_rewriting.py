@@ -213,13 +213,13 @@ def test_lines_with_the_wrist_led_by_its_axes_are_told_from_others(area):
     code = [f"SingArea\\{area};", FIRST, f"MoveL {at(60, 0, 20)}{tail()}"]
     program = read(module(code))
     if area == "Off":
-        assert program.by_wrist is None
+        assert program.is_wrist_led is None
     else:
-        assert program.by_wrist.tolist() == [False, True, True]
-    assert program.with_path is None
+        assert program.is_wrist_led.tolist() == [False, True, True]
+    assert program.turns_with_path is None
     circle = read(module([*code[:2], f"MoveC {at(10, 10, 20)},{at(20, 0, 20)}{tail()}"]))
     assert circle.motions.kind.tolist() == [PTP, LIN, CIRC]
-    assert (circle.by_wrist is None) == (area == "Off")
+    assert (circle.is_wrist_led is None) == (area == "Off")
 
 
 @pytest.mark.parametrize(("z", "is_refused"), [("99000", False), ("1E7", True)])

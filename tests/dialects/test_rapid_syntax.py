@@ -45,7 +45,7 @@ def shown(text, item):
         case Declaration():
             value = item.value and shown(text, item.value)
             sizes = tuple(shown(text, part) for part in item.dimensions)
-            return (item.kind, piece, item.local, item.type, item.name, item.spelling, sizes, value)
+            return (item.kind, piece, item.is_local, item.type, item.name, item.spelling, sizes, value)
         case Conditional():
             subject = item.subject and shown(text, item.subject)
             branches = [
@@ -217,7 +217,7 @@ def test_modules_have_their_data_and_routines_whatever_is_between():
     )
     first, second = modules(text)
     assert (first.name, second.name, second.data, second.routines) == ("A", "B", (), ())
-    assert [(item.kind, item.local, item.name) for item in first.data] == [
+    assert [(item.kind, item.is_local, item.name) for item in first.data] == [
         ("PERS", True, "N"), ("VAR", False, "K"), ("CONST", False, "M")
     ]  # fmt: skip
     assert [item.name for item in first.routines] == ["P"]

@@ -124,13 +124,13 @@ def test_small_turns_are_in_proportion_too(degrees):
 
 def test_on_a_circle_that_turns_the_tool_the_rider_on_the_path_sees_an_even_rotation():
     made = mixed()
-    made = replace(made, with_path=np.array([False, True, False, False, False, False, True]))
+    made = replace(made, turns_with_path=np.array([False, True, False, False, False, False, True]))
     path, motion, t = every_place(made)
     begin, m = begins(made), made.motions
     sample = toolpath.at(made, path, motion, t)
     for k, s, pose in zip(motion, t, sample.pose, strict=True):
         expected = turned(begin[k], m.target[k], 1.0 if k == 0 else s)
-        if made.with_path[k]:
+        if made.turns_with_path[k]:
             here, there = (Rotation.from_rotvec(m.normal[k] * m.sweep[k] * share).as_matrix() for share in (s, 1.0))
             seen = there.T @ m.target[k, :3, :3]  # the end as the rider sees it
             expected = here @ turned(begin[k], np.block([[seen, np.zeros((3, 1))], [np.zeros(3), 1.0]]), s)

@@ -66,7 +66,7 @@ class Cycle(Struct, frozen=True):
             yield bottom
             bottom -= self.step
 
-    def retracts(self, bottom: float) -> tuple[float, ...]:
+    def retract_heights(self, bottom: float) -> tuple[float, ...]:
         """Return the heights [mm] of the rapid moves after a peck, up to the beginning of the next peck."""
         return (*([self.clear_height] if self.retracts_fully else ()), bottom + _PECK_CLEARANCE_MM)
 

@@ -70,7 +70,7 @@ class Statements(Struct, frozen=True, eq=False):
     :param code: statements in upper case without white space and comments; each ends with a line feed.
     :param ends: (S + 1,) offsets in `code`: statement i is ``code[ends[i]:ends[i + 1] - 1]``.
     :param line: (S,) 1-based lines on which the statements begin.
-    :param others: (n,) rows of statements that are neither empty nor plain GOTO.
+    :param other_rows: (n,) rows of statements that are neither empty nor plain GOTO.
     :param points: (P,) rows of plain GOTO statements.
     :param numbers: (P, 6) numbers of these; the last three are NaN for a GOTO with three numbers.
     :param comments: 1-based line and text of each comment.
@@ -81,7 +81,7 @@ class Statements(Struct, frozen=True, eq=False):
     code: bytes
     ends: Ints
     line: Ints
-    others: Ints
+    other_rows: Ints
     points: Ints
     numbers: Array
     comments: tuple[tuple[int, str], ...]
@@ -123,7 +123,7 @@ def split(document: Document) -> Statements:
         code=code,
         ends=ends,
         line=line,
-        others=np.flatnonzero(~is_plain_or_empty),
+        other_rows=np.flatnonzero(~is_plain_or_empty),
         points=points,
         numbers=numbers,
         comments=tuple(_comments(document.text, starts, comment_spans)),

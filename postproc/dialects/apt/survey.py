@@ -17,7 +17,7 @@ def survey(document: Document) -> Survey:
     statements = split(document)
     comments, changes, switches = list(statements.comments), [], set()
     inches = False
-    for row in statements.others.tolist():
+    for row in statements.other_rows.tolist():
         text, line = statements.of(row), int(statements.line[row])
         if match := _LOAD.match(text):
             changes.append((line, int(match[1])))

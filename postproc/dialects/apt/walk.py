@@ -166,7 +166,7 @@ class _Walk:
         """
         statements, course = self.statements, self.course
         next_row = 0
-        for row in statements.others.tolist():
+        for row in statements.other_rows.tolist():
             self._run_plain_gotos(next_row, row)
             next_row = row + 1
             if self.end_row >= 0 or len(course.faults) > MAX_ERRORS:
@@ -198,7 +198,7 @@ class _Walk:
         statements, course = self.statements, self.course
         if self.end_row >= 0:
             other_rows = [
-                row for row in statements.others.tolist() if row > self.end_row and statements.of(row) != "FINI"
+                row for row in statements.other_rows.tolist() if row > self.end_row and statements.of(row) != "FINI"
             ]
             # points are ascending rows
             goto_rows = statements.points[np.searchsorted(statements.points, self.end_row) :].tolist()
@@ -437,7 +437,7 @@ class _Walk:
             self._add_move(row, top + axis * rapid_height, axis, RAPID, 0.0)
         for bottom in cycle.pecks():
             self._add_move(row, top + axis * bottom, axis, LINE, cycle.feed, is_exact_stop=True)
-            for retract_height in cycle.retracts(bottom):
+            for retract_height in cycle.retract_heights(bottom):
                 self._add_move(row, top + axis * retract_height, axis, RAPID, 0.0, is_exact_stop=True)
         self._add_move(row, top - axis * cycle.depth, axis, LINE, cycle.feed, is_exact_stop=True)
         if cycle.dwell > 0.0:

@@ -927,7 +927,7 @@ class _Walk:
         )
 
     def _unknown_ranges(self) -> list[tuple[int, int]]:
-        """Return ranges (first, last) of rows with an unknown position, one for each of `losses`.
+        """Return ranges (first, last) of rows with an unknown position, one for each loss of the position (`losses`).
 
         A range lasts until all its unknown axes are programmed: `last` is the row that makes the position known. Else
         it lasts to the row of the next loss, and the axes stay unknown, or to the number of lines. If no axis is

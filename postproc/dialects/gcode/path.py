@@ -412,7 +412,8 @@ def _check_unknown_positions(lines: LineStates, moves: Moves, doubt: _Doubt, fau
         begin = first + int(np.argmax(has_axis_word[first:])) if has_axis_word[first:].any() else first
         # a single line that gives X, Y and Z at once is no low move
         is_low = (begin != complete_row) & below_top(lines, first, complete_row)
-        is_low_cut = ((lines.motion == 1.0) & is_low) | (lines.is_drilling & (line < complete_row))
+        is_line = lines.motion == 1.0  # G1
+        is_low_cut = (is_line & is_low) | (lines.is_drilling & (line < complete_row))
         is_cut = is_early & is_low_cut & ~doubt.motion
         faults.check(is_cut, "cutting move before the position is known", advice, first=True)
         is_unknown_arc = lines.is_moving & _is_arc(lines) & is_within & ~doubt.motion & ~doubt.position

@@ -314,6 +314,7 @@ def _late_code_issues(run: ExecutedProgram, rows: int) -> Iterator[Issue]:
     :param rows: number of lines up to the end of the program.
     """
     source, lines = run.source, list(run.after_end)
+    # `words.MARK` stands for a comment
     if source.code[source.ends[rows] :].strip(b"\n%" + words.MARK.encode()):
         lines = [row + 1 for row in range(rows, len(source)) if source.line(row).strip(words.MARK + "%")]
     if len(lines):

@@ -45,7 +45,7 @@ class Effects:
         self.without_effect = frozenset(name.upper() for name in without_effect)
         data = [item for module in modules for item in module.data]
         self._all_data = frozenset(item.name for item in data)
-        self._open_data = frozenset(item.name for item in data if not item.local)
+        self._open_data = frozenset(item.name for item in data if not item.is_local)
         self.has_functions = any(self._calls_changing_function(routine.body) for routine in self.routines.values())
         self._changed_data: dict[tuple[str, bool], frozenset[str]] = {}
         self._changed_by_handler: dict[str, frozenset[str]] = {}

@@ -114,20 +114,20 @@ class ExecutedProgram(Struct, eq=False):
     :ivar rounds: offset of a loop with motions → its runs. A run is the loop and, for each round, the value of the
         variable of FOR, or the number of the round of WHILE.
     :ivar calls: name of a routine with motions → its calls, in execution order.
-    :ivar foreign: called routines that are in no module: name → (offset of the first call, number of calls).
+    :ivar unknown_calls: called routines that are in no module: name → (offset of the first call, number of calls).
     :ivar errors: statements that cannot be followed.
-    :ivar followed: names of the routines that run.
-    :ivar assumed: tools and work objects that are taken from the cell: name → type.
+    :ivar followed_names: names of the routines that run.
+    :ivar cell_data: tools and work objects that are taken from the cell: name → type.
     """
 
     moves: list[Move] = field(default_factory=list)
     notes: list[tuple[Comment, int]] = field(default_factory=list)
     rounds: dict[int, list[tuple[Loop, list[float]]]] = field(default_factory=dict)
     calls: dict[str, list[Instruction]] = field(default_factory=dict)
-    foreign: dict[str, tuple[int, int]] = field(default_factory=dict)
+    unknown_calls: dict[str, tuple[int, int]] = field(default_factory=dict)
     errors: list[RapidError] = field(default_factory=list)
-    followed: set[str] = field(default_factory=set)
-    assumed: dict[str, str] = field(default_factory=dict)
+    followed_names: set[str] = field(default_factory=set)
+    cell_data: dict[str, str] = field(default_factory=dict)
 
 
 class _Return(Exception):  # noqa: N818 - no error: the end of a routine
@@ -286,8 +286,8 @@ class Execution:
 
     def _list_foreign_call(self, name: str, statement: Statement) -> None:
         """Count a call of a routine that is in no module of the file."""
-        start, count = self.result.foreign.get(name, (statement.start, 0))
-        self.result.foreign[name] = start, count + 1
+        start, count = self.result.unknown_calls.get(name, (statement.start, 0))
+        self.result.unknown_calls[name] = start, count + 1
 
     def _is_foreign_move(self, statement: Instruction) -> bool:
         """Return whether an instruction calls a routine of another file with a target, to which it may move."""
@@ -347,7 +347,7 @@ class Execution:
         """
         if depth > _MAX_CALL_DEPTH:
             raise RapidError(f"{routine.name} calls itself", routine.start, _KEEP)
-        self.result.followed.add(routine.name)
+        self.result.followed_names.add(routine.name)
         with contextlib.suppress(_Return):
             self._execute_block(routine.body, scope, routine, depth)
 
@@ -659,7 +659,7 @@ class Execution:
                     stated_move(statement, MOVES[statement.name], scope, self.setting, self._frame_of_cell)
                 )
             except UnknownValueError as cause:
-                self._refuse(statement, cause.problem, _OPEN_DATA if self.result.foreign else _NUMBERS)
+                self._refuse(statement, cause.problem, _OPEN_DATA if self.result.unknown_calls else _NUMBERS)
         elif name in self.routines and self.routines[name].kind == "PROC":
             self._execute_call(statement, self.routines[name], scope, depth)
         elif name in SETTINGS:
@@ -803,11 +803,11 @@ class Execution:
     def _frame_of_cell(self, name: str, type_: str) -> Value | None:
         """Return the value of the cell for a tool or work object that no module declares; None if it has none.
 
-        Add a value to `result.assumed`.
+        Add a value to `result.cell_data`.
         """
         value = self.from_cell(name, type_)
         if value is not None:
-            self.result.assumed[name] = type_
+            self.result.cell_data[name] = type_
         return value
 
 

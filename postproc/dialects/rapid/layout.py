@@ -14,8 +14,8 @@ class Layout(Struct, frozen=True, eq=False):
     """The text of M motions.
 
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in the work objects, as written.
-    :param text: text with loops and routines expanded, see `expansion`; the text of the file if `plain`.
-    :param plain: True if nothing was expanded.
+    :param text: text with loops and routines expanded, see `expansion`; the text of the file if `is_plain`.
+    :param is_plain: True if nothing was expanded.
     :param moves: (M,) the motions.
     :param notes: force comments of the program, in order.
     :param declared: names of all data, upper case.
@@ -23,7 +23,7 @@ class Layout(Struct, frozen=True, eq=False):
 
     numbers: Array
     text: str
-    plain: bool
+    is_plain: bool
     moves: tuple[Move, ...]
     notes: tuple[Comment, ...]
     declared: frozenset[str]

@@ -135,7 +135,7 @@ def _data(loaded_modules: tuple[Module, ...]) -> dict[str, Variable]:
     scope = Scope({**predefined, **declared})
     data: dict[str, Variable] = {}
     for name, item in declarations.items():
-        if item.local:
+        if item.is_local:
             continue
         # without the text of its value: a correction never changes another file
         variable = Variable(item.type, declaration=replace(item, value=None), literal=True)

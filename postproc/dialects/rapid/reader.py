@@ -82,16 +82,16 @@ class _Path(NamedTuple):
     :param tools: (n, 4, 4) frames of the tools in the flange [m].
     :param numbers: (M, 6) X, Y, Z, A, B, C [mm, deg] of the targets, exactly as in the text; for joint targets, of the
         poses that they reach.
-    :param by_wrist: (M,) True if the wrist axes turn the tool.
-    :param with_path: (M,) True if the tool turns with its path.
+    :param is_wrist_led: (M,) True if the wrist axes turn the tool.
+    :param turns_with_path: (M,) True if the tool turns with its path.
     """
 
     motions: Motions
     bases: Array
     tools: Array
     numbers: Array
-    by_wrist: Bools
-    with_path: Bools
+    is_wrist_led: Bools
+    turns_with_path: Bools
 
 
 class _Reader:
@@ -143,8 +143,8 @@ class _Reader:
             tool_keys=_tool_names(execution.moves, path.motions.tool, len(path.tools)),
             notes=notes,
             issues=tuple(self._issues(expanded_program)),
-            by_wrist=path.by_wrist if path.by_wrist.any() else None,
-            with_path=path.with_path if path.with_path.any() else None,
+            is_wrist_led=path.is_wrist_led if path.is_wrist_led.any() else None,
+            turns_with_path=path.turns_with_path if path.turns_with_path.any() else None,
             turn_speeds=_turn_speeds(execution.moves),
             layout=Layout(path.numbers, expanded_program.text, is_plain, tuple(execution.moves), comments, data_names),
         )
@@ -278,7 +278,7 @@ class _Reader:
         starts = Starts.of((base, tool, bases, tools), pose.__getitem__, forward_kinematics(self.cell.start_joints))
         start = starts.at(np.arange(len(line)))
         arcs = self._arcs(moves, start, pose, line, kind == CIRC)
-        by_wrist, with_path = self._turning(moves, kind, start, pose, line)
+        is_wrist_led, turns_with_path = self._turning(moves, kind, start, pose, line)
         status = np.full(len(line), -1)
         has_status = np.array([move.setting.follows_configuration for move in moves]) & (kind == PTP) & ~has_joints
         status[has_status] = status_from_cfx(target_numbers[has_status, 10].astype(np.int64))  # column 10: cfx
@@ -299,7 +299,7 @@ class _Reader:
             status=status,
             turn=np.full(len(line), -1),
         )
-        return _Path(motions, bases, tools, numbers, by_wrist, with_path)
+        return _Path(motions, bases, tools, numbers, is_wrist_led, turns_with_path)
 
     def _target_values(self, moves: list[Move], line: Ints, has_joints: Bools) -> tuple[Array, Array]:
         """Return the numbers of robtargets (M, 17), and joint angles (M, 6) [rad]; NaN where a move has none.
@@ -485,8 +485,8 @@ class _Reader:
             if is_invalid.any():
                 advice = "Use SingArea\\Off and CirPathMode\\ObjectFrame, or keep the orientation along this move."
                 raise self._error(problem, int(line[np.argmax(is_invalid)]), advice)
-        by_wrist = (singularity_mode == "WRIST") & (kind == LIN)
-        return by_wrist, (kind == CIRC) & (circle_mode == "PATHFRAME")
+        is_wrist_led = (singularity_mode == "WRIST") & (kind == LIN)
+        return is_wrist_led, (kind == CIRC) & (circle_mode == "PATHFRAME")
 
     def _tcp_speed(
         self, moves: list[Move], kind: Ints, start: Array, pose: Array, arcs: ArcColumns, line: Ints
@@ -520,7 +520,7 @@ class _Reader:
     def _issues(self, expanded_program: ExpandedProgram) -> Iterator[Issue]:
         """Yield information and warnings on how the module was read."""
         execution = expanded_program.executed
-        for name, (start, count) in execution.foreign.items():
+        for name, (start, count) in execution.unknown_calls.items():
             message = f"{name} is in no module of this file: it is assumed not to move the robot."
             line = int(self._file_lines(expanded_program, np.array([start]))[0])
             yield Issue("warning", "external-call", message, line, subject=name.upper(), count=count)
@@ -540,7 +540,7 @@ class _Reader:
         routines = [routine for module in expanded_program.modules for routine in module.routines]
         for routine in routines:
             first_move = next(filter(_is_move, all_statements(routine.body)), None)
-            if first_move is not None and routine.name not in expanded_program.executed.followed:
+            if first_move is not None and routine.name not in expanded_program.executed.followed_names:
                 message = f"{routine.kind} {routine.name} has moves but is not called; they are left as they are."
                 line = int(self._file_lines(expanded_program, np.array([first_move.start]))[0])
                 yield Issue("warning", "uncalled-motions", message, line, subject=routine.name)
@@ -548,7 +548,7 @@ class _Reader:
     @staticmethod
     def _cell_frame_issues(execution: ExecutedProgram) -> Iterator[Issue]:
         """Yield a warning for each tool and work object that is taken from the cell."""
-        for name, type_ in execution.assumed.items():
+        for name, type_ in execution.cell_data.items():
             section = "[tool]" if type_ == "TOOLDATA" else "[base]"
             message = (
                 f"{name} is not declared in this file: {section} of the cell is taken for it. Check that they agree, "

@@ -101,7 +101,7 @@ class Declaration(Statement, frozen=True, eq=False):
     """A declaration of data.
 
     :ivar kind: CONST, PERS or VAR.
-    :ivar local: True for LOCAL.
+    :ivar is_local: True for LOCAL.
     :ivar type: upper case.
     :ivar name: upper case.
     :ivar spelling: the name as it is spelled.
@@ -110,7 +110,7 @@ class Declaration(Statement, frozen=True, eq=False):
     """
 
     kind: str
-    local: bool
+    is_local: bool
     type: str
     name: str
     spelling: str
@@ -462,7 +462,7 @@ class Parser:
             return self._jump(start, word)
         if word in WORDS:
             raise self.fault("a statement")
-        return self._simple(start)
+        return self._simple_statement(start)
 
     def _plain_move(self, match: re.Match[str]) -> Statement:
         """Return the move that `_MOVE` matched, and step over it: target, speed, zone, tool, perhaps work object."""
@@ -525,7 +525,7 @@ class Parser:
         routine_name = str(name.value).rpartition(":")[2].upper() if name.kind == "string" else ""
         return Instruction(start, self.previous_stop, f"%{routine_name}", arguments)
 
-    def _simple(self, start: int) -> Statement:
+    def _simple_statement(self, start: int) -> Statement:
         """Parse an assignment, an instruction or a label, which all begin with a name.
 
         :param start: offset of its first word.
@@ -651,9 +651,9 @@ class Parser:
 
         :raises RapidSyntaxError: it is not valid.
         """
-        start, local = self.start, False
+        start, is_local = self.start, False
         while self.word in ("LOCAL", "TASK"):
-            local |= self.word == "LOCAL"
+            is_local |= self.word == "LOCAL"
             self.step()
         kind = self.word
         if kind not in _DATA_KINDS:
@@ -668,7 +668,7 @@ class Parser:
             self.expect("}")
         value = self.expression() if self.accept(":=") else None
         self.expect(";")
-        return Declaration(start, self.previous_stop, kind, local, type_, name, spelling, tuple(dimensions), value)
+        return Declaration(start, self.previous_stop, kind, is_local, type_, name, spelling, tuple(dimensions), value)
 
     # --- modules
 

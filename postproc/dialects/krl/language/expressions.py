@@ -242,7 +242,7 @@ def operand(source: Source, start: int, stop: int) -> _Read:
         return _in_brackets(source, start, stop)
     if match := NUMBER.match(text, start, stop):
         is_whole = match[0].lstrip("+-").isdigit()
-        return Number(_finite(source, match), start, match.end(), is_whole), match.end()
+        return Number(_finite_number(source, match), start, match.end(), is_whole), match.end()
     if match := INTEGER_LITERAL.match(text, start, stop):
         if match.end() - start > _MAX_INT_LENGTH:
             raise source.error(f"{match[0][:20]}… is not an INT", start, advice="Write the number in decimal notation.")
@@ -416,7 +416,7 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
             name, has_next, position = match["name"].upper(), match["comma"] is not None, match.end()
             number = float(literal)
             if number - number != 0.0:  # infinite; raises with the place
-                number = _finite(source, match, "number")
+                number = _finite_number(source, match, "number")
             value: Value = Number(number, *match.span("number"), literal.lstrip("+-").isdigit())
         else:
             name, value, has_next, position = _component(source, start, position, stop)
@@ -512,7 +512,7 @@ def _raise_aggregate_error(source: Source, opening: int, position: int, stop: in
     raise source.error(problem, position)
 
 
-def _finite(source: Source, match: re.Match[str], group: str | int = 0) -> float:
+def _finite_number(source: Source, match: re.Match[str], group: str | int = 0) -> float:
     """Return the number in a group of a match in the text of a file.
 
     :raises ProgramError: it is not finite.

@@ -14,7 +14,7 @@ from postproc.dialects.krl.read.path_settings import PathSettings
 from postproc.dialects.krl.read.state import FIELDS, State
 from postproc.dialects.krl.read.variables import Variables
 
-_SPLINE_VARIABLES = {"$CIRC_MODE": "auxiliary", "$SPL_ORI_JOINT_AUTO": "by_wrist"}
+_SPLINE_VARIABLES = {"$CIRC_MODE": "auxiliary", "$SPL_ORI_JOINT_AUTO": "wrist_mode"}
 """Variables of spline motions, which BAS does not set, and the fields of the `State` that they set."""
 _MOTION_VARIABLES = tuple(name for name in FIELDS if name not in _SPLINE_VARIABLES)
 BAS_SETS = {

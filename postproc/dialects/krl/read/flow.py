@@ -668,7 +668,10 @@ class Flow:
         return -1
 
     def _add_to_count(self, count: int) -> None:
-        """Count statements that run, as `_count_statement` does, but refuse nothing: the next statement does that."""
+        """Add to the number of statements that have run: `_traced_count` in code with motions, else that of `run`.
+
+        Nothing is refused here: the next statement checks the limits.
+        """
         if self._motionless_depth or not self.run.level.is_traced:
             self.run.statement_count += count
         else:

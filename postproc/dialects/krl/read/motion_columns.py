@@ -67,13 +67,13 @@ class MotionCollector:
     """Collects motion statements one by one, as rows of columns.
 
     :ivar states: state in force at each statement.
-    :ivar special: the statements that are not plain, which are kept too: index among all statements, and statement.
+    :ivar special_moves: the statements that are not plain: index among all statements, and statement.
     """
 
     def __init__(self) -> None:
         """Begin without statements; they are converted to columns in batches."""
         self.states: list[State] = []
-        self.special: list[tuple[int, MotionStatement]] = []
+        self.special_moves: list[tuple[int, MotionStatement]] = []
         self._unconverted: list[MotionStatement] = []
         self._converted_parts: list[MotionColumns] = []
 
@@ -84,7 +84,7 @@ class MotionCollector:
     def add(self, move: MotionStatement, state: State) -> None:
         """Add the next statement, and the state in force for it."""
         if not move.is_plain:
-            self.special.append((len(self.states), move))
+            self.special_moves.append((len(self.states), move))
         self.states.append(state)
         self._unconverted.append(move)
         if len(self._unconverted) == _BATCH_SIZE:

@@ -100,7 +100,7 @@ def ordered_motions(main: MainRoutine, plain_parts: list[MotionColumns]) -> Orde
     statement_rows = main.motions.rows()
     places, motion_states, numbers = _merged_settings(main, [rows.line for rows in plain_parts], statement_rows.line)
     first = sum(map(len, plain_parts))  # index in `places` of the first statement
-    moves = {places.item(first + index): move for index, move in main.motions.special}
+    moves = {places.item(first + index): move for index, move in main.motions.special_moves}
     plain_parts.append(statement_rows)
     return OrderedMotions(merged_motions(plain_parts, places), motion_states, numbers, moves)
 
@@ -563,7 +563,7 @@ def _check_automatic_wrist_mode(
     :raises ProgramError: the orientation changes on such a motion.
     """
     may_use_wrist = motion_states.column(
-        lambda state: state.by_wrist == "#ON" or any(field == "by_wrist" for field, _ in state.uncertain_fields)
+        lambda state: state.wrist_mode == "#ON" or any(field == "wrist_mode" for field, _ in state.uncertain_fields)
     )
     if not may_use_wrist.any():
         return
@@ -572,7 +572,7 @@ def _check_automatic_wrist_mode(
     spline_rows = free_rows[is_spline(trace, rows, free_rows)]
     turn = angle_between(ends.start.at(spline_rows)[:, :3, :3], ends.pose[spline_rows, :3, :3])
     for row in spline_rows[turn > _TURN_TOLERANCE].tolist():
-        settings.refuse_uncertain(motion_states.at(row), ["by_wrist"])  # the stored reason, if the mode is not known
+        settings.refuse_uncertain(motion_states.at(row), ["wrist_mode"])  # the stored reason, if the mode is not known
         problem = "the orientation changes under $SPL_ORI_JOINT_AUTO=#ON: the wrist axes may lead it, not one rotation"
         raise trace.error(problem, int(rows.line[row]), "Use $SPL_ORI_JOINT_AUTO=#OFF.")
 

@@ -163,7 +163,7 @@ def _settings_by_state(settings: Settings, sequence: OrderedMotions) -> Array:
                 [
                     _frame(settings.frames.bases, state.base),
                     _frame(settings.frames.tools, state.tool),
-                    [hash(mode) for mode in (state.orientation, state.circle, state.auxiliary, state.by_wrist)],
+                    [hash(mode) for mode in (state.orientation, state.circle, state.auxiliary, state.wrist_mode)],
                 ]
             )
             for state in sequence.motion_states.states

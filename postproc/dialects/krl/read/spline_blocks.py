@@ -134,14 +134,14 @@ def is_spline(trace: Trace, rows: MotionColumns, indices: Ints) -> Bools:
     return is_spline_row
 
 
-def approximated_motions(rows: MotionColumns, in_block: Bools, end_lines: list[int]) -> Bools:
+def approximated_motions(rows: MotionColumns, is_in_block: Bools, end_lines: list[int]) -> Bools:
     """Return which motions (R,) are approximated: at their ends the robot rounds the corner.
 
     :param rows: the R motions, with their own approximation.
-    :param in_block: (R,) True for motions in a spline block, of which only the last can be approximated.
+    :param is_in_block: (R,) True for motions in a spline block, of which only the last can be approximated.
     :param end_lines: rows of the trace with ENDSPLINE C_SPL.
     """
-    is_approximated = rows.approximated & ~in_block
+    is_approximated = rows.approximated & ~is_in_block
     last_rows = np.searchsorted(rows.line, end_lines) - 1  # the motion before each; −1: none
     is_approximated[last_rows[last_rows >= 0]] = True
     return np.asarray(is_approximated)

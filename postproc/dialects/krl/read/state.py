@@ -31,7 +31,7 @@ FIELDS = {
     "$ORI_TYPE": "orientation",
     "$CIRC_TYPE": "circle",
     "$CIRC_MODE": "auxiliary",
-    "$SPL_ORI_JOINT_AUTO": "by_wrist",
+    "$SPL_ORI_JOINT_AUTO": "wrist_mode",
 }
 """What of the `State` a variable sets; the others of `RELEVANT` must not change at all."""
 TURN_SPEEDS = ("swivel_speed", "rotation_speed")
@@ -56,7 +56,7 @@ class State(Struct, frozen=True):
     :ivar orientation: `$ORI_TYPE`.
     :ivar circle: `$CIRC_TYPE`.
     :ivar auxiliary: `$CIRC_MODE.AUX_PT.ORI`.
-    :ivar by_wrist: `$SPL_ORI_JOINT_AUTO`.
+    :ivar wrist_mode: `$SPL_ORI_JOINT_AUTO`.
     :ivar initial_frames: which of `$BASE` and `$TOOL` BAS(#INITMOV,0) has set.
     :ivar spline_block: the spline block, ``SPLINE`` or ``PTP_SPLINE``; empty outside of one.
     :ivar uncertain_fields: fields that are not known, each with the index of its reason in `Reasons.errors`; `base` and
@@ -73,7 +73,7 @@ class State(Struct, frozen=True):
     orientation: str = "#VAR"
     circle: str = "#BASE"
     auxiliary: str = "#CONSIDER"
-    by_wrist: str = "#OFF"
+    wrist_mode: str = "#OFF"
     initial_frames: frozenset[str] = frozenset()
     spline_block: str = ""
     uncertain_fields: tuple[tuple[str, int], ...] = ()

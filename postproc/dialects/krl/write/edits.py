@@ -44,7 +44,7 @@ class Replacements(Struct, eq=False):
     :ivar _starts: offsets of the replaced numbers; `_stops` the offsets behind them.
     :ivar _lengths: numbers of characters of the new numbers; `_numbers` these characters, one after the other.
     :ivar _rows: rows of the trace that contain the numbers.
-    :ivar _single: start, stop and new text of each piece of `add`; `_single_rows` the rows that contain them.
+    :ivar _text_pieces: start, stop and new text of each piece of `add`; `_text_rows` the rows that contain them.
     """
 
     _starts: list[Ints] = []
@@ -52,16 +52,16 @@ class Replacements(Struct, eq=False):
     _lengths: list[Ints] = []
     _numbers: list[Bytes] = []
     _rows: list[Ints] = []
-    _single: list[tuple[int, int, str]] = []
-    _single_rows: list[int] = []
+    _text_pieces: list[tuple[int, int, str]] = []
+    _text_rows: list[int] = []
 
     def add(self, start: int, stop: int, text: str, row: int = 0) -> None:
         """Add the replacement of ``text[start:stop]`` by another text; ``start == stop`` inserts.
 
         :param row: row of the execution trace that contains the piece; 0 in a plain text.
         """
-        self._single.append((start, stop, text))
-        self._single_rows.append(row)
+        self._text_pieces.append((start, stop, text))
+        self._text_rows.append(row)
 
     def add_numbers(self, starts: Ints, stops: Ints, values: Array, decimals: Ints, rows: Ints) -> None:
         """Add the replacements of n pieces by numbers in fixed-point notation.
@@ -83,7 +83,7 @@ class Replacements(Struct, eq=False):
 
     def rows(self) -> Ints:
         """Return the rows (n,) that have pieces, ascending."""
-        return distinct(np.concatenate([*self._rows, np.array(self._single_rows, dtype=np.int64)]))
+        return distinct(np.concatenate([*self._rows, np.array(self._text_rows, dtype=np.int64)]))
 
     def shifted(self, shifts: Callable[[Ints], Ints]) -> Replacements:
         """Return these replacements for a text in which the lines of the rows follow each other.
@@ -93,16 +93,16 @@ class Replacements(Struct, eq=False):
         row_shifts = [shifts(rows) for rows in self._rows]
         starts = [start + shift for start, shift in zip(self._starts, row_shifts, strict=True)]
         stops = [stop + shift for stop, shift in zip(self._stops, row_shifts, strict=True)]
-        single_shifts = shifts(np.array(self._single_rows, dtype=np.int64)).tolist()
-        single = [
+        text_shifts = shifts(np.array(self._text_rows, dtype=np.int64)).tolist()
+        text_pieces = [
             (start + shift, stop + shift, text)
-            for shift, (start, stop, text) in zip(single_shifts, self._single, strict=True)
+            for shift, (start, stop, text) in zip(text_shifts, self._text_pieces, strict=True)
         ]
-        return replace(self, _starts=starts, _stops=stops, _single=single)
+        return replace(self, _starts=starts, _stops=stops, _text_pieces=text_pieces)
 
     def __bool__(self) -> bool:
         """Return whether there is a piece to replace."""
-        return bool(self._single or self._starts)
+        return bool(self._text_pieces or self._starts)
 
     def new_offsets(self, offsets: Ints) -> Ints:
         """Return the offsets (n,) after all replacements; text inserted at an offset is behind it.
@@ -117,9 +117,9 @@ class Replacements(Struct, eq=False):
 
     def _pieces(self) -> _Pieces:
         """Return all pieces: those of `add_numbers`, then those of `add`, in the order in which they were added."""
-        single = np.array([(start, stop, len(text)) for start, stop, text in self._single], dtype=np.int32)
-        # reshape: `single` may be empty
-        starts, stops, lengths = single.reshape(-1, 3).T
+        text_pieces = np.array([(start, stop, len(text)) for start, stop, text in self._text_pieces], dtype=np.int32)
+        # reshape: `text_pieces` may be empty
+        starts, stops, lengths = text_pieces.reshape(-1, 3).T
         return _Pieces(
             np.concatenate([*self._starts, starts]),
             np.concatenate([*self._stops, stops]),
@@ -133,7 +133,7 @@ class Replacements(Struct, eq=False):
         """
         if not self:
             return text
-        inserted_text = "".join(piece for _, _, piece in self._single)
+        inserted_text = "".join(piece for _, _, piece in self._text_pieces)
         is_ascii = text.isascii() and inserted_text.isascii()
         starts, stops, lengths = self._pieces()
         new_codes = np.concatenate([*self._numbers, _codes(inserted_text, is_ascii)])

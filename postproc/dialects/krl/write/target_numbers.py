@@ -86,7 +86,7 @@ def target_numbers(layout: Layout, targets: Targets) -> TargetNumbers:
 
     end_differs = any_column(np.abs(numbers - layout.numbers[row]) > _NUMBER_TOLERANCE)
     start_differs = _starts_at_changed_end(row[is_last], end_differs[is_last], layout)
-    is_free = _freed_motions(layout, targets, numbers, is_last)
+    is_free = _needs_free_orientation(layout, targets, numbers, is_last)
     gets_component = _added_components(layout, row, numbers, is_free)
     return TargetNumbers(
         numbers=numbers,
@@ -124,7 +124,7 @@ def _added_components(layout: Layout, row: Ints, numbers: Array, is_free: Bools)
     return np.asarray(is_added)
 
 
-def _freed_motions(layout: Layout, targets: Targets, numbers: Array, is_last: Bools) -> Bools:
+def _needs_free_orientation(layout: Layout, targets: Targets, numbers: Array, is_last: Bools) -> Bools:
     """Return whether a motion (M,) under another `$ORI_TYPE` than #VAR needs #VAR to reach its orientation.
 
     :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg] to be commanded.
