@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct
 
 from postproc.chunks import ragged_range
-from postproc.decimals import parsed_numbers, word_bounds
+from postproc.decimals import Bytes, parsed_numbers, word_bounds
 from postproc.dialects.text import line_spans
 from postproc.errors import did_you_mean
 from postproc.frames import Array
@@ -148,7 +148,7 @@ def _comment(text: str) -> str:
     return _CONTINUATION.sub(" ", text).strip() if "\n" in text or "\r" in text else text.strip()
 
 
-def _join_lines(chars: np.typing.NDArray[np.uint8]) -> tuple[bytes, Ints]:
+def _join_lines(chars: Bytes) -> tuple[bytes, Ints]:
     """Return the text with lines joined where they end with ``$``, and the 1-based first line of each statement.
 
     :param chars: bytes of the lines, each with a line feed at its end.
@@ -166,7 +166,21 @@ def _join_lines(chars: np.typing.NDArray[np.uint8]) -> tuple[bytes, Ints]:
     return chars[keep].tobytes(), np.flatnonzero(np.append(True, ~is_continued[:-1])) + 1
 
 
-def _plain_gotos(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Array]:
+def _values_of_words(text: Bytes, first: Ints, last: Ints) -> Array | None:
+    """Return the numbers (T,) in a text of numbers and blanks; None if a word is no number.
+
+    :param first: (T,) offsets at which the words begin; `last` (T,) at which they end, see `word_bounds`.
+    """
+    values = parsed_numbers(text, first, last)
+    if values is None:
+        try:
+            return np.array([float(word) for word in text.tobytes().split()])
+        except ValueError:
+            return None
+    return values
+
+
+def _plain_gotos(chars: Bytes, ends: Ints) -> tuple[Ints, Array]:
     """Return the rows of the plain GOTO statements (P,) and their numbers (P, 6), see `Statements`.
 
     A GOTO is plain if only digits, signs, points and commas follow its slash and they are three or six decimal numbers.
@@ -186,15 +200,8 @@ def _plain_gotos(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, 
         if is_complete.all():
             break
         rows, count = rows[is_complete], count[is_complete]  # others lack a number between two commas
-    no_points = np.zeros(0, dtype=np.int64), np.zeros((0, 6))
-    if not len(rows):
-        return no_points
-    values = parsed_numbers(text, first, last)  # None if a number is not in the fast form
-    if values is None:
-        try:
-            values = np.array([float(word) for word in text.tobytes().split()])
-        except ValueError:
-            return no_points
+    if not len(rows) or (values := _values_of_words(text, first, last)) is None:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 6))
     numbers = np.full((len(rows), 6), np.nan)
     row = np.repeat(np.arange(len(rows)), count)
     numbers[row, ragged_range(count)] = values
@@ -202,7 +209,7 @@ def _plain_gotos(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, 
     return np.delete(rows, large_rows), np.delete(numbers, large_rows, axis=0)
 
 
-def _goto_candidates(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[Ints, Ints]:
+def _goto_candidates(chars: Bytes, ends: Ints) -> tuple[Ints, Ints]:
     """Return the GOTO statements that may be plain: rows (n,), and the numbers of values (n,), 3 or 6.
 
     They have only digits, signs, points and two or five commas behind the slash.
@@ -222,7 +229,7 @@ def _goto_candidates(chars: np.typing.NDArray[np.uint8], ends: Ints) -> tuple[In
     return rows[has_point], count[has_point]
 
 
-def _numbers_text(chars: np.typing.NDArray[np.uint8], ends: Ints, rows: Ints) -> np.typing.NDArray[np.uint8]:
+def _numbers_text(chars: Bytes, ends: Ints, rows: Ints) -> Bytes:
     """Return the text behind the slash of GOTO statements, one after the other, with blanks for commas and line feeds.
 
     :param chars: bytes of all statements.

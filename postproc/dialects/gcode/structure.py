@@ -141,8 +141,9 @@ class Unit(Struct, eq=False):
         unit = cls(document, source)
         positions = np.array([match.start() for match in _NOTABLE.finditer(source.code)], dtype=np.int64)
         notable = distinct(np.searchsorted(source.ends, positions) - 1)  # line i begins after line feed i
-        rows = np.append(notable, len(source))
-        unit.next_notable_row = rows[np.searchsorted(notable, np.arange(len(source) + 1))].tolist()
+        # for each row the next notable one, from itself on; the number of rows if there is none
+        notable_and_end = np.append(notable, len(source))
+        unit.next_notable_row = notable_and_end[np.searchsorted(notable, np.arange(len(source) + 1))].tolist()
         unit._link_structures(notable)
         return unit
 

@@ -735,7 +735,7 @@ class Execution:
                 percent, limit = (
                     number(argument.value, scope) for argument in statement.arguments if argument.value is not None
                 )
-            except (UnknownValueError, ValueError):
+            except (UnknownValueError, ValueError):  # ValueError: not two arguments
                 self._refuse(statement, "the speeds of VelSet are not known", "Write them as numbers.")
                 return
             self.setting = replace(self.setting, speed_share=percent / 100.0, speed_limit=limit)

@@ -250,7 +250,7 @@ class Flow:
             self._note_fault(place, cause)
 
     def _count_statement(self, place: Place) -> None:
-        """Count a statement that runs: in `run.statement_count` if no motion can be in its code, else as traced.
+        """Count a statement that runs: in `_traced_count` in code with motions, else in `run.statement_count`.
 
         :raises InexactError: more statements have run than are followed.
         """

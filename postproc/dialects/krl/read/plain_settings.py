@@ -161,17 +161,17 @@ class PlainAssignments:
                 self._lines[row] = all_lines.tolist()
                 self._is_finished = False
 
-    def values_at(self, row: int, line: Ints, change_lines: Ints, state_values: Array) -> Array:
+    def values_at(self, field_index: int, line: Ints, change_lines: Ints, state_values: Array) -> Array:
         """Return the values of one of the `NUMBERS` before n lines (n,).
 
         A plain assignment replaces the value of a state that came into force on an earlier line.
 
-        :param row: index of the field in `NUMBERS`.
+        :param field_index: index of the field in `NUMBERS`.
         :param line: (n,) the lines.
         :param change_lines: (n,) line after which the state in force at each of them holds.
         :param state_values: (n,) values of the field in these states.
         """
-        lines, values = self._assigned[row]
+        lines, values = self._assigned[field_index]
         if not len(lines):
             return state_values
         previous = np.searchsorted(lines, line) - 1  # the last assignment before each line; −1: none

@@ -272,22 +272,21 @@ class _Divider:
         (document,), output_line = self.undivided.documents, self.undivided.output_line
         header = self.emitter.header_lines(self.emitter.program.name)  # of the undivided text
         starts = np.array(self.first_targets[1:], dtype=np.int64)
-        # the text of each module begins behind the line of the target before it
-        # (offsets in bytes are offsets in the text: the encoding has one byte for each character)
+        # the text of each module begins behind the line of the target before it; offsets in bytes are offsets in the
+        # text, since the encoding has one byte for each character
         offsets = [len(_text(header)), *_line_ends(self.undivided)[starts - 1].tolist(), len(document.text)]
-        preceding_count = [len(header), *output_line[starts - 1].tolist()]
+        preceding_count = [len(header), *output_line[starts - 1].tolist()]  # lines before the text of each module
         documents, lines, line_count = [], [], 0
         for index, (first, stop) in enumerate(pairwise((*self.first_targets, len(output_line)))):
             top_lines = self.emitter.header_lines(self.names[index], self._order(index))
             top_lines += self._start_lines(first) if first > 0 else []
             bottom_lines = [*self._switch_off_lines(stop), "END"] if stop < len(output_line) else []
-            part = document.text[offsets[index] : offsets[index + 1]]
-            module = Document(
-                f"{self.names[index]}.src", _text(top_lines) + part + _text(bottom_lines), document.encoding
-            )
-            documents.append(module)
+            module_text = document.text[offsets[index] : offsets[index + 1]]
+            text = _text(top_lines) + module_text + _text(bottom_lines)
+            documents.append(Document(f"{self.names[index]}.src", text, document.encoding))
+            # lines are numbered through all modules
             lines.append(output_line[first:stop] - preceding_count[index] + len(top_lines) + line_count)
-            line_count += module.text.count("\n")
+            line_count += text.count("\n")
         modules = Modules(tuple(documents), self.first_targets, np.concatenate(lines))
         return replace(self.undivided, modules=modules, issues=(*self.undivided.issues, self._issue(documents)))
 

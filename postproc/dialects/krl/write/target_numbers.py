@@ -130,10 +130,10 @@ def _needs_free_orientation(layout: Layout, targets: Targets, numbers: Array, is
     :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg] to be commanded.
     :param is_last: (K,) True for the last target of each motion.
     """
-    row, keep = targets.motion, targets.keep & is_last
+    row, keeps_text = targets.motion, targets.keep & is_last
     orientation_differs = any_column(np.abs(numbers - layout.numbers[row])[:, 3:] > _NUMBER_TOLERANCE)
     is_free = _starts_at_changed_end(row[is_last], orientation_differs[is_last], layout)
-    is_free[row[orientation_differs | (layout.turns_with_path[row] & ~keep)]] = True
+    is_free[row[orientation_differs | (layout.turns_with_path[row] & ~keeps_text)]] = True
     # under #IGNORE the controller chooses the orientation at the end, at which the next motion begins
     ignores_angles = layout.orientation == ORIENTATIONS.index(IGNORE)
     is_free[:-1] |= ignores_angles[:-1] & is_free[1:]
