@@ -25,7 +25,7 @@ from postproc.dialects import registry
 from postproc.errors import Issue
 from postproc.frames import M_PER_MM, MM_PER_M, RAD_PER_DEG, Array, any_column, norm, xyzabc_from_pose
 from postproc.program import CIRC, LIN, SPL, Bools, Ints, Motions, Program, distinct
-from postproc.robot import JOINTS
+from postproc.robot import JOINTS, RobotModel
 from postproc.toolpath import Toolpath
 from postproc.under_load import ImpossiblePathError, MotionsUnderLoad, PathUnderLoad, unreachable
 
@@ -273,23 +273,30 @@ def _margins_and_steps(path: PathUnderLoad, q: Array, rows: Ints) -> _Margins:
 
     :param q: (N, 6) joint angles at all samples [rad]; the arm is at [start] before the first.
     """
-    robot, form = path.robot_in_cell.robot, kinematics.closed_form(path.robot_in_cell.robot)
-    states, margins = [], []
-    for samples in (rows - 1, rows):
-        state = np.empty((9, len(rows)))
-        state[:6] = q[samples].T
-        state[:6, samples < 0] = path.robot_in_cell.cell.start_joints[:, None]
-        joints = state[:6].T
-        state[_WRIST], state[_SHOULDER], state[_ELBOW] = (
-            state[4],
-            form.wrist_distance_ahead(joints),
-            form.angle_from_stretched(joints),
-        )
-        margin = np.abs(state)
-        margin[:6] = np.minimum(state[:6] - robot.lower[:, None], robot.upper[:, None] - state[:6])
-        states.append(state)
-        margins.append(margin)
-    return _Margins(margins[0], margins[1], np.abs(states[1] - states[0]))
+    robot = path.robot_in_cell.robot
+    previous_q = np.where(rows[:, None] > 0, q[rows - 1], path.robot_in_cell.cell.start_joints)
+    start, end = _limited_quantities(robot, previous_q), _limited_quantities(robot, q[rows])
+    return _Margins(_margins(robot, start), _margins(robot, end), np.abs(end - start))
+
+
+def _limited_quantities(robot: RobotModel, q: Array) -> Array:
+    """Return the quantities (9, n) whose margins are watched: A1…A6, and those that are 0 at a singularity.
+
+    The latter are A5, the distance of the wrist centre from the axis of A1, and A3 from the stretched arm.
+
+    :param q: (n, 6) joint angles [rad].
+    """
+    form, quantities = kinematics.closed_form(robot), np.empty((9, len(q)))
+    quantities[:6], quantities[_WRIST] = q.T, q[:, 4]
+    quantities[_SHOULDER], quantities[_ELBOW] = form.wrist_distance_ahead(q), form.angle_from_stretched(q)
+    return quantities
+
+
+def _margins(robot: RobotModel, quantities: Array) -> Array:
+    """Return the margins (9, n) of `_limited_quantities`: of joints to their nearer limits, of the others to 0."""
+    margin = np.abs(quantities)
+    margin[:6] = np.minimum(quantities[:6] - robot.lower[:, None], robot.upper[:, None] - quantities[:6])
+    return margin
 
 
 def _arc_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:

@@ -521,7 +521,7 @@ class _PartErrors:
 
     def __init__(self, task: Task, draft: Draft, deviation: Array, cut_length: Array) -> None:
         self.draft, self.deviation, self.cut_length = draft, deviation, cut_length
-        self.remaining_deviation, self.path_distance = _errors_left(task, draft)
+        self.remaining_deviation, self.path_distance = _remaining_errors(task, draft)
         self.path_excess = np.maximum(self.path_distance - norm(self.remaining_deviation), 0.0)
         self.extra_rounding = _extra_rounding(draft)
         self.gain, self.largest_errors = elastostatics.ChanceOfGain(), np.zeros(2)
@@ -581,8 +581,8 @@ class _PartErrors:
         )
 
 
-def _errors_left(task: Task, draft: Draft) -> tuple[Array, Array]:
-    """Return what correction leaves: deviation (K, 3) at targets, `$BASE`, and path errors (K,) before them [m].
+def _remaining_errors(task: Task, draft: Draft) -> tuple[Array, Array]:
+    """Return the errors with correction: deviations (K, 3) at targets, `$BASE`, and path errors (K,) before them [m].
 
     Both are zero without a simulation, and for a nominal program, which is judged by an exact correction.
     """

@@ -82,7 +82,7 @@ def test_correction_leaves_what_the_simulation_says_and_nothing_of_a_nominal_pro
         selection=SimpleNamespace(row=np.arange(3), programmed_rounding=programmed),
         simulation=simulation if is_simulated else None,
     )
-    deviation, distance = process._errors_left(SimpleNamespace(mode=mode), draft)
+    deviation, distance = process._remaining_errors(SimpleNamespace(mode=mode), draft)
     is_left = is_simulated and mode != "nominal"
     np.testing.assert_array_equal(deviation, np.full((3, 3), float(is_left)))
     np.testing.assert_array_equal(distance, np.full(3, 2.0 * is_left))
