@@ -82,7 +82,7 @@ def read_back(path: PathUnderLoad, selection: TargetSelection, text: WrittenProg
     if mismatch is not None:
         raise UnusableTextError(mismatch)
     if text.modules is not None and (
-        module_name := _other_module(path, output_program, row, text.modules, text.dialect)
+        module_name := _first_differing_module(path, output_program, row, text.modules, text.dialect)
     ):
         message = (
             f"{module_name} moves differently from the program in one piece: a fault of postproc, please report it"
@@ -93,12 +93,17 @@ def read_back(path: PathUnderLoad, selection: TargetSelection, text: WrittenProg
     )
 
 
-def _other_module(path: PathUnderLoad, whole: Program, row: Ints, modules: Modules, dialect: str) -> str | None:
-    """Return the name of the first module whose motions are not those of the program in one piece, to the last digit.
+def _first_differing_module(
+    path: PathUnderLoad, whole: Program, row: Ints, modules: Modules, dialect: str
+) -> str | None:
+    """Return the name of the first module that differs from the program in one piece; None if all are equal.
 
-    Each must begin where the one before ends, at an exact stop.
+    Motions, `$BASE` and `$TOOL` must be equal to the last digit. Each module must begin at an exact stop, where the one
+    before ends.
 
-    :param whole: the program in one piece, as read; `row` (K,) its motions that end at targets.
+    :param whole: the program in one piece, as read.
+    :param row: (K,) its motions that end at targets.
+    :param modules: the modules that were written for it.
     """
     robot_in_cell, m = path.robot_in_cell, whole.motions
     # the first motion of each further module moves to the last target of the module before
@@ -112,7 +117,7 @@ def _other_module(path: PathUnderLoad, whole: Program, row: Ints, modules: Modul
         except ProgramError:
             return document.name
         module_motions, rows = led_by_wrist(module, robot_in_cell).motions, np.arange(begin, end + 1)
-        # the first motion comes from [start], and only its target is compared, with a tolerance
+        # of the first motion, which comes from [start], only the target is compared, with a tolerance
         pairs = [(getattr(module_motions, name)[1:], getattr(m, name)[rows[1:]]) for name in fields]
         pairs += [
             (module.bases[module_motions.base], whole.bases[m.base[rows]]),

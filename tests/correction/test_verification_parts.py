@@ -338,7 +338,7 @@ def other_module(monkeypatch, whole, parts, modules):
     monkeypatch.setattr(verify.registry, "dialect_of_name", lambda dialect: SimpleNamespace(read=read))
     monkeypatch.setattr(verify, "led_by_wrist", lambda made, place: made)
     path = SimpleNamespace(robot_in_cell=SimpleNamespace(cell=None, forward=None))
-    return verify._other_module(path, whole, np.arange(9), modules, "krl")
+    return verify._first_differing_module(path, whole, np.arange(9), modules, "krl")
 
 
 def shifted(made, row, distance):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -127,26 +128,37 @@ class PlainAssignments:
         """
         if self._is_finished:
             return []
-        # indices of the assignments to each field that are passed now
+        # first index and the index after the last of the assignments to each field that are passed now
         spans = [
             (first, bisect_left(lines, line, first))
             for first, lines in zip(self._passed_counts, self._lines, strict=True)
         ]
-        assignment_lines: set[int] = set()
-        for (first, stop), lines in zip(spans, self._lines, strict=True):
-            if stop > first:
-                assignment_lines |= {lines[first], lines[stop - 1]}
-        assignments = []
-        for assignment_line in sorted(assignment_lines):
-            for row, (first, stop) in enumerate(spans):
-                index = bisect_right(self._lines[row], assignment_line, first, stop) - 1  # the latest at that line
-                if index >= first:
-                    _, values = self._assigned[row]
-                    assignments.append((assignment_line, NUMBERS[row], float(values[index])))
+        assignments = self._latest_assignments(spans)
         self._passed_counts = [stop for _, stop in spans]
         self._is_finished = all(
             stop == len(lines) for stop, lines in zip(self._passed_counts, self._lines, strict=True)
         )
+        return assignments
+
+    def _latest_assignments(self, spans: Sequence[tuple[int, int]]) -> list[tuple[int, str, float]]:
+        """Return the latest assignments at the lines of the first and the last assignment of each span.
+
+        :param spans: for each of `NUMBERS`, first index and the index after the last of its assignments.
+        :returns: (line, field, value), by ascending lines.
+        """
+        lines_of_ends = {
+            lines[index]
+            for (first, stop), lines in zip(spans, self._lines, strict=True)
+            if stop > first
+            for index in (first, stop - 1)
+        }
+        assignments = []
+        for line in sorted(lines_of_ends):
+            for field_index, (first, stop) in enumerate(spans):
+                latest = bisect_right(self._lines[field_index], line, first, stop) - 1
+                if latest >= first:
+                    _, values = self._assigned[field_index]
+                    assignments.append((line, NUMBERS[field_index], float(values[latest])))
         return assignments
 
     def insert(self, settings: PlainSettings) -> None:
