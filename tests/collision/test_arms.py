@@ -112,3 +112,16 @@ def test_balls_of_foot_and_shoulder_are_level_behind_joint_2_and_that_of_the_elb
     for carrier, share, ahead in [(-1, 0.12, (0.6, 0.8, 0)), (0, 0.12, (0.6, 0.8, 0)), (2, 0.06, (1, 0, 0))]:
         ball = next(body for body in capsules if body.carrier == carrier)
         np.testing.assert_allclose(ball.pose[:3, 3], -share * length * np.array(ahead), atol=1e-3)
+
+
+@pytest.mark.parametrize(("name", "carrier", "share"), [("KR 16-2", 2, 0.063), ("KR 150-2", 3, 0.055)])
+def test_the_forearm_is_narrower_at_the_wrist_whichever_link_ends_there(name, carrier, share):
+    offsets = 1e-3 * np.array(_ARMS[name])
+    length = np.linalg.norm(offsets, axis=1).sum()
+    span = np.linalg.norm(offsets[carrier + 1])
+    direction = offsets[carrier + 1] / span
+    reach = {
+        round(body.size[0] / length, 9): body.pose[:3, 3] @ direction + 0.5 * body.size[1]
+        for body in arm_capsules(chain(name)) if body.carrier == carrier and abs(body.pose[:3, 2] @ direction) > 0.999
+    }  # fmt: skip
+    assert reach == {share: pytest.approx(span - 0.058 * length), 0.045: pytest.approx(span)}

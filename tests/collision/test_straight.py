@@ -8,6 +8,7 @@ import pytest
 from postproc.collision import Solids, bodies, hits, pair_hits, path_hits
 from postproc.collision.distance import link_frames
 from tests.collision.setting import frame, pose, scene
+from tests.collision.test_bodies import ring
 from tests.kr270 import ROBOT
 
 Q = np.radians([20.0, -80.0, 100.0, 30.0, 60.0, 10.0])
@@ -115,6 +116,17 @@ def test_bodies_that_touch_are_a_hit_even_if_no_distance_is_asked_for():
         assert result.closest.distance == pytest.approx(0.0 if is_hit else 0.001, abs=0.25e-3)
         if is_hit:
             assert result.distance.max() == 0.0
+
+
+@pytest.mark.parametrize(("aside", "rows"), [(0.25, [0]), (0.0, [])])
+def test_a_path_that_never_leaves_the_material_of_a_ring_is_a_hit_and_one_in_its_hole_is_not(aside, rows):
+    """The surfaces do not touch: the ball is 50 mm below the surface, or 200 mm off it."""
+    small_ball = bodies.capsule("ball", 6, "tool", TIP, TIP + 1e-9, 1e-3)
+    what = scene(small_ball, ring(pose(np.eye(3), START - [aside, 0.0, 0.0])))
+    moved = np.linspace([0.0, 0.0, -0.1], [0.0, 0.0, 0.1], 20)
+    result = path_hits(what, np.tile(Q, (20, 1)), 0.0, moved)
+    assert result.row.tolist() == rows
+    assert result.distance.tolist() == [0.0] * len(rows)
 
 
 def test_one_pose_and_no_pose_are_paths_too():
