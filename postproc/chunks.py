@@ -25,7 +25,7 @@ class Columns(Struct, frozen=True, eq=False):
     """Base of records whose arrays have one row for each of the same things. Fields that are no arrays are kept."""
 
     def take(self, rows: NDArray[Any] | slice) -> Self:
-        """Return some of the rows."""
+        """Return the record with the chosen rows of each of its arrays."""
         columns = self._columns()
         rows_of_columns = {
             name: column.take(rows) if isinstance(column, Columns) else _rows(column, rows)
@@ -39,14 +39,14 @@ class Columns(Struct, frozen=True, eq=False):
 
         :param order: rows of all of them, in another order.
         """
-        columns = [part._columns() for part in parts]
-        whole = {}
-        for name, first in columns[0].items():
-            pieces = [part[name] for part in columns]
-            whole[name] = (
+        columns_of_parts = [part._columns() for part in parts]
+        joined_columns = {}
+        for name, first in columns_of_parts[0].items():
+            pieces = [columns[name] for columns in columns_of_parts]
+            joined_columns[name] = (
                 first.join(pieces, order) if isinstance(first, Columns) else _rows(_concatenation(pieces), order)
             )
-        return replace(parts[0], **whole)
+        return replace(parts[0], **joined_columns)
 
     def _columns(self) -> dict[str, Any]:
         """Return the fields that have a row for each thing: name → array or record of arrays."""

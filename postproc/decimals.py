@@ -185,9 +185,10 @@ def parsed_numbers(text: Bytes, starts: Ints, stops: Ints) -> Array | None:
     padded_text = np.concatenate([np.full(8, ord("0"), dtype=np.uint8), text])
     words = np.ndarray(len(text) + 1, np.uint64, padded_text, 0, (1,))  # of the eight bytes before each offset
     whole_digits, decimal_digits = words[points] & _LAST[whole], words[stops] & _LAST[places]
-    if ((whole_digits ^ _ZEROS & _LAST[whole]) & _HIGH).any() or (
-        (decimal_digits ^ _ZEROS & _LAST[places]) & _HIGH
-    ).any():
+    # a byte with other upper bits than those of a digit is another character
+    has_other_whole = ((whole_digits ^ _ZEROS & _LAST[whole]) & _HIGH).any()
+    has_other_decimal = ((decimal_digits ^ _ZEROS & _LAST[places]) & _HIGH).any()
+    if has_other_whole or has_other_decimal:
         return None
     scale = _POWER[places]
     value: Array = (_values_of_eight_digits(whole_digits) * scale + _values_of_eight_digits(decimal_digits)).astype(

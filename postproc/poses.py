@@ -38,8 +38,9 @@ class Poses(Columns, frozen=True, eq=False):
 
     @classmethod
     def of(cls, pose: Array) -> Poses:
-        """Return poses (N, 4, 4)."""
+        """Return the poses of an array (N, 4, 4) [m]; if all have one orientation, it is kept once."""
         rotation = pose[:, :3, :3]
+        # the last orientation is compared first, which is enough for most paths that turn the tool
         is_constant = (
             bool(len(pose)) and bool((rotation[-1] == rotation[0]).all()) and bool((rotation == rotation[0]).all())
         )

@@ -162,16 +162,17 @@ class Swivel(Struct, frozen=True, eq=False):
     def at(self, motion: Ints, t: Array) -> Array:
         """Return the orientation of the tool frame (n, 3, 3) in `$BASE` at places (motion, t)."""
         begin, end = self.begin[motion], self.end[motion]
-        orientation = self.of(begin + t[:, None] * (end - begin), self.frame[motion])
+        orientation = self.orientation(begin + t[:, None] * (end - begin), self.frame[motion])
         if self.spin is None:
             return orientation
-        first, last = self.spin[motion].T
-        angle = first + t * (last - first)
-        # about d in the program frame is about z before the tool is tilted
-        spin_rotation = rotation_from_vector(angle[:, None] * self.tool[2])
+        start_spin, end_spin = self.spin[motion].T
+        spin = start_spin + t * (end_spin - start_spin)
+        # a turn about d is a turn about z of the program frame before the tool is tilted
+        z_in_tool = self.tool[2]
+        spin_rotation = rotation_from_vector(spin[:, None] * z_in_tool)
         return np.asarray(orientation @ spin_rotation)
 
-    def of(self, angles: Array, frame: Ints) -> Array:
+    def orientation(self, angles: Array, frame: Ints) -> Array:
         """Return the orientation of the tool frame (n, 3, 3) in `$BASE` for angles (n, k) [rad] in frames (n,)."""
         return np.asarray(self.frames[frame] @ tilt_to(self.direction(angles)) @ self.tool)
 
@@ -220,13 +221,13 @@ def largest_rotation(axes: Array, begin: Array, end: Array) -> Array:
     (`tilt_to`), the tool then turns by 1/cos(θ/2) times as much, where θ is how far it leans from z.
     """
     shares = np.linspace(0.0, 1.0, 5)
-    tool = np.stack([direction(axes, begin + share * (end - begin)) for share in shares])
+    tool_direction = np.stack([direction(axes, begin + share * (end - begin)) for share in shares])
     axis_turn = np.abs(end - begin)
     # 1/cos(θ/2) = √(2/(1 + cos θ)); near θ = 180°, where `tilt_to` has no value, it is bounded
-    factor = np.sqrt(2.0 / np.maximum(1.0 + tool[..., 2].min(axis=0), 1e-3))
-    if begin.shape[1] == COMPONENTS:
-        return np.asarray(2.0 * np.arcsin(norm(tool[-1] - tool[0]) / 2.0) * factor)
-    sine = norm(np.cross(tool, axes[0])).max(axis=0)
+    factor = np.sqrt(2.0 / np.maximum(1.0 + tool_direction[..., 2].min(axis=0), 1e-3))
+    if begin.shape[1] == COMPONENTS:  # the direction itself turns, by the angle of its chord
+        return np.asarray(2.0 * np.arcsin(norm(tool_direction[-1] - tool_direction[0]) / 2.0) * factor)
+    sine = norm(np.cross(tool_direction, axes[0])).max(axis=0)
     if len(axes) == 1:
         return np.asarray(axis_turn[:, 0] * sine * factor)
     # from the nearest of these places the inner axis turns by half a step at most, and changes the sine by no more

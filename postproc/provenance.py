@@ -110,17 +110,21 @@ def of(documents: Sequence[Document], comment: str) -> Provenance:
 def mark(
     documents: Sequence[Document], origin: Origin, comment: str, head: re.Pattern[str]
 ) -> tuple[tuple[Document, ...], int]:
-    """Return the files of a program with the line that says where they come from.
+    """Return the files of a program with a line of provenance in the main one, the first file.
+
+    The line replaces that of an earlier run, if there is one. Else it is inserted after a line that matches `head`, or
+    at the beginning of the file if none matches.
 
     :param comment: what comments begin with: ``;`` in KRL.
-    :param head: a line, its end as the group, below which the new one is written, unless an earlier run wrote one.
-    :returns: the files, and the 1-based line from which on lines of the main one have moved down by one; 0 if none
-        has.
+    :param head: matches a line; its first group is the end of that line.
+    :returns: the files, and the 1-based number of the inserted line, from which on lines have moved down by one; 0 if
+        the line replaces an earlier one.
     """
     main, *other_documents = documents
-    old = _provenance_lines(main.text, comment)
-    if old:
-        start, stop, end = old[0].start(), old[0].end(), _line_end(old[0][0])
+    old_lines = _provenance_lines(main.text, comment)
+    if old_lines:
+        old_line = old_lines[0]
+        start, stop, end = old_line.start(), old_line.end(), _line_end(old_line[0])
     else:
         head_line = head.search(main.text)
         start = stop = head_line.end() if head_line else 0
@@ -137,8 +141,8 @@ def mark(
     }
     line = f"{comment}POSTPROC {FORMAT} " + " ".join(f"{name}={value}" for name, value in entries.items()) + end
     text = main.text.replace(main.text[:stop], main.text[:start] + line, 1)  # copies a long text only once
-    first_moved_line = 0 if old else _line_at(main.text, start)
-    return (replace(main, text=text), *other_documents), first_moved_line
+    inserted_line = 0 if old_lines else _line_at(main.text, start)
+    return (replace(main, text=text), *other_documents), inserted_line
 
 
 def _provenance_lines(text: str, comment: str) -> list[re.Match[str]]:

@@ -419,37 +419,48 @@ def led_by_wrist(program: Program, robot_in_cell: RobotInCell) -> Program:
     if program.is_wrist_led is None:
         return program
     check_ends(program, robot_in_cell.robot)
-    m, motions = program.motions, np.arange(len(program.motions))
-    motion = np.flatnonzero(program.is_wrist_led)
-    segments = toolpath.segments(program, robot_in_cell.start_flange)
-    ends = robot_in_cell.end_joints(program)
-    previous = (motions - 1 if program.after is None else program.after)[motion]
-    begin = np.where(previous[:, None] >= 0, ends[previous], robot_in_cell.cell.start_joints)
-    change = (ends[motion] - begin + np.pi) % (2.0 * np.pi) - np.pi  # by the shorter way
+    m, motion = program.motions, np.flatnonzero(program.is_wrist_led)
+    start_pose = toolpath.segments(program, robot_in_cell.start_flange).start.at(motion)
+    start_tip, end_tip = (
+        toolpath.pose_in_root(program, motion, pose)[:, :3, 3] for pose in (start_pose, m.target[motion])
+    )
+    joints = _wrist_led_joints(program, robot_in_cell, motion)
+    try:
+        wrist = ByWrist.of(
+            robot_in_cell.robot,
+            count=len(m),
+            motion=motion,
+            joints=joints,
+            tip=np.stack([start_tip, end_tip], axis=1),
+            base=program.bases[m.base[motion], :3, :3],
+            tool=program.tools[m.tool[motion]],
+        )
+    except UnreachableError as cause:
+        raise ImpossiblePathError(unreachable(program, np.array(cause.rows))) from None
+    return replace(program, wrist=wrist)
+
+
+def _wrist_led_joints(program: Program, robot_in_cell: RobotInCell, motion: Ints) -> tuple[Array, Array]:
+    """Return the joint angles (n, 6) [rad] at start and end of motions (n,) on which the wrist axes turn the tool.
+
+    From start to end each joint turns by the shorter way.
+
+    :raises ImpossiblePathError: a wrist axis turns too far to be certain, or a target is out of reach.
+    """
+    end = robot_in_cell.end_joints(program)
+    predecessor = np.arange(len(end)) - 1 if program.after is None else program.after
+    previous = predecessor[motion]
+    begin = np.where(previous[:, None] >= 0, end[previous], robot_in_cell.cell.start_joints)
+    change = (end[motion] - begin + np.pi) % (2.0 * np.pi) - np.pi
     is_unclear = (np.abs(change[:, 3:]) > _MOST_WRIST_TURN).any(axis=1)
-    is_unclear |= np.minimum(np.abs(begin[:, 4]), np.abs(ends[motion, 4])) < _LEAST_A5
+    is_unclear |= np.minimum(np.abs(begin[:, 4]), np.abs(end[motion, 4])) < _LEAST_A5
     message = (
         "under $ORI_TYPE=#JOINT this motion begins or ends near the singular pose of the wrist, or a wrist axis turns "
         f"by more than {np.degrees(_MOST_WRIST_TURN):g}°: how the controller leads A4 to A6 is not certain. "
         f"{_WRIST_ADVICE}"
     )
     _check(program, motion, is_unclear, "wrist-led", message)
-    poses = segments.start.at(motion), m.target[motion]
-    tip = np.stack([toolpath.pose_in_root(program, motion, pose)[:, :3, 3] for pose in poses], axis=1)
-    base = program.bases[m.base[motion], :3, :3]
-    try:
-        wrist = ByWrist.of(
-            robot_in_cell.robot,
-            count=len(m),
-            motion=motion,
-            joints=(begin, begin + change),
-            tip=tip,
-            base=base,
-            tool=program.tools[m.tool[motion]],
-        )
-    except UnreachableError as cause:
-        raise ImpossiblePathError(unreachable(program, np.array(cause.rows))) from None
-    return replace(program, wrist=wrist)
+    return begin, begin + change
 
 
 SHARE_OF_TOLERANCE = 0.4

@@ -227,9 +227,10 @@ def balanced_torque(robot: RobotModel, q: Array) -> Array:
 
 
 def preload(robot: RobotModel, rest_torque: Array) -> Array:
-    """Return the torque at rest (nv, n) or (nv, 1) on gears that are not linear, in addition to the load [N·m, N].
+    """Return the torque (nv, n) or (nv, 1) of the weights on gears that are not linear, at rest [N·m, N].
 
-    Zero where the model's gears do not carry the weights, or the geometry is that of a weightless robot.
+    It is the opposite of the static torque, which holds the weights. Zero if the gears of the model do not carry the
+    weights, or if the geometry is that of a weightless robot.
 
     :param rest_torque: (nv, n) or (nv, 1) from `balanced_torque`.
     """

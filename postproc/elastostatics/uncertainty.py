@@ -343,7 +343,12 @@ class _FirstOrder(Struct, frozen=True, eq=False):
 def _linear_sensitivity(
     robot: RobotModel, parameters: Sequence[Parameter], q: Array, tool: Array, wrench: Array
 ) -> Array:
-    """Return ∂(position of the TCP)/∂(linear value) (N, 3, P) of parameters [m per SI unit]."""
+    """Return ∂(position of the TCP)/∂(linear value) (N, 3, P) of parameters [m per SI unit].
+
+    A parameter p of the static torque T changes the deflection θ = c(τ, τ⁰) by the preload τ⁰ = −T: by −∂c/∂τ⁰·∂T/∂p.
+    One of the compensator also changes its stiffness U_c″, which takes a part of the torque on joint 2: that adds
+    −∂c/∂τ·θ₂·∂U_c″/∂p.
+    """
     state = _first_order_springs(robot, q, tool, wrench)
     by_preload = compliance_by_preload(robot, state.torque, state.preload)
     static_slopes = StaticTorqueSlopes(robot, state.x)

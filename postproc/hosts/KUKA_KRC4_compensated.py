@@ -279,7 +279,7 @@ def _callees_first(programs: dict[str, list[Block]]) -> list[str]:
 
 
 def _with_written_name(block: Block, names: dict[str, str]) -> Block:
-    """Return a line; if it calls a program, by the name under which that was written.
+    """Return a line in which a called program has the name of its written file; other lines as they are.
 
     :param names: called name in lower case → name of the written file, without extension.
     """

@@ -331,10 +331,10 @@ def _gcode_word(letter: str, value: float) -> str:
 
 
 def _machine_class() -> type | None:
-    """Return the class that FreeCAD 1.2 looks for; None in older versions, which call `export` as they do here.
+    """Return the class that FreeCAD 1.2 looks for; None in older versions, which call `export` of this script.
 
-    FreeCAD 1.2 posts a job that names a machine by `export2`. That of its wrapper for scripts like this one writes
-    G-code itself: the path without correction.
+    FreeCAD 1.2 calls the method `export2` for a job that names a machine. Its own `export2` for scripts like this one
+    writes G-code without correction; that of the class returned here writes corrected KRL.
     """
     try:
         from Path.Post.Processor import WrapperPost

@@ -307,8 +307,8 @@ class ByWrist(Struct, frozen=True, eq=False):
     def at(self, motion: Ints, t: Array) -> Array:
         """Return the orientation of the tool frame (n, 3, 3) in `$BASE` at places on motions.
 
-        :param motion: (n,) of them, as in the field `motion`.
-        :param t: (n,) share of the motion's line that is behind the tip, in [0, 1].
+        :param motion: (n,) motions, each of which is in the field `motion`.
+        :param t: (n,) place of the tip on the line of its motion, in [0, 1].
         :raises UnreachableError: the tip cannot be held on its line on one branch; `rows` are motions.
         """
         row = np.searchsorted(self.motion, motion)

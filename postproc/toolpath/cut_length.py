@@ -14,18 +14,19 @@ _LEAST_LENGTH = 1e-9
 """Length given to a cut that does not move the tip [m]: it counts among the cuts, but no sum of lengths changes."""
 
 
-def cut_lengths(motions: Motions, length: Array, motion: Ints, t: Array, goes_on: Bools) -> Array:
+def cut_lengths(motions: Motions, length: Array, motion: Ints, t: Array, has_same_force: Bools) -> Array:
     """Return the length (K,) of cutting path that each target represents [m]: 0 on rapid moves, else above 0.
 
-    Half of the piece of path to a target counts for it, and half for the target before it (trapezoidal rule). All of it
-    counts for its end if another force begins with the piece, or a rapid move is before it: at its start, the deviation
-    is then not that of the target before. The sum is the length of all cutting motions up to the last target.
+    The piece of path to a target counts half for this target and half for the target before (trapezoidal rule). It
+    counts for this target alone if another force begins with the piece, or if a rapid move precedes it: the target
+    before then has another deviation than the start of the piece. The sum is the length of all cutting motions up to
+    the last target.
 
     :param motions: of the program, M of them.
     :param length: (M,) length of their paths [m]; 0 of PTP.
     :param motion: (K,) row of `motions` of each target, never decreasing.
     :param t: (K,) place on that motion, in (0, 1], in order.
-    :param goes_on: (K,) whether the force at the target before still acts on the piece to each.
+    :param has_same_force: (K,) True if the force at the target before still acts on the piece to the target.
 
     >>> import numpy as np
     >>> from types import SimpleNamespace
@@ -38,8 +39,8 @@ def cut_lengths(motions: Motions, length: Array, motion: Ints, t: Array, goes_on
     cutting_length = np.where(motions.rapid, 0.0, length)
     place = (np.cumsum(cutting_length) - cutting_length)[motion] + cutting_length[motion] * t
     piece = np.diff(place, prepend=0.0)
-    # the slices to the number of targets are for a program without targets
+    # the slices shorten what `append` makes too long for a program without targets
     follows_cut = np.append(False, is_cut[:-1])[: len(piece)]
-    half_for_previous = np.where(goes_on & is_cut & follows_cut, 0.5 * piece, 0.0)
+    half_for_previous = np.where(has_same_force & is_cut & follows_cut, 0.5 * piece, 0.0)
     half_of_next = np.append(half_for_previous[1:], 0.0)[: len(piece)]
     return np.where(is_cut, np.maximum(piece - half_for_previous + half_of_next, _LEAST_LENGTH), 0.0)

@@ -238,24 +238,27 @@ def _rotations(program: Program, path: Segments, motion: Ints, t: Array, end: Po
     inner_rows = np.flatnonzero((t < 1.0) & (m.kind[motion] != PTP))
     joint_move_rows = _axis_interpolated_rows(program, path, motion, t)
     turn = path.turn[motion[inner_rows]]
-    small_turn, turning = inner_rows[(turn > 0.0) & (turn < _LEAST_TURN)], inner_rows[turn >= _LEAST_TURN]
+    small_turn_rows = inner_rows[(turn > 0.0) & (turn < _LEAST_TURN)]
+    turning_rows = inner_rows[turn >= _LEAST_TURN]
     rotation = end.rotation
-    if end.is_fixed and len(small_turn) + len(turning) + len(joint_move_rows):
+    if end.is_fixed and len(small_turn_rows) + len(turning_rows) + len(joint_move_rows):
         rotation = rotation.copy()
-    if len(small_turn):
-        start_rotation, end_rotation = path.start.at(motion[small_turn])[:, :3, :3], rotation[small_turn]
-        rotation[small_turn] = end_rotation + (1.0 - t[small_turn])[:, None, None] * (start_rotation - end_rotation)
-    if program.turning is not None and len(turning):
-        is_swivel = program.turning.active[motion[turning]]
-        swivel_rows, turning = turning[is_swivel], turning[~is_swivel]
+    if len(small_turn_rows):
+        start_rotation, end_rotation = path.start.at(motion[small_turn_rows])[:, :3, :3], rotation[small_turn_rows]
+        remaining_share = (1.0 - t[small_turn_rows])[:, None, None]
+        rotation[small_turn_rows] = end_rotation + remaining_share * (start_rotation - end_rotation)
+    if program.turning is not None and len(turning_rows):
+        is_swivel = program.turning.active[motion[turning_rows]]
+        swivel_rows, turning_rows = turning_rows[is_swivel], turning_rows[~is_swivel]
         rotation[swivel_rows] = program.turning.at(motion[swivel_rows], t[swivel_rows])
-    if program.turns_with_path is not None and len(turning):
-        is_led = program.turns_with_path[motion[turning]]
-        led_rows, turning = turning[is_led], turning[~is_led]
-        rotation[led_rows] = _arc_orientations(program, path, motion[led_rows], t[led_rows])
-    if len(turning):
-        rows = motion[turning]
-        rotation[turning] = interpolate(path.start.at(rows), m.target[rows], t[turning])[:, :3, :3]
+    if program.turns_with_path is not None and len(turning_rows):
+        follows_path = program.turns_with_path[motion[turning_rows]]
+        arc_rows, turning_rows = turning_rows[follows_path], turning_rows[~follows_path]
+        rotation[arc_rows] = _arc_orientations(program, path, motion[arc_rows], t[arc_rows])
+    if len(turning_rows):
+        motion_rows = motion[turning_rows]
+        start_pose, end_pose = path.start.at(motion_rows), m.target[motion_rows]
+        rotation[turning_rows] = interpolate(start_pose, end_pose, t[turning_rows])[:, :3, :3]
     if path.joint_moves is not None and len(joint_move_rows):
         rotation[joint_move_rows] = path.joint_moves.at(motion[joint_move_rows], t[joint_move_rows])[:, :3, :3]
     return rotation
@@ -461,8 +464,9 @@ def _move_by_track(program: Program, motion: Ints, t: Place, pose: Array, sign: 
 def wrench_in_root(program: Program, motion: Ints, wrench_in_base: Array) -> Array:
     """Return wrenches (n, 6) [N, N·m] of motions (n,) rotated from `$BASE` axes to root axes, about the same point."""
     rotation = base_of(program, motion)[..., :3, :3]
-    pairs = wrench_in_base.reshape((-1, 3) if rotation.ndim == 2 else (-1, 2, 3))
-    return np.asarray(pairs @ np.swapaxes(rotation, -1, -2)).reshape(-1, 6)
+    # rows of forces and moments; with a matrix for each motion, a force and a moment for each matrix
+    vectors = wrench_in_base.reshape((-1, 3) if rotation.ndim == 2 else (-1, 2, 3))
+    return np.asarray(vectors @ np.swapaxes(rotation, -1, -2)).reshape(-1, 6)
 
 
 def directions_in_root(program: Program, motion: Ints, direction_in_base: Array) -> Array:

@@ -168,7 +168,7 @@ class Pieces(Columns, frozen=True, eq=False):
         """Return the stretches with the pieces divided on which the path exceeds the tolerance.
 
         :param motion: (n,) rows of `Motions`, and t: (n,) places on them at which the path exceeds the tolerance.
-        :param piece_count: (n,) least number of pieces that replace the piece there.
+        :param piece_count: (n,) least number of pieces that replace the piece at each place.
         """
         is_exceeded = np.zeros(len(self.motion), dtype=bool)
         is_exceeded[self._stretch_at(motion, t)] = True

@@ -57,7 +57,8 @@ def turn_seconds(start: Array, end: Array, limits: Array) -> Array:
     """Return the least time (...) [s] in which the tool may turn from one orientation to another.
 
     :param start: (..., 3, 3) orientations of the tool frame; `end`: (..., 3, 3), less than half a turn from these.
-    :param limits: (..., 3) largest speeds [rad/s]: see `Program.turn_speeds`.
+    :param limits: (..., 3) largest speeds [rad/s] of any turn, of the turn of the x axis (swivel), and of the turn
+        about the x axis (rotation), see `Program.turn_speeds`.
     """
     turn = rotation_vector(np.swapaxes(start, -1, -2) @ end)
     swivel, rotation = norm(turn[..., 1:]), np.abs(turn[..., 0])

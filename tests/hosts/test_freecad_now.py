@@ -214,7 +214,7 @@ def test_a_program_is_posted_with_its_verdict_unless_it_may_not_be_driven(freeca
     host = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, "postproc_host", host)
     spec.loader.exec_module(host)
-    run = host._run
+    run = host._summary_of_run
 
     def judged(words):
         content = run(words)
@@ -224,7 +224,7 @@ def test_a_program_is_posted_with_its_verdict_unless_it_may_not_be_driven(freeca
         content["programs"][0]["verdict"] = verdict
         return content
 
-    monkeypatch.setattr(host, "_run", judged)
+    monkeypatch.setattr(host, "_summary_of_run", judged)
     block = [host.Block(line, "start") for line in ("G90 G21", "G0 X0 Y0 Z50", "G1 Z-1 F500", "G1 X50", "M2")]
     given = block, tmp_path / "out", "part", "nc", [("--cell", str(CELL_FILE))]
     if state == "failed":

@@ -108,7 +108,7 @@ def test_a_program_that_fails_is_shown_and_one_that_may_not_be_driven_is_not_pos
     _mill(post, 3)
     post.ProgFinish("Pocket 1")
     host = sys.modules["postproc_host"]
-    run = host._run
+    run = host._summary_of_run
 
     def judged(words):
         content = run(words)
@@ -118,7 +118,7 @@ def test_a_program_that_fails_is_shown_and_one_that_may_not_be_driven_is_not_pos
         content["programs"][0]["verdict"] = verdict | {"drive": drive_answer}
         return content
 
-    monkeypatch.setattr(host, "_run", judged)
+    monkeypatch.setattr(host, "_summary_of_run", judged)
     out = tmp_path / "out"
     out.mkdir()
     if drive == "failed":

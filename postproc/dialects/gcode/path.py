@@ -714,7 +714,7 @@ def _rotations(frames: Array, frame: Ints, swivel: Swivel | None, orientation: A
     :param orientation: (3, 3) of the tool frame in the program frame, without rotary axes.
     """
     if swivel is not None:
-        return swivel.of(swivel.end, swivel.frame)
+        return swivel.orientation(swivel.end, swivel.frame)
     if len(frames) > 1:
         return np.asarray((frames[:, :3, :3] @ orientation)[frame])
     return np.broadcast_to(frames[0, :3, :3] @ orientation, (len(frame), 3, 3))

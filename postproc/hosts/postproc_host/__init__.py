@@ -99,20 +99,10 @@ def convert(
         host's names of places.
     """
     text = "\n".join([block.text for block in blocks] + [""]).encode("utf-8")
+    inputs = inputs or {}
     with tempfile.TemporaryDirectory(prefix="postproc") as scratch:
         program = Path(scratch) / f"{name}.{extension}"
-        try:
-            program.write_bytes(text)
-            for input_name, content in (inputs or {}).items():
-                (Path(scratch) / input_name).write_bytes(content)
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as cause:
-            raise HostError(f"{folder}: cannot be written to: {cause.strerror}. Choose another folder.") from cause
-        words = [str(program), "-o", str(folder)]
-        for option, value in options:
-            value = str(Path(scratch) / value) if inputs and value in inputs else value
-            words += [option, value] if value else [option]
-        entry = _run(["convert", *words, "--json"])["programs"][0]
+        entry = _converted_entry(program, text, folder, options, inputs)
     issues = [(issue["level"], _issue_text(issue, program, blocks)) for issue in entry["issues"]]
     if not entry["written"]:
         faults = [_with_host_places(entry["error"], program, blocks)] if entry["error"] else []
@@ -128,14 +118,38 @@ def convert(
     lines = [verdict["headline"], *verdict["answers"], *(verdict["reasons"] if verdict["state"] != "ok" else [])]
     moves = folder / f"{name}.moves.txt"
     moves.write_bytes(text)
-    for input_name, content in (inputs or {}).items():
+    for input_name, content in inputs.items():
         (folder / input_name).write_bytes(content)
-    kept_inputs = [moves, *(folder / input_name for input_name in inputs or ())]
+    kept_inputs = [moves, *(folder / input_name for input_name in inputs)]
     lines = [_with_host_places(line, program, blocks) for line in lines]
     return Converted([*paths, *kept_inputs], entry, warnings, verdict["state"], lines)
 
 
-def _run(words: Sequence[str]) -> dict[str, Any]:
+def _converted_entry(
+    program: Path, text: bytes, folder: Path, options: Sequence[tuple[str, str]], inputs: Mapping[str, bytes]
+) -> dict[str, Any]:
+    """Write a program and its additional input files, convert it, and return its entry in the summary of postproc.
+
+    :param program: path at which the program is written; additional input files are written next to it.
+    :param folder: of the results, see `convert`; `options` and `inputs` likewise.
+    :raises HostError: a file or the folder cannot be written, or postproc cannot be run.
+    """
+    try:
+        program.write_bytes(text)
+        for input_name, content in inputs.items():
+            program.with_name(input_name).write_bytes(content)
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as cause:
+        raise HostError(f"{folder}: cannot be written to: {cause.strerror}. Choose another folder.") from cause
+    words = [str(program), "-o", str(folder)]
+    for option, value in options:
+        path_or_value = str(program.with_name(value)) if value in inputs else value
+        words += [option, path_or_value] if value else [option]
+    entry: dict[str, Any] = _summary_of_run(["convert", *words, "--json"])["programs"][0]
+    return entry
+
+
+def _summary_of_run(words: Sequence[str]) -> dict[str, Any]:
     """Run postproc and return the JSON that it prints.
 
     :raises HostError: it cannot be run, or prints something else.
