@@ -167,6 +167,17 @@ def test_follow_keeps_turns_and_branch_along_a_line_and_takes_s_and_t_of_a_ptp(m
     np.testing.assert_allclose(kinematics.tcp(model.nominal, path.q, np.eye(4))[0], pose, atol=1e-9)
 
 
+def test_turns_of_a_long_path_are_kept_where_no_joint_crosses_half_a_turn_any_more():
+    """A4 alone passes 180° at the begin of 20,000 samples, more than are computed at once."""
+    start = np.radians([10.0, -70.0, 100.0, 170.0, 40.0, 20.0])
+    q = np.tile(start, (20_000, 1))
+    q[:, 3] += np.radians(np.minimum(np.arange(len(q)) * 0.01, 20.0))
+    pose, _ = kinematics.tcp(ROBOT.nominal, q, np.eye(4))
+    no_targets = (np.zeros(len(q), dtype=bool), np.empty((0, 6)), np.empty(0), np.empty(0))
+    path = followed(ROBOT, pose.__getitem__, start, *no_targets)
+    np.testing.assert_allclose(np.degrees(path.q), np.degrees(q), atol=1e-7)
+
+
 def test_out_of_reach_names_the_rows(model):
     pose = np.tile(np.eye(4), (3, 1, 1))
     pose[:, :3, 3] = [[1.2, 0.2, 1.0], [9.0, 0, 1.0], [1.2, 0.2, 1.0]]
