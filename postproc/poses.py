@@ -123,6 +123,7 @@ def as_poses(pose: Poses | Array) -> Poses:
 def poses_from_xyzabc(xyzabc: Array) -> Poses:
     """Return the poses of KUKA frames (N, 6) [mm, deg], see `pose_from_xyzabc`."""
     angles = xyzabc[:, 3:]
+    # the last row is compared first, which is enough for most paths that turn the tool
     if len(angles) and (angles[-1] == angles[0]).all() and (angles == angles[0]).all():
         return Poses.fixed(xyzabc[:, :3] * M_PER_MM, rotation_from_angles(angles[0] * RAD_PER_DEG))
     return Poses(xyzabc[:, :3] * M_PER_MM, angles)

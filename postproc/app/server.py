@@ -529,6 +529,7 @@ class _Handler(BaseHTTPRequestHandler):
         """
         form = self.posted_form()
         name, other_program = self._program_name(form), form.get("other", "")
+        # both raise if there is no such file
         if other_program.startswith(f"{RESULTS}/"):
             self.server.workspace.result_file(other_program.removeprefix(f"{RESULTS}/"))
         else:

@@ -181,7 +181,7 @@ def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -
     :raises InputError: the folder or a file cannot be written; the message names it.
     """
     with interrupts.defer():
-        with interrupts.allow():
+        with interrupts.allow():  # another process may hold the lock for long
             folder_lock = contextlib.ExitStack()
             folder_lock.enter_context(lock([folder]))
         with folder_lock:

@@ -199,15 +199,8 @@ def _process_files(job: Any, name: str, material: str) -> dict[str, bytes]:
     """
     if job is None:
         raise HostError("--material: the job of these operations is not found: post the job as a whole.")
-    controllers: dict[int, Any] = {}
-    for operation in job.Operations.Group:
-        tool_controller = getattr(operation, "ToolController", None) or getattr(
-            getattr(operation, "Base", None), "ToolController", None
-        )
-        if tool_controller is not None:
-            controllers[int(tool_controller.ToolNumber)] = tool_controller
     text = [f"# {one_line(job.Label)}: as the job states it", "[material]", f"name = {json.dumps(material)}", ""]
-    for number, controller in sorted(controllers.items()):
+    for number, controller in sorted(_tool_controllers(job).items()):
         text += [f"[tools.{number}]  # {_comment(controller.Label)}", *_tool_lines(controller), ""]
     stock = getattr(getattr(job, "Stock", None), "Shape", None)
     if stock is None or stock.isNull() or not stock.Volume > 0.0:
@@ -224,6 +217,18 @@ def _process_files(job: Any, name: str, material: str) -> dict[str, bytes]:
         return {f"{name}.process.toml": "\n".join([*text, ""]).encode()}
     text.append(f'file = "{name}.stock.stl"')
     return {f"{name}.process.toml": "\n".join([*text, ""]).encode(), f"{name}.stock.stl": _stl_bytes(stock)}
+
+
+def _tool_controllers(job: Any) -> dict[int, Any]:
+    """Return the tool controllers of the operations of a job by tool number; a dress-up has that of its operation."""
+    controllers: dict[int, Any] = {}
+    for operation in job.Operations.Group:
+        controller = getattr(operation, "ToolController", None) or getattr(
+            getattr(operation, "Base", None), "ToolController", None
+        )
+        if controller is not None:
+            controllers[int(controller.ToolNumber)] = controller
+    return controllers
 
 
 def _tool_lines(controller: Any) -> list[str]:
