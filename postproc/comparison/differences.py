@@ -12,7 +12,13 @@ from itertools import islice, takewhile, zip_longest
 import numpy as np
 
 from postproc import toolpath
-from postproc.comparison.paths import SMALLEST_SHARE, PlacedProgram, distances_from_path, tool_of_nominal
+from postproc.comparison.paths import (
+    SMALLEST_SHARE,
+    PlacedProgram,
+    distances_from_path,
+    nearest_lengths,
+    tool_of_nominal,
+)
 from postproc.comparison.result import (
     OFF_PATH,
     TIMES_OFFSET,
@@ -25,7 +31,6 @@ from postproc.comparison.result import (
     place_of,
 )
 from postproc.comparison.settings import (
-    SAME_LENGTH,
     axis_target_differences,
     force_differences,
     frame_differences,
@@ -36,7 +41,7 @@ from postproc.comparison.settings import (
 from postproc.comparison.statements import statement_differences
 from postproc.correction.targets import corners_of_motions
 from postproc.errors import Level
-from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, angle_between, norm
+from postproc.frames import DEG_PER_RAD, M_PER_MM, MM_PER_M, Array, angle_between, norm
 from postproc.program import CIRC, LIN, PTP, Ints, Program, distinct
 
 _EXCESS_MARGIN = 5e-6
@@ -84,6 +89,7 @@ def differences(
         *_stretches_off_path(comparison, nominal_path, corrected_path),
         *_deviations_under_force(comparison, nominal_path),
     )
+    cut_corners = _cut_corners(comparison, nominal_path, corrected_path)
     return (
         *_unresolved_differences(comparison),
         *_uncompared_motions(comparison),
@@ -98,7 +104,9 @@ def differences(
         *axis_target_differences(comparison, nominal_path, corrected_path),
         *_orientation_differences(comparison, nominal_path, corrected_path),
         *_joint_motions_off_path(comparison, nominal_path, corrected_path),
-        *(path_differences or _cut_corners(comparison, nominal_path, corrected_path)),
+        *path_differences,
+        # a path that is off has corners of its own
+        *(corner for corner in cut_corners if corner.level == "error" or not path_differences),
         *ambiguous_pairs,
     )
 
@@ -396,8 +404,9 @@ def _stretches_off_path(
 ) -> Iterator[Difference]:
     """Yield stretches between pairs on which the second path is farther from the nominal one than its targets are.
 
-    An arc with a wrong auxiliary point is such a stretch: its targets are right. `_deviations_under_force` reports
-    stretches that are checked under forces.
+    An arc with a wrong auxiliary point is such a stretch: its targets are right. It is an error where the distance is
+    larger than the largest permitted correction. `_deviations_under_force` reports stretches that are checked under
+    forces.
     """
     if comparison.curves is None:
         return
@@ -417,7 +426,9 @@ def _stretches_off_path(
         pair = pairs[worst]
         message = f"the path is {distances[worst] * MM_PER_M:.4f} mm from the nominal one on the way to this target."
         message += _arc_advice(comparison, np.arange(corrected_row[pair - 1] + 1, corrected_row[pair] + 1))
-        yield difference_at(comparison, "between", message, comparison.pair[pair].tolist(), len(pairs))
+        limit = nominal_path.robot_in_cell.cell.output.max_correction_mm * M_PER_MM
+        level: Level = "error" if distances[worst] > limit else "warning"
+        yield difference_at(comparison, "between", message, comparison.pair[pair].tolist(), len(pairs), level=level)
 
 
 _MAX_STRETCHES = 1000
@@ -437,34 +448,35 @@ def _joint_motions_off_path(
     # a motion that is its own predecessor begins at an unknown place
     is_known = (begin_row >= 0) & (begin_row != rows) & (np.searchsorted(comparison.pair[:, 1], rows) > 0)
     changes = np.flatnonzero(is_cut & (second.motions.kind[rows] == PTP) & is_known)[:_MAX_STRETCHES]
-    excess = np.array(
+    distances = np.array(
         [
-            _excess_of_joint_motion(comparison, nominal_path, corrected_path, int(begin_row[k]), int(rows[k]))
+            _distance_of_joint_motion(comparison, nominal_path, corrected_path, int(begin_row[k]), int(rows[k]))
             for k in changes
         ]
     )
-    is_off_path = excess > nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN
-    changes, excess = changes[is_off_path], excess[is_off_path]
+    is_off_path = distances > nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN
+    changes, distances = changes[is_off_path], distances[is_off_path]
     if len(changes):
-        worst = changes[np.argmax(excess)]
+        worst = changes[np.argmax(distances)]
         message = (
             f"PTP instead of a cut: on the way to this target the tool leaves the nominal path by "
-            f"{excess.max() * MM_PER_M:.4f} mm. Write LIN or CIRC."
+            f"{distances.max() * MM_PER_M:.4f} mm. Write LIN or CIRC."
         )
         worst_rows = (int(motion[worst]), int(rows[worst]))
         yield difference_at(comparison, "between", message, worst_rows, len(changes), level="error")
 
 
-def _excess_of_joint_motion(
+def _distance_of_joint_motion(
     comparison: Comparison,
     nominal_path: PlacedProgram,
     corrected_path: PlacedProgram,
     begin_row: int,
     row: int,
 ) -> float:
-    """Return by how much a PTP leaves the nominal path farther than its two ends do [m].
+    """Return the largest distance of a PTP from the nominal path [m], less the offsets of its ends.
 
-    All joints, and the axis that carries the robot, begin and end together.
+    The offsets are the correction, which changes in proportion to the way. All joints, and the axis that carries the
+    robot, begin and end together.
 
     :param begin_row: motion of the second program at whose end the PTP begins.
     :param row: the PTP, a motion of the second program after the first pair.
@@ -479,8 +491,11 @@ def _excess_of_joint_motion(
     )
     pair = int(np.searchsorted(comparison.pair[:, 1], row))
     begin, end = nominal_path.arc_length[comparison.pair[pair - 1 : pair + 1, 0] + 1]
-    distances = distances_from_path(nominal_path, tips, np.full(_SAMPLES, begin), np.full(_SAMPLES, end))
-    return float(distances.max() - distances[[0, -1]].max())
+    ends = tips[[0, -1]]
+    lengths, _ = nearest_lengths(nominal_path, ends, np.full(2, begin), np.full(2, end))
+    begin_correction, end_correction = ends - nominal_path.points(lengths)
+    tips = tips - (1.0 - share) * begin_correction - share * end_correction
+    return float(distances_from_path(nominal_path, tips, np.full(_SAMPLES, begin), np.full(_SAMPLES, end)).max())
 
 
 def _pairs_under_force(comparison: Comparison) -> Ints:
@@ -543,7 +558,11 @@ def _deviations_under_force(comparison: Comparison, nominal_path: PlacedProgram)
 def _cut_corners(
     comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
 ) -> Iterator[Difference]:
-    """Yield targets at which approximation (C_DIS) rounds the second path by more than the first program allows."""
+    """Yield targets at which approximation (C_DIS) rounds the second path by more than the first program allows.
+
+    It is an error if that is more than the largest deviation without correction, or without forces more than the
+    largest permitted correction.
+    """
     rows = np.union1d(comparison.pair[:, 1], comparison.inserted_rows)
     if not len(rows):
         return
@@ -565,15 +584,18 @@ def _cut_corners(
             f"{allowed_rounding[worst] * MM_PER_M:.4g} mm. {remedy}"
         )
         worst_rows = (int(comparison.pair[next_pair, 0]), int(rows[worst]))
-        yield difference_at(comparison, "between", message, worst_rows, len(cut_corners))
+        limit = nominal_path.robot_in_cell.cell.output.max_correction_mm * M_PER_MM
+        if comparison.cuts is not None:
+            limit = float(norm(comparison.cuts.nominal).max(initial=0.0))
+        level: Level = "error" if excess[worst] > limit else "warning"
+        yield difference_at(comparison, "between", message, worst_rows, len(cut_corners), level=level)
 
 
 def _allowed_rounding(comparison: Comparison, nominal_path: PlacedProgram, rows: Ints) -> Array:
     """Return how much rounding (n,) [m] of the second program's targets the nominal program allows.
 
     G-code and APT: the tolerance that G64 or the cell states; 0 at exact stops. KRL and RAPID: the rounding by the
-    approximation distance of the nominal program; infinite where the two programs have different approximation
-    distances, since that is reported separately. 0 at targets that the nominal program does not have.
+    approximation distance of the nominal program. 0 at targets that the nominal program does not have.
 
     :param rows: (n,) motions of the second program, ascending; the motions of all pairs are among them.
     """
@@ -586,8 +608,6 @@ def _allowed_rounding(comparison: Comparison, nominal_path: PlacedProgram, rows:
         return allowed_rounding
     corners = corners_of_motions(nominal_path.program, nominal_path.segments, np.arange(len(m)))
     allowed_rounding[index_of_pair] = corners.rounding(m.blend)[nominal_rows]
-    blend_change = np.abs(comparison.corrected.motions.blend[corrected_rows] - m.blend[nominal_rows])
-    allowed_rounding[index_of_pair[blend_change > SAME_LENGTH]] = np.inf
     return allowed_rounding
 
 

@@ -139,7 +139,8 @@ def pair_targets(
     nominal, corrected, has_partner = nominal_path.program, corrected_path.program, partner >= 0
     pair = np.stack([nominal_path.rows[has_partner], corrected_path.rows[partner[has_partner]]], axis=1)
     targets = _paired_targets(nominal_path, corrected_path, pair)
-    rows_off_path = targets.unpaired_rows[~targets.is_on_path]
+    is_joint_motion = corrected.motions.kind[targets.unpaired_rows] == PTP
+    rows_off_path = targets.unpaired_rows[~targets.is_on_path | is_joint_motion]  # a moved target may be a PTP
     if len(rows_off_path):
         pair = moved_pairs(
             nominal_path,
@@ -334,7 +335,7 @@ def _is_on_path(
     """
     is_on_path = np.zeros(len(rows), dtype=bool)
     next_pair = np.searchsorted(pair[:, 1], rows)
-    candidates = np.flatnonzero((next_pair < len(pair)) & (corrected_path.program.motions.kind[rows] != PTP))
+    candidates = np.flatnonzero(next_pair < len(pair))
     candidates = candidates[~_has_ptp_before(nominal_path, pair[:, 0])[next_pair[candidates]]]
     rows, next_pair = rows[candidates], next_pair[candidates]
     target = toolpath.at(corrected_path.program, corrected_path.segments, rows, np.ones(len(rows))).pose[:]

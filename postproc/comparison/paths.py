@@ -7,7 +7,7 @@ that both programs share are in the robot root where that is at E1 = 0, here cal
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -191,8 +191,8 @@ def nearest(points: Callable[[Array], Array], positions: Array, begin: Array, en
     return nearest_length, distance
 
 
-def distances_from_path(path: PlacedProgram, positions: Array, begin: Array, end: Array) -> Array:
-    """Return the distances (n,) of points from a path between two arc lengths [m].
+def nearest_lengths(path: PlacedProgram, positions: Array, begin: Array, end: Array) -> tuple[Array, Array]:
+    """Return the arc lengths (n,) [m] at which a path is nearest to points, and their distances (n,) from there [m].
 
     :param positions: (n, 3) the points, in the cell [m].
     :param begin: (n,) arc length from which the path counts, `end` (n,) to which [m].
@@ -202,20 +202,27 @@ def distances_from_path(path: PlacedProgram, positions: Array, begin: Array, end
         """Return the positions (k, s, 3) of the path at arc lengths (k, s) [m]."""
         return path.points(lengths.ravel()).reshape(*lengths.shape, 3)
 
-    return in_chunks(lambda *rows: nearest(path_points, *rows)[1], positions, begin, end)
+    length, distance = in_chunks(partial(nearest, path_points), positions, begin, end)
+    return length, distance
+
+
+def distances_from_path(path: PlacedProgram, positions: Array, begin: Array, end: Array) -> Array:
+    """Return the distances (n,) of points from a path between two arc lengths [m]; parameters of `nearest_lengths`."""
+    return nearest_lengths(path, positions, begin, end)[1]
 
 
 class Chain(Struct, frozen=True, eq=False):
     """The motions of a program from its first to its last pair. Pair k is at u = k; between, u is by arc length.
 
     :param program: the program; `segments` its geometry.
-    :param row: (m,) its motions, in order.
-    :param begin: (m,) u at which each begins, `end` (m,) at which it ends.
+    :param row: (m,) its motions, in order; `pair` (m,) the pair to which each leads.
+    :param begin: (m,) u at which each begins, `end` (m,) at which it ends; equal for a PTP, which has no length.
     """
 
     program: Program
     segments: Segments
     row: Ints
+    pair: Ints
     begin: Array
     end: Array
 
@@ -234,7 +241,7 @@ class Chain(Struct, frozen=True, eq=False):
         share_of_count = (row - previous_row) / (next_row - previous_row)  # for stretches without length
         share = np.where(stretch_length > NO_DISTANCE, share_of_length, share_of_count)
         end = np.where(row == next_row, pair, np.minimum(pair - 1 + share, pair))
-        return cls(side.program, side.segments, row, np.concatenate([[0.0], end[:-1]]), end)
+        return cls(side.program, side.segments, row, pair, np.concatenate([[0.0], end[:-1]]), end)
 
     def at(self, u: Array) -> tuple[Ints, Array]:
         """Return the places (motion, t), each (n,), at u (n,), 0 < u <= P − 1."""
@@ -248,7 +255,7 @@ class Chain(Struct, frozen=True, eq=False):
         :param selection: (M,) True for the selected motions.
         """
         has_motion = np.zeros(int(self.end[-1]) + 1, dtype=bool)
-        has_motion[_pair_at_end(self.end[selection[self.row]])] = True
+        has_motion[self.pair[selection[self.row]]] = True
         return has_motion
 
 

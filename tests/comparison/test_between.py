@@ -49,7 +49,7 @@ def kinds(content):
 def test_a_line_instead_of_a_half_circle_is_its_radius_away():
     one = write_program("ONE", circ((20, 20), (40, 0)), lin(60, 0))
     other = write_program("OTHER", lin(40, 0), lin(60, 0))
-    content, rows = compared(one, other)
+    content, rows = compared(one, other, code=3)  # by more than the largest permitted correction
     np.testing.assert_allclose(between(rows)[1:], [20.0, 0.0], atol=1e-5)
     assert content["between_targets"] == {
         "max_mm": pytest.approx(20.0, abs=1e-5),
@@ -173,6 +173,28 @@ def test_corners_that_approximation_cuts_count_against_gcode(distance, everywher
     assert len(found) == (corner is not None)
     if corner is not None:
         assert float(re.search(r"by ([\d.]+) mm", found[0])[1]) == pytest.approx(corner, rel=2e-3)
+
+
+@pytest.mark.parametrize(("distance", "code"), [(4.0, 3), (1.0, 0), (0.02, 0)])
+def test_a_corner_cut_by_more_than_the_robot_would_deflect_is_not_to_be_run(distance, code):
+    """Under 500 N the robot deflects by 0.5 mm or so; a square corner is cut by √2/4 of the approximation distance."""
+    force = ";FORCE FX=-400 FY=250 FZ=150"
+    one = write_program("ONE", force, lin(40, 0), lin(40, 30), lin(80, 30))
+    convert_in_cell("ONE.src", CELL_TEXT)
+    lines = [line for line in Path("out/ONE.src").read_text().splitlines() if not line.startswith(";POSTPROC")]
+    number = next(
+        n for n, line in enumerate(lines) if line.startswith("LIN") and "X 40" in line and "C_DIS" not in line
+    )
+    lines[number] += " C_DIS"
+    lines.insert(number, f"$APO.CDIS={distance}")
+    Path("OTHER.src").write_text("\n".join(lines))
+    content, _ = compared(one, "OTHER.src", code=code)
+    assert 0.4 < content["cut"]["nominal"]["max_mm"] < 1.0
+    corners = [issue for issue in content["issues"] if "cuts the corner" in issue["message"]]
+    assert [issue["level"] for issue in corners] == ([] if distance < 0.03 else ["error" if code else "warning"])
+    for issue in corners:
+        cut = float(re.search(r"by ([\d.]+) mm", issue["message"])[1])
+        assert cut == pytest.approx(distance * math.sqrt(2.0) / 4.0, rel=2e-2)
 
 
 CARRIED = CELL_TEXT + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n"

@@ -101,7 +101,7 @@ PTP_CUTS = [((10, 10), (60, 10)), ((60, 10), (110, 10)), ((150, 50), (110, 50))]
 @pytest.mark.parametrize(("begin", "end"), PTP_CUTS)
 @pytest.mark.parametrize("part", [-1, 0])
 def test_a_cut_that_became_a_joint_motion_is_not_to_be_run_where_it_leaves_the_path(begin, end, part):
-    """Against an arm of its own: joints change in proportion from target to target.
+    """Against an arm of its own: joints change in proportion from target to target, and so does the correction.
 
     :param part: which of the written motions along the line is the PTP, the last or the first one.
     """
@@ -121,17 +121,22 @@ def test_a_cut_that_became_a_joint_motion_is_not_to_be_run_where_it_leaves_the_p
         ends.append(q)
     share = np.linspace(0.0, 1.0, 301)[:, None]
     tip = arm.tcp((1 - share) * ends[0] + share * ends[1], tool)[:, :3, 3] * 1e3 - np.array([1500, -200, 700])
-    off_line = tip - np.array([*begin, 0.0])
-    off_line[:, 0] -= np.clip(off_line[:, 0], *sorted((0, end[0] - begin[0])))
-    distance = np.linalg.norm(off_line, axis=1)
-    excess = distance.max() - distance[[0, -1]].max()
+
+    def off_line(points):
+        """Return the ways from the line to points."""
+        ways = points - np.array([*begin, 0.0])
+        ways[:, 0] -= np.clip(ways[:, 0], *sorted((0, end[0] - begin[0])))
+        return ways
+
+    first, last = off_line(tip)[[0, -1]]
+    distance = np.linalg.norm(off_line(tip - (1 - share) * first - share * last), axis=1).max()
     content = compared(text)
     found = [issue for issue in content["issues"] if issue["message"].startswith("PTP instead of a cut")]
-    assert len(found) == (excess > 0.01)
-    assert (content["verdict"]["state"] == "failed") == (excess > 0.01)
+    assert len(found) == (distance > 0.01)
+    assert (content["verdict"]["state"] == "failed") == (distance > 0.01)
     for issue in found:
         assert (issue["level"], issue["source_line"], issue["corrected_line"]) == ("error", nominal_line, number + 1)
-        assert float(re.search(r"[\d.]+ mm", issue["message"])[0][:-3]) == pytest.approx(excess, abs=1e-3)
+        assert float(re.search(r"[\d.]+ mm", issue["message"])[0][:-3]) == pytest.approx(distance, abs=1e-3)
 
 
 @pytest.mark.parametrize("off", [0.05, 20.0])

@@ -70,6 +70,8 @@ def named(found):
 
 POINT = f"LIN {{X 80,Y 0,Z 0,{TURNED}}}\n"
 APPROXIMATION = "the approximation before the target ($APO.CDIS, C_DIS) is"
+CUT_CORNER = "approximation (C_DIS) cuts the corner by"
+SET_BACK = "Set $APO.CDIS and C_DIS back, or convert again."
 PTP_CUT = "PTP instead of a cut: on the way to this target the tool leaves the nominal path by"
 CASES = {
     "nothing": ([], []),
@@ -82,6 +84,13 @@ CASES = {
         [
             ("kind", "the way to this target is point to point (PTP) instead of a line (LIN).", 4, 4, 1),
             ("between", f"{PTP_CUT} 0.0716 mm. Write LIN or CIRC.", 4, 4, 1),
+        ],
+    ),
+    "a cut divided, and a part of it driven by joints": (
+        [(POINT, f"PTP {{X 80,Y 6,Z 0,{TURNED}}}\n" + POINT)],
+        [
+            ("kind", "the way to this target is point to point (PTP) instead of a line (LIN).", 4, 4, 1),
+            ("between", f"{PTP_CUT} 0.0458 mm. Write LIN or CIRC.", 4, 4, 1),
         ],
     ),
     "two kinds": (
@@ -97,7 +106,11 @@ CASES = {
     ),
     "other approximation": (
         [("LIN {X 40,Y 0", "$APO.CDIS=0.8\nLIN {X 40,Y 0")],
-        [("approximation", f"{APPROXIMATION} 0.8 mm instead of 0.5 mm.", 1, 2, 2)],
+        [
+            ("approximation", f"{APPROXIMATION} 0.8 mm instead of 0.5 mm.", 1, 2, 2),
+            # a square corner: a parabola is √2/4 of the distance from it
+            ("between", f"{CUT_CORNER} 0.2828 mm; the nominal program allows 0.1768 mm. {SET_BACK}", 1, 2, 1),
+        ],
     ),
     "axis targets": (
         [("A1 5,A2 -70,A3 110", "A1 6,A2 -68,A3 110"), ("A1 0,A2 -70,A3 110,A4 0,", "A1 0,A2 -70,A3 110,A4 3,")],
@@ -457,8 +470,8 @@ def test_a_target_between_two_detours_is_on_the_path():
     assert found.additional_rows.tolist() == [2, 4]
 
 
-def test_a_target_behind_the_last_pair_and_one_that_axes_move_to_are_not_inserted():
-    """They are on the nominal line, or on what would be its continuation."""
+def test_a_target_behind_the_last_pair_is_not_inserted_and_one_on_the_line_is_even_if_axes_move_to_it():
+    """The first is on what would be the continuation of the nominal line."""
     one = lines((0, 0), (40, 0), (40, 30))
     other = lines((0, 0), (40, 0), (40, 30), (40, 30), (40, 50))
     found = pair_targets(one, other, np.array([0, 1, 2]), np.ones(3, dtype=bool))
@@ -469,7 +482,8 @@ def test_a_target_behind_the_last_pair_and_one_that_axes_move_to_are_not_inserte
         placed(text.replace("LIN {X 20", "PTP {X 20")),
     )
     found = pair_targets(one, other, np.array([0, 2]), np.ones(2, dtype=bool))
-    assert (found.inserted_rows.tolist(), found.additional_rows.tolist()) == ([], [2])
+    assert (found.inserted_rows.tolist(), found.additional_rows.tolist()) == ([2], [])
+    assert np.isnan(found.path_distance).tolist() == [True, True]  # a PTP is between
 
 
 def test_comments_of_the_second_program_alone_count_at_pairs():

@@ -139,7 +139,8 @@ def test_every_difference_planted_in_a_program_of_robodk_is_found(fault):
     else:
         kind = {"changed speed": "speed", "other base": "base", "other tool": "tool", "other arc": "between",
                 "other approximation": "approximation"}[fault]  # fmt: skip
-        assert set(found) == {kind}
+        # a larger approximation distance rounds corners by more too
+        assert set(found) == ({kind, "between"} if fault == "other approximation" else {kind})
         if fault == "other arc":
             assert (found[kind]["source_line"], found[kind]["count"]) == (line, 1)
         else:
