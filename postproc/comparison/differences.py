@@ -16,6 +16,7 @@ from postproc.comparison.paths import (
     SMALLEST_SHARE,
     PlacedProgram,
     distances_from_path,
+    in_cell,
     nearest_lengths,
     tool_of_nominal,
 )
@@ -81,7 +82,7 @@ def differences(
         return (
             *lowered_feed_notes(comparison),
             *_uncompared_motions(comparison),
-            *_unpaired_targets(comparison, nominal_path),
+            *_unpaired_targets(comparison, nominal_path, corrected_path),
             *_deviations_under_force(comparison, nominal_path),
             *ambiguous_pairs,
         )
@@ -100,7 +101,7 @@ def differences(
         *_rapid_differences(comparison, nominal_path),
         *_repeated_positions(comparison, nominal_path, corrected_path),
         *_backward_moves(comparison),
-        *_unpaired_targets(comparison, nominal_path),
+        *_unpaired_targets(comparison, nominal_path, corrected_path),
         *axis_target_differences(comparison, nominal_path, corrected_path),
         *_orientation_differences(comparison, nominal_path, corrected_path),
         *_joint_motions_off_path(comparison, nominal_path, corrected_path),
@@ -228,8 +229,14 @@ def _is_called(name: str, program: Program) -> bool:
     return any(call.search(document.text) for document in program.documents)
 
 
-def _unpaired_targets(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Difference]:
-    """Yield missing and additional targets; a missing one that the second path leaves out is an error."""
+def _unpaired_targets(
+    comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
+) -> Iterator[Difference]:
+    """Yield missing and additional targets.
+
+    A missing one that the second path leaves out is an error, and an additional one that a cut leads to, if its
+    distance from the nominal path is larger than the largest permitted correction.
+    """
     rows, distances = comparison.only_nominal, np.nan_to_num(comparison.missing_distance)  # NaN for PTP
     if len(rows):
         worst = int(np.argmax(distances))
@@ -245,8 +252,34 @@ def _unpaired_targets(comparison: Comparison, nominal_path: PlacedProgram) -> It
         yield Difference(level, "only-nominal", message, place, _next_partner(comparison, rows[worst]), len(rows))
     rows = comparison.additional_rows
     if len(rows):
-        message = "an additional target, not on the nominal path."
-        yield Difference("warning", "only-corrected", message, None, place_of(comparison.corrected, rows[0]), len(rows))
+        distances = _distances_of_targets(comparison, nominal_path, corrected_path, rows)
+        worst = int(np.argmax(distances))
+        motions, limit = comparison.corrected.motions, nominal_path.robot_in_cell.cell.output.max_correction_mm
+        is_far_cut = (distances > limit * M_PER_MM) & (motions.kind[rows] != PTP) & ~motions.rapid[rows]
+        level = "error" if is_far_cut.any() else "warning"
+        message = "an additional target."
+        if distances[worst] > nominal_path.robot_in_cell.tolerance:
+            message = f"an additional target, {distances[worst] * MM_PER_M:.4f} mm from the nominal path."
+        yield Difference(level, "only-corrected", message, None, place_of(comparison.corrected, rows[worst]), len(rows))
+
+
+def _distances_of_targets(
+    comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram, rows: Ints
+) -> Array:
+    """Return the distances (n,) of targets of the second program from the nominal path next to them [m].
+
+    Counted is the path from the pair before a target to the pair behind it, or to the end of the program.
+
+    :param rows: (n,) motions of the second program.
+    """
+    pair = np.searchsorted(comparison.pair[:, 1], rows)
+    nominal_rows = np.concatenate([[-1], comparison.pair[:, 0], [len(comparison.nominal.motions) - 1]])
+    begin, end = nominal_path.arc_length[nominal_rows[pair] + 1], nominal_path.arc_length[nominal_rows[pair + 1] + 1]
+    motion = nominal_rows[pair + 1]
+    target = corrected_path.program.motions.target[rows]
+    pose = tool_of_nominal(nominal_path.program, motion, corrected_path.program, rows, target)
+    position = in_cell(nominal_path.program, motion, pose[:, :3, 3])
+    return distances_from_path(nominal_path, position, begin, end)
 
 
 def _ambiguous_pairs(

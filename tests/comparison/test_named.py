@@ -160,13 +160,13 @@ CASES = {
         [(POINT, 2 * POINT)],
         [
             ("twice", "the same target twice in succession: the robot stops there.", None, 5, 1),
-            ("only-corrected", "an additional target, not on the nominal path.", None, 5, 1),
+            ("only-corrected", "an additional target.", None, 5, 1),
         ],
     ),
     "an additional target": (
         [(POINT, POINT.replace("X 80,Y 0", "X 90,Y 15") + POINT)],
         [
-            ("only-corrected", "an additional target, not on the nominal path.", None, 4, 1),
+            ("only-corrected", "an additional target, 10.0000 mm from the nominal path.", None, 4, 1),
             ("between", "the path is 10.0000 mm from the nominal one on the way to this target.", 4, 5, 1),
         ],
     ),

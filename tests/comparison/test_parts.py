@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from postproc.comparison import differences, settings, statements
 from postproc.comparison.result import Comparison, file_and_line, pair_warning
-from postproc.program import CIRC, SPL, Document, UnresolvedMotion
+from postproc.program import CIRC, LIN, PTP, SPL, Document, UnresolvedMotion
 from tests.comparison.krl_moves import TURNED
 from tests.corrections import read_files
 from tests.programs import program
@@ -186,23 +186,41 @@ def test_a_piece_of_a_spline_in_both_programs_is_not_compared():
     assert compared(nominal, corrected).spline.tolist() == [False, False, True, False, False]
 
 
-def test_missing_targets_are_an_error_where_the_path_leaves_the_nominal_one_by_more_than_the_tolerance():
-    path = SimpleNamespace(robot_in_cell=SimpleNamespace(tolerance=1e-4))
+@pytest.mark.parametrize(
+    ("distance_mm", "kind", "level"), [(7.9, LIN, "warning"), (8.1, LIN, "error"), (8.1, PTP, "warning")]
+)
+def test_an_additional_target_of_a_cut_is_an_error_where_it_is_farther_off_than_a_correction_may_be(
+    monkeypatch, distance_mm, kind, level
+):
+    cell = SimpleNamespace(output=SimpleNamespace(max_correction_mm=8.0))
+    path = SimpleNamespace(robot_in_cell=SimpleNamespace(tolerance=1e-4, cell=cell))
+    found = compared(pair=[(0, 0), (4, 4)], additional_rows=np.array([2, 3]))
+    found.corrected.motions.kind[3] = kind
+    monkeypatch.setattr(differences, "_distances_of_targets", lambda *parts: np.array([1e-3, 1e-3 * distance_mm]))
+    (additional,) = differences._unpaired_targets(found, path, path)
+    assert (additional.level, additional.corrected) == (level, ("part.nc", 4))
+    assert additional.message == f"an additional target, {distance_mm:.4f} mm from the nominal path."
+
+
+def test_missing_targets_are_an_error_where_the_path_leaves_the_nominal_one_by_more_than_the_tolerance(monkeypatch):
+    monkeypatch.setattr(differences, "_distances_of_targets", lambda *parts: np.zeros(2))
+    cell = SimpleNamespace(output=SimpleNamespace(max_correction_mm=8.0))
+    path = SimpleNamespace(robot_in_cell=SimpleNamespace(tolerance=1e-4, cell=cell))
     pair = [(0, 0), (1, 1), (4, 4)]
     off = compared(pair=pair, only_nominal=np.array([2, 3]), missing_distance=np.array([np.nan, 2.5e-4]))
-    (found,) = differences._unpaired_targets(off, path)
+    (found,) = differences._unpaired_targets(off, path, path)
     assert (found.level, found.kind, found.nominal, found.corrected, found.count) == (
         "error", "only-nominal", ("part.nc", 4), ("part.nc", 5), 2,
     )  # fmt: skip
     assert "leaves the nominal one by 0.2500 mm there." in found.message
     near = replace(off, missing_distance=np.array([0.9e-4, np.nan]), additional_rows=np.array([2, 3]))
-    missing, additional = differences._unpaired_targets(near, path)
+    missing, additional = differences._unpaired_targets(near, path, path)
     assert (missing.level, missing.nominal) == ("warning", ("part.nc", 3))
     assert (additional.kind, additional.nominal, additional.corrected, additional.count) == (
         "only-corrected", None, ("part.nc", 3), 2,
     )  # fmt: skip
     last = compared(pair=[(0, 0)], only_nominal=np.array([4]), missing_distance=np.zeros(1))
-    assert next(differences._unpaired_targets(last, path)).corrected is None
+    assert next(differences._unpaired_targets(last, path, path)).corrected is None
 
 
 def unresolved(*texts: str):
