@@ -40,10 +40,9 @@ from postproc.identification.measurement_model import (
     Structure,
     coordinate_count,
     displacement_residuals,
-    measured_displacements,
     predict,
-    visible_points,
     whiten,
+    whitened_derivatives,
     whitening,
 )
 from postproc.identification.readings import Measurements
@@ -168,13 +167,13 @@ def gauss_newton(
     :raises NotConvergedError: the springs have no equilibrium at the start, or at the values after the last step.
     """
     values = structure.start_values() if start is None else start.copy()
-    displacement, whitening_matrices = measured_displacements(data, placement), whitening(data)
-    size = len(structure.parameters)
+    whitening_matrices = whitening(data)
     last_good_values, smallest_cost = values, np.inf
     for _ in range(iterations):
         try:
             prediction, slopes = predict(structure, values, data, placement)
-            cost = float(np.sum(whiten(whitening_matrices, displacement - prediction) ** 2))
+            white_residual = whiten(whitening_matrices, displacement_residuals(prediction, data, placement)).ravel()
+            cost = float(white_residual @ white_residual)
         except NotConvergedError:
             if values is last_good_values:  # the start itself: there is no step to halve
                 raise
@@ -183,9 +182,9 @@ def gauss_newton(
             values = 0.5 * (last_good_values + values)
             continue
         last_good_values, smallest_cost = values, min(cost, smallest_cost)
-        design = whiten(whitening_matrices, slopes).reshape(-1, size)
+        design = whitened_derivatives(whitening_matrices, slopes, data)
         design[:, np.linalg.norm(design, axis=0) * structure.usual_sizes() < _LEAST_EFFECT] = 0.0
-        target = whiten(whitening_matrices, displacement - prediction).ravel() + design @ values
+        target = white_residual + design @ values
         new_values = solve(design, target)
         scale = np.linalg.norm(design, axis=0)
         change = float(np.max(np.abs((new_values - values) * scale), initial=0.0))
@@ -204,7 +203,7 @@ def _fit_at(structure: Structure, values: Array, data: Measurements, placement: 
     """
     size = len(structure.parameters)
     prediction, slopes = predict(structure, values, data, placement)
-    design = whiten(whitening(data), slopes).reshape(-1, size)
+    design = whitened_derivatives(whitening(data), slopes, data)
     return Fit.of(
         structure,
         values,
@@ -388,12 +387,10 @@ def linearise(structure: Structure, values: Array, data: Measurements, placement
             f"config {data.config[data.state_config[state]]:g}, load {data.load[state]:g}: these springs have no "
             "equilibrium under this load"
         )
-    design = whiten(whitening_matrices, slopes).reshape(-1, len(values))
+    design = whitened_derivatives(whitening_matrices, slopes, data)
     white_residual = whiten(whitening_matrices, displacement_residuals(prediction, data, placement))
     weight = _robust_weights(np.linalg.norm(white_residual, axis=2))
-    is_visible = np.repeat((visible_points(data)[..., 0] > 0.0).ravel(), 3)
     config = np.repeat(data.state_config[data.loaded_states], 3 * len(data.points))
-    design = design * is_visible[:, None]
     target = white_residual.ravel() + design @ values
     return LinearEquations(design, target, config, np.repeat(weight.ravel(), 3))
 

@@ -36,7 +36,7 @@ from postproc.identification.measurement_model import (
     kabsch,
     levels_of,
     predict,
-    whiten,
+    whitened_derivatives,
     whitening,
 )
 from postproc.identification.readings import Measurements
@@ -499,7 +499,7 @@ def _fit_of_points(
     """
     # no equilibrium without stiffness: compliances are at least 1e-9 rad/(N·m) in the prediction of the points
     prediction, slopes = predict(structure, np.maximum(values, 1e-9), data, placement)
-    design = whiten(whitening(data), slopes).reshape(-1, 6)
+    design = whitened_derivatives(whitening(data), slopes, data)
     return Fit.of(
         structure,
         values,

@@ -263,6 +263,14 @@ def whiten(w: Array, values: Array) -> Array:
     return np.asarray(np.einsum("plm,mp...->lp...", w, values))
 
 
+def whitened_derivatives(w: Array, slopes: Array, data: Measurements) -> Array:
+    """Return the whitened derivatives (3LP, p) of displacements; 0 for points that `visible_points` excludes.
+
+    :param w: (P, L, L), see `whitening`; `slopes` (L, P, 3, p), see `predict`.
+    """
+    return whiten(w, slopes * visible_points(data)[..., None]).reshape(-1, slopes.shape[-1])
+
+
 def unwhiten(w: Array, values: Array) -> Array:
     """Return values (L, P, …) of L states at P points, those of each point multiplied by the inverse of its matrix.
 

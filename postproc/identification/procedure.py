@@ -31,6 +31,7 @@ from postproc.identification.measurement_model import (
     as_positions,
     locate,
     measured_displacements,
+    visible_points,
 )
 from postproc.identification.moved_device import moved_device
 from postproc.identification.plausibility import check_loads, displacement_ratio, hysteresis_warnings
@@ -521,13 +522,17 @@ def _can_outliers_explain(fit: Fit, limit: int) -> bool:
 
 
 def rms_distances(result: Identification) -> tuple[Array, Array]:
-    """Return the RMS of measured displacements (C,) and of residuals (C,) of the points of each configuration [m]."""
+    """Return the RMS of measured displacements (C,) and of residuals (C,) of the points of each configuration [m].
+
+    Points without a reading do not count; 0 for a configuration in which no point has readings with and without load.
+    """
     config = result.data.state_config[result.data.loaded_states]
-    count = np.bincount(config, minlength=len(result.data.q))
+    visible_count = visible_points(result.data).sum(axis=(1, 2))
+    count = np.bincount(config, weights=visible_count, minlength=len(result.data.q))
 
     def rms(vectors: Array) -> Array:
-        """Return the RMS length (C,) of vectors (L, P, 3) of loaded states."""
-        square = np.sum(vectors**2, axis=2).mean(axis=1)
-        return np.asarray(np.sqrt(np.bincount(config, weights=square, minlength=len(count)) / count))
+        """Return the RMS length (C,) of vectors (L, P, 3) of loaded states, 0 for points without a reading."""
+        square = np.bincount(config, weights=np.sum(vectors**2, axis=(1, 2)), minlength=len(count))
+        return np.asarray(np.sqrt(square / np.maximum(count, 1.0)))
 
     return rms(measured_displacements(result.data, result.placement)), rms(result.fit.residual)

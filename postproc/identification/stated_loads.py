@@ -20,11 +20,13 @@ from postproc.identification.fit import Fit, gauss_newton, solve
 from postproc.identification.measurement_model import (
     Placement,
     Structure,
+    displacement_residuals,
     measured_displacements,
     predict,
     unloaded_flange,
     visible_points,
     whiten,
+    whitened_derivatives,
     whitening,
 )
 from postproc.identification.readings import Measurements
@@ -170,8 +172,7 @@ def _best_point(data: Measurements, placement: Placement, stated: Fit) -> _LoadP
 
     :param stated: fit of the joint springs with the loads as stated.
     """
-    structure, whitening_matrix, is_visible = stated.structure, whitening(data), visible_points(data)
-    displacement = measured_displacements(data, placement)
+    structure, whitening_matrix = stated.structure, whitening(data)
     point, values, best = data.load_point, stated.values, _LoadPoint(data.load_point, 1.0)
     for _ in range(_ROUNDS):
         prediction, slopes = predict(structure, values, replace(data, load_point=point), placement)
@@ -180,8 +181,8 @@ def _best_point(data: Measurements, placement: Placement, stated: Fit) -> _LoadP
             for step in _POINT_STEP * np.eye(3)
         ]
         columns = np.concatenate([slopes, np.stack(by_point, axis=-1) / _POINT_STEP], axis=-1)
-        design = whiten(whitening_matrix, columns * is_visible[..., None]).reshape(-1, columns.shape[-1])
-        target = whiten(whitening_matrix, displacement - prediction * is_visible).ravel()
+        design = whitened_derivatives(whitening_matrix, columns, data)
+        target = whiten(whitening_matrix, displacement_residuals(prediction, data, placement)).ravel()
         point = point + solve(design, target)[-3:]  # the last three unknowns, after the springs
         fit = gauss_newton(structure, replace(data, load_point=point), placement)
         values = np.maximum(fit.values, _LEAST_COMPLIANCE)

@@ -195,7 +195,7 @@ def test_an_additional_target_of_a_cut_is_an_error_where_it_is_farther_off_than_
     cell = SimpleNamespace(output=SimpleNamespace(max_correction_mm=8.0))
     path = SimpleNamespace(robot_in_cell=SimpleNamespace(tolerance=1e-4, cell=cell))
     found = compared(pair=[(0, 0), (4, 4)], additional_rows=np.array([2, 3]))
-    found.corrected.motions.kind[3] = kind
+    found.corrected.motions.kind[3], found.corrected.motions.rapid[3] = kind, False
     monkeypatch.setattr(differences, "_distances_of_targets", lambda *parts: np.array([1e-3, 1e-3 * distance_mm]))
     (additional,) = differences._unpaired_targets(found, path, path)
     assert (additional.level, additional.corrected) == (level, ("part.nc", 4))

@@ -409,3 +409,31 @@ def test_points_that_were_not_read_leave_no_residual_and_do_not_move_the_frame()
     assert (np.abs(np.delete(left.reshape(-1, 3), [1 * 4, 2 * 4 + 1], axis=0)).max(axis=1) > 0.0).all()
     whole, partial = (locate(harness.PRIOR, measured) for measured in (data, hidden))
     np.testing.assert_allclose(partial.root_in_device, whole.root_in_device, atol=1e-6)
+
+
+def readings_under_two_loads(first, second):
+    """Readings of the same configurations without load, under a first and under a second load."""
+    data, other = readings(first), readings(second)
+    rows, configs = np.flatnonzero(np.isin(other.state, other.loaded_states)), len(data.q)
+    columns = {name: getattr(other, name)[rows] for name in ("point", "repeat", "position", "line", "used")}
+    columns["state"] = 2 * configs + other.state_config[other.state[rows]]
+    return replace(
+        data, state_config=np.append(data.state_config, np.arange(configs)),
+        load=np.append(data.load, np.full(configs, 2.0)),
+        wrench=np.vstack([data.wrench, other.wrench[other.loaded_states]]),
+        **{name: np.concatenate([getattr(data, name), values]) for name, values in columns.items()},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("state", [0, 1])
+def test_a_point_without_a_reading_with_or_without_load_does_not_move_the_springs(state):
+    """Under two loads the difference between them weighs as much as each: nothing may be compared with zero there."""
+    data = readings_under_two_loads(forces(10, 500.0), forces(10, 500.0, seed=5))
+    hidden = replace(data, used=~((data.state % 2 == state) & (data.state < 8) & (data.point == 0)))
+    assert np.count_nonzero(~hidden.used) == 8
+    structure = Structure(JOINT_COMPLIANCES, harness.PRIOR)
+    whole, partial = (gauss_newton(structure, measured, placed(data)) for measured in (data, hidden))
+    np.testing.assert_allclose(partial.values, whole.values, rtol=1e-3)
+    np.testing.assert_allclose(partial.values, SPRINGS, rtol=5e-3)
+    assert partial.chi2 < whole.chi2 + 1e-9
+    assert (np.diag(partial.covariance) > np.diag(whole.covariance)).all()  # it rests on fewer readings

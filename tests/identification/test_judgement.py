@@ -18,6 +18,7 @@ from postproc.identification.measurement_model import (
     describe_points,
     locate,
     measured_displacements,
+    visible_points,
 )
 from postproc.identification.uncertainty import Workspace, WorkspaceLevel, judge
 from postproc.robot import JOINT_COMPLIANCES
@@ -296,10 +297,13 @@ def test_open_joints_are_listed_worst_first_and_a_negative_value_is_open():
     assert [entry.parameter for entry in entries] == [JOINT_COMPLIANCES[joint] for joint in (4, 3, 0)]
 
 
-def test_distances_by_configuration_are_roots_of_mean_squares_by_loops():
+@pytest.mark.parametrize("hidden_state", [None, 2, 3])
+def test_distances_by_configuration_are_roots_of_mean_squares_by_loops(hidden_state):
+    """A point that has no reading without load (state 2) or with a load (3) does not count in configuration 1."""
     data = twice_loaded(readings(forces(5, 500.0), count=5), parallel=False)
     data = replace(data, position=data.position + np.random.default_rng(1).normal(0.0, 3e-5, data.position.shape))
-    left = np.random.default_rng(2).normal(0.0, 1e-5, (10, 4, 3))
+    data = replace(data, used=~((data.state == hidden_state) & (data.point == 1)))
+    left = np.random.default_rng(2).normal(0.0, 1e-5, (10, 4, 3)) * visible_points(data)
     result = SimpleNamespace(data=data, placement=placed(data), fit=SimpleNamespace(residual=left))
     before, after = procedure.rms_distances(result)
     for config in range(5):
@@ -308,12 +312,14 @@ def test_distances_by_configuration_are_roots_of_mean_squares_by_loops():
             if data.state_config[state] != config:
                 continue
             for point in range(4):
+                if point == 1 and hidden_state in (state, 2 * config):
+                    continue
                 places = [
                     data.position[(data.state == at) & (data.point == point)].mean(axis=0) for at in (state, 2 * config)
                 ]
                 squares.append(np.sum((places[0] - places[1]) ** 2))
                 residuals.append(np.sum(left[row, point] ** 2))
-        assert len(squares) == 8
+        assert len(squares) == 8 - (config == 1 and hidden_state is not None) * (2 if hidden_state == 2 else 1)
         assert before[config] == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-6)
         assert after[config] == pytest.approx(np.sqrt(np.mean(residuals)))
 

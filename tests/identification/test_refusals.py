@@ -14,6 +14,7 @@ from postproc.identification import (
     dataset,
     fit,
     joint_springs,
+    measurement_model,
     model_folder,
     plausibility,
     record,
@@ -105,7 +106,7 @@ def stub_of(residual_of, slope_of):
 def test_a_step_too_far_is_halved_until_the_squares_fall_again(monkeypatch):
     """Newton for the cube root of x goes from x to −2x and grows; half of that step ends at −x/2."""
     data = readings(forces(3), count=3)
-    monkeypatch.setattr(fit, "measured_displacements", lambda data, _: np.zeros((3, 4, 3)))
+    monkeypatch.setattr(measurement_model, "measured_displacements", lambda data, _: np.zeros((3, 4, 3)))
     structure = Structure(JOINT_COMPLIANCES[:1], harness.PRIOR)
 
     def slope(x):
@@ -311,7 +312,7 @@ def test_a_parameter_that_moves_no_reading_stays_at_nothing(monkeypatch):
             slopes = np.stack([np.full((3, 4, 3), 1e2), direction], axis=-1)
             return slopes @ values, slopes
 
-        monkeypatch.setattr(fit, "measured_displacements", lambda *_: measured)
+        monkeypatch.setattr(measurement_model, "measured_displacements", lambda *_: measured)
         monkeypatch.setattr(fit, "predict", predict)
         found = fit.gauss_newton(structure, data, placed(data), start=np.zeros(2))
         assert found.values[0] == pytest.approx(measured.mean() / 1e2, rel=1e-6) or not is_dead
