@@ -354,7 +354,7 @@ def _swept_program(task: _Task, max_tilt: float, cell_factors: dict[int, int]) -
     ordered_setups = divide_by_cells(setups(program, task.directions, max_tilt), cell_factors, task.directions.cuts)
     frame, cell = ordered_setups[0].frame, process.stock.cell
     material, stock_issues = _stock_map(process, frame, cell / ordered_setups[0].factor, task.stock)
-    bounds = (*material.bounds, material.top)
+    bounds = (*material.material_bounds, material.top)
     segments = task.segments(frame, cell)
     _check_spindle_speed(program, segments, task.tools)
     swept_setups = _swept_setups(task, ordered_setups, material, segments)

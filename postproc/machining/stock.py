@@ -94,6 +94,20 @@ class Stock(Struct, frozen=True, eq=False):
         rows, columns = self.high.shape
         return MapBounds(self.x, self.x + columns * self.cell, self.y, self.y + rows * self.cell)
 
+    @property
+    def material_bounds(self) -> MapBounds:
+        """The outer edges of the cells with material; those of the map if there are none."""
+        is_solid = self.high > self.floor
+        columns, rows = np.flatnonzero(is_solid.any(axis=0)), np.flatnonzero(is_solid.any(axis=1))
+        if not len(columns):
+            return self.bounds
+        return MapBounds(
+            self.x + int(columns[0]) * self.cell,
+            self.x + (int(columns[-1]) + 1) * self.cell,
+            self.y + int(rows[0]) * self.cell,
+            self.y + (int(rows[-1]) + 1) * self.cell,
+        )
+
 
 def refine(stock: Stock, factor: int) -> Stock:
     """Return a map whose cells are narrower by a whole factor.

@@ -26,7 +26,7 @@ def refused(folder, text, process_text=None, **options):
 def test_stock_elsewhere(tmp_path):
     told = refused(tmp_path, gcode(*SLOT), process(tool(10, 4), ((500, 600), (0, 80), (-20, 0)), 1.0))
     assert "never touches the stock" in told
-    assert "X 498" in told
+    assert "the stock within X 500 … 600, Y 0 … 80, top Z 0 mm" in told
 
 
 def test_no_speed(tmp_path):
