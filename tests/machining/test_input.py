@@ -165,7 +165,7 @@ def test_a_program_in_inches_that_meets_stock_in_mm_is_told(tmp_path):
     }
     _, found = forces(tmp_path, inches, process(tool(300, 4), BOX, 1.0))
     (issue,) = (issue for issue in found.issues if issue.kind == "stock-scale")
-    assert "24 times as large as the stock" in issue.message
+    assert "25 times as large as the stock" in issue.message
     assert "an inch is 25.4 mm" in issue.message
 
 
