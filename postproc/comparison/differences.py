@@ -234,8 +234,9 @@ def _unpaired_targets(
 ) -> Iterator[Difference]:
     """Yield missing and additional targets.
 
-    A missing one that the second path leaves out is an error, and an additional one that a cut leads to, if its
-    distance from the nominal path is larger than the largest permitted correction.
+    A missing one that the second path leaves out is an error. So is an additional one between pairs that a cut leads
+    to, if it is farther from the nominal path than the largest permitted correction. Before the first pair and after
+    the last one it may be an approach or a retract.
     """
     rows, distances = comparison.only_nominal, np.nan_to_num(comparison.missing_distance)  # NaN for PTP
     if len(rows):
@@ -253,10 +254,12 @@ def _unpaired_targets(
     rows = comparison.additional_rows
     if len(rows):
         distances = _distances_of_targets(comparison, nominal_path, corrected_path, rows)
-        worst = int(np.argmax(distances))
         motions, limit = comparison.corrected.motions, nominal_path.robot_in_cell.cell.output.max_correction_mm
-        is_far_cut = (distances > limit * M_PER_MM) & (motions.kind[rows] != PTP) & ~motions.rapid[rows]
+        is_between_pairs = np.isin(np.searchsorted(comparison.pair[:, 1], rows), np.arange(1, len(comparison.pair)))
+        is_cut = is_between_pairs & (motions.kind[rows] != PTP) & ~motions.rapid[rows]
+        is_far_cut = is_cut & (distances > limit * M_PER_MM)
         level = "error" if is_far_cut.any() else "warning"
+        worst = int(np.argmax(np.where(is_far_cut, distances, 0.0) if is_far_cut.any() else distances))
         message = "an additional target."
         if distances[worst] > nominal_path.robot_in_cell.tolerance:
             message = f"an additional target, {distances[worst] * MM_PER_M:.4f} mm from the nominal path."

@@ -200,6 +200,15 @@ def test_an_additional_target_of_a_cut_is_an_error_where_it_is_farther_off_than_
     (additional,) = differences._unpaired_targets(found, path, path)
     assert (additional.level, additional.corrected) == (level, ("part.nc", 4))
     assert additional.message == f"an additional target, {distance_mm:.4f} mm from the nominal path."
+    # the worst cut is named, not a joint motion that is farther off
+    monkeypatch.setattr(differences, "_distances_of_targets", lambda *parts: np.array([0.5, 1e-3 * distance_mm]))
+    found.corrected.motions.kind[2] = PTP
+    (additional,) = differences._unpaired_targets(found, path, path)
+    assert additional.corrected == ("part.nc", 4 if level == "error" else 3)
+    # behind the last pair it may be a retract
+    found = replace(found, pair=found.pair[:1])
+    (additional,) = differences._unpaired_targets(found, path, path)
+    assert additional.level == "warning"
 
 
 def test_missing_targets_are_an_error_where_the_path_leaves_the_nominal_one_by_more_than_the_tolerance(monkeypatch):
