@@ -395,7 +395,8 @@ def forces(
     from postproc.jobs.process_forces import identify_forces, propose_cuts
     from postproc.report.material import as_text
 
-    if propose == (measured is not None):
+    has_readings = measured is not None
+    if propose == has_readings:  # both, or neither
         raise click.UsageError("Give MEASURED, or --propose.")
     if measured is None:
         paths = propose_cuts(process, output, tool, overwrite=overwrite)

@@ -46,21 +46,22 @@ _MIN_PIECE_LENGTH = 2.0 * BEHIND_STEP
 """A piece whose stretch of the nominal path is shorter [m] is not checked between its ends."""
 
 
-def deviation(side: PlacedProgram, motion: Ints, q: Array, wrench: Array, displacement: Array) -> Array:
+def deviation(path: PlacedProgram, motion: Ints, q: Array, wrench: Array, displacement: Array) -> Array:
     """Return the loaded tip minus the targets of motions, (n, 3) in their `$BASE` [m].
 
-    :param motion: (n,) motions of `side`.
+    :param path: the program of the motions in its cell, which gives the robot, the tools and the targets.
+    :param motion: (n,) rows of motions of this program.
     :param q: (n, 6) commanded joint angles [rad].
     :param wrench: (n, 6) at the tip, root axes [N, N·m].
     :param displacement: (n, 3) of the robot by E1 [m].
     :raises ForceError: the arm has no equilibrium under the force.
     """
-    program = side.program
+    program = path.program
 
     def tip_offset(motion: Ints, q: Array, wrench: Array, displacement: Array) -> Array:
         """Return the offsets of some of the motions."""
-        tip = side.loaded_tip(motion, q, wrench, displacement)
-        return side.to_base(motion, tip) - program.motions.target.position[motion]
+        tip = path.loaded_tip(motion, q, wrench, displacement)
+        return path.to_base(motion, tip) - program.motions.target.position[motion]
 
     try:
         return in_chunks(tip_offset, motion, q, wrench, displacement)
@@ -225,7 +226,7 @@ class Stretches(Struct, frozen=True, eq=False):
     :param corrected_path: the second program, of M motions.
     :param stretch: (M,) the stretch of each motion; P for those after the last pair.
     :param begin: (P,) arc lengths on the nominal path at which the stretches begin, `end` (P,) at which they end [m].
-    :param second: (P, 2) begin and end of the stretches on the second path [m].
+    :param corrected_span: (P, 2) arc lengths on the second path at which the stretches begin and end [m].
     :param is_comparable: (P,) True where the whole nominal stretch is cutting lines and arcs that can be corrected.
     """
 
@@ -233,19 +234,24 @@ class Stretches(Struct, frozen=True, eq=False):
     stretch: Ints
     begin: Array
     end: Array
-    second: Array
+    corrected_span: Array
     is_comparable: Bools
 
     @classmethod
     def from_pairs(
         cls, comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram
     ) -> Stretches:
-        """Return the stretches between the pairs of a comparison."""
+        """Return the stretches between the pairs of a comparison.
+
+        A stretch is comparable if no motion in it is unknown: a rapid move, PTP or SPL to a Cartesian target, or a
+        motion whose start is not corrected.
+        """
         m, (nominal_rows, corrected_rows) = nominal_path.program.motions, comparison.pair.T
         unknown = (np.isin(m.kind, (PTP, SPL)) | m.rapid) & np.isnan(m.joints[:, 0])
-        # a stretch is comparable if the count of unknown motions is the same at its begin and its end
-        count = np.append(0, np.cumsum(unknown | _has_uncorrected_start(nominal_path)))
-        count_at_pairs = count[np.append(-1, nominal_rows) + 1]  # with that at the begin of the first stretch
+        # number of unknown motions before each motion; the last element is that of all motions
+        unknown_before = np.append(0, np.cumsum(unknown | _has_uncorrected_start(nominal_path)))
+        # stretch k is behind the motion of pair k − 1, up to that of pair k; the first one begins with motion 0
+        unknown_at_limits = unknown_before[np.append(0, nominal_rows + 1)]
         pairs = np.arange(len(comparison.pair))
         begin, end = stretch_limits(nominal_path, nominal_rows, pairs)
         return cls(
@@ -253,8 +259,8 @@ class Stretches(Struct, frozen=True, eq=False):
             stretch=np.searchsorted(corrected_rows, np.arange(len(corrected_path.program.motions))),
             begin=begin,
             end=end,
-            second=np.stack(stretch_limits(corrected_path, corrected_rows, pairs), axis=1),
-            is_comparable=np.diff(count_at_pairs) == 0,
+            corrected_span=np.stack(stretch_limits(corrected_path, corrected_rows, pairs), axis=1),
+            is_comparable=np.diff(unknown_at_limits) == 0,
         )
 
     def _is_on_comparable_stretch(self, row: Ints) -> Bools:
@@ -284,7 +290,7 @@ class Stretches(Struct, frozen=True, eq=False):
         :param row: (n,) motions of the second program.
         """
         stretch = self.stretch[row]
-        begin, end = self.second[stretch].T
+        begin, end = self.corrected_span[stretch].T
         share = (self.corrected_path.arc_length[row + 1] - begin) / np.maximum(end - begin, NO_DISTANCE)
         return np.asarray(self.begin[stretch] + share * (self.end[stretch] - self.begin[stretch]))
 

@@ -190,8 +190,8 @@ def judge_unpaired(
 def moved_partners(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
     """Return the indices (n,) in `corrected_path.rows` of targets moved away from `nominal_path.rows`; −1 for none.
 
-    A missing target of the nominal program was moved to an additional target of the second one if both are of one kind
-    and there are equal numbers of missing and additional targets between the same two pairs.
+    If there are equal numbers of missing and additional targets between the same two pairs, they are partners in their
+    order: the first missing one and the first additional one, and so on. Both must be PTP, or both not.
     """
     partner = np.full(len(nominal_path.rows), -1)
     missing_rows, additional_rows = comparison.only_nominal, comparison.additional_rows
@@ -200,16 +200,14 @@ def moved_partners(comparison: Comparison, nominal_path: PlacedProgram, correcte
     missing_gap = np.searchsorted(comparison.pair[:, 0], missing_rows)
     additional_gap = np.searchsorted(comparison.pair[:, 1], additional_rows)
     is_equal_count = np.bincount(missing_gap, minlength=gap_count) == np.bincount(additional_gap, minlength=gap_count)
-    missing_rows, additional_rows = (
-        missing_rows[is_equal_count[missing_gap]],
-        additional_rows[is_equal_count[additional_gap]],
-    )
-    is_same_kind = (nominal_path.program.motions.kind[missing_rows] == PTP) == (
-        corrected_path.program.motions.kind[additional_rows] == PTP
-    )
-    partner[np.searchsorted(nominal_path.rows, missing_rows[is_same_kind])] = np.searchsorted(
-        corrected_path.rows, additional_rows[is_same_kind]
-    )
+    # rows are ascending, and now equally many in each gap: element k of one array is the partner of k of the other
+    missing_rows = missing_rows[is_equal_count[missing_gap]]
+    additional_rows = additional_rows[is_equal_count[additional_gap]]
+    is_missing_ptp = nominal_path.program.motions.kind[missing_rows] == PTP
+    is_additional_ptp = corrected_path.program.motions.kind[additional_rows] == PTP
+    is_same_kind = is_missing_ptp == is_additional_ptp
+    nominal_indices = np.searchsorted(nominal_path.rows, missing_rows[is_same_kind])
+    partner[nominal_indices] = np.searchsorted(corrected_path.rows, additional_rows[is_same_kind])
     return partner
 
 

@@ -144,14 +144,17 @@ def tangent_circle(start: Array, direction: Array, centre: Array, radius: float)
 
 
 def arc_point_count(circle: Circle, start: Array, points: Array, digit_mm: float) -> int | None:
-    """Return the number of points (n, 3) after a CIRCLE that belong to its arc; None if it is ambiguous.
+    """Return the number of points after a CIRCLE that belong to its arc; None if it is ambiguous.
 
-    The first point always belongs to the arc. Creo divides an arc by points on it, evenly spaced. A straight line whose
-    end happens to be on the circle must not be taken for a piece of the arc. Two kinds of points end the arc:
+    The first point always belongs to the arc, and the first point off the circle ends it. The points before that one
+    divide the arc in two cases:
 
-    - a point off the helix through start and first point: a retract at the end of a full circle;
-    - a point `_OFF_CIRCLE_FACTOR` times as far from the circle as start and first point, and more than `digit_mm`.
+    - they are evenly spaced, on one turn at most, as Creo writes them;
+    - the chords between them leave the circle by less than the tolerance, so that arc and chords are one path.
 
+    Else it is ambiguous: they may also be ends of straight lines that happen to be on the circle.
+
+    :param start: (3,) start of the arc [mm], and `points` (n, 3) the points after it.
     :param digit_mm: largest rounding of a point [mm].
     """
     count = 0
@@ -161,20 +164,33 @@ def arc_point_count(circle: Circle, start: Array, points: Array, digit_mm: float
         return 1
     path = np.vstack([start[None], points[:count]])
     sweeps = np.array([circle.sweep(begin, end) for begin, end in pairwise(path)])
-    # angle of each point from the start, and its height along the axis
-    total_sweep, height = np.cumsum(sweeps), (points[:count] - start) @ circle.axis
-    off_helix = np.abs(height - height[0] * total_sweep / total_sweep[0]) > TOLERANCE_MM
-    lengths = (length for _, length in map(circle.polar_components, path))
-    deviation = np.array([abs(length - circle.radius) for length in lengths])
-    is_beside = deviation[1:] > max(digit_mm, _OFF_CIRCLE_FACTOR * float(deviation[:2].max()))  # path[0] is the start
-    is_off_circle = off_helix | is_beside
+    is_off_circle = _is_off_circle(circle, path, sweeps, digit_mm)
     if is_off_circle.any():
         count = int(np.argmax(is_off_circle))
         sweeps = sweeps[:count]
     if count <= 1:
         return 1
-    # as arc or as chords, the tool passes the same points if the chords leave the arc by less than the tolerance
+    # the first piece is an arc in any case
     is_close = circle.radius * (1.0 - np.cos(np.minimum(sweeps[1:], np.pi) / 2.0)) < TOLERANCE_MM
     is_one_turn = sweeps.sum() < 2.0 * np.pi * (1.0 + _TURN_TOLERANCE)
     is_even = count > 2 and np.ptp(sweeps) < _SPACING_TOLERANCE * sweeps.mean() and is_one_turn
     return count if is_close.all() or is_even else None
+
+
+def _is_off_circle(circle: Circle, path: Array, sweeps: Array, digit_mm: float) -> Bools:
+    """Return which points (n,) of a path cannot belong to the arc that leads from its start to its first point.
+
+    - Points off the helix through start and first point: a retract at the end of a full circle.
+    - Points `_OFF_CIRCLE_FACTOR` times as far from the circle as start and first point, and more than `digit_mm`.
+
+    :param path: (n + 1, 3) the start and the points [mm].
+    :param sweeps: (n,) angle about the axis from each of them to the next [rad].
+    :param digit_mm: largest rounding of a point [mm].
+    """
+    # angle of each point from the start, and its height along the axis
+    total_sweep, height = np.cumsum(sweeps), (path[1:] - path[0]) @ circle.axis
+    is_off_helix = np.abs(height - height[0] * total_sweep / total_sweep[0]) > TOLERANCE_MM
+    lengths = (length for _, length in map(circle.polar_components, path))
+    deviation = np.array([abs(length - circle.radius) for length in lengths])
+    is_beside = deviation[1:] > max(digit_mm, _OFF_CIRCLE_FACTOR * float(deviation[:2].max()))
+    return np.asarray(is_off_helix | is_beside)

@@ -83,11 +83,11 @@ def broken_dialects() -> dict[str, str]:
 def extensions() -> dict[str, str]:
     """Return the known extensions (lower case): extension → name of its dialect.
 
-    Our dialects have precedence over dialects of other packages, and these over later ones.
+    If several dialects have an extension, it is that of our dialect, or of the first one of another package.
     """
     dialect_names = dict(_EXTENSIONS)
     for dialect in _plugins().values():
-        if not isinstance(dialect, str):
+        if not isinstance(dialect, str):  # a text is the reason why the dialect cannot be used
             for extension in dialect.extensions:
                 dialect_names.setdefault(extension, dialect.name)
     return dialect_names

@@ -164,9 +164,14 @@ class Balance(Struct, frozen=True, eq=False):
         return slopes
 
     def deflection_under_torque(self, torque: Array) -> Array:
-        """Return the deflections (nv, ..., n) [rad, m] by small torques (nv, ..., n) [N·m, N], at first order."""
-        nv, n = self.slope.shape
-        slope = self.slope.reshape(nv, *(1,) * (torque.ndim - 2), n)
+        """Return the deflections (nv, ..., n) [rad, m] by small torques, at first order.
+
+        Each torque turns its own coordinate by `slope` (nv, n), and the coupled ones by `coupling_compliance` (nv, nv).
+
+        :param torque: (nv, ..., n) on nv coordinates in n states [N·m, N].
+        """
+        coordinate_count, state_count = self.slope.shape
+        slope = self.slope.reshape(coordinate_count, *(1,) * (torque.ndim - 2), state_count)
         deflection = slope * torque
         if self.robot.coupling_compliance is not None:
             deflection = deflection + np.tensordot(self.robot.coupling_compliance, torque, axes=1)

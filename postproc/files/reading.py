@@ -188,13 +188,13 @@ def _error_of_value(cause: str, data: object, kind: Any, file: str, error: type[
     return error(message, file=file, line=line, advice=advice)
 
 
-_RANGE = re.compile(r"Expected `(?:float|int)` (?P<relation><=|>=|<|>) (?P<limit>\S+)$")
+_RANGE_MESSAGE = re.compile(r"Expected `(?:float|int)` (?P<relation><=|>=|<|>) (?P<limit>\S+)$")
 _OUT_OF_RANGE = {"<=": operator.gt, ">=": operator.lt, "<": operator.ge, ">": operator.le}
 _TEXT_FOR_NUMBER = re.compile(r"Expected `(?P<type>float|int)(?: \| null)?`, got `str`$")
 _NUMBER = {"float": "a number", "int": "a whole number"}
-_INVALID_VALUE = re.compile("Invalid enum value '?(?P<value>.*?)'?$")
-_KIND = re.compile(r"got `(?P<kind>str|int|float|bool|array|object)`$")
-_TYPE = {"str": str, "int": int, "float": float, "bool": bool, "array": list, "object": dict}
+_INVALID_VALUE_MESSAGE = re.compile("Invalid enum value '?(?P<value>.*?)'?$")
+_KIND_MESSAGE = re.compile(r"got `(?P<kind>str|int|float|bool|array|object)`$")
+_TYPE_OF_KIND = {"str": str, "int": int, "float": float, "bool": bool, "array": list, "object": dict}
 
 
 def _explain_quoted_number(message: str) -> str:
@@ -203,24 +203,32 @@ def _explain_quoted_number(message: str) -> str:
 
 
 def _explain_value(message: str, data: object, at: str) -> str:
-    """Return a message about a value with its full key, and with the number if that is out of range.
+    """Return a message of msgspec about a value, with the full key of the first entry that it fits.
 
+    - "Expected `float` > 0": the entry is a number out of this range; the message gets the number too.
+    - "Invalid enum value 'x'": the value of the entry is x.
+    - "got `str`": the entry is of this kind.
+
+    A message of another form, or one that fits no entry, is returned as it is.
+
+    :param message: ``KEY: TEXT``.
+    :param data: content of the file.
     :param at: key of the value, where `[...]` stands for any name or index.
     """
     key = re.compile(re.escape(at).replace(re.escape("[...]"), r"(?:\.[^.]+|\[\d+\])"))
     entries = ((name, value) for name, value in _entries(data, "") if key.fullmatch(name))
-    if range_message := _RANGE.search(message):
+    if range_message := _RANGE_MESSAGE.search(message):
         is_out_of_range, limit = _OUT_OF_RANGE[range_message["relation"]], float(range_message["limit"])
         for name, value in entries:
             if isinstance(value, (float, int)) and not isinstance(value, bool) and is_out_of_range(value, limit):
                 return f"{name}: {range_message[0]}, not {str(value)[:40]}"
-    if invalid := _INVALID_VALUE.search(message):
+    if invalid := _INVALID_VALUE_MESSAGE.search(message):
         for name, value in entries:
             if str(value) == invalid["value"]:
                 return f"{name}: {message.partition(': ')[2]}"
-    if kind_message := _KIND.search(message):
+    if kind_message := _KIND_MESSAGE.search(message):
         for name, value in entries:
-            if type(value) is _TYPE[kind_message["kind"]]:
+            if type(value) is _TYPE_OF_KIND[kind_message["kind"]]:
                 return f"{name}: {message.partition(': ')[2]}"
     return message
 

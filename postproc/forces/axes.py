@@ -241,19 +241,23 @@ class Axes(Struct, frozen=True, eq=False):
         return rotated_columns
 
     def columns_at_start(self, columns: Array, frame: Ints) -> Array:
-        """Return the columns that act at the start of motions, which are those at the end of the motion before.
+        """Return the forces at the start of motions, which are those at the end of the motion before.
 
-        :param columns: (M, 2, 3, m) at the end of each motion, in the axes of `frame` (M,).
+        :param columns: (M, 2, 3, m) at the end of each of M motions, in the axes of `frame` (M,): force and moment, X
+            to Z, m vectors.
         :returns: (M, 2, 3, m) in `$BASE` axes of each motion; zero at the start of the program.
         """
-        m, bases, previous = self.program.motions, self.program.bases, predecessors(self.program)
-        ends = columns.copy()
+        bases, base_index = self.program.bases, self.program.motions.base
+        previous = predecessors(self.program)  # −1: the motion begins the program
+        at_ends = columns.copy()
         rows = np.flatnonzero((frame == TOOL) | (frame == FEED))
-        end = at(self.program, self.path, rows, np.ones(len(rows)))
-        ends[rows] = self.in_base_axes(columns[rows], frame[rows], end)
-        at_starts = np.where((previous >= 0)[:, None, None, None], ends[previous], 0.0)
-        base_change = np.flatnonzero(m.base != m.base[previous])
-        # from the `$BASE` of the motion before, through the root, to the `$BASE` of the motion
-        rotation = np.swapaxes(bases[m.base[base_change], :3, :3], 1, 2) @ bases[m.base[previous[base_change]], :3, :3]
-        at_starts[base_change] = np.einsum("nij,nhjm->nhim", rotation, at_starts[base_change])
+        end_samples = at(self.program, self.path, rows, np.ones(len(rows)))
+        at_ends[rows] = self.in_base_axes(columns[rows], frame[rows], end_samples)
+        at_starts = np.where((previous >= 0)[:, None, None, None], at_ends[previous], 0.0)
+        # where `$BASE` changes: from that of the motion before, through the root, to that of the motion
+        changed_rows = np.flatnonzero(base_index != base_index[previous])
+        root_from_previous = bases[base_index[previous[changed_rows]], :3, :3]
+        base_from_root = np.swapaxes(bases[base_index[changed_rows], :3, :3], 1, 2)
+        rotation = base_from_root @ root_from_previous
+        at_starts[changed_rows] = np.einsum("nij,nhjm->nhim", rotation, at_starts[changed_rows])
         return at_starts

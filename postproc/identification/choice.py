@@ -468,7 +468,8 @@ def _has_uncertain_compensator(choice: Choice) -> bool:
     if spring not in fit.parameter_values:
         return False
     index = fit.structure.parameters.index(spring)
-    return bool(fit.ci95[index] > UNCERTAIN_SHARE * fit.values[index])
+    half_width, stiffness = fit.ci95[index], fit.values[index]
+    return bool(half_width > UNCERTAIN_SHARE * stiffness)
 
 
 def _candidate_equations(

@@ -47,27 +47,32 @@ class Deletion(NamedTuple):
 
 
 def deletion(design: Array, residual: Array, ridge: Array) -> Deletion:
-    """Return the errors of configurations against a fit to the others, for linear least squares.
+    """Return the error (C, m) of each configuration against a fit to the others, and its ratio (C,) to its uncertainty.
 
-    With H_i the block of the hat matrix and r_i the residuals of configuration i, the error is e_i = (I − H_i)⁻¹ r_i,
-    with the covariance s² (I − H_i)⁻¹. The scatter s is that of the median of the other configurations, which a second
-    outlier does not spoil. So the ratio is √(r_iᵀ e_i / m) / s.
+    Linear least squares need no second fit. With H_i the block of the hat matrix and r_i the residuals of configuration
+    i, the error is e_i = (I − H_i)⁻¹ r_i. Its covariance is s² (I − H_i)⁻¹, so the ratio is √(r_iᵀ e_i / m) / s.
+
+    The scatter s is the median of the RMS residuals of the other configurations in the fit without configuration i,
+    over √(degrees of freedom / readings), by which residuals are smaller than the noise. A second outlier does not
+    spoil a median.
 
     :param design: (C, m, p) derivatives of the readings of each configuration by the unknowns, whitened.
-    :param residual: (C, m) residuals of the fit, whitened.
+    :param residual: (C, m) residuals of the fit to all configurations, whitened.
     :param ridge: (k, p) rows of a prior on the unknowns; k may be zero.
     """
-    count, size, _ = design.shape
-    basis = np.linalg.qr(np.concatenate([*design, ridge]))[0][: count * size].reshape(count, size, -1)
+    count, m, _ = design.shape
+    # orthonormal: the block H_i of the hat matrix is basis[i] @ basis[i].T
+    basis = np.linalg.qr(np.concatenate([*design, ridge]))[0][: count * m].reshape(count, m, -1)
     error, ratio = np.empty_like(residual), np.empty(count)
-    freedom = count * size - float(np.sum(basis**2))
-    shrinkage = np.sqrt(max(freedom, 1.0) / (count * size))  # residuals of a fit are smaller than the noise
-    for row in range(count):
-        inverse = np.linalg.pinv(np.eye(size) - basis[row] @ basis[row].T, rcond=_SINGULAR_SHARE, hermitian=True)
-        error[row] = inverse @ residual[row]
-        other_residuals = np.delete(residual + basis @ (basis[row].T @ error[row]), row, axis=0)  # of a fit without it
+    degrees_of_freedom = count * m - float(np.sum(basis**2))
+    shrinkage = np.sqrt(max(degrees_of_freedom, 1.0) / (count * m))
+    for i in range(count):
+        inverse = np.linalg.pinv(np.eye(m) - basis[i] @ basis[i].T, rcond=_SINGULAR_SHARE, hermitian=True)
+        error[i] = inverse @ residual[i]
+        residual_without_i = residual + basis @ (basis[i].T @ error[i])  # of all, in the fit without configuration i
+        other_residuals = np.delete(residual_without_i, i, axis=0)
         scatter = np.median(np.sqrt(np.mean(other_residuals**2, axis=1))) / shrinkage
-        ratio[row] = np.sqrt(residual[row] @ error[row] / size) / max(scatter, _NO_SCATTER)
+        ratio[i] = np.sqrt(residual[i] @ error[i] / m) / max(scatter, _NO_SCATTER)
     return Deletion(error, ratio)
 
 

@@ -32,6 +32,7 @@ what the model lacks, of the same robot.
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -713,11 +714,8 @@ def _gap_notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]
 
     :param choice: structures tried; None: joint springs alone.
     """
-    # the posterior, not the wider covariance of the bound, decides whether backlash exists
-    posterior_fit = fit if choice is None else choice.fit
-    half_widths = dict(zip(posterior_fit.structure.parameters, posterior_fit.ci95.tolist(), strict=True))
     notes = []
-    load = norm(data.wrench[data.loaded_states])
+    load = norm(data.wrench[data.loaded_states])  # [N]
     square_error = _square_error(fit, choice)
     if square_error > _MAX_SQUARE_ERROR:
         basis = "on configurations left out" if choice is not None else "on the readings"
@@ -726,20 +724,30 @@ def _gap_notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]
             "the model does not describe, which the bound contains, or the set-up is stated wrong, which it does not."
         )
     if choice is not None:
-        if int(levels(load).max()) == 0:
+        if int(levels(load).max()) == 0:  # all loads are of level 0
             notes.append(
                 f"one level of loads ({np.median(load):.0f} N): gears that stiffen or have breakpoints are seen only "
                 "near the cutting force. Measure each configuration under a second load of about that force."
             )
         notes += _open_parameters(choice)
+    notes += _joint_notes(fit, fit if choice is None else choice.fit)
+    return notes
+
+
+def _joint_notes(fit: Fit, posterior_fit: Fit) -> Iterator[str]:
+    """Yield sentences on joints with a compliance of zero, and on backlash beyond its 95 % half width.
+
+    :param fit: the fit with the covariance of the bound.
+    :param posterior_fit: the fit with the covariance of the posterior, which is narrower and decides on backlash.
+    """
+    half_widths = dict(zip(posterior_fit.structure.parameters, posterior_fit.ci95.tolist(), strict=True))
     for parameter, value in fit.parameter_values.items():
         if isinstance(parameter, JointCompliance):
             compliance, _ = parameter.file_value(fit.parameter_values)  # fading parts included
             if compliance <= 0.0:
-                notes.append(f"{parameter.joint} has no compliance of its own: springs of the links take its place")
+                yield f"{parameter.joint} has no compliance of its own: springs of the links take its place"
         if isinstance(parameter, Backlash) and value > max(_MIN_BACKLASH, half_widths[parameter]):
-            notes.append(f"looks like {value * MM_PER_M:.3f} mrad of backlash or friction in {parameter.joint}")
-    return notes
+            yield f"looks like {value * MM_PER_M:.3f} mrad of backlash or friction in {parameter.joint}"
 
 
 def _open_parameters(choice: Choice) -> list[str]:

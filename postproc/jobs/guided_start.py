@@ -39,7 +39,7 @@ from postproc.machining.process import load as load_process
 from postproc.machining.tool_comments import CommentedTool
 from postproc.program import tool_text
 
-_ABOVE_MM = 50.0
+_RETRACT_ABOVE_CUTS_MM = 50.0
 """Offered height of retracts above the highest cutting move [mm] (assumed)."""
 _CELL_COUNT = 500.0
 """Largest number of cells of the stock map across, within the limits of `_RESOLUTIONS` (assumed)."""
@@ -185,7 +185,10 @@ def _tool_questions(needs: ProgramNeeds) -> Iterator[Question]:
 def _machine_questions(needs: ProgramNeeds) -> Iterator[Question]:
     """Yield the questions on retraction, tool changer, spindle and coolant that the program raises."""
     if not needs.is_of_robot:
-        height = CLEARANCE_MM if needs.span is None else max(CLEARANCE_MM, round(needs.span[1][2] + _ABOVE_MM, -1))
+        height = CLEARANCE_MM
+        if needs.span is not None:
+            _, (_, _, highest_cut) = needs.span  # smallest and largest X, Y, Z
+            height = max(height, round(highest_cut + _RETRACT_ABOVE_CUTS_MM, -1))  # to whole centimetres
         text = "Z of $BASE to which programs retract (G28, G30, G53)"
         yield Question("clearance", text, "--clearance Z", parse.number, f"{height:g}", optional=True)
     if needs.changes_tools:

@@ -521,29 +521,30 @@ class _Watcher:
         """Return whether the output folder has the program as the present inputs and options make it.
 
         The line of origin in the written program shows that. With the mesh of a part False is returned, because the
-        line of origin does not depend on it.
+        line of origin does not depend on it. False also if a file is missing or cannot be read.
         """
         if self.settings.part is not None:
             return False
         try:
             (job,) = self._find_forces(find_jobs([str(path)], output=self.output, **self.plain_options))
-            content = json.loads((self.output / job.report("convert")).read_bytes())
+            report = json.loads((self.output / job.report("convert")).read_bytes())
             main = next(self.output / name for name in job.mains("convert") if (self.output / name).is_file())
-            output_origin = job.writer.origin(read_documents(main, registry.written_in(job.dialect, job.to)[0]))
-            source = read_documents(path, job.dialect)
-            cell = cells.load(self.settings.cell)
-            expected_origin = origin_of(source, self.settings.cell, cell, job.forces, "corrected")
-            sums = {
-                "source": expected_origin.source,
-                "cell": expected_origin.cell,
-                "model": expected_origin.model,
-                "forces": expected_origin.forces,
-            }
-            options = options_of(self.settings)
-            is_same = (output_origin.sums, output_origin.options, output_origin.mode) == (sums, options, "corrected")
-            return is_same and output_origin.version == VERSION and content["program"] == path.name
+            origin = job.writer.origin(read_documents(main, registry.written_in(job.dialect, job.to)[0]))
+            expected = (self._expected_sums(path, job), options_of(self.settings), "corrected", VERSION)
+            is_same = (origin.sums, origin.options, origin.mode, origin.version) == expected
+            return is_same and report["program"] == path.name
+        # the output is what any version or program may have left: if in doubt, the program is converted
         except (PostprocError, OSError, ValueError, KeyError, TypeError, StopIteration):
             return False
+
+    def _expected_sums(self, path: Path, job: Job) -> dict[str, str]:
+        """Return the checksums of the present inputs of a program, as `sums` of a line of origin has them.
+
+        :raises PostprocError: an input cannot be read.
+        """
+        cell = cells.load(self.settings.cell)
+        origin = origin_of(read_documents(path, job.dialect), self.settings.cell, cell, job.forces, "corrected")
+        return {"source": origin.source, "cell": origin.cell, "model": origin.model, "forces": origin.forces}
 
     def _record(self, path: Path, outcome: Outcome, signature: Signature, digest: str | None) -> None:
         """Record in the state file that a program has been converted, or could not be converted.

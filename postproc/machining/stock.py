@@ -575,13 +575,14 @@ def _slopes(stock: Stock, footprint: Footprint, rows: Ints) -> NDArray[np.int16]
     begin, end = segment_begins[segment], segment_ends[segment]
     if cutter.corner == 0.0 and (begin[:, 2] == end[:, 2]).all():
         return slopes
+    # one cell for each segment: arrays (k, 1, 1)
     row, column = (index[:, None, None] for index in np.divmod(footprint.cell[rows], stock.high.shape[1]))
-    x, y = cell_middles(stock, begin, row, column)
+    x, y = cell_middles(stock, begin, row, column)  # relative to the starts of the segments, as `tool_levels` needs
     step = np.float32(_SLOPE_STEP * stock.cell)
     for axis, (x_step, y_step) in enumerate(((step, 0.0 * step), (0.0 * step, step))):
         _, lower_level = tool_levels(cutter, begin, end, x - x_step, y - y_step)
         _, upper_level = tool_levels(cutter, begin, end, x + x_step, y + y_step)
-        slope = (upper_level - lower_level)[:, 0, 0] / (2.0 * step)
+        slope = (upper_level - lower_level)[:, 0, 0] / (2.0 * step)  # (k,)
         slopes[:, axis] = np.clip(slope, -_STEEPEST_SLOPE, _STEEPEST_SLOPE) / SLOPE
     return slopes
 
@@ -759,7 +760,7 @@ def tool_levels(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats
     """
     chord = end - begin
     travel_length = np.hypot(chord[:, 0], chord[:, 1])
-    is_vertical = travel_length < 1e-9
+    is_vertical = travel_length < 1e-9  # [m]: rounding; its level is that of its lower end
     unit = np.where(is_vertical[:, None], [1.0, 0.0], chord[:, :2] / np.where(is_vertical, 1.0, travel_length)[:, None])
     ux, uy, length = (
         component.astype(np.float32)[:, None, None] for component in (unit[:, 0], unit[:, 1], travel_length)
@@ -771,19 +772,33 @@ def tool_levels(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats
     distance = np.sqrt(square + (travel - nearest_travel) ** 2)
     z = np.where(is_vertical, np.minimum(begin[:, 2], end[:, 2]), begin[:, 2]).astype(np.float32)[:, None, None]
     slope = np.where(is_vertical, 0.0, chord[:, 2] / np.where(is_vertical, 1.0, travel_length))
-    if np.abs(slope).max() < 1e-9:
+    if np.abs(slope).max() < 1e-9:  # no segment rises: the tool is lowest where its axis is nearest
         return distance, np.broadcast_to(z + cutter.height(distance).astype(np.float32), distance.shape)
     slope_of_row = slope.astype(np.float32)[:, None, None]
-    half_chord = np.sqrt(np.maximum(np.float32(cutter.radius**2) - square, 0.0))
-    if cutter.corner == 0.0:  # a flat end: with its rear rim on a descent, with its front rim on a climb
-        t = np.where(slope_of_row < 0.0, travel + half_chord, travel - half_chord)
-    elif cutter.corner >= cutter.radius * (1.0 - 1e-9):  # a ball: where its normal is square to the segment
-        t = travel - slope_of_row / np.sqrt(1.0 + slope_of_row * slope_of_row) * half_chord
-    else:
-        t = _lowest_position(cutter, travel, square, half_chord, length, slope_of_row)
-    t = np.minimum(np.maximum(t, 0.0), length)
+    t = _lowest_travel(cutter, travel, square, length, slope_of_row)
     axis_distance = np.sqrt(square + (travel - t) ** 2)
     return distance, np.asarray(z + slope_of_row * t + cutter.height(axis_distance), dtype=np.float32)
+
+
+def _lowest_travel(cutter: Cutter, travel: Floats, square: Floats, length: Floats, slope: Floats) -> Floats:
+    """Return the length t (L, h, w) along the segment, on it, at which the tool is lowest above each cell [m].
+
+    - Flat end: its rear rim is above the cell on a descent, its front rim on a climb.
+    - Ball: its normal at the cell is square to the segment.
+    - Bull nose: see `_lowest_position`.
+
+    :param travel: (L, h, w) length along the segment of the point nearest to the cell [m]; `square` the square of the
+        distance of the cell from the line of the segment [m²].
+    :param length: (L, 1, 1) of the segments, seen from above [m]; `slope` (L, 1, 1) of their rise.
+    """
+    half_chord = np.sqrt(np.maximum(np.float32(cutter.radius**2) - square, 0.0))  # of the tool over the cell
+    if cutter.corner == 0.0:
+        t = np.where(slope < 0.0, travel + half_chord, travel - half_chord)
+    elif cutter.corner >= cutter.radius * (1.0 - 1e-9):  # a ball, but for rounding
+        t = travel - slope / np.sqrt(1.0 + slope * slope) * half_chord
+    else:
+        t = _lowest_position(cutter, travel, square, half_chord, length, slope)
+    return np.asarray(np.minimum(np.maximum(t, 0.0), length))
 
 
 def _lowest_position(

@@ -542,21 +542,23 @@ class _Costs(NamedTuple):
 
     :param cell: (K, J) cost of a cell: its squared error, as a share of the sum of the least ones, and missing margin.
     :param error: (K, J) expected error [m]; 0 for refused cells.
-    :param share: (K,) cost of a squared error of 1 m² in a bin.
+    :param square_error_cost: (K,) cost of a squared error of 1 m² in a bin.
     """
 
     cell: Array
     error: Array
-    share: Array
+    square_error_cost: Array
 
-    def turning(self, k: int, columns: Ints, price: Array) -> Array:
-        """Return the cost (J, D) of an increase of the errors in a bin: of (e + p)² instead of e².
+    def cost_of_increase(self, k: int, columns: Ints, increase: Array) -> Array:
+        """Return the cost (J, D) of an increase p of the errors e in a bin, from e² to (e + p)².
+
+        It is computed for a line to each of J columns at the end of the bin, with each of D changes of the turn.
 
         :param k: the bin.
-        :param columns: (J, D) columns of the map that are crossed.
-        :param price: (D,) increase p of the error [m].
+        :param columns: (J, D) column of the map that each of these lines crosses in the bin.
+        :param increase: (D,) increase p of the error for each change of the turn [m].
         """
-        return np.asarray(self.share[k] * (2.0 * self.error[k][columns] + price) * price)
+        return np.asarray(self.square_error_cost[k] * (2.0 * self.error[k][columns] + increase) * increase)
 
 
 def _costs(turn_map: TurnMap, bad: Bools) -> _Costs:
@@ -568,7 +570,7 @@ def _costs(turn_map: TurnMap, bad: Bools) -> _Costs:
     sample_count = np.diff(np.append(blocks.first, len(turn_map.base)))  # of each bin
     error = np.where(bad | np.isnan(turn_map.error), np.inf, turn_map.error)
     total = float(blocks.cut_length @ np.nan_to_num(error.min(axis=1), posinf=0.0) ** 2)
-    share = blocks.cut_length / total if total > 0.0 else np.zeros(len(sample_count))
+    square_error_cost = blocks.cut_length / total if total > 0.0 else np.zeros(len(sample_count))
     error[~np.isfinite(error)] = 0.0
     margin = np.minimum(turn_map.margin.joint, turn_map.margin.wrist)
     with np.errstate(over="ignore"):
@@ -576,7 +578,8 @@ def _costs(turn_map: TurnMap, bad: Bools) -> _Costs:
             -np.nan_to_num(margin, posinf=1e3) / _EASY_MARGIN
         )  # 0 on axis targets, whose margin is infinite
     sample_share = (sample_count / sample_count.sum())[:, None]
-    return _Costs(share[:, None] * error**2 + _MARGIN_WEIGHT * margin_price * sample_share, error, share)
+    cell_cost = square_error_cost[:, None] * error**2 + _MARGIN_WEIGHT * margin_price * sample_share
+    return _Costs(cell_cost, error, square_error_cost)
 
 
 def _limits(robot: RobotModel, keep: LeastMargins) -> tuple[Array, Array]:
@@ -787,7 +790,7 @@ class _LineSearch(Struct, frozen=True, eq=False):
         for n, k in enumerate(range(bins.start, bins.stop)):
             is_blocked |= _is_bad_between(self.is_forbidden[k], source + steps * share[n : n + 2, None, None])
             middle_columns = _nearest_columns(source + steps * (0.5 * (share[n] + share[n + 1])), turn_count)
-            price += self.costs.cell[k][middle_columns] + self.costs.turning(k, middle_columns, turning_price)
+            price += self.costs.cell[k][middle_columns] + self.costs.cost_of_increase(k, middle_columns, turning_price)
             if blocks.cuts[b] and len(steps) > 1:
                 end_columns = columns[n + 1]
                 is_blocked |= ~(turn_map.speed[k][end_columns] + turn_map.rate[k][end_columns] * turning <= 1.0)
@@ -862,20 +865,23 @@ _COLUMN_TOLERANCE = 1e-9
 def _trace_line(turn_map: TurnMap, cost: Array, origins: Sequence[_Origins]) -> Line:
     """Return the line that ends in the state that costs least.
 
-    :param cost: (3, 3, J) costs of the states at the end of the path.
-    :param origins: origins of the states at the end of each block.
+    It is followed back from the last block to the first, then its turns are summed forwards.
+
+    :param cost: (3, 3, J) costs of the states at the end of the path: index of the whole turns of A4, of A6, and column
+        of the map, see `_Origins`.
+    :param origins: for each block, the states at its start from which the states at its end are reached.
     """
-    # index of the whole turns of A4, of A6, and column of the map
-    state = tuple(int(index) for index in np.unravel_index(int(np.argmin(cost)), cost.shape))
+    index4, index6, column = (int(index) for index in np.unravel_index(int(np.argmin(cost)), cost.shape))
     columns_and_steps: list[tuple[int, int | None]] = []  # at the end of each block, from the last to the first
     for origin in reversed(origins):
-        _, _, column = state
+        state = index4, index6, column
         columns_and_steps.append((column, None if origin.step is None else int(origin.step[state])))
-        state = (int(origin.turns4[state]), int(origin.turns6[state]), int(origin.column[state]))
-    last_bins = np.append(np.flatnonzero(np.diff(turn_map.blocks.block)), len(turn_map.blocks.block) - 1)
-    offsets, offset = [], 0.0
+        index4, index6, column = int(origin.turns4[state]), int(origin.turns6[state]), int(origin.column[state])
+    offsets, offset = [], 0.0  # of the turn from `turn_map.base` at the end of each block [rad]
     for column, step in reversed(columns_and_steps):
         # steps are summed, not looked up: on a circle the turn continues beyond the last column
         offset = float(turn_map.offset[column]) if step is None else offset + step * turn_map.step
         offsets.append(offset)
+    block_of_bin = turn_map.blocks.block
+    last_bins = np.append(np.flatnonzero(np.diff(block_of_bin)), len(block_of_bin) - 1)  # of each block
     return Line(np.array(offsets) + turn_map.base_at_ends[last_bins], float(cost.min()))

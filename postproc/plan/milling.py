@@ -64,7 +64,7 @@ class TestPoses(Columns, frozen=True, eq=False):
         return np.asarray(np.einsum("t,tki,tkj->ij", self.weight, self.regressor, self.regressor))
 
 
-def evaluate(
+def poses_under_load(
     robot: RobotModel,
     q: Array,
     tool: Array,
@@ -75,6 +75,9 @@ def evaluate(
     is_law_force: Bools | None = None,
 ) -> TestPoses:
     """Return the test poses of configurations under load, with torques, derivatives and deflections.
+
+    The tool tip moves by J·δ, and joint k turns by δ_k = compliance · torque. So the regressor, the derivative of its
+    position by the compliance of joint k, is column k of the position rows of J times the torque on joint k.
 
     :param q: (T, 6) joint angles [rad].
     :param tool: (4, 4) or (T, 4, 4) tool tip in the flange frame [m].
@@ -128,7 +131,7 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
     rows, lengths = _thin_rows(cutting, length[cutting])
     tool, law = program.tools[m.tool[motion[rows]]], motions.forces.law_forces
     is_law_force = None if law is None else np.isin(motion[rows], law.motion)
-    return evaluate(
+    return poses_under_load(
         robot, path.joints.q[rows], tool, wrench[rows], weight=lengths, source=name, is_law_force=is_law_force
     )
 
@@ -163,7 +166,7 @@ def from_file(path: Path, robot: RobotModel, cell: Cell) -> TestPoses:
         if is_invalid.any():
             raise PlanError(problem, file=str(path), line=int(lines[np.argmax(is_invalid)]))
     q = np.column_stack([numbers[name] for name in JOINTS]) * RAD_PER_DEG
-    return evaluate(robot, q, cell.tool.pose(), wrench, weight=weight, source=path.name)
+    return poses_under_load(robot, q, cell.tool.pose(), wrench, weight=weight, source=path.name)
 
 
 def join(parts: Sequence[TestPoses]) -> TestPoses:

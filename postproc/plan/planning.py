@@ -707,24 +707,26 @@ def _order_plan(problem: _Problem, plan: Plan) -> _OrderedPlan:
     return _OrderedPlan(Plan(q, tilt, level, q2, value), force, seconds, via, blocked_rows)
 
 
-def _check_identifiable(parameters: int, options: Options, points: int, data: Measurements | None) -> None:
+def _check_identifiable(parameter_count: int, options: Options, point_count: int, data: Measurements | None) -> None:
     """Check that the identification would trust a model from the planned and measured configurations.
 
-    :param parameters: number of parameters of least squares.
-    :param points: number of reference points.
+    :param parameter_count: number of parameters of least squares.
+    :param point_count: number of reference points.
     :param data: earlier readings; None: there are none.
     :raises PlanError: there are too few configurations.
     """
-    # both loads of a planned pose have the same direction
-    directions = [*([] if data is None else load_directions(data)), *[1] * options.configurations]
-    fewest = fewest_configurations(parameters, points, float(np.mean(directions)))
-    if len(directions) >= fewest:
+    # number of load directions of each configuration; both loads of a planned one have the same direction
+    measured_counts = [] if data is None else load_directions(data)
+    direction_counts = [*measured_counts, *[1] * options.configurations]
+    count = len(direction_counts)
+    fewest = fewest_configurations(parameter_count, point_count, float(np.mean(direction_counts)))
+    if count >= fewest:
         return
     note = "" if data is None else f" with the {len(data.q)} that were measured"
     raise PlanError(
-        f"{len(directions)} configurations of {points} points{note} are too few: `identify` would not trust a model "
+        f"{count} configurations of {point_count} points{note} are too few: `identify` would not trust a model "
         f"from fewer than {fewest}",
-        advice=f"Ask for {options.configurations + fewest - len(directions)} or more with --configurations"
+        advice=f"Ask for {options.configurations + fewest - count} or more with --configurations"
         + (" (15 are usual), or give earlier readings with --measured." if data is None else "."),
     )
 

@@ -693,8 +693,14 @@ def choose(
     count: int,
     weight_information: Array | float = 0.0,
 ) -> Design:
-    """Return the design of a part: features by gain per second, one by one, then exchanged while the criterion falls.
+    """Return the design of a part, whose features make the expected error at test poses small.
 
+    They are chosen one by one by the gain per second, then exchanged until no exchange makes the error smaller,
+    or for `_MOST_EXCHANGE_ROUNDS` rounds.
+
+    :param candidates_in_block: features to choose from, with their information on m unknowns.
+    :param prior: model and forces before the part is probed, with their covariance.
+    :param robot_in_cell: the robot at the test poses.
     :param tests: poses at which the expected error counts.
     :param count: number of features at most.
     :param weight_information: (m, m) information of a gauge that reads the displacement by a weight; 0: no weight.
@@ -705,7 +711,7 @@ def choose(
     start = _prior_information(prior, unknowns) + weight_information
     rows = _best_one_by_one(candidates_in_block, criterion, start, count)
     for _ in range(_MOST_EXCHANGE_ROUNDS):
-        if not _exchange(candidates_in_block, criterion, start, rows):
+        if not _exchange(candidates_in_block, criterion, start, rows):  # changes `rows`
             break
     return evaluate(
         candidates_in_block, prior, robot_in_cell, tests, np.array(rows, dtype=np.int64), weight_information

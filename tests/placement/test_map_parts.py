@@ -80,14 +80,14 @@ def test_costs_are_shares_of_the_least_squares_over_the_cuts_and_a_little_for_ma
     costs = turn_map._costs(small_map(u95=error, margin=margin), bad)
     total = 0.01 * (2e-4) ** 2 + 0.04 * (2e-4) ** 2
     share = np.array([0.0, 0.01, 0.04, 0.0, 0.0]) / total
-    np.testing.assert_allclose(costs.share, share)
+    np.testing.assert_allclose(costs.square_error_cost, share)
     expected = share[:, None] * np.where(bad, 0.0, error) ** 2
     expected[2, 0] += 0.01 * 3 / 10
     expected[3, 1] += 0.01 * np.exp(-1.0) * 2 / 10
     np.testing.assert_allclose(costs.cell, expected, rtol=1e-9, atol=1e-15)
     columns, price = np.array([[2, 0]]), np.array([1e-5, 2e-5])
     grown = [share[2] * ((error[2, c] + p) ** 2 - error[2, c] ** 2) for c, p in zip([2, 0], price, strict=True)]
-    np.testing.assert_allclose(costs.turning(2, columns, price), [grown], rtol=1e-9)
+    np.testing.assert_allclose(costs.cost_of_increase(2, columns, price), [grown], rtol=1e-9)
     none = turn_map._costs(small_map(u95=np.zeros((5, 3))), bad)
     assert not none.share.any()
 

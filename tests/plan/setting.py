@@ -76,7 +76,7 @@ def job(seed: int = 0, count: int = 300):
     q, force = milling_job(np.random.default_rng(seed), count=count)
     wrench = np.zeros((len(q), 6))
     wrench[:, :3] = force
-    return milling.evaluate(ROBOT, q, CELL.tool.pose(), wrench, weight=np.ones(len(q)), source=f"job {seed}")
+    return milling.poses_under_load(ROBOT, q, CELL.tool.pose(), wrench, weight=np.ones(len(q)), source=f"job {seed}")
 
 
 def quick(folder: Path, *, tests=None, text: str = BASIC + RIG + AROUND, data=None, **options):

@@ -30,7 +30,7 @@ def work(joints, forces):
     """Test poses under forces at the tip, root axes."""
     wrench = np.zeros((len(joints), 6))
     wrench[:, :3] = forces
-    return milling.evaluate(
+    return milling.poses_under_load(
         setting.ROBOT, np.radians(joints), setting.CELL.tool.pose(), wrench, weight=np.ones(len(joints)), source="work"
     )
 

@@ -59,11 +59,13 @@ def test_of_clusters_the_pose_nearest_to_the_mean_is_kept_with_the_weight_of_all
     """Three poses far from each other, each under five sizes of force: the middle one stands for them."""
     q = np.radians([[0, -70, 110, 0, 50, 0], [40, -30, 60, 20, 40, 0], [-60, -110, 130, -30, 70, 0]])
     tool, scale = setting.CELL.tool.pose(), setting.ROBOT.compliance
-    alone = milling.evaluate(setting.ROBOT, q, tool, np.eye(3, 6), weight=np.ones(3), source="units")
+    alone = milling.poses_under_load(setting.ROBOT, q, tool, np.eye(3, 6), weight=np.ones(3), source="units")
     force = np.eye(3, 6) / np.linalg.norm(alone.regressor * scale, axis=(1, 2))[:, None]  # each counts the same
     size, pose = np.tile([0.98, 0.99, 1.0, 1.01, 1.02], 3), np.repeat(np.arange(3), 5)
     weight = np.array([2.0, 1.0, 3.0])[pose]
-    tests = milling.evaluate(setting.ROBOT, q[pose], tool, force[pose] * size[:, None], weight=weight, source="three")
+    tests = milling.poses_under_load(
+        setting.ROBOT, q[pose], tool, force[pose] * size[:, None], weight=weight, source="three"
+    )
     for seed in range(6):
         few = milling.representatives(tests, scale, 3, seed)
         order = [int(np.abs(few.q - each).sum(axis=1).argmin()) for each in q]

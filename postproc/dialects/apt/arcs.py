@@ -62,15 +62,13 @@ class PendingArc(Struct, frozen=True, eq=False):
         sweep = self.circle.sweep(start, end) + 2.0 * np.pi * self.turns
         if self.angle is None:
             return sweep
-        # the stated angle is rounded, and may include whole turns
-        whole_turns = round((self.angle - sweep) / (2.0 * np.pi)) * 2.0 * np.pi
-        if (
-            abs(sweep + whole_turns - self.angle) * self.circle.radius > _ARC_END_TOLERANCE_MM
-            or sweep + whole_turns <= 0.0
-        ):
+        # the stated angle is rounded, and may include whole turns: of all angles to the end, the nearest to it
+        nearest_sweep = sweep + round((self.angle - sweep) / (2.0 * np.pi)) * 2.0 * np.pi
+        end_distance = abs(nearest_sweep - self.angle) * self.circle.radius
+        if end_distance > _ARC_END_TOLERANCE_MM or nearest_sweep <= 0.0:  # an arc turns by more than 0
             degrees = f"{np.rad2deg(self.angle):.3f}° stated, {np.rad2deg(sweep):.3f}° to the end"
             raise StatementError(f"the angle of the arc disagrees with its end: {degrees}", ARC_ADVICE)
-        return sweep + whole_turns
+        return nearest_sweep
 
 
 def turns_of(count: float | str) -> int:

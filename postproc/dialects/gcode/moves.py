@@ -727,8 +727,11 @@ class _Walk:
     def _set_origin(self, origin: Origin, current: float) -> None:
         """Apply G10, G52, G92 or G92.1 to G92.3, and express the position in the new frame.
 
-        G52: the words are the shift. G92: the position gets the words as coordinates. G92.1: no shift. G92.2: no shift,
-        but G92.3 restores it.
+        - G10 (`STORE`) sets a work offset, and leaves the shift.
+        - G52 (`LOCAL`): the words are the shift.
+        - G92 (`SHIFT`): the position gets the words as coordinates. If the position is not known, that is a fault.
+        - G92.1 (`SHIFT_CLEARED`): no shift.
+        - G92.2 (`SHIFT_OFF`): no shift, until G92.3 (`SHIFT_ON`) restores it.
 
         :param current: code of the active work offset.
         """
@@ -739,11 +742,13 @@ class _Walk:
             shift = self.kept_shift.copy()
         elif origin.code in (codes.SHIFT_CLEARED, codes.SHIFT_OFF):
             shift[:] = 0.0
-        else:
+        elif origin.code == codes.LOCAL:
             for axis, word in origin.axes.items():
-                if origin.code == codes.SHIFT:
-                    self._check_position(origin, "G92", [axis])
-                shift[axis] = word if origin.code == codes.LOCAL else shift[axis] + self.position[axis] - word
+                shift[axis] = word
+        else:  # G92
+            for axis, word in origin.axes.items():
+                self._check_position(origin, "G92", [axis])
+                shift[axis] = shift[axis] + self.position[axis] - word
         self.shift = shift
         if origin.code != codes.SHIFT_OFF:
             self.kept_shift = shift.copy()
@@ -796,23 +801,26 @@ class _Walk:
         self.offset_frames[system] = place
 
     def _joined_moves(self) -> Moves:
-        """Return the moves of all lines, joined from the runs. It is called once: `column_parts` is emptied."""
+        """Return the moves of all lines, joined from the runs of lines that were added together.
+
+        It is called once: it empties `column_parts`, and adds a run of no moves if there is no run.
+        """
         is_in_hole, is_home_move = np.zeros(self.move_count, dtype=bool), np.zeros(self.move_count, dtype=bool)
         is_in_hole[self.bottom_moves] = True
         is_home_move[self.home_moves] = True
-        if not self.first_moves:  # arrays of no moves, so that the columns have a shape
+        if not self.first_moves:  # a run of no moves, so that the columns have a shape
             self._add_moves(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3)))
         columns = {name: np.concatenate(self.column_parts.pop(name)) for name in list(self.column_parts)}
-        position, frame, tool = zip(*self.starts, strict=True)
+        start_positions, frame_rows, tool_rows = zip(*self.starts, strict=True)  # one for each run
         count = np.diff(self.first_moves, append=self.move_count)  # number of moves of each run
         unknown_ranges, last_start_row = self._ranges_behind_start(self._unknown_ranges())
-        indices = np.flatnonzero(count)  # runs of lines without a move have no start
+        runs_with_moves = np.flatnonzero(count)  # a run without moves starts none
         moves = Moves(
             **columns,
-            first_moves=np.array(self.first_moves)[indices],
-            first_starts=np.stack(position)[indices],
-            frame=_repetition(frame, count),
-            tool=_repetition(tool, count),
+            first_moves=np.array(self.first_moves)[runs_with_moves],
+            first_starts=np.stack(start_positions)[runs_with_moves],
+            frame=_repetition(frame_rows, count),
+            tool=_repetition(tool_rows, count),
             is_in_hole=is_in_hole,
             is_home_move=is_home_move,
             frames=np.stack(self.frames),

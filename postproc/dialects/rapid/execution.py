@@ -579,13 +579,15 @@ class Execution:
         return values
 
     def _execute_while(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
-        """Execute WHILE; return the numbers of its rounds, from 0. ``WHILE TRUE`` never returns, see `_follow_endless`.
+        """Execute WHILE; return the numbers of its rounds, from 0, as FOR returns the values of its variable.
+
+        ``WHILE TRUE`` never returns, see `_follow_endless`.
 
         :param routine: the routine that contains it.
         :param depth: number of calls around the routine.
         :raises RapidError: its condition is unknown, or a statement cannot be followed.
         """
-        (condition,) = loop.bounds
+        (condition,) = loop.bounds  # the condition of WHILE is in place of the bounds of FOR
         if condition.kind == "bool" and condition.value:
             self._follow_endless(loop, scope, routine, depth)
         rounds: list[float] = []
@@ -599,7 +601,7 @@ class Execution:
                 raise RapidError(problem, loop.start, advice) from None
             rounds.append(float(len(rounds)))
             self._execute_block(loop.body, scope, routine, depth)
-            if self.effects.has_functions:
+            if self.effects.has_functions:  # a function in the condition may change data
                 self._forget_results_of_functions(loop, scope)
 
     def _follow_endless(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:

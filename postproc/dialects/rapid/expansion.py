@@ -34,16 +34,16 @@ class ExpandedProgram(Struct, frozen=True, eq=False):
     :ivar modules: its modules, parsed.
     :ivar executed: result of its execution.
     :ivar line: (L,) 1-based line of the file from which each line of the text comes.
-    :ivar loops: lines, in the file, of loops that were written out.
-    :ivar copies: names of routines that were copied.
+    :ivar loop_lines: lines, in the file, of loops that were written out.
+    :ivar copied_names: names of routines that were copied.
     """
 
     text: str
     modules: tuple[Module, ...]
     executed: ExecutedProgram
     line: Ints
-    loops: tuple[int, ...]
-    copies: tuple[str, ...]
+    loop_lines: tuple[int, ...]
+    copied_names: tuple[str, ...]
 
 
 def expand(
@@ -64,8 +64,8 @@ def expand(
     :raises RapidError: the program cannot be followed, or is too long when expanded; with its line in the file.
     """
     line = np.arange(len(line_spans(text)[0])) + 1
-    loops: list[int] = []
-    copies: list[str] = []
+    loop_lines: list[int] = []
+    copied_names: list[str] = []
     for _ in range(_MOST_PASSES):
         program_modules = modules(text)
         entry = entry_of(program_modules)
@@ -75,12 +75,12 @@ def expand(
         except RapidError as cause:
             raise cause.set_line(_line_at(text, line, cause.start)) from None
         if not changes:
-            return ExpandedProgram(text, program_modules, execution, line, tuple(loops), tuple(copies))
+            return ExpandedProgram(text, program_modules, execution, line, tuple(loop_lines), tuple(copied_names))
         for change in changes:
             if change.copied:
-                copies.append(change.copied)
+                copied_names.append(change.copied)
             elif change.is_loop:
-                loops.append(_line_at(text, line, change.start))
+                loop_lines.append(_line_at(text, line, change.start))
         entry_line = _line_at(text, line, entry.start)
         text, line = _apply_changes(text, line, changes)
         if len(text) > _MOST_CHARACTERS:

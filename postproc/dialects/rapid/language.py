@@ -61,6 +61,8 @@ _QUADRANT_TOLERANCE = 1e-6
 def fault_of(name: str) -> str | None:
     """Return the reason why the controller refuses a program name; None if it is valid.
 
+    Names of instructions are refused too, and all that begin with the first letters of a moving one (`MOVING`).
+
     >>> fault_of("PART_1"), fault_of("_1")
     (None, 'it does not begin with a letter')
     """

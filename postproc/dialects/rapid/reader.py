@@ -130,7 +130,7 @@ class _Reader:
             )
         comments, notes = self._notes(expanded_program)
         path = self._motions(execution.moves, line, forward_kinematics)
-        is_plain = not expanded_program.loops and not expanded_program.copies
+        is_plain = not expanded_program.loop_lines and not expanded_program.copied_names
         all_modules = (*self.loaded.modules, *expanded_program.modules)
         data_names = frozenset(data.name for module in all_modules for data in module.data)
         return Program(
@@ -520,18 +520,18 @@ class _Reader:
     def _issues(self, expanded_program: ExpandedProgram) -> Iterator[Issue]:
         """Yield information and warnings on how the module was read."""
         execution = expanded_program.executed
-        for name, (start, count) in execution.unknown_calls.items():
+        for name, (first_call_offset, count) in execution.unknown_calls.items():
             message = f"{name} is in no module of this file: it is assumed not to move the robot."
-            line = int(self._file_lines(expanded_program, np.array([start]))[0])
+            line = int(self._file_lines(expanded_program, np.array([first_call_offset]))[0])
             yield Issue("warning", "external-call", message, line, subject=name.upper(), count=count)
         yield from self._cell_frame_issues(execution)
         yield from self._uncalled_issues(expanded_program)
-        if expanded_program.loops:
-            lines = line_names(sorted(set(expanded_program.loops)), _MOST_NAMES)
+        if expanded_program.loop_lines:
+            lines = line_names(sorted(set(expanded_program.loop_lines)), _MOST_NAMES)
             message = f"Loops with moves are written out, round by round ({lines}): each round has its own targets."
-            yield Issue("info", "loop-expanded", message, min(expanded_program.loops))
-        if expanded_program.copies:
-            names = first_of(list(dict.fromkeys(expanded_program.copies)), _MOST_NAMES)
+            yield Issue("info", "loop-expanded", message, min(expanded_program.loop_lines))
+        if expanded_program.copied_names:
+            names = first_of(list(dict.fromkeys(expanded_program.copied_names)), _MOST_NAMES)
             message = f"Routines with moves that are called more than once get a copy for each call: {names}."
             yield Issue("info", "routine-copied", message)
 

@@ -478,8 +478,7 @@ def shown_targets(result: Result, linked_rows: Ints) -> ShownTargets:
 def _place_columns(result: Result, row: Ints, path_length: Array, duration: Array) -> dict[str, Array | Ints | Bools]:
     """Return the columns (P,) of the places of a page by name; millimetres, degrees, newtons, seconds.
 
-    A name of a letter and an axis: c is the correction, b the deviation before, a the deviation after, along X, Y or Z
-    of `$BASE`. Deviations also have components along, across and normal to the feed, such as `b_along`.
+    The column `t` is the place on the motion in (0, 1], and `time` the time from the start of the program.
 
     :param row: (P,) row of the result of each place.
     :param path_length: (K,) length of the path up to each target [m].
@@ -505,6 +504,18 @@ def _place_columns(result: Result, row: Ints, path_length: Array, duration: Arra
         "singular": _singular_values(result, row),
         "rapid": result.rapid[row],
     }
+    return columns | _vector_columns(result, row, correction_mm)
+
+
+def _vector_columns(result: Result, row: Ints, correction_mm: Array) -> dict[str, Array]:
+    """Return the columns (P,) of vectors at the places of a page, by component; millimetres, degrees, newtons.
+
+    A name of a letter and an axis: c is the correction, b the deviation before, a the deviation after, along X, Y or Z
+    of `$BASE`. Deviations also have components along, across and normal to the feed, such as `b_along`.
+
+    :param row: (P,) row of the result of each place.
+    :param correction_mm: (P, 3) correction at each place, in `$BASE`.
+    """
     vectors: list[tuple[Sequence[str], Array]] = [
         ("XYZABC", xyzabc_from_pose(result.nominal[row])),
         (("cX", "cY", "cZ"), correction_mm),
@@ -516,9 +527,7 @@ def _place_columns(result: Result, row: Ints, path_length: Array, duration: Arra
         vectors.append(([f"{letter}{axis}" for axis in "XYZ"], deviation * MM_PER_M))
         feed_names = [f"{letter}_{direction}" for direction in ("along", "across", "normal")]
         vectors.append((feed_names, np.einsum("nij,ni->nj", axes, deviation) * MM_PER_M))
-    for names, values in vectors:
-        columns |= {name: values[:, index] for index, name in enumerate(names)}
-    return columns
+    return {name: values[:, index] for names, values in vectors for index, name in enumerate(names)}
 
 
 def _speeds(length: Array, feed: Array, seconds: Array) -> Array:

@@ -178,7 +178,9 @@ def _data_line(data: Source, line: int, word: str) -> DataLine:
     :param word: first word of the line, upper case.
     """
     start, stop = data.code_span(line)
-    declarations = list(declared_in(data, start, stop)) if word not in DECLARATIONS else []
+    # STRUC, ENUM, SIGNAL … declare no variables as DECL does: `_other_declared_names` reads their names
+    is_variable_line = word not in DECLARATIONS
+    declarations = list(declared_in(data, start, stop)) if is_variable_line else []
     names = frozenset(item.name for item in declarations) or _other_declared_names(data.text[start:stop], word)
     is_global = any(item.is_global for item in declarations) or _has_global(data.text, start, stop)
     text = data.lines_text(line, line)

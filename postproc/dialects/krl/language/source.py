@@ -41,11 +41,12 @@ class Source(Struct, frozen=True, eq=False):
     def of(cls, document: Document, index: int) -> Source:
         """Return a document with its lines.
 
-        :param index: see `Source.index`.
+        :param index: 0 for the `.src`, 1 for the `.dat`, 2 for a `$config.dat`.
         :raises ProgramError: the code of a line is longer than `MOST_CHARACTERS`.
         """
         starts, stops = line_spans(document.text)
         source = cls(document, document.text, index, starts, stops)
+        # only a line that is too long with its comment can have code that is too long
         for row in np.flatnonzero(stops - starts > MOST_CHARACTERS).tolist():
             start, stop = source.code_span(row + 1)
             if stop - start > MOST_CHARACTERS:

@@ -88,6 +88,7 @@ class AuxiliaryOrientations(Struct, frozen=True, eq=False):
     def has_effect(self) -> Bools:
         """True for the circles (n,) whose auxiliary orientation may act.
 
+        That is so if the tool takes on this orientation, or if its angles, not all NaN, may choose the rotation.
         Corrected circles need #IGNORE then: correction divides a circle into pieces, and the rotation of a piece need
         not pass the orientation that the rotation of the whole circle passes.
         """

@@ -335,28 +335,28 @@ class _Follower:
         self.present = _RobotPosition(flange, angles)
         self.numbers[row] = self.present_numbers(row)
 
-    def _relative_target(self, move: MotionStatement, numbers: Array) -> Array:
-        """Return X…C (6,) [mm, deg] of a relative target.
+    def _relative_target(self, move: MotionStatement, start: Array) -> Array:
+        """Return X…C (6,) [mm, deg] of a relative target; A, B, C are those of the start.
 
-        :param numbers: (6,) X…C [mm, deg] at which the motion begins.
+        :param start: (6,) X…C [mm, deg] at which the motion begins.
         :raises ProgramError: the target turns the tool.
         """
         position = move.end.position
-        offset = np.nan_to_num(np.array(position.values))
-        if np.any(offset[3:] != 0.0):
+        angle_changes = np.nan_to_num(np.array(position.values)[3:])  # NaN: the text does not state the angle
+        if np.any(angle_changes != 0.0):
             raise self.trace.error("relative A, B, C are not supported", move.line, "Write it with LIN or PTP.")
-        return np.concatenate([numbers[:3] + _relative_offset(position, move.relative_axes, numbers), numbers[3:]])
+        return np.concatenate([start[:3] + _relative_offset(position, move.relative_axes, start), start[3:]])
 
 
-def _relative_offset(position: Position, axes: str, numbers: Array) -> Array:
+def _relative_offset(position: Position, axes: str, start: Array) -> Array:
     """Return the offset (3,) [mm] of a relative point in `$BASE`.
 
-    :param position: the relative point; its missing components are 0.
+    :param position: the relative point; its missing components are NaN, and count as 0.
     :param axes: ``#BASE`` or ``#TOOL``: the axes in which the text gives the offset.
-    :param numbers: (6,) X…C [mm, deg] at which the motion begins.
+    :param start: (6,) X…C [mm, deg] at which the motion begins.
     """
     step = np.nan_to_num(np.array(position.values[:3]))
-    return np.asarray(pose_from_xyzabc(numbers)[:3, :3] @ step) if axes == "#TOOL" else step
+    return np.asarray(pose_from_xyzabc(start)[:3, :3] @ step) if axes == "#TOOL" else step
 
 
 def flange_on_track(flange: Array, carriage: Carriage, position: float) -> Array:

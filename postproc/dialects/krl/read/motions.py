@@ -224,34 +224,42 @@ def _text_targets(
     :param predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
     :raises ProgramError: an external axis moves, or a circle turns the tool in a way that is not known.
     """
-    trace, settings, (rows, motion_states, _, moves) = main.course.trace, main.run.settings, sequence
-    base, tool = (
-        # only motions to axis targets have unknown frames here: they get row 0
-        np.where(column < 0, 0, column) if (column < 0).any() else column
-        for column in (motion_states.column(lambda state: state.base), motion_states.column(lambda state: state.tool))
-    )
-    frames = FrameColumns(base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools))
+    trace, settings = main.course.trace, main.run.settings
+    rows, motion_states, _, moves = sequence
     relative_rows = np.array([row for row, move in moves.items() if move.relative_axes], dtype=np.int64)
-    uses_root = np.ones(len(rows), dtype=np.bool_)
-    uses_root[[row for row, move in moves.items() if move.end.position.is_axis]] = False  # axis targets
+    uses_root = np.ones(len(rows), dtype=np.bool_)  # the path depends on the robot root: not to axis targets
+    uses_root[[row for row, move in moves.items() if move.end.position.is_axis]] = False
     issues, carriage = external_axes(
         trace, rows, relative_rows, uses_root, direction=settings.cell.carriage, predecessors=predecessors
     )
     control = _orientation_control(trace, rows, motion_states)
     is_missing = np.isnan(rows.numbers)
+    # axis and relative targets have no numbers yet: `end_poses` computes them
     is_missing[~uses_root] = False
     is_missing[relative_rows] = False
     targets = TextTargets(
         trace=trace,
         line=rows.line,
         numbers=rows.numbers,
-        frames=frames,
+        frames=_frame_columns(settings, motion_states),
         statements=moves,
         control=control,
         carriage=carriage,
         is_missing=is_missing,
     )
     return targets, issues
+
+
+def _frame_columns(settings: Settings, motion_states: MotionStates) -> FrameColumns:
+    """Return `$BASE` and `$TOOL` of the motions.
+
+    Only motions to axis targets may have an unknown frame (−1); they get frame 0, which they do not use.
+    """
+    base, tool = (
+        np.where(column < 0, 0, column) if (column < 0).any() else column
+        for column in (motion_states.column(lambda state: state.base), motion_states.column(lambda state: state.tool))
+    )
+    return FrameColumns(base, tool, np.stack(settings.frames.bases), np.stack(settings.frames.tools))
 
 
 class _Path(NamedTuple):

@@ -397,11 +397,18 @@ class Variables:
                 self._values[key] = UnknownValue(place)
 
     def differing_names(self, snapshot: Snapshot) -> frozenset[str]:
-        """Return the stored names of variables that differ from a snapshot in a value, or in being volatile."""
-        values, volatile_names = self.late_values | snapshot.values, snapshot.volatile_values
-        keys = self._values.keys() | values.keys()
-        names = {variable_of(key) for key in keys if not self._have_same_value(self._values.get(key), values.get(key))}
-        return frozenset(names | (self.volatile_values.keys() ^ volatile_names.keys()))  # volatile in one of the two
+        """Return the stored names of variables with other values than in a snapshot.
+
+        A variable also differs if it is volatile, which means that it may change at any time, in one of the two only.
+        """
+        # data lists that were read after the snapshot: their values have held since the program began
+        snapshot_values = self.late_values | snapshot.values
+        keys = self._values.keys() | snapshot_values.keys()
+        differing_keys = (
+            key for key in keys if not self._have_same_value(self._values.get(key), snapshot_values.get(key))
+        )
+        volatile_in_one = self.volatile_values.keys() ^ snapshot.volatile_values.keys()
+        return frozenset({variable_of(key) for key in differing_keys} | volatile_in_one)
 
     def _have_same_value(self, first: object, second: object) -> bool:
         """Return whether two stored values are equal.

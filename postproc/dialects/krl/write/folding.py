@@ -177,11 +177,10 @@ class _Folder(Struct, eq=False):
             key = self._keys[body] = tuple(changes)
         return key
 
-    def _add_changes(self, changes: list[tuple[int, object]], first: int, last: int) -> None:
-        """Append to `changes` the line and the key of each changed row among rows first … last − 1 of the trace."""
-        keys = self.edited.keys[first - 1 : last - 1]
-        if any(keys):
-            changes += [(self._line(row), key) for row, key in enumerate(keys, first) if key]
+    def _add_changes(self, changes: list[tuple[int, object]], first: int, stop: int) -> None:
+        """Append to `changes` the line and the key of each changed row among rows first … stop − 1 of the trace."""
+        keys = self.edited.keys[first - 1 : stop - 1]  # rows count from 1
+        changes += [(self._line(row), key) for row, key in enumerate(keys, first) if key]  # 0: unchanged
 
     def _line(self, row: int) -> int:
         """Return the line of a row of the trace in its file."""
@@ -236,7 +235,7 @@ class _Folder(Struct, eq=False):
             text = routine.source.lines_text(routine.first + 1, routine.last - 1)
             versions[()] = _Version(routine.name, _Piece(line_count(text), (text,)))
         if key not in versions:
-            versions[key] = _Version(self._unused_name(call) if versions else routine.name)
+            versions[key] = _Version(self._name_of_copy(call) if versions else routine.name)
         self._calls[call] = versions[key]
         return versions[key]
 
@@ -355,15 +354,19 @@ class _Folder(Struct, eq=False):
 
     # --- routines ----------------------------------------------------------------------------------------------------
 
-    def _unused_name(self, call: InlinedRoutine) -> str:
-        """Return a new name for the copy of a routine; add the reason for the copy to `issues`."""
+    def _used_names(self) -> Names:
+        """Return all names that the program and its files use: no copy of a routine may have them."""
+        sources = dict.fromkeys([*self.course.trace.sources, *(routine.source for routine in self.versions)])
+        names_by_file = (names_in(source.text) for source in sources)
+        return Names(set(self.course.used_names).union(*names_by_file))
+
+    def _name_of_copy(self, call: InlinedRoutine) -> str:
+        """Return a new name for the copy of a routine that a call gets; add the reason for the copy to `issues`."""
         if self.names is None:
-            sources = dict.fromkeys([*self.course.trace.sources, *(routine.source for routine in self.versions)])
-            words = (names_in(source.text) for source in sources)
-            self.names = Names(set(self.course.used_names).union(*words))
+            self.names = self._used_names()
         routine = call.routine
         head = statement(routine.source, routine.first)
-        spelling = head.name if isinstance(head, Definition) else routine.name
+        spelling = head.name if isinstance(head, Definition) else routine.name  # as its file writes it
         name = self.names.unused_name(spelling)
         reason = "is corrected differently from call to call"
         if routine in self.course.unchanged_routines:

@@ -249,16 +249,21 @@ class _Rewriter:
         self.replacements[0].add_numbers(spans[:, 0], spans[:, 1], numbers, decimals, rows)
 
     def _add_components(self, row: int, k: int) -> None:
-        """Add the components that target `k` needs to the plain line of motion `row`, and change its S and T."""
+        """Add the components that a target needs to the plain line of its motion, and change its status and turn.
+
+        Nothing is done if the line has no literal: its end point is a name, or relative.
+
+        :param row: the motion.
+        :param k: its target. A changed target has its numbers already: `_replace_numbers` writes those in the line.
+        """
         literal = self.statements.literal(row)
         if literal is None:
             return
-        texts = self.statements.number_texts(k, literal)
-        # for a changed target, `_replace_numbers` has replaced the numbers that are in the line
-        replaced_names = set() if self.targets.keep[k] else literal.number_spans.keys() & set(CARTESIAN)
-        for piece in replaced_numbers(
-            literal, {name: text for name, text in texts.items() if name not in replaced_names}
-        ):
+        texts = self.statements.number_texts(k, literal)  # component → number
+        if not self.targets.keep[k]:
+            written_names = literal.number_spans.keys() & set(CARTESIAN)
+            texts = {name: text for name, text in texts.items() if name not in written_names}
+        for piece in replaced_numbers(literal, texts):
             self._replace_text(row, piece)
 
     def _rewrite_statements(self) -> None:
