@@ -72,8 +72,10 @@ def fault_of(name: str) -> str | None:
         return "it does not begin with a letter"
     if not _NAME.fullmatch(name):
         return "it has other characters than letters, digits and underscores"
-    if name.upper() in WORDS | HARMLESS or MOVING.match(name.upper()):
+    if name.upper() in WORDS | HARMLESS:
         return "it is a word of RAPID"
+    if MOVING.match(name.upper()):
+        return "it begins as an instruction of RAPID does"
     return None
 
 
