@@ -12,9 +12,9 @@ from postproc.frames import (
     M_PER_MM,
     RAD_PER_DEG,
     Array,
+    angle_between,
     largest,
     rotation_from_angles,
-    twist_between,
     xyzabc_from_pose,
 )
 
@@ -108,11 +108,14 @@ class Poses(Columns, frozen=True, eq=False):
 
 
 def largest_differences(first: Poses, second: Poses) -> Array:
-    """Return by how much N poses differ from N others (N,): the largest component of position [m] and rotation [rad].
+    """Return by how much N poses differ from N others (N,): the larger of offset, by component [m], and angle [rad]."""
 
-    Its components are those of `twist_between`.
-    """
-    return in_chunks(lambda rows: largest(twist_between(first[rows], second[rows])), np.arange(len(first)))
+    def differences(rows: NDArray[Any]) -> Array:
+        """Return the differences of some of the poses."""
+        one, other = first.take(rows), second.take(rows)
+        return np.maximum(largest(one.position - other.position), angle_between(one.rotation, other.rotation))
+
+    return in_chunks(differences, np.arange(len(first)))
 
 
 def as_poses(pose: Poses | Array) -> Poses:

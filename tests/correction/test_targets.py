@@ -54,11 +54,11 @@ def test_what_needs_no_correction_stays_as_it_is(seed, axis):
     twist[:, axis] = np.where(moved, 1.01, 0.99) * BOUND
     pose = path.sample.pose[:]
     pose[:, :3, 3], pose[:, :3, :3] = twist[:, :3], Rotation.from_rotvec(twist[:, 3:]).as_matrix()
-    whole, kept = _unchanged_motions(path, SimpleNamespace(pose=pose))
+    whole, kept = _unchanged_motions(path, SimpleNamespace(pose=Poses.of(pose)))
     expected = by_loop(kind, path.sample.motion, moved)
     assert (whole.tolist(), kept.tolist()) == tuple(list(map(bool, each)) for each in expected)
     path.program = replace(path.program, layout=None)
-    assert not np.any(_unchanged_motions(path, SimpleNamespace(pose=pose)))
+    assert not np.any(_unchanged_motions(path, SimpleNamespace(pose=Poses.of(pose))))
 
 
 def test_status_and_turn_are_given_where_the_program_gives_them_and_its_other_bits_are_kept():
