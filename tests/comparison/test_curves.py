@@ -273,7 +273,7 @@ def test_ways_begin_at_the_start_or_behind_the_pair_before_and_end_with_their_ow
     np.testing.assert_array_equal(ways.begin, [0.0, one.arc_length[2], one.arc_length[3]])
     np.testing.assert_array_equal(ways.end, one.arc_length[[2, 3, 6]])
     np.testing.assert_array_equal(
-        ways.second, [[0.0, other.arc_length[3]], other.arc_length[[3, 4]], other.arc_length[[4, 7]]]
+        ways.corrected_span, [[0.0, other.arc_length[3]], other.arc_length[[3, 4]], other.arc_length[[4, 7]]]
     )
     assert ways.stretch.tolist() == [0, 0, 0, 1, 2, 2, 2, 3]
     share = other.arc_length[2] / other.arc_length[3]

@@ -183,7 +183,7 @@ def test_ways_between_pairs_are_compared_where_all_of_the_nominal_way_is_known(s
         ]
         ends = [side.arc_length[found.pair[k, n] + 1] for n, side in enumerate((nominal, corrected))]
         assert (ways.begin[k], ways.end[k]) == (begins[0], ends[0])
-        assert ways.second[k].tolist() == [begins[1], ends[1]]
+        assert ways.corrected_span[k].tolist() == [begins[1], ends[1]]
     assert ways.is_comparable.tolist() == known
     way = [int(sum(found.pair[:, 1] < row)) for row in range(COUNT)]
     assert ways.stretch.tolist() == way
@@ -199,7 +199,7 @@ def test_ways_between_pairs_are_compared_where_all_of_the_nominal_way_is_known(s
     inside = np.array([row for row in range(COUNT) if way[row] < 8])
     expected = []
     for row in inside:
-        begin, end = ways.second[way[row]]
+        begin, end = ways.corrected_span[way[row]]
         share = (corrected.arc_length[row + 1] - begin) / (end - begin)
         expected.append(ways.begin[way[row]] + share * (ways.end[way[row]] - ways.begin[way[row]]))
     np.testing.assert_allclose(ways.guessed_lengths(inside), expected)

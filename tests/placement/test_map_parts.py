@@ -89,7 +89,7 @@ def test_costs_are_shares_of_the_least_squares_over_the_cuts_and_a_little_for_ma
     grown = [share[2] * ((error[2, c] + p) ** 2 - error[2, c] ** 2) for c, p in zip([2, 0], price, strict=True)]
     np.testing.assert_allclose(costs.cost_of_increase(2, columns, price), [grown], rtol=1e-9)
     none = turn_map._costs(small_map(u95=np.zeros((5, 3))), bad)
-    assert not none.share.any()
+    assert not none.square_error_cost.any()
 
 
 def test_the_error_of_a_map_is_the_deflection_where_the_model_has_none():
