@@ -15,8 +15,8 @@ from postproc import toolpath
 from postproc.comparison.paths import (
     SMALLEST_SHARE,
     PlacedProgram,
+    commanded_positions,
     distances_from_path,
-    in_cell,
     nearest_lengths,
     tool_of_nominal,
 )
@@ -254,16 +254,21 @@ def _unpaired_targets(
     rows = comparison.additional_rows
     if len(rows):
         distances = _distances_of_targets(comparison, nominal_path, corrected_path, rows)
-        motions, limit = comparison.corrected.motions, nominal_path.robot_in_cell.cell.output.max_correction_mm
-        is_between_pairs = np.isin(np.searchsorted(comparison.pair[:, 1], rows), np.arange(1, len(comparison.pair)))
+        motions, next_pair = comparison.corrected.motions, np.searchsorted(comparison.pair[:, 1], rows)
+        is_between_pairs = (next_pair > 0) & (next_pair < len(comparison.pair))
         is_cut = is_between_pairs & (motions.kind[rows] != PTP) & ~motions.rapid[rows]
-        is_far_cut = is_cut & (distances > limit * M_PER_MM)
+        is_far_cut = is_cut & (distances > _max_correction(nominal_path))
         level = "error" if is_far_cut.any() else "warning"
         worst = int(np.argmax(np.where(is_far_cut, distances, 0.0) if is_far_cut.any() else distances))
         message = "an additional target."
         if distances[worst] > nominal_path.robot_in_cell.tolerance:
             message = f"an additional target, {distances[worst] * MM_PER_M:.4f} mm from the nominal path."
         yield Difference(level, "only-corrected", message, None, place_of(comparison.corrected, rows[worst]), len(rows))
+
+
+def _max_correction(path: PlacedProgram) -> float:
+    """Return the largest permitted correction, `max_correction_mm` of the cell, in metres."""
+    return path.robot_in_cell.cell.output.max_correction_mm * M_PER_MM
 
 
 def _distances_of_targets(
@@ -279,9 +284,7 @@ def _distances_of_targets(
     nominal_rows = np.concatenate([[-1], comparison.pair[:, 0], [len(comparison.nominal.motions) - 1]])
     begin, end = nominal_path.arc_length[nominal_rows[pair] + 1], nominal_path.arc_length[nominal_rows[pair + 1] + 1]
     motion = nominal_rows[pair + 1]
-    target = corrected_path.program.motions.target[rows]
-    pose = tool_of_nominal(nominal_path.program, motion, corrected_path.program, rows, target)
-    position = in_cell(nominal_path.program, motion, pose[:, :3, 3])
+    position = commanded_positions(nominal_path.program, motion, corrected_path.program, rows)
     return distances_from_path(nominal_path, position, begin, end)
 
 
@@ -462,8 +465,7 @@ def _stretches_off_path(
         pair = pairs[worst]
         message = f"the path is {distances[worst] * MM_PER_M:.4f} mm from the nominal one on the way to this target."
         message += _arc_advice(comparison, np.arange(corrected_row[pair - 1] + 1, corrected_row[pair] + 1))
-        limit = nominal_path.robot_in_cell.cell.output.max_correction_mm * M_PER_MM
-        level: Level = "error" if distances[worst] > limit else "warning"
+        level: Level = "error" if distances[worst] > _max_correction(nominal_path) else "warning"
         yield difference_at(comparison, "between", message, comparison.pair[pair].tolist(), len(pairs), level=level)
 
 
@@ -620,9 +622,8 @@ def _cut_corners(
             f"{allowed_rounding[worst] * MM_PER_M:.4g} mm. {remedy}"
         )
         worst_rows = (int(comparison.pair[next_pair, 0]), int(rows[worst]))
-        limit = nominal_path.robot_in_cell.cell.output.max_correction_mm * M_PER_MM
-        if comparison.cuts is not None:
-            limit = float(norm(comparison.cuts.nominal).max(initial=0.0))
+        cuts = comparison.cuts
+        limit = _max_correction(nominal_path) if cuts is None else float(norm(cuts.nominal).max(initial=0.0))
         level: Level = "error" if excess[worst] > limit else "warning"
         yield difference_at(comparison, "between", message, worst_rows, len(cut_corners), level=level)
 

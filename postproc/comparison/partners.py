@@ -14,6 +14,7 @@ from postproc.comparison.paths import (
     NO_DISTANCE,
     Curves,
     PlacedProgram,
+    commanded_positions,
     distances_from_path,
     in_cell,
     nearest,
@@ -326,7 +327,8 @@ def _is_on_path(
 ) -> Bools:
     """Return which targets of the second program without a partner are on the nominal path between two pairs.
 
-    They may be as far from it as a multiple of the larger offset of these pairs. PTP, and stretches with PTP, are not.
+    They may be as far from it as a multiple of the larger offset of these pairs. Where the nominal program has a PTP to
+    a Cartesian target between the pairs, its path is not known, and none is on it.
 
     :param pair: (P, 2) motions of the pairs, `distance` (P,) sizes of their offsets [m].
     :param rows: (r,) motions of the second program that end at the targets.
@@ -336,9 +338,7 @@ def _is_on_path(
     candidates = np.flatnonzero(next_pair < len(pair))
     candidates = candidates[~_has_ptp_before(nominal_path, pair[:, 0])[next_pair[candidates]]]
     rows, next_pair = rows[candidates], next_pair[candidates]
-    target = toolpath.at(corrected_path.program, corrected_path.segments, rows, np.ones(len(rows))).pose[:]
-    flange = toolpath.flange_from_tcp(corrected_path.program, rows, target, None)
-    position = (flange @ toolpath.tool_of(nominal_path.program, pair[next_pair, 0]))[:, :3, 3]
+    position = commanded_positions(nominal_path.program, pair[next_pair, 0], corrected_path.program, rows)
     previous_distance = np.append(0.0, distance)[next_pair]  # 0 before the first pair
     limit = OFF_PATH + TIMES_OFFSET * np.maximum(previous_distance, distance[next_pair])
     begin, end = stretch_limits(nominal_path, pair[:, 0], next_pair)

@@ -386,3 +386,12 @@ def tool_of_nominal(nominal: Program, motion: Ints, second: Program, row: Ints, 
     """
     flange = toolpath.flange_from_tcp(second, row, pose, None)
     return toolpath.pose_in_base(nominal, motion, flange @ toolpath.tool_of(nominal, motion), None)
+
+
+def commanded_positions(nominal: Program, motion: Ints, second: Program, row: Ints) -> Array:
+    """Return where targets of a second program send the tip of the nominal tool, (n, 3) in the cell [m].
+
+    :param motion: (n,) motions of the nominal program that give the tool; `row` (n,) motions of the second program.
+    """
+    flange = toolpath.flange_from_tcp(second, row, second.motions.target[row], None)
+    return np.asarray((flange @ toolpath.tool_of(nominal, motion))[:, :3, 3])

@@ -86,13 +86,18 @@ def test_one_of_the_real_arms_comes_close_to_the_surface_of_each_assumed_link(li
     assert max(outside(name, link, table[name, link]).max() for name in _ARMS) > -0.045
 
 
-def test_each_link_follows_the_axis_of_its_joint_and_then_goes_straight_to_the_next_joint():
-    """Offsets along and across the axis of every joint; the base has its post upright. Balls and tubes come first."""
-    offset = np.array([0.3, 0.4, 0.5])
+def capsules_with_offset(offset):
+    """Return the capsules of an arm whose joints, and flange, are all at the same offset from the joint before."""
     arm = chain("KR 16-2")
     placement, flange = arm.placement.copy(), arm.flange.copy()
     placement[:, :3, 3] = flange[:3, 3] = offset
-    capsules = list(arm_capsules(replace(arm, placement=placement, flange=flange)))
+    return list(arm_capsules(replace(arm, placement=placement, flange=flange)))
+
+
+def test_each_link_follows_the_axis_of_its_joint_and_then_goes_straight_to_the_next_joint():
+    """Offsets along and across the axis of every joint; the base has its post upright. Balls and tubes come first."""
+    offset = np.array([0.3, 0.4, 0.5])
+    capsules = capsules_with_offset(offset)
     for carrier, axis in enumerate([_AXES[0], *_AXES], -1):
         corners = [np.zeros(3), axis * offset, offset]
         bodies = [body for body in capsules if body.carrier == carrier][-2:]
@@ -104,10 +109,7 @@ def test_each_link_follows_the_axis_of_its_joint_and_then_goes_straight_to_the_n
 def test_balls_of_foot_and_shoulder_are_level_behind_joint_2_and_that_of_the_elbow_behind_joint_3_along_the_forearm():
     """Joint 2 is ahead of, beside and above joint 1: the height does not count."""
     offset = np.array([0.3, 0.4, 0.5])
-    arm = chain("KR 16-2")
-    placement, flange = arm.placement.copy(), arm.flange.copy()
-    placement[:, :3, 3] = flange[:3, 3] = offset
-    capsules = list(arm_capsules(replace(arm, placement=placement, flange=flange)))
+    capsules = capsules_with_offset(offset)
     length = 7.0 * np.sqrt(0.5)
     for carrier, share, ahead in [(-1, 0.12, (0.6, 0.8, 0)), (0, 0.12, (0.6, 0.8, 0)), (2, 0.06, (1, 0, 0))]:
         ball = next(body for body in capsules if body.carrier == carrier)
