@@ -456,7 +456,9 @@ def _stretches_off_path(
     # missing targets have a difference of their own
     missing_rows = comparison.only_nominal[comparison.only_nominal < nominal_row[-1]]
     is_off_path[np.searchsorted(nominal_row, missing_rows)] = False
-    pairs = np.flatnonzero(is_off_path)[:_MAX_STRETCHES]
+    pairs = np.flatnonzero(is_off_path)
+    largest_first = np.argsort(-comparison.path_distance[pairs], kind="stable")
+    pairs = np.sort(pairs[largest_first[:_MAX_STRETCHES]])
     distances = np.array([_distance_on_stretch(comparison, nominal_path, corrected_path, k) for k in pairs.tolist()])
     exceeds = distances > limits[pairs]
     pairs, distances = pairs[exceeds], distances[exceeds]
@@ -470,7 +472,7 @@ def _stretches_off_path(
 
 
 _MAX_STRETCHES = 1000
-"""Largest number of stretches whose distance from the nominal path is computed (assumed)."""
+"""Largest number of stretches whose distance from the nominal path is computed, by the largest gaps (assumed)."""
 _SAMPLES = 65
 """Samples of the second path on each of these stretches (assumed)."""
 
@@ -485,7 +487,7 @@ def _joint_motions_off_path(
     begin_row = rows - 1 if second.after is None else second.after[rows]
     # a motion that is its own predecessor begins at an unknown place
     is_known = (begin_row >= 0) & (begin_row != rows) & (np.searchsorted(comparison.pair[:, 1], rows) > 0)
-    changes = np.flatnonzero(is_cut & (second.motions.kind[rows] == PTP) & is_known)[:_MAX_STRETCHES]
+    changes = np.flatnonzero(is_cut & (second.motions.kind[rows] == PTP) & is_known)
     distances = np.array(
         [
             _distance_of_joint_motion(comparison, nominal_path, corrected_path, int(begin_row[k]), int(rows[k]))
