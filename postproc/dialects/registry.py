@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 GROUP = "postproc.dialects"
 _REQUIRED_MEMBERS = ("name", "extensions", "command_decimals", "writer", "companions", "read")
-_OURS = {
+_BUILTIN = {
     "apt": "postproc.dialects.apt.reader:APT",
     "gcode": "postproc.dialects.gcode.reader:GCODE",
     "krl": "postproc.dialects.krl.dialect:KRL",
@@ -57,8 +57,8 @@ def dialect_of_name(name: str) -> Dialect:
 
     :raises InputError: no dialect has this name, or its package cannot be used.
     """
-    if name in _OURS:
-        return _ours(name)
+    if name in _BUILTIN:
+        return _builtin_dialect(name)
     dialect = _plugins().get(name)
     if dialect is None:
         raise InputError(
@@ -72,7 +72,7 @@ def dialect_of_name(name: str) -> Dialect:
 
 def names() -> tuple[str, ...]:
     """Return the names of all dialects that can be used: our own first."""
-    return (*_OURS, *(name for name, dialect in _plugins().items() if not isinstance(dialect, str)))
+    return (*_BUILTIN, *(name for name, dialect in _plugins().items() if not isinstance(dialect, str)))
 
 
 def broken_dialects() -> dict[str, str]:
@@ -144,9 +144,9 @@ def written_in(dialect: str, to: str | None = None) -> tuple[str, Writer]:
 
 
 @cache
-def _ours(name: str) -> Dialect:
+def _builtin_dialect(name: str) -> Dialect:
     """Return a dialect of this package, imported at the first call."""
-    module, _, attribute = _OURS[name].partition(":")
+    module, _, attribute = _BUILTIN[name].partition(":")
     dialect: Dialect = getattr(import_module(module), attribute)
     return dialect
 
@@ -156,7 +156,7 @@ def _plugins() -> dict[str, Dialect | str]:
     """Return the dialects of other packages: name → dialect, or the reason why it cannot be used, as text."""
     from importlib.metadata import entry_points  # late: slow to import, and not needed for our own dialects
 
-    return {entry.name: _plugin(entry) for entry in entry_points(group=GROUP) if entry.name not in _OURS}
+    return {entry.name: _plugin(entry) for entry in entry_points(group=GROUP) if entry.name not in _BUILTIN}
 
 
 def _plugin(entry: EntryPoint) -> Dialect | str:

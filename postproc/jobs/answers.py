@@ -39,7 +39,7 @@ def numbers(text: str) -> Numbers:
     return values
 
 
-def _finite(values: Numbers, text: str) -> Numbers:
+def _finite_numbers(values: Numbers, text: str) -> Numbers:
     """Check that numbers are finite, and return them.
 
     :param text: the text of the numbers, for the message.
@@ -82,7 +82,7 @@ def full_frame(text: str) -> Numbers | int:
     value = frame(text)
     if not isinstance(value, int) and len(value) not in _FRAME_LENGTHS:
         raise InputError(f"{text!r}: {len(value)} numbers", advice="Give X,Y,Z or X,Y,Z,A,B,C in mm and degrees.")
-    return value if isinstance(value, int) else _finite(value, text)
+    return value if isinstance(value, int) else _finite_numbers(value, text)
 
 
 def stated_frame(text: str) -> Numbers:
@@ -147,6 +147,7 @@ def work_offsets(texts: Sequence[str]) -> dict[str, Numbers]:
         name, _, words = text.partition("=")
         values = numbers(words)
         code = name.strip().upper()
+        # 4 numbers: X, Y, Z, A
         if not re.fullmatch(r"G5[4-9]|G59\.[1-3]", code) or len(values) not in (4, *_FRAME_LENGTHS):
             raise InputError(f"{text!r}: give G54 to G59.3 and its frame in $BASE, such as G55=300,0,0")
         _add_frame(offsets, code, values, code)
@@ -213,7 +214,7 @@ def payload(text: str) -> Numbers | None:
     """
     if not text.strip():
         return None
-    values = _finite(numbers(text), text)
+    values = _finite_numbers(numbers(text), text)
     if len(values) not in (1, 4) or not values[0] > 0.0:
         raise InputError(
             f"{text!r}: give a mass above 0 in kg, and its centre in the flange frame in mm, such as 28,0,0,140"
@@ -233,7 +234,7 @@ def robot(text: str) -> str:
     return text
 
 
-def one_of(*values: str) -> Any:
+def choice_parser(*values: str) -> Any:
     """Return a function that checks that a text is one of some words, and returns it without blanks around it.
 
     The returned function raises `InputError` for another text.
@@ -262,7 +263,7 @@ def place(text: str) -> Numbers:
     values = numbers(text)
     if len(values) != len(_AXES):
         raise InputError(f"{text!r}: {len(values)} numbers", advice="Give X,Y,Z in mm.")
-    return _finite(values, text)
+    return _finite_numbers(values, text)
 
 
 def points(texts: Sequence[str]) -> dict[str, Numbers]:
@@ -314,7 +315,7 @@ def cutter(text: str) -> CutterShape:
     )
     if not words or words[0] not in _SHAPES or len(words) != (3 if words[0] == "bull" else 2):
         raise InputError(f"{text!r}: no cutter", advice=advice)
-    lengths = [number(word) for word in words[1:]]
+    lengths = [number(word) for word in words[1:]]  # diameter; bull: and corner radius
     if min(lengths) <= 0.0 or (len(lengths) == 2 and 2.0 * lengths[1] > lengths[0]):
         raise InputError(f"{text!r}: no lengths of a cutter", advice=advice)
     return CutterShape(words[0], *lengths)  # type: ignore[arg-type]

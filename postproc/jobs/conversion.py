@@ -52,13 +52,13 @@ def options_of(settings: Settings) -> dict[str, str]:
 
 
 def mark_origin(
-    result: Result, job: Job, settings: Settings, cell: Cell, own_names: Mapping[str, str] | None = None
+    result: Result, job: Job, settings: Settings, cell: Cell, names_as_read: Mapping[str, str] | None = None
 ) -> Result:
     """Return a result whose program states its origin in a comment line; `output_line` counts the inserted lines.
 
     A program that is unchanged to the byte gets no such line, and a result without documents is returned as it is.
 
-    :param own_names: new names of copies of subprograms → names as they were read; None: there are no copies.
+    :param names_as_read: new names of copies of subprograms → names as they were read; None: there are no copies.
     """
     if not result.documents or _file_contents(result.documents) == _file_contents(result.program.documents):
         return result
@@ -67,7 +67,7 @@ def mark_origin(
     origin = replace(origin, options=options_of(settings))
     if result.modules:
         return _mark_modules(result, job, origin)
-    documents, first_shifted_line = job.writer.mark(_mark_subprograms(result, job, origin, own_names or {}), origin)
+    documents, first_shifted_line = job.writer.mark(_mark_subprograms(result, job, origin, names_as_read or {}), origin)
     line = result.output_line
     if first_shifted_line:  # lines from this one on have moved down by the inserted line; 0: no line has moved
         line = line + (line >= first_shifted_line)
@@ -92,35 +92,37 @@ def _mark_modules(result: Result, job: Job, origin: provenance.Origin) -> Result
     return replace(result, documents=tuple(documents), output_line=line)
 
 
-def subprogram_file_names(result: Result, job: Job, own_names: Mapping[str, str]) -> list[str]:
+def subprogram_file_names(result: Result, job: Job, names_as_read: Mapping[str, str]) -> list[str]:
     """Return the names of the written files that contain only subprograms, not the program of the job itself.
 
-    :param own_names: new names of copies of subprograms → names as they were read.
+    :param names_as_read: new names of copies of subprograms → names as they were read.
     """
     job_files = {path.name for path in job.reads()}
     called_files = {document.name for document in result.program.documents} - job_files
     return [
-        document.name for document in result.documents if own_names.get(document.name, document.name) in called_files
+        document.name
+        for document in result.documents
+        if names_as_read.get(document.name, document.name) in called_files
     ]
 
 
 def _mark_subprograms(
-    result: Result, job: Job, origin: provenance.Origin, own_names: Mapping[str, str]
+    result: Result, job: Job, origin: provenance.Origin, names_as_read: Mapping[str, str]
 ) -> list[Document]:
     """Return the files of a program, with a line of origin in each file of a subprogram that differs from its source.
 
     That line does not name the calling program, so that two programs that call one subprogram can share its file.
 
-    :param own_names: new names of copies of subprograms → names as they were read.
+    :param names_as_read: new names of copies of subprograms → names as they were read.
     """
     documents_as_read = {document.name: document for document in result.program.documents}
     output_documents = {document.name: document for document in result.documents}
-    for name in subprogram_file_names(result, job, own_names):
+    for name in subprogram_file_names(result, job, names_as_read):
         if Path(name).suffix.lower() != job.writer.extension:
             continue  # a .dat is marked with its .src
         stem = Path(name).stem.lower()
         file_names = [name, *(file for file in output_documents if file != name and Path(file).stem.lower() == stem)]
-        sources = [documents_as_read[own_names.get(file, file)] for file in file_names]
+        sources = [documents_as_read[names_as_read.get(file, file)] for file in file_names]
         outputs = [output_documents[file] for file in file_names]
         if any(source.text != output.text for source, output in zip(sources, outputs, strict=True)):
             subprogram_origin = replace(origin, source=provenance.digest_of(sources), forces="-", options={})
@@ -430,7 +432,7 @@ def _output_of(
     if process is not None:
         from postproc.jobs import process_forces  # late: it loads the models of cutting
 
-        contents[f"{stem}stock.glb"] = process_forces.stock(process)
+        contents[f"{stem}stock.glb"] = process_forces.stock_glb(process)
     file_entries: list[files.FileEntry] = []
 
     def rendered(entries: list[files.FileEntry]) -> bytes:
@@ -545,14 +547,14 @@ def _add_subprograms(task: Task, settings: Settings, cell: Cell, robot: RobotMod
     :raises InputError: see `output_plan.copy_subprograms`.
     """
     job, read = task.job, result.program.documents
-    own_names: dict[str, str] = {}
+    names_as_read: dict[str, str] = {}
     while True:
-        marked_result = mark_origin(result, job, settings, cell, own_names)
-        subprogram_files = subprogram_file_names(result, job, own_names)
+        marked_result = mark_origin(result, job, settings, cell, names_as_read)
+        subprogram_files = subprogram_file_names(result, job, names_as_read)
         if not marked_result.documents or settings.mode == "predict":
             return _MarkedResult(marked_result, subprogram_files, {})
         names = [document.name for document in marked_result.documents]
-        copies = needed_copies(task, result.program.needed, [*names, *own_names.values()])
+        copies = needed_copies(task, result.program.needed, [*names, *names_as_read.values()])
         texts = {document.name: document.to_bytes() for document in marked_result.documents} if job.keeps_text else {}
         conflicts = differing_files(task, texts | copies, subprogram_files, copies, read)
         if not conflicts:
@@ -561,7 +563,7 @@ def _add_subprograms(task: Task, settings: Settings, cell: Cell, robot: RobotMod
             return _MarkedResult(replace(marked_result, issues=issues), subprogram_files, copies)
         documents, new_names = copy_subprograms(task, result.documents, conflicts, subprogram_files, copies)
         _check_same_motions(result, documents, robot, cell)
-        own_names |= {new: own_names.get(old, old) for new, old in new_names.items()}
+        names_as_read |= {new: names_as_read.get(old, old) for new, old in new_names.items()}
         result = replace(result, documents=documents, issues=_issues_of_copies(result.issues, new_names, conflicts))
 
 

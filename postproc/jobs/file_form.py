@@ -133,12 +133,12 @@ def _field(table: str, key: str, part: Mapping[str, Any], value: Any, *, is_requ
     alternatives = [part, *part.get("anyOf", ())]
     single = next((schema for schema in alternatives if schema.get("type") in _KINDS or "enum" in schema), None)
     pair = next((schema for schema in alternatives if len(schema.get("prefixItems", ())) == 2), None)
-    if single is None and pair is None:
+    if single is not None:
+        limits = single
+    elif pair is not None:
+        limits = pair["prefixItems"][0]  # both numbers of a pair have one schema
+    else:
         return None
-    limits = (
-        (single or pair["prefixItems"][0]) if pair is not None else single
-    )  # both numbers of a pair have one schema
-    assert limits is not None  # one of them was found above
     kind: Kind = "span" if pair is not None else "choice" if "enum" in limits else _KINDS[limits["type"]]
     return FormField(
         table,

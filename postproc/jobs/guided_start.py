@@ -232,7 +232,12 @@ def _rotary_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Questio
     text = "X, Y, Z of the program: tcp (tip in the part, tool-centre-point control) or indexed (the part turns)"
     kind = "tcp" if needs.tip_controlled else None
     yield Question(
-        "rotary_kind", text, "--rotary-kind tcp", parse.one_of("tcp", "indexed"), kind, optional=needs.tip_controlled
+        "rotary_kind",
+        text,
+        "--rotary-kind tcp",
+        parse.choice_parser("tcp", "indexed"),
+        kind,
+        optional=needs.tip_controlled,
     )
     if answers.values.get("rotary_kind") == "indexed":
         for letter in answers.values.get("rotary_axes", ()):
@@ -247,10 +252,10 @@ def _setting_questions(needs: ProgramNeeds) -> Iterator[Question]:
         yield Question("home", text, "--home X,Y,Z", parse.place)
     if "radius_offsets" in needs.settings:
         text = "G41 and G42: does D of the control hold wear only (the path is that of the tool centre)? wear or radius"
-        yield Question("radius_offsets", text, "--radius-offsets wear", parse.one_of("wear", "radius"))
+        yield Question("radius_offsets", text, "--radius-offsets wear", parse.choice_parser("wear", "radius"))
     if "dwell_unit" in needs.settings:
         text = "P of G4 and of cycles: s (LinuxCNC) or ms (Fanuc, Haas, Mach3)"
-        yield Question("dwell_unit", text, "--dwell-unit ms", parse.one_of("s", "ms"))
+        yield Question("dwell_unit", text, "--dwell-unit ms", parse.choice_parser("s", "ms"))
 
 
 def _process_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:

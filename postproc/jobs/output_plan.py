@@ -45,14 +45,14 @@ class Record(Struct, frozen=True):
     """The files that were written for a program, as its report lists them.
 
     :param program: name of the program.
-    :param at: the folder that contains the files: the output folder, or a staging folder in it.
+    :param folder: the folder that contains the files: the output folder, or a staging folder in it.
     :param files: name of each file → SHA-256.
     :param copied: names of the files that were written as they were read.
     :param is_renewed: whether this run will still convert the program again.
     """
 
     program: str
-    at: Path
+    folder: Path
     files: Mapping[str, str]
     copied: frozenset[str] = frozenset()
     is_renewed: bool = False
@@ -114,7 +114,7 @@ def needed_warnings(
             )
             yield Issue("warning", "uncorrected-file", message, subject=path.name)
         is_in_folder = path.stem.lower() in task.names or (job.output / path.name).exists()
-        if needed_file.program and not is_in_folder and _names_any(needed_file.variables, contents):
+        if needed_file.program and not is_in_folder and _contains_any_name(needed_file.variables, contents):
             names = ", ".join(needed_file.variables) or "variables"
             message = (
                 f"{path.name}, from which {job.stem} takes {names}, is not written: it belongs to "
@@ -124,7 +124,7 @@ def needed_warnings(
             yield Issue("warning", "data-not-written", message, subject=path.name)
 
 
-def _names_any(names: Sequence[str], contents: Mapping[str, bytes]) -> bool:
+def _contains_any_name(names: Sequence[str], contents: Mapping[str, bytes]) -> bool:
     """Return whether one of some names occurs in the contents, case ignored; True if no name is given.
 
     :param contents: file name → content.
@@ -146,7 +146,7 @@ def _has_same_sources(task: Task, paths: Sequence[Path]) -> bool:
     for path in paths:
         record = next((record for record in task.records if path.name in record.files), None)
         try:
-            content = b"" if record is None else (record.at / path.name).read_bytes()
+            content = b"" if record is None else (record.folder / path.name).read_bytes()
         except OSError:
             return False
         if record is None or digest([content]) != record.files[path.name]:
@@ -599,7 +599,7 @@ class _Folder:
         records = [
             Record(
                 record.program,
-                record.at,
+                record.folder,
                 {name: file_digest for name, file_digest in record.files.items() if not name.endswith(_REPORTS)},
                 record.copied,
                 report in self._pending,
@@ -631,7 +631,7 @@ class _Folder:
     def record_placement(self, job: Job) -> None:
         """Record that the files of a converted program are in the output folder now."""
         report = job.report(self._mode)
-        self._new_records[report] = replace(self._new_records[report], at=self._path)
+        self._new_records[report] = replace(self._new_records[report], folder=self._path)
 
     def has_pending(self, reports: Iterable[str]) -> bool:
         """Return whether one of some programs is still to be converted.

@@ -28,7 +28,7 @@ from postproc.plan.site import site_of
 from postproc.report.plan import krl_program, plan_csv, plan_json, plan_page
 from postproc.robot import RobotModel
 
-_SAME_ARM = 1e-6
+_ARM_TOLERANCE = 1e-6
 """Entries of joint placements [m, 1] and of joint axes [1] that differ by less are equal but for rounding."""
 
 
@@ -210,7 +210,7 @@ def check_same_arm(measured_robot: RobotModel, milling_robot: RobotModel) -> Non
     measured_arm, milling_arm = measured_robot.nominal, milling_robot.nominal
     placement_difference = abs(measured_arm.placement - milling_arm.placement).max()
     axis_difference = abs(measured_arm.axis - milling_arm.axis).max()
-    if max(placement_difference, axis_difference) > _SAME_ARM:
+    if max(placement_difference, axis_difference) > _ARM_TOLERANCE:
         raise InputError(
             f"the experiment is with robot {measured_robot.name}, the cell has {milling_robot.name}, an arm of other "
             "dimensions",

@@ -267,6 +267,7 @@ def _largest_by_motion(result: Result) -> Array:
     """Return the largest expected error (M,) [m] of each motion; 0 for a motion without targets, or without a cut."""
     largest_error = np.zeros(len(result.program.motions))
     if result.expected is not None:
+        # `maximum.at`: a motion may have several targets
         np.maximum.at(largest_error, result.motion, result.expected)
     return largest_error
 
@@ -308,7 +309,7 @@ def _guard(table: Collision) -> Guard:
     return Guard(parts, table.clearance_mm * M_PER_MM, cutter_diameter)
 
 
-def stock(process: ProcessForces) -> bytes:
+def stock_glb(process: ProcessForces) -> bytes:
     """Return the remaining stock as GLB."""
     return bytes(as_trimesh(*process.mesh()).export(file_type="glb"))
 

@@ -458,4 +458,6 @@ def _absolute(task: Task) -> Task:
     job = task.job
     forces = None if job.forces is None else job.forces.resolve()
     job = replace(job, program=job.program.resolve(), output=job.output.resolve(), forces=forces)
-    return replace(task, job=job, records=tuple(replace(record, at=record.at.resolve()) for record in task.records))
+    return replace(
+        task, job=job, records=tuple(replace(record, folder=record.folder.resolve()) for record in task.records)
+    )

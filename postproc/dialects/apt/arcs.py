@@ -71,7 +71,7 @@ class PendingArc(Struct, frozen=True, eq=False):
         return nearest_sweep
 
 
-def turns_of(count: float | str) -> int:
+def turn_count(count: float | str) -> int:
     """Return the number behind TIMES: turns of a helix, where a part of a turn counts as one.
 
     :raises StatementError: the value is not a whole number, or out of range.

@@ -127,6 +127,7 @@ def cycle_words(words: Sequence[float | str], rates: Sequence[str]) -> CycleWord
     name, *couplets = words or [""]
     if name == "DRILL" and couplets[:1] in (["DEEP"], ["BRKCHP"]):
         name, *couplets = couplets
+    # DEEP2 and BRKCHP2 differ from DEEP and BRKCHP by the first peck alone
     if name in ("DEEP2", "BRKCHP2") and {"1STPECK", "SUBPECK"} <= set(couplets[0::2]):
         name = str(name)[:-1]
     keeps_height = False

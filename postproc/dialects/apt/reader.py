@@ -180,7 +180,7 @@ class _Moves:
         previous_axis = np.concatenate([[[0.0, 0.0, 1.0]], self.axis[:-1]])[: len(self.row)]
         self.turns = norm(self.axis - previous_axis) > _TURN_TOLERANCE
 
-    def per_move(self, name: str) -> Array:
+    def values_by_move(self, name: str) -> Array:
         """Return the field `name` of the part of each move (N,)."""
         return np.array([getattr(part, name) for part in self.parts])[self.part]
 
@@ -213,7 +213,7 @@ def _motion_moves(moves: _Moves, numbers: dict[float, int]) -> Ints:
     is_tool_change = np.diff(tool, prepend=tool[:1]) != 0
     is_long = norm(moves.end - moves.begin) > _MOVE_TOLERANCE_MM
     is_first = np.arange(len(tool)) == 0
-    is_arc, is_joint_motion = moves.per_move("code") == ARC, moves.per_move("is_joint_motion")
+    is_arc, is_joint_motion = moves.values_by_move("code") == ARC, moves.values_by_move("is_joint_motion")
     return np.flatnonzero(is_long | moves.turns | is_arc | is_joint_motion | is_tool_change | is_first)
 
 
@@ -227,7 +227,7 @@ def _motions(
     :param home: home position of the cell; None without one.
     """
     code, is_joint_motion, is_to_home = (
-        moves.per_move(name)[motion_moves] for name in ("code", "is_joint_motion", "is_to_home")
+        moves.values_by_move(name)[motion_moves] for name in ("code", "is_joint_motion", "is_to_home")
     )
     tool = _tools(moves, numbers)[motion_moves]
     count = len(motion_moves)
@@ -239,9 +239,11 @@ def _motions(
         target[is_to_home] = home.poses[tool[is_to_home]]
     arcs = _arcs(moves.parts, moves.part[motion_moves], code == ARC)
     rapid = code == RAPID
-    feed = np.where(rapid, cell.gcode.rapid_m_per_s, moves.per_move("feed")[motion_moves] * (M_PER_MM / S_PER_MIN))
+    feed = np.where(
+        rapid, cell.gcode.rapid_m_per_s, moves.values_by_move("feed")[motion_moves] * (M_PER_MM / S_PER_MIN)
+    )
     feed[is_joint_motion] = np.nan
-    blend = np.where(moves.per_move("is_exact_stop")[motion_moves], 0.0, cell.gcode.approximation_mm * M_PER_MM)
+    blend = np.where(moves.values_by_move("is_exact_stop")[motion_moves], 0.0, cell.gcode.approximation_mm * M_PER_MM)
     unset = constant(-1, count)
     motions = Motions(
         kind=np.where(is_joint_motion, PTP, np.where(code == ARC, CIRC, LIN)).astype(np.int64),

@@ -37,7 +37,7 @@ from postproc.dialects.apt.arcs import (
     circle_of,
     stated_angle,
     tangent_arc,
-    turns_of,
+    turn_count,
 )
 from postproc.dialects.apt.course import ARC, LINE, RAPID, Course, Fault, Happening, Part, Remark
 from postproc.dialects.apt.cycles import Cycle, cycle_words
@@ -84,7 +84,7 @@ _COMPENSATION_FAULT = (
     "Let the CAM system write the path of the tool's centre. If it is, and the offsets of the control hold wear only, "
     'write radius_offsets = "wear" in [gcode] of the cell.',
 )
-_AMBIGUOUS = (
+_AMBIGUOUS_POINTS = (
     "all GOTO after CIRCLE end on this circle: they may divide the arc, or be straight moves from one to the next",
     "Let the CAM system write one GOTO for each arc, or points only (Creo: CIRC_INTERPOLATION).",
 )
@@ -111,10 +111,10 @@ class _Walk:
     :ivar cycle: active drilling cycle; None without one.
     :ivar is_cycle_refused: True if the active CYCLE has a fault.
     :ivar axis_system: values of MSYS; None: not stated.
-    :ivar in_fixture: True behind TRNTYP/WORLD.
+    :ivar has_world_system: True behind TRNTYP/WORLD.
     :ivar is_tilted_setup: True behind a CSYS with a tilted tool.
     :ivar system_of_file: CAM system that wrote the file; None: not stated.
-    :ivar is_axis_open: True if the next GOTO must state the direction of the tool.
+    :ivar needs_direction: True if the next GOTO must state the direction of the tool.
     :ivar work_offset: number of ZERO; None: not stated.
     :ivar cutter_radius: radius of CUTTER [mm]; NaN: not stated.
     :ivar compensation: active CUTCOM; None without one.
@@ -146,9 +146,9 @@ class _Walk:
         self.cycle: Cycle | None = None
         self.is_cycle_refused = False
         self.axis_system: list[float | str] | None = None
-        self.in_fixture = self.is_tilted_setup = False
+        self.has_world_system = self.is_tilted_setup = False
         self.system_of_file = system_of(statements.comments)
-        self.is_axis_open = False
+        self.needs_direction = False
         self.work_offset: float | None = None
         self.cutter_radius = np.nan
         self.compensation: Compensation | None = None
@@ -235,23 +235,23 @@ class _Walk:
         if self.system_of_file == "Creo":
             numbers = np.where(np.isnan(numbers[:, 3:4]) & _IS_DIRECTION, _UPRIGHT, numbers)
         end, axis = numbers[:, :3] * self.unit, self._axes(row, numbers[:, 3:])
-        self.is_axis_open = False
-        first_left = 0  # index of the first statement behind the arc
+        self.needs_direction = False
+        first_remaining = 0  # index of the first statement behind the arc
         circle, self.circle_before = self.circle_before, None
         is_on_circle_before = circle is not None and circle.fault_at(end[0]) is None
         if is_on_circle_before:
-            raise StatementError(*_AMBIGUOUS, int(row[0]))
+            raise StatementError(*_AMBIGUOUS_POINTS, int(row[0]))
         if self.pending_arc is not None:
             pending, self.pending_arc = self.pending_arc, None
-            first_left = 1 if self.is_in_doubt else self._add_pending_arc(pending, row, end, axis)
+            first_remaining = 1 if self.is_in_doubt else self._add_pending_arc(pending, row, end, axis)
         if self.cycle is not None:
-            for n in range(first_left, len(row)):
+            for n in range(first_remaining, len(row)):
                 self._add_hole(int(row[n]), end[n], axis[n], self.cycle)
             self.is_next_rapid = False
         elif self.is_cycle_refused:  # the points are holes: as straight moves they would cause further errors
             self.place, self.is_place_known, self.is_next_rapid = end[-1], True, False
-        elif first_left < len(row):
-            self._add_straight_moves(row[first_left:], end[first_left:], axis[first_left:])
+        elif first_remaining < len(row):
+            self._add_straight_moves(row[first_remaining:], end[first_remaining:], axis[first_remaining:])
         self.axis = axis[-1]
         self.is_in_doubt = False
 
@@ -269,7 +269,7 @@ class _Walk:
             raise StatementError(
                 "GOTO without a direction in a tilted CSYS", advice, int(row[np.argmax(has_no_direction)])
             )
-        if self.is_axis_open and has_no_direction[0]:
+        if self.needs_direction and has_no_direction[0]:
             advice = "Write the direction of the tool, i, j, k, in this GOTO, or TLAXIS/i,j,k before it."
             raise StatementError("GOTO without a direction behind MULTAX/OFF of a tilted tool", advice, int(row[0]))
 
@@ -389,7 +389,7 @@ class _Walk:
             elif count == 1 and pending.circle.sagitta(self.place, end[0]) > _UNDIVIDED_SAGITTA_MM:
                 self.undivided_sequences.add(sequence)
         if count is None:
-            raise StatementError(*_AMBIGUOUS, int(row[1]))
+            raise StatementError(*_AMBIGUOUS_POINTS, int(row[1]))
         if pending.may_have_points and count == len(row):
             self.circle_before = pending.circle  # a later GOTO, behind other statements, may belong to the arc too
         for n in range(count):
@@ -718,7 +718,7 @@ class _Walk:
             raise StatementError("MULTAX is not understood", "Write MULTAX/ON or MULTAX/OFF.")
         if words == ["OFF"] and self.system_of_file is None:
             # 1 − z is about half the square of the tilt: smaller ones are rounding
-            self.is_axis_open = bool(self.axis[2] < 1.0 - LENGTH_TOLERANCE**2)
+            self.needs_direction = bool(self.axis[2] < 1.0 - LENGTH_TOLERANCE**2)
 
     def _read_tool_axis(self, row: int, words: list[float | str]) -> None:
         """Read TLAXIS: the direction of the tool.
@@ -734,7 +734,7 @@ class _Walk:
 
     def _set_axis(self, axis: Array) -> None:
         """Set the direction `axis` (3,) of the following moves; the tool turns to it with the next move."""
-        self.axis, self.is_axis_open = axis, False
+        self.axis, self.needs_direction = axis, False
 
     def _read_circle(self, row: int, words: list[float | str]) -> None:
         """Read CIRCLE: an arc that ends at the next GOTO.
@@ -747,7 +747,7 @@ class _Walk:
         """
         turns = 1
         if words[-2:-1] == ["TIMES"]:
-            turns, words = turns_of(words[-1]), words[:-2]
+            turns, words = turn_count(words[-1]), words[:-2]
         numbers = numbers_of(words, *((6, 7, 11) if turns == 1 else (11,)))
         if len(numbers) == 6:
             if not self.is_place_known:
@@ -1003,7 +1003,7 @@ class _Walk:
         del row
         if words[:1] != ["WORLD"]:
             raise StatementError("TRNTYP other than WORLD", "Let the CAM system write all coordinates in one system.")
-        self.in_fixture = True
+        self.has_world_system = True
 
     def _read_setup_axes(self, row: int, words: list[float | str]) -> None:
         """Read CSYS: the axes of a setup, a matrix (3, 4) whose third column is the direction of the tool.
@@ -1017,7 +1017,7 @@ class _Walk:
         # the matrix of the axes is orthogonal
         if np.abs(rows[:, :3] @ rows[:, :3].T - np.eye(3)).max() > LENGTH_TOLERANCE:
             raise StatementError("CSYS has no axes of length 1 at right angles", "Check its twelve numbers.")
-        if not self.in_fixture and not np.array_equal(rows, np.eye(3, 4)):
+        if not self.has_world_system and not np.array_equal(rows, np.eye(3, 4)):
             advice = "Let the CAM system write all coordinates in one system (TRNTYP/WORLD)."
             raise StatementError("CSYS without TRNTYP: the system of the coordinates is not known", advice)
         axis = rows[:, 2] / norm(rows[:, 2])

@@ -125,7 +125,7 @@ def read_arcs(words: ArcWords) -> Arcs:
     r centre by R, a from the centre to the start, b from the centre to the end.
 
     The angle from a to b about the axis is atan2(±(a1·b2 − a2·b1), a1·b1 + a2·b2), with − for G2. It is brought into
-    the range above 0 up to 2π; P adds whole turns to it.
+    the range above 0 up to 2π; P adds P − 1 whole turns to it.
     """
     with np.errstate(invalid="ignore", divide="ignore"):  # words that are absent are NaN
         s1, s2, height = words.to_plane(words.start)

@@ -124,9 +124,10 @@ class Cycle:
         clear_height = r if retracts_to_r else max(self.level, r)
         for hole_number in range(repeats):
             u, v = (
-                last + line_words.get(name, 0.0) if relative else line_words.get(name, last)
-                for name, last in zip("UV", (u, v), strict=True)
+                coordinate + line_words.get(name, 0.0) if relative else line_words.get(name, coordinate)
+                for name, coordinate in zip("UV", (u, v), strict=True)
             )
+            # the tool goes to the first hole at its present height, to the others at that of the retract
             start = height if hole_number == 0 and height > r else clear_height
             steps.append(Step(0.0, (u, v, start)))
             if start > r:
@@ -245,13 +246,13 @@ def _repeats(line_words: Mapping[str, float]) -> int:
     return round(repeats)
 
 
-def _check_undrilled_position(line_words: Mapping[str, float], place: tuple[float, float]) -> None:
+def _check_undrilled_position(line_words: Mapping[str, float], resting_words: tuple[float, float]) -> None:
     """Check that a line without a hole (L0) has no word U or V that would move the tool.
 
     :param line_words: words of the line by letter.
-    :param place: the words U and V that leave the tool where it is [mm].
-    :raises BlockError: the line has another word.
+    :param resting_words: the words U and V that leave the tool where it is [mm].
+    :raises BlockError: U or V of the line has another value.
     """
-    if any(line_words.get(letter, word) != word for letter, word in zip("UV", place, strict=True)):
+    if any(line_words.get(letter, word) != word for letter, word in zip("UV", resting_words, strict=True)):
         advice = "Controls differ in whether the tool goes there: program the place in a block before, by G0."
         raise BlockError("L0 of a cycle at another place than the tool is", advice)

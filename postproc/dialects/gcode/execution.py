@@ -110,6 +110,7 @@ def _executed_comments(units: Sequence[Unit], document: Ints, row: Ints) -> tupl
     for n, unit in enumerate(units):
         rows = np.flatnonzero(document == n)
         comment_rows = unit.source.comment_lines - 1
+        # comments of each executed row: a range of `comment_rows`, which ascend
         first = np.searchsorted(comment_rows, row[rows], "left")
         count = np.searchsorted(comment_rows, row[rows], "right") - first
         executed_rows.append(np.repeat(rows, count))
@@ -165,7 +166,7 @@ class Library:
 
         :raises BlockError: it cannot be read.
         """
-        for n, unit in enumerate(self.units):
+        for n, unit in enumerate(self.units):  # 0 is the program itself
             if n and _label_of_file(unit.document.name) == label:
                 return n
         path = self._subprogram_file(label)
@@ -372,6 +373,7 @@ class _Run:
         :raises _EndError: it ends the program, or coordinates follow it.
         """
         source = self.units[self.unit].source
+        # `MARK` stands for a comment
         has_words_before = bool(source.code[: source.ends[row] + 1].strip(b"\n" + MARK.encode()))
         if has_words_before and self.calls:
             self.row = len(source)
@@ -428,7 +430,7 @@ class _Run:
             raise BlockError(f"subprogram O{label} is neither in this file nor in its folder", advice)
         if times > 0:
             self._enter(location, row, label, is_linuxcnc_style=False, repeats=times - 1)
-            self.parameters.enter(None)
+            self.parameters.enter(None)  # M98 passes no arguments
 
     def _repeat_or_return(self, words: dict[str, float]) -> None:
         """Execute M99: repeat the subprogram if M98 asks for it, else return from it.
@@ -447,6 +449,7 @@ class _Run:
         if call.repeats:
             self.calls[-1] = replace(call, repeats=call.repeats - 1)
             self.row = call.begin
+            # local names have no value when the subprogram begins again
             self.parameters.leave()
             self.parameters.enter(None)
             return

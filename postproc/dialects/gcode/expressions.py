@@ -42,7 +42,8 @@ Key = int | str
 class Parameters:
     """Values of the parameters while a program runs.
 
-    `_global_values` also has the numbers 1 to 30, which `enter` saves and replaces.
+    `_global_values` also has the numbers 1 to 30, which `enter` saves and replaces. `_callers` has for each open call
+    the values of these numbers (None for M98) and the local names of the caller.
     """
 
     def __init__(self) -> None:

@@ -71,9 +71,10 @@ def carry_forward(values: Array, initial: float) -> Array:
     filled_values = np.empty(len(values))
     for chunk in chunks(len(values)):
         chunk_values = np.append(initial, values[chunk])  # index 0: the value before the chunk
-        last = np.maximum.accumulate(np.where(np.isnan(chunk_values), 0, np.arange(len(chunk_values))))
-        filled_values[chunk] = chunk_values[last[1:]]
-        initial = chunk_values[last[-1]]
+        # index of the last value that is not NaN, up to each value
+        last_index = np.maximum.accumulate(np.where(np.isnan(chunk_values), 0, np.arange(len(chunk_values))))
+        filled_values[chunk] = chunk_values[last_index[1:]]
+        initial = chunk_values[last_index[-1]]
     return filled_values
 
 
@@ -104,6 +105,7 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
     :param rotary: the rotary axes of the cell, whose words are angles or directions; None: it has none.
     """
     count = modes.row_count
+    # the first code of each group is active when the program starts
     state = {group: active_values(modes.changes[group], valid[0], count) for group, valid in codes.GROUPS.items()}
     inches = state["units"] == 20.0
     factor = np.where(inches, MM_PER_UNIT[20.0], MM_PER_UNIT[21.0])[:, None] if inches.any() else None

@@ -123,7 +123,7 @@ class Switching:
         :raises BlockError: the code is unknown or impossible.
         """
         cell_lines = None if code in FIXED_M_CODES else self.cell.m_codes.get(f"M{code:g}")
-        if cell_lines is None and code in codes.OVERRIDES and values.pop("P", -1.0) in (0.0, 1.0):
+        if cell_lines is None and code in codes.OVERRIDES and values.pop("P", -1.0) in (0.0, 1.0):  # −1: no P
             return
         if cell_lines is None and code not in codes.ACCEPTED_M:
             raise BlockError(*codes.refusal("M", code))
@@ -271,17 +271,17 @@ class TipControl:
         :param rotary: rotary axes of the cell; None: it has none, and no code switches tool-centre-point control.
         """
         self.changes: list[tuple[int, float]] = []
-        self._on: tuple[str, ...] = ()
-        self._off: tuple[str, ...] = ()
+        self._on_codes: tuple[str, ...] = ()
+        self._off_codes: tuple[str, ...] = ()
         if rotary is not None and rotary.tcp_on:
-            self._on, self._off = tuple(rotary.tcp_on), tuple(rotary.tcp_off)
+            self._on_codes, self._off_codes = tuple(rotary.tcp_on), tuple(rotary.tcp_off)
         elif rotary is not None:
-            self._on, self._off = tip_codes(rotary), TCP_OFF
+            self._on_codes, self._off_codes = tip_codes(rotary), TCP_OFF
 
     def read(self, row: int, code: str) -> bool:
         """Record a code, such as ``M128``, if it switches tool-centre-point control; return whether it does."""
-        is_on = code in self._on
-        if is_on or code in self._off:
+        is_on = code in self._on_codes
+        if is_on or code in self._off_codes:
             self.changes.append((row, float(is_on)))
             return True
         return False
@@ -328,7 +328,7 @@ class FrameCodes:
         self.offsets = {"G54", *cell.work_offsets}
         self.origins: list[Origin] = []
         self.returns: dict[int, Return] = {}
-        self._shifted = False
+        self._has_shift = False
 
     def read(self, row: int, g: Sequence[float], motion: float, values: dict[str, float], mm_per_unit: float) -> None:
         """Record the code of a block that changes the program frame or goes to a machine position, if it has one.
@@ -371,11 +371,11 @@ class FrameCodes:
         """
         if code in (codes.LOCAL, codes.SHIFT) and not axes:
             raise BlockError(f"G{code:g} without X, Y or Z", None)
-        if code == codes.SHIFT_ON and not self._shifted:
+        if code == codes.SHIFT_ON and not self._has_shift:
             raise BlockError(
                 "G92.3 restores an offset that the program has not set", "Set it with G92 before, or remove G92.3."
             )
-        self._shifted |= code in (codes.LOCAL, codes.SHIFT)
+        self._has_shift |= code in (codes.LOCAL, codes.SHIFT)
         self.origins.append(Origin(row, code, axes))
 
     def _add_return(self, row: int, code: float, motion: float, axes: Mapping[int, float]) -> None:
@@ -401,6 +401,7 @@ class FrameCodes:
         :param values: other words of the block by letter, from which L, P and R are removed.
         :raises BlockError: G10 sets something else, or P names no work offset.
         """
+        # L says what G10 sets; −1: no P
         target, system, turn = values.pop("L", 0.0), values.pop("P", -1.0), values.pop("R", None)
         if target not in (2.0, 20.0) or (target == 20.0 and turn is not None):
             raise BlockError(f"G10 L{target:g} is not supported", "Tools are in the cell: [tools.1] …")
@@ -532,6 +533,7 @@ def read_modes(
     faults = sorted(
         [*faults, *(fault for fault in faults_of_run if fault.row < row_count)], key=lambda fault: fault.row
     )
+    # a program that begins with % must have an end, unless faults may hide it
     is_complete = reader.has_ended or tape_row < 0 or len(faults) > MAX_ERRORS or bool(faults_of_run)
     if not reader.has_ended and is_complete:
         message = "The program ends without M2, M30 or %. Check that the file is complete."
@@ -601,7 +603,7 @@ class _Reader:
         :raises BlockError: the first fault of the block.
         """
         if code.lstrip(MARK).startswith("%"):
-            self.is_tape_closed = row != self.tape_row
+            self.is_tape_closed = row != self.tape_row  # the % of `tape_row` opens the program
             return
         delete_mark = _DELETE_MARK.match(code)
         if delete_mark:
@@ -749,6 +751,7 @@ class _Reader:
                 self.changes[group].append((row, code))
                 if group == "units":
                     self._change_units(row, code, has_feed="F" in values)
+            # G80 in a block with a motion code has no effect
             elif code in codes.MOVING or (code == codes.CANCEL_CYCLE and not set(g) & set(codes.MOVING)):
                 self.words.put("G", row, code)
                 if code == 84.0:

@@ -111,9 +111,8 @@ class Moves(Struct, frozen=True, eq=False):
         """Return the starts (n, 3) of moves (n,): the end of the move before, or the start of one of `first_moves`."""
         starts = self.end[move - 1]
         index = np.searchsorted(self.first_moves, move)
-        has_own_start = (
-            np.append(self.first_moves, -1)[index] == move
-        )  # -1 is no move: it follows the last of `first_moves`
+        # −1, which is no move, follows the last of `first_moves`
+        has_own_start = np.append(self.first_moves, -1)[index] == move
         starts[has_own_start] = self.first_starts[index[has_own_start]]
         return starts
 
@@ -163,7 +162,10 @@ def below_top(lines: LineStates, first: int, complete_row: int) -> Bools:
 
 
 def _repetition(values: Sequence[int], count: Ints) -> Ints:
-    """Return n integers, n ≥ 1, the k-th repeated `count[k]` times; in constant memory if all are equal."""
+    """Return integers, the k-th of `values` repeated `count[k]` times; in constant memory if all are equal.
+
+    :param values: (n,) integers, n ≥ 1; `count`: (n,) number of repeats of each.
+    """
     return constant(values[0], int(count.sum())) if len(set(values)) == 1 else np.repeat(values, count)
 
 
@@ -282,9 +284,8 @@ class _Walk:
             self._add_lines(begin + chunk.start, min(begin + chunk.stop, end)) for chunk in chunks(end - begin)
         )
         is_upright = bool((self.angles == self.cell_frames.rotary.upright).all())
-        if (
-            last_swing >= 0 and is_upright
-        ):  # the tip may be anywhere; with tilted axes `turning_faults` refuses the next move
+        # the tip may be anywhere; with tilted axes `turning_faults` refuses the next move
+        if last_swing >= 0 and is_upright:
             row = last_swing + 1
             self.losses.append((row, np.ones(3, dtype=bool)))
             self.is_known = np.asarray(~np.isnan(lines.xyz[row:end]).all(axis=0))
@@ -389,7 +390,7 @@ class _Walk:
             repeats_hole = has_steps and bool(is_position_only[row - begin])
             row, has_steps = row + 1, bool(cycle_moves.steps)
             if repeats_hole and has_steps:
-                stop = int(other_rows[np.searchsorted(other_rows, row)])
+                stop = int(other_rows[np.searchsorted(other_rows, row)])  # the next line that states more, or `end`
                 self._add_next_holes(row, stop, cycle_moves)
                 row = stop
 
@@ -909,7 +910,8 @@ class _Walk:
         """Return whether a program begins with moves at feed at a safe height, which the robot makes from `[start]`.
 
         The first of these moves must be at feed, and all of them straight, in G90 and in one work offset. At least one
-        is below the highest Z, else the usual rules hold. A cut at or below Z 0 must follow X and Y.
+        is below the highest Z; if none is, the moves are allowed in any case. A cut at or below Z 0 must follow X and
+        Y.
 
         :param first: first row; `last`: row on which X, Y and Z are all known, or the number of lines.
         """
@@ -952,10 +954,12 @@ class _Walk:
             if not unknown_axes.any():  # the program begins at a known home
                 ranges.append((first, first - 1))
                 continue
-            part = has_word[first:end]
+            range_words = has_word[first:end]
             # row of the next word of each axis; `line_count`: there is none before the next loss
             next_word_row = np.where(
-                part.any(axis=0), first + part.argmax(axis=0) if len(part) else end, self.line_count
+                range_words.any(axis=0),
+                first + range_words.argmax(axis=0) if len(range_words) else end,
+                self.line_count,
             )
             last = int(next_word_row[unknown_axes].max(initial=first))
             ranges.append((first, min(last, end)))

@@ -529,7 +529,7 @@ def read_path(
 ) -> MotionPath | list[Fault]:
     """Return the motions of a program, or its faults in order of lines.
 
-    :param rows: words and modal state of all lines.
+    :param lines: words and modal state of all lines.
     :param modes: modal state and events of the blocks that are not plain.
     :param rotary: rotary axes of the cell; None: it has none.
     :returns: the motions; a list of faults if there are any.

@@ -308,23 +308,23 @@ def _errors(run: ExecutedProgram, faults: Sequence[Fault]) -> list[InputError]:
     ]
 
 
-def _late_code_issues(run: ExecutedProgram, rows: int) -> Iterator[Issue]:
+def _late_code_issues(run: ExecutedProgram, row_count: int) -> Iterator[Issue]:
     """Yield a warning if there is code after the end of the program, which is not executed.
 
-    :param rows: number of lines up to the end of the program.
+    :param row_count: number of lines up to the end of the program.
     """
     source, lines = run.source, list(run.after_end)
     # `words.MARK` stands for a comment
-    if source.code[source.ends[rows] :].strip(b"\n%" + words.MARK.encode()):
-        lines = [row + 1 for row in range(rows, len(source)) if source.line(row).strip(words.MARK + "%")]
+    if source.code[source.ends[row_count] :].strip(b"\n%" + words.MARK.encode()):
+        lines = [row + 1 for row in range(row_count, len(source)) if source.line(row).strip(words.MARK + "%")]
     if len(lines):
-        end = int(run.main_line[rows - 1])
+        end = int(run.main_line[row_count - 1])
         message = f"There is code after the end of the program (line {end}): it is not executed."
         yield Issue("warning", "after-end", message, lines[0], count=len(lines))
 
 
-def _comments(run: ExecutedProgram, rows: int) -> tuple[list[tuple[int, str | ForceNote]], list[InputError]]:
-    """Return the comments of the first `rows` executed lines, and the errors of force comments.
+def _comments(run: ExecutedProgram, row_count: int) -> tuple[list[tuple[int, str | ForceNote]], list[InputError]]:
+    """Return the comments of the first `row_count` executed lines, and the errors of force comments.
 
     :returns: row and content of each comment, where a force comment is a `ForceNote`; one error for each line with
         unreadable force comments.
@@ -332,7 +332,7 @@ def _comments(run: ExecutedProgram, rows: int) -> tuple[list[tuple[int, str | Fo
     comments: list[tuple[int, str | ForceNote]] = []
     faults: dict[tuple[int, int], InputError] = {}
     for line, text in zip(run.source.comment_lines.tolist(), run.source.comments, strict=True):
-        if line > rows:
+        if line > row_count:
             break
         n, file_line = int(run.document[line - 1]), int(run.line[line - 1])
         try:

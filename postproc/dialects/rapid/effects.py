@@ -86,6 +86,7 @@ class Effects:
         """
         routine = self.routines.get(name)
         if routine is not None:
+            # without a scope: it does not matter here which parameters are given
             bound = bound_arguments(routine, arguments, Scope({}))
             expressions = (argument.expression for argument in bound if argument.parameter.changeable)
             yield from (base_name(expression) for expression in expressions if expression is not None)

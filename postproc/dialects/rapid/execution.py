@@ -491,6 +491,7 @@ class Execution:
         self._check_forces(statements, reason)
         self._forget(statements, f"it may be changed where it is not known whether: {reason}", scope)
         for statement in all_statements(statements):
+            # a stop of the program or a label skips no moves
             if isinstance(statement, Jump) and statement.word not in (*STOPPING, ":"):
                 if statement.word == "RETURN" and routine is self.entry:
                     continue  # the program ends early; the moves before do not change
@@ -541,7 +542,7 @@ class Execution:
         :raises UnknownValueError: its condition is not known.
         """
         for _ in range(MOST_ROUNDS):
-            if not truth(loop.bounds[0], scope):
+            if not truth(loop.bounds[0], scope):  # the condition of WHILE
                 return True
             self._execute_block(loop.body, scope, routine, depth)
             if self.effects.has_functions:

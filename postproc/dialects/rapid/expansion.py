@@ -77,8 +77,8 @@ def expand(
         if not changes:
             return ExpandedProgram(text, program_modules, execution, line, tuple(loop_lines), tuple(copied_names))
         for change in changes:
-            if change.copied:
-                copied_names.append(change.copied)
+            if change.copied_name:
+                copied_names.append(change.copied_name)
             elif change.is_loop:
                 loop_lines.append(_line_at(text, line, change.start))
         entry_line = _line_at(text, line, entry.start)
@@ -104,14 +104,14 @@ class _Change(Struct, frozen=True):
 
     :ivar pieces: (origin, new text) in order; the origin is the offset in the old text from which it is copied, −1 for
         new text.
-    :ivar copied: name of the routine, if the change inserts copies of it; otherwise empty.
+    :ivar copied_name: name of the routine, if the change inserts copies of it; otherwise empty.
     :ivar is_loop: True if the change writes a loop out.
     """
 
     start: int
     stop: int
     pieces: tuple[tuple[int, str], ...]
-    copied: str = ""
+    copied_name: str = ""
     is_loop: bool = False
 
 
@@ -169,7 +169,7 @@ def _copies(text: str, program_modules: Sequence[Module], name: str, calls: Sequ
         changes.append(_Change(word.start(), word.end(), ((-1, copy_name),)))
         pieces += [(-1, _line_end(text)), (routine.start, text[routine.start : name_start]), (-1, copy_name)]
         pieces.append((name_stop, text[name_stop : routine.stop]))
-    changes.append(_Change(routine.stop, routine.stop, tuple(pieces), copied=name))
+    changes.append(_Change(routine.stop, routine.stop, tuple(pieces), copied_name=name))
     return changes
 
 
@@ -180,7 +180,7 @@ def _free_name(name: str, number: int, routines: dict[str, Routine]) -> str:
     :param number: number of the copy.
     :param routines: name, upper case → routine: names in use.
     """
-    copy = f"{name[:28]}_{number}"
+    copy = f"{name[:28]}_{number}"  # a number of up to three digits
     while copy.upper() in routines:
         copy = f"{copy[:30]}c"
     return copy
@@ -205,7 +205,7 @@ def _unroll(text: str, loop: Loop, values: Sequence[float]) -> _Change:
     last_blanks = re.search(r"[ \t]*\Z", body[offset:])
     body_stop = offset + last_blanks.start() if last_blanks else len(body)
     indent = re.search(r"[ \t]*\Z", text[: loop.start])
-    variable_spans = _uses(text, loop) if loop.name else []
+    variable_spans = _variable_spans(text, loop) if loop.name else []
     pieces: list[tuple[int, str]] = []
     end_of_line = _line_end(text)
     ends_line = body[:body_stop].endswith(("\n", "\r"))
@@ -226,7 +226,7 @@ def _unroll(text: str, loop: Loop, values: Sequence[float]) -> _Change:
     return _Change(loop.start, loop.stop, tuple(pieces), is_loop=True)
 
 
-def _uses(text: str, loop: Loop) -> list[tuple[int, int]]:
+def _variable_spans(text: str, loop: Loop) -> list[tuple[int, int]]:
     """Return the spans (start, stop) of the variable of FOR in its body, ascending.
 
     :raises RapidError: a second loop inside has a variable of the same name.

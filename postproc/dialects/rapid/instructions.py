@@ -23,14 +23,14 @@ class Form(Struct, frozen=True):
 
     :ivar kind: `LIN`, `CIRC` or `PTP`.
     :ivar points: number of targets; of two, the first is the point on the circle.
-    :ivar joints: True if the target is a jointtarget.
+    :ivar takes_joints: True if the target is a jointtarget, not a robtarget.
     :ivar before_zone: number of arguments between speed and zone.
     :ivar behind: largest number of arguments behind the tool.
     """
 
     kind: int
     points: int = 1
-    joints: bool = False
+    takes_joints: bool = False
     before_zone: int = 0
     behind: int = 0
 
@@ -39,7 +39,7 @@ MOVES: dict[str, Form] = {
     "MOVEL": Form(LIN),
     "MOVEJ": Form(PTP),
     "MOVEC": Form(CIRC, points=2),
-    "MOVEABSJ": Form(PTP, joints=True),
+    "MOVEABSJ": Form(PTP, takes_joints=True),
     "MOVELDO": Form(LIN, behind=2),
     "MOVEJDO": Form(PTP, behind=2),
     "MOVECDO": Form(CIRC, points=2, behind=2),

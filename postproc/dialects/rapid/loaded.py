@@ -57,7 +57,7 @@ def load_modules(cell: Cell) -> LoadedModules:
     if routine is not None:
         problem = f"[rapid] modules: {routine.kind} {routine.name} has the name of an instruction or function of RAPID"
         raise CellError(problem, advice="Leave its module out, or give it another name.")
-    return LoadedModules(loaded_modules, _data(loaded_modules))
+    return LoadedModules(loaded_modules, _global_data(loaded_modules))
 
 
 class NameClash(NamedTuple):
@@ -124,7 +124,7 @@ def _document(file: Path) -> Document:
         raise CellError(problem, file=str(file), advice="The path is relative to the cell.") from cause
 
 
-def _data(loaded_modules: tuple[Module, ...]) -> dict[str, Variable]:
+def _global_data(loaded_modules: tuple[Module, ...]) -> dict[str, Variable]:
     """Return the data of modules that are not LOCAL, with their values, or with the reason why a value is not known."""
     declarations = {item.name: item for module in loaded_modules for item in module.data}
     declared = {

@@ -79,7 +79,7 @@ class Move(Struct, frozen=True, eq=False):
     :ivar kind: `LIN`, `CIRC` or `PTP`.
     :ivar target: the end of the motion.
     :ivar via: the point on a circle; None for other motions.
-    :ivar joints: True if the target is a jointtarget.
+    :ivar has_joint_target: True if the target is a jointtarget, not a robtarget.
     :ivar speed: speed of the TCP [mm/s]; 0 if a duration is stated.
     :ivar duration: duration of the motion [s]; 0 if a speed is stated.
     :ivar turn_speed: largest rotational speed of the tool (v_ori) [deg/s]; infinite if it is not known.
@@ -94,7 +94,7 @@ class Move(Struct, frozen=True, eq=False):
     kind: int
     target: Target
     via: Target | None
-    joints: bool
+    has_joint_target: bool
     speed: float
     duration: float
     turn_speed: float
@@ -111,7 +111,7 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
     :param form: order of its arguments.
     :param scope: data at this time.
     :param setting: settings that apply to the motion.
-    :param frames: see `Frames`.
+    :param frames: function of name and type, which returns the value of a tool or work object of the cell, or None.
     :raises UnknownValueError: a value is not known before the program runs, or an option is not followed.
     """
     expressions = [
@@ -126,7 +126,9 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
     min_count = form.points + 3 + form.before_zone  # points, speed, triggers, zone and tool
     if not min_count <= len(expressions) <= min_count + form.behind:
         raise UnknownValueError(f"{statement.name} has {len(expressions)} arguments instead of {min_count}")
-    *via_points, end_point = (_target(expressions[k], scope, joints=form.joints) for k in range(form.points))
+    *via_points, end_point = (
+        _target(expressions[k], scope, takes_joints=form.takes_joints) for k in range(form.points)
+    )
     speed_index, zone_index = form.points, form.points + 1 + form.before_zone
     speed, duration = _speed_and_duration(expressions[speed_index], options, scope, setting)
     wobj = options["WOBJ"].value if "WOBJ" in options else None
@@ -135,11 +137,11 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
         kind=form.kind,
         target=end_point,
         via=via_points[0] if via_points else None,
-        joints=form.joints,
+        has_joint_target=form.takes_joints,
         speed=speed,
         duration=duration,
         turn_speed=_turn_speed(expressions[speed_index], options, scope, setting),
-        zone=_zone(expressions[zone_index], options, scope),
+        zone=_zone_radius(expressions[zone_index], options, scope),
         tool=_frame(expressions[zone_index + 1], "TOOLDATA", scope, frames),
         tool_name=_data_name(expressions[zone_index + 1], scope),
         wobj=predefined_data()["WOBJ0"][0] if wobj is None else _frame(wobj, "WOBJDATA", scope, frames),
@@ -147,20 +149,20 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
     )
 
 
-def _target(expression: Expression, scope: Scope, *, joints: bool) -> Target:
+def _target(expression: Expression, scope: Scope, *, takes_joints: bool) -> Target:
     """Return the numbers of a target, and the literal and declaration that contain them.
 
-    :param joints: True if the move needs a jointtarget.
+    :param takes_joints: True if the move needs a jointtarget, False if it needs a robtarget.
     :raises UnknownValueError: the numbers are unknown, or the value has another type.
     """
     if expression.kind == "numbers":
-        if joints:
+        if takes_joints:
             raise UnknownValueError("MoveAbsJ goes to joint angles, not to a robtarget")
         return Target([float(text) for text in expression.value], expression, expression)
     value, type_ = evaluate(expression, scope)
-    if type_ not in ("", "JOINTTARGET" if joints else "ROBTARGET"):
-        raise UnknownValueError(f"a {type_.lower()} is no target of {'MoveAbsJ' if joints else 'this move'}")
-    numbers = _numbers(value, joints=joints)
+    if type_ not in ("", "JOINTTARGET" if takes_joints else "ROBTARGET"):
+        raise UnknownValueError(f"a {type_.lower()} is no target of {'MoveAbsJ' if takes_joints else 'this move'}")
+    numbers = _numbers(value, takes_joints=takes_joints)
     variable = scope.find(base_name(expression))
     if expression.kind == "list":
         return Target(numbers, expression, expression)
@@ -221,7 +223,7 @@ def _turn_speed(expression: Expression, options: dict[str, Argument], scope: Sco
     return turn_speed * setting.speed_share
 
 
-def _zone(expression: Expression, options: dict[str, Argument], scope: Scope) -> float:
+def _zone_radius(expression: Expression, options: dict[str, Argument], scope: Scope) -> float:
     r"""Return the radius [mm] of the zone of a move; 0 for a stop point.
 
     ``\Z`` states the radius. ``\Inpos`` makes the end a stop point.
@@ -247,7 +249,7 @@ def _frame(expression: Expression, type_: str, scope: Scope, frames: Frames) -> 
     """Return the value of a tool or work object; if no module declares it, that of the cell.
 
     :param type_: TOOLDATA or WOBJDATA.
-    :param frames: see `Frames`.
+    :param frames: function of name and type, which returns the value of the cell, or None if the cell has none.
     :raises UnknownValueError: the value is unknown, or has another type.
     """
     if expression.kind == "name" and scope.find(expression.value) is None:
@@ -275,13 +277,13 @@ def _data_name(expression: Expression, scope: Scope) -> str:
     return "" if is_parameter_or_local else str(expression.value)
 
 
-def _numbers(value: Value, *, joints: bool) -> list[float]:
+def _numbers(value: Value, *, takes_joints: bool) -> list[float]:
     """Return the 17 numbers of a robtarget, or the 12 of a jointtarget.
 
-    :param joints: True for a jointtarget.
+    :param takes_joints: True for a jointtarget.
     :raises UnknownValueError: the value has another form.
     """
-    return record_numbers(value, 6, 6) if joints else record_numbers(value, 3, 4, 4, 6)
+    return record_numbers(value, 6, 6) if takes_joints else record_numbers(value, 3, 4, 4, 6)  # sizes of the components
 
 
 def _element(expression: Expression, initial: Expression | None, scope: Scope) -> Expression | None:

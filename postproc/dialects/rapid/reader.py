@@ -106,7 +106,7 @@ class _Reader:
         self.document, self.cell = document, cell
         self.loaded = load_modules(cell)
         self.names: dict[str, set[str]] = {}
-        self.frames: dict[str, _FromCell] = {}
+        self.frames: dict[str, _FrameOfCell] = {}
 
     def program(self, forward_kinematics: Callable[[Array], Array], name: str) -> Program:
         """Return the program.
@@ -173,6 +173,7 @@ class _Reader:
     @staticmethod
     def _file_lines(expanded_program: ExpandedProgram, start: Ints) -> Ints:
         """Return the lines (n,) of the file from which the offsets `start` (n,) of the expanded text come."""
+        # the last line that begins at or before each offset
         return np.asarray(
             expanded_program.line[np.searchsorted(line_spans(expanded_program.text)[0], start, side="right") - 1]
         )
@@ -227,7 +228,7 @@ class _Reader:
                 f"{'tool' if type_ == 'TOOLDATA' else 'base'}"
             )
         if type_ not in self.frames:
-            self.frames[type_] = _FromCell(self.cell.tool.pose() if type_ == "TOOLDATA" else self.cell.base.pose())
+            self.frames[type_] = _FrameOfCell(self.cell.tool.pose() if type_ == "TOOLDATA" else self.cell.base.pose())
         return self.frames[type_]
 
     def _notes(self, expanded_program: ExpandedProgram) -> tuple[tuple[Comment, ...], tuple[ForceNote, ...]]:
@@ -264,9 +265,9 @@ class _Reader:
         :raises ProgramError: a number or frame of a move is not valid, or its way of turning the tool is not known.
         """
         kind = np.array([move.kind for move in moves], dtype=np.int64)
-        has_joints = np.array([move.joints for move in moves])
-        base, bases = self._frames(moves, line, [(move.wobj, True) for move in moves], self._wobj)
-        tool, tools = self._frames(moves, line, [(move.tool, move.tool_name != "") for move in moves], self._tool)
+        has_joints = np.array([move.has_joint_target for move in moves])
+        base, bases = self._frames(moves, line, [(move.wobj, True) for move in moves], self._wobj_frame)
+        tool, tools = self._frames(moves, line, [(move.tool, move.tool_name != "") for move in moves], self._tool_frame)
         target_numbers, joints = self._target_values(moves, line, has_joints)
         pose, numbers = np.empty((len(line), 4, 4)), np.full((len(line), 6), np.nan)
         pose_numbers = target_numbers[~has_joints, :7]
@@ -278,7 +279,7 @@ class _Reader:
         starts = Starts.of((base, tool, bases, tools), pose.__getitem__, forward_kinematics(self.cell.start_joints))
         start = starts.at(np.arange(len(line)))
         arcs = self._arcs(moves, start, pose, line, kind == CIRC)
-        is_wrist_led, turns_with_path = self._turning(moves, kind, start, pose, line)
+        is_wrist_led, turns_with_path = self._turning_modes(moves, kind, start, pose, line)
         status = np.full(len(line), -1)
         has_status = np.array([move.setting.follows_configuration for move in moves]) & (kind == PTP) & ~has_joints
         status[has_status] = status_from_cfx(target_numbers[has_status, 10].astype(np.int64))  # column 10: cfx
@@ -310,8 +311,8 @@ class _Reader:
         """
         target_numbers, joints = np.full((len(moves), 17), np.nan), np.full((len(moves), 6), np.nan)
         if not has_joints.all():
-            target_numbers[~has_joints] = [move.target.numbers for move in moves if not move.joints]
-        angles = np.array([move.target.numbers for move in moves if move.joints]).reshape(-1, 12)
+            target_numbers[~has_joints] = [move.target.numbers for move in moves if not move.has_joint_target]
+        angles = np.array([move.target.numbers for move in moves if move.has_joint_target]).reshape(-1, 12)
         self._check_targets(target_numbers[~has_joints], line[~has_joints])
         self._check_external(
             np.concatenate([target_numbers[~has_joints][:, 11:], angles[:, 6:]]),
@@ -360,12 +361,12 @@ class _Reader:
         return frame_rows, np.stack(frames)
 
     @staticmethod
-    def _tool(value: Value) -> Array:
+    def _tool_frame(value: Value) -> Array:
         """Return the frame (4, 4) of a tooldata value in the flange [m].
 
         :raises UnknownValueError: the value is no tooldata, or the robot does not hold the tool.
         """
-        if isinstance(value, _FromCell):
+        if isinstance(value, _FrameOfCell):
             return value.pose
         if not isinstance(value, list) or len(value) != 3 or not isinstance(value[0], bool):
             raise UnknownValueError("the tool is no tooldata")
@@ -376,12 +377,12 @@ class _Reader:
         return _pose(value[1])
 
     @staticmethod
-    def _wobj(value: Value) -> Array:
+    def _wobj_frame(value: Value) -> Array:
         """Return the frame (4, 4) of a wobjdata value in the world [m].
 
         :raises UnknownValueError: the value is no wobjdata, the work object moves, or the robot holds it.
         """
-        if isinstance(value, _FromCell):
+        if isinstance(value, _FrameOfCell):
             return value.pose
         if not isinstance(value, list) or len(value) != 5:
             raise UnknownValueError("the work object is no wobjdata")
@@ -455,7 +456,9 @@ class _Reader:
                 column[rows] = values
         return columns
 
-    def _turning(self, moves: list[Move], kind: Ints, start: Array, pose: Array, line: Ints) -> tuple[Bools, Bools]:
+    def _turning_modes(
+        self, moves: list[Move], kind: Ints, start: Array, pose: Array, line: Ints
+    ) -> tuple[Bools, Bools]:
         r"""Return which motions turn the tool by the wrist axes (M,) (SingArea\Wrist), and which with their path (M,).
 
         :param kind: (M,) `LIN`, `CIRC` or `PTP`.
@@ -557,7 +560,7 @@ class _Reader:
             yield Issue("warning", "frame-from-cell", message, subject=name)
 
 
-class _FromCell:
+class _FrameOfCell:
     """A frame of the cell in place of data that no module declares."""
 
     def __init__(self, pose: Array) -> None:

@@ -434,7 +434,7 @@ def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
             return is_given, "BOOL"
     arguments = [argument.value for argument in expression.items if argument.value is not None]
     if expression.value == "DIM" and len(arguments) == 2:
-        return _size(arguments[0], arguments[1], scope), "NUM"
+        return _dimension_size(arguments[0], arguments[1], scope), "NUM"
     function = _FUNCTIONS.get(expression.value)
     if function is None:
         raise UnknownValueError(f"the function {expression.value} gives its value at run time")
@@ -447,7 +447,7 @@ def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
         raise UnknownValueError(f"the call of {expression.value} is not understood") from None
 
 
-def _size(array: Expression, dimension: Expression, scope: Scope) -> float:
+def _dimension_size(array: Expression, dimension: Expression, scope: Scope) -> float:
     """Return ``Dim(array, dimension)``: the number of elements in a dimension, as it is declared.
 
     :param dimension: number of the dimension, from 1.
