@@ -86,6 +86,34 @@ def test_levels_that_move_take_their_poses_along(task):
     assert changed >= 2
 
 
+def test_each_pose_in_turn_is_exchanged_for_the_best_candidate_of_its_level(task):
+    columns = {name: getattr(task.candidates, name)[:, :20] for name in ("q", "tilt", "information", "torque")}
+    undemanding = replace(task.directions, need=np.zeros((6, 2), dtype=int))
+    task = replace(task, candidates=replace(task.candidates, **columns), directions=undemanding)
+    rng = np.random.default_rng(7)
+    row, level = search.first_levels(task, rng, spread=True), task.pose_levels(rng)
+    pick = rng.integers(0, task.candidates.q.shape[1], task.count)
+    found = search._exchange_poses(
+        task, search._Choice(row, level, pick, task.criterion_at(task.candidates.q2[row]), 1.0)
+    )
+    information = [
+        setting.normal_matrices(task.candidates.q[n], task.site.rig.force * search_direction(task.candidates.tilt[n]))
+        for n in row
+    ]
+    best = pick.copy()
+    for pose in range(task.count):
+        values = []
+        for candidate in range(len(information[level[pose]])):
+            best[pose] = candidate
+            matrices = np.array([information[group][n] for group, n in zip(level, best, strict=True)])
+            values.append(setting.pooled_of(matrices, task.candidates.q2[row[level]], TWO, VARIANCE))
+        best[pose] = int(np.argmin(values))
+    assert (best != pick).sum() >= 5
+    np.testing.assert_array_equal(found.pick, best)
+    np.testing.assert_array_equal(found.level, level)
+    assert found.value == pytest.approx(min(values), rel=1e-3)
+
+
 def test_refining_never_raises_the_criterion_and_ends_where_nothing_is_gained(task):
     plan = start_of(task, seed=3)
     values = [refined.value for refined in search.refine(task, plan, np.random.default_rng(2), 5)]
