@@ -717,39 +717,49 @@ class Flow:
         counter: Counter | None,
         recorder: Recorder | None,
         loop: UnrolledLoop | None,
+        *,
+        back_jump: Block | None = None,
     ) -> None:
         """Follow the rounds of a loop one by one, and record them.
 
         :param counter: the counter of FOR; None for another loop.
         :param loop: the record of the loop in the trace; None without a recorder.
+        :param back_jump: the IF that jumps back to the label on the first line of `block`; None for LOOP, FOR, WHILE
+            and REPEAT.
         :raises InexactError: there are too many rounds, the loop never ends, a condition is not known before run time,
             or a label would be recorded more than once.
         """
-        level, place = self.run.level, Place(source, block.first)
+        level, head = self.run.level, Place(source, block.first)
+        condition_place = head if back_jump is None else Place(source, back_jump.first)
         start_count, depth, iteration = self._traced_count, len(self._enclosing) - 1, 0
         while self._runs_again(source, block, counter):
-            self._count_statement(place)
+            self._count_statement(condition_place)
             iteration += 1
-            self._enclosing[depth] = place, iteration
+            self._enclosing[depth] = head, iteration
             if recorder is not None and iteration == 2:
-                self._check_labels(source, block.lines())
+                self._check_labels(source, block)
             counts_at_begin = self._change_counts()
             if counter is None and self._traced_count - start_count > MOST_UNCOUNTED:
-                problem = f"{block.word} has not ended after {MOST_UNCOUNTED} statements"
-                raise inexact_error(place, problem, "Check its condition, or write FOR instead.")
+                subject = f"{block.word} has not ended" if back_jump is None else "GOTO still leads back"
+                problem = f"{subject} after {MOST_UNCOUNTED} statements"
+                raise inexact_error(condition_place, problem, "Check its condition, or write FOR instead.")
             if recorder is not None and loop is not None:
                 recorder.begin_round(loop, block, counter.value() if counter is not None else None)
             self.follow(source, block.parts[0].nodes)
             is_whole = not level.is_broken_off
             if recorder is not None:
                 recorder.end_round(block, is_whole=is_whole)
-            if not is_whole or (block.word == "REPEAT" and self._condition_holds(source, block.last)):
+            if not is_whole or self._ends_after_round(source, block, back_jump):
                 break
             if counter is not None:
                 counter.advance()
             elif self._change_counts() == counts_at_begin:
-                problem = f"{block.word} never ends: no variable of its condition changes from round to round"
-                raise inexact_error(place, problem, LOOP_ADVICE)
+                problem = (
+                    f"{block.word} never ends: no variable of its condition changes from round to round"
+                    if back_jump is None
+                    else "GOTO always leads back: no variable of its condition changes"
+                )
+                raise inexact_error(condition_place, problem, LOOP_ADVICE)
 
     def _follow_back_jump(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
         """Follow the rounds between a label and an IF that jumps back to the label.
@@ -803,41 +813,35 @@ class Flow:
         :raises InexactError: the condition is not known before run time, there are too many rounds, the rounds never
             end, or a label would be recorded more than once.
         """
-        level, first, jump = self.run.level, nodes[0], nodes[-1]
-        if not isinstance(first, int) or not isinstance(jump, Block):
+        level, first, back_jump = self.run.level, nodes[0], nodes[-1]
+        if not isinstance(first, int) or not isinstance(back_jump, Block):
             return
-        place = Place(source, jump.first)
         # the loop ends with ENDIF, a round on the line before the IF
-        loop_block = Block("REPEAT", first, jump.last, (Part(first, jump.first, nodes[1:-1]),))
-        round_block = Block("REPEAT", first, jump.first, loop_block.parts)
-        self._check_comments(source, loop_block, range(jump.first, jump.last))
-        loop = recorder.begin_loop(loop_block, "", 0, has_exit=False, closing=jump.first)
-        start_count, depth, iteration = self._traced_count, len(self._enclosing), 0
+        loop_block = Block("REPEAT", first, back_jump.last, (Part(first, back_jump.first, nodes[1:-1]),))
+        round_block = Block("REPEAT", first, back_jump.first, loop_block.parts)
+        self._check_comments(source, loop_block, range(back_jump.first, back_jump.last))
+        loop = recorder.begin_loop(loop_block, "", 0, has_exit=False, closing=back_jump.first)
+        depth = len(self._enclosing)
         level.loop_depth += 1
-        self._enclosing.append((Place(source, first), iteration))
+        self._enclosing.append((Place(source, first), 0))
         try:
-            while True:
-                self._count_statement(place)
-                iteration += 1
-                self._enclosing[depth] = Place(source, first), iteration
-                if iteration == 2:
-                    self._check_labels(source, range(first + 1, jump.first))
-                counts_at_begin = self._change_counts()
-                if self._traced_count - start_count > MOST_UNCOUNTED:
-                    problem = f"GOTO still leads back after {MOST_UNCOUNTED} statements"
-                    raise inexact_error(place, problem, "Check its condition, or write FOR instead.")
-                recorder.begin_round(loop, round_block, None)
-                self.follow(source, nodes[1:-1])
-                recorder.end_round(round_block, is_whole=not level.is_broken_off)
-                if level.is_broken_off or not self._jumps_back(source, jump):
-                    break
-                if self._change_counts() == counts_at_begin:
-                    problem = "GOTO always leads back: no variable of its condition changes"
-                    raise inexact_error(place, problem, LOOP_ADVICE)
+            self._follow_rounds(source, round_block, None, recorder, loop, back_jump=back_jump)
         finally:
             level.loop_depth -= 1
             del self._enclosing[depth:]
         recorder.end_loop(loop, loop_block, None)
+
+    def _ends_after_round(self, source: Source, block: Block, back_jump: Block | None) -> bool:
+        """Return whether a loop ends by its condition after a round: REPEAT, or an IF that jumps back to a label.
+
+        False for FOR, WHILE and LOOP, which do not end there.
+
+        :param back_jump: the IF; None for LOOP, FOR, WHILE and REPEAT.
+        :raises InexactError: the condition is not known before run time.
+        """
+        if back_jump is not None:
+            return not self._jumps_back(source, back_jump)
+        return block.word == "REPEAT" and self._condition_holds(source, block.last)
 
     def _jumps_back(self, source: Source, jump: Block) -> bool:
         """Return whether the condition of an IF holds.
@@ -853,13 +857,14 @@ class Flow:
             raise inexact_error(Place(source, jump.last - 1), *undecided_jump_message(self.run.variables, place))
         return holds
 
-    def _check_labels(self, source: Source, lines: Iterable[int]) -> None:
-        """Refuse labels on the lines of a loop with a second round: they would be written more than once.
+    def _check_labels(self, source: Source, block: Block) -> None:
+        """Refuse labels inside a loop with a second round: they would be written more than once.
 
+        :param block: the loop; a label on its first line does not count: the rounds begin behind it.
         :raises InexactError: there is a label.
         """
-        for line in lines:
-            if isinstance(statement(source, line), tree.Label):
+        for line in block.lines():
+            if line != block.first and isinstance(statement(source, line), tree.Label):
                 raise inexact_error(Place(source, line), "a label is in a loop around motions", _LABEL_ADVICE)
 
     def _check_comments(self, source: Source, block: Block, closing: Iterable[int] = ()) -> None:

@@ -186,9 +186,14 @@ def predecessors_and_joins(
     if not steps:
         return predecessors, []
     line, forks = sequence.rows.line, _fork_visits(course)
-    branch_predecessors, fork_lines, joins = _branch_predecessors(steps, line, predecessors)
+    branch_flow = _branch_flow(steps, line, unchecked_joins)
+    branch_predecessors = np.arange(len(line)) - 1 if predecessors is None else predecessors.copy()
+    for row, motions in branch_flow.previous_motions.items():
+        if branch_predecessors[row] != row:  # its start is known
+            # all of them end in one pose, except at an unchecked join
+            branch_predecessors[row] = min(motions)
     faults: list[BranchError] = []
-    for join, ends in joins:
+    for join, ends in branch_flow.joins:
         rows = slice(*np.searchsorted(line, [ends.fork, join.row], side="right"))  # motions between fork and join
         if any(ends.fork < kept_line <= join.row for kept_line in kept_lines):
             faults.append(_branch_error(course, forks, ends.fork, "an uncorrected motion is inside a branch"))
@@ -200,21 +205,26 @@ def predecessors_and_joins(
     for row in np.flatnonzero(branch_predecessors != np.arange(len(line)) - 1).tolist():
         if branch_predecessors[row] != row and depends_on_start(sequence, row, arcs=False):
             problem = f"{_start_dependence(sequence, row)} where branches begin or meet"
-            faults.append(_branch_error(course, forks, int(fork_lines[row]), problem, _START_ADVICE))
+            faults.append(_branch_error(course, forks, int(branch_flow.fork_lines[row]), problem, _START_ADVICE))
     _raise_combined(faults)
-    return branch_predecessors, [ends for join, ends in joins if join not in unchecked_joins]
+    return branch_predecessors, [ends for join, ends in branch_flow.joins if join not in unchecked_joins]
 
 
-class _BranchPredecessors(NamedTuple):
-    """The motions at whose ends M motions begin, with branches and joins.
+class _BranchFlow(NamedTuple):
+    """The order of M motions at forks, branches and joins.
 
-    :ivar predecessors: (M,) the motion at whose end each begins, see `Program.after`.
+    A motion is its row; −1 is the start of the program.
+
+    :ivar previous_motions: for the first motion of the program, and each motion right after a fork, branch or join: the
+        motions that may run last before it.
+    :ivar last_motions: motions that may be the last of the program.
     :ivar fork_lines: (M + 1,) for each motion right after a fork, branch or join, and for the end of the program, the
         line of the trace with the fork of that branch or join; 0 for all other motions.
     :ivar joins: all joins, with the ends of their branches.
     """
 
-    predecessors: Ints
+    previous_motions: dict[int, frozenset[int]]
+    last_motions: frozenset[int]
     fork_lines: Ints
     joins: list[tuple[Join, JoinedEnds]]
 
@@ -223,63 +233,59 @@ class _OpenFork(NamedTuple):
     """A fork whose join has not been reached.
 
     :ivar line: line of the execution trace with the fork.
-    :ivar entry: the last motion before the fork; −1 if there is none.
-    :ivar ends: the last motions of the branches that have ended.
-    :ivar is_begun: True once a branch has begun.
+    :ivar entries: motions that may be the last before the fork.
+    :ivar branch_ends: motions that may be the last of the branches that have ended.
+    :ivar has_branch: True once a branch has begun.
     """
 
     line: int
-    entry: int
-    ends: list[int]
-    is_begun: bool
+    entries: frozenset[int]
+    branch_ends: frozenset[int]
+    has_branch: bool
 
 
-def _branch_predecessors(
-    steps: Sequence[Fork | Branch | Join], line: Ints, predecessors: Ints | None
-) -> _BranchPredecessors:
-    """Return the motions at whose ends M motions begin, with branches and joins.
+def _branch_flow(steps: Sequence[Fork | Branch | Join], line: Ints, unchecked_joins: Set[Join]) -> _BranchFlow:
+    """Return the order of M motions at forks, branches and joins.
 
-    Each branch begins where its fork was reached. The motion behind a join begins at the end of the branch whose last
-    motion comes first in the trace: all branches must end in one pose.
+    Each branch begins where its fork was reached.
 
-    :param steps: forks, branches and joins of the trace, in order.
+    :param steps: forks, branches and joins of the trace, in order; empty for a trace without branches.
     :param line: (M,) lines of the trace with the motions.
-    :param predecessors: (M,) the motion at whose end each would begin if branches ran one after the other, the motion
-        itself if its start is not known; None: the motion before it.
+    :param unchecked_joins: joins at which branches may end in different poses. At each other join, all branches end in
+        one pose: the last motion that comes first in the trace represents all of them.
     """
-    count = len(line)
-    branch_predecessors = np.arange(count) - 1 if predecessors is None else predecessors.copy()
+    previous_motions: dict[int, frozenset[int]] = {}
     open_forks: list[_OpenFork] = []
     joins: list[tuple[Join, JoinedEnds]] = []
-    fork_lines = np.full(count + 1, 0)
-    last_motion, next_motion = -1, 0  # that runs last before the present step; that is the first after it
+    fork_lines = np.full(len(line) + 1, 0)
+    last_motions, next_motion = frozenset({-1}), 0  # that may run last before the present step; the first after it
 
     def pass_motions(stop: int) -> None:
-        """Pass the motions before `stop`; the first of them begins at the end of `last_motion`."""
-        nonlocal last_motion, next_motion
+        """Pass the motions before `stop`; the first of them follows one of `last_motions`."""
+        nonlocal last_motions, next_motion
         if stop > next_motion:
-            if branch_predecessors[next_motion] != next_motion:  # its start is known
-                branch_predecessors[next_motion] = last_motion
-            last_motion, next_motion = stop - 1, stop
+            previous_motions[next_motion] = last_motions
+            last_motions, next_motion = frozenset({stop - 1}), stop
 
     for step in steps:
         pass_motions(int(np.searchsorted(line, step.row, side="right")))  # those up to the line of the step
         fork_lines[next_motion] = open_forks[-1].line if open_forks else step.row
         if isinstance(step, Fork):
-            open_forks.append(_OpenFork(step.row, last_motion, [], is_begun=False))
+            open_forks.append(_OpenFork(step.row, last_motions, frozenset(), has_branch=False))
             continue
-        fork, entry, ends, is_begun = open_forks.pop()
+        fork, entries, branch_ends, has_branch = open_forks.pop()
+        if has_branch or isinstance(step, Join):  # a branch ends here
+            branch_ends |= last_motions
         if isinstance(step, Branch):
-            # the branch before ends here, if this one is not the first
-            open_forks.append(_OpenFork(fork, entry, [*ends, last_motion] if is_begun else ends, is_begun=True))
-            last_motion = entry
+            open_forks.append(_OpenFork(fork, entries, branch_ends, has_branch=True))
+            last_motions = entries
         else:
-            # if all branches may be skipped, the motion before the fork is an end too
-            ends = [*ends, last_motion, *([] if step.is_exhaustive else [entry])]
-            joins.append((step, JoinedEnds(fork, tuple(sorted(set(ends))))))
-            last_motion = min(ends)
-    pass_motions(count)
-    return _BranchPredecessors(branch_predecessors, fork_lines, joins)
+            # if all branches may be skipped, the motions before the fork are ends too
+            ends = branch_ends if step.is_exhaustive else branch_ends | entries
+            joins.append((step, JoinedEnds(fork, tuple(sorted(ends)))))
+            last_motions = ends if step in unchecked_joins else frozenset({min(ends)})
+    pass_motions(len(line))
+    return _BranchFlow(previous_motions, last_motions, fork_lines, joins)
 
 
 def branch_spans(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
@@ -306,19 +312,6 @@ def branch_spans(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
     return tuple(spans)
 
 
-class _Transitions(NamedTuple):
-    """Motions next to a fork whose join has not been reached.
-
-    :ivar entries: motions that may be the last before the fork.
-    :ivar branch_ends: motions that may be the last of the branches that have ended.
-    :ivar is_begun: True once a branch has begun.
-    """
-
-    entries: set[int]
-    branch_ends: set[int]
-    is_begun: bool
-
-
 def transitions(
     course: Course, line: Ints, predecessors: Ints | None, kept_lines: Sequence[int], unchecked_joins: Set[Join]
 ) -> tuple[tuple[int, int], ...]:
@@ -330,43 +323,21 @@ def transitions(
     :param predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
     :param kept_lines: lines of uncorrected motions. If one is behind the last corrected motion, an endless loop ends
         its round in an unknown pose.
-    :param unchecked_joins: joins at which branches may end in different poses; at other joins all branches end in one
-        pose, so that one of their last motions stands for all.
+    :param unchecked_joins: joins at which branches may end in different poses.
     """
     previous_rows = np.arange(len(line)) - 1 if predecessors is None else predecessors
-    further_transitions: list[tuple[int, int]] = []
-    open_forks: list[_Transitions] = []
-    last_motions, next_motion = {-1}, 0  # that may run last before the present step; that is the first after it
-
-    def pass_motions(stop: int) -> None:
-        """Pass the motions before `stop`; add the transitions from `last_motions` to the first of them."""
-        nonlocal last_motions, next_motion
-        if stop > next_motion:
-            previous_row = previous_rows[next_motion]
-            if previous_row != next_motion:  # its start is known
-                further_transitions.extend((next_motion, end) for end in sorted(last_motions) if end != previous_row)
-            last_motions, next_motion = {stop - 1}, stop
-
-    for step in course.steps:
-        if not isinstance(step, Fork | Branch | Join):
-            continue
-        pass_motions(int(np.searchsorted(line, step.row, side="right")))  # those up to the line of the step
-        if isinstance(step, Fork):
-            open_forks.append(_Transitions(last_motions, set(), is_begun=False))
-            continue
-        entries, branch_ends, is_begun = open_forks.pop()
-        if is_begun or isinstance(step, Join):  # a branch ends here
-            branch_ends = branch_ends | last_motions
-        if isinstance(step, Branch):
-            open_forks.append(_Transitions(entries, branch_ends, is_begun=True))
-            last_motions = entries
-        else:
-            # if all branches may be skipped, the motions before the fork are ends too
-            branch_ends = branch_ends if step.is_exhaustive else branch_ends | entries
-            last_motions = branch_ends if step in unchecked_joins else {min(branch_ends)}
-    pass_motions(len(line))
+    branch_flow = _branch_flow(
+        [step for step in course.steps if isinstance(step, Fork | Branch | Join)], line, unchecked_joins
+    )
+    further_transitions = [
+        (row, end)
+        for row, ends in branch_flow.previous_motions.items()
+        if previous_rows[row] != row  # its start is known
+        for end in sorted(ends)
+        if end != previous_rows[row]
+    ]
     if max(kept_lines, default=0) < max(line, default=0):  # the last motion is corrected
-        further_transitions += _round_transitions(course, line, previous_rows, last_motions)
+        further_transitions += _round_transitions(course, line, previous_rows, branch_flow.last_motions)
     return tuple(dict.fromkeys(further_transitions))
 
 
