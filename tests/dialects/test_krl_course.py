@@ -11,7 +11,7 @@ from postproc.dialects import krl
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.read import reader
 from postproc.dialects.krl.read.motion_columns import merged_motions
-from postproc.dialects.krl.read.plain_lines import plain_of, plain_rows_of_trace
+from postproc.dialects.krl.read.plain_lines import plain_lines_of, plain_rows_of_trace
 from postproc.dialects.krl.write.edited_rows import edited_rows, line_text
 from postproc.dialects.krl.write.edits import Replacements
 from postproc.errors import ProgramError
@@ -922,7 +922,7 @@ def test_plain_lines_of_a_trace_are_those_that_a_scan_of_it_finds(lines, subs, e
     def compared(trace, known, *, bulk):
         lines = [line_text(*trace.place(row)) for row in range(1, len(trace) + 1)]
         text = Source.of(Document("trace.src", "".join(lines)), 0)
-        found, scanned = plain_rows_of_trace(trace, known, bulk=bulk), plain_of(text)
+        found, scanned = plain_rows_of_trace(trace, known, bulk=bulk), plain_lines_of(text)
         motions = merged_motions([*scanned.motions], np.arange(sum(map(len, scanned.motions))))
         later = text.starts[motions.line - 1] - trace.starts(motions.line)
         for name, ours, theirs in zip(

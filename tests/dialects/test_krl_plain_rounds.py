@@ -209,7 +209,7 @@ CASES += [(random_lines(seed), data(POINTS[0]), KEEPING if seed % 3 == 0 else CE
 def test_rounds_taken_at_once_mean_what_they_mean_one_by_one(lines, points, cell, monkeypatch):
     at_once = outcome(lines, points, cell)
     with monkeypatch.context() as patched:
-        patched.setattr(main_routine, "columns_of", lambda *_: None)
+        patched.setattr(main_routine, "motions_and_settings_of", lambda *_: None)
         assert at_once == outcome(lines, points, cell), lines
     with monkeypatch.context() as patched:
         patched.setattr(flow, "plain_body", lambda *_: None)

@@ -143,7 +143,8 @@ class Bas:
     def _state_after_frames(self, state: State, place: Place) -> State:
         """Return the state after BAS(#FRAMES): FDAT_ACT gives `$IPO_MODE` and the numbers of `$BASE` and `$TOOL`.
 
-        A frame whose number is missing or not known is unknown afterwards; `$IPO_MODE` stays if its field is missing.
+        A frame whose number is missing or not known is unknown afterwards. If FDAT_ACT itself is not known, both frames
+        are. `$IPO_MODE` stays if its field is missing.
         """
         data = self._structure_value("FDAT_ACT", place)
         if not isinstance(data, Aggregate):

@@ -46,11 +46,12 @@ class Calls:
     def evaluate_with_calls(self, place: Place, expression: Value, *, is_copied: bool = False) -> VariableValue:
         """Return the value of an expression, and run the functions in it.
 
-        Only a function that is the whole expression, or a pure one, surely runs.
+        A function that is the whole expression surely runs. Functions inside a larger expression, or in arguments, may
+        not run.
 
         :param place: the statement that contains the expression.
-        :param is_copied: True if a variable keeps the text of the point that the expression names, so that its numbers
-            are corrected there, see `Run.note_copy`.
+        :param is_copied: True if the expression is assigned to a variable or a parameter. A point that it names then
+            keeps its place in the text, where its numbers are corrected, see `Run.note_copy`.
         :returns: an `UnknownValue` if the value is not known before run time; `NO_VALUE` for a variable of the program
             without a value.
         :raises ProgramError: a function moves the robot where this cannot be corrected, or the text cannot be read.
@@ -74,11 +75,11 @@ class Calls:
     def _with_text_place(self, expression: Value, value: Aggregate, *, is_copied: bool) -> Aggregate:
         """Return the value of an expression with the place of the text in which its numbers may be corrected.
 
-        An aggregate in the trace: its own text, in the present row. A copied point: the text of that point. Any other
-        text belongs to another variable, so that the value counts as computed.
+        An aggregate in a traced routine: its own text, in the present row. A copied point: the text of that point. Any
+        other text belongs to another variable, so that the value counts as computed.
 
         :param value: value of the expression.
-        :param is_copied: True if a variable keeps the text of the point that the expression names.
+        :param is_copied: see `evaluate_with_calls`.
         """
         if isinstance(expression, Aggregate) and self.run.is_traced:
             return value if value.is_computed else self.run.with_row(value)
@@ -92,8 +93,9 @@ class Calls:
         A routine that cannot be run exactly is not run: all that it may write becomes unknown.
 
         :param is_certain: True if the call runs exactly once. If False, only a routine without side effects is run.
-        :returns: an `UnknownValue` if the value is not known before run time.
-        :raises ProgramError: the routine moves the robot where this cannot be corrected.
+        :returns: an `UnknownValue` if the value is not known before run time, or the routine gives none.
+        :raises ProgramError: the routine moves the robot where this cannot be corrected, or effects of it last that
+            cannot be followed (`note_lasting_effects`).
         """
         callee = self.run.library.find_callee(call.name, self.run.level.module)
         unknown = UnknownValue(str(place), f"what {call.spelling(place.source)}() gives is not known")
@@ -110,14 +112,14 @@ class Calls:
             self.run.called_routines.add(callee.routine)
         if _has_no_effects(effects):  # may be run even if it is not certain that the program runs it
             result = None if self._obstacle(place, call, *callee, effects) else self._run_exactly(place, call, *callee)
-            if effects.turn_speed is not None and (result is None or not is_certain):
+            if effects.turn_speed is not None and (result is None or not is_certain):  # it may have set them, or not
                 self.run.settings.forget_turn_speeds(self.run.row)
             return unknown if result is None else result
         if is_certain and not self._obstacle(place, call, *callee, effects):
             result = self._run_exactly(place, call, *callee)
             if result is not None:
                 return result
-        # it is not run: what it may change becomes unknown
+        # the routine is not run, or an error ended it: variables that it may change become unknown
         if effects.interrupt_motion is not None:
             problem = f"{call.name} is called, and declares a GLOBAL interrupt that moves the robot"
             raise place.error(f"{problem} ({effects.interrupt_motion})", IN_ORDER)
@@ -180,7 +182,7 @@ class Calls:
         self.run.note_possible_changes(effects.volatile_writes, later_subject or subject)
 
     def _forget_arguments(self, place: Place, call: Call, routine: Routine | None) -> None:
-        """Mark as unknown the variables and settings that are arguments of a call which it may write.
+        """Mark as unknown the arguments that a call may write: variables of the program, and settings of motions.
 
         :param routine: the called routine; None if it is in no file.
         """
@@ -196,8 +198,8 @@ class Calls:
     def _writable_arguments(self, place: Place, call: Call, routine: Routine | None) -> list[tuple[int, Reference]]:
         """Return the arguments that a routine may write: the index, from 0, and the variable of each.
 
-        An argument for a parameter with ``:IN`` cannot be written. All other arguments that are variables can, also
-        those without a parameter.
+        An argument for a parameter with ``:IN`` cannot be written. Every other variable can, also an argument behind
+        the last parameter.
 
         :param routine: the called routine; None if it is in no file: its parameters are not known.
         """
@@ -217,7 +219,7 @@ class Calls:
         for variable, write_place in effects.writes.items():
             if variable in RELEVANT:
                 problem = f"{name} may change {variable} ({write_place})"
-                # $ROBROOT and the like move all frames
+                # variables without a field of the `State`, such as $ROBROOT: frames depend on them
                 fields = fields_of(variable) if variable in FIELDS else ["base", "tool"]
                 self.run.settings.make_uncertain(self.run.row, fields, place.error(problem, SETTING_ADVICE))
             else:
@@ -353,7 +355,7 @@ class Calls:
             return f"more than {_MAX_CALL_DEPTH} calls are within each other"
         if len(call.arguments) > len(routine.parameters):
             return f"it takes {len(routine.parameters)} arguments, {len(call.arguments)} are given"
-        roots: set[str] = set()
+        roots: set[str] = set()  # stored names of the variables that the arguments are, or are elements of
         for index, reference in self._writable_arguments(place, call, routine):
             name, root = place.source.text[reference.start : reference.stop], self.run.stored_name(reference.name)
             if reference.indices == () and not self._is_matching_array(routine, index, reference, root):
@@ -372,8 +374,8 @@ class Calls:
         :param root: stored name of the array.
         """
         parameter = routine.parameters[index]
-        kind = self.run.variables.types.get(root)
-        return parameter.is_array and reference.field is None and kind == routine.types.get(parameter.name, "")
+        array_type = self.run.variables.types.get(root)
+        return parameter.is_array and reference.field is None and array_type == routine.types.get(parameter.name, "")
 
     def _bound_call(
         self, place: Place, call: Call, module: Module, routine: Routine, *, is_traced: bool = False
@@ -393,7 +395,7 @@ class Calls:
         self.run.call_count += 1
         scope = self.run.scopes.scope_of_call(module, routine, self.run.call_count, arrays)
         references = [
-            # the key before functions in the arguments run: they may change an index
+            # the key is found before functions in the arguments run: they may change an index
             _Argument(index, reference, variables.key_of(reference))
             for index, reference in writable_arguments
             if reference.indices != () and index < len(parameters)
@@ -447,15 +449,17 @@ class Calls:
         for index, parameter in enumerate(bound.routine.parameters):
             if parameter.name in bound.scope.array_names:
                 continue  # an array of the caller
-            stored_name, kind = bound.scope.stored_name(parameter.name), bound.routine.types.get(parameter.name, "")
-            # a parameter with :IN has no type here: its value is separate from the argument
-            argument_kind = bound.argument_types.get(index, kind)
-            if (kind == "REAL" and argument_kind in ("INT", WHOLE)) or (kind == "INT" and argument_kind != "INT"):
-                kind = WHOLE  # see `_BoundCall.argument_types`
-            if kind:
-                self.run.variables.types[stored_name] = kind
+            stored_name = bound.scope.stored_name(parameter.name)
+            declared_type = bound.routine.types.get(parameter.name, "")
+            # a parameter with :IN has no argument type: its value is separate from the argument
+            argument_type = bound.argument_types.get(index, declared_type)
+            may_be_rounded = declared_type == "REAL" and argument_type in ("INT", WHOLE)
+            may_be_rounded |= declared_type == "INT" and argument_type != "INT"
+            parameter_type = WHOLE if may_be_rounded else declared_type  # see `_BoundCall.argument_types`
+            if parameter_type:
+                self.run.variables.types[stored_name] = parameter_type
             argument_value = bound.argument_values.get(index, NO_VALUE)
-            value = convert_to_type(argument_value, kind) if kind else argument_value
+            value = convert_to_type(argument_value, parameter_type) if parameter_type else argument_value
             # the same object if it is equal: `_end_routine` compares by identity to see whether the routine has set it
             self.run.variables.put(stored_name, argument_value if value == argument_value else value)
         self.run.variables.volatile_values |= bound.volatile_names
@@ -474,8 +478,8 @@ class Calls:
     def _end_routine(self, bound: _BoundCall) -> None:
         """End a called routine: its caller runs again, and its arguments get the final values of the parameters.
 
-        An argument whose parameter has not been set stays as it is. An argument of which it is not known which variable
-        it is, and a system variable that does not keep what is written, become unknown.
+        An argument whose parameter has not been set stays as it is. An element whose index is not known, and a system
+        variable that does not keep a written value, become unknown.
         """
         self._leave_routine(bound)
         place, variables = bound.place, self.run.variables
@@ -522,7 +526,7 @@ class _PureFunctions(Struct, frozen=True, eq=False):
         )
 
     def value(self, call: Call) -> VariableValue:
-        """Return the value of a call of a pure function at the statement that runs; `NO_VALUE` before the first one."""
+        """Return the value of a call of a pure function; `NO_VALUE` before the first statement of the program runs."""
         place = self.calls.run.statement_place
         return NO_VALUE if place is None else self.calls.follow_call(place, call, is_certain=False)
 

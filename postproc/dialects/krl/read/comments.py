@@ -95,7 +95,7 @@ def _parsed_notes(
 
 
 class _ForcePair(NamedTuple):
-    """The acting force, and the force on the last motion."""
+    """The acting force, and the force on the last motion; see `_ActiveForce`."""
 
     active_force: _Force
     motion_force: _Force
@@ -160,7 +160,7 @@ class _ActiveForce:
                 self._set_force(line, entry.active_force)
             elif isinstance(event, Join):
                 entry, ends = open_forks.pop()
-                # the first of `ends` was noted where the first branch begins: it is no end
+                # the first of `ends` was noted where the first branch begins, before any branch ended
                 end_forces = [*ends[1:], _ForcePair(self.active_force, self.motion_force)]
                 if not event.is_exhaustive:
                     end_forces.append(entry)

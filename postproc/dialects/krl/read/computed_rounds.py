@@ -150,7 +150,7 @@ class _Rounds:
     def __init__(self, run: Run, rounds: PlainRounds, counter: str) -> None:
         """Begin with the values of the counter alone; `counter` is its name, upper case."""
         self.run, self.count = run, rounds.count
-        self.columns = {counter: _Column([float(number) for number in rounds.indices(0)], is_integer=True)}
+        self.columns = {counter: _Column([float(number) for number in rounds.indices(offset=0)], is_integer=True)}
         self.positions: dict[str, list[Position]] = {}
         self.copied_elements: list[tuple[int, Reference, str]] = []
 
@@ -278,14 +278,15 @@ def _operation_column(operator: str, left: _Column, right: _Column) -> _Column:
 
     :raises _NoColumnError: a result is not known, as that of a division by 0.
     """
-    integer = left.is_integer and right.is_integer
+    are_integers = left.is_integer and right.is_integer
     values = [
-        operation_result(operator, a, b, integer=integer) for a, b in zip(left.numbers, right.numbers, strict=True)
+        operation_result(operator, a, b, are_integers=are_integers)
+        for a, b in zip(left.numbers, right.numbers, strict=True)
     ]
     numbers = [value for value in values if isinstance(value, int | float)]
     if len(numbers) < len(values):
         raise _NoColumnError
-    return _Column(numbers, integer)
+    return _Column(numbers, are_integers)
 
 
 def _cartesian_position(aggregate: Aggregate) -> Position:

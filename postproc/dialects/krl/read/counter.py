@@ -9,7 +9,7 @@ from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.values import Number, Value
-from postproc.dialects.krl.read.explanations import why_not_decided, without_value
+from postproc.dialects.krl.read.explanations import names_without_value, why_not_decided
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE
 from postproc.dialects.krl.read.known import InexactError, inexact_error
 from postproc.dialects.krl.read.run import Run
@@ -24,7 +24,7 @@ def undecided_error(run: Run, place: Place, bounds: Sequence[Value] = ()) -> Ine
     stmt = statement(place.source, place.line)
     values = bounds or stmt.values
     reason = why_not_decided(run.variables, place.source, values)
-    names = without_value(run.variables, place.source, values)
+    names = names_without_value(run.variables, place.source, values)
     value_advice = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
     subject = "bounds are" if stmt.word == "FOR" else "condition is"
     problem = f"motion inside {stmt.word}: its {subject} not known before the program runs{reason}"

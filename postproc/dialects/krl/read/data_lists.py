@@ -26,19 +26,20 @@ def read_data(
     variables: Variables,
     source: Source,
     *,
-    fill: bool = False,
+    fills_gaps: bool = False,
     is_global: bool = False,
     wanted_names: Set[str] | None = None,
 ) -> None:
     """Store the types and values of the variables that a `.dat` declares.
 
-    :param fill: True to store only what is missing: values of names without a value, types of names without a type.
+    :param fills_gaps: True to store only what is missing: values of names without a value, and types of names without
+        a type.
     :param is_global: True if all variables are GLOBAL, as those of the `$config.dat`.
     :param wanted_names: names of the variables to store, upper case; None: all.
     :raises ProgramError: DEFDAT or ENDDAT is missing.
     :raises CellError: the file contradicts another source of BASE_DATA or TOOL_DATA.
     """
-    _DataReader(variables, source, fill, is_global, wanted_names).read()
+    _DataReader(variables, source, fills_gaps, is_global, wanted_names).read()
 
 
 class _DataReader(Struct, frozen=True, eq=False):
@@ -46,7 +47,7 @@ class _DataReader(Struct, frozen=True, eq=False):
 
     variables: Variables
     source: Source
-    fill: bool
+    fills_gaps: bool
     is_global: bool
     wanted_names: Set[str] | None
 
@@ -58,7 +59,7 @@ class _DataReader(Struct, frozen=True, eq=False):
         """
         source, text = self.source, self.source.text
         has_defdat = has_enddat = False
-        takes_all = self.wanted_names is None and not self.fill  # `_note_element` checks neither
+        takes_all = self.wanted_names is None and not self.fills_gaps  # `_note_element` does not check these two
         for line, (start, stop) in enumerate(zip(source.starts.tolist(), source.stops.tolist(), strict=True), 1):
             while start < stop and text[start] in " \t\r":
                 start += 1
@@ -118,7 +119,7 @@ class _DataReader(Struct, frozen=True, eq=False):
             if self.wanted_names is not None and declarator.name not in self.wanted_names:
                 continue
             is_global = declarator.is_global or self.is_global
-            key = _note_declaration(variables, replace(declarator, is_global=is_global), fill=self.fill)
+            key = _note_declaration(variables, replace(declarator, is_global=is_global), fills_gaps=self.fills_gaps)
             # STRUC declares a type with its members
             if declarator.kind == "STRUC" and (named_structure := structure(source, *source.code_span(line))):
                 variables.structures.setdefault(named_structure.name, named_structure.members)
@@ -127,7 +128,7 @@ class _DataReader(Struct, frozen=True, eq=False):
             value = UnparsedValue(source, declarator.value_start, stop)
             if variable_of(key) in FRAME_ARRAYS:
                 variables.note_frame(key, value, f"{source.document.name}, line {line}")
-            if not (self.fill and key in variables):
+            if not (self.fills_gaps and key in variables):
                 variables.persistent_names.add(variables.scope.stored_name(declarator.name))
                 variables.put(key, value)
 
@@ -156,16 +157,16 @@ def declare_variables(
     return declaration.names
 
 
-def _note_declaration(variables: Variables, declarator: DeclaredName, *, fill: bool = False) -> str:
+def _note_declaration(variables: Variables, declarator: DeclaredName, *, fills_gaps: bool = False) -> str:
     """Store the type of a declared name and whether it is GLOBAL; return the key under which its value is stored.
 
     The key has the indices if the declaration sets one array element, as in ``DECL E6POS P[3]={…}``.
 
-    :param fill: True to keep a type that is stored already.
+    :param fills_gaps: True to keep a type that is stored already.
     """
     name = variables.scope.stored_name(declarator.name)
     has_type_of_call = declarator.name in variables.scope.local_names  # the call may have set the type of a parameter
-    if declarator.kind and not ((fill or has_type_of_call) and name in variables.types):
+    if declarator.kind and not ((fills_gaps or has_type_of_call) and name in variables.types):
         variables.types[name] = declarator.kind
         if declarator.is_global:
             variables.global_names.add(name)
@@ -208,4 +209,4 @@ def read_shared(
     for path, names in global_names.items():
         if not unique_names.isdisjoint(names):
             with suppress(ProgramError):  # a motion that needs one of its variables reports that it has no value
-                read_data(variables, files.source(path), fill=True, wanted_names=unique_names)
+                read_data(variables, files.source(path), fills_gaps=True, wanted_names=unique_names)

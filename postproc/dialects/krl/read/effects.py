@@ -147,7 +147,7 @@ class Analysis:
     def effects_of(self, module: Module, routine: Routine) -> Effects:
         """Return the effects of a routine and of all routines that it may call.
 
-        `jump` and `parameter_write` are those of the routine itself.
+        `jump` and `parameter_write` are effects of the routine's own statements alone. The result is stored.
         """
         total = self._total_effects.get(routine)
         if total is not None:
@@ -162,7 +162,7 @@ class Analysis:
                 action = Effects()
                 self._add_action_effects(action, event)
                 total.interrupt_motion = total.interrupt_motion or action.motion
-        # only in an action does a motion back to the path leave the path as it is
+        # a motion back to the point of interruption leaves the path unchanged only in the action of an interrupt
         total.motion = total.motion or total.return_motion
         self._total_effects[routine] = total
         return total
@@ -322,7 +322,7 @@ class Analysis:
             _Statement(self, *node, place, direct.effects, direct.callees).note_effects(stmt)
             return
         direct.has_actions = True
-        # its effects come at any time after the declaration
+        # its effects may occur at any time after the declaration
         later_statement = _Statement(self, *node, place, direct.action_effects, direct.action_callees)
         if isinstance(stmt, Event):
             later_statement.note_event_effects(stmt)
@@ -399,8 +399,8 @@ class _Statement(Struct, eq=False):
     def note_write(self, name: str) -> None:
         """Note that the statement may write a variable, if others can see it.
 
-        They see variables that are not local to the routine, parameters without ``:IN``, and all variables of a routine
-        that runs.
+        Others see variables that are not local to the routine, and parameters without ``:IN``. If the routine runs, its
+        local variables count too.
         """
         name = name.upper()
         if self.running_scope is not None:
@@ -412,9 +412,10 @@ class _Statement(Struct, eq=False):
             self.effects.parameter_write = self.effects.parameter_write or self.place
 
     def _note_call(self, call: Call) -> None:
-        """Note a call: the arguments that it may write, and the called routine, or that this is in no file.
+        """Note a call: the arguments that it may write, and the called routine.
 
-        Functions of the controller (`STANDARD`) are in no file, and are not noted.
+        A routine that is in no file is added to `Effects.absent_calls`; functions of the controller (`STANDARD`) are
+        not.
         """
         callee = self.analysis.library.find_callee(call.name, self.module)
         parameters = callee.routine.parameters if callee else ()

@@ -144,17 +144,19 @@ class _Follower:
     """Completes the targets of motions in order: plain ones in bulk, special ones one by one.
 
     :param targets: completed in place.
-    :param present: the robot position before the first motion.
+    :param robot_position: the robot position before the first motion.
     :param kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
-    :ivar present: the robot position before the next motion.
+    :ivar robot_position: the robot position before the next motion.
     :ivar joints: row → joint angles (6,) [rad] of axis targets.
     :ivar circles: see `EndPoses.circles`.
     :ivar starts_from_joints: see `EndPoses`.
     """
 
-    def __init__(self, targets: TextTargets, present: _RobotPosition, kinematics: Callable[[Array], Array]) -> None:
+    def __init__(
+        self, targets: TextTargets, robot_position: _RobotPosition, kinematics: Callable[[Array], Array]
+    ) -> None:
         """Begin before the first motion."""
-        self.targets, self.present, self.kinematics = targets, present, kinematics
+        self.targets, self.robot_position, self.kinematics = targets, robot_position, kinematics
         self.trace, self.line, self.control, self.numbers = (
             targets.trace,
             targets.line,
@@ -166,31 +168,34 @@ class _Follower:
         self.starts_from_joints = np.zeros(len(targets.numbers), dtype=np.bool_)
 
     def flange(self) -> Array:
-        """Return the present flange (4, 4) in the robot root [m], computed and stored after a Cartesian target."""
-        present, frames = self.present, self.targets.frames
-        if present.numbers is not None:
-            tcp = frames.bases[present.base] @ pose_from_xyzabc(present.numbers)
-            present.flange = tcp @ inverse(frames.tools[present.tool])
-        return present.flange
+        """Return the present flange (4, 4) in the robot root [m].
+
+        After a Cartesian target it is computed, and stored in `robot_position`.
+        """
+        robot_position, frames = self.robot_position, self.targets.frames
+        if robot_position.numbers is not None:
+            tcp = frames.bases[robot_position.base] @ pose_from_xyzabc(robot_position.numbers)
+            robot_position.flange = tcp @ inverse(frames.tools[robot_position.tool])
+        return robot_position.flange
 
     def present_numbers(self, row: int) -> Array:
         """Return X…C (6,) [mm, deg] of the present position, in `$BASE` and for `$TOOL` of a motion.
 
         :param row: row of the motion; its frames may differ from those of the previous target.
         """
-        present, frames = self.present, self.targets.frames
+        robot_position, frames = self.robot_position, self.targets.frames
         base, tool = int(frames.base[row]), int(frames.tool[row])
-        if present.numbers is not None and (present.base, present.tool) == (base, tool):
-            return present.numbers
+        if robot_position.numbers is not None and (robot_position.base, robot_position.tool) == (base, tool):
+            return robot_position.numbers
         return xyzabc_from_pose(inverse(frames.bases[base]) @ self.flange() @ frames.tools[tool])
 
     def arrive(self, row: int) -> None:
-        """Make the Cartesian target of a motion, given by its row, the present position."""
-        present, frames = self.present, self.targets.frames
-        present.numbers, present.joints = self.numbers[row], None
-        present.base, present.tool = int(frames.base[row]), int(frames.tool[row])
+        """Make the Cartesian target of a motion the present robot position; `row` is the row of the motion."""
+        robot_position, frames = self.robot_position, self.targets.frames
+        robot_position.numbers, robot_position.joints = self.numbers[row], None
+        robot_position.base, robot_position.tool = int(frames.base[row]), int(frames.tool[row])
 
-    def complete_absolute(self, first: int, last: int) -> None:
+    def complete_absolute_targets(self, first: int, last: int) -> None:
         """Fill in the missing components of the absolute Cartesian targets of rows first … last − 1.
 
         The last of these targets becomes the present position.
@@ -199,7 +204,7 @@ class _Follower:
         """
         if first == last:
             return
-        self.starts_from_joints[first] = self.present.numbers is None
+        self.starts_from_joints[first] = self.robot_position.numbers is None
         for chunk in chunks(last - first):
             self._fill_in_rows(first + chunk.start, min(first + chunk.stop, last))
 
@@ -209,7 +214,7 @@ class _Follower:
         A running maximum of row numbers finds, for each component, the latest row that gives it. What the first row
         lacks is taken from the present position. The last target becomes the present position.
 
-        :raises ProgramError: as for `complete_absolute`.
+        :raises ProgramError: as for `complete_absolute_targets`.
         """
         block = self.numbers[first:last]
         is_missing = np.isnan(block)
@@ -251,16 +256,19 @@ class _Follower:
         :param incomplete: (n,) True where a component is missing, from row `first` on.
         :raises ProgramError: there is such a target.
         """
-        present, (base, tool, _, _) = self.present, self.targets.frames
+        robot_position, (base, tool, _, _) = self.robot_position, self.targets.frames
         has_changed = np.zeros(last - first, dtype=np.bool_)
         has_changed[1:] = (np.diff(base[first:last]) != 0) | (np.diff(tool[first:last]) != 0)
-        has_changed[0] = present.numbers is not None and (present.base, present.tool) != (base[first], tool[first])
+        has_changed[0] = robot_position.numbers is not None and (robot_position.base, robot_position.tool) != (
+            base[first],
+            tool[first],
+        )
         uncertain_rows = np.flatnonzero(has_changed & incomplete)
         if len(uncertain_rows):
             problem = "components are missing right after $BASE or $TOOL changed: the values they keep are not certain"
             raise self.trace.error(problem, int(self.line[first + uncertain_rows[0]]), _FRAME_ADVICE)
 
-    def follow_special(self, row: int, move: MotionStatement | None) -> None:
+    def follow_special_motion(self, row: int, move: MotionStatement | None) -> None:
         """Complete the target of one of the `_special_rows`, and make it the present position.
 
         :param row: row of the motion.
@@ -270,9 +278,9 @@ class _Follower:
         if move is not None and move.end.position.is_axis:
             self._follow_axis_target(row, move)
             return
-        start, control = self.present_numbers(row).copy(), self.control  # the array itself may be filled in
+        start, control = self.present_numbers(row).copy(), self.control  # a copy: the array may be changed below
         if move is not None and move.relative_axes:
-            self.starts_from_joints[row] = self.present.numbers is None
+            self.starts_from_joints[row] = self.robot_position.numbers is None
             self.numbers[row] = self._relative_target(move, start)
             if move.via is not None:
                 via = start[:3] + _relative_offset(move.via.position, move.relative_axes, start)
@@ -280,13 +288,13 @@ class _Follower:
         else:
             if control.keeps_orientation[row]:
                 self.numbers[row, 3:] = start[3:]
-            self.complete_absolute(row, row + 1)
+            self.complete_absolute_targets(row, row + 1)
         angle = None if move is None or move.angle is None else move.angle * RAD_PER_DEG
         if angle is not None or (control.keeps_orientation[row] and control.turns_with_path[row]):
-            self._end_of_circle(row, start, angle)
+            self._set_end_of_circle(row, start, angle)
         self.arrive(row)
 
-    def _end_of_circle(self, row: int, start: Array, angle: float | None) -> None:
+    def _set_end_of_circle(self, row: int, start: Array, angle: float | None) -> None:
         """Set the end of a circle in `numbers`.
 
         With CA the end is the point at that angle. Where the orientation is kept relative to the path, it turns by the
@@ -316,7 +324,7 @@ class _Follower:
         :param row: row of the motion; `move` is its statement.
         :raises ProgramError: angles are missing or relative, and the angles before are not known.
         """
-        angles, previous_joints = np.array(move.end.position.values) * RAD_PER_DEG, self.present.joints
+        angles, previous_joints = np.array(move.end.position.values) * RAD_PER_DEG, self.robot_position.joints
         if previous_joints is None and (move.relative_axes or np.isnan(angles).any()):
             raise self.trace.error(
                 "the joint angles before this motion are not known", move.line, "Give all of A1 … A6, not relative."
@@ -327,12 +335,12 @@ class _Follower:
                 if move.relative_axes
                 else np.where(np.isnan(angles), previous_joints, angles)
             )
-        self.starts_from_joints[row] = self.present.numbers is None
+        self.starts_from_joints[row] = self.robot_position.numbers is None
         self.joints[row] = angles
         flange = self.kinematics(angles)
         if (carriage := self.targets.carriage) is not None:
             flange = flange_on_track(flange, carriage, float(carriage.end[row]))
-        self.present = _RobotPosition(flange, angles)
+        self.robot_position = _RobotPosition(flange, angles)
         self.numbers[row] = self.present_numbers(row)
 
     def _relative_target(self, move: MotionStatement, start: Array) -> Array:
@@ -395,10 +403,10 @@ def end_poses(
     follower = _Follower(targets, _RobotPosition(start_flange, start_joints), kinematics)
     row = 0
     for special_row in _special_rows(targets):
-        follower.complete_absolute(row, special_row)
-        follower.follow_special(special_row, targets.statements.get(special_row))
+        follower.complete_absolute_targets(row, special_row)
+        follower.follow_special_motion(special_row, targets.statements.get(special_row))
         row = special_row + 1
-    follower.complete_absolute(row, len(numbers))
+    follower.complete_absolute_targets(row, len(numbers))
 
     pose = poses_from_xyzabc(numbers)
     start = Starts.of(targets.frames, pose.__getitem__, start_flange, predecessors)

@@ -27,8 +27,8 @@ _MAX_TEXT_LENGTH = 80
 """Characters of an expression that a message shows."""
 
 
-def without_value(variables: Variables, source: Source, values: Iterable[Value]) -> list[str]:
-    """Return the variables in some expressions that have no value and to which the cell can give one, as spelled.
+def names_without_value(variables: Variables, source: Source, values: Iterable[Value]) -> list[str]:
+    """Return the names, as spelled, of variables without a value in some expressions, if the cell can give a value.
 
     Local variables, fields of structures and settings of motions are left out: the cell cannot give them a value.
 

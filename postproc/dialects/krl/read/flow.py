@@ -119,10 +119,10 @@ class Flow:
         return {stmt.name for stmt in statements if isinstance(stmt, tree.Label)}
 
     def _label_index(self, source: Source, nodes: tuple[Node, ...], index: int) -> int:
-        """Return the index of the node with the label of a GOTO that has run; the GOTO is then complete.
+        """Return the index of the node with the label of a GOTO that has run, and reset `Level.jump_line`.
 
         :param index: index of the node with the GOTO; labels before it are not searched.
-        :returns: the number of nodes if no later node is the label, or no trace is recorded.
+        :returns: the number of nodes if no later node is the label, or no trace is recorded; `jump_line` then stays.
         :raises InexactError: the GOTO is in a loop around motions.
         """
         level, recorder = self.run.level, self.recorder
@@ -213,9 +213,9 @@ class Flow:
         """Follow one statement. EXIT sets `Level.is_left`, GOTO `Level.jump_line`: the next statement does not run."""
         level, word = self.run.level, stmt.word
         if level.is_traced:
-            self._come_to(place.line)
+            self._go_to_line(place.line)
         self._count_statement(place)
-        # a recorded trace that is followed has no loops, whose rounds are its rows: an EXIT there is that of a round
+        # in a recorded trace the rounds of loops are rows, and `loop_depth` is 0: an EXIT there ends a round
         if word == "EXIT" and (level.loop_depth or (level.is_traced and self.recorder is None)):
             level.is_left = True
             return
@@ -227,7 +227,7 @@ class Flow:
             return
         self._follow_noting_errors(place, stmt)
 
-    def _come_to(self, line: int) -> None:
+    def _go_to_line(self, line: int) -> None:
         """Make the row of the trace with a line (from 1) of the present routine the present row."""
         run = self.run
         if self.recorder is not None and self.recorder.is_final:
@@ -301,7 +301,7 @@ class Flow:
         _, routine = callee
         self._check_structure(routine)
         self._check_statement_count(place, self._least_statements.minimum_of_call(*callee))
-        undo = self._undo_from_here(recorder)
+        undo = self._undo_function(recorder)
         try:
             self._record_call(place, call, recorder, *callee)
         except InexactError:
@@ -331,8 +331,8 @@ class Flow:
         callee = self.interpreter.calls.traced_callee(call)
         return callee is not None and self.run.analysis.effects_of(*callee).motion is not None
 
-    def _undo_from_here(self, recorder: Recorder) -> Callable[[], None]:
-        """Return a function that restores the findings, the position in the program, the trace and the open calls.
+    def _undo_function(self, recorder: Recorder) -> Callable[[], None]:
+        """Return a function that restores the present findings, position in the program, trace and open calls.
 
         Values of variables and settings are not restored: to copy all of them for each call would take too long.
         """
@@ -343,7 +343,7 @@ class Flow:
         def undo() -> None:
             """Restore the findings, the position in the program, the trace and the open calls."""
             run.drop_findings(counts)
-            recorder.back_to(mark)
+            recorder.return_to(mark)
             run.return_to(position)
             del entered_calls[call_count:], self._enclosing[depth:]
 
@@ -408,7 +408,7 @@ class Flow:
                 )
                 raise inexact_error(Place(source, block.first), problem, _FORCE_ADVICE) from None
             return
-        undo = self._undo_from_here(recorder)
+        undo = self._undo_function(recorder)
         try:
             self._follow_exactly(source, block, recorder)
         except InexactError as cause:
@@ -420,8 +420,8 @@ class Flow:
     def follow_roughly(self, source: Source, block: Block) -> None:
         """Mark all variables that a control structure may write as unknown, for any number of iterations.
 
-        Its lines are followed in order, as statements that may not run. A loop is followed twice, the second time with
-        what the first time has made unknown.
+        Its lines are followed in order, as statements that may not run. A loop is followed twice: variables that become
+        unknown in the first round may make others unknown in the second one.
         """
         lines = list(block.lines())
         self._add_to_count(len(lines))
@@ -430,7 +430,7 @@ class Flow:
             self.run.drop_findings(counts)
             for line in lines:
                 if self.run.level.is_traced:
-                    self._come_to(line)
+                    self._go_to_line(line)
                 self._follow_noting_errors(Place(source, line), statement(source, line))
 
     def _follow_exactly(self, source: Source, block: Block, recorder: Recorder | None) -> None:
@@ -525,7 +525,7 @@ class Flow:
         occasion = Occasion(Place(source, block.first), tuple(self._enclosing))
         if not next_index or self._is_part_known(source, block) or occasion in run.obstacles:
             return 0
-        undo = self._undo_from_here(recorder)
+        undo = self._undo_function(recorder)
         try:
             recorder.record_run_lines(block.first - 1)
             recorder.record_passed_lines(part.head)
@@ -552,7 +552,7 @@ class Flow:
     def _may_follow_both_branches(self, source: Source, block: Block) -> bool:
         """Return whether both branches of a control structure may be followed: one runs its statements, one skips them.
 
-        They may for an IF without ELSE that runs exactly once for certain, and whose condition has no effects.
+        True for an IF without ELSE in no loop, that certainly runs, and whose condition has no side effects.
         """
         level = self.run.level
         if not level.is_traced or level.loop_depth or not self.run.is_certain:
@@ -599,7 +599,7 @@ class Flow:
         :param index: index of the node with the IF that jumps.
         :param jump: the last node of this IF; empty if the IF is empty.
         :param ends_routine: True if the routine ends after the nodes.
-        :returns: zeros if the last node is no such jump.
+        :returns: 0 and 0 if the last node is no such jump, or the label is not among the later nodes.
         """
         if not jump or not isinstance(jump[0], int):
             return 0, 0
@@ -772,7 +772,7 @@ class Flow:
         end, recorder = self._back_jump_index(source, nodes, index, label), self.recorder
         if not end or recorder is None:
             return 0
-        run, undo = self.run, self._undo_from_here(recorder)
+        run, undo = self.run, self._undo_function(recorder)
         values, state = run.variables.snapshot(), run.settings.state
         run.is_final = False
         try:

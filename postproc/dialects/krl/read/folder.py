@@ -237,16 +237,16 @@ class Library:
         """Return the names of the programs of all folders, upper case."""
         return frozenset(path.stem.upper() for path in self.files.paths.values() if path.suffix.upper() != ".DAT")
 
-    def names(self) -> frozenset[str]:
+    def program_and_routine_names(self) -> frozenset[str]:
         """Return the names of the programs and GLOBAL routines of all folders, upper case."""
         paths = (path for path in self.files.paths.values() if path.suffix.upper() != ".DAT")
         return self.program_names().union(*(self.files.names_in(path, scan.global_routines) for path in paths))
 
-    def users(self, routines: Collection[Routine]) -> Mapping[str, tuple[str, ...]]:
-        """Return which programs of the folders, other than those that were read, call some routines.
+    def programs_calling(self, routines: Collection[Routine]) -> Mapping[str, tuple[str, ...]]:
+        """Return the programs of the folders that call some routines, without the programs that were read.
 
-        :returns: name of each file with such routines → names of the programs that call one of them, sorted; empty if
-            none does.
+        :returns: name of the file of each routine → names of the programs that call a routine of it, sorted; an empty
+            tuple if none does.
         """
         read_files = {module.source.document.name.upper() for module in (self.program, *self.read_modules())}
         unread_paths = [
@@ -260,11 +260,11 @@ class Library:
             user_names[file] = tuple(sorted({*user_names.get(file, ()), *users}))
         return user_names
 
-    def writers(self, names: Set[str]) -> dict[str, tuple[str, ...]]:
-        """Return which programs of the folders, other than those that were read, set some GLOBAL variables.
+    def programs_setting(self, names: Set[str]) -> dict[str, tuple[str, ...]]:
+        """Return the programs of the folders that set some GLOBAL variables, without the programs that were read.
 
         :param names: names of the variables, upper case.
-        :returns: variable → names of the programs that set it, sorted; variables that none sets are left out.
+        :returns: variable → names of the programs that set it, sorted; variables that no program sets are left out.
         """
         read_files = {module.source.document.name.upper() for module in (self.program, *self.read_modules())}
         writer_names: dict[str, list[str]] = {}
@@ -337,7 +337,7 @@ def module_of(source: Source, data: Source | None = None) -> Module:
 
 
 def find_needed_files(
-    documents: Sequence[Document], code: Iterable[Code], files: FolderFiles, moving: Collection[str]
+    documents: Sequence[Document], code: Iterable[Code], files: FolderFiles, moving_files: Collection[str]
 ) -> tuple[NeededFile, ...]:
     """Return the files that a program needs from its folder to run, sorted by name.
 
@@ -345,7 +345,7 @@ def find_needed_files(
     :param code: all code of its `.src` files that may name other files; it is not read if the folder has no other
         files.
     :param files: the files of the folders.
-    :param moving: names, upper case, of the files with routines that the program calls and that move the robot.
+    :param moving_files: names, upper case, of the files with routines that the program calls and that move the robot.
     """
     folder = Path(documents[0].folder)
     own_names = {document.name.upper() for document in documents}
@@ -359,10 +359,10 @@ def find_needed_files(
     links = _Links(siblings, files)
     data_texts = (document.text for document in documents if PurePath(document.name).suffix.upper() == ".DAT")
     for routine_code in code:
-        links.follow(routine_code)
+        links.follow_code(routine_code)
     for text in data_texts:
-        links.follow_data(text)
-    return tuple(links.needed_file(name, moving) for name in sorted(links.called_files | links.used_data))
+        links.follow_data_list(text)
+    return tuple(links.needed_file(name, moving_files) for name in sorted(links.called_files | links.used_data))
 
 
 def text_of_lines(source: Source, lines: Iterable[int]) -> str:
@@ -420,7 +420,7 @@ class _Links:
             for variable in files.names_in(path, scan.global_variables) if name.endswith(".DAT") else ():
                 self.variables.setdefault(variable, set()).add(name)
 
-    def follow(self, code: Code) -> None:
+    def follow_code(self, code: Code) -> None:
         """Note the files whose routines or variables some code names, and the files that these need in turn."""
         text = scan.without_comments(code.text)
         for path in sorted(self.files.called_files(text, code.routines)):
@@ -436,22 +436,22 @@ class _Links:
             for name in sorted(variable_names):
                 self._note_data(self.variables[name])
 
-    def follow_data(self, text: str) -> None:
+    def follow_data_list(self, text: str) -> None:
         """Note the data lists from which a data list, given by its text, imports variables."""
         data_names = {name for stem in scan.imported_files(text) if (name := f"{stem}.DAT") in self.siblings}
         self.importing_data |= data_names
         self._note_data(data_names)
 
-    def needed_file(self, name: str, moving: Collection[str]) -> NeededFile:
+    def needed_file(self, name: str, moving_files: Collection[str]) -> NeededFile:
         """Return a noted file as a `NeededFile`.
 
         :param name: name of the file, upper case.
-        :param moving: names of the files with routines that the program calls and that move the robot.
+        :param moving_files: names of the files with routines that the program calls and that move the robot.
         """
         path, source = self.siblings[name], self.siblings.get(f"{PurePath(name).stem}.SRC")
         if name in self.called_files:
             uncorrected = name.endswith(".SRC") and scan.has_motion(scan.without_comments(self._text(path)))
-            return NeededFile(str(path), moves=name in moving, uncorrected=uncorrected)
+            return NeededFile(str(path), moves=name in moving_files, uncorrected=uncorrected)
         if source is None or not self._moves(source):
             return NeededFile(str(path), moves=False)
         # a data list of a program that moves the robot: which GLOBAL variables of it are used
@@ -463,7 +463,7 @@ class _Links:
         """Note data lists of which variables are used, and the data lists from which these import variables."""
         for name in sorted(set(names) - self.used_data):
             self.used_data.add(name)
-            self.follow_data(self._text(self.siblings[name]))
+            self.follow_data_list(self._text(self.siblings[name]))
 
     def _follow_file(self, name: str) -> None:
         """Note the `.dat` of a called file, and all files that the `.src` or the `.dat` names.
@@ -473,16 +473,16 @@ class _Links:
         data = self.siblings.get(f"{PurePath(name).stem}.DAT")
         if data is not None:
             self.called_files.add(data.name.upper())
-            self.follow_data(self._text(data))
+            self.follow_data_list(self._text(data))
         try:
             module = module_of(
                 self.files.source(self.siblings[name]), None if data is None else self.files.source(data)
             )
         except ProgramError:  # a file with errors: its text as a whole
-            self.follow(Code(self._text(self.siblings[name]), names=frozenset(), routines=frozenset()))
+            self.follow_code(Code(self._text(self.siblings[name]), names=frozenset(), routines=frozenset()))
             return
         for code in codes_of(module):
-            self.follow(code)
+            self.follow_code(code)
 
     def _moves(self, path: Path) -> bool:
         """Return whether a file, or one that it calls, moves the robot."""

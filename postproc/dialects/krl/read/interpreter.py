@@ -18,7 +18,7 @@ from postproc.dialects.krl.language.structures import LOOPS
 from postproc.dialects.krl.language.values import Call, OpaqueText, Reference, UnreadableText, Value, Word, walk
 from postproc.dialects.krl.read.calls import IN_ORDER, Calls
 from postproc.dialects.krl.read.data_lists import declare_variables
-from postproc.dialects.krl.read.explanations import why_not_decided, why_unknown, without_value
+from postproc.dialects.krl.read.explanations import names_without_value, why_not_decided, why_unknown
 from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue, inexact_error, stored_originals
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
 from postproc.dialects.krl.read.state import RELEVANT, STORED_VARIABLES, State
@@ -45,15 +45,15 @@ LOOP_ADVICE = (
 
 
 def undecided_jump_message(variables: Variables, control: Place | None) -> tuple[str, str]:
-    """Return the problem and the advice for a GOTO of which it is not known whether it runs.
+    """Return the problem and the advice for a GOTO that may run or not.
 
-    :param control: the control structure whose condition is not known; None if there is none.
+    :param control: head of the control structure whose condition is not known; None if it is to be left out.
     """
     if control is None:
         return _JUMP_PROBLEM, JUMP_ADVICE
     stmt = statement(control.source, control.line)
     reason = why_not_decided(variables, control.source, stmt.values)
-    names = without_value(variables, control.source, stmt.values)
+    names = names_without_value(variables, control.source, stmt.values)
     value_advice = f" Or say in [krl.values] of the cell what {', '.join(names)} will be." if names else ""
     return (
         f"{_JUMP_PROBLEM}: the condition of {stmt.word} ({control}) is not known{reason}",
@@ -83,7 +83,9 @@ class Interpreter:
         self.calls = Calls(run, run_routine)
 
     def follow_statement(self, place: Place, stmt: tree.Statement) -> None:
-        """Run one statement. Motions of routines outside of the trace are not taken; their functions are followed.
+        """Run one statement.
+
+        Motions of routines outside of the trace are not taken, but functions that they call are followed.
 
         :raises ProgramError: the statement is not understood, or its effect on motion is not modelled.
         """
@@ -93,19 +95,21 @@ class Interpreter:
                 self._take_motion(place, stmt)
             else:
                 self.follow_functions(place, stmt.values)
-        elif (isinstance(stmt, _SIMPLE_STATEMENTS) and stmt.word not in _ASYNCHRONOUS) or not self._follow_control(
-            place, stmt
-        ):
+            return
+        # most statements are simple: these do not control execution
+        is_simple = isinstance(stmt, _SIMPLE_STATEMENTS) and stmt.word not in _ASYNCHRONOUS
+        if is_simple or not self._follow_control(place, stmt):
             self._follow_other(place, stmt)
 
     def _follow_control(self, place: Place, stmt: tree.Statement) -> bool:
-        """Follow a statement that controls execution: a line of a control structure, GOTO, RETURN and the like.
+        """Follow a statement that controls execution: a line of a control structure, GOTO, RETURN, or CONST_VEL.
 
-        The head and the end of a control structure change `Level.open_structures`.
+        The head and the end of a control structure change `Level.open_structures`. Statements that move external axes
+        are refused here too.
 
         :returns: False if the statement is no such statement; nothing is followed then.
-        :raises ProgramError: it closes a structure that is not open, what runs next is not known, or it moves external
-            axes.
+        :raises ProgramError: the statement closes a structure that is not open, is a GOTO that may run or not, or
+            moves external axes.
         """
         level, word = self.run.level, stmt.word
         if word in OPENING or word == "REPEAT":  # REPEAT ends with UNTIL
@@ -151,9 +155,9 @@ class Interpreter:
     def _follow_return(self, place: Place, stmt: tree.Return) -> None:
         """Follow RETURN: the routine ends, with its value if it is a function.
 
-        In the main routine a RETURN of which it is not known whether it runs is passed over.
+        A RETURN that may not run is passed over in the main routine, and refused in a called routine.
 
-        :raises InexactError: it is not known whether it runs, and the routine is a called one.
+        :raises InexactError: the RETURN may not run, and is in a called routine.
         """
         level = self.run.level
         if not self.run.is_certain:
@@ -228,6 +232,7 @@ class Interpreter:
         :raises InexactError: the EXIT is in a control structure of the loop whose condition is not known.
         """
         level = self.run.level
+        # without open structures the EXIT surely runs; an open loop is the one that it leaves
         if level.loop_depth and not any(word in LOOPS for word, _ in level.open_structures):
             word, line = level.open_structures[-1]
             reason = why_not_decided(self.run.variables, place.source, statement(place.source, line).values)
@@ -300,14 +305,15 @@ class Interpreter:
     def _store(self, place: Place, target: Reference, key: str, expression: Value, value: VariableValue) -> None:
         """Give a variable, or a member of it, the value of an assignment.
 
-        An unknown value keeps its own reason if that says where it arose; else this assignment becomes its place.
+        An unknown value stays as it is if it states a reason and its place. Without a reason it stays if the whole
+        variable is set. In other cases it gets the place of the assignment, and the reason for that.
 
         :param target: the variable as the statement names it; `key` is its stored name.
         :param value: value of the expression.
         """
         if isinstance(value, UnknownValue):
-            has_own_place = bool(value.change_place) if value.reason else target.field is None
-            if value == NO_VALUE or not has_own_place:
+            stays = bool(value.change_place) if value.reason else target.field is None
+            if value == NO_VALUE or not stays:
                 value = UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
         if target.field is None:
             self.run.note_copy(expression, value, target.name)
@@ -337,7 +343,7 @@ class Interpreter:
 
         :raises ProgramError: the value cannot be read, or its effect on motion is not modelled.
         """
-        # the expression itself, from which messages quote; the value of a function that has been run
+        # the expression, which messages quote; in place of a function that has been run, its value
         value: Value | VariableValue = expression
         if isinstance(expression, UnreadableText):
             raise expression.error
@@ -366,5 +372,6 @@ class Interpreter:
         if effects.motion is not None:
             raise place.error(f"{event.word} moves the robot ({effects.motion})", IN_ORDER)
         self.calls.note_lasting_effects(place, event.word, effects, f"{event.word} in {place}")
+        # RESUME of a local interrupt returns to the routine that declares it
         if event.is_global or place.source is self.run.routine.source:
             self.run.resume_place = self.run.resume_place or effects.resume

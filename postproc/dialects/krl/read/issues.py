@@ -47,7 +47,7 @@ def _absent_program_warnings(main: MainRoutine) -> Iterator[Issue]:
 
     :raises ProgramError: one of the programs is known to move the robot by a sensor (`BY_SENSOR`).
     """
-    global_names = sorted(main.run.variables.used_names & main.run.variables.global_names)
+    global_names = sorted(main.run.variables.used_names & main.run.variables.global_names)  # motions depend on them
     points = f", nor the GLOBAL {first_of(global_names, _MOST_NAMES)}" if global_names else ""
     for name, line in main.run.absent_calls:
         if name.upper() in BY_SENSOR:
@@ -90,9 +90,8 @@ def _unreachable_motion_warnings(main: MainRoutine) -> Iterator[Issue]:
     motion_lines = [line for line in routine.other_lines if line > end and isinstance(statement(source, line), Motion)]
     lines = np.sort([*routine.motion_lines[routine.motion_lines > end].tolist(), *motion_lines]).astype(np.int64)
     rows, index = main.course.rows_of(source, lines)
-    lines = np.delete(
-        lines, index[main.course.may_run[rows - 1]]
-    )  # lines behind RETURN that run all the same, in a loop
+    # without lines that run all the same: the RETURN is in a loop
+    lines = np.delete(lines, index[main.course.may_run[rows - 1]])
     if len(lines):
         message = f"Motions are never reached, because of RETURN (line {end}); they are left as they are."
         yield Issue("warning", "never-reached", message, int(lines[0]), subject=routine.name, count=len(lines))
@@ -104,7 +103,9 @@ def _changed_variable_warnings(main: MainRoutine) -> Iterator[Issue]:
     Variables that the program itself changes are left out.
     """
     variables = main.run.variables
-    writers = main.run.library.writers((variables.used_names & variables.global_names) - variables.change_places.keys())
+    writers = main.run.library.programs_setting(
+        (variables.used_names & variables.global_names) - variables.change_places.keys()
+    )
     if not writers:
         return
     names = first_of([f"{name} ({', '.join(files[:_MOST_FILES])})" for name, files in writers.items()], _MOST_NAMES)
@@ -144,7 +145,7 @@ def _initial_frame_warnings(
         )
 
 
-_KEEP = "--keep-unresolved leaves motions as they are"
+_KEEP_ADVICE = "--keep-unresolved leaves motions as they are"
 
 
 def refuse_routines_with_force_comments(run: Run) -> None:
@@ -190,5 +191,5 @@ def _uncorrected_error(run: Run, call: UntracedCall, force_text: str = "") -> Pr
     problem = f"{cause.problem}; {call.name}(), called in {place_text}, would stay uncorrected under force{force_text}"
     advice = cause.advice or ""
     if "--keep-unresolved" not in advice:
-        advice = f"{advice} {_KEEP}.".strip()
+        advice = f"{advice} {_KEEP_ADVICE}.".strip()
     return ProgramError(problem, file=cause.file, line=cause.line, text=cause.text, advice=advice)

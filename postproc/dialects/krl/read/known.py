@@ -64,7 +64,8 @@ class UnparsedValue(Struct, frozen=True):
         """
         value = self.source.declared.get(self.start)
         if value is None:
-            value = self.source.declared[self.start] = value_at(self.source, self.start, self.stop)[0]
+            value, _ = value_at(self.source, self.start, self.stop)
+            self.source.declared[self.start] = value
         if self.row and isinstance(value, Aggregate):
             return replace(value, row=self.row)
         return cast("Value", value)

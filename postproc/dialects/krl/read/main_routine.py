@@ -41,7 +41,7 @@ from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.interpreter import JUMP_ADVICE
 from postproc.dialects.krl.read.motion_reader import MotionReader
 from postproc.dialects.krl.read.plain_lines import PlainLines, is_not_plain
-from postproc.dialects.krl.read.plain_rounds import ElementMotions, columns_of
+from postproc.dialects.krl.read.plain_rounds import ElementMotions, motions_and_settings_of
 from postproc.dialects.krl.read.plain_settings import PlainAssignments, PlainSettings
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.settings import Settings
@@ -89,9 +89,9 @@ class Start(Struct, frozen=True, eq=False):
 def course_of(start: Start) -> tuple[Course, CollectedMotions | None]:
     """Return the execution trace of a program, and the motions that its statements have made.
 
-    :returns: None for the motions if the statements must run once more, along the complete trace: if the lines run one
-        after the other, branches meet of which it is not known which one runs, a structure is left uncorrected, rounds
-        are taken as columns, or a statement has an error.
+    :returns: the trace and the motions. None for the motions if the statements must run once more, along the complete
+        trace: if the lines run one after the other, branches not known before run time meet, a structure is left
+        uncorrected, rounds are taken at once, or a statement has an error.
     :raises ProgramError: the order of execution is not known before the program runs, or a control structure is not
         closed.
     """
@@ -132,7 +132,7 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     has_open_part = collected_motions.splines.open_block is not None or bool(run.level.open_structures)
     if not has_all_motions or fault_of(main.name) or has_open_part:
         return course, None  # errors are reported when the statements run once more
-    run.trace, run.shown_line = course.trace, 0
+    run.trace, run.shown_line = course.trace, 0  # 0: the trace has the line to report
     return course, collected_motions
 
 
@@ -176,14 +176,20 @@ def _straight_course(main: Routine, trace: Trace) -> Course:
 
 
 def _with_used_names(course: Course, start: Start) -> Course:
-    """Return an execution trace with the names that copies of routines, and parts of a divided program, must not have.
+    """Return an execution trace with the names that new routines and programs must not have, if there may be new ones.
 
-    With inlined routines of other files it also gets the programs that call them.
+    With inlined routines of other files, which may be copied: names of programs and GLOBAL routines, and the programs
+    that call these routines. With a program that may be divided into parts: names of programs. Else the trace is
+    returned unchanged.
     """
     library = start.library
     foreign_routines = {routine for routine in course.inlined_routines if routine.source is not start.main.source}
     if foreign_routines:
-        return replace(course, used_names=library.names(), other_callers=library.users(foreign_routines))
+        return replace(
+            course,
+            used_names=library.program_and_routine_names(),
+            other_callers=library.programs_calling(foreign_routines),
+        )
     # a long program may be divided into parts
     return replace(course, used_names=library.program_names()) if start.cell.output.lines_per_file else course
 
@@ -211,6 +217,7 @@ def _may_leave_line(main: Routine, line: int) -> bool:
 
 def _returns_early(main: Routine) -> bool:
     """Return whether RETURN may end the main routine before its last statement."""
+    # both lists ascend
     last = max([*main.other_lines[-1:], *main.motion_lines[-1:].tolist()], default=0)
     return any(line < last and isinstance(statement(main.source, line), Return) for line in main.other_lines)
 
@@ -306,7 +313,7 @@ class MainRoutine:
                 break
         errors = self._errors or self._unclosed_errors()
         if errors:
-            # of equal errors, which rounds of a loop repeat, the first
+            # rounds of a loop repeat errors: the first of equal errors is the last to get into the dictionary
             raise combined_error(
                 {(error.file, error.line, error.problem): error for error in reversed(errors)}.values()
             )
@@ -355,13 +362,11 @@ class MainRoutine:
         nodes: list[tuple[int, Node | PlainRounds]] = [
             (node if isinstance(node, int) else node.first, node) for node in nodes_of(run.trace, lines)
         ]
-        # plain rounds that begin in the step
-        first, last = (
-            bisect_left(self._plain_rounds, line, key=attrgetter("first")) for line in (step.first, step.last)
-        )
-        if first < last:  # by their first rows
+        # plain rounds that begin in the step; they ascend by their first rows
+        begin, end = (bisect_left(self._plain_rounds, row, key=attrgetter("first")) for row in (step.first, step.last))
+        if begin < end:
             nodes = sorted(
-                [*nodes, *((rounds.first, rounds) for rounds in self._plain_rounds[first:last])], key=itemgetter(0)
+                [*nodes, *((rounds.first, rounds) for rounds in self._plain_rounds[begin:end])], key=itemgetter(0)
             )
         for line, node in nodes:
             run.settings.apply_assignments_before(line)
@@ -382,10 +387,10 @@ class MainRoutine:
                 self.motions.add(move, run.settings.state)
             assignment_rows = map(rounds.rows_of_statement, (rounds.head, *rounds.body.assignments))
             # only what the first and the last round assign can be seen before and after the loop
-            end_rows = [rows[end] for rows in assignment_rows for end in (0, -1)]
+            end_rows = [rows[index] for rows in assignment_rows for index in (0, -1)]
             self._follow_lines(np.sort(np.array(end_rows)), rounds)
             return
-        columns = None if rounds.body.is_computed else columns_of(run, self.reader, rounds)
+        columns = None if rounds.body.is_computed else motions_and_settings_of(run, self.reader, rounds)
         if columns is None:
             self._follow_lines(np.arange(rounds.first, rounds.stop_row), rounds)
             return
@@ -405,7 +410,7 @@ class MainRoutine:
         :param number: value to which the row sets the counter of plain rounds; None for other rows.
         """
         row = node.first if isinstance(node, Block) else node
-        place = self.run.come_to(row)
+        place = self.run.go_to_row(row)
         if number is None:
             number = self.course.count_of_row.get(row)
         if number is None:
@@ -437,7 +442,7 @@ class MainRoutine:
     def executed_motions(self, motion_lines: Ints) -> Bools:
         """Return which of n plain motions run (n,): those in `Lines` of the trace.
 
-        A running sum of +1 where these steps begin and −1 behind their ends is above zero inside them.
+        They are counted by a running sum: +1 at the begin of each of these steps, −1 behind its end.
 
         :param motion_lines: (n,) rows of the motions in the trace, ascending.
         :raises ProgramError: a motion is outside of DEF … END.
@@ -480,7 +485,7 @@ class MainRoutine:
 
     def _enter_routine(self, step: RoutineEntry) -> None:
         """Make a called routine the running routine and set its parameters; functions in the arguments are followed."""
-        place = self.run.come_to(step.row)
+        place = self.run.go_to_row(step.row)
         stmt = statement(place.source, place.line)
         if isinstance(stmt, CallStatement):
             for inner in calls(stmt.call.arguments):
@@ -506,12 +511,12 @@ class MainRoutine:
         lines, setting_lines = self._lines_of_step(step)
         for node in nodes_of(run.trace, sorted([*lines, *setting_lines])):
             if isinstance(node, Block):
-                place = run.come_to(node.first)
+                place = run.go_to_row(node.first)
                 self._flow.follow_roughly(place.source, node.shifted(-run.shift))
         motion_lines = self._plain_motion_lines  # ascending
         first, stop = np.searchsorted(motion_lines, [step.first, step.last + 1])
         run.unresolved_motions += [(line, step.why) for line in motion_lines[first:stop].tolist()]
-        run.unresolved_motions = [*dict(run.unresolved_motions).items()]  # one reason for each line
+        run.unresolved_motions = [*dict(run.unresolved_motions).items()]  # the last reason for each line
 
     def _note_fault(self, place: Place, cause: ProgramError) -> None:
         """Note an error of a statement, unless the statement names a variable whose own statement had an error."""
@@ -530,18 +535,18 @@ class MainRoutine:
 def _split_plain_settings(
     source: Source | Trace, lines: Sequence[int], settings: Sequence[int]
 ) -> tuple[Sequence[int], Ints]:
-    """Return the lines that are run one by one, and the lines (n,) of plain settings that are not.
+    """Return the lines that are run one by one, and the lines (n,) of the other plain settings.
 
-    Run one by one are the given `lines`, and the plain settings inside control structures.
+    Plain settings inside control structures are run one by one, as all other statements are.
 
-    :param source: a file, whose lines the numbers are; or the trace, whose rows they are.
-    :param lines: lines that are not plain.
-    :param settings: lines of plain settings.
+    :param source: a file; or the trace, whose rows then count as lines.
+    :param lines: lines that are not plain, ascending.
+    :param settings: lines of plain settings, ascending.
     """
     setting_lines = np.array(settings, dtype=np.int64)
     if not settings:
         return lines, setting_lines
-    is_free = is_outside(source, lines, setting_lines)
+    is_free = is_outside(source, lines, setting_lines)  # outside of all control structures
     return (lines if is_free.all() else sorted([*lines, *setting_lines[~is_free].tolist()])), setting_lines[is_free]
 
 

@@ -169,7 +169,7 @@ def compact_postures(numbers: NDArray[Any]) -> Ints:
 
 
 def narrow_integers(numbers: NDArray[Any]) -> NDArray[np.unsignedinteger[Any]]:
-    """Return integers ≥ 0 in the smallest type that holds them."""
+    """Return integers ≥ 0 in the smallest unsigned type that can store them."""
     return np.asarray(numbers.astype(np.min_scalar_type(int(numbers.max(initial=0)))))
 
 
@@ -242,7 +242,7 @@ def _empty_column(count: int, parts: Sequence[Any]) -> Any:
     """Return a column of `count` motions that is to be filled.
 
     If the columns of all parts hold one value throughout and take no memory, the result does so too: it is complete,
-    and read-only. The value of the first part stands for all: it is the one for missing numbers.
+    and read-only. All parts have the same value then, the one for missing numbers.
 
     :param parts: the column of each part.
     """

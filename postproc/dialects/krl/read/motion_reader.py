@@ -47,7 +47,7 @@ RUN_TIME_ADVICE = (
 def depends_on_position(motion: Motion) -> bool:
     """Return whether the target of a motion, by its text, depends on the robot position before it.
 
-    It does if it is relative, lacks some components, or is computed from that position.
+    True if the target is relative, lacks some components, or is computed from that position.
     """
     points = [point for point in (motion.via, motion.end) if isinstance(point, Aggregate)]
     cartesian_names = [point.items.keys() & CARTESIAN for point in points]
@@ -106,16 +106,16 @@ class MotionReading(NamedTuple):
 class MotionReader:
     """Reads motion statements.
 
-    :ivar home: (6,) joint angles of the home position [deg].
-    :ivar home_used: row of the trace with the first motion to a home position that only the cell knows; 0 if there is
-        none.
+    :ivar home_joints: (6,) joint angles of the home position [deg].
+    :ivar home_motion_row: row of the trace with the first motion to a home position that is in no file, so that
+        `home_joints` are taken; 0 if there is none.
     """
 
-    def __init__(self, settings: Settings, home: tuple[float, ...]) -> None:
+    def __init__(self, settings: Settings, home_joints: tuple[float, ...]) -> None:
         """Keep the settings, and the joint angles of the home position."""
         self.settings, self.variables = settings, settings.variables
-        self.home = home
-        self.home_used = 0
+        self.home_joints = home_joints
+        self.home_motion_row = 0
 
     def read_motion(self, place: Place, motion: Motion, row: int) -> MotionReading:
         """Return the motion of a statement with the settings in force for it.
@@ -196,10 +196,10 @@ class MotionReader:
             position = self.variables.position(value)
         except NotANumberError as cause:
             raise unresolved_error(self._explained_error(source, value, cause)) from None
-        # a home position that is in no file: that of the cell
+        # a home position that is in no file is taken from the cell
         if position is None and name in _HOME_NAMES and self.variables.evaluate(value) == NO_VALUE:
-            self.home_used = self.home_used or row
-            position = Position(self.home, is_axis=True)
+            self.home_motion_row = self.home_motion_row or row
+            position = Position(self.home_joints, is_axis=True)
         if position is None:
             reason = why_unknown(self.variables, source, value)
             raise unresolved_error(place.error(f"the target is not known: {reason}", RUN_TIME_ADVICE))

@@ -227,7 +227,7 @@ def _text_targets(
     trace, settings = main.course.trace, main.run.settings
     rows, motion_states, _, moves = sequence
     relative_rows = np.array([row for row, move in moves.items() if move.relative_axes], dtype=np.int64)
-    uses_root = np.ones(len(rows), dtype=np.bool_)  # the path depends on the robot root: not to axis targets
+    uses_root = np.ones(len(rows), dtype=np.bool_)  # the path depends on the robot root, except to axis targets
     uses_root[[row for row, move in moves.items() if move.end.position.is_axis]] = False
     issues, carriage = external_axes(
         trace, rows, relative_rows, uses_root, direction=settings.cell.carriage, predecessors=predecessors
@@ -622,8 +622,8 @@ def _circle_columns(
     circles = _circles(trace, rows, circle_rows, ends, text_ends)
     angle = _programmed_angles(moves, circle_rows, len(rows))
     has_angle = ~np.isnan(angle)  # circles with CA
-    ends_elsewhere = has_angle & ~(np.abs(angle - circles.arcs.angle) < _ARC_TOLERANCE)
-    _check_circular_angles(targets, circle_rows[ends_elsewhere], ends)
+    has_other_end = has_angle & (np.abs(angle - circles.arcs.angle) >= _ARC_TOLERANCE)  # than the end point
+    _check_circular_angles(targets, circle_rows[has_other_end], ends)
     orientations = auxiliary_orientations(trace, rows, moves, circle_rows, motion_states.take(circle_rows))
     _check_turns(circles, orientations, targets, motion_states, settings)
     drops_via_orientation[circle_rows] = orientations.has_effect

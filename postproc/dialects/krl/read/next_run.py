@@ -76,7 +76,8 @@ def changed_data_issues(
 def kept_values(main: MainRoutine) -> dict[str, str]:
     """Return variable → place that changes it, for variables whose values the next run of the program may use.
 
-    Variables that the program sets before it uses them are left out, and counters that no other statement uses.
+    Left out are variables that the program sets before it uses them, and variables that it uses only to compute their
+    own next value.
     """
     run, change_places = main.run, main.run.settings.variables.changed_data()
     uses = Uses(run, run.routine.source, run.nodes(run.routine)) if change_places else None
@@ -93,13 +94,12 @@ def _first_differing_row(first: Course, second: Course) -> int | None:
 
     It is 1 if they differ in their steps or their length alone.
     """
-    rows = min(len(first.trace), len(second.trace))  # the rows that both have
+    row_count = min(len(first.trace), len(second.trace))  # rows of both traces
     columns = [(*_file_and_line_columns(course), course.counter_values()) for course in (first, second)]
-    differs = np.zeros(rows, dtype=np.bool_)
-    for first_column, second_column in zip(*columns, strict=True):  # NaN equals NaN
-        differs |= (first_column[:rows] != second_column[:rows]) & ~(
-            np.isnan(first_column[:rows]) & np.isnan(second_column[:rows])
-        )
+    differs = np.zeros(row_count, dtype=np.bool_)
+    for first_column, second_column in zip(*columns, strict=True):
+        a, b = first_column[:row_count], second_column[:row_count]
+        differs |= (a != b) & ~(np.isnan(a) & np.isnan(b))  # NaN equals NaN
     if differs.any():
         return int(np.argmax(differs)) + 1
     return None if first.steps == second.steps and len(first.trace) == len(second.trace) else 1

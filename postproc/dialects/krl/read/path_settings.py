@@ -24,9 +24,11 @@ MODES = {
     "$SPL_ORI_JOINT_AUTO": ("#OFF", "#ON"),
     "$IPO_MODE": ("#BASE", "#TCP"),
 }
-"""Modes and their values (KUKA, System Variables). The first value holds if a structure that can give it lacks it."""
+"""Modes and their values (KUKA, System Variables).
+
+The first value is taken if a mode is assigned from a structure that lacks it."""
 _AUXILIARY_MODES = ("#CONSIDER", "#IGNORE", "#INTERPOLATE")
-"""Values of `$CIRC_MODE.AUX_PT.ORI` and `.E1`, likewise."""
+"""Values of `$CIRC_MODE.AUX_PT.ORI` and `.E1`; the first is taken as for `MODES`."""
 _MODE_FUNCTIONS = {
     "SIPO_MODE": "IPO_FRAME",
     "SORI_TYP": "ORI_TYP",
@@ -56,7 +58,8 @@ class PathSettings:
 
         A speed that is not known makes the field unknown. A turn speed that is not known is infinite.
 
-        :param field: the component that is assigned: CP, ORI1 or ORI2; None for ``$VEL = {…}``. Others change nothing.
+        :param field: the component that is assigned; None for ``$VEL = {…}``. Other components than CP, ORI1 and ORI2
+            leave the state unchanged.
         :raises ProgramError: the speed of the path is not above 0, or beyond `FASTEST`.
         """
         for component_name, name in zip(("ORI1", "ORI2"), TURN_SPEEDS, strict=True):
@@ -80,7 +83,8 @@ class PathSettings:
     def state_with_distance(self, state: State, place: Place, field: str | None, value: Value | VariableValue) -> State:
         """Return the state after ``$APO.CDIS = value``; a distance that is not known makes the field unknown.
 
-        :param field: the component that is assigned: CDIS; None for ``$APO = {…}``. Others change nothing.
+        :param field: the component that is assigned; None for ``$APO = {…}``. Other components than CDIS leave the
+            state unchanged.
         """
         if isinstance(value, Call) and value.name in _PTP_FUNCTIONS:  # inline forms of PTP set no distance
             return state

@@ -210,7 +210,7 @@ def _motions_of_lines(
 def _kinds(raw: Bytes, keyword: Ints) -> Ints:
     """Return the kinds of P motions (P,): `LIN`, `CIRC` or `PTP`.
 
-    :param raw: the text of the lines as codes.
+    :param raw: the text of the lines as character codes.
     :param keyword: (P,) offsets of the instructions in it.
     """
     is_spline = (raw[keyword] | 32) == ord("s")  # | 32: lower case
@@ -346,16 +346,17 @@ def _codes_of_numbers(body: bytes) -> Bytes:
     """Return a text as codes, with all characters that are not part of a number replaced by blanks."""
     codes = np.frombuffer(bytearray(body.translate(_KEEP_NUMBERS)), dtype=np.uint8)
     letters = np.flatnonzero((codes | 32) == ord("e"))  # | 32: lower case
-    if len(letters):  # the E of E1, E6POS and C_VEL is no exponent, and the digit behind it no number
+    # the E of E1, E6POS and C_VEL follows a blank or a letter: it is no exponent, and a digit behind it no number
+    if len(letters):
         names = letters[(codes[letters - 1] == ord(" ")) | (codes[letters - 1] > ord("9"))]
         codes[names] = codes[names + 1] = ord(" ")
     return codes
 
 
 def _parsed_numbers(codes: Bytes) -> Array:
-    """Return the numbers in a text of numbers and blanks, as far as they can be read.
+    """Return the numbers in a text of numbers and blanks, up to the first that cannot be read.
 
-    At a number that cannot be read numpy stops, or raises an error: then the result is empty.
+    At such a number some versions of numpy stop, and others raise an error: the result is empty then.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # numpy before 2.4 stops at what it cannot read
@@ -390,7 +391,7 @@ def _is_approximated(raw: Bytes, begins: Ints, is_ptp: Bools) -> Bools:
     :param begins: (P,) offsets in it at which the lines begin.
     :param is_ptp: (P,) True for PTP.
     """
-    underscore = np.flatnonzero(raw == ord("_"))
+    underscore = np.flatnonzero(raw == ord("_"))  # plain lines have them in C_DIS, C_SPL, C_VEL … alone
     letter = raw[underscore + 1] | 32  # D of C_DIS, S of C_SPL, as lower case
     row = np.searchsorted(begins, underscore, side="right") - 1  # index of the line
     is_approximated = np.zeros(len(begins), dtype=np.bool_)
@@ -414,7 +415,7 @@ class PlainLines(Struct, frozen=True):
         """Lines of the motions (P,), from 1."""
         return np.concatenate([rows.line for rows in self.motions])
 
-    def is_other(self, count: int) -> Bools:
+    def is_other_line(self, count: int) -> Bools:
         """Return which of the lines 1 … count are neither plain motions nor plain settings (count,)."""
         return is_not_plain(count, self.motion_lines, self.settings)
 
@@ -430,7 +431,7 @@ def is_not_plain(count: int, motion_lines: Ints, settings: PlainSettings) -> Boo
     return is_other
 
 
-def plain_of(source: Source, *, bulk: bool = True) -> PlainLines:
+def plain_lines_of(source: Source, *, bulk: bool = True) -> PlainLines:
     """Return the plain lines of a file.
 
     :param bulk: False to return none, so that all lines are read one by one.
@@ -442,11 +443,11 @@ def plain_rows_of_trace(trace: Trace, plain_by_source: Mapping[Source, PlainLine
     """Return the plain rows of an execution trace, in order, taken from the plain lines of its files.
 
     :param plain_by_source: file → plain lines, for files that have been scanned already.
-    :param bulk: see `plain_of`.
+    :param bulk: see `plain_lines_of`.
     """
     motions, settings = [no_motions()], [no_settings()]
     for number, source in enumerate(trace.sources if bulk else ()):
-        source_lines = plain_by_source.get(source) or plain_of(source)
+        source_lines = plain_by_source.get(source) or plain_lines_of(source)
         rows = np.flatnonzero(trace.file == number)  # from 0
         lines = trace.line[rows]
         columns = merged_motions([*source_lines.motions], np.arange(sum(map(len, source_lines.motions))))

@@ -144,7 +144,7 @@ class ElementMotions(Struct, frozen=True, eq=False):
     name: str
 
 
-def columns_of(
+def motions_and_settings_of(
     run: Run, reader: MotionReader, rounds: PlainRounds
 ) -> tuple[list[ElementMotions], PlainSettings] | None:
     """Return the motions that the statements of plain rounds make, and the settings of the rounds.
@@ -222,17 +222,17 @@ def _element_motions(
     kind = KINDS[motion.word]
     _, is_approximated = reader.tail_settings(Place(rounds.source, motion_line), kind, motion.tail)
 
-    def in_each_round(*offsets: int) -> Offsets:
-        """Return offsets that are the same in all rounds: (rounds, n), n given offsets in each row."""
+    def repeated_offsets(*offsets: int) -> Offsets:
+        """Return n offsets that are equal in all rounds as an array (rounds, n)."""
         return np.tile(np.array(offsets, dtype=np.int32), (rounds.count, 1))
 
     rows = replace(
         points.rows,
         line=rounds.rows_of_statement(motion_line),
         kind=np.full(rounds.count, kind),
-        keyword=in_each_round(motion.start)[:, 0],
-        target=in_each_round(motion.end.start, motion.end.stop),
-        tail=in_each_round(motion.tail.start, motion.tail.stop),
+        keyword=repeated_offsets(motion.start)[:, 0],
+        target=repeated_offsets(motion.end.start, motion.end.stop),
+        tail=repeated_offsets(motion.tail.start, motion.tail.stop),
         approximated=np.full(rounds.count, is_approximated),
     )
     return replace(points, rows=rows, name=motion.end.name)
@@ -243,7 +243,7 @@ def _scanned_points(source: Source, spans: Sequence[tuple[int, int]]) -> Element
 
     :param source: the data list.
     :param spans: spans of the points in it.
-    :returns: motions whose `name`, that of the array, is empty yet.
+    :returns: motions whose `name` is empty: the caller sets it to the name of the array.
     """
     texts = [f"{_MOTION_PREFIX}{source.text[start:stop]}\n" for start, stop in spans]
     text = "".join(texts)

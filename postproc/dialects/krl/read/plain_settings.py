@@ -162,14 +162,14 @@ class PlainAssignments:
         return assignments
 
     def insert(self, settings: PlainSettings) -> None:
-        """Add assignments to those that are not passed yet; their lines are not passed either."""
+        """Add assignments, whose lines must be behind all assignments that have been passed."""
         for row in range(len(NUMBERS)):
             new_lines, new_values = settings.assigned_values(row)
             if len(new_lines):
                 lines, values = self._assigned[row]
-                place = np.searchsorted(lines, new_lines)  # keeps the order of lines
-                all_lines = np.insert(lines, place, new_lines)
-                self._assigned[row] = all_lines, np.insert(values, place, new_values)
+                indices = np.searchsorted(lines, new_lines)  # keeps the order of lines
+                all_lines = np.insert(lines, indices, new_lines)
+                self._assigned[row] = all_lines, np.insert(values, indices, new_values)
                 self._lines[row] = all_lines.tolist()
                 self._is_finished = False
 

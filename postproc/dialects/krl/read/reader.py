@@ -59,7 +59,7 @@ from postproc.dialects.krl.read.motions import (
     stated_turn_speeds,
 )
 from postproc.dialects.krl.read.next_run import changed_data_issues, kept_values
-from postproc.dialects.krl.read.plain_lines import PlainLines, plain_of, plain_rows_of_trace
+from postproc.dialects.krl.read.plain_lines import PlainLines, plain_lines_of, plain_rows_of_trace
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.unresolved import SeparatedMotions, depends_on_start, without_unresolved
 from postproc.dialects.krl.read.variables import Variables
@@ -107,19 +107,19 @@ def _read_program(
     :raises ProgramError: see `read_program`.
     """
     source = Source.of(documents[0], index=0)
-    # a list, from which they are taken for the first reading: that releases their memory
-    scanned_lines = [plain_of(source, bulk=bulk)]
+    # in a list, from which the first reading takes them, so that their memory is released
+    scanned_lines = [plain_lines_of(source, bulk=bulk)]
     module, entry, faults = _main_routine(source, scanned_lines[0], name)
     other_documents = [document for document in documents[1:] if not _is_data_of(document, documents[0])]
     library = Library(module, FolderFiles(_folders(documents[0], cell), other_documents))
-    code = text_of_lines(source, (np.flatnonzero(scanned_lines[0].is_other(len(source.starts))) + 1).tolist())
+    code = text_of_lines(source, (np.flatnonzero(scanned_lines[0].is_other_line(len(source.starts))) + 1).tolist())
     reading = _Reading(documents, cell, kinematics, name, library=library, entry=entry, faults=faults, code=code)
     obstacles: dict[Routine | Occasion, ProgramError] = {}
     while True:
         try:
             return reading.program(
                 reading.follow(
-                    scanned_lines.pop() if scanned_lines else plain_of(source, bulk=bulk), obstacles, bulk=bulk
+                    scanned_lines.pop() if scanned_lines else plain_lines_of(source, bulk=bulk), obstacles, bulk=bulk
                 )
             )
         except RecursionError:
@@ -331,7 +331,7 @@ class _Reading(Struct, frozen=True, eq=False):
             if _is_data_of(document, self.documents[0]):
                 read_data(variables, Source.of(document, index=1))
         if self.cell.config_dat is not None:
-            read_data(variables, _config_source(self.cell, self.cell.config_dat), fill=True, is_global=True)
+            read_data(variables, _config_source(self.cell, self.cell.config_dat), fills_gaps=True, is_global=True)
         program = self.documents[0]
         program_names = [
             program.name,
@@ -428,9 +428,9 @@ def _tool_keys(settings: Settings) -> tuple[tuple[str, ...], ...]:
 def _cell_value_issues(executed_program: _ExecutedProgram) -> Iterator[Issue]:
     """Yield an issue if the home position is that of the cell, and one if values of [krl.values] have been read."""
     main, start = executed_program.main, executed_program.start
-    if main.reader.home_used:
+    if main.reader.home_motion_row:
         message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
-        line = main.course.trace.shown_line(main.reader.home_used)
+        line = main.course.trace.shown_line(main.reader.home_motion_row)
         yield Issue("info", "home-from-cell", message, line)
     if relied_names := start.variables.used_cell_values:
         cell_values = start.cell.krl.values
@@ -467,10 +467,10 @@ def _uncorrectable_parts(
 
 
 def _error_of_culprit(cause: ProgramError, culprit: Routine | Occasion) -> ProgramError:
-    """Return the error in the file of a routine, of an error and its `further_errors`.
+    """Return the first error that is in the file of a routine: `cause` or one of its `further_errors`.
 
     :param culprit: the routine; or a visit to a fork.
-    :returns: the error itself if none is in that file, and for a fork.
+    :returns: `cause` itself for a fork, and if no error is in that file.
     """
     errors = [error for error in (cause, *cause.further_errors) if isinstance(error, ProgramError)]
     errors_in_file = [
@@ -515,7 +515,7 @@ def _main_routine(source: Source, plain_lines: PlainLines, name: str) -> _MainRo
     :param name: name of the program.
     :raises ProgramError: the file has no routine, or the bounds of all routines are wrong.
     """
-    other_lines = np.flatnonzero(plain_lines.is_other(len(source.starts))) + 1
+    other_lines = np.flatnonzero(plain_lines.is_other_line(len(source.starts))) + 1
     by_name, faults = routines(
         source, other_lines.tolist(), plain_lines.motion_lines, plain_lines.settings.line.tolist()
     )
@@ -552,9 +552,10 @@ def _check_size(trace: Trace, rows: MotionColumns) -> None:
 
 
 def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:
-    """Refuse motions that depend on their start, if that is not known.
+    """Refuse motions that depend on their start pose, if that is not known.
 
-    It is not known after a call that RESUME may break off, or that moves the robot and is not followed.
+    The pose is not known after a call that RESUME may break off, and after a call that moves the robot and is not
+    followed.
 
     :raises ProgramError: there is such a motion.
     """

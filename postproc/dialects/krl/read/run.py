@@ -90,7 +90,7 @@ class Scopes:
         if data is not None:
             caller_scope, variables.scope, variables.reads_late_list = variables.scope, scope, True
             with suppress(ProgramError):  # variables of a data list with an error have no values
-                read_data(variables, data, fill=True)
+                read_data(variables, data, fills_gaps=True)
             variables.scope, variables.reads_late_list = caller_scope, False
         return scope
 
@@ -250,7 +250,7 @@ class Run:
         self._forks: list[_Fork] = []
         self._nodes: dict[Routine, tuple[Node, ...]] = {}
 
-    def come_to(self, row: int) -> Place:
+    def go_to_row(self, row: int) -> Place:
         """Make a row of the execution trace the present row; return the file and the line of its statement."""
         place = self.trace.place(row)
         self.row, self.shift = row, row - place.line

@@ -111,7 +111,7 @@ class MotionStates(Struct, frozen=True, eq=False):
     index: Ints
 
     def at(self, row: int) -> State:
-        """Return the state of a motion."""
+        """Return the state of the motion in a row, from 0."""
         return self.states[int(self.index[row])]
 
     def take(self, rows: Ints | Bools) -> MotionStates:
@@ -119,9 +119,9 @@ class MotionStates(Struct, frozen=True, eq=False):
         return MotionStates(self.states, self.index[rows])
 
     def column(self, property_of: Callable[[State], object]) -> np.ndarray[Any, Any]:
-        """Return one property of the states of all motions (M,), to be read only.
+        """Return one property of the states of all motions (M,). The result may be read-only.
 
-        :param property_of: reads the property from a state.
+        :param property_of: returns the property of a state.
         """
         values = np.array([property_of(state) for state in self.states])
         if len(values) and (values == values[0]).all():

@@ -66,7 +66,7 @@ class _Piece(NamedTuple):
 
 
 class Mark(NamedTuple):
-    """The state of a recorder, for `Recorder.back_to`.
+    """The state of a recorder, for `Recorder.return_to`.
 
     :ivar row_count: number of rows. The next five are the lengths of the lists and dictionaries of the recorder.
     :ivar last_step: the last step, which later rows may extend; None without steps.
@@ -150,7 +150,7 @@ class Recorder:
         self.is_final = False
 
     def mark(self) -> Mark:
-        """Return the present state of the recorder, to which `back_to` can return."""
+        """Return the present state of the recorder, for `return_to`."""
         return Mark(
             row_count=self.row_count,
             piece_count=len(self._pieces),
@@ -165,7 +165,7 @@ class Recorder:
             ],
         )
 
-    def back_to(self, mark: Mark) -> None:
+    def return_to(self, mark: Mark) -> None:
         """Drop everything recorded since a `mark`; `is_final` stays False from then on."""
         self.is_final = False
         self.row_count = mark.row_count
@@ -253,7 +253,7 @@ class Recorder:
 
         :param loop: the record of the loop, which gets the bodies of the rounds.
         """
-        file, shown_line = self._present_file(), self._open_routines[-1].shown_line
+        file, shown_line = self._present_file_number(), self._open_routines[-1].shown_line
         # each round: a row that sets the counter, whose line is `for_line`, and the lines between FOR and ENDFOR
         assignment = _Piece(file, 1, 1, shown_line, for_line=block.first, is_live=True)
         body_lines = _Piece(file, block.first + 1, block.last - 1, shown_line, for_line=0, is_live=True)
@@ -308,6 +308,7 @@ class Recorder:
         _, first_lines, last_lines, *_ = columns
         lengths = last_lines - first_lines + 1
         file, first, _, shown_line, for_line, is_live = (np.repeat(values, lengths) for values in columns)
+        # rows of a piece are consecutive lines; a line number of 0 is not given
         line = np.where(for_line > 0, for_line, first + ragged_range(lengths))
         shown = np.where(shown_line > 0, shown_line, line)
         return Course(
@@ -343,8 +344,8 @@ class Recorder:
         self._pieces.append(_Piece(file, first, last, shown_line, for_line=0, is_live=is_live))
         self.row_count += last - first + 1
 
-    def _present_file(self) -> int:
-        """Return the number of the file of the present routine."""
+    def _present_file_number(self) -> int:
+        """Return the number of the file of the present routine in the trace; a new file gets the next number."""
         return self._sources.setdefault(self._open_routines[-1].source, len(self._sources))
 
     def _record_assignment(self, block: Block, number: int | None) -> None:
@@ -355,7 +356,8 @@ class Recorder:
         if number is None:
             return
         shown_line = self._open_routines[-1].shown_line
-        self._pieces.append(_Piece(self._present_file(), 1, 1, shown_line, for_line=block.first, is_live=True))
+        # first and last are equal, for one row; its line is `for_line`
+        self._pieces.append(_Piece(self._present_file_number(), 1, 1, shown_line, for_line=block.first, is_live=True))
         self.row_count += 1
         self._counter_values.append((self.row_count, number))
         self._add_run_lines(self.row_count)

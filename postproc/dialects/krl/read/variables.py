@@ -94,25 +94,25 @@ _ORIENTATION_TOLERANCE = math.radians(1e-3)
 """Orientations closer than this [rad] are equal: files and displays give three decimals of a degree."""
 
 
-def operation_result(operator: str, a: float, b: float, *, integer: bool) -> float | VariableValue:
+def operation_result(operator: str, a: float, b: float, *, are_integers: bool) -> float | VariableValue:
     """Return a sum, difference, product or quotient of two numbers.
 
     The quotient of two INTs has no decimal places (KUKA, Expert Programming). No source says to which side the quotient
     of a negative INT is rounded, nor what becomes of an INT beyond 32 bits.
 
     :param operator: ``+ - * /``, or ``B_NOT`` of `b` alone.
-    :param integer: True if both numbers are INTs.
+    :param are_integers: True if both numbers are INTs.
     :returns: an `UnknownValue` if the result is not known; `NO_VALUE` for a division by 0, an infinite result, and
         ``B_NOT`` of a REAL.
     """
     if operator == "B_NOT":
-        return -1.0 - b if integer else NO_VALUE  # all bits of a two's complement flipped
+        return -1.0 - b if are_integers else NO_VALUE  # all bits of a two's complement flipped
     if operator == "/" and b == 0.0:
         return NO_VALUE
-    if operator == "/" and integer and a % b != 0.0:
+    if operator == "/" and are_integers and a % b != 0.0:
         return _UNKNOWN_ROUNDING if a < 0.0 or b < 0.0 else a // b
     value = _OPERATIONS[operator](a, b)
-    if integer and abs(value) >= LARGEST_INT:
+    if are_integers and abs(value) >= LARGEST_INT:
         return _BEYOND_INT
     return value if math.isfinite(value) else NO_VALUE
 
@@ -338,11 +338,12 @@ class Variables:
     ) -> VariableValue:
         """Return the value of a variable after an assignment to one of its components, see `set_field`.
 
-        A member that is no component of a position becomes unknown by itself; the other members keep their values.
+        If the new value of a position component is not known, the whole position becomes unknown. If the new value of
+        another member is not known, that member alone becomes unknown.
 
         :param old_value: value of the whole variable before; None if it has none.
         :param field: path of the component; `value` is its new value.
-        :returns: an `UnknownValue` if the value of the whole variable is not known.
+        :returns: an `UnknownValue` if the value of the whole variable is not known, before or after the assignment.
         """
         unknown = UnknownValue(str(place), value.reason if isinstance(value, UnknownValue) else "")
         if isinstance(old_value, Position) and not old_value.is_axis and field in CARTESIAN:
@@ -360,7 +361,7 @@ class Variables:
         if member in _COMPONENTS:
             return unknown
         items = {**old_value.items, member: OpaqueText(old_value.start, old_value.stop)}
-        return replace(old_value, items=items, is_computed=True)  # the other members keep their values
+        return replace(old_value, items=items, is_computed=True)
 
     def forget(self, name: str, place: str) -> None:
         """Mark a variable and all its elements as unknown.
@@ -413,8 +414,9 @@ class Variables:
     def _have_same_value(self, first: object, second: object) -> bool:
         """Return whether two stored values are equal.
 
-        Aggregates are equal if their numbers are those of one text, at one row of the trace: they are corrected there.
-        An aggregate equals the unparsed text that it was read from; so does a number of the same value.
+        Aggregates are equal if their numbers come from one text at one row of the trace, where they are corrected.
+        An aggregate equals the unparsed text that it was read from. A number equals an unparsed text that gives the
+        number.
         """
         if first is second or (not isinstance(first, Aggregate) and first == second):
             return True
@@ -439,7 +441,7 @@ class Variables:
         :param name: stored name of the array.
         :param numbers: indices of the elements.
         :returns: the data list, and for each element the offset of the first character of its value and the offset
-            behind its last. None if an element has, or may have, a value from elsewhere.
+            behind its last. None if an element has no value, or its value is not, or may not be, that of this list.
         """
         if name in self.volatile_values or any(variable_of(key) == name for key in self.cell_values):
             return None
@@ -500,7 +502,7 @@ class Variables:
         return key[0] == "$" or variable_of(key) in self.persistent_names
 
     def __contains__(self, key: str) -> bool:
-        """Return whether a value is stored under a name."""
+        """Return whether a value is stored under a key."""
         return key in self._values
 
     def value(self, key: str) -> VariableValue | None:
@@ -571,6 +573,8 @@ class Variables:
     def truth(self, condition: Value | None) -> bool | None:
         """Return whether a condition holds; None if that is not known before the program runs.
 
+        A condition that calls a function with side effects, cannot be read, or is no BOOL, counts as not known.
+
         :param condition: the condition; None if a statement lacks it.
         """
         try:
@@ -598,7 +602,8 @@ class Variables:
     def _evaluate_condition(self, condition: Condition) -> VariableValue:
         """Return the value of terms joined by comparisons and logic, or of a single term in brackets.
 
-        :returns: the first unknown value of a term if the value is not known; else `NO_VALUE`.
+        :returns: a BOOL, or the number or word that a single term gives. If the value is not known: the first
+            `UnknownValue` of a term; `NO_VALUE` if no term has one.
         """
         term_values = [self.evaluate(term) for term in condition.terms]
         if not condition.operators and not (condition.negated and condition.negated[0]):  # a term in brackets
@@ -613,22 +618,27 @@ class Variables:
     def _evaluate_operation(self, operation: Operation) -> VariableValue:
         """Return a sum, difference, product or quotient, see `operation_result`.
 
-        :returns: the unknown value of a side if a side is no known number; else `NO_VALUE`.
+        :returns: if a side is no known number: the `UnknownValue` of that side, or `NO_VALUE` for a side of another
+            type, such as a word.
         """
         # −x is 0 − x
-        left = Number(0.0, 0, 0, is_integer=True) if operation.left is None else self.evaluate(operation.left)
+        left = (
+            Number(0.0, start=0, stop=0, is_integer=True) if operation.left is None else self.evaluate(operation.left)
+        )
         right = self.evaluate(operation.right)
         if not isinstance(left, Number) or not isinstance(right, Number):
             return next((side for side in (left, right) if isinstance(side, UnknownValue)), NO_VALUE)
-        integer = left.is_integer and right.is_integer
-        value = operation_result(operation.operator, left.value, right.value, integer=integer)
-        return Number(value, operation.start, operation.stop, integer) if isinstance(value, int | float) else value
+        are_integers = left.is_integer and right.is_integer
+        value = operation_result(operation.operator, left.value, right.value, are_integers=are_integers)
+        if isinstance(value, int | float):
+            return Number(value, operation.start, operation.stop, are_integers)
+        return value
 
     def _evaluate_call(self, call: Call) -> VariableValue:
         """Return the value of a function call, angles in degrees.
 
-        :returns: `NO_VALUE` if the function has side effects, is not known, or an argument has not its type or is
-            outside of its domain.
+        :returns: `NO_VALUE` if the function has side effects or is not known, or if the number, the type or the value
+            of an argument is wrong.
         """
         function = FUNCTIONS.get(call.name)
         if function is None and call.name != "INV_POS":
@@ -885,6 +895,7 @@ def _are_equal_frames(frame: Position, other_frame: Position) -> bool:
     pairs = list(zip(frame.values, other_frame.values, strict=True))
     pose = Position(tuple(y if math.isnan(x) else x for x, y in pairs)).pose()
     other_pose = Position(tuple(x if math.isnan(y) else y for x, y in pairs)).pose()
+    # an element of a rotation matrix changes by the angle between the orientations [rad] at most
     difference = np.abs(pose - other_pose)
     return bool(difference[:3, 3].max() < _POSITION_TOLERANCE and difference[:3, :3].max() < _ORIENTATION_TOLERANCE)
 
@@ -896,7 +907,8 @@ def _frame_text(frame: Position) -> str:
         f"{name} {without_negative_zero(value):.10g}"
         for name, value in zip(names, np.round(frame.values, 6), strict=True)
     ]
-    return f"{{{', '.join(component for component in components if not component.endswith('nan'))}}}"
+    given_components = (component for component in components if not component.endswith("nan"))  # NaN: not given
+    return f"{{{', '.join(given_components)}}}"
 
 
 def _cell_value(value: float) -> Number | Word:
@@ -906,22 +918,22 @@ def _cell_value(value: float) -> Number | Word:
     return Number(float(value), start=0, stop=0, is_integer=isinstance(value, int))
 
 
-def convert_to_type(value: VariableValue, kind: str) -> VariableValue:
+def convert_to_type(value: VariableValue, type_name: str) -> VariableValue:
     """Return a value converted to the type of a variable: a REAL is rounded to an INT (KUKA, Expert Programming).
 
     Values other than numbers are returned unchanged. For a type that is not known, a whole number may be an INT.
 
-    :param kind: the type, upper case; empty if it is not known; `WHOLE` if it is REAL or INT.
+    :param type_name: the type, upper case; empty if it is not known; `WHOLE` if it is REAL or INT.
     :returns: an `UnknownValue` if the rounding is not certain, or the number is beyond 32 bits.
     """
-    if not isinstance(value, Number) or kind == "REAL":
+    if not isinstance(value, Number) or type_name == "REAL":
         return replace(value, is_integer=False) if isinstance(value, Number) else value
     is_whole = value.value == int(value.value)
-    if kind == WHOLE and not is_whole:
+    if type_name == WHOLE and not is_whole:
         return UnknownValue(reason=f"whether {value.value:g} is rounded to an INT is in no source")
-    if kind in ("INT", WHOLE) and abs(value.value) >= LARGEST_INT:
+    if type_name in ("INT", WHOLE) and abs(value.value) >= LARGEST_INT:
         return _BEYOND_INT
-    if kind == "INT" and not is_whole:
+    if type_name == "INT" and not is_whole:
         nearest = round(value.value)
         if abs(abs(value.value - nearest) - 0.5) < _ROUNDING_TOLERANCE * max(1.0, abs(value.value)):
             return UnknownValue(reason=f"to which side {value.value:g} is rounded is in no source")
