@@ -21,7 +21,7 @@ class Access(Struct, frozen=True):
     token: str
 
     @classmethod
-    def at(cls, port: int) -> Access:
+    def for_port(cls, port: int) -> Access:
         """Return the access to a window on a port, with a new random token."""
         return cls(port, secrets.token_urlsafe(32))
 

@@ -53,13 +53,13 @@ class AutomaticConversion:
 
     def start(self) -> None:
         """Begin to scan the folder, in a thread, until `stop`."""
-        threading.Thread(target=self._run, daemon=True).start()
+        threading.Thread(target=self._scan_folder, daemon=True).start()
 
     def stop(self) -> None:
         """End the scans: no further command begins; a running one goes on."""
         self._end.set()
 
-    def _run(self) -> None:
+    def _scan_folder(self) -> None:
         """Scan the folder every `SCAN` seconds until `stop`."""
         while not self._end.wait(SCAN):
             # the folder may be missing for a moment, as on a network drive: the next scan finds it again
@@ -99,6 +99,7 @@ class AutomaticConversion:
         """
         recent = self._runs.runs_since(self._oldest_number)
         active = [run for run in recent if run.code is None]
+        # without a running command, only later ones count at the next call
         self._oldest_number = min((run.number for run in active), default=self._oldest_number + len(recent))
         user_runs = (run for run in recent if run is not self._last_run and run.arguments[0] in _CONVERSIONS)
         return not active, {run.key for run in user_runs}

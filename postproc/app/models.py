@@ -18,17 +18,17 @@ def identify_arguments(workspace: Workspace, entry: Readings, form: Mapping[str,
         readings, and no compensator); `geometry`, if not empty, calibrates the geometry too.
     :raises InputError: a file is not next to the experiment.
     """
-    readings = model_path(entry.files, form.get("readings", "") or next((path.name for path in entry.files), ""))
+    readings = file_of_name(entry.files, form.get("readings", "") or next((path.name for path in entry.files), ""))
     arguments = ["identify", "elastostatics", workspace.relative_name(readings)]
     arguments += ["--experiment", workspace.relative_name(entry.experiment)]
     if compensator := form.get("compensator", ""):
-        arguments += ["--compensator", workspace.relative_name(model_path(entry.compensators, compensator))]
+        arguments += ["--compensator", workspace.relative_name(file_of_name(entry.compensators, compensator))]
     if form.get("geometry"):
         arguments.append("--geometry")
     return [*arguments, "-o", workspace.relative_name(workspace.model_folder(entry.experiment))]
 
 
-def model_path(paths: Sequence[Path], name: str) -> Path:
+def file_of_name(paths: Sequence[Path], name: str) -> Path:
     """Return the path with a file name.
 
     :raises InputError: no path has this file name.

@@ -90,7 +90,7 @@ def _page(template: str, **context: Any) -> Page:
     return Page(html.encode(errors="replace"), nonce)
 
 
-def answers_of(item: Item) -> dict[str, Any]:
+def result_texts(item: Item) -> dict[str, Any]:
     """Return what the templates show of the result of a program: name → text.
 
     `run` says whether the program may be run, `kind` is the style of that text. Without a result, or with a name that
@@ -143,7 +143,7 @@ def programs_page(workspace: Workspace, programs: Sequence[Row], stamp: str, *, 
     rows = [
         {
             "name": row.item.name,
-            **answers_of(row.item),
+            **result_texts(row.item),
             "active": row.run if row.run is not None and row.run.code is None else None,
             "failure": row.run if row.run is not None and not row.item.is_current and row.run.is_failure else None,
             "waits_for": row.waits_for,
@@ -165,7 +165,7 @@ def programs_page(workspace: Workspace, programs: Sequence[Row], stamp: str, *, 
     )
 
 
-def _controls(field: Field) -> dict[str, Any]:
+def _control_values(field: Field) -> dict[str, Any]:
     """Return the controls of a question as values for the template; `kind` says which it shows.
 
     Kinds are: frame, cutter, box (of the stock), number, choice, and text, a line for anything else.
@@ -315,7 +315,7 @@ def setup_page(
         is_of_cutting = kind in ("material", "cutter", "flutes", "rpm", "stock")
         is_of_cell = kind in ("robot", "base", "tool", "part_tolerance") or not field.question.optional
         group = "Tool, material and stock" if is_of_cutting else "Robot and cell" if is_of_cell else "Details"
-        control = _controls(field)
+        control = _control_values(field)
         groups[group].append(control if is_posted else {**control, "fault": ""})
     return _page(
         "setup.html",
@@ -349,7 +349,7 @@ def program_page(
         "program.html",
         here="programs",
         title=item.name,
-        answers=answers_of(item),
+        answers=result_texts(item),
         page=item.entry.page if item.entry else "",
         programs=[name for name in files if Path(name).suffix.lower() in (".src", ".mod", ".dat")],
         tables=[name for name in files if Path(name).suffix.lower() == ".csv"],
@@ -476,7 +476,7 @@ def cell_page(
         robots=_robot_titles(),
         cell_robot=robot_name(workspace.cell),
         command="",
-        **_picture(workspace.cell),
+        **_picture_values(workspace.cell),
     )
 
 
@@ -571,7 +571,7 @@ def processes_page(rows: Sequence[tuple[str, str]]) -> Page:
     return _page("processes.html", here="process", title="What cuts", rows=rows, command="")
 
 
-def _picture(path: Path) -> dict[str, Any]:
+def _picture_values(path: Path) -> dict[str, Any]:
     """Return the values for the template of the robot of a cell in two views.
 
     If the cell is unusable, there are no views, and `unusable` is the reason.

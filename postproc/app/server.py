@@ -16,7 +16,7 @@ from urllib.parse import parse_qsl, quote, urlsplit
 from postproc.app import screens
 from postproc.app.access import Access
 from postproc.app.automatic import AutomaticConversion
-from postproc.app.models import identify_arguments, model_path
+from postproc.app.models import file_of_name, identify_arguments
 from postproc.app.runs import Run, Runs, command_line
 from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Workspace
@@ -90,7 +90,7 @@ class Window(ThreadingHTTPServer):
         except OSError as cause:
             problem = f"port {port} of 127.0.0.1 cannot be used ({cause.strerror}). Give another --port."
             raise PostprocError(problem) from cause
-        self.access = Access.at(self.server_address[1])
+        self.access = Access.for_port(self.server_address[1])
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Print a fault of a request; a browser that closes the connection is no fault."""
@@ -455,7 +455,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self._send(200, json.dumps({"next": next_page()}).encode(), "application/json")
 
     def submit_answers(self) -> None:
-        """Take posted answers of the set-up, see `questions`."""
+        """Take posted answers of the set-up, see `send_questions`."""
         self.send_questions(screens.posted_answers(self.posted_form()))
 
     def convert_program(self) -> None:
@@ -559,7 +559,7 @@ class _Handler(BaseHTTPRequestHandler):
         name = form.get("name", "")
         entry = workspace.readings(name)
         arguments = ["identify", "validate", workspace.relative_name(workspace.model_folder(entry.experiment))]
-        arguments += [workspace.relative_name(model_path(entry.files, form.get("readings", "")))]
+        arguments += [workspace.relative_name(file_of_name(entry.files, form.get("readings", "")))]
         arguments += ["--experiment", workspace.relative_name(entry.experiment)]
         self.begin_command(
             f"model {name}", f"Check of the model from {name}", arguments, page=f"/readings?name={quote(name)}"

@@ -245,6 +245,7 @@ class Workspace(Struct, frozen=True):
         :param size: its size [bytes].
         :raises InputError: the name or size is refused, the folder has a file of this name, or the stream ends early.
         """
+        # 200 of the 255 bytes that file systems allow: results have longer names
         if _REFUSED_NAME.search(name) or len(name.encode(errors="replace")) > 200:
             raise InputError(f"{name!r} is no name of a program", advice="Rename the file.")
         if Path(name).suffix.lower() not in registry.extensions():

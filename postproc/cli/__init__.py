@@ -46,22 +46,22 @@ _GLOBAL_OPTIONS = (_DEBUG, _QUIET)
 class LazyGroup(click.Group):
     """A group whose commands are imported when they are needed; it turns errors of the library into messages.
 
-    :param commands_at: command → ``"module:attribute"``.
+    :param command_locations: command → ``"module:attribute"``.
     """
 
-    def __init__(self, *args: object, commands_at: Mapping[str, str], **options: object) -> None:
+    def __init__(self, *args: object, command_locations: Mapping[str, str], **options: object) -> None:
         super().__init__(*args, **options)  # type: ignore[arg-type]
-        self.commands_at = commands_at
+        self.command_locations = command_locations
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all commands."""
-        return sorted({*super().list_commands(ctx), *self.commands_at})
+        return sorted({*super().list_commands(ctx), *self.command_locations})
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         """Import and return a command; None if there is no command of this name."""
-        if name not in self.commands_at:
+        if name not in self.command_locations:
             return super().get_command(ctx, name)
-        module, attribute = self.commands_at[name].split(":")
+        module, attribute = self.command_locations[name].split(":")
         command: click.Command = getattr(import_module(module), attribute)
         return command
 
@@ -149,7 +149,7 @@ def _ignore_warning(*_: object, **__: object) -> None:
     """Show no warning; takes the arguments of `warnings.showwarning`."""
 
 
-@click.group(cls=LazyGroup, commands_at=_COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=LazyGroup, command_locations=_COMMANDS, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="postproc", message="%(prog)s %(version)s")
 @click.option(
     _DEBUG, is_flag=True, help="Show the traceback of a fault, and warnings of libraries; also behind a command."

@@ -59,7 +59,7 @@ class CompareRequest(Struct, frozen=True, kw_only=True):
         """Settings for reading both programs."""
         return Settings(self.cell, keep_unresolved=self.keep_unresolved)
 
-    def reads(self) -> list[Path]:
+    def input_files(self) -> list[Path]:
         """Return the input files."""
         programs = (self.nominal, self.corrected)
         companions = [path for program in programs for path in registry.dialect_of_file(program).companions(program)]
@@ -101,7 +101,7 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     stem = f"{request.corrected.stem}.compare"
     pairs, page, record = f"{stem}.pairs.csv", f"{stem}.report.html", f"{stem}.report.json"
     names = (pairs, page, record)
-    protect(request.reads(), folder, names)
+    protect(request.input_files(), folder, names)
     if not request.overwrite:
         refuse(find_foreign_files(folder, names, record))
     source = force_source(request.forces, cell)

@@ -97,7 +97,7 @@ def subprogram_file_names(result: Result, job: Job, names_as_read: Mapping[str, 
 
     :param names_as_read: new names of copies of subprograms → names as they were read.
     """
-    job_files = {path.name for path in job.reads()}
+    job_files = {path.name for path in job.input_files()}
     called_files = {document.name for document in result.program.documents} - job_files
     return [
         document.name
@@ -221,7 +221,7 @@ def convert(
         is_computed = True
         staged_files = files.stage(job.output, output.contents)
     except Exception as cause:
-        if isinstance(cause, SubprogramError) and not job.named:
+        if isinstance(cause, SubprogramError) and not job.is_named_by_user:
             return Outcome(str(job.program), GOOD, message=f"{cause.file}: {cause.problem}: skipped.")
         return replace(failure(job, cause), keeps_old_files=is_computed)
     return Outcome(
@@ -412,7 +412,7 @@ def _output_of(
         copied=_motionless_copies(marked_output) or None,
         inputs=_report_inputs(origin, result.program, job.output),
     )
-    report_name = job.report(settings.mode)
+    report_name = job.report_name(settings.mode)
     stem = report_name.removesuffix("report.json")
     contents: dict[str, bytes | Iterable[bytes]] = {doc.name: doc.pieces() for doc in result.documents}
     contents |= marked_output.copies

@@ -361,18 +361,20 @@ class OutputPlan:
                 shared_name_problem(first, second),
                 advice="Nothing was written. Rename one, or convert them one by one with different -o folders.",
             )
-        inputs = [cell, *(path for job in self.jobs for path in job.reads())]
+        inputs = [cell, *(path for job in self.jobs for path in job.input_files())]
         names: dict[Path, list[str]] = {}
         for job in self.jobs:
-            names.setdefault(job.output, []).extend(job.writes(self._mode))
+            names.setdefault(job.output, []).extend(job.output_names(self._mode))
         for folder in self.overviews:
             names[folder].append(OVERVIEW)
         for folder, file_names in names.items():
             protect(inputs, folder, file_names)
         for job in self.jobs:
-            self._refuse_called_names(job, job.writes(self._mode))
+            self._refuse_called_names(job, job.output_names(self._mode))
         if not self._overwrite:
-            foreign_files = [path for job in self.jobs for path in self._foreign_files(job, job.writes(self._mode))]
+            foreign_files = [
+                path for job in self.jobs for path in self._foreign_files(job, job.output_names(self._mode))
+            ]
             refuse(foreign_files + [path for folder in self.overviews for path in find_foreign_file(folder / OVERVIEW)])
 
     def _refuse_called_names(self, job: Job, names: Iterable[str]) -> None:
@@ -401,8 +403,8 @@ class OutputPlan:
         assert outcome.staged_files is not None  # the caller has checked it
         assert outcome.summary is not None
         names = outcome.staged_files.names
-        protect([*job.reads(), *map(Path, outcome.read)], job.output, names)
-        planned_names = job.writes(mode)
+        protect([*job.input_files(), *map(Path, outcome.read)], job.output, names)
+        planned_names = job.output_names(mode)
         unplanned_names = [name for name in names if name not in planned_names]
         _refuse_names_of_parts(task, unplanned_names)
         self._refuse_called_names(job, [name for name in unplanned_names if name not in outcome.shared_files])
@@ -425,8 +427,8 @@ class OutputPlan:
             )
         obsolete = [name for name in _obsolete_names(job, mode, names) if not folder.owners(job, name)]
         if not self._overwrite:
-            refuse(find_foreign_files(job.output, obsolete, job.report(mode)))
-        partners = folder.programs_needing(changed_names) - {job.report(mode)} if changed_names else frozenset()
+            refuse(find_foreign_files(job.output, obsolete, job.report_name(mode)))
+        partners = folder.programs_needing(changed_names) - {job.report_name(mode)} if changed_names else frozenset()
         return _PendingOutput(task, outcome, tuple(obsolete), partners)
 
     def _take_groups(self) -> list[list[_PendingOutput]]:
@@ -455,7 +457,7 @@ class OutputPlan:
         """Return whether the files of two programs must be replaced together: one changes a file that both need."""
         if program_a.task.job.output != program_b.task.job.output:
             return False
-        report_a, report_b = (program.task.job.report(self._mode) for program in (program_a, program_b))
+        report_a, report_b = (program.task.job.report_name(self._mode) for program in (program_a, program_b))
         return report_b in program_a.partners or report_a in program_b.partners
 
     def _replace_files(self, group: Sequence[_PendingOutput]) -> list[Outcome]:
@@ -496,7 +498,7 @@ class OutputPlan:
         folder = self._folders[job.output]
         foreign_files = [
             path
-            for path in find_foreign_files(job.output, names, job.report(self._mode))
+            for path in find_foreign_files(job.output, names, job.report_name(self._mode))
             if not folder.is_needed_copy(job, path)
         ]
         return (
@@ -540,7 +542,7 @@ class OutputPlan:
         ]
         if not own_names:
             return ""
-        input_keys = {_path_key(path) for path in job.reads()}
+        input_keys = {_path_key(path) for path in job.input_files()}
         if changed_files or any(_path_key(job.output / name) in input_keys for name in own_names):
             return leftover_note([job], mode)
         try:
@@ -566,7 +568,7 @@ class _Folder:
     def add(self, job: Job) -> None:
         """Add a job of the run."""
         self.jobs.append(job)
-        self._pending.add(job.report(self._mode))
+        self._pending.add(job.report_name(self._mode))
 
     @cached_property
     def _names(self) -> frozenset[str]:
@@ -605,7 +607,7 @@ class _Folder:
                 report in self._pending,
             )
             for report, record in self._records().items()
-            if report != job.report(self._mode)
+            if report != job.report_name(self._mode)
         ]
         stems_in_use = {PurePath(name).stem.lower() for record in records for name in record.files} | names
         stems_in_use |= {path.stem.lower() for path in self._path.glob("*") if path.name not in self._job_files(job)}
@@ -613,12 +615,12 @@ class _Folder:
 
     def _job_files(self, job: Job) -> Mapping[str, str]:
         """Return the files that an earlier run wrote for a job: name → SHA-256."""
-        record = self._earlier_records.get(job.report(self._mode))
+        record = self._earlier_records.get(job.report_name(self._mode))
         return {} if record is None else record.files
 
     def record_conversion(self, job: Job) -> None:
         """Record that a job is not pending any more: it was converted, or it failed."""
-        self._pending.discard(job.report(self._mode))
+        self._pending.discard(job.report_name(self._mode))
 
     def record_files(self, job: Job, outcome: Outcome) -> None:
         """Record the staged files of a converted program."""
@@ -626,11 +628,13 @@ class _Folder:
         assert outcome.summary is not None
         sums = {entry.name: entry.sha256 for entry in outcome.summary.files or ()}
         copies = frozenset(outcome.summary.copied or ())
-        self._new_records[job.report(self._mode)] = Record(job.stem, outcome.staged_files.path / "new", sums, copies)
+        self._new_records[job.report_name(self._mode)] = Record(
+            job.stem, outcome.staged_files.path / "new", sums, copies
+        )
 
     def record_placement(self, job: Job) -> None:
         """Record that the files of a converted program are in the output folder now."""
-        report = job.report(self._mode)
+        report = job.report_name(self._mode)
         self._new_records[report] = replace(self._new_records[report], folder=self._path)
 
     def has_pending(self, reports: Iterable[str]) -> bool:
@@ -657,7 +661,7 @@ class _Folder:
 
         :param only_pending: only records of programs that are still to be converted.
         """
-        own_report = job.report(self._mode)
+        own_report = job.report_name(self._mode)
         return [
             record
             for report, record in self._records().items()
@@ -684,7 +688,7 @@ class _Folder:
         if not file_digest or self._job_files(job).get(path.name) == file_digest:
             return None
         if job.keeps_text and any(
-            source.name == path.name and _file_digest(source) == file_digest for source in job.reads()
+            source.name == path.name and _file_digest(source) == file_digest for source in job.input_files()
         ):
             return None
         return next((record for record in records if record.files[path.name] == file_digest), None)
@@ -716,10 +720,10 @@ def _refuse_names_of_parts(task: Task, names: Iterable[str]) -> None:
 def _obsolete_names(job: Job, mode: Mode, new_names: Iterable[str]) -> list[str]:
     """Return the names of files of an earlier run of a job that this run does not write and does not read."""
     lower_names = {name.lower() for name in new_names}
-    inputs = {_path_key(path) for path in job.reads()}
+    inputs = {_path_key(path) for path in job.input_files()}
     return [
         name
-        for name in _existing_names(job, recorded_files(job.output / job.report(mode)))
+        for name in _existing_names(job, recorded_files(job.output / job.report_name(mode)))
         if name.lower() not in lower_names
         and PurePath(name).name == name
         and _path_key(job.output / name) not in inputs
@@ -749,9 +753,9 @@ def leftover_note(jobs: Iterable[Job], mode: Mode) -> str:
 
 def _earlier_programs(job: Job, mode: Mode) -> list[str]:
     """Return the names of existing programs of an earlier run of a job: the main file; without one, the modules."""
-    digests = recorded_files(job.output / job.report(mode))
+    digests = recorded_files(job.output / job.report_name(mode))
     modules = [name for name in digests if name.endswith(job.writer.extension)]
-    return _existing_names(job, job.mains(mode)) or _existing_names(job, modules)
+    return _existing_names(job, job.main_file_names(mode)) or _existing_names(job, modules)
 
 
 def _overviews(jobs: Sequence[Job]) -> list[Path]:
@@ -774,7 +778,7 @@ def _may_share(job: Job) -> bool:
     """
     if not (job.keeps_text and isinstance(registry.dialect_of_name(job.dialect), Calling)):
         return False
-    own_files = {_path_key(path) for path in job.reads()}
+    own_files = {_path_key(path) for path in job.input_files()}
     return any(_path_key(path) not in own_files for path in job.program.parent.glob("*") if path.is_file())
 
 
@@ -795,8 +799,10 @@ def _existing_names(job: Job, names: Iterable[str]) -> list[str]:
 
 def _run_files(job: Job, mode: Mode) -> list[str]:
     """Return the names of files that this run may write for a job, and that an earlier run has written for it."""
-    planned_names = job.writes(mode)
-    return list(dict.fromkeys([*job.mains(mode), *planned_names, *recorded_files(job.output / job.report(mode))]))
+    planned_names = job.output_names(mode)
+    return list(
+        dict.fromkeys([*job.main_file_names(mode), *planned_names, *recorded_files(job.output / job.report_name(mode))])
+    )
 
 
 def _intact_program_files(job: Job, mode: Mode) -> list[str]:
@@ -804,7 +810,7 @@ def _intact_program_files(job: Job, mode: Mode) -> list[str]:
 
     The list is empty in a prediction, and if there is no program, or it cannot be read or was changed.
     """
-    program = next((job.output / name for name in _existing_names(job, job.mains(mode))), None)
+    program = next((job.output / name for name in _existing_names(job, job.main_file_names(mode))), None)
     if mode == "predict" or program is None or not program.is_file():
         return []
     try:

@@ -66,7 +66,7 @@ class PlanRequest(Struct, frozen=True, kw_only=True):
         """Return the options of the search for a plan."""
         return Options(self.configurations, self.q2_levels, self.seed, self.grouped, self.test_poses, self.repeats)
 
-    def reads(self) -> list[Path]:
+    def input_files(self) -> list[Path]:
         """Return the files that are read."""
         option_files = filter(None, (self.forces, self.poses, self.measured))
         return [self.experiment, self.cell, *option_files, *map(Path, self.programs)]
@@ -110,7 +110,7 @@ def make_plan(request: PlanRequest, progress: Progress | None = None) -> PlanFil
     csv, src = request.output.name, f"{KRL.writer.valid_name(stem)}.src"
     html, record = f"{stem}.html", f"{stem}.json"
     names = (csv, src, html, record)
-    protect(request.reads(), folder, names)
+    protect(request.input_files(), folder, names)
     if not request.overwrite:
         refuse(find_foreign_files(folder, names, record))
     with interrupts.interruptible_search():

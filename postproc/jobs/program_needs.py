@@ -241,6 +241,7 @@ def _exclude_points(low: Array, high: Array, points: Sequence[tuple[float, float
     :param margin: distance of the tool axis to keep from the box [mm].
     """
     for x, y in points:
+        # distance of the tool axis from each side, positive inside
         gaps = {(0, "low"): x - low[0], (0, "high"): high[0] - x, (1, "low"): y - low[1], (1, "high"): high[1] - y}
         (axis, side), gap = min(gaps.items(), key=lambda item: item[1])
         if -margin < gap <= 2.0 * margin:

@@ -38,7 +38,7 @@ class Job(Struct, frozen=True):
     :param forces: CSV file with its forces, or process.toml from which they are computed; None: neither.
     :param name: name of the written program and its other files; None: the name of `program`.
     :param to: name of the format to write; None: `dialect` if postproc writes it, else KRL.
-    :param named: True if the user named the file itself; False if only its folder or a pattern.
+    :param is_named_by_user: True if the user named the file itself; False if only its folder or a pattern.
     :param callers: programs of the run that call this program; it is then corrected with them, not by itself.
     """
 
@@ -48,7 +48,7 @@ class Job(Struct, frozen=True):
     forces: Path | None = None
     name: str | None = None
     to: str | None = None
-    named: bool = True
+    is_named_by_user: bool = True
     callers: tuple[Path, ...] = ()
 
     @property
@@ -66,18 +66,18 @@ class Job(Struct, frozen=True):
         """The process.toml from which its forces are computed; None: they are not computed."""
         return self.forces if self.forces is not None and self.forces.suffix.lower() == PROCESS else None
 
-    def reads(self) -> list[Path]:
+    def input_files(self) -> list[Path]:
         """Return the files that are read for this program, without the cell."""
         companions = registry.dialect_of_name(self.dialect).companions(self.program)
         return [self.program, *companions, *([] if self.forces is None else [self.forces])]
 
-    def report(self, mode: Mode) -> str:
+    def report_name(self, mode: Mode) -> str:
         """Return the name of the report that says what was written (`report.json`)."""
         return f"{self.program.stem}.predict.report.json" if mode == "predict" else f"{self.stem}.report.json"
 
-    def writes(self, mode: Mode) -> list[str]:
+    def output_names(self, mode: Mode) -> list[str]:
         """Return the names of the files that may be written: programs, then reports."""
-        report = self.report(mode).removesuffix("report.json")
+        report = self.report_name(mode).removesuffix("report.json")
         reports = [f"{report}{kind}" for kind in ("report.json", "targets.csv", "report.html")]
         if self.process is not None:
             reports.append(f"{report}stock.glb")
@@ -92,9 +92,9 @@ class Job(Struct, frozen=True):
             return [*(path.name for path in files), *reports]
         return [f"{self.stem}{self.writer.extension}", *reports]
 
-    def mains(self, mode: Mode) -> list[str]:
+    def main_file_names(self, mode: Mode) -> list[str]:
         """Return the names that the main file may have: its planned name, and NAMEMain if the program is divided."""
-        main_file = Path(self.writes(mode)[0])
+        main_file = Path(self.output_names(mode)[0])
         return [main_file.name, *([f"{main_file.stem}Main{main_file.suffix}"] if mode != "predict" else [])]
 
     @property
@@ -142,7 +142,7 @@ def find_jobs(
     :raises InputError: an input names no program of a known format, the program cannot be written in the dialect, a
         name is given for several programs, or the name of a file that the user named is not UTF-8.
     """
-    programs = _unique(path for name in inputs for path in _expand(name, dialect))
+    programs = _unique_paths(path for name in inputs for path in _expand(name, dialect))
     programs = _leave_out_parts(programs, {resolve(Path(name)) for name in inputs}, dialect)
     callers = _callers([path for path in programs if str(path) not in inputs], programs, dialect)
     main_programs = [path for path in programs if path not in callers]
@@ -165,7 +165,7 @@ def find_jobs(
                 forces=file_of_program.get(path),
                 name=output_name,
                 to=to,
-                named=str(path) in inputs,
+                is_named_by_user=str(path) in inputs,
                 callers=tuple(callers.get(path, ())),
             )
         )
@@ -237,7 +237,7 @@ def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | N
     return {path: callers for path, callers in callers_of.items() if path in unnamed}
 
 
-def _unique(paths: Iterable[Path]) -> list[Path]:
+def _unique_paths(paths: Iterable[Path]) -> list[Path]:
     """Return paths without those that lead to the file of an earlier path."""
     by_location: dict[Path, Path] = {}
     for path in paths:

@@ -201,7 +201,7 @@ def _write_overviews(folders: Sequence[Path], jobs: Sequence[Job], outcomes: Seq
     for folder in folders:
         folder_outcomes = [outcome_of_program[str(job.program)] for job in jobs if job.output == folder]
         entries = [
-            Entry(Path(outcome.program).name, "", None, reason(outcome), called=outcome.is_skipped)
+            Entry(Path(outcome.program).name, "", None, failure_reason(outcome), called=outcome.is_skipped)
             for outcome in folder_outcomes
             if outcome.summary is None
         ]
@@ -223,7 +223,7 @@ def reported_programs(folder: Path) -> list[Entry]:
     return [entry for path in sorted(folder.glob(f"*{_REPORT}")) if (entry := _entry(path)) is not None]
 
 
-def reason(outcome: Outcome) -> str:
+def failure_reason(outcome: Outcome) -> str:
     """Return why a program was not written: its message, or its errors."""
     return outcome.message or "; ".join(issue.message for issue in outcome.issues if issue.level == "error")
 

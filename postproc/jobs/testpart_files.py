@@ -187,7 +187,7 @@ def make_testpart(request: TestPartRequest, progress: Callable[[str], None] = la
         progress=progress,
     )
     parts = _programs(request, choice, tuple(placements))
-    warnings = questions(request.weight_kg, robot, choice.cutting, tool.flutes)
+    warnings = design_warnings(request.weight_kg, robot, choice.cutting, tool.flutes)
     contents: dict[str, bytes | Iterable[bytes]] = {}
     for placement, placement_cell in placements.items():
         if len(parts[placement].feature):
@@ -266,7 +266,7 @@ def _chosen_part(
     return _ChosenPart(selection, cutting, weight_places, touches)
 
 
-def questions(weight_kg: float, robot: RobotModel, cutting: Cutting, flutes: int) -> tuple[str, ...]:
+def design_warnings(weight_kg: float, robot: RobotModel, cutting: Cutting, flutes: int) -> tuple[str, ...]:
     """Return warnings for the user: of a weight above the rating of the robot, and of unusual feeds and chips.
 
     :param weight_kg: mass of the weight, 0 for none; `robot`: robot on whose tool it is hung.
@@ -301,9 +301,9 @@ def _cutting(request: TestPartRequest, key: str, tool: ToolTable, box: Box) -> C
     :param key: key of the tool in the process; `box`: the block.
     """
     usual_rpm = min(_LARGEST_RPM, MM_PER_M * _CUTTING_SPEED / (np.pi * tool.diameter_mm))
-    rpm = tool.rpm or float(np.floor(usual_rpm / 100.0) * 100.0)
+    rpm = tool.rpm or float(np.floor(usual_rpm / 100.0) * 100.0)  # whole hundreds
     feed = request.feed_mm_per_min or _CHIP_SHARE * tool.diameter_mm * tool.flutes * rpm
-    number = int(key) if key.isdecimal() else 1
+    number = int(key) if key.isdecimal() else 1  # a process with a tool for all numbers: T1
     return Cutting(tool.diameter_mm * M_PER_MM, rpm, feed * M_PER_MM / 60.0, number, box.Z[1] * M_PER_MM)
 
 

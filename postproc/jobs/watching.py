@@ -46,7 +46,7 @@ from postproc.jobs.programs import (
     read_documents,
     states_forces,
 )
-from postproc.jobs.runs import convert_all, reason, write_overview
+from postproc.jobs.runs import convert_all, failure_reason, write_overview
 from postproc.report import index
 from postproc.version import VERSION
 
@@ -527,8 +527,8 @@ class _Watcher:
             return False
         try:
             (job,) = self._find_forces(find_jobs([str(path)], output=self.output, **self.plain_options))
-            report = json.loads((self.output / job.report("convert")).read_bytes())
-            main = next(self.output / name for name in job.mains("convert") if (self.output / name).is_file())
+            report = json.loads((self.output / job.report_name("convert")).read_bytes())
+            main = next(self.output / name for name in job.main_file_names("convert") if (self.output / name).is_file())
             origin = job.writer.origin(read_documents(main, registry.written_in(job.dialect, job.to)[0]))
             expected = (self._expected_sums(path, job), options_of(self.settings), "corrected", VERSION)
             is_same = (origin.sums, origin.options, origin.mode, origin.version) == expected
@@ -555,7 +555,7 @@ class _Watcher:
         """
         self.finished[path] = signature
         if digest is not None:
-            fault = reason(outcome) if outcome.summary is None and outcome.code == FAILED else ""
+            fault = failure_reason(outcome) if outcome.summary is None and outcome.code == FAILED else ""
             self.entries[path.name] = Entry(digest, outcome.code, self.setup, fault)
             files.write_whole(self.output, {STATE: msgspec.json.encode(self.entries)})
 

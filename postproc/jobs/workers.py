@@ -51,10 +51,10 @@ class LocalWorkers:
     def __init__(self, count: int, settings: Settings) -> None:
         self._settings = settings
         self._threads = ThreadPoolExecutor(count)
-        self._free: SimpleQueue[_Process] = SimpleQueue()
-        self._all: set[_Process] = set()  # free and working processes
+        self._free_processes: SimpleQueue[_Process] = SimpleQueue()
+        self._processes: set[_Process] = set()  # free and working processes
         self._lock = threading.Lock()
-        self._ending = False
+        self._is_ending = False
 
     def begin(self, task: Task) -> Future[Outcome]:
         """Begin a task as soon as there is a free process; return its future."""
@@ -71,11 +71,11 @@ class LocalWorkers:
     def end(self) -> None:
         """End the processes at once."""
         with self._lock:
-            self._ending = True
-            for process in self._all:
+            self._is_ending = True
+            for process in self._processes:
                 process.kill()
         self._threads.shutdown(cancel_futures=True)
-        for process in self._all:
+        for process in self._processes:
             process.wait()
 
     def _work(self, task: Task) -> Outcome:
@@ -85,9 +85,9 @@ class LocalWorkers:
             outcome = process.work(task, self._settings)
         except EOFError:
             with self._lock:
-                self._all.discard(process)
+                self._processes.discard(process)
             return _crash_outcome(task, process.wait())
-        self._free.put(process)
+        self._free_processes.put(process)
         return outcome
 
     def _process(self) -> _Process:
@@ -96,12 +96,12 @@ class LocalWorkers:
         :raises OSError: the workers are ending, or no process can be started.
         """
         with contextlib.suppress(Empty):
-            return self._free.get_nowait()
+            return self._free_processes.get_nowait()
         with self._lock:
-            if self._ending:
+            if self._is_ending:
                 raise OSError
             process = _Process()
-            self._all.add(process)
+            self._processes.add(process)
             return process
 
 

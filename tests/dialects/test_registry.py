@@ -90,7 +90,7 @@ def test_a_program_of_another_packages_dialect_is_a_job(package, others, tmp_pat
     others(fanuc="somebodys_dialects:FANUC")
     (tmp_path / "part.fan").write_text("G1 X1\n")
     (job,) = jobs.find_jobs([str(tmp_path)])
-    assert (job.dialect, job.writes("convert")[0]) == ("fanuc", "part.src")
+    assert (job.dialect, job.output_names("convert")[0]) == ("fanuc", "part.src")
 
 
 @pytest.mark.parametrize(

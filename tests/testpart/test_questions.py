@@ -6,7 +6,7 @@ import pytest
 
 from postproc import robot as robots
 from postproc.errors import ForceError
-from postproc.jobs.testpart_files import flat_tool, questions
+from postproc.jobs.testpart_files import design_warnings, flat_tool
 from postproc.machining.process import Process, ToolTable
 from postproc.testpart.features import Cutting
 from tests.commands import run
@@ -28,7 +28,7 @@ CALM = "no warning"
 def test_weights_above_the_rating_and_feeds_of_no_cutter_are_questioned(weight, feed, rpm, text):
     """A tool of 10 mm with three flutes: a tenth of its diameter per tooth is 1 mm."""
     arm = robots.load(robots.find("kuka_kr270"))
-    warnings = questions(weight, arm, Cutting(0.01, rpm, feed / 60e3, 1, 0.0), 3)
+    warnings = design_warnings(weight, arm, Cutting(0.01, rpm, feed / 60e3, 1, 0.0), 3)
     assert len(warnings) == (text != CALM)
     if warnings:
         assert warnings[0].startswith(text)
