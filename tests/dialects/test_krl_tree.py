@@ -183,10 +183,10 @@ def test_parts_of_statements_are_where_the_text_has_them():
     assert source.text[asked.start : asked.stop] == "(i==1) AND NOT (v<>0.5) OR $IN[2]"
     path, distance = on(21), on(22)
     assert (path.value.value, path.delay.value) == (-12.5, 20.0)
-    assert path.from_start
+    assert path.is_from_start
     assert not path.is_distance
     assert distance.is_distance
-    assert not distance.from_start
+    assert not distance.is_from_start
     assert len(on(16).values) == 2
     assert on(27).extra_text == "C_SPL"
     half = on(41)

@@ -100,7 +100,9 @@ class _Writer:
     extension = ".src"
     approximation = "approximation (C_DIS)"
     least_arc = (2e-5, 0.3 * RAD_PER_DEG)
-    """Assumed: no limit is published. On smaller arcs the rounding of the three points determines the circle."""
+    """Least length [m] and angle [rad] of an arc.
+
+    Assumed: no limit is published. On smaller arcs the rounding of the three points determines the circle."""
 
     def fault_of(self, name: str) -> str | None:
         """Return the reason why the controller refuses a program name; None if it accepts the name."""
@@ -204,7 +206,7 @@ class Krl:
         frames = {
             (kind.lower(), int(number))
             for document in documents
-            for kind, number in _NUMBERED_FRAME.findall(scan.without_comments(document.text))
+            for kind, number in _NUMBERED_FRAME.findall(scan.code_without_comments(document.text))
         }
         return tuple(f"{kind}_data.{number}" for kind, number in sorted(frames) if number)
 
@@ -346,6 +348,6 @@ def _file_calls(path: Path) -> _FileCalls:
     if all(routine.is_empty for routine in routines if routine.name == name):
         callable_names |= {routine.name for routine in routines if routine.is_global}
     called_names = (
-        scan.called_names(scan.without_comments(text)) if path.stem.lower() != _SELECTION_FILE else set[str]()
+        scan.called_names(scan.code_without_comments(text)) if path.stem.lower() != _SELECTION_FILE else set[str]()
     )
     return _FileCalls(frozenset(called_names), frozenset(callable_names))

@@ -17,8 +17,8 @@ from postproc.dialects.krl.language.tokens import (
     ELEMENT,
     NAME,
     NEXT_NAME,
-    after_word,
     key_word,
+    skip_word,
     word_at,
 )
 from postproc.errors import ProgramError
@@ -88,9 +88,10 @@ def _first_name(source: Source, match: re.Match[str]) -> DeclaredName:
 def _value_stop(source: Source, start: int, stop: int) -> int:
     """Return the offset behind the initial value at `start`; `stop`, the end of the line, if it cannot be read."""
     try:
-        return value_at(source, start, stop)[1]
+        _, value_stop = value_at(source, start, stop)
     except ProgramError:
         return stop
+    return value_stop
 
 
 class Structure(NamedTuple):
@@ -191,8 +192,8 @@ def _data_line(data: Source, line: int, word: str) -> DataLine:
 
 def _has_global(text: str, start: int, stop: int) -> bool:
     """Return whether GLOBAL is the first word of a line, or follows DECL."""
-    decl_stop = after_word(text, start, stop, "DECL")  # −1 without DECL
-    return after_word(text, max(start, decl_stop), stop, "GLOBAL") >= 0
+    decl_stop = skip_word(text, start, stop, "DECL")  # −1 without DECL
+    return skip_word(text, max(start, decl_stop), stop, "GLOBAL") >= 0
 
 
 def _other_declared_names(code: str, word: str) -> frozenset[str]:

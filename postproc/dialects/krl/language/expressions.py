@@ -23,10 +23,10 @@ from postproc.dialects.krl.language.tokens import (
     NUMBER_PATTERN,
     STRING,
     TAG,
-    after_blanks,
-    after_sign,
     operator_at,
     read_negations,
+    skip_blanks,
+    skip_sign,
     word_at,
     words_in,
 )
@@ -79,48 +79,50 @@ def value_in(source: Source, start: int, stop: int) -> Value:
 
     :param start: offset of the piece in the file; `stop` the offset after it.
     """
-    start = after_blanks(source.text, start, stop)
+    start = skip_blanks(source.text, start, stop)
     try:
         value, end = value_at(source, start, stop)
     except ProgramError as error:
         return unreadable_text(source, start, stop, error)
-    next_start = after_blanks(source.text, end, stop)
+    next_start = skip_blanks(source.text, end, stop)
     return value if next_start == stop else opaque_text(source, start, stop, next_start)
 
 
 def value_at(source: Source, start: int, stop: int) -> _Read:
     """Return the value that begins at `start`, and the offset behind it; `OpaqueText` if it is no known expression.
 
-    The tries are in the order of their cost: a single operand, a sum, a condition.
+    The fastest reading is tried first: a single operand, then a sum, then a condition.
 
     :raises ProgramError: braces or brackets are not balanced, an aggregate is not well formed.
     """
     text = source.text
-    begin = after_blanks(text, start, stop)
+    begin = skip_blanks(text, start, stop)
     is_negated = text[begin : begin + 1] in ("N", "n") and word_at(text, begin, stop) == "NOT"
     first = None  # the first term and the offset behind it, once it is read
     if begin < stop and text[begin] not in "+-" and not is_negated:
-        first = operand(source, begin, stop)
-        next_offset = after_blanks(text, first[1], stop)
+        first = operand_at(source, begin, stop)
+        _, end = first
+        next_offset = skip_blanks(text, end, stop)
         if next_offset == stop or text[next_offset] in _VALUE_ENDS:
             return first  # a single operand, the most common case: the search for operators is skipped
     if not is_negated:
-        first = arithmetic(source, begin, stop, first)
-        next_offset = after_blanks(text, first[1], stop)
+        first = sum_at(source, begin, stop, first)
+        _, end = first
+        next_offset = skip_blanks(text, end, stop)
         if next_offset == stop or not LOGIC.match(text, next_offset, stop):
             return first
     try:
-        value, end = condition(source, begin, stop, first)
-        next_offset = after_blanks(text, end, stop)
+        value, end = condition_at(source, begin, stop, first)
+        next_offset = skip_blanks(text, end, stop)
         if next_offset == stop or text[next_offset] in ",)]}":
             return value, end
     except ProgramError:
-        end = begin if first is None else first[1]
+        _, end = first or (None, begin)  # the text behind the first term is not read
     end = value_end(source, end, stop)
     return opaque_text(source, begin, end), end
 
 
-def condition(source: Source, start: int, stop: int, first: _Read | None = None) -> _Read:
+def condition_at(source: Source, start: int, stop: int, first: _Read | None = None) -> _Read:
     """Return terms joined by comparisons and logic, such as ``A>1 AND NOT B``, and the offset behind them.
 
     :param first: the first term and the offset behind it, if it has been read already; no NOT precedes it.
@@ -132,7 +134,7 @@ def condition(source: Source, start: int, stop: int, first: _Read | None = None)
     begin = start
     while True:
         is_negated, start = (False, start) if first is not None else read_negations(source.text, start, stop)
-        term, end = first or arithmetic(source, start, stop)
+        term, end = first or sum_at(source, start, stop)
         first = None
         terms.append(term)
         negations.append(is_negated)
@@ -143,13 +145,15 @@ def condition(source: Source, start: int, stop: int, first: _Read | None = None)
         start = operator_end
 
 
-def arithmetic(source: Source, start: int, stop: int, first: _Read | None = None) -> _Read:
-    """Return a sum, or a single value, and the offset behind it; it ends before a comparison or a logical operator.
+def sum_at(source: Source, start: int, stop: int, first: _Read | None = None) -> _Read:
+    """Return a sum or a single value, and the offset behind it.
+
+    It ends before a comparison, a logical operator or any other text.
 
     :param first: the first operand and the offset behind it, if it has been read already.
     :raises ProgramError: as for `value_at`.
     """
-    return _left_to_right(source, start, stop, first, "+-", _product)
+    return _operations_of_one_rank(source, start, stop, first, "+-", _product)
 
 
 def _product(source: Source, start: int, stop: int, first: _Read | None) -> _Read:
@@ -158,10 +162,10 @@ def _product(source: Source, start: int, stop: int, first: _Read | None) -> _Rea
     :param first: the first operand and the offset behind it, if it has been read already.
     :raises ProgramError: as for `value_at`.
     """
-    return _left_to_right(source, start, stop, first, "*/", _factor)
+    return _operations_of_one_rank(source, start, stop, first, "*/", _factor)
 
 
-def _left_to_right(
+def _operations_of_one_rank(
     source: Source,
     start: int,
     stop: int,
@@ -178,14 +182,14 @@ def _left_to_right(
     """
     text = source.text
     value, end = read_operand(source, start, stop, first)
-    next_offset, terms = after_blanks(text, end, stop), 1
+    next_offset, terms = skip_blanks(text, end, stop), 1
     while next_offset < stop and text[next_offset] in operators:
         terms += 1
         if terms > _MOST_TERMS:
             raise source.error(f"an expression has more than {_MOST_TERMS} terms", start, "Write it as several.")
         right, end = read_operand(source, next_offset + 1, stop, None)
         value = Operation(text[next_offset], value, right, value.start, end)
-        next_offset = after_blanks(text, end, stop)
+        next_offset = skip_blanks(text, end, stop)
     return value, end
 
 
@@ -198,25 +202,25 @@ def _factor(source: Source, start: int, stop: int, first: _Read | None) -> _Read
     :raises ProgramError: as for `value_at`, and for two signs in a row.
     """
     text = source.text
-    start = after_blanks(text, start, stop)
+    start = skip_blanks(text, start, stop)
     if text[start:stop][:1] in ("+", "-") and not NUMBER.match(text, start, stop):
-        if text[after_blanks(text, start + 1, stop) : stop][:1] in ("+", "-"):
+        if text[skip_blanks(text, start + 1, stop) : stop][:1] in ("+", "-"):
             raise source.error("two signs in a row", start, advice="Put the second sign and its value in brackets.")
         value, end = _factor(source, start + 1, stop, None)
         return Operation(text[start], None, value, start, end), end
-    value, end = first or operand(source, start, stop)
-    next_offset = after_blanks(text, end, stop)
+    value, end = first or operand_at(source, start, stop)
+    next_offset = skip_blanks(text, end, stop)
     if next_offset < stop and text[next_offset] == ":":
         operands: list[Value] = [value]
         while next_offset < stop and text[next_offset] == ":":
-            value, end = operand(source, next_offset + 1, stop)
+            value, end = operand_at(source, next_offset + 1, stop)
             operands.append(value)
-            next_offset = after_blanks(text, end, stop)
+            next_offset = skip_blanks(text, end, stop)
         value = Chain(tuple(operands), operands[0].start, end)
     return value, end
 
 
-def operand(source: Source, start: int, stop: int) -> _Read:
+def operand_at(source: Source, start: int, stop: int) -> _Read:
     """Return the single operand that begins at `start`, and the offset behind it.
 
     It is a name, a number, a string, an aggregate or an expression in brackets; other text is `OpaqueText`.
@@ -224,7 +228,7 @@ def operand(source: Source, start: int, stop: int) -> _Read:
     :raises ProgramError: as for `value_at`.
     """
     text = source.text
-    start = after_blanks(text, start, stop)
+    start = skip_blanks(text, start, stop)
     if start >= stop:
         raise source.error(
             "a value is missing", min(start, len(text) - 1), advice="Write a number, a name or an expression there."
@@ -235,11 +239,11 @@ def operand(source: Source, start: int, stop: int) -> _Read:
         return aggregate, aggregate.stop
     if match := NAME.match(text, start, stop):
         if match[0].upper() == "B_NOT":
-            value, end = operand(source, match.end(), stop)
+            value, end = operand_at(source, match.end(), stop)
             return Operation("B_NOT", None, value, start, end), end
         return _variable(source, match, stop)
     if first == "(":
-        return _in_brackets(source, start, stop)
+        return _bracketed_value(source, start, stop)
     if match := NUMBER.match(text, start, stop):
         is_whole = match[0].lstrip("+-").isdigit()
         return Number(_finite_number(source, match), start, match.end(), is_whole), match.end()
@@ -256,7 +260,7 @@ def operand(source: Source, start: int, stop: int) -> _Read:
     return opaque_text(source, start, end), end
 
 
-def _in_brackets(source: Source, start: int, stop: int) -> _Read:
+def _bracketed_value(source: Source, start: int, stop: int) -> _Read:
     """Return the value in the bracket at `start`, with the span of the bracket, and the offset behind the bracket.
 
     Other values (words, calls, aggregates) become a `Condition` of one term, whose span is that of the bracket.
@@ -283,26 +287,26 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
     text, start, end, upper_name = source.text, name.start(), name.end(), name[0].upper()
     if upper_name in ("TRUE", "FALSE"):
         return Word(upper_name, start, end), end
-    next_offset = after_blanks(text, end, stop)
+    next_offset = skip_blanks(text, end, stop)
     if next_offset == stop or text[next_offset] not in "([.":
         return Reference(upper_name, None, None, start, end), end
     if text[next_offset] == "(":
         close = closing_bracket(source, next_offset, stop)
-        return Call(upper_name, list_in(source, next_offset + 1, close), start, close + 1), close + 1
+        return Call(upper_name, list_values(source, next_offset + 1, close), start, close + 1), close + 1
     indices: tuple[Value, ...] | None = None
     inner: tuple[Value, ...] = ()
     members: list[str] = []
     while True:  # [indices] of the variable, then any number of .member, each with its own [indices]
-        next_offset = after_blanks(text, end, stop)
+        next_offset = skip_blanks(text, end, stop)
         if indices is None and not members and (index := _index(text, next_offset, stop)) is not None:
             indices, end = index
         elif next_offset < stop and text[next_offset] == "[":
             close = closing_bracket(source, next_offset, stop)
             if members:
                 members[-1] += text[next_offset : close + 1].upper()
-                inner += list_in(source, next_offset + 1, close)
+                inner += list_values(source, next_offset + 1, close)
             elif indices is None:
-                indices = list_in(source, next_offset + 1, close)
+                indices = list_values(source, next_offset + 1, close)
             else:
                 break
             end = close + 1
@@ -329,7 +333,7 @@ def _index(text: str, start: int, stop: int) -> tuple[tuple[Value, ...], int] | 
     return None if name in _VALUE_WORDS else ((Reference(name, None, None, begin, end),), match.end())
 
 
-def list_in(source: Source, start: int, stop: int) -> tuple[Value, ...]:
+def list_values(source: Source, start: int, stop: int) -> tuple[Value, ...]:
     """Return the values between the commas of a list; an empty tuple for an empty list.
 
     A value that is left out, as in ``P[1,]``, is an `OpaqueText`.
@@ -371,8 +375,8 @@ def _calls_in(source: Source, start: int, stop: int) -> tuple[Call, ...]:
     if "(" not in text[start:stop]:
         return ()
     for word, span in words_in(text, start, stop):
-        is_call = span.start >= start and _is_routine(word) and after_sign(text, span.stop, stop, "(") >= 0
-        value, end = operand(source, span.start, stop) if is_call else (None, start)
+        is_call = span.start >= start and _is_routine(word) and skip_sign(text, span.stop, stop, "(") >= 0
+        value, end = operand_at(source, span.start, stop) if is_call else (None, start)
         if isinstance(value, Call):
             call_list.append(value)
             start = end  # words in its arguments are before `start`
@@ -406,7 +410,7 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
         number is not finite.
     """
     text, tag = source.text, ""
-    items, has_next, position = _pose(text, start, stop)
+    items, has_next, position = _pose_components(text, start, stop)
     if not items and (match := TAG.match(text, position, stop)):
         tag, position = match["tag"].upper(), match.end()
     while has_next:
@@ -423,7 +427,7 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
         if name in items:
             raise source.error(f"component {name} is given twice", position - 1, advice="Remove one of them.")
         items[name] = value
-    position = after_blanks(text, position, stop)
+    position = skip_blanks(text, position, stop)
     return Aggregate(source, start, position + 1, tag, items)
 
 
@@ -440,7 +444,7 @@ class _Components(NamedTuple):
     stop: int
 
 
-def _pose(text: str, start: int, stop: int) -> _Components:
+def _pose_components(text: str, start: int, stop: int) -> _Components:
     """Return X, Y, Z, A, B, C of an aggregate that begins with these six as finite numbers in this order.
 
     No components for any other aggregate.
@@ -489,7 +493,7 @@ def _component(source: Source, opening: int, position: int, stop: int) -> _Compo
     if match.end() >= stop or text[match.end()] in ",}":
         _raise_aggregate_error(source, opening, match.end(), stop, f"component {name} has no value")
     value, end = value_at(source, match.end(), stop)
-    end = after_blanks(text, end, stop)
+    end = skip_blanks(text, end, stop)
     if isinstance(value, Reference) and value.name in ("NAN", "INF", "INFINITY"):
         raise source.error(
             f"component {name} is not a finite number", value.start, advice="Write it as a finite number."
@@ -507,7 +511,7 @@ def _raise_aggregate_error(source: Source, opening: int, position: int, stop: in
     :param problem: message if the brace is closed.
     :raises ProgramError: always. A brace that is not closed is named as the problem in place of `problem`.
     """
-    if after_blanks(source.text, position, stop) >= stop or "}" not in source.text[position:stop]:
+    if skip_blanks(source.text, position, stop) >= stop or "}" not in source.text[position:stop]:
         raise source.error("the brace { is not closed", opening, "Check that the file is complete.")
     raise source.error(problem, position)
 

@@ -100,7 +100,7 @@ class Trigger(Struct, frozen=True):
     :param line: 1-based row of the execution trace.
     :param row: motion that it refers to.
     :param is_attached: True if only comments and other TRIGGERs are between it and its motion.
-    :param from_start: True if its distance counts from the start of the motion, False if from the end.
+    :param is_from_start: True if its distance counts from the start of the motion, False if from the end.
     :param offset: distance along the path [m]; NaN when it is not a number.
     :param path_span: span of the number of PATH in its file; None for DISTANCE.
     :param delay: DELAY [s]; NaN when it is not a number.
@@ -110,7 +110,7 @@ class Trigger(Struct, frozen=True):
     line: int
     row: int
     is_attached: bool
-    from_start: bool
+    is_from_start: bool
     offset: float
     path_span: tuple[int, int] | None
     delay: float
@@ -132,7 +132,7 @@ def triggers(trace: Trace, rows: Sequence[tuple[int, int, bool]], length: Array)
             line=line,
             row=row,
             is_attached=is_attached,
-            from_start=switching.from_start,
+            is_from_start=switching.is_from_start,
             offset=switching.offset,
             path_span=switching.path_span,
             delay=switching.delay,
@@ -143,7 +143,7 @@ def triggers(trace: Trace, rows: Sequence[tuple[int, int, bool]], length: Array)
 class _Switching(NamedTuple):
     """Where and when a trigger switches: the fields of `Trigger` that its statement alone decides."""
 
-    from_start: bool
+    is_from_start: bool
     offset: float
     path_span: tuple[int, int] | None
     delay: float
@@ -155,14 +155,14 @@ def _switching_of(node: tree.Statement) -> _Switching:
     Both are NaN too for a statement that is not understood, and the distance for DISTANCE other than 0 and 1.
     """
     if isinstance(node, tree.SplineTiming):
-        return _Switching(node.from_start, offset=0.0, path_span=None, delay=0.0)
+        return _Switching(node.is_from_start, offset=0.0, path_span=None, delay=0.0)
     if not isinstance(node, tree.Trigger) or node.value is None or node.delay is None:
-        return _Switching(from_start=False, offset=float("nan"), path_span=None, delay=float("nan"))
+        return _Switching(is_from_start=False, offset=float("nan"), path_span=None, delay=float("nan"))
     value, delay = _number(node.value), _S_PER_MS * _number(node.delay)
     if not node.is_distance:
-        return _Switching(node.from_start, value * M_PER_MM, (node.value.start, node.value.stop), delay)
+        return _Switching(node.is_from_start, value * M_PER_MM, (node.value.start, node.value.stop), delay)
     is_end_of_motion = value in (0.0, 1.0)  # DISTANCE=0 is the start of the motion, 1 its end
-    return _Switching(node.from_start or value == 0.0, 0.0 if is_end_of_motion else float("nan"), None, delay)
+    return _Switching(node.is_from_start or value == 0.0, 0.0 if is_end_of_motion else float("nan"), None, delay)
 
 
 def _number(value: Value) -> float:

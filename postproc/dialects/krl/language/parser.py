@@ -10,10 +10,10 @@ from typing import NamedTuple, cast
 
 from postproc.dialects.krl.language.declarations import declared_in, structure
 from postproc.dialects.krl.language.expressions import (
-    list_in,
     list_spans,
+    list_values,
     opaque_text,
-    operand,
+    operand_at,
     unreadable_text,
     value_at,
     value_in,
@@ -33,10 +33,10 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import (
     NAME,
     Span,
-    after_blanks,
-    after_sign,
-    after_word,
     key_word,
+    skip_blanks,
+    skip_sign,
+    skip_word,
     word_at,
     words_in,
 )
@@ -120,7 +120,7 @@ def statement_in(source: Source, start: int, stop: int) -> Statement:
     word = word_at(source.text, start, stop)
     word_start = start
     if word == "GLOBAL":
-        word_start = after_blanks(source.text, start + len(word), stop)
+        word_start = skip_blanks(source.text, start + len(word), stop)
         word = word_at(source.text, word_start, stop)
     code = _Code(source, word, start, word_start, stop)
     try:
@@ -148,19 +148,20 @@ def _ordinary_statement(code: _Code) -> Statement:
     """
     source, word, start, word_start, stop = code
     text = source.text
-    # no code, a line of the header, or a key word that does nothing which matters
+    # no code, a line of the header, or a key word without a reader of its own
     if word_start == stop or text[word_start] == "&" or (word in RESERVED and word not in TYPES):
         return Statement(word, start, stop, code=_unparsed_code(source, word_start, stop))
     if word in TYPES:
         return _declaration(code)
-    target, end = operand(source, word_start, stop)
-    equals = after_sign(text, end, stop, "=")
+    target, end = operand_at(source, word_start, stop)
+    equals = skip_sign(text, end, stop, "=")
+    # the second character: `==` compares
     if isinstance(target, Reference) and equals >= 0 and text[equals : equals + 1] != "=":
         return Assignment(word, start, stop, target, value_in(source, equals, stop))
     if isinstance(target, Call) and end == stop:
         return CallStatement(word, start, stop, target)
-    colon = after_sign(text, end, stop, ":")
-    if isinstance(target, Reference) and colon >= 0 and after_blanks(text, colon, stop) == stop:
+    colon = skip_sign(text, end, stop, ":")
+    if isinstance(target, Reference) and colon >= 0 and skip_blanks(text, colon, stop) == stop:
         return Label(word, start, stop, target.name)
     if _is_declaration(text, word_start, stop):
         return _declaration(code)
@@ -178,14 +179,14 @@ def _definition(code: _Code) -> Statement:
     :raises ProgramError: brackets are not balanced.
     """
     source, word, start, _, stop = code
-    text, name_start, result_type = source.text, after_blanks(source.text, code.word_stop, stop), ""
+    text, name_start, result_type = source.text, skip_blanks(source.text, code.word_stop, stop), ""
     if word == "DEFFCT":
         result_type = word_at(text, name_start, stop)
-        name_start = after_blanks(text, name_start + len(result_type), stop)
+        name_start = skip_blanks(text, name_start + len(result_type), stop)
         if not result_type:
             return _ordinary_statement(code)
         if name_start < stop and text[name_start] == "[":  # the type is an array
-            name_start = after_blanks(text, text.find("]", name_start, stop) + 1, stop)
+            name_start = skip_blanks(text, text.find("]", name_start, stop) + 1, stop)
     name_stop = name_start
     while name_stop < stop and text[name_stop] not in " \t(":
         name_stop += 1
@@ -210,7 +211,7 @@ def _parameters(text: str, start: int, stop: int) -> tuple[Parameter, ...]:
 
     :param start: offset behind the name of the routine; `stop` the offset behind the statement.
     """
-    bracket = after_sign(text, start, stop, "(")
+    bracket = skip_sign(text, start, stop, "(")
     if bracket < 0:
         return ()
     close = text.find(")", bracket, stop)
@@ -220,14 +221,14 @@ def _parameters(text: str, start: int, stop: int) -> tuple[Parameter, ...]:
 
 def _parameter(text: str) -> Parameter | None:
     """Return the parameter ``name``, ``name:IN`` or ``name[]:IN`` of a routine; None for an empty text."""
-    begin, stop = after_blanks(text, 0, len(text)), len(text)
+    begin, stop = skip_blanks(text, 0, len(text)), len(text)
     name = word_at(text, begin, stop)
     if not name:
         return None
-    bracket = after_sign(text, begin + len(name), stop, "[")
+    bracket = skip_sign(text, begin + len(name), stop, "[")
     end = text.find("]", bracket) + 1 if bracket >= 0 else begin + len(name)
-    colon = after_sign(text, end, stop, ":")
-    is_input = colon >= 0 and after_word(text, colon, stop, "IN") >= 0
+    colon = skip_sign(text, end, stop, ":")
+    is_input = colon >= 0 and skip_word(text, colon, stop, "IN") >= 0
     return Parameter(name, is_input, bracket >= 0)
 
 
@@ -236,13 +237,13 @@ def _is_declaration(text: str, start: int, stop: int) -> bool:
     kind = NAME.match(text, start, stop)
     if kind is None or "$" in kind[0]:
         return False
-    begin = after_blanks(text, kind.end(), stop)
+    begin = skip_blanks(text, kind.end(), stop)
     end = begin + len(word_at(text, begin, stop))
     if begin == kind.end() or end == begin:
         return False
-    bracket = after_sign(text, end, stop, "[")
+    bracket = skip_sign(text, end, stop, "[")
     end = end if bracket < 0 else text.find("]", bracket, stop) + 1
-    next_offset = after_blanks(text, end, stop)
+    next_offset = skip_blanks(text, end, stop)
     return end > 0 and (next_offset == stop or text[next_offset] in ",=")
 
 
@@ -269,8 +270,8 @@ def _cyclic_input(code: _Code) -> Statement:
     """Return ANIN ON, DIGIN ON or SIGNAL with its name; without ON or a name, the result of `_idle_declaration`."""
     text, position = code.source.text, code.word_stop
     if code.word != "SIGNAL":
-        position = after_word(text, position, code.stop, "ON")
-    name_start = after_blanks(text, position, code.stop)
+        position = skip_word(text, position, code.stop, "ON")
+    name_start = skip_blanks(text, position, code.stop)
     name = word_at(text, name_start, code.stop) if 0 <= position < name_start else ""  # a blank must precede the name
     return CyclicInput(code.word, code.start, code.stop, name) if name else _idle_declaration(code)
 
@@ -284,10 +285,10 @@ def _idle_declaration(code: _Code) -> Statement:
 def _import(code: _Code) -> Statement:
     """Return ``IMPORT type name IS /R1/file..original``; an `IdleDeclaration` for an IMPORT of any other form."""
     text, stop = code.source.text, code.stop
-    kind = NAME.match(text, after_blanks(text, code.word_stop, stop), stop)
-    name = NAME.match(text, after_blanks(text, kind.end(), stop), stop) if kind else None
+    kind = NAME.match(text, skip_blanks(text, code.word_stop, stop), stop)
+    name = NAME.match(text, skip_blanks(text, kind.end(), stop), stop) if kind else None
     dots = text.rfind("..", code.word_start, stop)
-    original = NAME.match(text, after_blanks(text, dots + 2, stop), stop) if dots >= 0 else None
+    original = NAME.match(text, skip_blanks(text, dots + 2, stop), stop) if dots >= 0 else None
     file = text[text.rfind("/", code.word_start, dots) + 1 : dots].strip().upper()
     if name is None or original is None or key_word(text, name.end(), dots, "IS") is None:
         return IdleDeclaration(code.word, code.start, stop)
@@ -308,14 +309,14 @@ def _motion(code: _Code) -> Statement:
     is_circle = word.removesuffix("_REL") in CIRCLES
     if is_circle:
         via, position = _point(source, position, stop)
-        position = after_sign(text, position, stop, ",") if position >= 0 else -1
+        position = skip_sign(text, position, stop, ",") if position >= 0 else -1
     if position >= 0:
         end, position = _point(source, position, stop)
     if is_circle and position >= 0:
-        comma = after_sign(text, position, stop, ",")
-        angle_start = after_word(text, comma, stop, "CA") if comma >= 0 else -1
+        comma = skip_sign(text, position, stop, ",")
+        angle_start = skip_word(text, comma, stop, "CA") if comma >= 0 else -1
         if angle_start >= 0:
-            equals = after_sign(text, angle_start, stop, "=")  # −1 without the sign, which may be left out
+            equals = skip_sign(text, angle_start, stop, "=")  # −1 without the sign, which may be left out
             angle, position = _point(source, max(angle_start, equals), stop)
     if position < 0:
         axes, tail = _RelativeAxes("", None, stop, stop), Tail(stop, stop, stop)
@@ -345,7 +346,7 @@ def _relative_axes(text: str, start: int, stop: int) -> _RelativeAxes:
 
     :param start: offset behind the points of the motion; `stop` the offset behind the statement.
     """
-    frame_start = after_blanks(text, start, stop)
+    frame_start = skip_blanks(text, start, stop)
     if frame_start < stop and text[frame_start] == "#":
         frame = f"#{word_at(text, frame_start + 1, stop)}"
         is_known = frame in FRAMES
@@ -400,7 +401,7 @@ def tail_in(source: Source, start: int, stop: int) -> Tail:
         end = span.start
     head = _stripped_span(text, start, end)
     has_other_words = len(all_words) > len(words)
-    with_end = after_word(text, start, head.stop, "WITH") if has_other_words else -1
+    with_end = skip_word(text, start, head.stop, "WITH") if has_other_words else -1
     if with_end < 0:
         unknown_text = head if head.start < head.stop else None
         return Tail(start, stop, head.stop, approximation=tuple(words), unknown_text=unknown_text)
@@ -413,8 +414,8 @@ def tail_in(source: Source, start: int, stop: int) -> Tail:
 
 def _with_assignment(source: Source, start: int, stop: int) -> Statement:
     """Return an assignment of WITH; a plain statement if it is something else."""
-    target, end = operand(source, start, stop)
-    equals = after_sign(source.text, end, stop, "=")
+    target, end = operand_at(source, start, stop)
+    equals = skip_sign(source.text, end, stop, "=")
     span = _stripped_span(source.text, start, stop)
     word = word_at(source.text, span.start, stop)
     if not isinstance(target, Reference) or equals < 0:
@@ -437,9 +438,9 @@ def _end_spline(code: _Code) -> Statement:
 def _spline_timing(code: _Code) -> Statement:
     """Return CONST_VEL, TIME_BLOCK or STOP WHEN PATH, complete or not."""
     text, stop = code.source.text, code.stop
-    from_start = key_word(text, code.word_start, stop, "ONSTART") is not None
+    is_from_start = key_word(text, code.word_start, stop, "ONSTART") is not None
     unparsed_code = _unparsed_code(code.source, code.word_stop, stop)
-    return SplineTiming(code.word, code.start, stop, _is_complete_timing(code), from_start, code=unparsed_code)
+    return SplineTiming(code.word, code.start, stop, _is_complete_timing(code), is_from_start, code=unparsed_code)
 
 
 def _is_complete_timing(code: _Code) -> bool:
@@ -450,15 +451,15 @@ def _is_complete_timing(code: _Code) -> bool:
     """
     text, stop = code.source.text, code.stop
     if code.word == "STOP":
-        when_end = after_word(text, code.word_stop, stop, "WHEN")
-        position = after_word(text, when_end, stop, "PATH") if when_end >= 0 else -1
+        when_end = skip_word(text, code.word_stop, stop, "WHEN")
+        position = skip_word(text, when_end, stop, "PATH") if when_end >= 0 else -1
     else:
         words = ("START", "END") if code.word == "CONST_VEL" else ("START", "END", "PART")
-        position = after_word(text, code.word_stop, stop, *words)
+        position = skip_word(text, code.word_stop, stop, *words)
     if position < 0:
         return False
-    value_start = after_sign(text, position, stop, "=")
-    has_value = value_start >= 0 and after_blanks(text, value_start, stop) < stop and text[value_start] != "="
+    value_start = skip_sign(text, position, stop, "=")
+    has_value = value_start >= 0 and skip_blanks(text, value_start, stop) < stop and text[value_start] != "="
     if code.word == "TIME_BLOCK":
         last_word = text[:position].upper()
         is_bare = last_word.endswith(("START", "PART")) and position == stop
@@ -472,7 +473,7 @@ def _event(code: _Code) -> Statement:
     source, word, start, word_start, stop = code
     do = key_word(source.text, word_start, stop, "DO")
     head = Span(word_start, stop if do is None else do.start)
-    action = None if do is None else statement_in(source, after_blanks(source.text, do.stop, stop), stop)
+    action = None if do is None else statement_in(source, skip_blanks(source.text, do.stop, stop), stop)
     if word == "TRIGGER":
         return _trigger(code, head, action)
     return Event(
@@ -480,7 +481,7 @@ def _event(code: _Code) -> Statement:
         start,
         stop,
         is_global=code.is_global,
-        is_declaration=after_word(source.text, code.word_stop, stop, "DECL") >= 0,
+        is_declaration=skip_word(source.text, code.word_stop, stop, "DECL") >= 0,
         action=action,
         code=_unparsed_code(source, head.start, head.stop),
     )
@@ -495,18 +496,18 @@ def _trigger(code: _Code, head: Span, action: Statement | None) -> Trigger:
     :param action: the statement behind DO; None without one.
     """
     source, word, start, _, stop = code
-    text, from_start = source.text, False
+    text, is_from_start = source.text, False
     value: Value | None = None
     delay: Value | None = None
-    when_end = after_word(text, code.word_stop, head.stop, "WHEN")
-    kind_end = after_word(text, when_end, head.stop, "DISTANCE", "PATH") if when_end >= 0 else -1
+    when_end = skip_word(text, code.word_stop, head.stop, "WHEN")
+    kind_end = skip_word(text, when_end, head.stop, "DISTANCE", "PATH") if when_end >= 0 else -1
     is_distance = kind_end >= 0 and text[:kind_end].upper().endswith("DISTANCE")
-    value_start = after_sign(text, kind_end, head.stop, "=") if kind_end >= 0 else -1
+    value_start = skip_sign(text, kind_end, head.stop, "=") if kind_end >= 0 else -1
     delay_word = key_word(text, value_start, head.stop, "DELAY") if value_start >= 0 else None
-    delay_start = after_sign(text, delay_word.stop, head.stop, "=") if delay_word is not None else -1
+    delay_start = skip_sign(text, delay_word.stop, head.stop, "=") if delay_word is not None else -1
     if delay_word is not None and delay_start >= 0 and action is not None:
         on_start = key_word(text, value_start, delay_word.start, "ONSTART")
-        from_start = on_start is not None
+        is_from_start = on_start is not None
         value = value_in(source, value_start, on_start.start if on_start is not None else delay_word.start)
         delay = value_in(source, delay_start, head.stop)
     return Trigger(
@@ -518,7 +519,7 @@ def _trigger(code: _Code, head: Span, action: Statement | None) -> Trigger:
         action=action,
         is_distance=is_distance,
         value=value,
-        from_start=from_start,
+        is_from_start=is_from_start,
         delay=delay,
         code=_unparsed_code(source, head.start, head.stop),
     )
@@ -528,7 +529,7 @@ def _stripped_span(text: str, start: int, stop: int) -> Span:
     """Return the span of a piece of code without the blanks around it."""
     while stop > start and text[stop - 1] in " \t":
         stop -= 1
-    return Span(after_blanks(text, start, stop), stop)
+    return Span(skip_blanks(text, start, stop), stop)
 
 
 # --- control structures ----------------------------------------------------------------------------------------------
@@ -560,7 +561,7 @@ def _case(code: _Code) -> Statement:
 
     :raises ProgramError: brackets are not balanced.
     """
-    return Case(code.word, code.start, code.stop, list_in(code.source, code.word_stop, code.stop))
+    return Case(code.word, code.start, code.stop, list_values(code.source, code.word_stop, code.stop))
 
 
 def _bare_word(code: _Code) -> Statement:
@@ -579,12 +580,12 @@ def _for(code: _Code) -> Statement:
     If it cannot be read, counter and bounds are None, and `For.error` gives the reason, if there is one.
     """
     source, text, stop = code.source, code.source.text, code.stop
-    begin = after_blanks(text, code.word_stop, stop)
+    begin = skip_blanks(text, code.word_stop, stop)
     name = word_at(text, begin, stop) if begin > code.word_stop else ""
     counter = bounds = error = None
     try:
-        target, end = operand(source, begin, stop)
-        equals = after_sign(text, end, stop, "=")
+        target, end = operand_at(source, begin, stop)
+        equals = skip_sign(text, end, stop, "=")
         if isinstance(target, Reference) and target.field is None and equals >= 0:
             bounds = _bounds(source, equals, stop)
             counter = None if bounds is None else target
@@ -609,25 +610,25 @@ def _bounds(source: Source, start: int, stop: int) -> Bounds | None:
     :raises ProgramError: one of the values cannot be read.
     """
     first, end = value_at(source, start, stop)
-    end = after_word(source.text, end, stop, "TO")
+    end = skip_word(source.text, end, stop, "TO")
     if end < 0:
         return None
     last, end = value_at(source, end, stop)
-    step_start, step = after_word(source.text, end, stop, "STEP"), None
+    step_start, step = skip_word(source.text, end, stop, "STEP"), None
     if step_start >= 0:
         step, end = value_at(source, step_start, stop)
-    return Bounds(first, last, step) if after_blanks(source.text, end, stop) == stop else None
+    return Bounds(first, last, step) if skip_blanks(source.text, end, stop) == stop else None
 
 
 def _goto(code: _Code) -> Statement:
     """Return GOTO with its label, upper case."""
-    begin = after_blanks(code.source.text, code.word_stop, code.stop)
+    begin = skip_blanks(code.source.text, code.word_stop, code.stop)
     return Goto(code.word, code.start, code.stop, word_at(code.source.text, begin, code.stop))
 
 
 def _return(code: _Code) -> Statement:
     """Return RETURN with its value, if it has one."""
-    begin = after_blanks(code.source.text, code.word_stop, code.stop)
+    begin = skip_blanks(code.source.text, code.word_stop, code.stop)
     value = value_in(code.source, begin, code.stop) if begin < code.stop else None
     return Return(code.word, code.start, code.stop, value)
 
@@ -637,7 +638,7 @@ def _bas(code: _Code) -> Statement:
 
     :raises ProgramError: brackets are not balanced.
     """
-    call, _ = operand(code.source, code.word_start, code.stop)
+    call, _ = operand_at(code.source, code.word_start, code.stop)
     if isinstance(call, Call):
         return CallStatement(code.word, code.start, code.stop, call)
     unparsed_code = _unparsed_code(code.source, code.word_start, code.stop)

@@ -21,7 +21,7 @@ from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.declarations import DataLine, data_lines
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import FORCE, after_sign
+from postproc.dialects.krl.language.tokens import FORCE, skip_sign
 from postproc.dialects.krl.language.tree import CallStatement, Definition
 from postproc.errors import ProgramError
 from postproc.program import Document, UnresolvedMotion
@@ -104,7 +104,7 @@ def called_parts(main: Document) -> list[tuple[str, int]]:
             calls.append((callee, line))
         elif not has_end and _is_end(source, line):
             has_end = True
-        elif node.start < node.stop:
+        elif node.start < node.stop:  # other code: calls before it do not call parts
             break
     calls.reverse()
     expected_names = [f"{base_name}{number}" for number in range(1, len(calls) + 1)]
@@ -236,7 +236,7 @@ def _has_no_parameters(source: Source, line: int) -> bool:
     node = statement(source, line)
     if not isinstance(node, Definition) or node.word != "DEF" or node.parameters:
         return False
-    return after_sign(source.text, node.name_start + len(node.name), node.stop, "(") >= 0
+    return skip_sign(source.text, node.name_start + len(node.name), node.stop, "(") >= 0
 
 
 def _is_end(source: Source, line: int) -> bool:

@@ -60,7 +60,7 @@ class Position(Struct, frozen=True, eq=False):
     @property
     def largest_coordinate(self) -> float:
         """Largest absolute value of a coordinate [mm, deg]; 0 if all are missing."""
-        return max([abs(value) for value in self.values if value == value], default=0.0)
+        return max([abs(value) for value in self.values if value == value], default=0.0)  # without NaN
 
     def pose(self) -> Array:
         """Return the frame as a (4, 4) pose [m]; a missing component is 0."""

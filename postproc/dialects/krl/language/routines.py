@@ -16,7 +16,7 @@ from postproc.dialects.krl.language.tree import Declaration, Definition, Motion,
 from postproc.errors import ProgramError
 from postproc.program import Ints
 
-_INCOMPLETE = "Check that the file was transferred completely."
+_INCOMPLETE_ADVICE = "Check that the file was transferred completely."
 
 
 class Routine(Struct, frozen=True, eq=False):
@@ -79,7 +79,7 @@ class Module(Struct, frozen=True, eq=False):
         """Name of the file without its extension, upper case."""
         return PurePath(self.source.document.name).stem.upper()
 
-    def main(self, name: str) -> Routine | None:
+    def main_routine(self, name: str) -> Routine | None:
         """Return the routine with a name, in any case; otherwise the first routine of the file; None if it has none."""
         return self.routines.get(name.upper(), next(iter(self.routines.values()), None))
 
@@ -145,15 +145,15 @@ def routines(
             problem = f"{node.word} is outside of DEF … END"
             faults.append(source.line_error(problem, line, advice="Move it into a routine."))
     if open_routine is not None:
-        faults.append(source.line_error(f"DEF {open_routine.name} has no END", open_routine.line, _INCOMPLETE))
+        faults.append(source.line_error(f"DEF {open_routine.name} has no END", open_routine.line, _INCOMPLETE_ADVICE))
         end_routine(open_routine, len(source.starts) + 1)
     return routine_of, faults
 
 
 def _closed_routine(
-    source: Source, open_routine: _OpenRoutine, line: int, motion_lines: Ints, settings: Sequence[int]
+    source: Source, open_routine: _OpenRoutine, end_line: int, motion_lines: Ints, settings: Sequence[int]
 ) -> Routine:
-    """Return a routine whose END is on a 1-based line.
+    """Return a routine whose END is on a 1-based line, `end_line`.
 
     :param motion_lines: (P,) lines of all plain motions of the file, ascending.
     :param settings: lines of all plain settings of the file, ascending.
@@ -164,8 +164,8 @@ def _closed_routine(
         if isinstance(node, Declaration) and not node.is_global and node.word != "STRUC":
             types |= {item.name: item.kind for item in node.names}
     # lines ascend: those between DEF and END
-    motion_lines = motion_lines[slice(*np.searchsorted(motion_lines, [open_routine.line, line]).tolist())]
-    settings = settings[bisect_left(settings, open_routine.line) : bisect_left(settings, line)]
+    motion_lines = motion_lines[slice(*np.searchsorted(motion_lines, [open_routine.line, end_line]).tolist())]
+    settings = settings[bisect_left(settings, open_routine.line) : bisect_left(settings, end_line)]
     definition = open_routine.definition
     return Routine(
         source=source,
@@ -173,7 +173,7 @@ def _closed_routine(
         parameters=definition.parameters,
         is_global=definition.is_global,
         first=open_routine.line,
-        last=line,
+        last=end_line,
         motion_lines=motion_lines,
         setting_lines=settings,
         other_lines=open_routine.lines,

@@ -88,7 +88,7 @@ def global_lines(text: str) -> list[str]:
     return _GLOBAL.findall(text)
 
 
-def without_comments(text: str) -> str:
+def code_without_comments(text: str) -> str:
     """Return code without comments and strings."""
     return _NO_CODE.sub(" ", text)
 

@@ -153,13 +153,13 @@ def _control_word(source: Source | Trace, line: int) -> str:
     return word_at(source.text, *source.code_span(line))
 
 
-def is_outside(source: Source | Trace, lines: Sequence[int], line_numbers: Ints) -> Bools:
-    """Return whether lines of a file, or rows of a trace, are outside of all control structures (n,).
+def is_outside_structures(source: Source | Trace, lines: Sequence[int], line_numbers: Ints) -> Bools:
+    """Return which of n lines of a file, or rows of a trace, are outside of all control structures (n,).
 
     The first line of a structure counts as outside, its last line as inside.
 
     :param lines: all lines that open or close structures, ascending; other lines may be among them.
-    :param line_numbers: (n,) the lines in question.
+    :param line_numbers: (n,) the lines to decide on.
     """
     begin_lines: list[int] = []
     end_lines: list[int] = []
@@ -187,7 +187,7 @@ def simple_head(source: Source, block: Block) -> For | None:
     return head if head.counter.indices is None and head.counter.field is None else None
 
 
-def bounds_name(head: For, names: Set[str]) -> bool:
+def bounds_use_any(head: For, names: Set[str]) -> bool:
     """Return whether the bounds or the step of a FOR use one of the variables `names` (upper case)."""
     values = walk(bound for bound in head.bounds or () if bound is not None)
     return any(isinstance(value, Reference) and value.name in names for value in values)

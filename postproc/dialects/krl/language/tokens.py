@@ -63,8 +63,8 @@ class Span(Struct, frozen=True):
     start: int
     stop: int
 
-    def of(self, text: str) -> str:
-        """Return the piece."""
+    def text_in(self, text: str) -> str:
+        """Return the piece of a text; the offsets are those of `text`."""
         return text[self.start : self.stop]
 
 
@@ -74,23 +74,23 @@ def word_at(text: str, start: int, stop: int) -> str:
     return match[0].upper() if match else ""
 
 
-def after_blanks(text: str, start: int, stop: int) -> int:
+def skip_blanks(text: str, start: int, stop: int) -> int:
     """Return the offset of the first character at or behind `start` that is no blank; `stop` if there is none."""
     while start < stop and text[start] in BLANKS:
         start += 1
     return start
 
 
-def after_word(text: str, start: int, stop: int, *words: str) -> int:
-    """Return the offset behind the word at `start`, blanks skipped; −1 if it is not in `words` (upper case)."""
-    start = after_blanks(text, start, stop)
+def skip_word(text: str, start: int, stop: int, *words: str) -> int:
+    """Return the offset behind the word at `start`, blanks skipped; −1 if that word is not in `words` (upper case)."""
+    start = skip_blanks(text, start, stop)
     word = word_at(text, start, stop)
     return start + len(word) if word in words else -1
 
 
-def after_sign(text: str, start: int, stop: int, sign: str) -> int:
+def skip_sign(text: str, start: int, stop: int, sign: str) -> int:
     """Return the offset behind `sign` if it is at `start`, blanks before it skipped; −1 if another character is."""
-    start = after_blanks(text, start, stop)
+    start = skip_blanks(text, start, stop)
     return start + 1 if start < stop and text[start] == sign else -1
 
 
@@ -114,22 +114,22 @@ def operator_at(text: str, start: int, stop: int) -> tuple[str, int]:
 
     Blanks before it are skipped. Without an operator: an empty text, and the offset behind the blanks.
     """
-    start = after_blanks(text, start, stop)
+    start = skip_blanks(text, start, stop)
     match = _OPERATOR.match(text, start, stop)
     return (match[0].upper(), match.end()) if match else ("", start)
 
 
 def read_negations(text: str, start: int, stop: int) -> tuple[bool, int]:
-    """Return whether the words NOT at an offset negate what follows, and the offset at which that begins.
+    """Return whether the words NOT at an offset negate the term behind them, and the offset of that term.
 
-    An odd number of them negates. Blanks are passed over, also without NOT.
+    An odd number of NOT negates the term. Blanks before the term are skipped, also without NOT.
 
     :param stop: offset at which the text to be read ends.
     """
-    is_negated, start = False, after_blanks(text, start, stop)
+    is_negated, start = False, skip_blanks(text, start, stop)
     while match := _NOT_WORD.match(text, start, stop):
         is_negated = not is_negated
-        start = after_blanks(text, match.end(), stop)
+        start = skip_blanks(text, match.end(), stop)
     return is_negated, start
 
 
@@ -178,16 +178,16 @@ def occurrences(text: str, start: int, stop: int) -> Iterator[Occurrence]:
     open_brackets: list[str] = []
     is_component = False  # the next name is a component of an aggregate, or the type of the aggregate
     for match in _OCCURRENCE.finditer(text, start, stop):
-        first = match[0][0]
-        if first in "([{":
-            open_brackets.append(first)
-            is_component = first == "{"
-        elif first in ")]}":
+        first_character = match[0][0]  # other first characters are those of strings, numbers, components and ENUMs
+        if first_character in "([{":
+            open_brackets.append(first_character)
+            is_component = first_character == "{"
+        elif first_character in ")]}":
             del open_brackets[-1:]
             is_component = False
-        elif first == ",":
+        elif first_character == ",":
             is_component = bool(open_brackets) and open_brackets[-1] == "{"
-        elif first.isalpha() or first in "_$":
+        elif first_character.isalpha() or first_character in "_$":
             if is_component:
                 is_component = _COLON.match(text, match.end(), stop) is not None  # behind the type is a component
                 continue

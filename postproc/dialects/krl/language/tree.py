@@ -309,13 +309,13 @@ class Trigger(Event, frozen=True, eq=False):
 
     :param is_distance: True for DISTANCE, False for PATH.
     :param value: value of DISTANCE or PATH; None if the statement is not understood.
-    :param from_start: True for ONSTART.
+    :param is_from_start: True for ONSTART.
     :param delay: value of DELAY; None if the statement is not understood.
     """
 
     is_distance: bool
     value: Value | None
-    from_start: bool
+    is_from_start: bool
     delay: Value | None
 
 
@@ -323,11 +323,11 @@ class SplineTiming(Statement, frozen=True, eq=False):
     """CONST_VEL, TIME_BLOCK or STOP WHEN PATH: speed and stops of spline motions.
 
     :param is_complete: True if the statement has all that its form requires.
-    :param from_start: True for ONSTART.
+    :param is_from_start: True for ONSTART.
     """
 
     is_complete: bool
-    from_start: bool
+    is_from_start: bool
 
 
 class Assignment(Statement, frozen=True, eq=False):

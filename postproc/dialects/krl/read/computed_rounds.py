@@ -18,7 +18,7 @@ from postproc.dialects.krl.language.names import CIRCLES
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import CARTESIAN, LARGEST_COORDINATE, Position, position_from_aggregate
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.structures import Block, bounds_name, simple_head
+from postproc.dialects.krl.language.structures import Block, bounds_use_any, simple_head
 from postproc.dialects.krl.language.tree import Assignment, For, Motion
 from postproc.dialects.krl.language.values import Aggregate, Call, Number, Operation, Reference, Value
 from postproc.dialects.krl.read import plain_settings
@@ -48,7 +48,7 @@ def computed_body(source: Source, block: Block) -> PlainBody | None:
     assigned_names = {
         stmt.target.name for stmt in (statement(source, line) for line in lines) if isinstance(stmt, Assignment)
     }
-    if bounds_name(head, {*assigned_names, head.name}):  # the bounds may change
+    if bounds_use_any(head, {*assigned_names, head.name}):  # the bounds may change
         return None
     # names that the round has set up to the present line, and names that it sets later
     motions, assignments, set_names = [], [], set[str]()

@@ -85,7 +85,7 @@ class FolderFiles:
         """
         unread_texts, visited_paths = [code], set[Path]()
         while unread_texts:
-            code = scan.without_comments(unread_texts.pop())
+            code = scan.code_without_comments(unread_texts.pop())
             yield code
             new_paths = sorted(self.called_files(code) - visited_paths)
             visited_paths.update(new_paths)
@@ -138,7 +138,7 @@ def called_files_with_motion(paths: Sequence[Path], search: Sequence[Path]) -> d
     def code_of(path: Path) -> str:
         """Return the code of a file without comments; empty if it cannot be read."""
         try:
-            return scan.without_comments(decode(path.name, path.read_bytes()).text)
+            return scan.code_without_comments(decode(path.name, path.read_bytes()).text)
         except (OSError, ProgramError):  # reported when the program is read
             return ""
 
@@ -173,7 +173,7 @@ def names_called_in(path: Path) -> set[str]:
         text = path.read_bytes().decode("latin-1") if path.stat().st_size <= _LARGEST_FILE else ""
     except OSError:
         return set()
-    return scan.called_names(scan.without_comments(text))
+    return scan.called_names(scan.code_without_comments(text))
 
 
 @lru_cache(maxsize=4096)
@@ -286,7 +286,7 @@ class Library:
         path = self.files.paths.get(f"{name}.SRC")
         if path is not None:
             module = self._module(path, name)
-            routine = module.main(name) if module is not None else None
+            routine = module.main_routine(name) if module is not None else None
             if module is not None and routine is not None:
                 return Callee(module, routine)
         for file, path in self.files.paths.items():
@@ -422,7 +422,7 @@ class _Links:
 
     def follow_code(self, code: Code) -> None:
         """Note the files whose routines or variables some code names, and the files that these need in turn."""
-        text = scan.without_comments(code.text)
+        text = scan.code_without_comments(code.text)
         for path in sorted(self.files.called_files(text, code.routines)):
             name = f"{path.stem.upper()}.SRC"
             # files in other folders, which the cell names, are on the controller already
@@ -450,7 +450,7 @@ class _Links:
         """
         path, source = self.siblings[name], self.siblings.get(f"{PurePath(name).stem}.SRC")
         if name in self.called_files:
-            uncorrected = name.endswith(".SRC") and scan.has_motion(scan.without_comments(self._text(path)))
+            uncorrected = name.endswith(".SRC") and scan.has_motion(scan.code_without_comments(self._text(path)))
             return NeededFile(str(path), moves=name in moving_files, uncorrected=uncorrected)
         if source is None or not self._moves(source):
             return NeededFile(str(path), moves=False)

@@ -30,7 +30,7 @@ from postproc.dialects.krl.language.names import MOTION_WORDS, RESERVED, fault_o
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.structures import Block, Node, checked_nodes, is_outside, nodes_of
+from postproc.dialects.krl.language.structures import Block, Node, checked_nodes, is_outside_structures, nodes_of
 from postproc.dialects.krl.language.tokens import NAME
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.language.tree import CallStatement, For, Goto, Motion, Return, Statement
@@ -546,7 +546,7 @@ def _split_plain_settings(
     setting_lines = np.array(settings, dtype=np.int64)
     if not settings:
         return lines, setting_lines
-    is_free = is_outside(source, lines, setting_lines)  # outside of all control structures
+    is_free = is_outside_structures(source, lines, setting_lines)  # outside of all control structures
     return (lines if is_free.all() else sorted([*lines, *setting_lines[~is_free].tolist()])), setting_lines[is_free]
 
 

@@ -272,7 +272,7 @@ class MotionReader:
         if tail.error is not None:
             raise tail.error
         if tail.unknown_text is not None:
-            raise place.error(f"{tail.unknown_text.of(text)!r} is not understood", advice="Check its spelling.")
+            raise place.error(f"{tail.unknown_text.text_in(text)!r} is not understood", advice="Check its spelling.")
         for item in tail.assignments:
             if not isinstance(item, Assignment):
                 raise place.error(f"{text[item.start : item.stop]!r} is not understood", advice="Check its spelling.")

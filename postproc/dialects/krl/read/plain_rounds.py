@@ -19,7 +19,7 @@ from postproc.dialects.krl.language.names import CIRCLES, MAX_LENGTH
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import LARGEST_COORDINATE
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.structures import Block, bounds_name, simple_head
+from postproc.dialects.krl.language.structures import Block, bounds_use_any, simple_head
 from postproc.dialects.krl.language.tree import Assignment, For, Motion, Statement, Trigger
 from postproc.dialects.krl.language.values import Number, Operation, Reference, Value
 from postproc.dialects.krl.layout import Offsets
@@ -50,7 +50,7 @@ def plain_body(source: Source, block: Block) -> PlainBody | None:
     :returns: None if the loop does anything else, or has no motion.
     """
     head = simple_head(source, block)
-    if head is None or bounds_name(head, {head.name}):  # the bounds use the counter
+    if head is None or bounds_use_any(head, {head.name}):  # the bounds use the counter
         return None
     motions, settings, triggers = [], [], []
     for node in block.parts[0].nodes:

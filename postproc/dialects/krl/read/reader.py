@@ -520,7 +520,7 @@ def _main_routine(source: Source, plain_lines: PlainLines, name: str) -> _MainRo
         source, other_lines.tolist(), plain_lines.motion_lines, plain_lines.settings.line.tolist()
     )
     module = Module(source, by_name)
-    main = module.main(name)
+    main = module.main_routine(name)
     if main is None and faults:
         raise combined_error(faults)
     if main is None:

@@ -113,16 +113,18 @@ class Emitter:
         head = [*self.header_lines(self.program.name), *self.start_lines()]
         new.add_events()
         self.call_rows = [
-            k for k, statements in sorted(new.cell_lines.items()) if k < count and calls_program(statements)
+            target
+            for target, statements in sorted(new.cell_lines.items())
+            if target < count and calls_program(statements)
         ]
-        new.issues += self._after_tool_changes()
+        new.issues += self._tool_change_issues()
         changes = set(new.frame_changes())
-        for k in sorted(changes.union(self.call_rows)):
-            self._set_frames(k)
+        for target in sorted(changes.union(self.call_rows)):
+            self._set_frames(target)
         distances = new.approximation_distances()
         self._set_distances(distances)
         self._set_speeds()
-        self._set_turning()
+        self._set_turn_speeds()
         if self.comment_forces is not None:
             # a new program has no notes; NaN: the first path target needs a comment
             self.has_force_comment = force_comments.needs_comment(
@@ -169,23 +171,21 @@ class Emitter:
             axis_motion(self.cell.start_angles, ANGLE_DECIMALS),
         ]
 
-    def _set_frames(self, k: int) -> None:
-        """Set `$BASE` and `$TOOL` before target `k` if they change there; both if a program is called before it."""
-        base, tool = self.new_program.frames_of_target(k)
-        old_base, old_tool = (-1, -1) if k in self.call_rows else self.new_program.frames_of_target(k - 1)
+    def _set_frames(self, target: int) -> None:
+        """Set `$BASE` and `$TOOL` before a target if they change there; both if a program is called before it."""
+        base, tool = self.new_program.frames_of_target(target)
+        # −1: a called program may have changed them
+        old_base, old_tool = (-1, -1) if target in self.call_rows else self.new_program.frames_of_target(target - 1)
         if base != old_base:
-            self.new_program.lines_before[k].append(f"$BASE={_frame_text(self.program.bases[base])}")
+            self.new_program.lines_before[target].append(f"$BASE={_frame_text(self.program.bases[base])}")
         if tool != old_tool:
-            self.new_program.lines_before[k].append(f"$TOOL={_frame_text(self.program.tools[tool])}")
+            self.new_program.lines_before[target].append(f"$TOOL={_frame_text(self.program.tools[tool])}")
 
-    def _after_tool_changes(self) -> Iterator[Issue]:
-        """Yield an issue for each tool change that calls a program.
-
-        The path from where the program leaves the robot to the next target is not checked.
-        """
+    def _tool_change_issues(self) -> Iterator[Issue]:
+        """Yield an issue for each tool change that calls a program: the path behind the call is not checked."""
         for event in self.program.events:
-            k = self.new_program.first_target(event)
-            if event.kind != "tool_change" or k == len(self.targets):
+            target = self.new_program.first_target(event)
+            if event.kind != "tool_change" or target == len(self.targets):
                 continue
             for line in self.new_program.lines_of(event):
                 if calls_program([line]):
@@ -215,18 +215,18 @@ class Emitter:
         start_distance = self.targets.blend[self.targets.blend > 0.0][:1]  # set by `start_lines`
         # each distance against the one before it
         changes = blend_distances != np.append(start_distance, blend_distances)[: len(blend_rows)]
-        for k in blend_rows[changes | self._follows_call(blend_rows)].tolist():
-            self.new_program.lines_before[k].append(f"$APO.CDIS={number_text(MM_PER_M * distances[k])}")
+        for target in blend_rows[changes | self._follows_call(blend_rows)].tolist():
+            self.new_program.lines_before[target].append(f"$APO.CDIS={number_text(MM_PER_M * distances[target])}")
 
     def _set_speeds(self) -> None:
         """Set `$VEL.CP` before each target where it changes, or where a called program may have changed it."""
         path, speeds = self.new_program.path_speeds()
         # speeds are above 0: the first target of a path always sets its speed
         change_rows = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | self._follows_call(path))
-        for k, speed in zip(path[change_rows].tolist(), speeds[change_rows].tolist(), strict=True):
-            self.new_program.lines_before[k].append(f"$VEL.CP={speed / _PER_M:.6f}")
+        for target, speed in zip(path[change_rows].tolist(), speeds[change_rows].tolist(), strict=True):
+            self.new_program.lines_before[target].append(f"$VEL.CP={speed / _PER_M:.6f}")
 
-    def _set_turning(self) -> None:
+    def _set_turn_speeds(self) -> None:
         """Set `$VEL.ORI1` and `$VEL.ORI2` before each path target at which the rotational speed of the tool changes.
 
         They are set again behind a called program. Where the program states no speed, they get the values of
@@ -235,37 +235,37 @@ class Emitter:
         path = np.flatnonzero(self.targets.kind != PTP)
         speeds = np.nan_to_num(self.new_program.turning_speeds()[path])  # 0: not stated
         change_rows = np.flatnonzero((np.diff(speeds, prepend=0.0) != 0.0) | (self._follows_call(path) & speeds.any()))
-        for k, speed in zip(path[change_rows].tolist(), speeds[change_rows].tolist(), strict=True):
+        for target, speed in zip(path[change_rows].tolist(), speeds[change_rows].tolist(), strict=True):
             for name in ("ORI1", "ORI2"):
-                self.new_program.lines_before[k].append(
+                self.new_program.lines_before[target].append(
                     f"$VEL.{name}={number_text(speed) if speed else f'$VEL_MA.{name}'}"
                 )
 
-    def _motion_lines(self, kind: int, k: Ints, is_blended: Bools) -> bytes:
+    def _motion_lines(self, kind: int, rows: Ints, is_blended: Bools) -> bytes:
         """Return the motion lines of n targets of one kind; numbers keep their trailing zeros.
 
         :param kind: `LIN`, `CIRC` or `PTP`.
-        :param k: (n,) the targets.
+        :param rows: (n,) rows of the targets.
         :param is_blended: (n,) True where the motion is approximated.
         """
-        numbers = self.targets.pose.xyzabc(k)
+        numbers = self.targets.pose.xyzabc(rows)
         end = _aggregate_parts(numbers)  # the last part is the closing bracket
         spline = b"S" if self.cell.gcode.motions == "SLIN" else b""
         is_blended = is_blended & (not spline or kind != PTP)
         tail: list[Part] = [text_in_rows(b" C_SPL" if spline else b" C_DIS", is_blended)]
-        has_comment = self.has_force_comment[k]
+        has_comment = self.has_force_comment[rows]
         if self.comment_forces is not None and has_comment.any():
             tail += [
                 text_in_rows(b" ", has_comment),
-                *force_comments.columns(b";", self.comment_forces, k, has_comment),
+                *force_comments.columns(b";", self.comment_forces, rows, has_comment),
             ]
         tail.append(b"\r\n")
         if kind == PTP:
-            status, turn = self.targets.status[k], self.targets.turn[k]
+            status, turn = self.targets.status[rows], self.targets.turn[rows]
             end = [*end[:-1], *_bits_parts(b",S ", status), *_bits_parts(b",T ", turn), b"}"]
             return lines([b"PTP ", *end, *tail])
         if kind == CIRC:
-            via = _aggregate_parts(self.targets.via[k] * MM_PER_M)
+            via = _aggregate_parts(self.targets.via[rows] * MM_PER_M)
             return lines([spline + b"CIRC ", *via, b",", *end, *tail])
         return lines([spline + b"LIN ", *end, *tail])
 

@@ -171,7 +171,7 @@ class _Folder(Struct, eq=False):
                 self._add_changes(changes, row, part_begin)
                 change = self._call_key(part) if isinstance(part, InlinedRoutine) else self._loop_key(part)
                 if change:
-                    changes.append((self._line(part_begin), change))
+                    changes.append((self._line_of_row(part_begin), change))
                 row = part_end
             self._add_changes(changes, row, body.stop)
             key = self._keys[body] = tuple(changes)
@@ -180,9 +180,9 @@ class _Folder(Struct, eq=False):
     def _add_changes(self, changes: list[tuple[int, object]], first: int, stop: int) -> None:
         """Append to `changes` the line and the key of each changed row among rows first … stop − 1 of the trace."""
         keys = self.edited.keys[first - 1 : stop - 1]  # rows count from 1
-        changes += [(self._line(row), key) for row, key in enumerate(keys, first) if key]  # 0: unchanged
+        changes += [(self._line_of_row(row), key) for row, key in enumerate(keys, first) if key]  # 0: unchanged
 
-    def _line(self, row: int) -> int:
+    def _line_of_row(self, row: int) -> int:
         """Return the line of a row of the trace in its file."""
         return self.course.trace.line.item(row - 1)
 

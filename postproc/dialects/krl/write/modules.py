@@ -182,10 +182,10 @@ def _heights_above_cuts(program: Program, cell: Cell, candidates: Ints) -> Array
     height = np.empty(len(candidates))
     axes, axis_index = np.unique(tool_axis.round(_AXIS_DECIMALS), axis=0, return_inverse=True)
     for index, axis in enumerate(axes):
-        along_axis = np.flatnonzero(axis_index.ravel() == index)
+        indices = np.flatnonzero(axis_index.ravel() == index)  # of the candidates with this tool axis
         circle_tops = circles.centre @ axis + circles.radius * norm(np.cross(circles.normal, axis))
         highest_cut = max((cut_ends @ axis).max(initial=-np.inf), circle_tops.max(initial=-np.inf))
-        height[along_axis] = position[candidates[along_axis]] @ axis - highest_cut
+        height[indices] = position[candidates[indices]] @ axis - highest_cut
     return height
 
 
@@ -307,15 +307,19 @@ class _Divider:
         )
         return Issue("info", "modules", message)
 
-    def _start_lines(self, k: int) -> list[str]:
-        """Return the lines between the initialisation and the motions of a module that begins with target `k`.
+    def _start_lines(self, next_target: int) -> list[str]:
+        """Return the lines between the initialisation and the motions of a module that begins with `next_target`.
 
-        They set system variables, move to the end of the module before, and switch on what was on before `k`.
+        They set system variables, move to the end of the module before, and switch on the spindle and the coolant if
+        they were on there.
         """
-        state, words = self._system_variables(k), self.new_program.words
-        lines, cell_lines = [*state, axis_motion(self.joints.q[k - 1] * DEG_PER_RAD, ANGLE_DECIMALS)], list[str]()
-        for switch in self._active_switches(k):
-            if self._is_switched_at(switch.event, k):
+        state, words = self._system_variables(next_target), self.new_program.words
+        lines, cell_lines = (
+            [*state, axis_motion(self.joints.q[next_target - 1] * DEG_PER_RAD, ANGLE_DECIMALS)],
+            list[str](),
+        )
+        for switch in self._active_switches(next_target):
+            if self._is_switched_at(switch.event, next_target):
                 continue  # the program itself switches it here
             cell_lines += switch.on_lines
             lines += [words.wait, *switch.on_lines] if switch.on_lines else [f"; {no_lines_comment(switch.event)}"]
@@ -324,13 +328,13 @@ class _Divider:
             lines += state
         return lines
 
-    def _system_variables(self, k: int) -> list[str]:
-        """Return the lines that set the system variables to their values before target `k`, one line for each."""
+    def _system_variables(self, next_target: int) -> list[str]:
+        """Return the lines that set the system variables to their values before `next_target`, one line for each."""
         line_of_name: dict[str, str] = {}
         previous_lines = (
             line
             for row in sorted(self.new_program.lines_before)
-            if row < k
+            if row < next_target
             for line in self.new_program.lines_before[row]
         )
         for line in (*self.emitter.start_lines(), *previous_lines):
@@ -338,13 +342,13 @@ class _Divider:
                 line_of_name[match[1].upper()] = line
         return list(line_of_name.values())
 
-    def _switch_off_lines(self, k: int) -> list[str]:
-        """Return the lines at the end of a module, before target `k`, that switch spindle and coolant off."""
-        lines = [line for switch in self._active_switches(k) for line in switch.off_lines]
+    def _switch_off_lines(self, next_target: int) -> list[str]:
+        """Return the lines at the end of a module, before `next_target`, that switch spindle and coolant off."""
+        lines = [line for switch in self._active_switches(next_target) for line in switch.off_lines]
         return [self.new_program.words.wait, *lines] if lines else []
 
-    def _active_switches(self, k: int) -> Iterator[_SwitchLines]:
-        """Yield the spindle and the coolant if they are on before target `k`.
+    def _active_switches(self, next_target: int) -> Iterator[_SwitchLines]:
+        """Yield the spindle and the coolant if they are on before `next_target`.
 
         A device without lines in the cell has no lines to switch it on or off.
 
@@ -354,7 +358,7 @@ class _Divider:
             switch_events = [
                 event
                 for event, target in zip(self.emitter.program.events, self.event_targets, strict=True)
-                if target < k and _SWITCHING.get(event.kind) == off_kind
+                if target < next_target and _SWITCHING.get(event.kind) == off_kind
             ]
             if not switch_events or switch_events[-1].kind == off_kind:
                 continue
@@ -372,10 +376,12 @@ class _Divider:
                 )
             yield _SwitchLines(switch_events[-1], on_lines, off_lines if on_lines else [])
 
-    def _is_switched_at(self, event: Event, k: int) -> bool:
-        """Return whether the program switches the device of `event` between targets k − 1 and k."""
+    def _is_switched_at(self, event: Event, next_target: int) -> bool:
+        """Return whether the program switches the device of an event between `next_target` and the target before it."""
         off_kind, events = _SWITCHING[event.kind], zip(self.emitter.program.events, self.event_targets, strict=True)
-        return any(target == k and _SWITCHING.get(program_event.kind) == off_kind for program_event, target in events)
+        return any(
+            target == next_target and _SWITCHING.get(program_event.kind) == off_kind for program_event, target in events
+        )
 
     def _dwells(self, event: Event) -> Iterator[Event]:
         """Yield the dwells that follow an event before the same target: they wait until the spindle has its speed."""

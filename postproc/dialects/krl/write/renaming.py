@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.names import MAX_LENGTH, fault_of, unused_name
 from postproc.dialects.krl.language.parts import MAIN, called_parts, files_of_routines
-from postproc.dialects.krl.language.tokens import BLANKS, NAME, after_blanks, after_sign, names_in
+from postproc.dialects.krl.language.tokens import BLANKS, NAME, names_in, skip_blanks, skip_sign
 from postproc.program import Document
 
 
@@ -41,7 +41,7 @@ def _rename_divided(documents: Sequence[Document], name: str) -> Iterator[Docume
     called_names = [called_name for called_name, _ in called_parts(documents[0])]
     stems = [f"{old_base}{MAIN}", *called_names, *(PurePath(document.name).stem for document in routine_files)]
     new_stems = {stem.upper(): f"{new_base}{stem[len(old_base) :]}" for stem in stems}
-    new_globals = _public_names(
+    new_globals = _new_global_names(
         [document for document in documents if _stem(document) in new_stems], old_base, new_base
     )
     for document in documents:
@@ -60,7 +60,7 @@ def _stem(document: Document) -> str:
     return PurePath(document.name).stem.upper()
 
 
-def _public_names(documents: Sequence[Document], old_base: str, new_base: str) -> dict[str, str]:
+def _new_global_names(documents: Sequence[Document], old_base: str, new_base: str) -> dict[str, str]:
     """Return new names for GLOBAL names that begin with the name of their program: old name, upper case → new name.
 
     :param documents: files of the program.
@@ -86,10 +86,10 @@ def _replace_names(text: str, new_names: Mapping[str, str]) -> str:
     """
     pieces, last = list[str](), 0
     for name, start in scan.name_places(text, new_names):
-        next_offset = after_blanks(text, start + len(name), len(text))
-        bracket = after_sign(text, next_offset, len(text), "(")
+        next_offset = skip_blanks(text, start + len(name), len(text))
+        bracket = skip_sign(text, next_offset, len(text), "(")
         if text[next_offset : next_offset + 1] in ("\r", "\n") or (
-            bracket >= 0 and after_sign(text, bracket, len(text), ")") >= 0
+            bracket >= 0 and skip_sign(text, bracket, len(text), ")") >= 0
         ):
             pieces += [text[last:start], new_names[name.upper()]]
             last = start + len(name)
@@ -105,7 +105,8 @@ def _rename_document(document: Document, name: str) -> Document:
 
 _HEADS = frozenset({"DEF", "DEFDAT", "EXT"})
 """Words in front of the name of a routine where it is not called."""
-_PATH = "/R1/"
+_FOLDER_PREFIX = "/R1/"
+"""Folder of programs on the controller, in front of the name of a file in IMPORT."""
 
 
 def _stems_with_callers(documents: Sequence[Document], names: set[str]) -> set[str]:
@@ -200,8 +201,8 @@ def _replace_routines(text: str, new_names: Mapping[str, str]) -> str | None:
         name = new_names.get(word.upper())
         if name is None:
             continue
-        is_path = text[max(0, start - len(_PATH)) : start].upper() == _PATH
-        if not is_head and not is_path and after_sign(text, word_end, len(text), "(") < 0:
+        is_path = text[max(0, start - len(_FOLDER_PREFIX)) : start].upper() == _FOLDER_PREFIX
+        if not is_head and not is_path and skip_sign(text, word_end, len(text), "(") < 0:
             return None
         pieces += [text[last:start], name]
         last = word_end

@@ -80,7 +80,7 @@ def rewrite(program: Program, targets: Targets, comment_forces: TargetForces | N
 class _Rewriter:
     """Collects the edits of all documents.
 
-    :ivar row: (K,) motion of each target, ascending.
+    :ivar motion_of_target: (K,) motion of each target, ascending.
     :ivar is_last: (K,) True for the last target of each motion, which is written in the statement of the motion; the
         other targets are inserted lines.
     :ivar documents: files that are written: for a program in several files, the joined text.
@@ -100,8 +100,12 @@ class _Rewriter:
         self.comment_lines = set(layout.notes)
         self.replacements = [Replacements() for _ in self.sources]
         self.issues: list[Issue] = []
-        self.row = targets.motion
-        self.is_last = np.append(self.row[1:] != self.row[:-1], True) if len(self.row) else np.zeros(0, dtype=np.bool_)
+        self.motion_of_target = targets.motion
+        self.is_last = (
+            np.append(self.motion_of_target[1:] != self.motion_of_target[:-1], True)
+            if len(self.motion_of_target)
+            else np.zeros(0, dtype=np.bool_)
+        )
 
     def write(self) -> WrittenProgram:
         """Make all edits, and return the written program; the documents are unchanged if there is nothing to edit.
@@ -109,7 +113,7 @@ class _Rewriter:
         :raises ValueError: a number is too large to be written.
         """
         if (self.is_last & self.targets.keep).all() and not len(_lowered_motions(self.program)):
-            return WrittenProgram(self.documents, self.program.motions.line[self.row], "krl")
+            return WrittenProgram(self.documents, self.program.motions.line[self.motion_of_target], "krl")
         self.target_numbers = target_numbers(self.layout, self.targets)
         self.mentions = self._mentions_of_points()
         self.layout = editable_layout(
@@ -136,33 +140,36 @@ class _Rewriter:
 
     def _is_straightened(self) -> Bools:
         """Return whether a target (K,) is a line in place of a circle of the program."""
-        is_circle = self.program.motions.kind[self.row] == CIRC
+        is_circle = self.program.motions.kind[self.motion_of_target] == CIRC
         return np.asarray(~self.targets.keep & is_circle & (self.targets.kind == LIN))
 
     def _rewrite_plain_lines(self) -> None:
         """Edit the motions that are not in `statements` of the layout: plain lines, and motions to array elements."""
         is_statement = np.zeros(len(self.program.motions), dtype=np.bool_)
         is_statement[list(self.layout.statements)] = True
-        is_plain, is_straightened = self.is_last & ~is_statement[self.row], self._is_straightened()
-        for k in np.flatnonzero(is_plain & is_straightened).tolist():
-            self._replace_text(int(self.row[k]), self.statements.absolute_statement(int(self.row[k]), k))
+        is_plain, is_straightened = self.is_last & ~is_statement[self.motion_of_target], self._is_straightened()
+        for target in np.flatnonzero(is_plain & is_straightened).tolist():
+            self._replace_text(
+                int(self.motion_of_target[target]),
+                self.statements.absolute_statement(int(self.motion_of_target[target]), target),
+            )
         is_plain &= ~is_straightened
         self._replace_numbers(np.flatnonzero(is_plain & ~self.targets.keep))
-        for k in np.flatnonzero(is_plain & (self._needs_components() | self._may_change_bits())).tolist():
-            self._add_components(int(self.row[k]), k)
+        for target in np.flatnonzero(is_plain & (self._needs_components() | self._may_change_bits())).tolist():
+            self._add_components(int(self.motion_of_target[target]), target)
 
     def _rewrite_tails(self) -> None:
         """Edit approximation and WITH of motions where the correction requires other text."""
         changes_tail = self.target_numbers.is_free | self.target_numbers.drops_via_orientation
         # a tail with WITH is longer than the word; WITH may set variables that apply to circles only
-        may_set_circle_mode = np.diff(self.layout.tail[self.row])[:, 0] > len(" WITH ")
-        is_affected = changes_tail[self.row] | (self._is_straightened() & may_set_circle_mode)
-        for k in np.flatnonzero(self.is_last & is_affected).tolist():
-            row = int(self.row[k])
-            start, stop = self.layout.tail[row].tolist()
-            tail = self.statements.tail_of_target(row, k)
-            if tail != self.layout.source(row).text[start:stop]:
-                self._replace_text(row, Replacement(start, stop, tail))
+        may_set_circle_mode = np.diff(self.layout.tail[self.motion_of_target])[:, 0] > len(" WITH ")
+        is_affected = changes_tail[self.motion_of_target] | (self._is_straightened() & may_set_circle_mode)
+        for target in np.flatnonzero(self.is_last & is_affected).tolist():
+            motion = int(self.motion_of_target[target])
+            start, stop = self.layout.tail[motion].tolist()
+            tail = self.statements.tail_of_target(motion, target)
+            if tail != self.layout.source(motion).text[start:stop]:
+                self._replace_text(motion, Replacement(start, stop, tail))
 
     def _edited_files(self, line: Ints) -> tuple[tuple[Document, ...], Ints]:
         """Return the files with all edits, and the lines (K,) of the targets in the `.src`.
@@ -183,7 +190,7 @@ class _Rewriter:
         folded_program = fold(course, course.main, new_rows)
         files |= {document.name: document for document in folded_program.documents}
         self.issues = [*map(self._with_shown_line, self.issues), *folded_program.issues]
-        trace_row = self.layout.line[self.row]
+        trace_row = self.layout.line[self.motion_of_target]
         # number of lines between the first line of the corrected row of the motion and the line of the target
         following_count = line - (new_rows.begins[trace_row - 1] + 1)
         return tuple(files.values()), folded_program.line[trace_row] + np.where(
@@ -198,14 +205,14 @@ class _Rewriter:
 
     def _has_one_target(self) -> Bools:
         """Return whether a motion (M,) has a single target, whose text has all components that it needs."""
-        count = np.bincount(self.row, minlength=len(self.program.motions))
+        count = np.bincount(self.motion_of_target, minlength=len(self.program.motions))
         has_one_target = np.asarray(count == 1)
-        has_one_target[self.row[self._needs_components() | self._may_change_bits()]] = False
+        has_one_target[self.motion_of_target[self._needs_components() | self._may_change_bits()]] = False
         return has_one_target
 
     def _needs_components(self) -> Bools:
         """Return whether a target (K,) needs missing components; for kept targets, any printed component."""
-        gets_component = self.target_numbers.is_printed & self.layout.is_missing[self.row]
+        gets_component = self.target_numbers.is_printed & self.layout.is_missing[self.motion_of_target]
         return np.asarray(gets_component.any(axis=1) | (self.targets.keep & self.target_numbers.is_printed.any(axis=1)))
 
     def _may_change_bits(self) -> Bools:
@@ -213,117 +220,125 @@ class _Rewriter:
         has_bits = (self.targets.status >= 0) | (self.targets.turn >= 0)
         return np.asarray(has_bits & (self.targets.kind == PTP) & ~self.targets.keep)
 
-    def _replace_text(self, row: int, piece: Replacement) -> None:
-        """Replace a piece of the line of motion `row`."""
-        self.replacements[0].add(*piece, self.layout.line.item(row))
+    def _replace_text(self, motion: int, piece: Replacement) -> None:
+        """Replace a piece of the line of a motion."""
+        self.replacements[0].add(*piece, self.layout.line.item(motion))
 
-    def _replace_numbers(self, k: Ints) -> None:
+    def _replace_numbers(self, changed_targets: Ints) -> None:
         """Replace the numbers of targets in plain lines and of array elements in data lists, in bulk.
 
-        :param k: (n,) targets whose numbers change, each in the statement of its motion.
+        :param changed_targets: (n,) targets whose numbers change, each in the statement of its motion.
         """
         file = np.zeros(len(self.program.motions), dtype=np.int32)  # that contains the numbers: 0 is the `.src`
         for elements in self.layout.elements:
             file[elements.row] = elements.source.index
-        for part in chunks(len(k)):
-            targets = k[part]
+        for part in chunks(len(changed_targets)):
+            targets = changed_targets[part]
             # (n, 6) offsets of X … C; −1 where the text lacks a component
-            starts, stops = np.moveaxis(self.layout.spans(self.row[targets], slice(6)).astype(np.int64), 2, 0)
+            starts, stops = np.moveaxis(
+                self.layout.spans(self.motion_of_target[targets], slice(6)).astype(np.int64), 2, 0
+            )
             numbers, decimals = self.target_numbers.numbers[targets], self.target_numbers.decimals[targets]
-            trace_rows = np.broadcast_to(self.layout.line[self.row[targets], None], starts.shape)
+            trace_rows = np.broadcast_to(self.layout.line[self.motion_of_target[targets], None], starts.shape)
             for index, replacements in enumerate(self.replacements):
-                in_file = (starts >= 0) & (file[self.row[targets]] == index)[:, None]
+                in_file = (starts >= 0) & (file[self.motion_of_target[targets]] == index)[:, None]
                 replacements.add_numbers(
                     starts[in_file], stops[in_file], numbers[in_file], decimals[in_file], trace_rows[in_file]
                 )
-        self._replace_via_points(k[self.targets.kind[k] == CIRC])
+        self._replace_via_points(changed_targets[self.targets.kind[changed_targets] == CIRC])
 
     def _replace_via_points(self, circles: Ints) -> None:
         """Replace X, Y, Z of the auxiliary points of circles.
 
         :param circles: (n,) targets that end these circles.
         """
-        spans = self.layout.via_spans[self.row[circles]].astype(np.int64).reshape(-1, 2)
+        spans = self.layout.via_spans[self.motion_of_target[circles]].astype(np.int64).reshape(-1, 2)
         decimals = np.tile(DECIMALS[:3], len(circles))
-        numbers, rows = self.target_numbers.via[circles].reshape(-1), np.repeat(self.layout.line[self.row[circles]], 3)
+        numbers, rows = (
+            self.target_numbers.via[circles].reshape(-1),
+            np.repeat(self.layout.line[self.motion_of_target[circles]], 3),
+        )
         self.replacements[0].add_numbers(spans[:, 0], spans[:, 1], numbers, decimals, rows)
 
-    def _add_components(self, row: int, k: int) -> None:
+    def _add_components(self, motion: int, target: int) -> None:
         """Add the components that a target needs to the plain line of its motion, and change its status and turn.
 
         Nothing is done if the line has no literal: its end point is a name, or relative.
 
-        :param row: the motion.
-        :param k: its target. A changed target has its numbers already: `_replace_numbers` writes those in the line.
+        :param motion: the motion.
+        :param target: its last target. If it is changed, `_replace_numbers` has replaced the numbers that are in the
+            line.
         """
-        literal = self.statements.literal(row)
+        literal = self.statements.literal(motion)
         if literal is None:
             return
-        texts = self.statements.number_texts(k, literal)  # component → number
-        if not self.targets.keep[k]:
+        texts = self.statements.number_texts(target, literal)  # component → number
+        if not self.targets.keep[target]:
             written_names = literal.number_spans.keys() & set(CARTESIAN)
             texts = {name: text for name, text in texts.items() if name not in written_names}
         for piece in replaced_numbers(literal, texts):
-            self._replace_text(row, piece)
+            self._replace_text(motion, piece)
 
     def _rewrite_statements(self) -> None:
         """Edit the statements of motions that are not plain lines, and the declarations of their points."""
         moves = self.layout.statements
         points = NamedPoints(self.sources, self.layout, self.replacements, self.mentions)
-        for k in np.flatnonzero(self.is_last).tolist():
-            row = int(self.row[k])
-            if row in moves:
-                self._rewrite_statement(row, k, moves[row], points)
+        for target in np.flatnonzero(self.is_last).tolist():
+            motion = int(self.motion_of_target[target])
+            if motion in moves:
+                self._rewrite_statement(motion, target, moves[motion], points)
         points.make_edits()
         self.issues += points.issues
 
-    def _rewrite_statement(self, row: int, k: int, move: MotionStatement, points: NamedPoints) -> None:
+    def _rewrite_statement(self, motion: int, target: int, move: MotionStatement, points: NamedPoints) -> None:
         """Edit the statement of a motion; add its uses of named points, also unchanged ones, to `points`.
 
-        :param row: the motion.
-        :param k: its last target.
+        :param motion: the motion.
+        :param target: its last target.
         :param move: its statement.
         :param points: collects the uses of named points.
         """
-        becomes_line = move.kind == CIRC and bool(self.targets.kind[k] == LIN)
-        needs_all_numbers = becomes_line or self._starts_elsewhere(row, k, move)
-        differs = needs_all_numbers or bool(self.target_numbers.is_changed[k])
+        becomes_line = move.kind == CIRC and bool(self.targets.kind[target] == LIN)
+        needs_all_numbers = becomes_line or self._has_other_path(motion, target, move)
+        differs = needs_all_numbers or bool(self.target_numbers.is_changed[target])
         if differs and (move.relative_axes or becomes_line):
-            self._make_absolute(row, k, move)
+            self._make_absolute(motion, target, move)
             return
         if differs and move.angle is not None:
-            self._replace_text(row, Replacement(move.end.stop, move.tail_start, ""))
+            self._replace_text(motion, Replacement(move.end.stop, move.tail_start, ""))
             self._report("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
-        texts = self.statements.end_texts(k, move.end, includes_unchanged=needs_all_numbers) if differs else None
+        texts = self.statements.end_texts(target, move.end, includes_unchanged=needs_all_numbers) if differs else None
         self._rewrite_point(
-            Use(move.line, move.end, texts, partial(self.statements.whole_literal, k, move.end)), points
+            Use(move.line, move.end, texts, partial(self.statements.whole_literal, target, move.end)), points
         )
         if move.via is not None:
-            via = self.target_numbers.via_texts(k)
+            via = self.target_numbers.via_texts(target)
             self._rewrite_point(
                 Use(move.line, move.via, (via or None) if differs else None, partial(aggregate_text, via)), points
             )
 
-    def _starts_elsewhere(self, row: int, k: int, move: MotionStatement) -> bool:
-        """Return whether the unchanged statement would be another path, because its motion begins at another point.
+    def _has_other_path(self, motion: int, target: int, move: MotionStatement) -> bool:
+        """Return whether the unchanged statement would be another path, since its motion begins at another point.
 
-        :param row: the motion.
-        :param k: its last target.
+        :param motion: the motion.
+        :param target: its last target.
         """
-        is_divided = k > 0 and bool(self.row[k - 1] == row)  # it begins at an inserted target
+        is_divided = target > 0 and bool(self.motion_of_target[target - 1] == motion)  # it begins at an inserted target
         depends_on_start = bool(move.relative_axes) or move.angle is not None or move.kind == CIRC
         counts_from_start = bool(move.relative_axes) or move.is_via_incomplete
-        return (is_divided and depends_on_start) or (counts_from_start and bool(self.target_numbers.start_differs[row]))
+        return (is_divided and depends_on_start) or (
+            counts_from_start and bool(self.target_numbers.start_differs[motion])
+        )
 
-    def _make_absolute(self, row: int, k: int, move: MotionStatement) -> None:
-        """Replace instruction and points of the statement of motion `row` by absolute literals of target `k`.
+    def _make_absolute(self, motion: int, target: int, move: MotionStatement) -> None:
+        """Replace instruction and points of the statement of a motion by absolute literals of its last target.
 
         Add an issue if the statement was a relative motion.
         """
-        self._replace_text(row, self.statements.absolute_statement(row, k))
+        self._replace_text(motion, self.statements.absolute_statement(motion, target))
         if move.relative_axes:
             if move.frame_span is not None:
-                self._replace_text(row, Replacement(*move.frame_span, ""))
+                self._replace_text(motion, Replacement(*move.frame_span, ""))
             self._report("relative-made-absolute", "A relative target is written as an absolute one.", move.line)
 
     def _rewrite_point(self, use: Use, points: NamedPoints) -> None:
@@ -341,49 +356,50 @@ class _Rewriter:
 
     def _insert_lines(self) -> Ints:
         """Insert lines for targets, force comments and settings; return the new line (K,) of each target."""
-        line = self.layout.line[self.row]
+        line = self.layout.line[self.motion_of_target]
         lines = InsertedLines(self.trace, self.replacements[0])
         following_line, moved_triggers = self._place_triggers()
         forces = self._missing_force_comments(line, following_line)
         free_targets, reset_targets = self._free_orientation_spans()
         lowering_feeds, restoring_feeds = self._feed_statements()
         affected_targets = [*moved_triggers, *forces, *free_targets, *reset_targets, *lowering_feeds, *restoring_feeds]
-        for k in np.flatnonzero(~self.is_last | np.isin(np.arange(len(line)), affected_targets)).tolist():
-            row, motion_line = int(self.row[k]), int(line[k])
+        for target in np.flatnonzero(~self.is_last | np.isin(np.arange(len(line)), affected_targets)).tolist():
+            motion, motion_line = int(self.motion_of_target[target]), int(line[target])
             next_line, indent, line_end = (
-                following_line.get(k, motion_line),
-                self._indent(k),
-                self.statements.line_end(row),
+                following_line.get(target, motion_line),
+                self._indent(target),
+                self.statements.line_end(motion),
             )
-            if k in lowering_feeds:
-                lines.add(next_line, indent + lowering_feeds[k] + line_end)
-            if k in free_targets:
+            if target in lowering_feeds:
+                lines.add(next_line, indent + lowering_feeds[target] + line_end)
+            if target in free_targets:
                 lines.add(next_line, indent + ORIENTATION_SETTING + FREE + line_end)
-            for trigger, text in moved_triggers.get(k, ()):
+            for trigger, text in moved_triggers.get(target, ()):
                 lines.move_line(trigger.line, next_line, text)
-            if k in forces and not self._replace_comment(k, forces[k]):
-                lines.add(next_line, forces[k] + line_end)
-            if not self.is_last[k]:
-                self._insert_target(k, next_line, lines)
-            if k in reset_targets:
+            if target in forces and not self._replace_comment(target, forces[target]):
+                lines.add(next_line, forces[target] + line_end)
+            if not self.is_last[target]:
+                self._insert_target(target, next_line, lines)
+            if target in reset_targets:
                 lines.insert_behind(
-                    motion_line, indent + ORIENTATION_SETTING + ORIENTATIONS[self.layout.orientation[row]]
+                    motion_line, indent + ORIENTATION_SETTING + ORIENTATIONS[self.layout.orientation[motion]]
                 )
-            if k in restoring_feeds:
-                lines.insert_behind(motion_line, indent + restoring_feeds[k])
+            if target in restoring_feeds:
+                lines.insert_behind(motion_line, indent + restoring_feeds[target])
         return lines.output_lines(line)
 
-    def _insert_target(self, k: int, next_line: int, lines: InsertedLines) -> None:
-        """Insert target `k` as a motion before row `next_line` of the trace; add an issue if the robot stops there.
+    def _insert_target(self, target: int, next_line: int, lines: InsertedLines) -> None:
+        """Insert a target as a motion; add an issue if the robot stops at it.
 
+        :param next_line: row of the trace before which the new line is inserted.
         :param lines: collects the new line.
         """
-        row = int(self.row[k])
-        text = self.statements.inserted_line(row, k)
-        lines.add(next_line, text, k)
-        if not self.layout.is_in_spline_block[row] and not is_approximated(text):
-            reason = _BLENDED_STOP if self.layout.is_distance_known[row] else _UNKNOWN_DISTANCE
-            self._report("stop-inserted", reason, self.layout.line.item(row))
+        motion = int(self.motion_of_target[target])
+        text = self.statements.inserted_line(motion, target)
+        lines.add(next_line, text, target)
+        if not self.layout.is_in_spline_block[motion] and not is_approximated(text):
+            reason = _BLENDED_STOP if self.layout.is_distance_known[motion] else _UNKNOWN_DISTANCE
+            self._report("stop-inserted", reason, self.layout.line.item(motion))
 
     def _free_orientation_spans(self) -> tuple[set[int], set[int]]:
         """Return the targets before which `$ORI_TYPE` is set to #VAR, and the targets behind which it is reset.
@@ -391,11 +407,16 @@ class _Rewriter:
         Consecutive motions share these two lines. Spline motions have the setting in WITH and are left out.
         """
         rows = np.flatnonzero(self.target_numbers.is_free)
-        pairs = consecutive_motions(self.layout, rows[[not self.statements.is_spline(row) for row in rows.tolist()]])
+        pairs = consecutive_motions(
+            self.layout, rows[[not self.statements.is_spline(motion) for motion in rows.tolist()]]
+        )
         # first and last motions; reshape: there may be no pairs
         first, last = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-        # first target of the first motion, last target of the last one: `row` is sorted
-        begins, ends = np.searchsorted(self.row, first), np.searchsorted(self.row, last, side="right") - 1
+        # first target of the first motion, last target of the last motion of each run: motions of targets ascend
+        begins, ends = (
+            np.searchsorted(self.motion_of_target, first),
+            np.searchsorted(self.motion_of_target, last, side="right") - 1,
+        )
         return set(begins.tolist()), set(ends.tolist())
 
     def _feed_statements(self) -> tuple[dict[int, str], dict[int, str]]:
@@ -413,17 +434,17 @@ class _Rewriter:
         is_continued = (np.diff(rows) == 1) & (np.diff(self.layout.line[rows]) == 1)
         has_same_feed = np.append(False, is_continued & (np.diff(feed[rows]) == 0.0))
         lowering_rows, restoring_rows = rows[~has_same_feed], rows[np.append(~is_continued, True)]
-        # `row` is sorted: first target of each motion, and last target
-        first_targets = np.searchsorted(self.row, lowering_rows)
-        last_targets = np.searchsorted(self.row, restoring_rows, side="right") - 1
+        # motions of targets ascend: first target of each motion, and last target
+        first_targets = np.searchsorted(self.motion_of_target, lowering_rows)
+        last_targets = np.searchsorted(self.motion_of_target, restoring_rows, side="right") - 1
         return (
             _feed_texts(first_targets, feed[lowering_rows]),
             _feed_texts(last_targets, feed_as_read[restoring_rows]),
         )
 
-    def _indent(self, k: int) -> str:
-        """Return the text before the instruction on the line of the motion of target `k`."""
-        return self.statements.indent(int(self.row[k]))
+    def _indent(self, target: int) -> str:
+        """Return the text before the instruction on the line of the motion of a target."""
+        return self.statements.indent(int(self.motion_of_target[target]))
 
     def _missing_force_comments(self, line: Ints, following_line: Mapping[int, int]) -> dict[int, str]:
         """Return the force comments that the program lacks: target → comment; empty without `comment_forces`.
@@ -441,19 +462,21 @@ class _Rewriter:
         rows = np.flatnonzero(needs_comment(self.comment_forces, self.targets.kind, note, self.program.notes, 0.0))
         return dict(zip(rows.tolist(), texts(b";", self.comment_forces, rows), strict=True))
 
-    def _replace_comment(self, k: int, text: str) -> bool:
-        """Replace the force comment on the line of target `k`; return whether this was possible.
+    def _replace_comment(self, target: int, text: str) -> bool:
+        """Replace the force comment on the line of a target; return whether this was possible.
 
         False if the line has no force comment, or if the target is an inserted line.
 
         :param text: the new comment.
         """
-        line = int(self.layout.line[self.row[k]])
-        if not self.is_last[k] or line not in self.comment_lines:
+        line = int(self.layout.line[self.motion_of_target[target]])
+        if not self.is_last[target] or line not in self.comment_lines:
             return False
         source, number = self.trace.place(line)
         start, stop = source.starts.item(number - 1), source.stops.item(number - 1)
-        self._replace_text(int(self.row[k]), Replacement(comment_start(source.text, start, stop), stop, text))
+        self._replace_text(
+            int(self.motion_of_target[target]), Replacement(comment_start(source.text, start, stop), stop, text)
+        )
         return True
 
     def _place_triggers(self) -> tuple[dict[int, int], dict[int, list[tuple[Trigger, str]]]]:
@@ -466,18 +489,18 @@ class _Rewriter:
         """
         following_line: dict[int, int] = {}
         moved_lines: dict[int, list[tuple[Trigger, str]]] = {}
-        for row, triggers in groupby(self.layout.triggers, attrgetter("row")):
-            first, stop = np.searchsorted(self.row, [row, row + 1]).tolist()  # targets of the motion
+        for motion, triggers in groupby(self.layout.triggers, attrgetter("row")):
+            first, stop = np.searchsorted(self.motion_of_target, [motion, motion + 1]).tolist()  # targets of the motion
             if stop - first < 2:
                 continue  # no target is inserted into it
-            speed = float(self.program.motions.feed[row])
+            speed = float(self.program.motions.feed[motion])
             placed_triggers = place_triggers(
-                tuple(triggers), self.layout.line.item(row), self.targets.t[first:stop], speed
+                tuple(triggers), self.layout.line.item(motion), self.targets.t[first:stop], speed
             )
             following_line |= dict(zip(range(first, stop - 1), placed_triggers.target_lines, strict=True))
-            for k, moved_triggers in enumerate(placed_triggers.moved_triggers, first):
+            for target, moved_triggers in enumerate(placed_triggers.moved_triggers, first):
                 if moved_triggers:
-                    moved_lines[k] = [
+                    moved_lines[target] = [
                         (trigger, self._trigger_line(trigger, placed_triggers.path_texts.get(trigger)))
                         for trigger in moved_triggers
                     ]
@@ -512,7 +535,9 @@ class _Rewriter:
 
 def _feed_texts(targets: Ints, feeds: Array) -> dict[int, str]:
     """Return the statements that set feeds (n,) [m/s]: target (n,) → statement."""
-    return {k: f"$VEL.CP={number_text(feed)}" for k, feed in zip(targets.tolist(), feeds.tolist(), strict=True)}
+    return {
+        target: f"$VEL.CP={number_text(feed)}" for target, feed in zip(targets.tolist(), feeds.tolist(), strict=True)
+    }
 
 
 def _lowered_motions(program: Program) -> Ints:
@@ -531,7 +556,7 @@ def _check_lowered_feeds(program: Program, layout: Layout) -> None:
     if not len(rows):
         return
     spans = zip(rows.tolist(), layout.tail[rows].tolist(), strict=True)
-    tails = [layout.source(row).text[start:stop].upper() for row, (start, stop) in spans]
+    tails = [layout.source(motion).text[start:stop].upper() for motion, (start, stop) in spans]
     for is_refused, problem in (
         (
             np.full(len(rows), not layout.course.is_straight),

@@ -21,11 +21,11 @@ from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tokens import (
     NAME,
-    after_blanks,
-    after_word,
     key_word,
     names_in,
     occurrences,
+    skip_blanks,
+    skip_word,
     word_at,
 )
 from postproc.dialects.krl.language.tree import Assignment, CyclicInput, Declaration, Definition, Event, For
@@ -116,17 +116,17 @@ class Sharing:
         self.unshared_names = {item.name for line, item in self.main_declarations if line in constant_lines}
         self.unshared_names |= {parameter.name for parameter in main.parameters}
 
-    def apply(self) -> SharedProgram:
+    def shared_program(self) -> SharedProgram:
         """Return the program with GLOBAL names; unchanged if nothing is shared and there are no subroutines.
 
         :raises ProgramError: a shared variable has a type that other files do not know.
         """
         self._note_uses()
-        local_names = _with_line_mates(
+        local_names = _names_with_line_mates(
             self.main_variables.shared_names(includes_unwritten=True), self._names_by_line(self.main_declarations)
         )
         data_names = [(line, item) for line, names in self.declarations_of_line.items() for item in names]
-        shared_data = _with_line_mates(
+        shared_data = _names_with_line_mates(
             self.data_variables.shared_names(includes_unwritten=False), self._names_by_line(data_names)
         )
         self._check_types(
@@ -156,7 +156,7 @@ class Sharing:
             for line in range(routine.first + 1, routine.last):
                 start, stop = self.source.code_span(line)
                 names = variables & names_in(self.source.text, start, stop)  # a fast first search
-                if not names or self._is_type(line) or (routine is self.main and line in declaration_lines):
+                if not names or self._declares_type(line) or (routine is self.main and line in declaration_lines):
                     continue
                 names &= {item.name for item in occurrences(self.source.text, start, stop)}
                 assigned_names = self._written_names(line)
@@ -247,7 +247,7 @@ class Sharing:
         node = statement(self.source, line)
         return isinstance(node, Declaration) and node.is_constant
 
-    def _is_type(self, line: int) -> bool:
+    def _declares_type(self, line: int) -> bool:
         """Return whether a line of the `.src` is STRUC or ENUM: names in it are not variables."""
         return statement(self.source, line).word in ("STRUC", "ENUM")
 
@@ -291,7 +291,7 @@ class Sharing:
             start, stop = self.source.code_span(line)
             text = self.source.text[start:stop]
             edits.add(start, stop, f"; {text}: GLOBAL in the .dat of {self.base}{MAIN}")
-            declarations.append(_global_declaration(_with_new_names(text, new_names)))
+            declarations.append(_global_declaration(_renamed_code(text, new_names)))
         return declarations
 
     def _rename_uses(
@@ -319,7 +319,7 @@ class Sharing:
             all_names = names.keys() | routines.keys()
             for line in range(routine.first, routine.last):
                 start, stop = self.source.code_span(line)
-                is_unchanged = line in removed_lines or self._is_type(line)
+                is_unchanged = line in removed_lines or self._declares_type(line)
                 if is_unchanged or all_names.isdisjoint(names_in(text, start, stop)):
                     continue
                 for item in occurrences(text, start, stop):
@@ -356,7 +356,7 @@ class Sharing:
         for data_line in self.data_lines:
             if not new_globals.keys().isdisjoint(data_line.names):
                 start, stop = self.data.code_span(data_line.line)
-                new_line = _with_new_names(text[start:stop], new_globals)
+                new_line = _renamed_code(text[start:stop], new_globals)
                 is_declaration = any(item.kind for item in self.declarations_of_line[data_line.line])
                 edits.add(start, stop, _global_declaration(new_line) if is_declaration else new_line)
         return replace(self.data.document, text=edits.apply(text))
@@ -373,11 +373,11 @@ def _declared_types(data: Source) -> Iterator[str]:
     """Yield the names of the types that a `.dat` declares by STRUC or ENUM."""
     for line in range(1, len(data.starts) + 1):
         start, stop = data.code_span(line)
-        if (word_end := after_word(data.text, start, stop, "STRUC", "ENUM")) >= 0:
-            yield word_at(data.text, after_blanks(data.text, word_end, stop), stop)
+        if (word_end := skip_word(data.text, start, stop, "STRUC", "ENUM")) >= 0:
+            yield word_at(data.text, skip_blanks(data.text, word_end, stop), stop)
 
 
-def _with_new_names(text: str, new_names: Mapping[str, str]) -> str:
+def _renamed_code(text: str, new_names: Mapping[str, str]) -> str:
     """Return code with new names for variables.
 
     :param new_names: old name, upper case → new name.
@@ -391,11 +391,11 @@ def _with_new_names(text: str, new_names: Mapping[str, str]) -> str:
 
 def _global_declaration(declaration: str) -> str:
     """Return a declaration with GLOBAL: ``DECL GLOBAL …``."""
-    decl_end = after_word(declaration, 0, len(declaration), "DECL")
+    decl_end = skip_word(declaration, 0, len(declaration), "DECL")
     return f"DECL GLOBAL {declaration[max(decl_end, 0) :].lstrip()}"
 
 
-def _with_line_mates(names: set[str], lines: Sequence[set[str]]) -> set[str]:
+def _names_with_line_mates(names: set[str], lines: Sequence[set[str]]) -> set[str]:
     """Return names, and all names that share a line of declaration with any of them, directly or over other names.
 
     :param lines: set of names that each line declares.

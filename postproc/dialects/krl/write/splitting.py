@@ -39,7 +39,7 @@ from postproc.errors import Issue, combined_error, first_of
 from postproc.program import Document, Ints, WrittenProgram
 
 
-def add_data_files(sources: Sequence[Document], data: Document | None) -> Iterator[Document]:
+def files_with_data(sources: Sequence[Document], data: Document | None) -> Iterator[Document]:
     """Yield the files of a program: each `.src`, followed by its `.dat` if it needs one.
 
     The `.dat` of a part has copies of the variables that the part uses. The `.dat` of the main program has all others:
@@ -91,10 +91,10 @@ def _needed_lines(lines: Sequence[DataLine], document: Document) -> set[int]:
     return numbers
 
 
-_RESUME = "RESUME would break off the whole file that runs"
+_RESUME_PROBLEM = "RESUME would break off the whole file that runs"
 _MOST_NAMES = 5
 """Largest number of names in one message."""
-_FRAME_LINES = 3
+_FRAME_LINE_COUNT = 3
 """Number of lines that are added to each part: DEF, the comment that names its main program, and END."""
 
 
@@ -123,7 +123,7 @@ def split_files(
     ):
         return output
     if resume_place:
-        raise division_error(Source.of(output.documents[0], 0), f"{_RESUME}, in {resume_place}", 1)
+        raise division_error(Source.of(output.documents[0], 0), f"{_RESUME_PROBLEM}, in {resume_place}", 1)
     return _Splitter(name, output, limit, used_names).write()
 
 
@@ -148,7 +148,7 @@ def _restore_files(documents: Sequence[Document], output: WrittenProgram, limit:
     if limit and longest_file.text.count("\n") > limit:
         message = f"{longest_file.name} has more than {limit} lines: a program in several files keeps its division."
         issues.append(Issue("warning", "long-file", message))
-    files = add_data_files(sources, output.documents[1] if len(output.documents) > 1 else None)
+    files = files_with_data(sources, output.documents[1] if len(output.documents) > 1 else None)
     return replace(output, documents=tuple(files), issues=tuple(issues))
 
 
@@ -182,7 +182,7 @@ class _Splitter:
         routine_of, faults = routines(self.source, lines, np.zeros(0, dtype=np.int64))
         if faults:
             raise combined_error(faults)
-        main = Module(self.source, routine_of).main(PurePath(output.documents[0].name).stem)
+        main = Module(self.source, routine_of).main_routine(PurePath(output.documents[0].name).stem)
         if main is None:
             raise division_error(self.source, "it has no DEF, END or motion", 1)
         if main.parameters:
@@ -205,18 +205,18 @@ class _Splitter:
         """
         for line in chain.from_iterable(routine.statement_lines for routine in (self.main, *self.subroutines)):
             if statement(self.source, line).word == "RESUME":
-                raise division_error(self.source, _RESUME, line)
+                raise division_error(self.source, _RESUME_PROBLEM, line)
         files = self._file_contents()
         file_of, number_of = self._line_places(files)
         data = self.undivided.documents[1] if len(self.undivided.documents) > 1 else None
         program = DividedProgram(self.source, data, self.main, self.subroutines, file_of)
-        source, data, new_names = Sharing(self.base, program, self.used_names).apply()
+        source, data, new_names = Sharing(self.base, program, self.used_names).shared_program()
         self.issues += self._routine_issues(new_names)
         documents = [self._document(file, source) for file in files]
         documents[0] = replace(documents[0], text=text_with_name(documents[0].text, files[0].name))
         return replace(
             self.undivided,
-            documents=tuple(add_data_files(documents, data)),
+            documents=tuple(files_with_data(documents, data)),
             output_line=number_of[self.undivided.output_line],
             issues=tuple(self.issues),
         )
@@ -257,12 +257,12 @@ class _Splitter:
         is_header = [self.source.text[start] == "&" for start in self.source.starts[: first_routine_line - 1].tolist()]
         header = [_one_line(line) for line, is_kept in enumerate(is_header, 1) if is_kept]
         declarations = [_one_line(line) for line in cut_points.declarations]
-        extra_lines = len(header) + len(declarations) + _FRAME_LINES
+        extra_lines = len(header) + len(declarations) + _FRAME_LINE_COUNT
         cuts, issues = part_bounds(self.source, self.base, cut_points, self.limit, extra_lines)
         self.issues += issues
         end = f"END{self.line_end}"
         bodies: list[tuple[str | range, ...]] = [(*declarations, range(*pair), end) for pair in pairwise(cuts)]
-        bodies += [(end, *group) for group in self._pack_blocks(blocks, self.limit - len(header) - _FRAME_LINES)]
+        bodies += [(end, *group) for group in self._pack_blocks(blocks, self.limit - len(header) - _FRAME_LINE_COUNT)]
         files = [self._main_file(blocks, cuts[0], len(cuts) - 1)]
         for number, body in enumerate(bodies, 1):
             name = f"{self.base}{number}"

@@ -49,24 +49,24 @@ class TargetNumbers(Struct, frozen=True, eq=False):
     is_free: Bools
     drops_via_orientation: Bools
 
-    def texts(self, k: int, columns: Iterable[int]) -> dict[str, str]:
-        """Return numbers of target `k` as printed: component → text.
+    def texts(self, target: int, columns: Iterable[int]) -> dict[str, str]:
+        """Return numbers of a target as printed: component → text.
 
         :param columns: indices in X, Y, Z, A, B, C of the numbers to return.
         """
         numbers, decimals, min_decimals = (
-            self.numbers[k].tolist(),
-            self.decimals[k].tolist(),
-            self.least_decimals[k].tolist(),
+            self.numbers[target].tolist(),
+            self.decimals[target].tolist(),
+            self.least_decimals[target].tolist(),
         )
         return {
             CARTESIAN[column]: fixed_point(numbers[column], decimals[column], min_decimals[column])
             for column in columns
         }
 
-    def via_texts(self, k: int) -> dict[str, str]:
-        """Return X, Y, Z of the auxiliary point of target `k` as printed: component → text; empty without one."""
-        via = self.via[k].tolist()
+    def via_texts(self, target: int) -> dict[str, str]:
+        """Return X, Y, Z of the auxiliary point of a target as printed: component → text; empty without a point."""
+        via = self.via[target].tolist()
         return {} if np.isnan(via).any() else {name: f"{value:.4f}" for name, value in zip("XYZ", via, strict=True)}
 
 
@@ -76,23 +76,25 @@ def target_numbers(layout: Layout, targets: Targets) -> TargetNumbers:
     :param layout: text of its M motions.
     :param targets: K commanded targets.
     """
-    row = targets.motion
-    is_last = np.append(row[1:] != row[:-1], True) if len(row) else np.zeros(0, dtype=np.bool_)  # of its motion
+    motion = targets.motion
+    is_last = (
+        np.append(motion[1:] != motion[:-1], True) if len(motion) else np.zeros(0, dtype=np.bool_)
+    )  # of its motion
     keep = targets.keep & is_last
     exact_numbers = targets.pose.xyzabc(slice(None))
-    exact_numbers[:, 3:] = _nearest_angles(exact_numbers[:, 3:], layout.numbers[row, 3:])
-    decimals = np.maximum(DECIMALS, np.minimum(_input_decimals(layout)[row], MOST_DECIMALS))
-    numbers = np.where(keep[:, None], layout.numbers[row], _round_values(exact_numbers, decimals))
+    exact_numbers[:, 3:] = _nearest_angles(exact_numbers[:, 3:], layout.numbers[motion, 3:])
+    decimals = np.maximum(DECIMALS, np.minimum(_input_decimals(layout)[motion], MOST_DECIMALS))
+    numbers = np.where(keep[:, None], layout.numbers[motion], _round_values(exact_numbers, decimals))
 
-    end_differs = any_column(np.abs(numbers - layout.numbers[row]) > _NUMBER_TOLERANCE)
-    start_differs = _starts_at_changed_end(row[is_last], end_differs[is_last], layout)
+    end_differs = any_column(np.abs(numbers - layout.numbers[motion]) > _NUMBER_TOLERANCE)
+    start_differs = _starts_at_changed_end(motion[is_last], end_differs[is_last], layout)
     is_free = _needs_free_orientation(layout, targets, numbers, is_last)
-    gets_component = _added_components(layout, row, numbers, is_free)
+    gets_component = _added_components(layout, motion, numbers, is_free)
     return TargetNumbers(
         numbers=numbers,
         decimals=np.where(keep[:, None], MOST_DECIMALS, decimals).astype(np.int8),
         least_decimals=np.where(keep[:, None], DECIMALS, decimals).astype(np.int8),
-        is_printed=np.where(keep[:, None], gets_component, ~layout.is_missing[row] | gets_component),
+        is_printed=np.where(keep[:, None], gets_component, ~layout.is_missing[motion] | gets_component),
         via=_round_values(targets.via * MM_PER_M, DECIMALS[:3]),
         is_changed=~keep | any_column(gets_component),
         start_differs=start_differs,
@@ -101,24 +103,24 @@ def target_numbers(layout: Layout, targets: Targets) -> TargetNumbers:
     )
 
 
-def _added_components(layout: Layout, row: Ints, numbers: Array, is_free: Bools) -> Bools:
+def _added_components(layout: Layout, motion: Ints, numbers: Array, is_free: Bools) -> Bools:
     """Return whether a component (K, 6) is missing in the text and must be added.
 
     The controller takes a missing component from the target before; it must be added if this is another number.
 
-    :param row: (K,) motions of the targets.
+    :param motion: (K,) motions of the targets.
     :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg] to be commanded.
     :param is_free: (M,) see `TargetNumbers`.
     """
     previous = np.concatenate([numbers[:1], numbers[:-1]])  # numbers of the target before
-    is_first = np.append(True, row[1:] != row[:-1])[: len(row)]
-    follows_joints = is_first & layout.starts_from_joints[row]
-    previous[follows_joints] = layout.numbers[row[follows_joints]]
-    is_added = layout.is_missing[row] & (np.abs(numbers - previous) > _NUMBER_TOLERANCE)
+    is_first = np.append(True, motion[1:] != motion[:-1])[: len(motion)]  # of its motion; empty without targets
+    follows_joints = is_first & layout.starts_from_joints[motion]
+    previous[follows_joints] = layout.numbers[motion[follows_joints]]
+    is_added = layout.is_missing[motion] & (np.abs(numbers - previous) > _NUMBER_TOLERANCE)
     lacks_orientation = layout.ignores_orientation | any_column(layout.is_missing[:, 3:])
-    is_added[:, 3:] |= (is_free & lacks_orientation)[row, None]
+    is_added[:, 3:] |= (is_free & lacks_orientation)[motion, None]
     # only some angles are given: beyond B = ±90° the controller may keep the others from the second set of A, B, C
-    is_kept = layout.is_missing[row, 3:] & ~is_added[:, 3:]
+    is_kept = layout.is_missing[motion, 3:] & ~is_added[:, 3:]
     is_mixed = any_column(is_kept) & ~is_kept.all(axis=1) & (np.abs(previous[:, 4]) > LARGEST_B)
     is_added[:, 3:] |= is_kept & is_mixed[:, None]
     return np.asarray(is_added)
@@ -130,10 +132,10 @@ def _needs_free_orientation(layout: Layout, targets: Targets, numbers: Array, is
     :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg] to be commanded.
     :param is_last: (K,) True for the last target of each motion.
     """
-    row, keeps_text = targets.motion, targets.keep & is_last
-    orientation_differs = any_column(np.abs(numbers - layout.numbers[row])[:, 3:] > _NUMBER_TOLERANCE)
-    is_free = _starts_at_changed_end(row[is_last], orientation_differs[is_last], layout)
-    is_free[row[orientation_differs | (layout.turns_with_path[row] & ~keeps_text)]] = True
+    motion, keeps_text = targets.motion, targets.keep & is_last
+    orientation_differs = any_column(np.abs(numbers - layout.numbers[motion])[:, 3:] > _NUMBER_TOLERANCE)
+    is_free = _starts_at_changed_end(motion[is_last], orientation_differs[is_last], layout)
+    is_free[motion[orientation_differs | (layout.turns_with_path[motion] & ~keeps_text)]] = True
     # under #IGNORE the controller chooses the orientation at the end, at which the next motion begins
     ignores_angles = layout.orientation == ORIENTATIONS.index(IGNORE)
     is_free[:-1] |= ignores_angles[:-1] & is_free[1:]
@@ -151,16 +153,16 @@ def _loses_auxiliary_orientation(layout: Layout, start_differs: Bools, targets: 
     return np.asarray(is_corrected & layout.drops_via_orientation)
 
 
-def _starts_at_changed_end(row: Ints, end_differs: Bools, layout: Layout) -> Bools:
+def _starts_at_changed_end(motion: Ints, end_differs: Bools, layout: Layout) -> Bools:
     """Return whether a motion (M,) begins at the changed end of the motion before it.
 
     Motions that follow joint angles begin at an unchanged position.
 
-    :param row: (n,) motions with targets.
+    :param motion: (n,) motions with targets.
     :param end_differs: (n,) True where the end of the motion has changed.
     """
     start_differs = np.zeros(len(layout.line), dtype=np.bool_)
-    next_motion = row + 1
+    next_motion = motion + 1
     has_next = next_motion < len(start_differs)
     start_differs[next_motion[has_next]] = end_differs[has_next]
     return np.asarray(start_differs & ~layout.starts_from_joints)
@@ -209,8 +211,8 @@ def _nearest_angles(abc: Array, reference: Array) -> Array:
     )
     is_second_nearer = first_distance > second_distance + _NUMBER_TOLERANCE
     nearest_triple = np.where(is_second_nearer[:, None], second_triple, first_triple)
-    is_outside = (np.abs(nearest_triple) > 180.0) & (np.abs(reference) <= 180.0)
-    return np.asarray(np.where(is_outside, nearest_triple - 360.0 * np.sign(nearest_triple), nearest_triple))
+    is_out_of_range = (np.abs(nearest_triple) > 180.0) & (np.abs(reference) <= 180.0)
+    return np.asarray(np.where(is_out_of_range, nearest_triple - 360.0 * np.sign(nearest_triple), nearest_triple))
 
 
 def _input_decimals(layout: Layout) -> Ints:
@@ -224,14 +226,14 @@ def _input_decimals(layout: Layout) -> Ints:
         decimals[file == index] = _decimals_in(source.text, spans[file == index])
     for elements in layout.elements:
         decimals[elements.row] = _decimals_in(elements.source.text, layout.spans(elements.row, slice(6)))
-    for row, move in layout.statements.items():
+    for motion, move in layout.statements.items():
         aggregate = move.end.position.aggregate
         if aggregate is not None and not move.end.position.is_axis:
             for column, name in enumerate(CARTESIAN):
                 item = aggregate.items.get(name)
                 if isinstance(item, Number):
                     mantissa = aggregate.source.text[item.start : item.stop].upper().partition("E")[0]
-                    decimals[row, column] = len(mantissa.partition(".")[2])
+                    decimals[motion, column] = len(mantissa.partition(".")[2])
     return decimals
 
 

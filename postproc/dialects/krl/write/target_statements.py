@@ -111,86 +111,91 @@ def aggregate_text(texts: Mapping[str, str]) -> str:
 class TargetStatements:
     """The motion statements of one program and their targets.
 
-    In all methods, `row` is a motion and `k` is one of its targets: the last, or an inserted one.
+    In all methods, `motion` is the row of a motion, and `target` the row of one of its targets: the last, which is in
+    the statement of the motion, or an inserted one.
     """
 
     def __init__(self, layout: Layout, targets: Targets, numbers: TargetNumbers) -> None:
         """Keep the layout of the program, its targets, and their numbers as printed."""
         self.layout, self.targets, self.target_numbers = layout, targets, numbers
 
-    def literal(self, row: int) -> Literal | None:
+    def literal(self, motion: int) -> Literal | None:
         """Return the literal of the end point of a motion in its statement.
 
         None for relative motions, and if the statement has a name or a chain as its end point.
         """
-        move = self.layout.statements.get(row)
+        move = self.layout.statements.get(motion)
         if move is not None:
             return None if move.relative_axes else self.inline_literal(move.end)
-        spans = self.layout.spans(slice(row, row + 1))[0].tolist()
+        spans = self.layout.spans(slice(motion, motion + 1))[0].tolist()
         number_spans = {name: (start, stop) for name, (start, stop) in zip(COLUMNS, spans, strict=True) if start >= 0}
-        start, stop = self.layout.target[row].tolist()
+        start, stop = self.layout.target[motion].tolist()
         if self.layout.carriage is not None:
-            carriage = parse_aggregate(self.layout.source(row), start, stop).items.get("E1")
+            carriage = parse_aggregate(self.layout.source(motion), start, stop).items.get("E1")
             number_spans |= {} if carriage is None else {"E1": (carriage.start, carriage.stop)}
-        return Literal(self.layout.source(row).text, start, stop, number_spans)
+        return Literal(self.layout.source(motion).text, start, stop, number_spans)
 
     def inline_literal(self, operand: Point) -> Literal | None:
         """Return the literal of a point; None if its numbers are not in its statement."""
         aggregate = operand.position.aggregate
         return literal_of(aggregate) if aggregate is not None and operand.is_inline else None
 
-    def via_point(self, row: int) -> tuple[tuple[int, int] | None, Literal | None]:
+    def via_point(self, motion: int) -> tuple[tuple[int, int] | None, Literal | None]:
         """Return the text of the auxiliary point of a motion.
 
         :returns: span of the point in the statement, None if the motion has no auxiliary point; literal of the point,
             None if the statement has a name or a chain.
         """
-        move = self.layout.statements.get(row)
+        move = self.layout.statements.get(motion)
         if move is not None:
             via = move.via
             return ((via.start, via.stop), self.inline_literal(via)) if via is not None else (None, None)
-        start, stop = self.layout.via_target[row].tolist()
+        start, stop = self.layout.via_target[motion].tolist()
         if start < 0:
             return None, None
         number_spans = {
-            name: (begin, end) for name, (begin, end) in zip("XYZ", self.layout.via_spans[row].tolist(), strict=True)
+            name: (begin, end) for name, (begin, end) in zip("XYZ", self.layout.via_spans[motion].tolist(), strict=True)
         }
-        return (start, stop), Literal(self.layout.source(row).text, start, stop, number_spans)
+        return (start, stop), Literal(self.layout.source(motion).text, start, stop, number_spans)
 
-    def number_texts(self, k: int, literal: Literal, *, includes_unchanged: bool = False) -> dict[str, str]:
-        """Return the numbers of target `k` that a literal must get: component → text.
+    def number_texts(self, target: int, literal: Literal, *, includes_unchanged: bool = False) -> dict[str, str]:
+        """Return the numbers of a target that a literal must get: component → text.
 
         :param includes_unchanged: False: for the literal of the motion itself, which needs the changed numbers. True:
             for a copy of the literal in another line, which needs all numbers.
         """
-        is_printed = self.target_numbers.is_printed[k]
+        is_printed = self.target_numbers.is_printed[target]
         columns = [
             column
             for column in range(6)
             if is_printed[column] or (includes_unchanged and CARTESIAN[column] in literal.number_spans)
         ]
-        texts = self.target_numbers.texts(k, columns)
-        if self.targets.kind[k] == PTP:
-            for name, bits in (("S", int(self.targets.status[k])), ("T", int(self.targets.turn[k]))):
+        texts = self.target_numbers.texts(target, columns)
+        if self.targets.kind[target] == PTP:
+            for name, bits in (("S", int(self.targets.status[target])), ("T", int(self.targets.turn[target]))):
                 if bits >= 0 and name in literal.number_spans:  # −1: not known
                     texts |= _bits_text(name, bits, literal.text[slice(*literal.number_spans[name])])
         if includes_unchanged and "E1" in literal.number_spans:
-            texts |= self._carriage_text(k)
+            texts |= self._carriage_text(target)
         return texts
 
-    def _carriage_text(self, k: int, *, relative: bool = False) -> dict[str, str]:
-        """Return E1 at target `k` [mm]: ``"E1"`` → text; empty if the text of the motion already has the right value.
+    def _carriage_text(self, target: int, *, relative: bool = False) -> dict[str, str]:
+        """Return E1 at a target [mm]: ``"E1"`` → text; empty if the text of the motion needs no new E1.
 
-        This is so without a linear axis, if it does not move, and at the last target of an absolute motion.
+        It needs none without a linear axis, if this axis does not move, and at the last target of an absolute motion.
 
-        :param relative: True if the motion is relative: its own E1 is a step.
+        :param relative: True if the motion is relative: E1 in its text is a step.
         """
-        carriage, row, t = self.layout.carriage, self.targets.motion[k : k + 1], float(self.targets.t[k])
-        if carriage is None or (t == 1.0 and not relative) or carriage.travel[row[0]] == 0.0:
+        carriage, motion, t = (
+            self.layout.carriage,
+            self.targets.motion[target : target + 1],
+            float(self.targets.t[target]),
+        )
+        if carriage is None or (t == 1.0 and not relative) or carriage.travel[motion[0]] == 0.0:
             return {}
-        return {"E1": fixed_point(float(carriage.at(row, t)[0]) * MM_PER_M, 4, 4)}
+        return {"E1": fixed_point(float(carriage.at(motion, t)[0]) * MM_PER_M, 4, 4)}
 
-    def end_texts(self, k: int, operand: Point, *, includes_unchanged: bool = False) -> dict[str, str]:
+    def end_texts(self, target: int, operand: Point, *, includes_unchanged: bool = False) -> dict[str, str]:
         """Return the numbers to be written for the end point of a statement: component → text.
 
         All six numbers are returned if the point is computed, so that no text has its numbers.
@@ -200,102 +205,107 @@ class TargetStatements:
         """
         aggregate = operand.position.aggregate
         if aggregate is None:
-            return self.target_numbers.texts(k, range(6))
-        return self.number_texts(k, literal_of(aggregate), includes_unchanged=includes_unchanged)
+            return self.target_numbers.texts(target, range(6))
+        return self.number_texts(target, literal_of(aggregate), includes_unchanged=includes_unchanged)
 
-    def whole_literal(self, k: int, operand: Point | None, *, relative: bool = False) -> str:
-        """Return target `k` as a new literal with all components, external axes and, for PTP, known S and T.
+    def whole_literal(self, target: int, operand: Point | None, *, relative: bool = False) -> str:
+        """Return a target as a new literal with all components, external axes and, for PTP, known S and T.
 
         :param operand: end point of the statement; None: only X, Y, Z, A, B, C are written.
         :param relative: True if the statement is relative: its external axes are steps, of which only E1 is written.
         """
-        texts = self.target_numbers.texts(k, range(6))
+        texts = self.target_numbers.texts(target, range(6))
         if operand is None:
             return aggregate_text(texts)
         position = operand.position
         if relative:  # the stated external axes are steps; the controller keeps external axes that are left out
-            return aggregate_text(texts | self._carriage_text(k, relative=True))
-        if self.targets.kind[k] == PTP:
+            return aggregate_text(texts | self._carriage_text(target, relative=True))
+        if self.targets.kind[target] == PTP:
             for name, target_bits, stated_bits in (
                 ("S", self.targets.status, position.status),
                 ("T", self.targets.turn, position.turn),
             ):
-                bits = int(target_bits[k]) if target_bits[k] >= 0 else stated_bits
+                bits = int(target_bits[target]) if target_bits[target] >= 0 else stated_bits
                 if bits >= 0:  # −1: not known
                     texts[name] = str(bits)
         for name, axis_position in zip(EXTERNAL, position.external, strict=False):
             if not math.isnan(axis_position):
                 texts[name] = fixed_point(axis_position, MOST_DECIMALS, 0)
-        return aggregate_text(texts | (self._carriage_text(k) if "E1" in texts else {}))
+        return aggregate_text(texts | (self._carriage_text(target) if "E1" in texts else {}))
 
-    def end_text(self, row: int, k: int) -> str:
-        """Return the end point of target `k` as a literal: that of its motion with new numbers, or a new literal."""
-        literal = self.literal(row)
+    def end_text(self, motion: int, target: int) -> str:
+        """Return the end point of a target as a literal.
+
+        If the statement of its motion has a literal, a copy of it with the numbers of the target; else a new literal.
+        """
+        literal = self.literal(motion)
         if literal is not None:
             return edited_literal(
-                literal, replaced_numbers(literal, self.number_texts(k, literal, includes_unchanged=True))
+                literal, replaced_numbers(literal, self.number_texts(target, literal, includes_unchanged=True))
             )
-        move = self.layout.statements.get(row)
-        return self.whole_literal(k, move.end if move else None, relative=bool(move and move.relative_axes))
+        move = self.layout.statements.get(motion)
+        return self.whole_literal(target, move.end if move else None, relative=bool(move and move.relative_axes))
 
-    def instruction_text(self, row: int, k: int) -> str:
-        """Return the instruction for target `k`: that of the motion without ``_REL``.
+    def instruction_text(self, motion: int, target: int) -> str:
+        """Return the instruction for a target: that of the motion, without ``_REL``.
 
-        It is LIN, or SLIN for SCIRC, in the case of the motion's instruction, if a line replaces an arc.
+        If a line replaces an arc, it is LIN, or SLIN for SCIRC, in the case of the motion's instruction.
         """
-        word = self._instruction(row)
+        word = self._instruction(motion)
         word = word[: -len("_REL")] if word.upper().endswith("_REL") else word
-        if self.via_point(row)[0] is not None and self.targets.kind[k] == LIN:
+        if self.via_point(motion)[0] is not None and self.targets.kind[target] == LIN:
             line = "lin" if word.islower() else "LIN" if word.isupper() else "Lin"
             word = word[:1] + line if word[:1] in "sS" else line
         return word
 
-    def _instruction(self, row: int) -> str:
+    def _instruction(self, motion: int) -> str:
         """Return the instruction of a motion as spelled, such as ``LIN`` or ``lin_rel``."""
-        text, start = self.layout.source(row).text, self.layout.keyword.item(row)
+        text, start = self.layout.source(motion).text, self.layout.keyword.item(motion)
         return text[start : start + len(word_at(text, start, len(text)))]
 
-    def points_text(self, row: int, k: int) -> str:
-        """Return the points of target `k` as literals: the end point, for a circle the auxiliary point before it."""
-        end, (span, via) = self.end_text(row, k), self.via_point(row)
-        if span is None or self.targets.kind[k] != CIRC:
+    def points_text(self, motion: int, target: int) -> str:
+        """Return the points of a target as literals: the end point, for a circle the auxiliary point before it."""
+        end, (span, via) = self.end_text(motion, target), self.via_point(motion)
+        if span is None or self.targets.kind[target] != CIRC:
             return end
-        texts = self.target_numbers.via_texts(k)
+        texts = self.target_numbers.via_texts(target)
         via_text = edited_literal(via, replaced_numbers(via, texts)) if via is not None else aggregate_text(texts)
         # between the points: the separator of the motion
-        return via_text + self.layout.source(row).text[span[1] : int(self.layout.target[row, 0])] + end
+        return via_text + self.layout.source(motion).text[span[1] : int(self.layout.target[motion, 0])] + end
 
-    def statement_text(self, row: int, k: int) -> str:
-        """Return the instruction and the points of target `k` as text, all points as literals."""
-        span, _ = self.via_point(row)
-        first = span[0] if span is not None else int(self.layout.target[row, 0])
-        gap = self.layout.source(row).text[int(self.layout.keyword[row]) + len(self._instruction(row)) : first]
-        return self.instruction_text(row, k) + gap + self.points_text(row, k)
+    def statement_text(self, motion: int, target: int) -> str:
+        """Return the instruction and the points of a target as text, all points as literals."""
+        span, _ = self.via_point(motion)
+        first = span[0] if span is not None else int(self.layout.target[motion, 0])
+        gap = self.layout.source(motion).text[int(self.layout.keyword[motion]) + len(self._instruction(motion)) : first]
+        return self.instruction_text(motion, target) + gap + self.points_text(motion, target)
 
-    def inserted_line(self, row: int, k: int) -> str:
-        """Return the line of inserted target `k`, with its line end.
+    def inserted_line(self, motion: int, target: int) -> str:
+        """Return the line of an inserted target, with its line end.
 
         It repeats approximation and WITH of the motion, but no comment. If the motion stops exactly, the line gets
         C_DIS (spline: C_SPL, PTP: C_PTP). It gets none in a spline block, if the distance is not known, and if the
         robot is to stop at the target.
         """
-        motion_text = self.statement_text(row, k)
-        tail = self.tail_of_target(row, k)
-        may_approximate = self.layout.is_distance_known[row] and not self.layout.is_in_spline_block[row]
-        if self.targets.blend[k] > 0.0 and may_approximate and not is_approximated(tail):
-            tail += " C_SPL" if motion_text[:1] in "sS" else " C_PTP" if self.targets.kind[k] == PTP else " C_DIS"
-        return self.indent(row) + motion_text + tail + self.line_end(row)
+        motion_text = self.statement_text(motion, target)
+        tail = self.tail_of_target(motion, target)
+        may_approximate = self.layout.is_distance_known[motion] and not self.layout.is_in_spline_block[motion]
+        if self.targets.blend[target] > 0.0 and may_approximate and not is_approximated(tail):
+            tail += " C_SPL" if motion_text[:1] in "sS" else " C_PTP" if self.targets.kind[target] == PTP else " C_DIS"
+        return self.indent(motion) + motion_text + tail + self.line_end(motion)
 
-    def tail_of_target(self, row: int, k: int) -> str:
-        """Return approximation and WITH of target `k`: spline motions get those of `tail_text`."""
-        is_free = bool(self.target_numbers.is_free[row]) and self.is_spline(row)
-        is_circle = self.via_point(row)[0] is not None and self.is_spline(row)
-        is_straightened = is_circle and bool(self.targets.kind[k] == LIN)
-        ignores_auxiliary = is_circle and not is_straightened and bool(self.target_numbers.drops_via_orientation[row])
-        source, line = self.layout.course.trace.place(self.layout.line.item(row))
+    def tail_of_target(self, motion: int, target: int) -> str:
+        """Return WITH and approximation of a target: those of its motion, for spline motions changed by `tail_text`."""
+        is_free = bool(self.target_numbers.is_free[motion]) and self.is_spline(motion)
+        is_circle = self.via_point(motion)[0] is not None and self.is_spline(motion)
+        is_straightened = is_circle and bool(self.targets.kind[target] == LIN)
+        ignores_auxiliary = (
+            is_circle and not is_straightened and bool(self.target_numbers.drops_via_orientation[motion])
+        )
+        source, line = self.layout.course.trace.place(self.layout.line.item(motion))
         node = statement(source, line) if is_free or is_straightened or ignores_auxiliary else None
         if not isinstance(node, Motion):
-            return source.text[slice(*self.layout.tail[row].tolist())]
+            return source.text[slice(*self.layout.tail[motion].tolist())]
         return tail_text(
             source,
             node.tail,
@@ -304,23 +314,25 @@ class TargetStatements:
             ignores_auxiliary=ignores_auxiliary,
         )
 
-    def is_spline(self, row: int) -> bool:
+    def is_spline(self, motion: int) -> bool:
         """Return whether a motion is a spline motion: SLIN, SCIRC, SPL."""
-        return self.layout.source(row).text[self.layout.keyword.item(row)] in "sS"
+        return self.layout.source(motion).text[self.layout.keyword.item(motion)] in "sS"
 
-    def indent(self, row: int) -> str:
-        """Return the text before the instruction on the line of motion `row`."""
-        source, line = self.layout.course.trace.place(self.layout.line.item(row))
-        return source.text[source.starts[line - 1] : self.layout.keyword[row]]
+    def indent(self, motion: int) -> str:
+        """Return the text before the instruction on the line of a motion."""
+        source, line = self.layout.course.trace.place(self.layout.line.item(motion))
+        return source.text[source.starts[line - 1] : self.layout.keyword[motion]]
 
-    def line_end(self, row: int) -> str:
-        """Return the line end of the line of motion `row`."""
-        source, line = self.layout.course.trace.place(self.layout.line.item(row))
+    def line_end(self, motion: int) -> str:
+        """Return the line end of the line of a motion."""
+        source, line = self.layout.course.trace.place(self.layout.line.item(motion))
         return source.text[source.stops[line - 1] : source.starts[line]]  # a line always follows: END at least
 
-    def absolute_statement(self, row: int, k: int) -> Replacement:
-        """Return the edit that replaces instruction and points of motion `row` by absolute literals of target `k`."""
-        return Replacement(int(self.layout.keyword[row]), int(self.layout.tail[row, 0]), self.statement_text(row, k))
+    def absolute_statement(self, motion: int, target: int) -> Replacement:
+        """Return the edit that replaces instruction and points of a motion by absolute literals of a target."""
+        return Replacement(
+            int(self.layout.keyword[motion]), int(self.layout.tail[motion, 0]), self.statement_text(motion, target)
+        )
 
 
 def tail_text(source: Source, tail: Tail, *, is_free: bool, is_straightened: bool, ignores_auxiliary: bool) -> str:
@@ -350,7 +362,7 @@ def tail_text(source: Source, tail: Tail, *, is_free: bool, is_straightened: boo
         settings.append(separator + setting if settings else setting)
     names = {(assignment.target.name, assignment.target.field) for assignment in assignments}
     if is_free and ("$ORI_TYPE", None) not in names:
-        blanks = begin[len(begin.rstrip()) :]  # those between WITH and its first setting
+        blanks = begin[len(begin.rstrip()) :]  # between WITH and its first setting
         settings[:1] = [_FREE_ORIENTATION, *(f",{blanks}{setting}" for setting in settings[:1])]
     if ignores_auxiliary and _AUXILIARY_ORIENTATION not in names:
         settings.append(f", {_IGNORED_AUXILIARY}" if settings else _IGNORED_AUXILIARY)
@@ -376,17 +388,17 @@ def consecutive_motions(layout: Layout, rows: Ints) -> list[tuple[int, int]]:
     :param rows: (n,) the motions, ascending.
     """
     run_bounds: list[tuple[int, int]] = []
-    for row in rows.tolist():
-        if run_bounds and run_bounds[-1][1] == row - 1 and _is_next_line(layout, row):
-            run_bounds[-1] = run_bounds[-1][0], row
+    for motion in rows.tolist():
+        if run_bounds and run_bounds[-1][1] == motion - 1 and _is_next_line(layout, motion):
+            run_bounds[-1] = run_bounds[-1][0], motion
         else:
-            run_bounds.append((row, row))
+            run_bounds.append((motion, motion))
     return run_bounds
 
 
-def _is_next_line(layout: Layout, row: int) -> bool:
-    """Return whether only comments are between motion `row` and the motion before it, in the trace and in the file."""
-    trace, previous_row, motion_row = layout.course.trace, int(layout.line[row - 1]), int(layout.line[row])
+def _is_next_line(layout: Layout, motion: int) -> bool:
+    """Return whether only comments are between a motion and the motion before it, in the trace and in the file."""
+    trace, previous_row, motion_row = layout.course.trace, int(layout.line[motion - 1]), int(layout.line[motion])
     (source, first), (second_source, last) = trace.place(previous_row), trace.place(motion_row)
     if source is not second_source or last - first != motion_row - previous_row:
         return False

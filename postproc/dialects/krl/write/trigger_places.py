@@ -18,32 +18,32 @@ _DISTANCE_TOLERANCE = 1e-6
 """Distances along a path that differ by less than this [m] are equal."""
 
 
-def piece_of(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] | None:
+def piece_and_distance(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] | None:
     """Return the piece of a divided motion before which a TRIGGER must be, and its distance on this piece.
 
     :param ends: (n,) ends of the pieces, as shares of the motion in (0, 1].
     :param speed: speed of the TCP [m/s].
-    :returns: number of the piece, from 0; distance along the path from its start (`from_start`) or its end [m]. None if
-        no single piece contains the path from the distance of the TRIGGER to the place at which it switches.
+    :returns: number of the piece, from 0, and distance along the path from its start (`is_from_start`) or its end [m].
+        None if no single piece contains the path from the distance of the TRIGGER to the place at which it switches.
     """
     end = ends * trigger.length
     begin = np.concatenate([[0.0], end[:-1]])
-    position = trigger.offset + (0.0 if trigger.from_start else trigger.length)
+    position = trigger.offset + (0.0 if trigger.is_from_start else trigger.length)
     # stretch of the path on which the output switches; DELAY may be negative
     earliest, latest = min(position, position + trigger.delay * speed), max(position, position + trigger.delay * speed)
     is_after_begin, is_before_end = earliest > begin - _DISTANCE_TOLERANCE, latest < end + _DISTANCE_TOLERANCE
     is_after_begin[0] = is_before_end[-1] = True  # distances beyond the motion count from its first or last piece
     fits = is_after_begin & is_before_end
     if trigger.path_span is None:  # DISTANCE counts from an end of the motion: only the first or the last piece has it
-        other_pieces = slice(1, None) if trigger.from_start else slice(-1)
+        other_pieces = slice(1, None) if trigger.is_from_start else slice(-1)
         fits[other_pieces] = False
     if not trigger.is_attached:  # other statements follow it, so that it cannot be moved behind an inserted target
         fits[1:] = False
     pieces = np.flatnonzero(fits & np.isfinite(position + trigger.delay))  # NaN: distance or delay is no number
     if not len(pieces):
         return None
-    piece = int(pieces[0 if trigger.from_start else -1])
-    return piece, float(position - (begin if trigger.from_start else end)[piece])
+    piece = int(pieces[0 if trigger.is_from_start else -1])
+    return piece, float(position - (begin if trigger.is_from_start else end)[piece])
 
 
 class PlacedTriggers(Struct, frozen=True, eq=False):
@@ -71,10 +71,11 @@ def place_triggers(triggers: Sequence[Trigger], line: int, ends: Array, speed: f
     :param ends: (n,) ends of the pieces, as shares of the motion in (0, 1].
     :param speed: speed of the TCP [m/s].
     """
+    # at first, all inserted targets are right before the motion
     placement = PlacedTriggers([line] * (len(ends) - 1), [[] for _ in ends], {}, [])
     earliest_piece = len(ends)  # smallest piece of the later TRIGGERs that stay on their lines
     for trigger in reversed(triggers):
-        piece_and_offset = piece_of(trigger, ends, speed)
+        piece_and_offset = piece_and_distance(trigger, ends, speed)
         if piece_and_offset is None:
             placement.lost_triggers.append(trigger)
             continue
@@ -85,7 +86,7 @@ def place_triggers(triggers: Sequence[Trigger], line: int, ends: Array, speed: f
             placement.moved_triggers[piece].insert(0, trigger)
             continue
         earliest_piece = piece
-        if trigger.is_attached:
+        if trigger.is_attached:  # the ends of earlier pieces precede the TRIGGER
             placement.target_lines[:piece] = [trigger.line] * piece
     placement.lost_triggers.reverse()
     return placement
