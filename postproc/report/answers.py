@@ -184,13 +184,18 @@ _SENTENCE_FORMS: dict[Mode, str] = {
 }
 
 
-def _improvement_sentence(mode: Mode, better: Improvement | None) -> str:
+def _improvement_sentence(mode: Mode, improvement: Improvement | None) -> str:
     """Return a sentence with both expected errors; empty if one of them, or the chance, is unknown."""
-    if better is None or better.uncorrected_mm is None or better.corrected_mm is None or better.chance is None:
+    if (
+        improvement is None
+        or improvement.uncorrected_mm is None
+        or improvement.corrected_mm is None
+        or improvement.chance is None
+    ):
         return ""
-    chance = "" if better.state == "ok" else f", better with a chance of {chance_in_words(better.chance)}"
+    chance = "" if improvement.state == "ok" else f", better with a chance of {chance_in_words(improvement.chance)}"
     return _SENTENCE_FORMS[mode].format(
-        two_digit_text(better.uncorrected_mm), two_digit_text(better.corrected_mm), chance
+        two_digit_text(improvement.uncorrected_mm), two_digit_text(improvement.corrected_mm), chance
     )
 
 
@@ -238,21 +243,24 @@ def _drive_text(drive: Drive) -> str:
     return f"{answer}; not checked: {unchecked_names}" if unchecked_names else answer
 
 
-def _comparison_text(better: Improvement | None) -> str:
+def _comparison_text(improvement: Improvement | None) -> str:
     """Return the errors of the uncorrected and the corrected program in words, with the chance that correction helps.
 
     "not known" if the model states no uncertainty; one error if nothing is corrected.
     """
-    if better is None or better.uncorrected_mm is None or better.corrected_mm is None:
+    if improvement is None or improvement.uncorrected_mm is None or improvement.corrected_mm is None:
         return "not known"
-    if better.chance is None:
-        return f"nothing is corrected; up to {two_digit_text(better.corrected_mm)} mm (95 %)"
-    # largest and RMS of each program; the RMS is known where the largest is
-    errors = ((better.uncorrected_mm, better.uncorrected_rms_mm), (better.corrected_mm, better.corrected_rms_mm))
+    if improvement.chance is None:
+        return f"nothing is corrected; up to {two_digit_text(improvement.corrected_mm)} mm (95 %)"
+    # largest and RMS of each program; the RMS is known where the largest is, so that `or` only serves its type
+    errors = (
+        (improvement.uncorrected_mm, improvement.uncorrected_rms_mm),
+        (improvement.corrected_mm, improvement.corrected_rms_mm),
+    )
     uncorrected_text, corrected_text = (
         f"up to {two_digit_text(largest)} mm, RMS {two_digit_text(rms or 0.0)}" for largest, rms in errors
     )
-    return f"chance {chance_in_words(better.chance)}: uncorrected {uncorrected_text}; corrected {corrected_text} (95 %)"
+    return f"chance {chance_in_words(improvement.chance)}: uncorrected {uncorrected_text}; corrected {corrected_text} (95 %)"
 
 
 def _tolerance_text(tolerance: Tolerance | None) -> str:

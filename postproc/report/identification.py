@@ -211,7 +211,7 @@ def _interval_plot(entries: Mapping[str, Parameter], titles: list[str], note: st
         marks=[
             Mark(100.0 * limit, f"{100.0 * limit:.0f} %", "soft") for limit in (_WELL_KNOWN_SHARE, _BARELY_KNOWN_SHARE)
         ],
-        height=90 + 22 * len(titles),
+        height=90 + 22 * len(titles),  # [px]: axis and marks, and a line for each title
         note=note,
     )
 
@@ -328,10 +328,15 @@ def structures_section(data: IdentificationRecord) -> Section | None:
         x=Axis(title="mean square error, σ²", logarithmic=True),
         y=Axis(categories=[row.structure for row in rows]),
         marks=[Mark(1.0, "noise alone", "soft")],
-        height=80 + 34 * len(rows),
+        height=_bars_height(len(rows)),
         note=f"{data.structure.reason}.",
     )
     return Section("structures", "Structures tried: error on configurations left out", (plot,))
+
+
+def _bars_height(count: int) -> int:
+    """Return the height of a plot of horizontal bars [px]: of its axis, and of `count` bars."""
+    return 80 + 34 * count
 
 
 def correlations_section(data: IdentificationRecord) -> Section | None:
@@ -344,7 +349,7 @@ def correlations_section(data: IdentificationRecord) -> Section | None:
     plot = Plot(
         label="Correlation of each pair of parameters",
         traces=[Matrix(names, data.correlation.matrix)],
-        height=180 + row_height * len(names),
+        height=180 + row_height * len(names),  # [px]: 180 for the names below
         note="Blue: together; orange: against. Point at a cell for its number.",
     )
     return Section("correlations", "Correlations of the parameters", (plot,))
@@ -366,7 +371,7 @@ def geometry_section(data: IdentificationRecord) -> Section | None:
         ],
         x=Axis(title="RMS distance, mm"),
         y=Axis(categories=list(variants)),
-        height=80 + 34 * len(variants),
+        height=_bars_height(len(variants)),
     )
     return Section("geometry", "Geometry: unloaded readings on configurations left out, RMS distance", (plot,))
 

@@ -416,7 +416,7 @@ def comparison_section(result: PlanResult) -> Section | None:
     criterion = _criterion_root_mm(result.plan.value)
     serial = None if result.serial is None else _criterion_root_mm(result.serial.value)
     # some random plans are hopeless: the picture shows 97 % of them; the others are counted in the last bar
-    top = max(float(np.quantile(random, 0.97)), serial or 0.0, criterion) * 1.05
+    top = max(float(np.quantile(random, 0.97)), serial or 0.0, criterion) * 1.05  # with a margin of 5 %
     counts, edges = np.histogram(np.clip(random, 0.0, top), bins=_BINS, range=(0.0, top))
     median = float(np.median(random))
     marks = [
@@ -446,7 +446,8 @@ def sizes_section(result: PlanResult) -> Section | None:
     criterion = (np.sqrt([size.value for size in result.sizes]) * MM_PER_M).tolist()
     random = (np.sqrt([size.random for size in result.sizes]) * MM_PER_M).tolist()
     plan_point = [(n, root) for n, root in zip(number, criterion, strict=True) if n == len(result.plan)]
-    high = min(max(random), 4.0 * max(criterion)) * 1.05  # random plans of few poses may be hopeless
+    # random plans of few poses may be hopeless: the axis ends at four times the best plans, with a margin of 5 %
+    high = min(max(random), 4.0 * max(criterion)) * 1.05
     plot = Plot(
         label="Criterion against the number of poses, for the best plans found and for random ones",
         traces=[

@@ -606,7 +606,7 @@ def _interval_plot(data: PartIdentification) -> Plot:
         traces=[Points(changes, rows, "this model", "after", half=half_widths, across=True, texts=names)],
         x=Axis(title="change against the model before, %"),
         y=Axis(categories=names),
-        height=60 + 36 * len(names),
+        height=60 + 36 * len(names),  # [px]: axis, and a line for each name
     )
 
 

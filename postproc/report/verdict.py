@@ -322,10 +322,10 @@ def _is_corrected_input(content: Summary) -> bool:
 
 def _passed_findings(result: Result, content: Summary) -> list[Finding]:
     """Return findings on the expected error, the margins, the checks that passed, and assumed values of the model."""
-    holds = list[Finding]()
+    findings = list[Finding]()
     if content.targets:
         _, surface_findings = _surface_findings(content)
-        holds = [
+        findings = [
             *surface_findings,
             *_expected_findings(result, content),
             *_margin_findings(content),
@@ -333,10 +333,10 @@ def _passed_findings(result: Result, content: Summary) -> list[Finding]:
         ]
     if content.mode != "predict" and result.documents:
         text = "the program was read back as it is written, and simulated with its rounded numbers"
-        holds.append(Finding(_NO_COST, text))
+        findings.append(Finding(_NO_COST, text))
     if names := assumed_values(result.robot):
-        holds.append(Finding(_NO_COST, f"assumed values of the robot model: {', '.join(names)}"))
-    return holds
+        findings.append(Finding(_NO_COST, f"assumed values of the robot model: {', '.join(names)}"))
+    return findings
 
 
 def _issue_findings(issues: Sequence[Issue], mode: Mode) -> list[Finding]:

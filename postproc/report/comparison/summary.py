@@ -255,19 +255,19 @@ def comparison_summary(
 
 def _passed_checks(content: ComparisonSummary, file_origin: ProgramOrigin) -> list[str]:
     """Return sentences on the checks that passed, and on the differences of level "info"."""
-    holds = ["every target has its partner" + (", or the path passes it" if content.passed else "")]
+    sentences = ["every target has its partner" + (", or the path passes it" if content.passed else "")]
     if content.provenance.state == "intact":
-        holds.append("the text is as postproc wrote it")
+        sentences.append("the text is as postproc wrote it")
     if content.cut is not None:
-        holds.append(
+        sentences.append(
             f"the corrected program stays within {content.tolerance_mm:g} mm at its targets under the forces given"
         )
     elif file_origin.without_forces:
-        holds.append(
+        sentences.append(
             "both come from the same program, cell and robot model; the forces of the correction are in a file: give "
             "it with --forces to check what remains"
         )
-    return holds + [_issue_text(issue) for issue in content.issues if issue.level == "info"]
+    return sentences + [_issue_text(issue) for issue in content.issues if issue.level == "info"]
 
 
 def _unjudged_summary(comparison: Comparison, file_origin: ProgramOrigin, tolerance: float) -> ComparisonSummary:

@@ -234,6 +234,6 @@ def _interpolated_values(result: Result, place: _Place, values: Array) -> Array:
     facets = np.flatnonzero(place.row >= 0)
     end = place.row[facets]
     weight = place.share[facets].reshape(-1, *(1,) * (values.ndim - 1))  # of as many axes as the values have
-    of_facets: Array = np.full((len(place.row), *values.shape[1:]), np.nan)
-    of_facets[facets] = (1.0 - weight) * values[piece_start(result, end)] + weight * values[end]
-    return of_facets
+    facet_values: Array = np.full((len(place.row), *values.shape[1:]), np.nan)
+    facet_values[facets] = (1.0 - weight) * values[piece_start(result, end)] + weight * values[end]
+    return facet_values

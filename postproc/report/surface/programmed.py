@@ -64,8 +64,7 @@ class Mesh(Struct, frozen=True, eq=False):
         edge_distance = np.full(facet.shape, np.inf)
         for corner, edge in zip((from_a, from_b, from_c), edges, strict=True):
             is_within &= _dot(np.cross(edge, corner), normal) >= 0.0
-            # 1e-300 keeps zero out of the denominator
-            # nearest place on the edge, as a share of it
+            # nearest place on the edge, as a share of it; 1e-300 keeps zero out of the denominator
             t = np.clip(_dot(corner, edge) / np.maximum(_dot(edge, edge), 1e-300), 0.0, 1.0)
             gap = corner - t[..., None] * edge
             edge_distance = np.minimum(edge_distance, np.sqrt(_dot(gap, gap)))
