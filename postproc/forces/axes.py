@@ -214,16 +214,16 @@ class Axes(Struct, frozen=True, eq=False):
 
         :param columns: (n, 2, 3, m) in the axes of `frame` (n,), `BASE`, `TOOL` or `FEED`, at samples.
         """
-        return self._rotate_to_base(columns, frame, sample, "nij,nhjm->nhim")
+        return self._rotate_columns(columns, frame, sample, "nij,nhjm->nhim")
 
     def in_frame_axes(self, columns: Array, frame: Ints, sample: Toolpath) -> Array:
         """Return columns (n, 2, 3, m) in the axes of `frame` (n,), `BASE`, `TOOL` or `FEED`, at samples.
 
         :param columns: (n, 2, 3, m) in `$BASE` axes.
         """
-        return self._rotate_to_base(columns, frame, sample, "nji,nhjm->nhim")
+        return self._rotate_columns(columns, frame, sample, "nji,nhjm->nhim")
 
-    def _rotate_to_base(self, columns: Array, frame: Ints, sample: Toolpath, product: str) -> Array:
+    def _rotate_columns(self, columns: Array, frame: Ints, sample: Toolpath, product: str) -> Array:
         """Return columns (n, 2, 3, m) rotated between frames (n,) at samples and `$BASE`.
 
         :param product: subscripts of einsum that apply the rotation from a frame to `$BASE`, or its transpose.

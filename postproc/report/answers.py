@@ -260,7 +260,8 @@ def _comparison_text(improvement: Improvement | None) -> str:
     uncorrected_text, corrected_text = (
         f"up to {two_digit_text(largest)} mm, RMS {two_digit_text(rms or 0.0)}" for largest, rms in errors
     )
-    return f"chance {chance_in_words(improvement.chance)}: uncorrected {uncorrected_text}; corrected {corrected_text} (95 %)"
+    chance = chance_in_words(improvement.chance)
+    return f"chance {chance}: uncorrected {uncorrected_text}; corrected {corrected_text} (95 %)"
 
 
 def _tolerance_text(tolerance: Tolerance | None) -> str:
