@@ -186,7 +186,8 @@ def arm_capsules(chain: Chain) -> Iterator[Body]:
             )
         tubes = [(end, tube_radius)]
         if carrier in _FOREARM_CARRIERS:
-            span = max(float(norm(end[None])[0]), 1e-9)  # 1e-9: no division by zero
+            # 1e-9 keeps zero out of the denominator
+            span = max(float(norm(end[None])[0]), 1e-9)
             tubes = [  # the fork begins behind the middle of the forearm
                 (end * max(1.0 - _FORK_LENGTH_SHARE * length / span, 0.5), tube_radius),
                 (end, _FORK_RADIUS_SHARE * length),

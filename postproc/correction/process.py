@@ -625,7 +625,7 @@ def _readback_forces(draft: Draft, readback: ReadBackProgram) -> tuple[Knots | N
     travel, _ = forces.last_travel(readback.program, readback.segments, path_forces.axes.spindle)
     axes = Axes(readback.program, readback.segments, path_forces.axes.spindle, travel)
     piece_forces = forces.piece_knots(path_forces, targets, draft.forces_at_targets(), axes, readback.row)
-    knots, ambiguous_targets = forces.once_a_line(piece_forces, readback.text.output_line)
+    knots, ambiguous_targets = forces.first_pass_knots(piece_forces, readback.text.output_line)
     if not len(ambiguous_targets):
         return knots, ()
     return None, (

@@ -14,7 +14,7 @@ from postproc.forces.path_forces import (
     swing_places,
 )
 from postproc.forces.sources import ForceSource, Knots, LawForces, StockInTime, read
-from postproc.forces.table import once_a_line, piece_knots, read_force_csv, target_forces
+from postproc.forces.table import first_pass_knots, piece_knots, read_force_csv, target_forces
 
 __all__ = [
     "BEHIND_STEP",
@@ -26,8 +26,8 @@ __all__ = [
     "StockInTime",
     "assign",
     "displacement_estimate",
+    "first_pass_knots",
     "last_travel",
-    "once_a_line",
     "piece_knots",
     "read",
     "read_force_csv",

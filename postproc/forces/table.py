@@ -412,7 +412,7 @@ def piece_knots(forces: PathForces, targets: Targets, at_end: TargetForces, outp
     return _needed_knots(Knots(target, share, wrench, frame, sigma, forces.factor_at(nominal), is_ramped))
 
 
-def once_a_line(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
+def first_pass_knots(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
     """Return the knots of the first pass of each line, in order of lines, and targets of passes with another force.
 
     A line is passed several times in loops; a force file has one force for all passes of a line.

@@ -79,6 +79,7 @@ def plan_compensator(robot: RobotModel, sigma: float, options: CompensatorOption
     lower = (robot.lower[1] + options.margin) * DEG_PER_RAD
     upper = (robot.upper[1] - options.margin) * DEG_PER_RAD
     # whole degrees
+    # 1e-9: a limit that is whole but for rounding counts
     grid = np.arange(np.ceil(lower - 1e-9), np.floor(upper + 1e-9) + 1.0)
     if len(grid) < 1 + _MIN_STEP * (options.angles - 1):
         raise PlanError(

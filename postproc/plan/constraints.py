@@ -18,11 +18,11 @@ from postproc.plan.sensitivity import ArmPoses, direction
 from postproc.plan.site import BoxShape, MeshShape, Site, points_on_segments, segment_distances
 from postproc.program import Bools
 
-_ROPE = 0.01
+_ROPE_RADIUS = 0.01
 """Radius [m] of the rope of the load with its hooks (assumed)."""
 _STRAIGHT_SHARE = 0.8
 """Share of the gap between parts with the arm stretched out that must remain at all configurations (assumed)."""
-_PARTS = ("column", "link 2", "elbow", "forearm", "hand")
+_PART_NAMES = ("column", "link 2", "elbow", "forearm", "hand")
 
 
 class Capsule(Struct, frozen=True, eq=False):
@@ -38,13 +38,13 @@ class State(Columns, frozen=True, eq=False):
     """N configurations with their loads.
 
     :param q: (N, 6) joint angles [rad].
-    :param down: (N, 3) unit direction of the load, root axes; None: no load.
-    :param posed: origins, axes and flange of the arm.
+    :param load_direction: (N, 3) unit direction of the load, root axes; None: no load.
+    :param arm_poses: origins, axes and flange of the arm.
     """
 
     q: Array
-    down: Array | None
-    posed: ArmPoses
+    load_direction: Array | None
+    arm_poses: ArmPoses
 
     @classmethod
     def of(cls, site: Site, q: Array, tilt: Array | None) -> State:
@@ -62,9 +62,10 @@ def are_feasible(site: Site, q: Array, tilt: Array) -> Bools:
     :param tilt: (N, 2) of the load [rad], see `State.of`.
     """
     state = State.of(site, q, tilt)
+    # 1e-9 rad: rounding
     is_feasible = within_limits(site, q) & (np.linalg.norm(tilt, axis=1) <= site.rig.largest_tilt + 1e-9)
     rows = np.flatnonzero(is_feasible)
-    for group in _GROUPS:  # a group is checked only for configurations that satisfy the groups before
+    for group in _CONSTRAINT_GROUPS:  # a group is checked only for configurations that satisfy the groups before
         state = State.of(site, q[rows], tilt[rows]) if len(rows) < len(state.q) else state
         is_allowed = np.ones(len(rows), dtype=bool)
         for _, is_satisfied in group(site, state):
@@ -95,7 +96,7 @@ def failures(site: Site, q: Array, tilt: Array) -> dict[str, Bools]:
     """
     state = State.of(site, q, tilt)
     is_forbidden = {"joint limits": ~within_limits(site, q)}
-    for group in _GROUPS:
+    for group in _CONSTRAINT_GROUPS:
         for name, is_satisfied in group(site, state):
             is_forbidden[name] = is_forbidden.get(name, np.zeros(len(q), dtype=bool)) | ~is_satisfied
     return is_forbidden
@@ -103,23 +104,24 @@ def failures(site: Site, q: Array, tilt: Array) -> dict[str, Bools]:
 
 def within_limits(site: Site, q: Array) -> Bools:
     """Return True for configurations q (N, 6) [rad] within the joint limits of the site, which include the margin."""
+    # 1e-9 rad: rounding
     return np.asarray(((q >= site.lower - 1e-9) & (q <= site.upper + 1e-9)).all(axis=1))
 
 
 def arm_parts(site: Site, state: State) -> list[Capsule]:
     """Return the capsules of column, link 2, elbow, forearm and hand at N configurations."""
-    o, forearm_axis = state.posed.origin, state.posed.axis[:, 3]
+    o, forearm_axis = state.arm_poses.origin, state.arm_poses.axis[:, 3]
     # begin of the forearm: the point of the axis of A4 next to A3; a URDF may put the origin of A4 anywhere on the axis
     begin = o[:, 3] + np.einsum("ni,ni->n", o[:, 2] - o[:, 3], forearm_axis)[:, None] * forearm_axis
-    ends = [np.zeros_like(begin), o[:, 1], o[:, 2], begin, o[:, 4], state.posed.flange[:, :3, 3]]
-    pairs = zip(_PARTS, ends[:-1], ends[1:], site.radius, strict=True)
+    ends = [np.zeros_like(begin), o[:, 1], o[:, 2], begin, o[:, 4], state.arm_poses.flange[:, :3, 3]]
+    pairs = zip(_PART_NAMES, ends[:-1], ends[1:], site.radius, strict=True)
     return [Capsule(name, start, end, float(radius)) for name, start, end, radius in pairs]
 
 
 def tool_parts(site: Site, state: State) -> list[Capsule]:
     """Return capsules from the flange to the load point, and to each marker, at N configurations."""
-    start = state.posed.flange[:, :3, 3]
-    ends = state.posed.point(np.vstack([site.load_point, site.points]))
+    start = state.arm_poses.flange[:, :3, 3]
+    ends = state.arm_poses.point(np.vstack([site.load_point, site.points]))
     return [
         Capsule(name, start, ends[:, row], site.tool_radius) for row, name in enumerate(("load point", *site.names))
     ]
@@ -130,11 +132,11 @@ def load_parts(site: Site, state: State) -> list[Capsule]:
 
     Empty without load. A weight of radius 0 has no capsule; else it is a ball, a capsule of length 0.
     """
-    if state.down is None:
+    if state.load_direction is None:
         return []
-    start = state.posed.point(site.load_point[None])[:, 0]
-    end = start + state.down * site.rig.rope
-    rope = Capsule("rope", start, end, _ROPE)
+    start = state.arm_poses.point(site.load_point[None])[:, 0]
+    end = start + state.load_direction * site.rig.rope
+    rope = Capsule("rope", start, end, _ROPE_RADIUS)
     return [rope, Capsule("weight", end, end, site.rig.weight_radius)] if site.rig.weight_radius > 0.0 else [rope]
 
 
@@ -143,9 +145,9 @@ def torques(site: Site, state: State) -> Array:
     torque = kinematics.gravity_torque(site.robot.nominal, state.q)
     if site.robot.compensator is not None:
         torque[:, 1] += site.robot.compensator.gradient(state.q[:, 1])
-    if state.down is not None:
-        lever = state.posed.velocity(state.posed.point(site.load_point[None]))[:, 0]
-        torque -= site.rig.force * np.einsum("nij,nj->ni", lever, state.down)
+    if state.load_direction is not None:
+        lever = state.arm_poses.velocity(state.arm_poses.point(site.load_point[None]))[:, 0]
+        torque -= site.rig.force * np.einsum("nij,nj->ni", lever, state.load_direction)
     return torque
 
 
@@ -184,7 +186,7 @@ def _self_clearance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     straight_gap = _straight_distances(site)
     min_gap[: len(straight_gap)] = np.minimum(min_gap[: len(straight_gap)], _STRAIGHT_SHARE * straight_gap)
     is_clear = _axis_distances(pairs) >= min_gap[:, None]
-    for name in _PARTS[:4]:
+    for name in _PART_NAMES[:4]:
         rows = [row for row, (part, _) in enumerate(pairs) if part.name == name]
         yield f"tool, load and arm against the robot's {name}", np.asarray(is_clear[rows].all(axis=0))
 
@@ -198,7 +200,7 @@ def _capsule_pairs(site: Site, state: State) -> list[tuple[Capsule, Capsule]]:
     tool, load = tool_parts(site, state), load_parts(site, state)
     front_half = Capsule("forearm", 0.5 * (forearm.start + forearm.end), forearm.end, forearm.radius)
     # the forearm, of one length in all configurations, is shortened by its radius, at most by half: its round end would
-    # touch hand and tool
+    # touch hand and tool; 1e-9 keeps zero out of the denominator
     share = 1.0 - min(0.5, forearm.radius / max(float(np.linalg.norm(forearm.end[0] - forearm.start[0])), 1e-9))
     forearm = Capsule("forearm", forearm.start, forearm.start + share * (forearm.end - forearm.start), forearm.radius)
     pairs = [(part, counterpart) for part in (column, link) for counterpart in (front_half, hand, *tool)]
@@ -256,11 +258,11 @@ def _acceptance(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     """
     if site.tracker is None:
         return
-    point = state.posed.point(site.points)
+    point = state.arm_poses.point(site.points)
     for row, name in enumerate(site.names):
         if np.isfinite(site.normals[row, 0]):  # NaN: turned by hand
             line_of_sight = site.tracker - point[:, row]
-            normal = state.posed.flange[:, :3, :3] @ site.normals[row]
+            normal = state.arm_poses.flange[:, :3, :3] @ site.normals[row]
             cosine = np.einsum("ni,ni->n", line_of_sight, normal) / np.linalg.norm(line_of_sight, axis=1)
             yield f"acceptance angle of marker {name}", cosine >= np.cos(site.acceptance)
 
@@ -272,7 +274,7 @@ def _line_of_sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     """
     if site.tracker is None:
         return
-    marker = np.swapaxes(state.posed.point(site.points), 0, 1)  # (P, N, 3)
+    marker = np.swapaxes(state.arm_poses.point(site.points), 0, 1)  # (P, N, 3)
     tracker = np.broadcast_to(site.tracker, marker.shape)
     parts = [*arm_parts(site, state), *load_parts(site, state)]
     start, end = np.array([part.start for part in parts]), np.array([part.end for part in parts])
@@ -288,5 +290,12 @@ def _line_of_sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
         yield f"line of sight to marker {name}", is_in_sight[row]
 
 
-_GROUPS = (_floor_clearance, _torque_limits, _acceptance, _self_clearance, _line_of_sight, _obstacle_clearance)
+_CONSTRAINT_GROUPS = (
+    _floor_clearance,
+    _torque_limits,
+    _acceptance,
+    _self_clearance,
+    _line_of_sight,
+    _obstacle_clearance,
+)
 """Constraints in the order of their checks: cheap and strict constraints first."""

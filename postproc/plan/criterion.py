@@ -39,7 +39,7 @@ from postproc.plan.sensitivity import Readings
 from postproc.program import Bools, Ints
 from postproc.robot import COMPENSATOR, JOINT_COMPLIANCES, JOINTS, Parameter, RobotModel
 
-_LEVELS = 3
+LEAST_LEVELS = 3
 """Fewest levels of q2 with which a compensator is identifiable."""
 
 
@@ -89,7 +89,7 @@ class Joint2(Struct, frozen=True, eq=False):
         :param levels: (m,) [rad], and `q2` (n,) [rad].
         """
         compliance, level_compliance = self.relative_compliance(q2), self.relative_compliance(levels)
-        if self.has_free_compensator and len(levels) >= _LEVELS:
+        if self.has_free_compensator and len(levels) >= LEAST_LEVELS:
             level_columns = self.stiffness_columns(levels)
             size = np.linalg.norm(level_columns, axis=0)
             stiffness_slopes = (self.stiffness_columns(q2) / size) @ np.linalg.pinv(level_columns / size, rcond=1e-9)

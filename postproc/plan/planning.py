@@ -22,6 +22,7 @@ from postproc.identification.uncertainty import fewest_configurations, load_dire
 from postproc.kinematics.forward import GRAVITY
 from postproc.plan import constraints
 from postproc.plan.criterion import (
+    LEAST_LEVELS,
     Accuracy,
     Criterion,
     Directions,
@@ -35,6 +36,7 @@ from postproc.plan.criterion import (
 )
 from postproc.plan.milling import TestPoses, representatives
 from postproc.plan.search import (
+    SIZE_FACTORS,
     Candidates,
     Plan,
     SizeResult,
@@ -61,8 +63,12 @@ OVER_RATING = (
     "weight, or give [rig] max_torque_Nm as the manufacturer allows it"
 )
 NO_TRACKER = "line of sight is not checked: the experiment has no [tracker]"
-VERTICAL = 0.02
+VERTICAL_TILT = 0.02
 """Largest angle [rad] of a load that counts as vertical (assumed)."""
+_SHARE_OF_SEARCH, _SHARE_OF_PLAN = 0.65, 0.7
+"""Shares of the time, for the progress, that have passed after the search, and after order and accuracy (assumed)."""
+_CANDIDATE_STREAM, _TRIAL_STREAM = 1 << 16, 1 << 17
+"""Streams of random numbers of the candidates and of the trial plan: the search does not use them."""
 _LEAST_SHARE, _LARGEST_SHARE = 0.1, 0.4
 """Limits of the second load over the first: a smaller load is lost in the noise, a larger one shows the same as the
 first."""
@@ -100,7 +106,7 @@ def hidden_compliance_warnings(
         square = np.sum(tests.regressor[:, :, joint] ** 2, axis=1)
         share = float(np.sqrt(tests.weight @ square)) * scale[joint] * MM_PER_M
         reason, advice = "the load puts too little torque on it", "Use a heavier weight."
-        if joint == 0 and site.rig.largest_tilt < VERTICAL:
+        if joint == 0 and site.rig.largest_tilt < VERTICAL_TILT:
             reason = "every load it can apply hangs vertically, parallel to the axis of A1"
             advice = "Pull sideways too, by a cable over a pulley ([rig] max_angle_deg)."
         elif joint == 5:
@@ -253,7 +259,7 @@ def _shorter_tour(tour: list[int], cost: Array) -> list[int] | None:
     return None
 
 
-def detours(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
+def via_poses(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
     """Return via configurations (k, 6) [rad] before each pose of a sequence, and the rows of poses without a free path.
 
     A blocked move goes through the start position. If that is blocked too, the arm takes the shape of the start
@@ -514,12 +520,13 @@ def _comparison_plans(task: Task, options: Options, plan: Plan, report: Progress
     sizes: list[SizeResult] = []
     is_interrupted = False
     try:
-        report("comparing with other plans", 0.7, np.sqrt(plan.value))
+        report("comparing with other plans", _SHARE_OF_PLAN, np.sqrt(plan.value))
         random = random_values(task, options.seed)
         serial = serial_plan(task)
         for size in criterion_by_number(task, options.seed, plan):
             sizes.append(size)
-            report("comparing with other numbers of poses", 0.7 + 0.3 * len(sizes) / 6, np.sqrt(plan.value))
+            share = _SHARE_OF_PLAN + (1.0 - _SHARE_OF_PLAN) * len(sizes) / len(SIZE_FACTORS)
+            report("comparing with other numbers of poses", share, np.sqrt(plan.value))
     except KeyboardInterrupt:
         is_interrupted = True
     return _OtherPlans(random, serial, tuple(sizes), is_interrupted)
@@ -560,7 +567,7 @@ def _planning_problem(
     joint2 = _joint2_model(site, tests, earlier_data, with_joint2, options.seed)
     if joint2.has_free_compensator:  # two parameters more
         _check_identifiable(len(JOINT_COMPLIANCES) + _COMPENSATOR_PARAMETERS, options, len(site.points), data)
-    direction_warnings = unreachable_direction_warnings(demand, site.rig.largest_tilt < VERTICAL)
+    direction_warnings = unreachable_direction_warnings(demand, site.rig.largest_tilt < VERTICAL_TILT)
     warnings = (*hidden_warnings, *unchecked_warnings(site), *direction_warnings)
     return _Problem(with_joint2(joint2), readings, joint2, earlier_data, warnings)
 
@@ -600,7 +607,7 @@ def _candidate_pool(site: Site, scale: Array, options: Options, data: Measuremen
     earlier_data = None if data is None else measured_information(data, readings, site.sigma)
     fixed_levels = 0 if earlier_data is None else len(earlier_data.q2)
     levels = min(max(options.levels, fixed_levels), fixed_levels + options.configurations)
-    rng = np.random.default_rng([options.seed, 1 << 16])  # a stream that the search does not use
+    rng = np.random.default_rng([options.seed, _CANDIDATE_STREAM])
     candidates = draw_candidates(site, readings, rng, None if earlier_data is None else earlier_data.q2)
     if levels > len(candidates):
         raise PlanError(
@@ -649,9 +656,9 @@ def _joint2_model(
     free = Joint2.of(site.robot, free=True)
     prior = Joint2.of(site.robot, free=False)
     task = with_joint2(free)
-    if free.compensator is None or task.levels < 3:
+    if free.compensator is None or task.levels < LEAST_LEVELS:
         return prior
-    trial = exchange(task, np.random.default_rng([seed, 1 << 17]), spread=True)
+    trial = exchange(task, np.random.default_rng([seed, _TRIAL_STREAM]), spread=True)
     readings = task.readings
     information = readings.information(trial.q, trial.tilt)
     accuracy = expected_accuracy(tests, readings, free, trial.q, information, earlier_data)
@@ -668,7 +675,7 @@ def _search(task: Task, options: Options, report: Progress) -> tuple[Plan, bool]
     try:
         for step, plan in enumerate(improve(task, options.seed, options.starts, _FINALISTS, options.rounds)):
             best = plan
-            report("searching", 0.65 * min(1.0, (step + 1) / steps), np.sqrt(plan.value))
+            report("searching", _SHARE_OF_SEARCH * min(1.0, (step + 1) / steps), np.sqrt(plan.value))
     except KeyboardInterrupt:
         if best is None:
             raise
@@ -703,7 +710,7 @@ def _order_plan(problem: _Problem, plan: Plan) -> _OrderedPlan:
     q, tilt, level = q[sequence], plan.tilt[sequence], plan.level[sequence]
     force = without_negative_zero(np.round(site.rig.force * direction(tilt), _FORCE_DECIMALS))
     value = problem.task.criterion_at(q2).value(problem.readings.information_of(q, force), level)
-    via, blocked_rows = detours(site, q, hit)
+    via, blocked_rows = via_poses(site, q, hit)
     return _OrderedPlan(Plan(q, tilt, level, q2, value), force, seconds, via, blocked_rows)
 
 

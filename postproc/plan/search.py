@@ -27,7 +27,7 @@ from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import Site
 from postproc.program import Bools, Ints
 
-_GRID = 24
+_LEVELS = 24
 """Levels of q2 at which poses are drawn, besides fixed ones (assumed)."""
 _POSES_PER_LEVEL = 100
 """Poses that are drawn for each level (assumed); the search then moves them."""
@@ -37,6 +37,8 @@ _MAX_DRAWS = 40
 """Draws after which a level keeps the poses that it has; a quarter of these draws if it has none (assumed)."""
 _TRIAL_POSES = 4000
 """Poses at random by which constraints are judged if there is no candidate."""
+_FULL_SHARE = 0.999
+"""Share of these poses from which on a constraint forbids practically all (assumed)."""
 
 
 class Candidates(Struct, frozen=True, eq=False):
@@ -110,7 +112,7 @@ def draw_candidates(
     :raises PlanError: no pose can be measured; the message names the constraints that block.
     """
     lower, upper = site.lower[1], site.upper[1]
-    levels = np.concatenate([np.zeros(0) if fixed_levels is None else fixed_levels, np.linspace(lower, upper, _GRID)])
+    levels = np.concatenate([np.zeros(0) if fixed_levels is None else fixed_levels, np.linspace(lower, upper, _LEVELS)])
     draws = [draw_feasible_poses(site, float(level), _POSES_PER_LEVEL, rng) for level in levels]
     is_sufficient = np.array([len(q) >= _POSES_PER_LEVEL // 10 for q, _ in draws])
     if not is_sufficient.any():
@@ -179,7 +181,7 @@ def blocking_text(site: Site, rng: np.random.Generator) -> str:
     blockages.sort(key=lambda blockage: -blockage.share)
     # the constraint without which most poses were possible; else one that forbids all poses; else the strictest one
     sole_blockages = sorted((blockage for blockage in blockages if blockage.freed_count), reverse=True)
-    full_blockages = [blockage for blockage in blockages if blockage.share > 0.999]
+    full_blockages = [blockage for blockage in blockages if blockage.share > _FULL_SHARE]
     culprit = (sole_blockages or full_blockages or blockages)[0].name
     summary = "; ".join(map(str, blockages[:6]))
     return f"no pose can be measured: what blocks is: {culprit}. Of {_TRIAL_POSES} poses at random: {summary}"
@@ -191,13 +193,21 @@ _EXCHANGE_ROUNDS = 12
 """Limit of the rounds of exchanges (assumed)."""
 _MIN_GAIN = 1e-3
 """A change of the criterion below a thousandth is not worth a further round (assumed)."""
-_ROUNDING = 1e-5
+_LEAST_RELATIVE_GAIN = 1e-5
 """Relative change of the criterion below which a moved pose is no better but for rounding (assumed)."""
-_STEPS = (0.5, 0.25, 0.12, 0.06, 0.03, 0.012, 0.004)
+_DESCENT_STEPS = (0.5, 0.25, 0.12, 0.06, 0.03, 0.012, 0.004)
 """Lengths down the gradient that are tried [rad]: by factors of two to three, down to a quarter of a degree."""
-_RANDOM = 24
+_RANDOM_STEPS = 24
 """Random places around a pose that are tried, half of them with some joints changed only (assumed)."""
-_SHIFTS = np.array([12.0, 6.0, 3.0, 1.5, 0.5]) * RAD_PER_DEG
+_CHANGED_SHARE = 0.3
+"""Share of the joint angles and tilts that change at those places (assumed)."""
+_FIRST_SCALE, _LAST_SCALE = 0.3, 0.02
+"""Standard deviation of the random steps [rad] at first, and the one below which the refinement ends (assumed)."""
+_SCALE_FACTOR = 0.4
+"""Factor of that standard deviation after a round without a gain (assumed)."""
+_MIN_ROUND_GAIN = 3e-3
+"""A round of refinement that changes the criterion by less has no gain (assumed)."""
+_LEVEL_SHIFTS = np.array([12.0, 6.0, 3.0, 1.5, 0.5]) * RAD_PER_DEG
 """Changes of the levels of q2 that are tried, both ways (assumed)."""
 
 CriterionAt = Callable[[Array], Criterion]
@@ -354,6 +364,7 @@ def first_levels(task: Task, rng: np.random.Generator, spread: bool) -> Ints:
 
 def _is_distant(levels: Array, q2: float) -> bool:
     """Return whether a level q2 is at least `_LEAST_DISTANCE` from all other levels (m,) [rad]."""
+    # 1e-9 rad: rounding
     return bool((np.abs(levels - q2) >= _LEAST_DISTANCE - 1e-9).all())
 
 
@@ -461,16 +472,16 @@ def refine(task: Task, plan: Plan, rng: np.random.Generator, rounds: int) -> Ite
 
     :param rounds: largest number of plans; they end earlier if there is no more gain.
     """
-    scale = 0.3  # standard deviation of random steps [rad]; it shrinks after each round without a gain
+    scale = _FIRST_SCALE
     for _ in range(rounds):
         old_value = plan.value
         plan = _move_poses(task, plan, rng, scale)
         plan = _move_levels(task, plan)
         yield plan
-        if plan.value > old_value * (1.0 - 3.0 * _MIN_GAIN):
-            if scale < 0.02:  # about a degree
+        if plan.value > old_value * (1.0 - _MIN_ROUND_GAIN):
+            if scale < _LAST_SCALE:
                 return
-            scale *= 0.4
+            scale *= _SCALE_FACTOR
 
 
 def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) -> Plan:
@@ -491,7 +502,7 @@ def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) 
         count = sides.sum(axis=0)
         is_worse = demand.missing_count(count - sides[pose] + new_sides) > demand.missing_count(count)
         order = np.argsort(values, kind="stable")  # the best first
-        order = order[(values[order] < value * (1.0 - _ROUNDING)) & ~is_worse[order]]
+        order = order[(values[order] < value * (1.0 - _LEAST_RELATIVE_GAIN)) & ~is_worse[order]]
         is_feasible = constraints.are_feasible(task.site, new_q[order], new_tilt[order])
         if is_feasible.any():
             best = order[np.argmax(is_feasible)]  # the first feasible pose of the order
@@ -517,9 +528,9 @@ def _proposed_poses(
         slope[6:] = 0.0
     # 1e-300 keeps zero out of the denominator
     descent = -slope / max(float(np.abs(slope).max()), 1e-300)
-    steps = [step * descent for step in _STEPS]
-    noise = rng.normal(0.0, scale, (_RANDOM, 8))
-    noise[: _RANDOM // 2] *= rng.random((_RANDOM // 2, 8)) < 0.3  # some joints only
+    steps = [step * descent for step in _DESCENT_STEPS]
+    noise = rng.normal(0.0, scale, (_RANDOM_STEPS, 8))
+    noise[: _RANDOM_STEPS // 2] *= rng.random((_RANDOM_STEPS // 2, 8)) < _CHANGED_SHARE  # some joints only
     delta = np.vstack([steps, noise])
     new_q = np.clip(q + delta[:, :6], site.lower, site.upper)
     new_q[:, 1] = q[1]
@@ -535,7 +546,7 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
     Either q2 alone changes, or q3 too, so that the forearm keeps its direction.
     """
     for group in range(task.fixed, len(plan.q2)):
-        for shift in (*_SHIFTS, *-_SHIFTS):
+        for shift in (*_LEVEL_SHIFTS, *-_LEVEL_SHIFTS):
             better_plan = _with_shifted_level(task, plan, group, float(shift))
             if better_plan is not None:
                 plan = better_plan
@@ -561,7 +572,7 @@ def _with_shifted_level(task: Task, plan: Plan, group: int, shift: float) -> Pla
         q[members, 1] = q2[group]
         q[members, 2] += q3_shift
         value = criterion.value(task.readings.information(q, plan.tilt), plan.level)
-        if value >= plan.value * (1.0 - _ROUNDING):
+        if value >= plan.value * (1.0 - _LEAST_RELATIVE_GAIN):
             continue
         has_directions = demand.missing_count(task.loaded_sides(q, plan.tilt).sum(axis=0)) <= shortfall
         if has_directions and constraints.are_feasible(task.site, q[members], plan.tilt[members]).all():
@@ -571,15 +582,17 @@ def _with_shifted_level(task: Task, plan: Plan, group: int, shift: float) -> Pla
 
 RANDOM_PLANS = 200
 """Random plans that a plan is compared with in its page (assumed)."""
+_RANDOM_PLAN_STREAM = 1 << 20
+"""Stream of the random numbers of these plans: the search does not use it."""
 _BEST_SHARE = 0.2
 """Share of the poses of a level with the largest dexterity, of which poses far from each other are taken (assumed)."""
-FACTORS = (0.4, 0.6, 0.8, 1.0, 1.4, 2.0)
+SIZE_FACTORS = (0.4, 0.6, 0.8, 1.0, 1.4, 2.0)
 """Numbers of configurations that are tried, as factors of the one asked for."""
 
 
 def random_values(task: Task, seed: int, count: int = RANDOM_PLANS) -> Array:
     """Return the criterion (count,) [m²] of plans with random candidates at random levels."""
-    rng = np.random.default_rng([seed, 1 << 20])
+    rng = np.random.default_rng([seed, _RANDOM_PLAN_STREAM])
     candidates, values = task.candidates, np.empty(count)
     for index in range(count):
         row = first_levels(task, rng, spread=False)
@@ -659,7 +672,7 @@ def criterion_by_number(task: Task, seed: int, best: Plan) -> Iterator[SizeResul
     :param best: best plan with the number of poses of the task, which is not searched again.
     """
     min_count = 1 if task.fixed else task.levels
-    for count in sorted({max(min_count, round(factor * task.count)) for factor in FACTORS}):
+    for count in sorted({max(min_count, round(factor * task.count)) for factor in SIZE_FACTORS}):
         resized_task = replace(task, count=count)
         value = best.value
         if count != task.count:

@@ -61,8 +61,8 @@ class ArmPoses(Columns, frozen=True, eq=False):
         return np.asarray(np.cross(self.axis[:, None], point[:, :, None] - self.origin[:, None]))
 
 
-_FIRST = np.minimum.outer(np.arange(6), np.arange(6))
-_LAST = np.maximum.outer(np.arange(6), np.arange(6))
+_SMALLER_INDEX = np.minimum.outer(np.arange(6), np.arange(6))
+_LARGER_INDEX = np.maximum.outer(np.arange(6), np.arange(6))
 """The joint of a pair that is nearer to the base, and the one that is nearer to the tool: axes move with joints
 before them."""
 
@@ -179,8 +179,8 @@ class Readings(Struct, frozen=True, eq=False):
         by_columns[:, :, keep] = np.einsum("npix,nij->npjx", columns[:, :, keep], weight)
         by_torque = np.einsum("npix,npix->ni", by_columns, velocity) * factor
         # derivatives of the velocities i by the joint angles a: (N, P, i, a, 3) and (N, i, a, 3)
-        velocity_slope = np.cross(arm_pose.axis[:, _FIRST][:, None], velocity[:, :, _LAST])
-        at_load_slope = np.cross(arm_pose.axis[:, _FIRST], at_load[:, _LAST])
+        velocity_slope = np.cross(arm_pose.axis[:, _SMALLER_INDEX][:, None], velocity[:, :, _LARGER_INDEX])
+        at_load_slope = np.cross(arm_pose.axis[:, _SMALLER_INDEX], at_load[:, _LARGER_INDEX])
         gradient = np.empty((len(q), 8))
         gradient[:, :6] = np.einsum("npix,npiax,ni->na", by_columns, velocity_slope, torque)
         gradient[:, :6] += np.einsum("ni,niax,nx->na", by_torque, at_load_slope, load)

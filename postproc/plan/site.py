@@ -19,14 +19,16 @@ from postproc.plan.sensitivity import Arm
 from postproc.program import Bools
 from postproc.robot import RobotModel
 
-_SPACING = 0.04
+_POINT_SPACING = 0.04
 """Spacing [m] of points on capsules and meshes; errors stay below 10 mm and are part of the clearance."""
 _MOST_VERTICES = 400_000
 """Limit of points on a mesh (assumed): the time of a plan grows with them."""
 _SIGHT_CLEARANCE = 0.005
 """Distance [m] from bodies that a line of sight keeps (assumed)."""
-_POINT = 1e-12
+_POINT_TOLERANCE = 1e-12
 """Square of a length [m²] below which a segment is a point."""
+_NO_DIRECTION = 1e-9
+"""Length below which a normal states no direction (assumed)."""
 
 
 def segment_distances(p: Array, p_end: Array, r: Array, r_end: Array) -> Array:
@@ -39,12 +41,12 @@ def segment_distances(p: Array, p_end: Array, r: Array, r_end: Array) -> Array:
     a, b, c = _dot(u, u), _dot(u, v), _dot(v, v)
     d, e = _dot(u, w), _dot(v, w)
     denominator = a * c - b * b
-    is_skew = denominator > _POINT  # else parallel, or one of them a point
+    is_skew = denominator > _POINT_TOLERANCE  # else parallel, or one of them a point
     s = np.where(is_skew, np.clip((b * e - c * d) / np.where(is_skew, denominator, 1.0), 0.0, 1.0), 0.0)
-    t = np.where(c > _POINT, (b * s + e) / np.where(c > _POINT, c, 1.0), 0.0)
-    is_clipped = ((t < 0.0) | (t > 1.0) | (c <= _POINT)) & (a > _POINT)
+    t = np.where(c > _POINT_TOLERANCE, (b * s + e) / np.where(c > _POINT_TOLERANCE, c, 1.0), 0.0)
+    is_clipped = ((t < 0.0) | (t > 1.0) | (c <= _POINT_TOLERANCE)) & (a > _POINT_TOLERANCE)
     t = np.clip(t, 0.0, 1.0)
-    s = np.where(is_clipped, np.clip((b * t - d) / np.where(a > _POINT, a, 1.0), 0.0, 1.0), s)
+    s = np.where(is_clipped, np.clip((b * t - d) / np.where(a > _POINT_TOLERANCE, a, 1.0), 0.0, 1.0), s)
     gap = w + s[..., None] * u - t[..., None] * v
     return np.sqrt(_dot(gap, gap))
 
@@ -57,9 +59,9 @@ def _dot(a: Array, b: Array) -> Array:
 def points_on_segments(start: Array, end: Array, length: float) -> Array:
     """Return n evenly spaced points (..., n, 3) on segments from `start` to `end` (..., 3) [m], ends included.
 
-    :param length: of the longest segment [m]; n is such that its points are at most `_SPACING` apart.
+    :param length: of the longest segment [m]; n is such that its points are at most `_POINT_SPACING` apart.
     """
-    count = max(2, int(np.ceil(length / _SPACING)) + 1)
+    count = max(2, int(np.ceil(length / _POINT_SPACING)) + 1)
     t = np.linspace(0.0, 1.0, count)[:, None]
     return np.asarray(start[..., None, :] * (1.0 - t) + end[..., None, :] * t)
 
@@ -134,7 +136,7 @@ class MeshShape(Struct, frozen=True, eq=False):
         vertices = vertices * (M_PER_MM * mesh.scale)
         area = float(trimesh.Trimesh(vertices, faces, process=False).area)
         # longest edge: triangles with this edge on the whole area have about the allowed number of vertices
-        edge = max(_SPACING, 2.0 * np.sqrt(area / _MOST_VERTICES))
+        edge = max(_POINT_SPACING, 2.0 * np.sqrt(area / _MOST_VERTICES))
         split, _ = trimesh.remesh.subdivide_to_size(vertices, faces, edge, max_iter=30)  # type: ignore[no-untyped-call]
         pose = mesh.pose()
         points = np.unique(np.round(split @ pose[:3, :3].T + pose[:3, 3], 6), axis=0)  # vertices of edges coincide
@@ -158,6 +160,7 @@ class MeshShape(Struct, frozen=True, eq=False):
         travel, is_blocked = np.zeros(len(start)), np.zeros(len(start), dtype=bool)
         rows = np.arange(len(start))
         while len(rows):
+            # 1e-9 keeps zero out of the denominator
             share = travel[rows] / np.maximum(length[rows], 1e-9)
             distance = self.distance(start[rows] + (end[rows] - start[rows]) * share[:, None])
             is_blocked[rows] = distance < _SIGHT_CLEARANCE
@@ -166,7 +169,7 @@ class MeshShape(Struct, frozen=True, eq=False):
         return is_blocked.reshape(shape)
 
 
-_RADII = (0.149, 0.085, 0.12, 0.072, 0.055)
+_RADIUS_SHARES = (0.149, 0.085, 0.12, 0.072, 0.055)
 """Radii of column, link 2, elbow, forearm and hand over the reach of the wrist, with motors and hoses: drawings of KUKA
 arms of this class, rounded up. `[body] radius_mm` replaces them.
 """
@@ -286,7 +289,7 @@ def _radii(arm: Arm) -> Array:
     """Return usual radii (5,) [m] of column, link 2, elbow, forearm and hand, by the reach of the wrist."""
     origin = arm.pose(np.zeros((1, 6))).origin[0]
     reach = float(np.linalg.norm(origin[2] - origin[1]) + np.linalg.norm(origin[4] - origin[2]))
-    return np.array(_RADII) * reach
+    return np.array(_RADIUS_SHARES) * reach
 
 
 def _normals(experiment: Experiment) -> Array:
@@ -298,7 +301,7 @@ def _normals(experiment: Experiment) -> Array:
     for row, (name, point) in enumerate(experiment.points.items()):
         if point.normal is not None:
             size = float(np.linalg.norm(point.normal))
-            if size < 1e-9:
+            if size < _NO_DIRECTION:
                 raise PlanError(f"[points.{name}] normal is zero", advice="Give a direction in the flange frame.")
             normals[row] = np.array(point.normal) / size
     return normals

@@ -216,7 +216,7 @@ def test_a_line_that_is_passed_several_times_has_the_forces_of_its_first_pass(se
     knots = Knots(
         **{name: np.array(values) for name, values in columns.items()}, ramped=np.zeros(len(columns["t"]), dtype=bool)
     )
-    found, rows = table.once_a_line(knots, line)
+    found, rows = table.first_pass_knots(knots, line)
     assert rows.tolist() == differ
     expected = [n for name in sorted(first) for n, k in enumerate(columns["motion"]) if k == first[name]]
     np.testing.assert_array_equal(found.wrench, np.array(columns["wrench"])[expected])

@@ -46,7 +46,7 @@ def briefly(task, seed, *_, rounds):
 def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plan")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("postproc.plan.search.FACTORS", (0.5, 1.0, 2.0))  # three sizes of six
+        patch.setattr("postproc.plan.search.SIZE_FACTORS", (0.5, 1.0, 2.0))  # three sizes of six
         patch.setattr("postproc.plan.planning.improve", functools.partial(briefly, rounds=8))
         result = plan(folder, "--program", str(SAMPLES / "pocket.nc"), str(SAMPLES / "inline.src"), *QUICK)
     assert result.exit_code == 0, result.output

@@ -47,7 +47,7 @@ def test_a_way_through_an_obstacle_is_avoided(tmp_path):
     sequence, _, blocked = planning.least_travel(site, q)
     assert sorted(sequence[:2]) == [0, 2]
     assert blocked.tolist() == [2]
-    passed, stuck = planning.detours(site, q[sequence], blocked)
+    passed, stuck = planning.via_poses(site, q[sequence], blocked)
     assert stuck.tolist() == []
     stops = np.vstack([q[sequence[1]], passed[2], q[sequence[2]]])
     assert len(stops) > 2  # behind the wall, with the arm folded
@@ -58,7 +58,7 @@ def test_a_pose_that_cannot_be_reached_on_a_free_way_is_told(tmp_path):
     wall = "[[boxes]]\nname = 'wall'\nX = 0\nY = -1100\nZ = 1500\nsize = [6000, 100, 6000]\n"
     site = setting.site(tmp_path, BASIC + RIG + wall)
     inside = np.radians([[90.0, -20, 40, 0, 40, 0]])  # stretched through the wall: not even passable
-    _, stuck = planning.detours(site, inside, np.array([0]))
+    _, stuck = planning.via_poses(site, inside, np.array([0]))
     assert stuck.tolist() == [0]
 
 

@@ -398,7 +398,7 @@ def test_ways_round_go_by_the_start_by_folding_or_both(site, monkeypatch):
 
         monkeypatch.setattr(planning.constraints, "are_passable", passable)
         monkeypatch.setattr(planning, "free_moves", lambda _, stops: np.ones((len(stops), len(stops)), dtype=bool))
-        ways, stuck = planning.detours(here, q, np.array([1]))
+        ways, stuck = planning.via_poses(here, q, np.array([1]))
         assert stuck.tolist() == []
         assert len(ways[0]) == 0
         if number in (3, 6):  # a single one of its two poses would do
@@ -416,13 +416,13 @@ def test_ways_round_go_by_the_start_by_folding_or_both(site, monkeypatch):
 
     monkeypatch.setattr(planning.constraints, "are_passable", lambda _, stops: np.ones(len(stops), dtype=bool))
     monkeypatch.setattr(planning, "free_moves", one_move_blocked)
-    ways, stuck = planning.detours(here, q, np.array([1]))
+    ways, stuck = planning.via_poses(here, q, np.array([1]))
     np.testing.assert_allclose(ways[1], options[3])
     np.testing.assert_allclose(calls[0], [q[0], start, q[1]])
-    ways, _ = planning.detours(here, q, np.array([0]))  # the first begins at the start
+    ways, _ = planning.via_poses(here, q, np.array([0]))  # the first begins at the start
     np.testing.assert_allclose(ways[0], [at(start, 0.0), at(start, 40.0)])
     monkeypatch.setattr(planning, "free_moves", lambda _, stops: np.eye(len(stops), dtype=bool))
-    assert planning.detours(here, q, np.array([0, 1]))[1].tolist() == [0, 1]
+    assert planning.via_poses(here, q, np.array([0, 1]))[1].tolist() == [0, 1]
 
 
 def test_what_stays_uncertain_is_named_with_what_to_do():
