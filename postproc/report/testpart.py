@@ -138,7 +138,7 @@ def _parameter_table(design: Design, prior: Prior) -> Table:
     rows = []
     for k, parameter in enumerate(prior.parameters):
         prior_value, seen_change = prior.values[k], float(design.change[k])
-        sigma_percent = 100.0 * prior.sigma[k] / prior_value if prior_value else float("nan")
+        sigma_percent = 100.0 * prior.sigma[k] / abs(prior_value) if prior_value else None
         change_text = f"{100.0 * seen_change:.0f}" if seen_change < MOST_CHANGE else "not seen"
         rows.append(_parameter_row(parameter.title, sigma_percent, float(design.sigma[k]), change_text))
     # the last standard deviation, after those of the parameters, is that of the scale of the forces
@@ -154,17 +154,18 @@ def _parameter_table(design: Design, prior: Prior) -> Table:
     )
 
 
-def _parameter_row(name: str, prior_sigma: float, share: float, change_text: str) -> Row:
+def _parameter_row(name: str, prior_sigma: float | None, share: float, change_text: str) -> Row:
     """Return the row of a parameter: its standard deviation now and with the part, and whether the part shows it.
 
-    :param prior_sigma: standard deviation now, in percent of the value; NaN if the value is 0.
+    :param prior_sigma: standard deviation now, in percent of the value; None if the value is 0.
     :param share: share of `prior_sigma` that is left once the part is measured, in [0, 1].
     :param change_text: smallest change that the same part shows later [%]; empty: not shown.
     """
     is_hidden = share > _HIDDEN_SHARE
     kind: Kind = "soft" if is_hidden else ""
     text = Cell("value not shown by this part" if is_hidden else "", kind)
-    return Row((name, f"{prior_sigma:.2g}", f"{prior_sigma * share:.2g}", change_text, text))
+    sigma_texts = ("-", "-") if prior_sigma is None else (f"{prior_sigma:.2g}", f"{prior_sigma * share:.2g}")
+    return Row((name, *sigma_texts, change_text, text))
 
 
 def _unseen_change_sentence(design: Design, prior: Prior) -> str | None:
