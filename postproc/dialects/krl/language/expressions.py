@@ -263,7 +263,7 @@ def operand_at(source: Source, start: int, stop: int) -> _Read:
 def _bracketed_value(source: Source, start: int, stop: int) -> _Read:
     """Return the value in the bracket at `start`, with the span of the bracket, and the offset behind the bracket.
 
-    Other values (words, calls, aggregates) become a `Condition` of one term, whose span is that of the bracket.
+    Words, calls and aggregates become a `Condition` of one term, whose span is that of the bracket.
 
     :raises ProgramError: the value cannot be read.
     """
@@ -319,7 +319,7 @@ def _variable(source: Source, name: re.Match[str], stop: int) -> _Read:
 
 
 def _index(text: str, start: int, stop: int) -> tuple[tuple[Value, ...], int] | None:
-    """Return the index in the bracket at `start`, and the offset behind the bracket; None if it is not that simple.
+    """Return the index in the bracket at `start`, and the offset behind the bracket; None if the index is not simple.
 
     A simple index is one name or one whole number, see `_INDEX`.
     """
@@ -589,9 +589,9 @@ def list_spans(source: Source, start: int, stop: int) -> list[tuple[int, int]]:
 
 
 def value_end(source: Source, start: int, stop: int) -> int:
-    """Return the offset behind a value that is not parsed: of the first comma or closing bracket outside brackets.
+    """Return the offset behind a value that is not parsed: that of the first comma or closing bracket behind it.
 
-    `stop` if there is none, or if a string is not closed.
+    Commas and brackets inside brackets and strings do not count. `stop` if there is none, or if a string is not closed.
 
     :raises ProgramError: one of its brackets is not closed.
     """

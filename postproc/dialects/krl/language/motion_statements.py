@@ -161,8 +161,8 @@ def _switching_of(node: tree.Statement) -> _Switching:
     value, delay = _number(node.value), _S_PER_MS * _number(node.delay)
     if not node.is_distance:
         return _Switching(node.is_from_start, value * M_PER_MM, (node.value.start, node.value.stop), delay)
-    is_end_of_motion = value in (0.0, 1.0)  # DISTANCE=0 is the start of the motion, 1 its end
-    return _Switching(node.is_from_start or value == 0.0, 0.0 if is_end_of_motion else float("nan"), None, delay)
+    offset = 0.0 if value in (0.0, 1.0) else float("nan")  # DISTANCE=0 is the start of the motion, 1 its end
+    return _Switching(node.is_from_start or value == 0.0, offset, path_span=None, delay=delay)
 
 
 def _number(value: Value) -> float:

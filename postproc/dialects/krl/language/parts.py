@@ -111,18 +111,18 @@ def called_parts(main: Document) -> list[tuple[str, int]]:
     return calls if [name.lower() for name, _ in calls] == expected_names else []
 
 
-def files_of_routines(main: Document, find: Callable[[str], Document | None]) -> list[Document]:
+def files_of_routines(main: Document, find_file: Callable[[str], Document | None]) -> list[Document]:
     """Return the files with the routines of a program in several files; their numbers follow those of the parts.
 
     Empty if the program is in one file.
 
     :param main: the main program.
-    :param find: returns a file by its name; None if there is no such file.
+    :param find_file: returns a file by its name; None if there is no such file.
     """
     files: list[Document] = []
     stem, calls = PurePath(main.name).stem, called_parts(main)
     while calls:
-        document = find(f"{stem[: -len(MAIN)]}{len(calls) + len(files) + 1}.src")
+        document = find_file(f"{stem[: -len(MAIN)]}{len(calls) + len(files) + 1}.src")
         main_name = None if document is None else stated_main_program(document)
         if document is None or main_name is None or main_name.lower() != stem.lower():
             break
@@ -156,7 +156,7 @@ def joined_program(documents: Sequence[Document]) -> JoinedProgram | None:
     texts = [
         _main_text(main, [line for _, line in calls]),
         *(_part_text(part) for part in parts[:-1]),
-        _part_text(parts[-1], ends=bool(routine_files)),
+        _part_text(parts[-1], keeps_end=bool(routine_files)),
         *(_part_text(file, has_routines=True) for file in routine_files),
         "" if routine_files else _ADDED_END,
     ]
@@ -200,10 +200,10 @@ def _main_text(main: Document, calls: Sequence[int]) -> str:
     return _marked_text(source, [*calls, end])
 
 
-def _part_text(part: Document, *, ends: bool = False, has_routines: bool = False) -> str:
+def _part_text(part: Document, *, keeps_end: bool = False, has_routines: bool = False) -> str:
     """Return the text of a part, with a mark of its beginning, and with header, DEF and END as comments.
 
-    :param ends: True for the last part before files with routines: its END stays, and ends the whole program.
+    :param keeps_end: True for the last part before files with routines: its END stays, and ends the whole program.
     :param has_routines: True for a file with routines: they follow the first END, which is that of its empty DEF.
     :raises ProgramError: the file has no END, its DEF has parameters, or a part has several DEF.
     """
@@ -215,7 +215,7 @@ def _part_text(part: Document, *, ends: bool = False, has_routines: bool = False
     end = next(end_lines, None) if has_routines else max(end_lines, default=None)
     if end is None:
         raise source.line_error("DEF has no END", begin, "Check that the file was transferred completely.")
-    return _BEGINS + _marked_text(source, [*header, begin, *([] if ends else [end])])
+    return _BEGINS + _marked_text(source, [*header, begin, *([] if keeps_end else [end])])
 
 
 def _def_line(source: Source, *, has_routines: bool = False) -> int:

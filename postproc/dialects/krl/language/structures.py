@@ -113,7 +113,7 @@ def nodes_of(source: Source | Trace, lines: Sequence[int]) -> tuple[Node, ...]:
 
     :raises ProgramError: structures are nested too deeply.
     """
-    if len(lines) == 1:
+    if len(lines) == 1:  # no structure is on one line
         return (lines[0],)
     nodes: list[Node] = []
     open_structures: list[_OpenStructure] = []  # the innermost last
@@ -249,6 +249,7 @@ def _line_fault(source: Source, line: int) -> tuple[str, str] | None:
             return "IF without a condition", "Write it between IF and THEN."
         return (f"{node.extra_text!r} follows THEN", own_line_advice) if node.extra_text else None
     following_words = list(words_in(source.text, node.start + len(node.word), node.stop))
+    # without a blank behind it, the word may be the name of a function or an array
     if any(
         word in MOTION_WORDS and source.text[span.stop : span.stop + 1] in (" ", "\t") for word, span in following_words
     ):

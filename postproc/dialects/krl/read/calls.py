@@ -46,8 +46,8 @@ class Calls:
     def evaluate_with_calls(self, place: Place, expression: Value, *, is_copied: bool = False) -> VariableValue:
         """Return the value of an expression, and run the functions in it.
 
-        A function that is the whole expression surely runs. Functions inside a larger expression, or in arguments, may
-        not run.
+        A function that is the whole expression runs whenever the statement does. Functions inside a larger expression,
+        or in arguments, may not run.
 
         :param place: the statement that contains the expression.
         :param is_copied: True if the expression is assigned to a variable or a parameter. A point that it names then
@@ -94,14 +94,14 @@ class Calls:
 
         :param is_certain: True if the call runs exactly once. If False, only a routine without side effects is run.
         :returns: an `UnknownValue` if the value is not known before run time, or the routine gives none.
-        :raises ProgramError: the routine moves the robot where this cannot be corrected, or effects of it last that
+        :raises ProgramError: the routine moves the robot where this cannot be corrected, or has lasting effects that
             cannot be followed (`note_lasting_effects`).
         """
         callee = self.run.library.find_callee(call.name, self.run.level.module)
         unknown = UnknownValue(str(place), f"what {call.spelling(place.source)}() gives is not known")
         self._note_break_off(place, call)
         if callee is None:
-            self._follow_absent(place, call)
+            self._follow_absent_routine(place, call)
             if call.name in PURE or call.name in STANDARD:
                 return unknown
             return UnknownValue(str(place), f"{call.spelling(place.source)}() is in no file of the program")
@@ -112,7 +112,7 @@ class Calls:
             self.run.called_routines.add(callee.routine)
         if _has_no_effects(effects):  # may be run even if it is not certain that the program runs it
             result = None if self._obstacle(place, call, *callee, effects) else self._run_exactly(place, call, *callee)
-            if effects.turn_speed is not None and (result is None or not is_certain):  # it may have set them, or not
+            if effects.turn_speed is not None and (result is None or not is_certain):  # may have set them
                 self.run.settings.forget_turn_speeds(self.run.row)
             return unknown if result is None else result
         if is_certain and not self._obstacle(place, call, *callee, effects):
@@ -124,11 +124,11 @@ class Calls:
             problem = f"{call.name} is called, and declares a GLOBAL interrupt that moves the robot"
             raise place.error(f"{problem} ({effects.interrupt_motion})", IN_ORDER)
         self._forget_arguments(place, call, callee.routine)
-        self._may_have_run(place, call.name, effects)
+        self._forget_written_variables(place, call.name, effects)
         return unknown
 
     def _note_break_off(self, place: Place, call: Call) -> None:
-        """Add a call to `interruptible_calls` if RESUME may break it off, and with it the motion that BRAKE stopped.
+        """Add a call to `interruptible_calls` if RESUME of an interrupt may break it off, and the motion before it.
 
         Functions of the controller are not broken off. Calls in routines that are not traced do not count.
         """
@@ -147,7 +147,7 @@ class Calls:
         callee = self.run.library.find_callee(call.name, self.run.level.module)
         return None if callee is None else self.run.analysis.effects_of(*callee).writes.get(name)
 
-    def _follow_absent(self, place: Place, call: Call) -> None:
+    def _follow_absent_routine(self, place: Place, call: Call) -> None:
         """Follow a call of a routine that is in no file: its arguments become unknown, and the call is noted.
 
         Functions of the controller are not noted; those that change nothing (`PURE`) leave their arguments unchanged.
@@ -174,10 +174,10 @@ class Calls:
             raise place.error(problem, "Change a variable of a .dat there, or make the parameter :IN.")
         self.run.absent_calls += [(name, self.run.reported_line) for name in effects.absent_calls.values()]
         self.run.may_be_broken_off |= effects.resume is not None
-        relevant = sorted(RELEVANT.intersection(effects.volatile_writes))
-        if relevant:
-            problem = f"{subject} changes what motions depend on at any time: {', '.join(relevant)}"
-            change_place = str(effects.volatile_writes[relevant[0]])
+        settings = sorted(RELEVANT.intersection(effects.volatile_writes))
+        if settings:
+            problem = f"{subject} changes what motions depend on at any time: {', '.join(settings)}"
+            change_place = str(effects.volatile_writes[settings[0]])
             raise place.error(problem if change_place == str(place) else f"{problem} ({change_place})", SETTING_ADVICE)
         self.run.note_possible_changes(effects.volatile_writes, later_subject or subject)
 
@@ -211,7 +211,7 @@ class Calls:
             and not (index < len(parameters) and parameters[index].by_value)
         ]
 
-    def _may_have_run(self, place: Place, name: str, effects: Effects) -> None:
+    def _forget_written_variables(self, place: Place, name: str, effects: Effects) -> None:
         """Mark as unknown all variables and settings that a routine may write, since it may run any number of times.
 
         :param name: name of the routine, for messages.
@@ -232,7 +232,8 @@ class Calls:
 
         Force comment: the acting force is not known after the call. Motions in the program itself, or a call that may
         not run: the call is refused; under `--keep-unresolved` it is left uncorrected. Motions in another file: the
-        call is added to `untraced_calls`, the robot position after it is not known, and a warning says so.
+        call is added to `untraced_calls`, the robot position after it is not known, and a warning says so. If the first
+        motion depends on the robot position, the call is added to `position_dependent_calls`.
 
         :param routine: the called routine; `effects` are its effects.
         :raises ProgramError: the call is refused, or the routine calls the program again.
@@ -306,6 +307,7 @@ class Calls:
         """Make a called routine of the execution trace the running routine, until `leave_routine`.
 
         :raises InexactError: the call cannot be followed exactly.
+        :raises ProgramError: see `note_lasting_effects`.
         """
         effects = self.run.analysis.effects_of(module, routine)
         self.note_lasting_effects(place, call.name, effects)
@@ -358,6 +360,7 @@ class Calls:
         roots: set[str] = set()  # stored names of the variables that the arguments are, or are elements of
         for index, reference in self._writable_arguments(place, call, routine):
             name, root = place.source.text[reference.start : reference.stop], self.run.stored_name(reference.name)
+            # no index in the brackets: a whole array
             if reference.indices == () and not self._is_matching_array(routine, index, reference, root):
                 return f"{name} is a whole array, and its parameter is not one of that type"
             if root in roots or root in effects.writes or root in RELEVANT:

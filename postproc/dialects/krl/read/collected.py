@@ -64,7 +64,8 @@ class CollectedMotions:
 
         Under `--keep-unresolved` the motion is added to `run.unresolved_motions` instead, to be left uncorrected.
 
-        :raises ProgramError: without that option, at the first motion of each control structure.
+        :raises ProgramError: without that option, at the first motion of each control structure; later motions in it
+            are passed over.
         """
         run = self.run
         opener, open_line = run.level.open_structures[-1]

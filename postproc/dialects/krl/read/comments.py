@@ -25,7 +25,7 @@ _Force = ForceNote | str | None
 _FORCE_TOLERANCE = 0.01
 """Forces that differ by less [N, N·m] count as equal: they deflect the tool by a few nanometres."""
 _JOIN_ADVICE = "Let the last motion of each branch have the same force, in the axes of $BASE or of the tool."
-_ADVICE = "Write a force comment before this motion."
+_FORCE_ADVICE = "Write a force comment before this motion."
 
 
 def force_comment_lines(source: Source) -> tuple[int, ...]:
@@ -69,7 +69,7 @@ def force_notes(
     marks = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not marks and not unknown_reasons:
         return notes
-    return _ActiveForce(course, motions, is_rapid, unchecked_joins).with_restated_notes(notes, unknown_reasons, marks)
+    return _ActiveForce(course, motions, is_rapid, unchecked_joins).restated_notes(notes, unknown_reasons, marks)
 
 
 def _parsed_notes(
@@ -123,7 +123,7 @@ class _ActiveForce:
         self.motion_force: _Force = None
         self.passed_line = 0
 
-    def with_restated_notes(
+    def restated_notes(
         self,
         notes: Sequence[tuple[int, ForceNote]],
         unknown_reasons: Mapping[int, str],
@@ -219,7 +219,7 @@ class _ActiveForce:
         loaded_rows = first + np.flatnonzero(~self.is_rapid[first:stop])
         if isinstance(self.active_force, str) and len(loaded_rows):
             problem = f"which force acts is not known: {self.active_force}"
-            raise self.course.trace.error(problem, int(self.motions[loaded_rows[0]]), _ADVICE)
+            raise self.course.trace.error(problem, int(self.motions[loaded_rows[0]]), _FORCE_ADVICE)
         self.motion_force = None if self.is_rapid[stop - 1] else self.active_force
 
 

@@ -192,7 +192,7 @@ class _Rounds:
             positions = [Position(values) for values in zip(*columns, strict=True)]
         else:
             raise _NoColumnError
-        if not all(position.largest_coordinate <= LARGEST_COORDINATE for position in positions):
+        if not all(position.largest_coordinate <= LARGEST_COORDINATE for position in positions):  # NaN is refused too
             raise _NoColumnError
         return positions
 

@@ -68,14 +68,14 @@ class _DataReader(Struct, frozen=True, eq=False):
                 continue
             if text[start : start + 1] in ("", ";", "&", "\r"):  # empty lines, comments, and headers such as &ACCESS
                 continue
-            word = text[start : start + len("DEFDAT")].upper()
+            word = text[start : start + len("DEFDAT")].upper()  # the words below all have six letters
             if word == "DEFDAT":
                 has_defdat = True
             elif word == "ENDDAT":
                 has_enddat = True
                 break
             elif word == "IMPORT":
-                if self.wanted_names is None:
+                if self.wanted_names is None:  # else only some GLOBAL variables are wanted
                     _note_import(self.variables, Place(source, line))
             else:
                 self._note_line(line, start, stop)
@@ -162,6 +162,7 @@ def _note_declaration(variables: Variables, declarator: DeclaredName, *, fills_g
 
     The key has the indices if the declaration sets one array element, as in ``DECL E6POS P[3]={…}``.
 
+    :param declarator: the name; without a type if the line only initialises it.
     :param fills_gaps: True to keep a type that is stored already.
     """
     name = variables.scope.stored_name(declarator.name)
@@ -170,8 +171,8 @@ def _note_declaration(variables: Variables, declarator: DeclaredName, *, fills_g
         variables.types[name] = declarator.kind
         if declarator.is_global:
             variables.global_names.add(name)
-        if name not in variables.persistent_names:
-            variables.take_cell_values(name)  # converted to its type
+        if name not in variables.persistent_names:  # variables of data lists keep their present values
+            variables.take_cell_values(name)  # converts values to the type
     if declarator.bounds is None:
         return name
     indices = [part.strip() for part in declarator.bounds.strip("[] \t").split(",")]

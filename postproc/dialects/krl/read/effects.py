@@ -86,8 +86,8 @@ class Effects(Struct, eq=False):
     def add(self, effects: Effects) -> None:
         """Add the effects of a called routine; places that are known already stay.
 
-        `jump`, `parameter_write` and effects that last are not added: they concern the called routine itself, or are
-        added by `Analysis`.
+        `jump` and `parameter_write` are not added: they concern the called routine alone. Effects that last are added
+        by `Analysis`.
         """
         for name, place in effects.writes.items():
             self.writes.setdefault(name, place)
@@ -158,9 +158,9 @@ class Analysis:
             direct = self._direct_effects(*node)
             total.add(direct.effects)
             self._add_action_effects(total, direct)
-            for event in direct.global_interrupts:
+            for interrupt in direct.global_interrupts:
                 action = Effects()
-                self._add_action_effects(action, event)
+                self._add_action_effects(action, interrupt)
                 total.interrupt_motion = total.interrupt_motion or action.motion
         # a motion back to the point of interruption leaves the path unchanged only in the action of an interrupt
         total.motion = total.motion or total.return_motion

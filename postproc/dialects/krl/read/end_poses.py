@@ -189,7 +189,7 @@ class _Follower:
             return robot_position.numbers
         return xyzabc_from_pose(inverse(frames.bases[base]) @ self.flange() @ frames.tools[tool])
 
-    def arrive(self, row: int) -> None:
+    def go_to_target(self, row: int) -> None:
         """Make the Cartesian target of a motion the present robot position; `row` is the row of the motion."""
         robot_position, frames = self.robot_position, self.targets.frames
         robot_position.numbers, robot_position.joints = self.numbers[row], None
@@ -229,7 +229,7 @@ class _Follower:
             )
             block[:] = previous_numbers[1:]  # row 0 of `previous_numbers` is the present position
             self._check_angles(first, is_missing[:, 3:], previous_numbers[:-1, 4])
-        self.arrive(last - 1)
+        self.go_to_target(last - 1)
 
     def _check_angles(self, first: int, is_missing: Bools, previous_b: Array) -> None:
         """Refuse targets that lack some of A, B, C if the previous B is beyond ±90°.
@@ -259,6 +259,7 @@ class _Follower:
         robot_position, (base, tool, _, _) = self.robot_position, self.targets.frames
         has_changed = np.zeros(last - first, dtype=np.bool_)
         has_changed[1:] = (np.diff(base[first:last]) != 0) | (np.diff(tool[first:last]) != 0)
+        # behind an axis target the components are computed for the present frames
         has_changed[0] = robot_position.numbers is not None and (robot_position.base, robot_position.tool) != (
             base[first],
             tool[first],
@@ -292,7 +293,7 @@ class _Follower:
         angle = None if move is None or move.angle is None else move.angle * RAD_PER_DEG
         if angle is not None or (control.keeps_orientation[row] and control.turns_with_path[row]):
             self._set_end_of_circle(row, start, angle)
-        self.arrive(row)
+        self.go_to_target(row)
 
     def _set_end_of_circle(self, row: int, start: Array, angle: float | None) -> None:
         """Set the end of a circle in `numbers`.
@@ -430,8 +431,8 @@ def _special_rows(targets: TextTargets) -> list[int]:
     """Return the rows of motions whose targets are completed one by one, in order.
 
     These motions have axis or relative targets, are circles with CA, or keep the orientation of their start
-    (#CONSTANT). The last count only if the motion is the first in its frames, or keeps the orientation relative to the
-    path of a circle; otherwise A, B, C are filled in like missing components.
+    (#CONSTANT). A motion under #CONSTANT counts only if it is the first in its frames, or keeps the orientation
+    relative to the path of a circle; otherwise A, B, C are filled in like missing components.
     """
     special_rows = {
         row

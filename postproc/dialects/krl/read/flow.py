@@ -88,6 +88,7 @@ class Flow:
         level, index = self.run.level, 0
         while index < len(nodes):
             node = nodes[index]
+            # an IF that skips statements is followed together with them
             if isinstance(node, Block) and (
                 next_index := self._follow_skip(source, nodes, index, ends_routine=ends_routine)
             ):
@@ -95,10 +96,11 @@ class Flow:
                 continue
             if isinstance(node, Block):
                 self._follow_block(source, node)
+            # a label is followed together with the statements up to the IF that jumps back to it
             elif isinstance(stmt := statement(source, node), tree.Label) and (
-                end := self._follow_back_jump(source, nodes, index, stmt)
+                if_index := self._follow_back_jump(source, nodes, index, stmt)
             ):
-                index, node = end, nodes[end]  # continue behind the IF
+                index, node = if_index, nodes[if_index]  # continue behind the IF
             else:
                 self._follow_statement(Place(source, node), stmt)
             index = self._label_index(source, nodes, index) if level.jump_line else index + 1
@@ -260,6 +262,7 @@ class Flow:
                 raise inexact_error(place, "too much runs before")
             return
         self._traced_count += 1
+        # the limit is above `MOST_TRACED`: a fast first test
         if self._traced_count > MOST_TRACED and self._traced_count > (limit := self._statement_limit(place.source)):
             problem = f"loops around motions are too long: {limit} statements have run when the program comes here"
             raise inexact_error(place, problem, _LENGTH_ADVICE)
@@ -289,8 +292,9 @@ class Flow:
         :returns: False if the call is not part of the trace: no trace is recorded, the routine has neither motions nor
             force comments, the call may not run, an argument moves the robot, or a routine of the program itself cannot
             be followed and is left uncorrected (`--keep-unresolved`).
-        :raises InexactError: otherwise, if the order of the statements of the routine is not known before run time.
-        :raises ProgramError: a statement of the call has an error.
+        :raises InexactError: the order of the statements of the routine is not known before run time, and the routine
+            is not left uncorrected.
+        :raises ProgramError: the call has an effect that cannot be followed.
         """
         run, recorder = self.run, self.recorder
         if recorder is None or not run.level.is_traced or not run.is_certain:
@@ -375,9 +379,11 @@ class Flow:
 
         With motions or force comments: exactly, as part of the trace. Without: exactly if that is possible; else all
         variables that it may write become unknown.
+
+        :raises InexactError: it has motions or force comments, and cannot be followed exactly.
         """
         if self.recorder is not None and self.run.level.is_traced and self.belongs_in_trace(source, block):
-            self._follow_or_keep(source, block, self.recorder)
+            self._follow_and_record(source, block, self.recorder)
             return
         counts = self.run.finding_counts()
         self._motionless_depth += 1
@@ -389,12 +395,13 @@ class Flow:
         finally:
             self._motionless_depth -= 1
 
-    def _follow_or_keep(self, source: Source, block: Block, recorder: Recorder) -> None:
+    def _follow_and_record(self, source: Source, block: Block, recorder: Recorder) -> None:
         """Follow a control structure with motions or force comments, and record it.
 
         Under `--keep-unresolved` it is left uncorrected if the branch taken is not known before run time.
 
-        :raises InexactError: without that option, if the branch taken is not known.
+        :raises InexactError: without that option, if the branch taken is not known. If the structure has force comments
+            and no motions, the error is about these.
         """
         run = self.run
         if not run.keeps_unresolved:
@@ -427,7 +434,7 @@ class Flow:
         self._add_to_count(len(lines))
         counts = self.run.finding_counts()
         for _ in range(2 if block.word in LOOPS else 1):
-            self.run.drop_findings(counts)
+            self.run.drop_findings(counts)  # of the round before: it finds the same
             for line in lines:
                 if self.run.level.is_traced:
                     self._go_to_line(line)
@@ -625,7 +632,8 @@ class Flow:
 
         IF: part 0 is that of THEN, part 1 that of ELSE. SWITCH: part 0 precedes the first CASE.
 
-        :raises InexactError: the condition, or the value of the SWITCH, is not known before run time.
+        :raises InexactError: the condition, or the value of the SWITCH, is not known before run time, or calls a
+            function that changes something.
         :raises ProgramError: a CASE cannot be read.
         """
         place, stmt = Place(source, block.first), statement(source, block.first)
@@ -644,9 +652,9 @@ class Flow:
         table = self._case_tables[block]
         if isinstance(selector, Number) and selector.is_integer and table is not None:
             return 1 + table.get(selector.value, table[None])  # the table begins with part 1; −2 for none becomes −1
-        return self._chosen_case(source, block, selector)
+        return self._chosen_part(source, block, selector)
 
-    def _chosen_case(self, source: Source, block: Block, selector: VariableValue) -> int:
+    def _chosen_part(self, source: Source, block: Block, selector: VariableValue) -> int:
         """Return the index of the part of a SWITCH that runs for a value; −1 if none does.
 
         Part 0 is the SWITCH itself; each later part begins with CASE or DEFAULT.
@@ -753,7 +761,7 @@ class Flow:
                 break
             if counter is not None:
                 counter.advance()
-            elif self._change_counts() == counts_at_begin:
+            elif self._change_counts() == counts_at_begin:  # all further rounds would be equal
                 problem = (
                     f"{block.word} never ends: no variable of its condition changes from round to round"
                     if back_jump is None
@@ -814,13 +822,13 @@ class Flow:
             end, or a label would be recorded more than once.
         """
         level, first, back_jump = self.run.level, nodes[0], nodes[-1]
-        if not isinstance(first, int) or not isinstance(back_jump, Block):
+        if not isinstance(first, int) or not isinstance(back_jump, Block):  # never so: the label is a line
             return
         # the loop ends with ENDIF, a round on the line before the IF
         loop_block = Block("REPEAT", first, back_jump.last, (Part(first, back_jump.first, nodes[1:-1]),))
         round_block = Block("REPEAT", first, back_jump.first, loop_block.parts)
         self._check_comments(source, loop_block, range(back_jump.first, back_jump.last))
-        loop = recorder.begin_loop(loop_block, "", 0, has_exit=False, closing=back_jump.first)
+        loop = recorder.begin_loop(loop_block, counter="", step=0, has_exit=False, closing=back_jump.first)
         depth = len(self._enclosing)
         level.loop_depth += 1
         self._enclosing.append((Place(source, first), 0))
@@ -875,7 +883,8 @@ class Flow:
         """
         comment_lines = self.run.analysis.force_comment_lines(source)  # ascending
         for line in (block.first, *closing, block.last):
-            if line in comment_lines[bisect_left(comment_lines, line) :][:1]:
+            index = bisect_left(comment_lines, line)  # of the first comment on this line or behind it
+            if line in comment_lines[index : index + 1]:
                 problem = f"a force comment is on the line of {statement(source, line).word}"
                 raise Place(source, line).error(problem, "Write it on a line of its own, in the loop or behind it.")
 
@@ -934,7 +943,7 @@ class Flow:
         self._check_comments(source, block)
         run.is_final = False
         snapshot = run.variables.snapshot()
-        loop = recorder.begin_loop(block, "", 0, has_exit=False)
+        loop = recorder.begin_loop(block, counter="", step=0, has_exit=False)
         loop.is_endless = True
         self._enclosing.append((place, 1))  # the first and only iteration
         recorder.begin_round(loop, block, None)
@@ -962,7 +971,7 @@ class Flow:
             raise inexact_error(Place(source, block.first), problem, "Check its bounds.")
         module = self.run.level.module
         # of nested loops the outermost one is counted, with the rounds of those inside it
-        if not self.run.level.loop_depth and not self._least_statements.may_write(
+        if not self.run.level.loop_depth and not self._least_statements.may_write_counter(
             source, block, counter.statement.name, module
         ):
             minimum = counter.round_count * self._least_statements.minimum_of_round(source, block, module)

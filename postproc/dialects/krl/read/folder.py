@@ -123,7 +123,7 @@ class FolderFiles:
             return frozenset()
         if stat.st_size > _LARGEST_FILE:
             return frozenset()
-        return _names_in(path, find_names, stat.st_mtime_ns, stat.st_size)
+        return _names_in(path, find_names, stat.st_mtime_ns, stat.st_size)  # stored as long as the file is unchanged
 
 
 def called_files_with_motion(paths: Sequence[Path], search: Sequence[Path]) -> dict[Path, set[Path]]:
@@ -299,7 +299,7 @@ class Library:
     def _module(self, path: Path, name: str = "") -> Module | None:
         """Return the routines of a file, which is read once; None if it cannot be read.
 
-        :param name: the routine that is looked for; `faults` gets the reason under this name.
+        :param name: the routine that is looked for, if any; `faults` gets the reason under this name.
         """
         if path not in self._modules:
             self._modules[path] = None

@@ -50,7 +50,7 @@ class Frames:
         self.is_initmov_open = cell.krl.initmov is None
         self.uncertain_names: set[str] = set()
         self._rows: dict[tuple[str, tuple[float, ...]], int] = {}  # name and numbers of each frame that was set → row
-        self._given_by_other_angles: set[tuple[str, int]] = set()  # name and row: see `_has_angles_in_range`
+        self._frames_with_uncertain_angles: set[tuple[str, int]] = set()  # name and row: see `_has_angles_in_range`
 
     def state_after_assignment(
         self, state: State, place: Place, target: Reference, value: Value | VariableValue
@@ -136,7 +136,7 @@ class Frames:
         position = position_from_pose(frames[row])
         if field is None:
             return position
-        if field in ANGLES and (name, row) in self._given_by_other_angles:
+        if field in ANGLES and (name, row) in self._frames_with_uncertain_angles:
             return UnknownValue(reason=f"whether {field} is kept as it was given is in no source")
         return component(position, field) if field in CARTESIAN else NO_VALUE
 
@@ -150,7 +150,7 @@ class Frames:
         frame, number = self.current_value(state, name, None), self.variables.number(value)
         if not isinstance(frame, Position) or number is None:
             return None
-        if field in ANGLES and (name, row) in self._given_by_other_angles:
+        if field in ANGLES and (name, row) in self._frames_with_uncertain_angles:
             # the orientation was given by A, B, C that the controller may store in another form: it is not known which
             # angles the other two are
             return None
@@ -195,7 +195,7 @@ class Frames:
                 frames.append(pose)
             self._rows[name, position.values] = row
         if not _has_angles_in_range(position):
-            self._given_by_other_angles.add((name, row))
+            self._frames_with_uncertain_angles.add((name, row))
         return state.with_values(**{FIELDS[name]: row})
 
 

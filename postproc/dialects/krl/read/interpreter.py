@@ -306,7 +306,7 @@ class Interpreter:
         """Give a variable, or a member of it, the value of an assignment.
 
         An unknown value stays as it is if it states a reason and its place. Without a reason it stays if the whole
-        variable is set. In other cases it gets the place of the assignment, and the reason for that.
+        variable is set. In other cases it gets the place of the assignment, and why the expression is not known.
 
         :param target: the variable as the statement names it; `key` is its stored name.
         :param value: value of the expression.

@@ -118,6 +118,8 @@ class _Successors:
         """Return the indices in `steps` of the branches after a step, and the index of the join that ends them.
 
         Branches of nested forks are left out. Without a join the index is that of the last step.
+
+        :param number: index of the step, a fork or one of its branches, in `steps`.
         """
         depth, branches = 0, list[int]()
         for index in range(number + 1, len(self.steps)):
@@ -258,7 +260,8 @@ def _branch_flow(steps: Sequence[Fork | Branch | Join], line: Ints, unchecked_jo
     open_forks: list[_OpenFork] = []
     joins: list[tuple[Join, JoinedEnds]] = []
     fork_lines = np.full(len(line) + 1, 0)
-    last_motions, next_motion = frozenset({-1}), 0  # that may run last before the present step; the first after it
+    # motions that may be the last before the present step; the first motion after it
+    last_motions, next_motion = frozenset({-1}), 0
 
     def pass_motions(stop: int) -> None:
         """Pass the motions before `stop`; the first of them follows one of `last_motions`."""
@@ -338,7 +341,7 @@ def transitions(
     ]
     if max(kept_lines, default=0) < max(line, default=0):  # the last motion is corrected
         further_transitions += _round_transitions(course, line, previous_rows, branch_flow.last_motions)
-    return tuple(dict.fromkeys(further_transitions))
+    return tuple(dict.fromkeys(further_transitions))  # without repetitions
 
 
 def _round_transitions(course: Course, line: Ints, previous_rows: Ints, ends: Set[int]) -> Iterator[tuple[int, int]]:
@@ -474,9 +477,9 @@ class EndlessRounds(NamedTuple):
     carriage: Carriage | None
 
     def joined_ends(self) -> tuple[tuple[int, int], ...]:
-        """Return the pair of motions at whose ends a round may begin: the motion before the LOOP and its last motion.
+        """Return the motions at whose ends a round may begin: the motion before the LOOP, and the last motion in it.
 
-        −1 is the start of the program.
+        They are the only group of the result, see `Program.joins`. −1 is the start of the program.
 
         :returns: empty if the LOOP has no motions, or if its first motion leads to joint angles: it does not matter
             then where that begins.

@@ -59,7 +59,7 @@ class LeastStatements:
             self._minimum_of_round[block] = 1 + self._minimum_of_nodes(source, block.parts[0].nodes, module)
         return self._minimum_of_round[block]
 
-    def may_write(self, source: Source, block: Block, name: str, module: Module) -> bool:
+    def may_write_counter(self, source: Source, block: Block, name: str, module: Module) -> bool:
         """Return whether statements of a FOR may write its counter, by assignments, inner FORs or calls.
 
         True for a call with the name anywhere in its arguments, and for a call of a routine in no file.
@@ -118,7 +118,7 @@ class LeastStatements:
             not isinstance(stmt, For)
             or stmt.bounds is None
             or has_exit
-            or self.may_write(source, block, stmt.name, module)
+            or self.may_write_counter(source, block, stmt.name, module)
         ):
             return 0
         first, last, step = stmt.bounds

@@ -110,6 +110,7 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     main, recorder = start.main, Recorder(start.main)
     collected_motions = start.new_collection(has_rows=collects)
     run, settings = collected_motions.run, collected_motions.run.settings
+    # free settings are outside of all control structures
     lines, free_settings = _split_plain_settings(main.source, main.other_lines, main.setting_lines)
     nodes = checked_nodes(main.source, nodes_of(main.source, lines))
     # many plain settings are not run one by one here, so that speeds and distances have no values
@@ -331,7 +332,7 @@ class MainRoutine:
 
     def _lines_of_step(self, step: Lines | UnresolvedStructure) -> tuple[Sequence[int], Sequence[int]]:
         """Return the rows of a step that are not plain, and the rows of its plain settings, both in order."""
-        lines, setting_lines = self._other_lines, self._plain_setting_lines
+        lines, setting_lines = self._other_lines, self._plain_setting_lines  # both ascend
         step_settings = setting_lines[bisect_left(setting_lines, step.first) : bisect_right(setting_lines, step.last)]
         return lines[bisect_left(lines, step.first) : bisect_right(lines, step.last)], step_settings
 
@@ -340,7 +341,8 @@ class MainRoutine:
 
         The other plain settings become `Settings.plain_assignments`, which come into force at their rows.
         """
-        step_lines, is_free_line = {}, np.zeros(len(self.run.trace) + 1, dtype=np.bool_)  # rows count from 1
+        # free lines are outside of all control structures; rows count from 1
+        step_lines, is_free_line = {}, np.zeros(len(self.run.trace) + 1, dtype=np.bool_)
         for step in self.course.steps:
             if isinstance(step, Lines):
                 step_lines[step], free_lines = _split_plain_settings(self.run.trace, *self._lines_of_step(step))
@@ -447,9 +449,8 @@ class MainRoutine:
         :param motion_lines: (n,) rows of the motions in the trace, ascending.
         :raises ProgramError: a motion is outside of DEF … END.
         """
-        steps = np.array([(step.first, step.last) for step in self.course.steps if isinstance(step, Lines)]).reshape(
-            -1, 2
-        )
+        bounds = [(step.first, step.last) for step in self.course.steps if isinstance(step, Lines)]
+        steps = np.array(bounds).reshape(-1, 2)  # there may be none
         depth = np.zeros(len(motion_lines) + 1, dtype=np.int64)  # `add.at` adds repeated indices repeatedly
         np.add.at(depth, np.searchsorted(motion_lines, steps[:, 0]), 1)
         np.add.at(depth, np.searchsorted(motion_lines, steps[:, 1], side="right"), -1)

@@ -541,7 +541,7 @@ def _wrist_led_rows(
     if not len(candidates):
         return is_wrist_led
     modes = motion_states.take(candidates).column(lambda state: state.orientation)
-    next_rows = np.minimum(candidates + 1, len(rows) - 1)
+    next_rows = np.minimum(candidates + 1, len(rows) - 1)  # the last motion itself, which has no next one
     is_turned, is_next_turned = (
         ~same_orientation(ends.start.at(subset)[:, :3, :3], ends.pose[subset, :3, :3])
         for subset in (candidates, next_rows)
@@ -580,7 +580,7 @@ def _check_automatic_wrist_mode(
     spline_rows = free_rows[is_spline(trace, rows, free_rows)]
     turn = angle_between(ends.start.at(spline_rows)[:, :3, :3], ends.pose[spline_rows, :3, :3])
     for row in spline_rows[turn > _TURN_TOLERANCE].tolist():
-        settings.refuse_uncertain(motion_states.at(row), ["wrist_mode"])  # the stored reason, if the mode is not known
+        settings.refuse_uncertain(motion_states.at(row), ["wrist_mode"])  # raises if the mode is not known
         problem = "the orientation changes under $SPL_ORI_JOINT_AUTO=#ON: the wrist axes may lead it, not one rotation"
         raise trace.error(problem, int(rows.line[row]), "Use $SPL_ORI_JOINT_AUTO=#OFF.")
 
@@ -622,7 +622,8 @@ def _circle_columns(
     circles = _circles(trace, rows, circle_rows, ends, text_ends)
     angle = _programmed_angles(moves, circle_rows, len(rows))
     has_angle = ~np.isnan(angle)  # circles with CA
-    has_other_end = has_angle & (np.abs(angle - circles.arcs.angle) >= _ARC_TOLERANCE)  # than the end point
+    # the arc does not end at the end point
+    has_other_end = has_angle & (np.abs(angle - circles.arcs.angle) >= _ARC_TOLERANCE)
     _check_circular_angles(targets, circle_rows[has_other_end], ends)
     orientations = auxiliary_orientations(trace, rows, moves, circle_rows, motion_states.take(circle_rows))
     _check_turns(circles, orientations, targets, motion_states, settings)
@@ -641,16 +642,16 @@ def _check_turns(
     motion_states: MotionStates,
     settings: Settings,
 ) -> None:
-    """Refuse circles on which the tool does not turn by the shorter rotation, or may not.
+    """Refuse circles on which the tool does not, or may not, turn by the shorter rotation; the first one is named.
 
     :param orientations: orientations of the auxiliary points of the circles.
     :param motion_states: settings in force at all motions.
-    :raises ProgramError: there is such a circle; with the stored reason if the mode of its orientation is not known.
+    :raises ProgramError: there is such a circle. If its `$CIRC_MODE.AUX_PT.ORI` is not known, the error says why.
     """
     index = first_other_rotation(circles, orientations, targets.control.turns_with_path[circles.rows])
     if index >= 0:
         row = circles.rows.item(index)
-        settings.refuse_uncertain(motion_states.at(row), ["auxiliary"])
+        settings.refuse_uncertain(motion_states.at(row), ["auxiliary"])  # raises if the mode is not known
         is_led_through = bool(orientations.is_led_through[index])
         raise other_rotation_error(targets.trace, targets.line.item(row), is_led_through=is_led_through)
 
@@ -721,7 +722,7 @@ def _triggers_of_motions(main: MainRoutine, line: Ints, motions: Motions, start:
     :param start: poses at which the motions start.
     """
     lines = np.array(main.run.triggers, dtype=np.int64)
-    rows = np.searchsorted(line, lines)  # the next motion after each TRIGGER
+    rows = np.searchsorted(line, lines)  # the next motion after each TRIGGER; M if there is none
     lines, rows = lines[rows < len(motions)], rows[rows < len(motions)]
     is_in_block = [
         main.are_in_one_block(trigger_line, motion_line)

@@ -118,8 +118,8 @@ def _first_difference(
     """Return the line of the trace with the first motion that differs between two runs; None if all are equal.
 
     :param first_settings: settings of the first run, with its frames; `second_settings` those of the second.
-    :param first: motions of the first run; `second` those of the second. If their numbers differ, the line of the first
-        motion is returned.
+    :param first: motions of the first run; `second` those of the second. If one run has more motions than the other,
+        the line of the first motion is returned.
     """
     if len(first.rows) != len(second.rows):
         return int((first.rows if len(first.rows) else second.rows).line[0])

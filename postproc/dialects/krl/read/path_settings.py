@@ -141,7 +141,7 @@ class PathSettings:
         if isinstance(value, Call) and value.name == "SCIRC_M":  # inline forms
             argument = self.variables.first_argument(value, "CB")
         word = self._mode_word(
-            place, "$CIRC_MODE.AUX_PT.E1", self._auxiliary_component(place, field, argument, "E1"), _AUXILIARY_MODES
+            place, "$CIRC_MODE.AUX_PT.E1", self._auxiliary_component(field, argument, "E1"), _AUXILIARY_MODES
         )
         if self.has_carriage and word == "#INTERPOLATE":
             problem = (
@@ -151,14 +151,14 @@ class PathSettings:
         if field not in (None, "AUX_PT", "AUX_PT.ORI"):  # the orientation of auxiliary points is not assigned
             return state
         word = self._mode_word(
-            place, "$CIRC_MODE.AUX_PT.ORI", self._auxiliary_component(place, field, argument, "ORI"), _AUXILIARY_MODES
+            place, "$CIRC_MODE.AUX_PT.ORI", self._auxiliary_component(field, argument, "ORI"), _AUXILIARY_MODES
         )
         if isinstance(word, ProgramError):
             return self.reasons.state_with_unknown(state, "auxiliary", word)
         return state.with_values(auxiliary=word)
 
     def _auxiliary_component(
-        self, place: Place, field: str | None, value: Value | VariableValue | None, component: str
+        self, field: str | None, value: Value | VariableValue | None, component: str
     ) -> Value | VariableValue | None:
         """Return the value that an assignment to `$CIRC_MODE`, or to a component of it, gives a component of AUX_PT.
 
@@ -189,7 +189,7 @@ class PathSettings:
         :param words: allowed words; the first is returned for None.
         """
         result = None if value is None else self.variables.evaluate(value)
-        word = words[0] if result is None else result.text if isinstance(result, Word) else ""
+        word = words[0] if result is None else result.text if isinstance(result, Word) else ""  # empty: not known
         if word in words:
             return word
         reason = f"there is no {word}" if word else why_unknown(self.variables, place.source, value or NO_VALUE)

@@ -379,6 +379,7 @@ def _skip_blanks(raw: Bytes, position: Ints, step: int) -> Ints:
     """
     is_blank = _IS_BLANK[raw[position]]
     while is_blank.any():
+        # one step for all is faster, while all of them are blanks
         position = position + (step * is_blank if not is_blank.all() else step)
         is_blank = _IS_BLANK[raw[position]]
     return position

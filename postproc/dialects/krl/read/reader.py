@@ -554,8 +554,8 @@ def _check_size(trace: Trace, rows: MotionColumns) -> None:
 def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:
     """Refuse motions that depend on their start pose, if that is not known.
 
-    The pose is not known after a call that RESUME may break off, and after a call that moves the robot and is not
-    followed.
+    The next motion behind a call that RESUME may break off must not depend on its start. The next motion behind a call
+    that moves the robot and is not followed must be a PTP to joint angles.
 
     :raises ProgramError: there is such a motion.
     """

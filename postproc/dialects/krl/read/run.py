@@ -289,9 +289,8 @@ class Run:
         """
         if routine not in self._nodes:
             nodes = checked_nodes(routine.source, nodes_of(routine.source, routine.statement_lines))
-            if (
-                routine is not self.routine
-            ):  # unclosed structures of the main routine are reported with its other errors
+            # unclosed structures of the main routine are reported with its other errors
+            if routine is not self.routine:
                 check_closed(routine.source, nodes)
             self._nodes[routine] = nodes
         return self._nodes[routine]

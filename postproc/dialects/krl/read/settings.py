@@ -48,7 +48,7 @@ class Settings:
         """Return the present value of a setting of motions, such as `$BASE`, or of a component of it.
 
         :param field: the component, such as CP of `$VEL`; None: the whole.
-        :returns: an `UnknownValue` if it is not known.
+        :returns: an `UnknownValue` if it is not known; `NO_VALUE` for settings and components that are not followed.
         """
         state = self.state
         if state.spline_block:

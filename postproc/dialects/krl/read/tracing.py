@@ -287,13 +287,14 @@ class Recorder:
         self._open_routines[-1].cursor = block.last + 1
         loop.stop = self.row_count + 1
 
-    def course(self, callees: Set[Routine]) -> Course:
+    def course(self, unfollowed_routines: Set[Routine]) -> Course:
         """Return the complete trace.
 
         The other lines of the main file are added as rows that do not run, but for inlined routines behind the main
         routine, whose lines are in the trace already.
 
-        :param callees: routines reached by calls that are not followed: if inlined too, they must stay unchanged.
+        :param unfollowed_routines: routines reached by calls that are not followed: if they are inlined too, their text
+            must stay unchanged. If code is left uncorrected (`may_call_originals`), all inlined routines must.
         """
         main = self.main
         self.body.stop = self.row_count + 1
@@ -318,7 +319,9 @@ class Recorder:
             body=self.body,
             may_run=is_live.astype(np.bool_),
             inlined_routines=frozenset(self._inlined),
-            unchanged_routines=frozenset(self._inlined if self.may_call_originals else self._inlined.keys() & callees),
+            unchanged_routines=frozenset(
+                self._inlined if self.may_call_originals else self._inlined.keys() & unfollowed_routines
+            ),
             files=tuple(self._files),
             count_of_row=dict(self._counter_values),
         )

@@ -202,6 +202,7 @@ def _sync_lines(main: MainRoutine) -> list[_SyncLine]:
                 only_waits = not words.may_run_later and (words.only_wait or word == _WAIT_WORD)
                 sync_lines.append(_SyncLine(row, only_waits))
     loop = course.endless_loop
+    # a section may begin in one round and end in the next
     if loop is not None and any(loop.first <= line.row < loop.stop for line in sync_lines):
         sync_lines += [_SyncLine(loop.first - 1, only_waits=True), _SyncLine(loop.stop, only_waits=True)]
     return sorted(sync_lines)
@@ -289,7 +290,7 @@ def _sync_word(source: Source, line: int, names: Collection[str] = (), *, is_ent
 def depends_on_start(sequence: OrderedMotions, row: int, *, arcs: bool = True) -> bool:
     """Return whether the target of a motion, or the shape of its arc, depends on where the motion begins.
 
-    It does under #CONSTANT, for circles, SPL and relative motions, and if the target lacks components.
+    True under #CONSTANT, for circles, SPL and relative motions, and if the target lacks components.
 
     :param row: row of the motion.
     :param arcs: False to disregard the shape of arcs: circles with complete points and without CA do not count then.

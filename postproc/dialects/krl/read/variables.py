@@ -297,11 +297,11 @@ class Variables:
             self.change_places[name] = str(place)
         if isinstance(value, Number):
             value = convert_to_type(value, self.types.get(name, ""))
-        elif isinstance(value, Aggregate) and self._is_ambiguous(key, value):
+        elif isinstance(value, Aggregate) and self._leaves_components_uncertain(key, value):
             value = UnknownValue(str(place), PARTLY_GIVEN)
         self.put(key, value)
 
-    def _is_ambiguous(self, key: str, new_position: Aggregate) -> bool:
+    def _leaves_components_uncertain(self, key: str, new_position: Aggregate) -> bool:
         """Return whether an aggregate is a position that lacks components which the variable may have.
 
         It is not certain what becomes of these components: they may stay, or be missing.
@@ -417,6 +417,8 @@ class Variables:
         Aggregates are equal if their numbers come from one text at one row of the trace, where they are corrected.
         An aggregate equals the unparsed text that it was read from. A number equals an unparsed text that gives the
         number.
+
+        :param first: a value, an `UnparsedValue`, or None for a variable without a value; so is `second`.
         """
         if first is second or (not isinstance(first, Aggregate) and first == second):
             return True
@@ -508,7 +510,8 @@ class Variables:
     def value(self, key: str) -> VariableValue | None:
         """Return the value of a variable or an element by its stored name; None if it has no value.
 
-        A value that is not parsed yet is parsed, and stored. That a value of the cell is read is noted.
+        A value that is not parsed yet is parsed, and stored. If the cell gives the value, its key is added to
+        `used_cell_values`.
 
         :raises ProgramError: the value cannot be read.
         """
@@ -775,11 +778,11 @@ class Variables:
                 self.note_dependence(part)
 
     def first_argument(self, call: Call, field: str) -> Value | VariableValue | None:
-        """Return the first argument of a call; if it is a structure, one component of it.
+        """Return the value of the first argument of a call; if it is a structure, the value of one component.
 
         :param field: name of the component.
         :returns: `NO_VALUE` if the call has no argument; None if the structure lacks the component; the expression of
-            the argument if its value is not known.
+            the argument, in place of its value, if that is not known.
         """
         if not call.arguments:
             return NO_VALUE

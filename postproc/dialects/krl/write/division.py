@@ -126,7 +126,7 @@ def part_bounds(
 
     :param base: beginning of the names of the files.
     :param limit: largest number of lines of a file.
-    :param extra_lines: number of these lines that are added, and not lines of the program.
+    :param extra_lines: number of lines of each file that are added to the lines of the program.
     :raises ProgramError: `limit` is too small, the first motion cannot be in a part, or a declaration follows it.
     """
     issues: list[Issue] = []

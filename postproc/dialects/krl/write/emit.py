@@ -128,12 +128,12 @@ class Emitter:
         if self.comment_forces is not None:
             # a new program has no notes; NaN: the first path target needs a comment
             self.has_force_comment = force_comments.needs_comment(
-                self.comment_forces, self.targets.kind, constant(-1, count), (), np.nan
+                self.comment_forces, self.targets.kind, constant(-1, count), (), start=np.nan
             )
-            on_path = np.flatnonzero(self.targets.kind != PTP)
+            path_targets = np.flatnonzero(self.targets.kind != PTP)
             # the first path target at or behind each start, if there is one
-            path_rows = np.searchsorted(on_path, np.array(self.starts, dtype=on_path.dtype))
-            self.has_force_comment[on_path[path_rows[path_rows < len(on_path)]]] = True
+            path_rows = np.searchsorted(path_targets, np.array(self.starts, dtype=path_targets.dtype))
+            self.has_force_comment[path_targets[path_rows[path_rows < len(path_targets)]]] = True
         text, output_line = new.text_and_lines(
             head,
             lambda kind, rows: without_trailing_zeros(self._motion_lines(kind, rows, distances[rows] > 0.0)),

@@ -190,8 +190,9 @@ class _Folder(Struct, eq=False):
         """Return the key of the changes in a loop.
 
         - Rounds with equal changes: the key of one round. No rounds: the key of the lines of the loop.
-        - Rounds with different changes: the keys of all rounds with their counters, and the counter behind the loop.
-          Information for the user is added to `issues`.
+        - Rounds with different changes: the value of the counter behind the loop (None if it is not set there), then
+          the value of the counter in each round and the key of the round. Information for the user is added to
+          `issues`.
         """
         keys = [self._body_key(body) for body in loop.bodies]
         if all(key == keys[0] for key in keys):
@@ -349,6 +350,7 @@ class _Folder(Struct, eq=False):
         if version.name == call.routine.name:
             return line
         text, (source, number) = self._text(line), self.course.trace.place(call.row)
+        # span of the name in the line; `call.name` is its span in the file
         start, stop = (offset - source.starts.item(number - 1) for offset in call.name)
         return line._replace(content=(text[:start] + version.name + text[stop:],))
 

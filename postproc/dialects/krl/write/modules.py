@@ -314,10 +314,8 @@ class _Divider:
         they were on there.
         """
         state, words = self._system_variables(next_target), self.new_program.words
-        lines, cell_lines = (
-            [*state, axis_motion(self.joints.q[next_target - 1] * DEG_PER_RAD, ANGLE_DECIMALS)],
-            list[str](),
-        )
+        lines = [*state, axis_motion(self.joints.q[next_target - 1] * DEG_PER_RAD, ANGLE_DECIMALS)]
+        cell_lines: list[str] = []
         for switch in self._active_switches(next_target):
             if self._is_switched_at(switch.event, next_target):
                 continue  # the program itself switches it here
@@ -364,7 +362,7 @@ class _Divider:
                 continue
             on_lines, off_lines = (
                 self.new_program.lines_of(switch_events[-1]),
-                self.new_program.lines_of(Event(0, off_kind, 0)),
+                self.new_program.lines_of(Event(before=0, kind=off_kind, line=0)),
             )
             if on_lines and not off_lines:
                 raise ProgramError(

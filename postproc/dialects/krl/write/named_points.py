@@ -84,12 +84,12 @@ class NamedPoints(Struct, eq=False):
             aggregate = uses[0].operand.position.aggregate
             if not corrected_uses or aggregate is None:
                 continue
-            if self._is_replaceable(uses, aggregate):
+            if self._is_correctable_in_declaration(uses, aggregate):
                 self._correct_declaration(corrected_uses[0], aggregate)
             else:
                 self._declare_new_points(corrected_uses, aggregate)
 
-    def _is_replaceable(self, uses: list[Use], aggregate: Aggregate) -> bool:
+    def _is_correctable_in_declaration(self, uses: list[Use], aggregate: Aggregate) -> bool:
         """Return whether a point can be corrected in its declaration.
 
         All uses must have the same correction and the same name, the file of the declaration must be written, and only
@@ -130,6 +130,7 @@ class NamedPoints(Struct, eq=False):
             text = source.text[use.operand.start : use.operand.stop]
             is_out_of_scope = source is not self.sources[0]  # other files do not see names of this `.dat`
             is_copy = any(use.operand.name in pair for pair in self.layout.copies)
+            # source index 1: the `.dat` of the program
             is_not_in_data_list = aggregate.row > 0 or aggregate.source.index != 1 or len(self.sources) < 2
             if is_not_in_data_list or is_copy or is_out_of_scope or not NAME.fullmatch(text):
                 self._replace_by_literal(use)
@@ -244,12 +245,14 @@ def editable_layout(
             and is_used_by_motions_only(elements.name, layout, mentions)
         )
         is_single_use = np.array([use_counts[place] == 1 for place in _element_places(elements)], np.bool_)
-        in_place = has_one_target[elements.row] & is_single_use & is_array_editable
+        is_editable = has_one_target[elements.row] & is_single_use & is_array_editable
         editable_elements.append(
-            Elements(elements.row[in_place], elements.literal[in_place], elements.source, elements.name)
+            Elements(elements.row[is_editable], elements.literal[is_editable], elements.source, elements.name)
         )
-        relative_spans[elements.row[~in_place]] = 0
-        for row, literal in zip(elements.row[~in_place].tolist(), elements.literal[~in_place].tolist(), strict=True):
+        relative_spans[elements.row[~is_editable]] = 0
+        for row, literal in zip(
+            elements.row[~is_editable].tolist(), elements.literal[~is_editable].tolist(), strict=True
+        ):
             statements[row] = _statement_of_element(layout, motions, row, elements, literal)
     return replace(
         layout,

@@ -312,6 +312,7 @@ class _Rewriter:
             Use(move.line, move.end, texts, partial(self.statements.whole_literal, target, move.end)), points
         )
         if move.via is not None:
+            # empty if the target has no auxiliary point: that of the statement stays
             via = self.target_numbers.via_texts(target)
             self._rewrite_point(
                 Use(move.line, move.via, (via or None) if differs else None, partial(aggregate_text, via)), points
@@ -459,7 +460,9 @@ class _Rewriter:
         limit_line = line + self.is_last
         limit_line[list(following_line)] = list(following_line.values())
         note = np.searchsorted(self.layout.notes, limit_line) - 1  # the last comment that applies; −1: none
-        rows = np.flatnonzero(needs_comment(self.comment_forces, self.targets.kind, note, self.program.notes, 0.0))
+        # start=0.0: no force acts before the first comment
+        needs_comments = needs_comment(self.comment_forces, self.targets.kind, note, self.program.notes, start=0.0)
+        rows = np.flatnonzero(needs_comments)
         return dict(zip(rows.tolist(), texts(b";", self.comment_forces, rows), strict=True))
 
     def _replace_comment(self, target: int, text: str) -> bool:

@@ -159,12 +159,12 @@ class Sharing:
                 if not names or self._declares_type(line) or (routine is self.main and line in declaration_lines):
                     continue
                 names &= {item.name for item in occurrences(self.source.text, start, stop)}
-                assigned_names = self._written_names(line)
+                written_names = self._written_names(line)
                 for name in names:
                     owner = self._owning_variables(name, routine, data_names)
                     if owner is not None:
                         owner.users.setdefault(name, set()).add(int(self.file[line]))
-                        if name in assigned_names:
+                        if name in written_names:
                             owner.write_lines.setdefault(name, line)
 
     def _owning_variables(self, name: str, routine: Routine, data_names: Collection[str]) -> _Variables | None:
@@ -357,6 +357,7 @@ class Sharing:
             if not new_globals.keys().isdisjoint(data_line.names):
                 start, stop = self.data.code_span(data_line.line)
                 new_line = _renamed_code(text[start:stop], new_globals)
+                # a line without a type initialises a name that another line declares
                 is_declaration = any(item.kind for item in self.declarations_of_line[data_line.line])
                 edits.add(start, stop, _global_declaration(new_line) if is_declaration else new_line)
         return replace(self.data.document, text=edits.apply(text))

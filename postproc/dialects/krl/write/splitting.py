@@ -118,6 +118,7 @@ def split_files(
     """
     if documents and joined_program(documents) is not None:
         return _restore_files(documents, output, limit)
+    # line feeds are counted fast; lines may also end with CR alone
     if not limit or (
         output.documents[0].text.count("\n") < limit and len(Source.of(output.documents[0], 0).starts) <= limit
     ):

@@ -77,9 +77,8 @@ def target_numbers(layout: Layout, targets: Targets) -> TargetNumbers:
     :param targets: K commanded targets.
     """
     motion = targets.motion
-    is_last = (
-        np.append(motion[1:] != motion[:-1], True) if len(motion) else np.zeros(0, dtype=np.bool_)
-    )  # of its motion
+    # of its motion
+    is_last = np.append(motion[1:] != motion[:-1], True) if len(motion) else np.zeros(0, dtype=np.bool_)
     keep = targets.keep & is_last
     exact_numbers = targets.pose.xyzabc(slice(None))
     exact_numbers[:, 3:] = _nearest_angles(exact_numbers[:, 3:], layout.numbers[motion, 3:])
@@ -115,6 +114,7 @@ def _added_components(layout: Layout, motion: Ints, numbers: Array, is_free: Boo
     previous = np.concatenate([numbers[:1], numbers[:-1]])  # numbers of the target before
     is_first = np.append(True, motion[1:] != motion[:-1])[: len(motion)]  # of its motion; empty without targets
     follows_joints = is_first & layout.starts_from_joints[motion]
+    # behind joint angles, missing components are those of the unchanged robot position
     previous[follows_joints] = layout.numbers[motion[follows_joints]]
     is_added = layout.is_missing[motion] & (np.abs(numbers - previous) > _NUMBER_TOLERANCE)
     lacks_orientation = layout.ignores_orientation | any_column(layout.is_missing[:, 3:])

@@ -186,14 +186,12 @@ class TargetStatements:
 
         :param relative: True if the motion is relative: E1 in its text is a step.
         """
-        carriage, motion, t = (
-            self.layout.carriage,
-            self.targets.motion[target : target + 1],
-            float(self.targets.t[target]),
-        )
-        if carriage is None or (t == 1.0 and not relative) or carriage.travel[motion[0]] == 0.0:
+        carriage, t = self.layout.carriage, float(self.targets.t[target])  # t: share of the motion
+        motions = self.targets.motion[target : target + 1]  # an array with the motion of the target
+        if carriage is None or (t == 1.0 and not relative) or carriage.travel[motions[0]] == 0.0:
             return {}
-        return {"E1": fixed_point(float(carriage.at(motion, t)[0]) * MM_PER_M, 4, 4)}
+        position = float(carriage.at(motions, t)[0]) * MM_PER_M
+        return {"E1": fixed_point(position, decimals=4, min_decimals=4)}
 
     def end_texts(self, target: int, operand: Point, *, includes_unchanged: bool = False) -> dict[str, str]:
         """Return the numbers to be written for the end point of a statement: component → text.
@@ -253,7 +251,8 @@ class TargetStatements:
         """
         word = self._instruction(motion)
         word = word[: -len("_REL")] if word.upper().endswith("_REL") else word
-        if self.via_point(motion)[0] is not None and self.targets.kind[target] == LIN:
+        via_span, _ = self.via_point(motion)
+        if via_span is not None and self.targets.kind[target] == LIN:
             line = "lin" if word.islower() else "LIN" if word.isupper() else "Lin"
             word = word[:1] + line if word[:1] in "sS" else line
         return word
@@ -275,10 +274,11 @@ class TargetStatements:
 
     def statement_text(self, motion: int, target: int) -> str:
         """Return the instruction and the points of a target as text, all points as literals."""
-        span, _ = self.via_point(motion)
-        first = span[0] if span is not None else int(self.layout.target[motion, 0])
-        gap = self.layout.source(motion).text[int(self.layout.keyword[motion]) + len(self._instruction(motion)) : first]
-        return self.instruction_text(motion, target) + gap + self.points_text(motion, target)
+        via_span, _ = self.via_point(motion)
+        points_start = via_span[0] if via_span is not None else int(self.layout.target[motion, 0])
+        instruction_stop = int(self.layout.keyword[motion]) + len(self._instruction(motion))
+        blanks = self.layout.source(motion).text[instruction_stop:points_start]
+        return self.instruction_text(motion, target) + blanks + self.points_text(motion, target)
 
     def inserted_line(self, motion: int, target: int) -> str:
         """Return the line of an inserted target, with its line end.
@@ -297,7 +297,8 @@ class TargetStatements:
     def tail_of_target(self, motion: int, target: int) -> str:
         """Return WITH and approximation of a target: those of its motion, for spline motions changed by `tail_text`."""
         is_free = bool(self.target_numbers.is_free[motion]) and self.is_spline(motion)
-        is_circle = self.via_point(motion)[0] is not None and self.is_spline(motion)
+        via_span, _ = self.via_point(motion)
+        is_circle = via_span is not None and self.is_spline(motion)
         is_straightened = is_circle and bool(self.targets.kind[target] == LIN)
         ignores_auxiliary = (
             is_circle and not is_straightened and bool(self.target_numbers.drops_via_orientation[motion])
