@@ -39,7 +39,7 @@ from postproc.robot.model_file import (
 _AXES = LINK_AXES[:6]
 _USUAL_SHIFT, _USUAL_TURN, _USUAL_WAVE = 1e-3, 2e-3, 0.3e-3
 """Prior standard deviations of the errors of a joint (shift [m], turn [rad]) and its gear [rad] (assumed)."""
-_STEPS = 8
+_MOST_STEPS = 8
 """Gauss-Newton steps from the nominal geometry, which is close (assumed)."""
 _FOLDS = 10
 """Parts of the cross-validation: the usual number (Hastie, Tibshirani and Friedman 2009, section 7.10)."""
@@ -51,7 +51,7 @@ _WIDE_SHARE = 0.8
 """Share of the prior's interval beyond which an interval counts as not narrowed by the readings (assumed)."""
 _STEP_TOLERANCE = 1e-9
 """Largest change of an unknown [m, rad] in the last Gauss-Newton step."""
-_CONFIGURATIONS = 200
+_AVERAGED_CONFIGURATIONS = 200
 """Random configurations over which the error that readings allow for is averaged."""
 
 
@@ -125,6 +125,7 @@ def nonredundant_displacements(nominal: Chain, point_count: int) -> tuple[Geomet
     :param point_count: number of points on the flange.
     :returns: sorted by joint, then axis.
     """
+    # a dependent column is dependent at all configurations: some tens are enough, with joints far from 0
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (60, 6))
     # [m], not on one line; points beyond three make no further displacement independent
     offsets = np.array([[0.2, 0.1, 0.3], [-0.2, 0.15, 0.25], [0.05, -0.3, 0.2]])[: max(1, min(point_count, 3))]
@@ -370,10 +371,10 @@ def _extrapolation_error(solution: _Solution, nominal: Chain) -> float:
     """
     half_turn = np.full(6, np.pi)
     lower, upper = np.maximum(nominal.lower, -half_turn), np.minimum(nominal.upper, half_turn)
-    q = np.random.default_rng(0).uniform(lower, upper, (_CONFIGURATIONS, 6))
+    q = np.random.default_rng(0).uniform(lower, upper, (_AVERAGED_CONFIGURATIONS, 6))
     point, root = solution.placement.points[:1], solution.placement.root_in_device
     _, flange = nominal.joint_frames(q)
-    by_parameter = _parameter_columns(solution.parameters, nominal, (q, q), point, root)
+    by_parameter = _parameter_columns(solution.parameters, _PosedArm(nominal, flange, q), q, point, root)
     design = np.concatenate([_placement_columns(flange, point, root), *by_parameter], axis=1)
     first_parameter = len(solution.whole_covariance) - len(solution.values)  # after base and all points
     rows_of_arm = [*range(9), *range(first_parameter, len(solution.whole_covariance))]  # base, first point, parameters
@@ -467,8 +468,8 @@ def _fit_geometry(
 
     arm = pose_arm(values)
     root = kabsch(point_positions(arm.flange, points).reshape(-1, 3), readings.reshape(-1, 3))
-    for _ in range(_STEPS):
-        by_parameter = _parameter_columns(parameters, arm.chain, (data.q, arm.angles), points, root)
+    for _ in range(_MOST_STEPS):
+        by_parameter = _parameter_columns(parameters, arm, data.q, points, root)
         columns = [_placement_columns(arm.flange, points, root), *by_parameter]
         design = np.concatenate(columns, axis=1) * scale[:, None]
         white_residual = (readings - point_positions(root @ arm.flange, points)).ravel() * scale
@@ -498,19 +499,18 @@ def _fit_geometry(
 
 
 def _parameter_columns(
-    parameters: tuple[GeometryParameter, ...], chain: Chain, angles: tuple[Array, Array], points: Array, root: Array
+    parameters: tuple[GeometryParameter, ...], arm: _PosedArm, q: Array, points: Array, root: Array
 ) -> list[Array]:
     """Return the derivatives (3CP, 1) of the points, device axes, by each parameter.
 
-    :param angles: joint angles of the controller (C, 6) [rad], and joint angles with sag (C, 6) [rad].
+    :param q: (C, 6) joint angles of the controller [rad].
     :param points: (P, 3) [m], flange axes.
     :param root: (4, 4) pose of the robot root in the device frame [m].
     """
-    commanded_angles, loaded_angles = angles
-    _, columns = _joint_derivatives(chain, loaded_angles, points)
-    by_joint = columns.reshape(len(commanded_angles), len(points), 3, 6, 6)
+    _, columns = _joint_derivatives(arm.chain, arm.angles, points)
+    by_joint = columns.reshape(len(q), len(points), 3, 6, 6)
     by_joint = np.einsum("ij,cpjab->cpiab", root[:3, :3], by_joint)
-    return [_parameter_column(parameter, by_joint, chain, commanded_angles) for parameter in parameters]
+    return [_parameter_column(parameter, by_joint, arm.chain, q) for parameter in parameters]
 
 
 def _parameter_column(parameter: GeometryParameter, by_joint: Array, chain: Chain, q: Array) -> Array:
@@ -637,6 +637,8 @@ def warnings(result: Geometry, sigma: float) -> list[str]:
 
 _LARGE_RESIDUAL = 5e-4
 """RMS distance [m] that no calibrated arm leaves: some tenths of a millimetre are usual (assumed)."""
+_LARGE_RESIDUAL_SIGMAS = 5.0
+"""RMS distance over the noise of a coordinate that noise does not explain: it makes less than 2 (assumed)."""
 
 
 def _large_residuals(result: Geometry, sigma: float) -> list[str]:
@@ -645,7 +647,7 @@ def _large_residuals(result: Geometry, sigma: float) -> list[str]:
     :param sigma: noise of one coordinate of one reading [m].
     """
     rms = result.placement.rms
-    if rms <= max(_LARGE_RESIDUAL, 5.0 * sigma):
+    if rms <= max(_LARGE_RESIDUAL, _LARGE_RESIDUAL_SIGMAS * sigma):
         return []
     return [
         f"the best geometry leaves {rms * MM_PER_M:.2f} mm RMS of the readings without load, a calibrated arm some "

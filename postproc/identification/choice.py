@@ -240,7 +240,7 @@ CLEAR = 3.0
 """Gain of log evidence (odds of one in twenty) that a richer model must show."""
 _PRIOR_SHARE = 0.9
 """Least ratio of posterior to prior standard deviation of a parameter that only its prior determines (assumed)."""
-_ROUNDS = 3
+_LINEARISATIONS = 3
 """Number of linearisations in the fit of all parameters together (assumed)."""
 
 
@@ -475,7 +475,7 @@ def _has_uncertain_compensator(choice: Choice) -> bool:
 def _candidate_equations(
     robot: RobotModel, data: Measurements, placement: Placement, in_gears: bool, compensator: bool
 ) -> _CandidateEquations:
-    """Return the structure with all candidate parameters, fitted in `_ROUNDS` linearisations, and its last equations.
+    """Return the structure with all candidate parameters, fitted in `_LINEARISATIONS`, and its last equations.
 
     :param in_gears: whether weights and compensator load the gears at rest.
     :param compensator: whether K_c and s₀ are parameters.
@@ -483,7 +483,7 @@ def _candidate_equations(
     """
     structure, kinds = full_structure(robot, data, in_gears, compensator)
     prior, values, columns = prior_of(structure), structure.start_values(), np.arange(len(structure.parameters))
-    for _ in range(_ROUNDS):
+    for _ in range(_LINEARISATIONS):
         equations = linearise(structure, values, data, placement)
         full_regression = learn(equations, prior, columns)
         values = full_regression.solve(equations)

@@ -72,6 +72,7 @@ def pivot_doubt(measured: Compensator | None, stated: Compensator | None) -> str
         f"({law.ax * MM_PER_M:.0f}, {law.ay * MM_PER_M:.0f}) mm" for law in (measured, stated)
     )
     check = "the zero of q2 and the names of the markers"
+    # half the distance (assumed): measured places are inexact, so that no mirror fits exactly
     if mirrored_distance < 0.5 * distance:  # q2 with the other sign mirrors a_y
         check = "the sign of q2 (KUKA: A2 is negative where link 2 points up)"
     return (
@@ -429,7 +430,8 @@ def _noise(readings: MarkerReadings, residual_p1: Array, residual_p0: Array) -> 
     """Return the noise, from the scatter of the repeats and the residuals of the circles together.
 
     Repeats at one angle share motions of the tracker, a marker or the arm between the angles. If an F test says that
-    the residuals are larger than the scatter explains, the noise is that of the residuals alone, with a warning.
+    the residuals are larger than the scatter explains, the noise is that of the residuals alone, with a warning. There
+    is no test if the scatter is zero: there are no repeats, or they agree in all digits.
 
     :param residual_p1: (m, 3) of the circle of P1 [m].
     :param residual_p0: (k, m, 2) of the circles of the other markers [m].

@@ -70,7 +70,7 @@ NORMAL_95 = 1.959964
 LENGTH_95 = 1.6140
 """95 % quantile of the length of normal vectors in space over their RMS length."""
 
-_ITERATIONS = 25
+_MOST_ITERATIONS = 25
 """Limit of Gauss-Newton steps (assumed)."""
 _MAX_GROWTH = 1.5
 """Growth of the squares that calls for a shorter step."""
@@ -158,7 +158,7 @@ def gauss_newton(
     data: Measurements,
     placement: Placement,
     start: Array | None = None,
-    iterations: int = _ITERATIONS,
+    iterations: int = _MOST_ITERATIONS,
 ) -> Fit:
     """Return the least-squares fit of the parameters to loaded − unloaded displacements, by Gauss-Newton steps.
 
@@ -220,6 +220,7 @@ def solve(design: Array, target: Array) -> Array:
     """Return the least-squares parameters (p,) of design (r, p) and target (r,); columns are scaled to length 1."""
     scale = np.linalg.norm(design, axis=0)
     scale[scale == 0.0] = 1.0
+    # rcond: directions that are rounding alone
     values, *_ = np.linalg.lstsq(design / scale, target, rcond=1e-9)
     return np.asarray(values / scale)
 
@@ -290,7 +291,7 @@ def to_file_units(fit: Fit) -> FileValues:
     return FileValues(parameters, values, 0.5 * (covariance + covariance.T))  # symmetric, but for rounding
 
 
-_HUBER = 3.5
+_HUBER_LIMIT = 3.5
 """Residual of a point, over the usual one, beyond which it is weighted down (Huber 1964)."""
 _MEDIAN_OF_THREE = 1.538
 """Median length of a vector of three standard normal numbers."""
@@ -403,8 +404,8 @@ def _robust_weights(size: Array) -> Array:
     :param size: (L, P) lengths of the whitened residuals; zero for points without a reading.
     """
     usual_size = float(np.median(size[size > 0.0])) / _MEDIAN_OF_THREE if np.any(size > 0.0) else 1.0
-    # 1e-300 keeps zero out of the denominator
-    return np.minimum(1.0, _HUBER * max(usual_size, 1e-12) / np.maximum(size, 1e-300))
+    # 1e-12 σ: residuals that are rounding are not gross; 1e-300 keeps zero out of the denominator
+    return np.minimum(1.0, _HUBER_LIMIT * max(usual_size, 1e-12) / np.maximum(size, 1e-300))
 
 
 _LEAST_COMPLIANCE = 1e-9
@@ -474,8 +475,8 @@ def prior_of(structure: Structure) -> Prior:
 def _kind_and_size(parameter: Parameter, robot: RobotModel) -> tuple[str, float]:
     """Return the kind of a parameter, a key of `FACTORS`, and the standard deviation of its prior at factor 1, SI.
 
-    The kind is `STATED_SPREAD`, without a factor, if the robot states the standard deviation. It is the kind of all
-    other parameters too; their usual size is the standard deviation.
+    The kind is `STATED_SPREAD`, which has no factor, if the robot states the standard deviation of the prior, or if no
+    other kind has the parameter: then the standard deviation is the usual size of the parameter.
     """
     sigma = robot.prior_sigma(parameter)
     if not isinstance(parameter, JointCompliance) and np.isfinite(sigma):
@@ -514,6 +515,8 @@ _MIN_LOG_FACTOR, _MAX_LOG_FACTOR = -6.0, 4.0
 """Limits of the logarithms of factors (assumed)."""
 _MAX_LOG_NOISE = 4.0
 """Largest logarithm of φ; its prior is normal about 0 with standard deviation `_LOG_NOISE_SIGMA` (assumed)."""
+_MOST_SEARCH_STEPS = 200
+"""Limit of the steps of the search for the most evidence (assumed)."""
 _LOG_NOISE_SIGMA = 0.5
 """Assumed: the stated noise is right within a factor of 1.6, by one standard deviation."""
 
@@ -555,6 +558,7 @@ class Regression(Struct, frozen=True, eq=False):
         target, upper = np.linalg.solve(lower, right[order]), lower.T
         signed_part, bounded_part = slice(0, signed_count), slice(signed_count, None)  # of `order`; bounded: ≥ 0
         scaled_values = np.empty(len(order))
+        # maxiter: far more than the steps that are usual, about one for each parameter
         scaled_values[bounded_part], _ = nnls(
             upper[bounded_part, bounded_part], target[bounded_part], maxiter=100 * len(order)
         )
@@ -711,7 +715,12 @@ def learn(equations: LinearEquations, prior: Prior, columns: Ints) -> Regression
     evidence = _Evidence.of(equations, prior, columns)
     limits = [*([(_MIN_LOG_FACTOR, _MAX_LOG_FACTOR)] * len(evidence.kind_rows)), (0.0, _MAX_LOG_NOISE)]
     optimum = minimize(
-        evidence.cost, evidence.log_mean, jac=True, method="L-BFGS-B", bounds=limits, options={"maxiter": 200}
+        evidence.cost,
+        evidence.log_mean,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=limits,
+        options={"maxiter": _MOST_SEARCH_STEPS},
     )
     return Regression(
         columns=columns,

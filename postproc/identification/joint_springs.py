@@ -471,6 +471,7 @@ def fit_serial(robot: RobotModel, data: Measurements, placement: Placement) -> F
         )
     # 1e-300 keeps zero out of the denominator
     scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    # rcond: directions that are rounding alone
     values = np.linalg.lstsq(design / scale, target, rcond=1e-9)[0] / scale
     pose_residual = target - design @ values
     sigma = np.sqrt(float(pose_residual @ pose_residual) / (len(target) - 6))

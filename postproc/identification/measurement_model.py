@@ -26,7 +26,7 @@ from postproc.identification.readings import Measurements
 from postproc.program import Ints
 from postproc.robot import JointCompliance, LinkSpring, Parameter, RobotModel
 
-_STEPS = 20
+_MOST_STEPS = 20
 """Limit of Gauss-Newton steps from a rigid fit, which begins close by (assumed)."""
 _SINGULAR = 1e10
 """Condition number of scaled normal equations beyond which they are singular but for rounding (assumed)."""
@@ -89,7 +89,7 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
     model = point_positions(flange, position)
     has_reading = weight.ravel() > 0.0
     pose = kabsch(model.reshape(-1, 3)[has_reading], readings.reshape(-1, 3)[has_reading])
-    for _ in range(_STEPS):
+    for _ in range(_MOST_STEPS):
         model = point_positions(pose @ flange, position)
         white_residual = ((readings - model) * np.sqrt(weight)[..., None]).ravel()
         jacobian = placement_derivatives(model, pose[:3, 3], pose[:3, :3] @ flange[:, :3, :3])
@@ -160,13 +160,13 @@ def in_root_axes(placement: Placement, vectors: Array) -> Array:
     return np.asarray(vectors @ placement.root_in_device[:3, :3])
 
 
-def describe(placement: Placement) -> dict[str, float]:
+def base_frame(placement: Placement) -> dict[str, float]:
     """Return the base transform as a KUKA frame [mm, deg]: the root in the device frame."""
     values = xyzabc_from_pose(placement.root_in_device)
     return {name: float(value) for name, value in zip("XYZABC", values, strict=True)}
 
 
-def describe_points(placement: Placement, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
+def point_table(placement: Placement, names: tuple[str, ...]) -> dict[str, dict[str, float]]:
     """Return the reference points in the flange frame [mm]."""
     return {
         name: {axis: float(v * MM_PER_M) for axis, v in zip("XYZ", p, strict=True)}
@@ -319,7 +319,7 @@ class Structure(Struct, frozen=True, eq=False, dict=True):
         plain = replace(self.prior, terms=(), carries_weight=self.in_gears)
         return plain.with_link_springs(p for p in self.parameters if isinstance(p, LinkSpring))
 
-    def active(self, level: int | None) -> list[int]:
+    def active_rows(self, level: int | None) -> list[int]:
         """Return the indices of the parameters that act at a level of q2: all but compliances of other levels.
 
         :param level: None: a structure without levels.
@@ -336,7 +336,7 @@ class Structure(Struct, frozen=True, eq=False, dict=True):
         :param values: (p,) SI.
         :param level: level of q2 whose `LevelCompliance` applies to joint 2; None: no levels.
         """
-        robot = self.template.with_values({self.parameters[i]: float(values[i]) for i in self.active(level)})
+        robot = self.template.with_values({self.parameters[i]: float(values[i]) for i in self.active_rows(level)})
         # compliances of zero or below have no equilibrium
         joints = list(robot.actuated)
         if (robot.compliance[joints] < MIN_COMPLIANCE).any():
@@ -371,9 +371,9 @@ def predict(structure: Structure, values: Array, data: Measurements, placement: 
     for number in np.unique(level):
         rows = np.flatnonzero(level == number)
         q2_level = None if structure.levels is None else int(number)
-        active = structure.active(q2_level)
+        active = structure.active_rows(q2_level)
         try:
-            displacement[rows], active_slopes = _predict(
+            displacement[rows], active_slopes = _predict_states(
                 structure, structure.robot(values, q2_level), active, data.loaded_states[rows], data, placement
             )
         except NotConvergedError as error:
@@ -386,7 +386,7 @@ def predict(structure: Structure, values: Array, data: Measurements, placement: 
     return displacement, slopes
 
 
-def _predict(
+def _predict_states(
     structure: Structure, robot: RobotModel, active: list[int], states: Ints, data: Measurements, placement: Placement
 ) -> tuple[Array, Array]:
     """Return the displacements (n, P, 3) [m] of the points in root axes, and derivatives (n, P, 3, a) per SI unit.

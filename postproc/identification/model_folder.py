@@ -25,9 +25,9 @@ from postproc.identification.joint_springs import Levels, SpringOfJoint2
 from postproc.identification.measurement_model import (
     MIN_COMPLIANCE,
     Placement,
-    describe,
-    describe_points,
+    base_frame,
     joint_torques,
+    point_table,
 )
 from postproc.identification.moved_device import moved_device
 from postproc.identification.procedure import Depth, Identification, Method, identify, rms_distances
@@ -353,8 +353,8 @@ def report_data(result: Identification) -> record.IdentificationRecord:
 def _placement_entries(placement: Placement, data: Measurements) -> dict[str, Any]:
     """Return entries of `identification.json` by key: base, points and RMS residual of the readings without load."""
     return {
-        "base": describe(placement),
-        "points": describe_points(placement, data.points),
+        "base": base_frame(placement),
+        "points": point_table(placement, data.points),
         "unloaded_rms_mm": placement.rms * MM_PER_M,
     }
 
@@ -505,6 +505,10 @@ def _parameter_record(
     )
 
 
+_CURVE_POINTS = 41
+"""Points of the curve of the compliance of joint 2 (assumed): it looks smooth in the report."""
+
+
 def _k2_curve(result: Identification) -> list[tuple[float, float]]:
     """Return pairs of q2 [deg] and equivalent compliance of joint 2 [µrad/(N·m)] of the model, over the measured q2.
 
@@ -513,7 +517,7 @@ def _k2_curve(result: Identification) -> list[tuple[float, float]]:
     if result.levels is None:
         return []
     model = result.robot()
-    q2 = np.linspace(result.levels.q2.min(), result.levels.q2.max(), 41)
+    q2 = np.linspace(result.levels.q2.min(), result.levels.q2.max(), _CURVE_POINTS)
     stiffness = 1.0 / model.compliance[model.actuated[1]]
     spring_stiffness = np.zeros_like(q2) if model.compensator is None else model.compensator.stiffness_about_joint(q2)
     compliance = PER_URAD / (stiffness + spring_stiffness)

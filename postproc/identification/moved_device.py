@@ -98,7 +98,7 @@ def _clearest_step(design: Array, usual_sizes: Array, residual: Array, q: Array)
     clearest = _Step(np.inf, 0, np.zeros(6))
     if freedom < _FREEDOM_OF_STEP:
         return clearest
-    for first in range(2, configs - 1):
+    for first in range(2, configs - 1):  # two configurations or more on each side
         if _is_correlated_with_step(q, first):
             continue
         is_after_step = np.arange(configs) >= first
@@ -118,6 +118,7 @@ def _clearest_step(design: Array, usual_sizes: Array, residual: Array, q: Array)
 
 def _basis(columns: Array) -> Array:
     """Return an orthonormal basis (rows, r) of columns (rows, n), without directions that are rounding alone."""
+    # 1e-12: columns of zeros stay zero
     basis, singular_values, _ = np.linalg.svd(columns / np.maximum(norm(columns.T), 1e-12), full_matrices=False)
     return np.asarray(basis[:, singular_values > _RANK_TOLERANCE * singular_values[0]])
 
@@ -136,6 +137,7 @@ def _is_correlated_with_step(q: Array, first: int) -> bool:
 
     :param q: (C, 6) joint angles [rad].
     """
+    # 1e-12: a joint that never turns is not correlated with anything
     angles = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-12)
     step = (np.arange(len(q)) >= first).astype(float)
     step = (step - step.mean()) / step.std()

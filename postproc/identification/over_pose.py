@@ -24,7 +24,9 @@ from postproc.robot import JOINTS, GearCoupling, JointCompliance, PoseWave
 _TURNS_OF_ARM = (-1, 0, 1)
 """Turns of A2 and of A3 in the waves of the other joints."""
 _TURNS_OF_ARM_JOINTS = (-2, -1, 0, 1, 2)
-"""Turns of A2 and of A3 in the waves of A2 and A3 themselves; their sizes are three together at most."""
+"""Turns of A2 and of A3 in the waves of A2 and A3 themselves."""
+_MOST_TURNS_TOGETHER = 3
+"""Largest sum of the sizes of these two turns (assumed): waves with more are small by the spectrum."""
 _TURNS_OF_JOINT = (0, 1, 2)
 """Periods of a wave in one turn of the joint itself (assumed): none, one, and two as of out-of-round gears."""
 _SPECTRUM_SIGMA = 1.0
@@ -67,7 +69,11 @@ def _wave_turns(index: int) -> list[tuple[int, ...]]:
     :param index: of the joint, from 0.
     """
     if index in (1, 2):
-        pairs = [pair for pair in product(_TURNS_OF_ARM_JOINTS, repeat=2) if abs(pair[0]) + abs(pair[1]) <= 3]
+        pairs = [
+            pair
+            for pair in product(_TURNS_OF_ARM_JOINTS, repeat=2)
+            if abs(pair[0]) + abs(pair[1]) <= _MOST_TURNS_TOGETHER
+        ]
         candidates = [(0, *pair, 0, 0, 0) for pair in pairs]
     else:
         candidates = []

@@ -304,8 +304,10 @@ def check_points(data: Measurements) -> None:
             swapped_change = np.abs(set_distances[np.ix_(order, order)] - median_distances).max()
             if list(order) != list(range(count)) and swapped_change < _SWAP_SHARE * largest_change:
                 swapped_names = [data.points[index] for index in range(count) if order[index] != index]
+                # of the name of a reading without the line before, and without the point behind
+                set_name = data.name(int(rows[0])).partition(": ")[2].rpartition(",")[0]
                 raise MeasurementError(
-                    f"{data.name(int(rows[0])).partition(': ')[2].rpartition(',')[0]}: the distances between the "
+                    f"{set_name}: the distances between the "
                     f"points fit only if the names {' and '.join(swapped_names)} are swapped",
                     file=data.file,
                     line=int(data.line[rows[0]]),
@@ -453,6 +455,7 @@ def check_loads(robot: RobotModel, data: Measurements, placement: Placement, adv
     # a point moves against the force only if nearly opposite: links may deflect across the motion by the joints
     length_ratio = np.where(ratio < _OPPOSITE_COSINE * length_ratio, -length_ratio, length_ratio)
     states = data.loaded_states[rows]
+    # 1e-9 N keeps zero out of the denominator
     _check_single_loads(
         data,
         states,
@@ -584,7 +587,7 @@ def hysteresis_warnings(robot: RobotModel, data: Measurements, placement: Placem
     """Return a sentence for each joint with hysteresis; empty if no load was measured before and after a larger one.
 
     Under the same load, the displacement after a larger load differs from the displacement before it: by twice the
-    half width of each joint's loop, in the direction of its torque. The half widths ≥ 0 are fitted by least squares.
+    half width of each joint's loop, in the direction of its torque. The widths ≥ 0 are fitted by least squares.
     """
     from scipy.optimize import nnls  # takes long to import
 

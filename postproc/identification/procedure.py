@@ -60,6 +60,8 @@ Method = Literal["enhanced", "serial"]
 Depth = Literal["auto", "joints"]
 _MOST_OUTLIERS = 0.03
 """Share of the readings that may be left out (assumed): more are no slips, but an error of the model or the set-up."""
+_MOST_GROSS_ERRORS = 3
+"""Gross errors against a choice of springs that are left out at most (assumed): each needs a new choice."""
 _SIGNIFICANT_SIGMAS = 3.29
 """Standard deviations of χ² beyond which joint springs alone do not explain the readings (one in a thousand)."""
 _POSSIBLE_SIGMAS = 1.0
@@ -327,10 +329,13 @@ class _ChosenSprings(NamedTuple):
 
 
 def _choose_springs(prior: RobotModel, data: Measurements, placement: Placement) -> _ChosenSprings:
-    """Choose the springs, leave out the worst gross error against them, and choose again, at most three times."""
+    """Choose the springs, leave out the worst gross error against them, and choose again.
+
+    At most `_MOST_GROSS_ERRORS` are left out.
+    """
     choice = choose(prior, data, placement)
     outliers: list[str] = []
-    for _ in range(3):
+    for _ in range(_MOST_GROSS_ERRORS):
         clean_data, names = plausibility.remove_worst_residual(data, placement, choice.fit)
         if not names:
             break
@@ -510,7 +515,7 @@ def _can_outliers_explain(fit: Fit, limit: int) -> bool:
     """
     # 1e-300 keeps zero out of the denominator
     design, target = fit.design / np.maximum(np.linalg.norm(fit.design, axis=0), 1e-300), fit.target.copy()
-    for count in range(1, limit + 1):
+    for count in range(1, limit + 1):  # rcond: directions that are rounding alone
         residual = (target - design @ np.linalg.lstsq(design, target, rcond=1e-9)[0]).reshape(-1, 3)
         worst = int(np.argmax(np.sum(residual**2, axis=1)))
         outlier_rows = slice(3 * worst, 3 * worst + 3)  # three coordinates of a point

@@ -122,6 +122,7 @@ def _axes_hypothesis(prior: RobotModel, data: Measurements, placement: Placement
     :param stated: fit of the joint springs with the loads as stated.
     """
     force = data.wrench[data.loaded_states, :3]
+    # 1e-9 N keeps zero out of the denominator
     spread = np.linalg.svd(force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9), compute_uv=False)
     if spread[2] < _MIN_SPREAD * spread[0]:
         return _STATED_LOADS
@@ -200,12 +201,12 @@ def _joint_springs(prior: RobotModel, data: Measurements, placement: Placement) 
     return gauss_newton(Structure(JOINT_COMPLIANCES, prior), data, placement)
 
 
-def _best_turn(prior: RobotModel, data: Measurements, placement: Placement, stated: float) -> _Turn:
+def _best_turn(prior: RobotModel, data: Measurements, placement: Placement, stated_rms: float) -> _Turn:
     """Return the turn of the forces that joint springs fit best; no turn (identity, ratio 1) if none fits better.
 
     The turn and the springs are fitted alternately, `_ROUNDS` times.
 
-    :param stated: RMS of the residuals [m] with the forces as stated.
+    :param stated_rms: RMS of the residuals [m] with the forces as stated.
     """
     structure, whitening_matrix = Structure(JOINT_COMPLIANCES, prior), whitening(data)
     target = whiten(whitening_matrix, measured_displacements(data, placement)).ravel()
@@ -217,8 +218,8 @@ def _best_turn(prior: RobotModel, data: Measurements, placement: Placement, stat
         matrix = u @ vt
         fit = gauss_newton(structure, _turned_loads(data, matrix), placement)
         values = np.maximum(fit.values, _LEAST_COMPLIANCE)
-        if fit.rms / stated < best.ratio:
-            best = _Turn(matrix, fit.rms / stated)
+        if fit.rms / stated_rms < best.ratio:
+            best = _Turn(matrix, fit.rms / stated_rms)
     return best
 
 

@@ -84,8 +84,10 @@ _MEDIAN_SHARE = 0.001
 """Median of δ over the displacements (RMS of a component) before any reading (assumed)."""
 LOG_SIGMA = 1.5
 """Standard deviation of the logarithm of δ before any reading (assumed)."""
-_STEPS, _SPAN = 241, (-5.0, 4.5)
+_DELTA_COUNT, _DELTA_SPAN = 241, (-5.0, 4.5)
 """Values of δ that are tried, and between which standard deviations of its prior."""
+_LENGTHS = 2000
+"""Lengths between which the 95 % quantile is interpolated (assumed): neighbours differ by a per cent or less."""
 _CLEAR_SCATTER = 30
 """Degrees of freedom from which the scatter of the repeats replaces the stated noise."""
 
@@ -184,7 +186,8 @@ def unmodelled_error(error: Array, covariance: Array, median: float, weight: Arr
 
     variance, axes = np.linalg.eigh(covariance)  # along principal axes the components are independent
     square = np.einsum("nij,ni->nj", axes, error) ** 2
-    z = np.linspace(*_SPAN, _STEPS)  # standard normal before any reading
+    z = np.linspace(*_DELTA_SPAN, _DELTA_COUNT)  # standard normal before any reading
+    # 1e-9 m: δ has a logarithm even if nothing moved
     delta = max(median, 1e-9) * np.exp(LOG_SIGMA * z)
     whole_variance = variance + delta[:, None, None] ** 2
     log_density = (
@@ -192,7 +195,7 @@ def unmodelled_error(error: Array, covariance: Array, median: float, weight: Arr
     )
     probability = np.exp(log_density - log_density.max())
     probability /= probability.sum()
-    length = np.geomspace(delta[0], 4.0 * delta[-1], 2000)  # 4 δ: practically no error is longer
+    length = np.geomspace(delta[0], 4.0 * delta[-1], _LENGTHS)  # 4 δ: practically no error is longer
 
     def share_below(size: float) -> float:
         """Return the share of unmodelled errors shorter than a length [m]: χ² of three degrees of freedom."""
@@ -276,6 +279,7 @@ def add_stated_errors(fit: Fit, data: Measurements, placement: Placement, influe
         if influence is None:
             scale = np.linalg.norm(fit.design, axis=0)
             scale[scale == 0.0] = 1.0
+            # rcond: directions that are rounding alone
             influence = np.linalg.pinv(fit.design / scale, rcond=1e-9) / scale[:, None]
         w = whitening(data)
         prediction, _ = predict(fit.structure, fit.values, data, placement)
@@ -425,6 +429,7 @@ def bound_over_workspace(robot: RobotModel, data: Measurements) -> Workspace:
             return Workspace((), least_load, cause, tuple(q[row].tolist()))
         errors = elastostatics.sources_of_error(robot, elastostatics.LoadedPlaces.of(q, tool, wrench))
         bound = elastostatics.largest_length(errors.covariances())
+        # 1e-12 m keeps zero out of the denominator
         ratio = bound / np.maximum(norm(deflection), 1e-12)
         level = WorkspaceLevel(
             load=float(np.median(share * largest_force)),
@@ -456,6 +461,7 @@ def _largest_forces(robot: RobotModel, data: Measurements, q: Array, direction: 
     _, jacobian = kinematics.tcp(robot.loaded, elastostatics.coordinates(robot, q), tool)
     torque = np.abs(np.einsum("nij,ni->nj", jacobian[:, :3, list(robot.actuated)], direction)) * largest
     is_loaded = data_torque > _TORQUE_SHARE * data_torque.max()
+    # 1e-9 N·m keeps zero out of the denominator
     limits = (data_torque[is_loaded] / np.maximum(torque[:, is_loaded], 1e-9)).min(axis=1)
     return np.asarray(largest * np.minimum(1.0, limits))
 
@@ -693,7 +699,10 @@ def fewest_configurations(parameters: int, points: int, directions: float) -> in
 
 
 def load_directions(data: Measurements) -> list[int]:
-    """Return the number of linearly independent loads (rank of the unit wrenches) of each configuration."""
+    """Return the number of linearly independent loads (rank of the unit wrenches) of each configuration.
+
+    Loads whose directions differ by a few degrees count as one.
+    """
     wrench, config = data.wrench[data.loaded_states], data.state_config[data.loaded_states]
     return [
         int(np.linalg.matrix_rank(wrench[config == index] / norm(wrench[config == index])[:, None], tol=0.1))
@@ -703,7 +712,7 @@ def load_directions(data: Measurements) -> list[int]:
 
 def _numbers_of_a_configuration(points: int, directions: float) -> float:
     """Return the number of spring parameters that a configuration determines, by its points and load directions."""
-    return _NUMBERS_BY_POINTS.get(points, 6) * directions
+    return _NUMBERS_BY_POINTS.get(points, 6) * directions  # 6: three points and more show all of a rigid body
 
 
 def _gap_notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]:

@@ -99,7 +99,7 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
         return self.limits[1] < _BOUND_SHARE
 
     @property
-    def is_held(self) -> bool:
+    def keeps_bound(self) -> bool:
         """Whether enough displacements are inside the bound."""
         return not self.is_refuted and self.inside >= _MIN_SHARE and self.limits[0] >= _MIN_LOWER_LIMIT
 
@@ -134,14 +134,14 @@ class Validation(Struct, frozen=True, eq=False):
     jobs: tuple[JobShare, ...] = ()
 
     @property
-    def is_held(self) -> bool:
+    def keeps_bound(self) -> bool:
         """Whether the bound was kept at every level."""
-        return all(level.is_held for level in self.levels)
+        return all(level.keeps_bound for level in self.levels)
 
     @property
     def holds(self) -> bool:
         """Whether the bound was kept at every level, and the readings cover nearly all of each job."""
-        return self.is_held and all(job.share >= _BOUND_SHARE for job in self.jobs)
+        return self.keeps_bound and all(job.share >= _BOUND_SHARE for job in self.jobs)
 
     @property
     def line(self) -> str:
@@ -149,14 +149,14 @@ class Validation(Struct, frozen=True, eq=False):
         if any(np.isnan(level.inside) for level in self.levels):
             return "the model states no bound: nothing can be validated"
         refuted_levels = [level for level in self.levels if level.is_refuted]
-        undecided = [level for level in self.levels if not level.is_held]
+        undecided = [level for level in self.levels if not level.keeps_bound]
         worst = min(refuted_levels or undecided or self.levels, key=lambda level: level.inside)
         low, high = worst.limits
         share = (
             f"at {worst.load:.0f} N {worst.inside:.0%} of the displacements of {worst.configurations} configurations "
             f"are inside its bound, so the share of all is {low:.0%} to {high:.0%}"
         )
-        if self.is_held:
+        if self.keeps_bound:
             return self._validity_text(share)
         if not refuted_levels:
             return (

@@ -14,10 +14,10 @@ from postproc.identification.fit import Fit, linearise
 from postproc.identification.measurement_model import (
     Placement,
     Structure,
-    describe,
-    describe_points,
+    base_frame,
     locate,
     measured_displacements,
+    point_table,
     visible_points,
 )
 from postproc.identification.uncertainty import Workspace, WorkspaceLevel, judge
@@ -408,8 +408,8 @@ def test_frames_and_points_are_written_in_millimetres_and_degrees():
     root[:3, 3] = [1.2, -3.4, 0.8]
     placement = Placement(root, POINTS[:2], np.eye(12), np.zeros((1, 2, 3)))
     frame = {"X": 1200.0, "Y": -3400.0, "Z": 800.0, "A": 30.0, "B": -20.0, "C": 10.0}
-    assert describe(placement) == pytest.approx(frame)
-    found = describe_points(placement, ("P1", "P2"))
+    assert base_frame(placement) == pytest.approx(frame)
+    found = point_table(placement, ("P1", "P2"))
     assert found["P1"] == pytest.approx({"X": 0.0, "Y": 0.0, "Z": 120.0})
     assert found["P2"] == pytest.approx({"X": 300.0, "Y": 0.0, "Z": 50.0})
 

@@ -367,7 +367,7 @@ def test_a_level_holds_with_enough_displacements_inside_and_is_refuted_by_its_up
     inside, limits, refuted, held
 ):
     level = ValidatedLevel(500.0, 1e-3, 3e-4, 1e-4, 1e-8, inside, limits, 1.0, 1e-4, 6)
-    assert (level.is_refuted, level.is_held) == (refuted, held)
+    assert (level.is_refuted, level.keeps_bound) == (refuted, held)
 
 
 @pytest.mark.parametrize(("left", "above"), [(3e-4, True), (1.5e-4, False), (0.9e-4, False)])

@@ -292,7 +292,7 @@ def test_the_verdict_of_jobs_names_shares_and_what_to_measure():
     none = verdict(0.0)
     assert none.line.startswith("IT IS NOT KNOWN whether the model holds for job0: the readings cover none of it.")
     assert not none.holds
-    assert both.is_held
+    assert both.keeps_bound
 
 
 def test_a_parameter_that_moves_no_reading_stays_at_nothing(monkeypatch):

@@ -89,7 +89,7 @@ def cuts(true, sign, rng, count=60):
 
 def test_a_job_that_turns_a_gear_over_is_not_assured_by_readings_that_never_do(one_sided):
     folder, true, result = one_sided
-    assert result.is_held, result.line
+    assert result.keeps_bound, result.line
     assert result.covered.largest[_A4, 0] == 0.0
     model, rng = robot.load(folder / "model"), np.random.default_rng(5)
     kept, shares = {}, {}
@@ -227,7 +227,7 @@ def test_a_direction_in_which_the_readings_contradict_the_model_is_not_assured()
         prediction_error=ones * 1e-3, bound=ones, noise=ones * 1e-6, error_ratio=scaled, has_bound=True,
     )  # fmt: skip
     (level,) = validation._validated_levels(found)
-    assert level.is_held
+    assert level.keeps_bound
     covered = validation._checked_coverage(torque, found)
     assert covered.refuted[0].tolist() == [True, False]
     (job,) = shares(covered, [-40.0, 50, 20, 20, 20, 20])
