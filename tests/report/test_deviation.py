@@ -169,6 +169,26 @@ def test_thinning_never_hides_the_worst_and_bounds_the_size(worst):
     assert len(read.columns("drawn")["x"]) <= 2 * places.MAX_PLACES
 
 
+@pytest.mark.parametrize("measure", ["before", "after", "printed", "wrench", "bound"])
+def test_thinning_keeps_the_target_with_the_largest_value_of_each_measure(monkeypatch, measure):
+    monkeypatch.setattr(places, "MAX_PLACES", 30)
+    base = fabricated.with_changes(fabricated.result(200), bound=np.full(200, 1e-5))
+    values = np.array(getattr(base, measure)[:])
+    values[57] += {"printed": 9.0, "wrench": 900.0}.get(measure, 9e-3)  # mm, N, m
+    result = fabricated.with_changes(base, **{measure: Runs.of(values) if measure == "wrench" else values})
+    rows = places.page_rows(result, np.array([111]))
+    assert len(rows) <= 30
+    assert {0, 57, 111, 199} <= set(rows.tolist())
+
+
+def test_the_deflection_of_holder_spindle_and_tool_is_stated_if_they_are_not_rigid():
+    base = fabricated.result(30)
+    text = "Deflection of holder, spindle and tool, up to"
+    assert text not in _read(base).text()
+    by_tool = fabricated.down(np.where(np.arange(30) == 7, 0.1234e-3, 1e-6))
+    assert f"{text} 0.123 mm" in _read(replace(base, deflection_by_tool=by_tool)).text()
+
+
 def test_a_page_does_not_depend_on_where_the_chunks_end(monkeypatch):
     result = fabricated.result(50)
     monkeypatch.setattr(places, "MAX_PLACES", 20)
