@@ -61,7 +61,7 @@ _MOST_WORST_PAIRS = 20
 _BINS = 40
 """Bars of the histogram."""
 _LEVEL_KINDS: dict[str, Kind] = {"error": "error", "warning": "warning", "info": "soft"}
-_FILE_AND_LINE = re.compile(r"\S+:\d+")
+_FILE_AND_LINE = re.compile(r"\S+:\d+\b")
 """File and line at the beginning of a text: not capitalised."""
 _MEASURES = ("Maximum", "RMS", "Mean", "95th percentile")
 """Labels of the fields of `Distances`, in order."""
