@@ -50,16 +50,16 @@ def _part_names(path: Path, names: Sequence[str]) -> list[str]:
     if not path.stem.lower().endswith(MAIN.lower()):
         return []
 
-    def find(name: str) -> Document | None:
+    def find_file(name: str) -> Document | None:
         """Return a file next to the program by its name, in letters of any case; None if there is none."""
-        document_name = next((document for document in names if document.lower() == name.lower()), None)
-        return None if document_name is None else decode(document_name, path.with_name(document_name).read_bytes())
+        file_name = next((file_name for file_name in names if file_name.lower() == name.lower()), None)
+        return None if file_name is None else decode(file_name, path.with_name(file_name).read_bytes())
 
     try:
         main = decode(path.name, path.read_bytes())
         return [
             *(name for name, _ in called_parts(main)),
-            *(PurePath(document.name).stem for document in files_of_routines(main, find)),
+            *(PurePath(document.name).stem for document in files_of_routines(main, find_file)),
         ]
     except (OSError, ProgramError):
         return []
@@ -72,7 +72,7 @@ def _main_program_of(part: Document) -> str | None:
     """
     if (stated_main := stated_main_program(part)) is not None:
         return stated_main
-    stem = PurePath(part.name).stem
+    stem = PurePath(part.name).stem  # of a part: the name of the program and a number
     main_file = f"{stem.rstrip('0123456789')}{MAIN}.src".lower()
     try:
         siblings = sorted(Path(part.folder).iterdir()) if part.folder and stem[-1:].isdigit() else []

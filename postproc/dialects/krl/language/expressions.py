@@ -389,7 +389,10 @@ def _is_routine(name: str) -> bool:
 
 
 def calls(values: Iterable[Value]) -> list[Call]:
-    """Return the calls of routines and functions in values, from left to right, each before those in its arguments."""
+    """Return the calls of routines in values, from left to right, each before the calls in its arguments.
+
+    Calls of the functions of the controller that only compute a value (`PURE`) are left out.
+    """
     call_list: list[Call] = []
     for value in values:
         if isinstance(value, _LEAVES) or (isinstance(value, Reference) and not value.indices and not value.inner):

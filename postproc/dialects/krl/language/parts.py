@@ -188,7 +188,8 @@ def _main_text(main: Document, calls: Sequence[int]) -> str:
     """Return the text of the main program, with its calls of the parts and its END as comments.
 
     :param calls: lines of these calls, ascending.
-    :raises ProgramError: a force comment is between the calls; the file has other routines, or DEF has parameters.
+    :raises ProgramError: a force comment follows the first of the calls; the file has other routines; DEF has
+        parameters.
     """
     source = Source.of(main, 0)
     _def_line(source)  # raises if there are other routines or parameters

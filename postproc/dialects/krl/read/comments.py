@@ -119,9 +119,10 @@ class _ActiveForce:
         """
         self.course, self.motions, self.is_rapid, self.unchecked_joins = course, motions, is_rapid, unchecked_joins
         self.notes: list[tuple[int, ForceNote]] = []
+        # None: no force; a text: the reason why the force is not known
         self.active_force: _Force = None
-        self.motion_force: _Force = None
-        self.passed_line = 0
+        self.motion_force: _Force = None  # on the last motion
+        self.passed_line = 0  # no motion has been passed
 
     def restated_notes(
         self,

@@ -362,9 +362,12 @@ def _motions_of_statement(
 ) -> list[MotionStatement]:
     """Return the motions that one statement of the body makes, one for each of n rounds.
 
+    The statement is PTP, SPTP, LIN or SLIN: computed rounds have no other motions.
+
     :param end: target of the statement as the text gives it.
     :param rows: (n,) rows of the trace at which the statement runs.
     :param targets: (n,) targets of the motions.
+    :param is_approximated: True if the motions do not stop at their targets.
     """
     tail, kind, keyword = stmt.tail, KINDS[stmt.word], (stmt.start, stmt.start + len(stmt.word))
     name = end.name if isinstance(end, Reference) else ""

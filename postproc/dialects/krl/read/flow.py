@@ -559,7 +559,8 @@ class Flow:
     def _may_follow_both_branches(self, source: Source, block: Block) -> bool:
         """Return whether both branches of a control structure may be followed: one runs its statements, one skips them.
 
-        True for an IF without ELSE in no loop, that certainly runs, and whose condition has no side effects.
+        True for an IF without ELSE that certainly runs, in a recorded routine but in no loop, and whose condition has
+        no side effects.
         """
         level = self.run.level
         if not level.is_traced or level.loop_depth or not self.run.is_certain:

@@ -489,7 +489,7 @@ class _Links:
         return any(map(scan.has_motion, self.files.called_code(self._text(path))))
 
     def _text(self, path: Path) -> str:
-        """Return the text of a file; empty if it cannot be read: it is needed all the same."""
+        """Return the text of a file; empty if it cannot be read: the file is listed without what it calls."""
         try:
             return self.files.source(path).text
         except ProgramError:

@@ -98,7 +98,7 @@ class LeastStatements:
             stmt = statement(source, node)
             if isinstance(stmt, Return | Goto) or stmt.word in ENDS_LOOPS:
                 break
-            call = self._certain_call(source, node)
+            call = _call_of_statement(source, node)
             callee = None if call is None else self.run.library.find_callee(call.name, module)
             count += 1 if callee is None else 1 + self.minimum_of_call(*callee)
         return count
@@ -128,9 +128,10 @@ class LeastStatements:
         round_count = max(0, int((last.value - first.value) // step.value) + 1)
         return round_count * self.minimum_of_round(source, block, module) if round_count else 0
 
-    def _certain_call(self, source: Source, line: int) -> Call | None:
-        """Return the call that is a whole statement, or the whole value of an assignment; None for other statements."""
-        stmt = statement(source, line)
-        if isinstance(stmt, CallStatement):
-            return stmt.call
-        return stmt.value if isinstance(stmt, Assignment) and isinstance(stmt.value, Call) else None
+
+def _call_of_statement(source: Source, line: int) -> Call | None:
+    """Return the call that is a whole statement, or the whole value of an assignment; None for other statements."""
+    stmt = statement(source, line)
+    if isinstance(stmt, CallStatement):
+        return stmt.call
+    return stmt.value if isinstance(stmt, Assignment) and isinstance(stmt.value, Call) else None

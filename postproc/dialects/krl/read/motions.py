@@ -566,7 +566,7 @@ def _check_automatic_wrist_mode(
     """Refuse spline motions whose orientation the controller may lead by the wrist axes.
 
     Under `$SPL_ORI_JOINT_AUTO` #ON the controller decides that itself for each spline motion under `$ORI_TYPE=#VAR`
-    (KUKA, KSS 8.x).
+    (KUKA, KSS 8.x). A setting that is not known counts as #ON.
 
     :raises ProgramError: the orientation changes on such a motion.
     """

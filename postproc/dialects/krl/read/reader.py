@@ -492,7 +492,7 @@ def _config_source(cell: Cell, path: str) -> Source:
         raise CellError(
             f"config_dat cannot be read ({cause.strerror})", file=str(file), advice="The path is relative to the cell."
         ) from cause
-    return Source.of(decode(file.name, data), index=2)
+    return Source.of(decode(file.name, data), index=2)  # 0 and 1 are the `.src` and `.dat` of the program
 
 
 class _MainRoutine(NamedTuple):

@@ -209,7 +209,7 @@ class Recorder:
 
     def leave_routine(self) -> None:
         """End the routine that was entered last."""
-        body = self._open_routines.pop().bodies[0]
+        body = self._open_routines.pop().bodies[0]  # the bodies of its loops have ended
         body.stop = self.row_count + 1
         self._steps.append(RoutineExit())
 

@@ -842,7 +842,7 @@ def with_component(position: Position, field: str, value: float) -> Position | N
     """Return a computed Cartesian position with another value of one component.
 
     :param field: name of the component, X … C; `value` is its new number [mm or deg].
-    :returns: None if the component is an angle, and the controller may have the other angles of another set of A, B, C.
+    :returns: None if the component is an angle and the controller may have other A, B, C for the same orientation.
     """
     if field in ANGLES and not _has_unique_angles(position, ignores_whole_turns=True):
         return None

@@ -117,7 +117,7 @@ class _Folder(Struct, eq=False):
             text = self._text(file)
             if source is self.main.source or text != source.text:
                 documents.append(replace(source.document, text=text))
-                self._warn_users(source)
+                self._warn_of_other_callers(source)
         return FoldedProgram(tuple(documents), line, is_in_main, tuple(self.issues))
 
     def _lines_in_main(self, file: _Piece) -> tuple[Ints, Bools]:
@@ -143,12 +143,12 @@ class _Folder(Struct, eq=False):
             called_lines[called_lines == 0] = line[call.row]
         return line, is_in_main
 
-    def _warn_users(self, source: Source) -> None:
+    def _warn_of_other_callers(self, source: Source) -> None:
         """Add a warning if other programs of the folders call routines of a changed file."""
         name = source.document.name
-        if users := self.course.other_callers.get(name, ()):
+        if callers := self.course.other_callers.get(name, ()):
             message = (
-                f"{name} is corrected for this program. {', '.join(users)} of its folders call it too, and would "
+                f"{name} is corrected for this program. {', '.join(callers)} of its folders call it too, and would "
                 f"move by the correction made here: give them a {name} of their own."
             )
             self.issues.append(Issue("warning", "shared-file", message, subject=name))
@@ -267,7 +267,8 @@ class _Folder(Struct, eq=False):
         if last <= first:
             return _Piece(0, ())
         begins = self.edited.begins
-        return _Piece(int(begins[last - 1] - begins[first - 1]), ((first, last),), ((0, first, last),))
+        count = int(begins[last - 1] - begins[first - 1])
+        return _Piece(count, content=((first, last),), places=((0, first, last),))
 
     def _counter_piece(self, loop: UnrolledLoop, row: int, blanks: str) -> _Piece:
         """Return a new line that assigns the counter of a FOR the value that a row of the trace assigns it.
@@ -275,7 +276,7 @@ class _Folder(Struct, eq=False):
         :param blanks: indentation of the line.
         """
         text = f"{blanks}{loop.counter}={self.course.counter_value(loop, row)}{_line_end(loop.opener)}"
-        return _Piece(1, (text,), ((0, row, row + 1),))
+        return _Piece(1, content=(text,), places=((0, row, row + 1),))
 
     def _loop_piece(self, loop: UnrolledLoop) -> _Piece:
         """Return the corrected lines of a loop.
@@ -379,7 +380,10 @@ class _Folder(Struct, eq=False):
         return name
 
     def _file_pieces(self, source: Source) -> Iterator[_Piece]:
-        """Yield the pieces of a file: its corrected routines, each followed by its copies, and all lines between."""
+        """Yield the pieces of a file: its corrected routines, each followed by its copies, and all lines between.
+
+        The first version of a routine keeps its name and its lines DEF and END; the others are its copies.
+        """
         next_line = 1
         for routine in sorted(self.versions, key=lambda routine: routine.first):
             if routine.source is source:

@@ -111,6 +111,7 @@ class NamedPoints(Struct, eq=False):
 
     def _correct_declaration(self, use: Use, aggregate: Aggregate) -> None:
         """Replace the numbers of a point in its declaration by the corrected numbers."""
+        # a point that the program text assigns has a row, and changes in the replacements of the rows
         edits = self.replacements[0 if aggregate.row else aggregate.source.index]
         for piece in replaced_numbers(literal_of(aggregate), use.texts or {}):
             edits.add(*piece, aggregate.row)

@@ -32,6 +32,8 @@ def rename(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
 def _rename_divided(documents: Sequence[Document], name: str) -> Iterator[Document]:
     """Yield the files of a divided program with another name; files of other programs are unchanged.
 
+    GLOBAL names that begin with the name of the program change with it.
+
     :param documents: the main program first.
     """
     old_base = PurePath(documents[0].name).stem[: -len(MAIN)]

@@ -168,7 +168,10 @@ class Sharing:
                             owner.write_lines.setdefault(name, line)
 
     def _owning_variables(self, name: str, routine: Routine, data_names: Collection[str]) -> _Variables | None:
-        """Return the table of the variable that a name means in a routine; None if the variable is never shared."""
+        """Return the table of the variable that a name means in a routine; None if the variable is never shared.
+
+        Local variables of subroutines, and constants and parameters of the main routine, are never shared.
+        """
         if routine is self.main and name in self.main_names:
             return self.main_variables
         local_names = self.unshared_names if routine is self.main else routine.local_names
@@ -364,7 +367,7 @@ class Sharing:
 
 
 def _data_declarations(data: Source, data_line: DataLine) -> Iterator[DeclaredName]:
-    """Yield the variables that a line of a `.dat` declares or initialises."""
+    """Yield the variables that a line of a `.dat` declares or initialises; none for IMPORT, SIGNAL, STRUC and ENUM."""
     start, stop = data.code_span(data_line.line)
     if word_at(data.text, start, stop) not in DECLARATIONS:
         yield from declared_in(data, start, stop)
