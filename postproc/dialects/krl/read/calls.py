@@ -472,7 +472,10 @@ class Calls:
         return self.run.level
 
     def _leave_routine(self, bound: _BoundCall) -> None:
-        """Make the caller the running routine again; its arguments keep the values that they had before the call."""
+        """Make the caller the running routine again; its arguments keep the values that they had before the call.
+
+        Parameters that may change at any time, as their arguments do, no longer count among such variables.
+        """
         self.run.stack.pop()
         self.run.level, self.run.variables.scope = bound.caller, bound.caller_scope
         for name in bound.volatile_names:

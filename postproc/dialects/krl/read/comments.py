@@ -225,7 +225,7 @@ class _ActiveForce:
 
 
 def _certainly_differ(force: tuple[Any, ...], other_force: tuple[Any, ...]) -> bool:
-    """Return whether two forces, each a wrench and its axes, certainly differ.
+    """Return whether two known forces, each a wrench and its axes, certainly differ.
 
     Forces other than zero in different axes may be equal: False.
     """

@@ -77,7 +77,7 @@ def kept_values(main: MainRoutine) -> dict[str, str]:
     """Return variable → place that changes it, for variables whose values the next run of the program may use.
 
     Left out are variables that the program sets before it uses them, and variables that it uses only to compute their
-    own next value.
+    own next value; but not those that an interrupt, for example, may change at any time.
     """
     run, change_places = main.run, main.run.settings.variables.changed_data()
     uses = Uses(run, run.routine.source, run.nodes(run.routine)) if change_places else None
