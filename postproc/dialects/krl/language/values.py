@@ -52,7 +52,7 @@ class Reference(Struct, frozen=True):
 
 
 class Call(Struct, frozen=True):
-    """A function with its arguments."""
+    """A call of a routine or a function, with its arguments."""
 
     name: str
     arguments: tuple[Value, ...]
@@ -60,7 +60,7 @@ class Call(Struct, frozen=True):
     stop: int
 
     def spelling(self, source: Source) -> str:
-        """Return the name of the function as the text spells it."""
+        """Return the called name as the text spells it."""
         return source.text[self.start : self.start + len(self.name)]
 
 
