@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from msgspec import Struct, field
@@ -278,6 +278,21 @@ def tilt_to(direction: Array) -> Array:
     return rotation
 
 
+class FrameColumns(NamedTuple):
+    """Frames of M motions.
+
+    :ivar base: (M,) row of the `$BASE` of each motion in `bases`.
+    :ivar tool: (M,) row of the `$TOOL` of each motion in `tools`.
+    :ivar bases: (nb, 4, 4) in the robot root [m].
+    :ivar tools: (nt, 4, 4) in the flange frame [m].
+    """
+
+    base: Ints
+    tool: Ints
+    bases: Array
+    tools: Array
+
+
 class Starts(Struct, frozen=True, eq=False):
     """Start poses of M motions: the end of the motion before, in the `$BASE` and with the `$TOOL` of the motion itself.
 
@@ -294,15 +309,14 @@ class Starts(Struct, frozen=True, eq=False):
     @classmethod
     def of(
         cls,
-        frames: tuple[Ints, Ints, Array, Array],
+        frames: FrameColumns,
         end: Callable[[Ints], Array],
         start_flange_in_root: Array,
         predecessor: Ints | None = None,
     ) -> Starts:
         """Return the starts of motions.
 
-        :param frames: base (M,) and tool (M,): rows of `$BASE` in the robot root (nb, 4, 4) and `$TOOL` in the flange
-            frame (nt, 4, 4).
+        :param frames: of the M motions.
         :param start_flange_in_root: (4, 4) flange pose before the first motion [m].
         :param predecessor: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
         """

@@ -32,7 +32,7 @@ def coordinates(robot: RobotModel, q: Array) -> Array:
 def elastic_coordinates(robot: RobotModel, q: Array) -> Array:
     """Return the coordinates (nv, n) of the elastic chain for joint angles q (6, n): zero for virtual joints."""
     x = np.zeros((robot.actual.nv, q.shape[-1]))
-    x[list(robot.actuated)] = q if robot.transmission is None else robot.transmission.actual(q)
+    x[list(robot.actuated)] = q if robot.transmission is None else robot.transmission.actual_angles(q)
     return x
 
 

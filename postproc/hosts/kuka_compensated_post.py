@@ -188,6 +188,17 @@ _SHAPES = {"endmill": "flat", "ballend": "ball", "bullnose": "bull", "drill": "d
 """Tool shapes of FreeCAD and their names in a process file."""
 _CELLS = 4e6
 """Cells of the map of the stock (assumed)."""
+_SMALLEST_CELL = 0.25
+"""Smallest edge of a cell [mm] (assumed)."""
+_CELL_STEPS = 20
+"""Steps of the edge of a cell in a millimetre: it is rounded up to 0.05 mm."""
+_BOX_TOLERANCE = 1e-6
+"""Difference of the volumes of a stock and its bounding box, over the volume, up to which the stock is the box."""
+
+
+def _cell_size(area: float) -> float:
+    """Return the edge [mm] of the cells of the map of a stock that covers an area [mm²]."""
+    return max(_SMALLEST_CELL, math.ceil(math.sqrt(area / _CELLS) * _CELL_STEPS) / _CELL_STEPS)
 
 
 def _process_files(job: Any, name: str, material: str) -> dict[str, bytes]:
@@ -208,9 +219,9 @@ def _process_files(job: Any, name: str, material: str) -> dict[str, bytes]:
     box = stock.BoundBox
     text += [
         "[stock]",
-        f"resolution_mm = {max(0.25, math.ceil(math.sqrt(box.XLength * box.YLength / _CELLS) * 20) / 20):g}",
+        f"resolution_mm = {_cell_size(box.XLength * box.YLength):g}",
     ]
-    if abs(stock.Volume - box.XLength * box.YLength * box.ZLength) < 1e-6 * stock.Volume:
+    if abs(stock.Volume - box.XLength * box.YLength * box.ZLength) < _BOX_TOLERANCE * stock.Volume:
         spans = ((box.XMin, box.XMax), (box.YMin, box.YMax), (box.ZMin, box.ZMax))
         sides = ", ".join(f"{axis} = [{a:.6f}, {b:.6f}]" for axis, (a, b) in zip("XYZ", spans))
         text.append(f"box = {{ {sides} }}")

@@ -324,7 +324,7 @@ def _programs(
             request.weight_kg,
             choice.weight_places,
             touches=choice.touches if part_features else None,
-            first=(
+            first=features.FirstNumbers(
                 1 + feature_count,
                 1 + len(choice.weight_places) * number,
                 1 + len(choice.touches) * number,

@@ -395,7 +395,7 @@ def _joint_values(content: ModelFile) -> Iterator[SourcedValue]:
     for name in JOINTS:
         spring = content.joints[name]
         interval = "" if spring.ci95 is None else f" ± {spring.ci95:.3g}"
-        value = f"{spring.compliance_urad_per_Nm:g}{interval} µrad/(N·m){_sigma(spring.sigma_percent)}"
+        value = f"{spring.compliance_urad_per_Nm:g}{interval} µrad/(N·m){_sigma_text(spring.sigma_percent)}"
         if spring.fades:
             value += f", of which {spring.fades:.3g} fade with load"
         if spring.backlash is not None:
@@ -417,13 +417,13 @@ def _compensator_values(content: ModelFile) -> Iterator[SourcedValue]:
     geometry_source = entry.geometry_source or entry.source
     is_assumed = entry.assumed and not entry.geometry_source
     yield SourcedValue("compensator geometry", geometry, geometry_source, is_assumed)
-    stiffness = f"K_c {entry.stiffness_N_per_m:g} N/m{_sigma(entry.sigma_percent)}"
+    stiffness = f"K_c {entry.stiffness_N_per_m:g} N/m{_sigma_text(entry.sigma_percent)}"
     yield SourcedValue(
         "compensator spring", f"{stiffness}, s_0 {entry.free_length_mm:g} mm", entry.source, entry.assumed
     )
 
 
-def _angles(entry: GeometryErrorEntry) -> str:
+def _angles_text(entry: GeometryErrorEntry) -> str:
     """Return the joint angles for which a bound holds as the end of a sentence; empty if no angles are stated."""
     ranges = [f"{joint} {low:.0f} to {high:.0f}°" for joint, (low, high) in entry.angles_deg.items()]
     return f" at {', '.join(ranges)}; more beyond" if ranges else ""
@@ -436,7 +436,7 @@ def _bound_values(content: ModelFile) -> Iterator[SourcedValue]:
         value = ", ".join(f"{u95:.2g} mm at {load:.0f} N" for u95, load in pairs)
         yield SourcedValue("discrepancy (95 %)", value, discrepancy.source, discrepancy.assumed)
     if (geometry_error := content.geometry_error) is not None:
-        value = f"{geometry_error.u95_mm:.2g} mm{_angles(geometry_error)}"
+        value = f"{geometry_error.u95_mm:.2g} mm{_angles_text(geometry_error)}"
         yield SourcedValue("error of the geometry (95 %)", value, geometry_error.source, geometry_error.assumed)
     if (load_range := content.measured) is not None:
         torques = ", ".join(f"{torque:.0f}" for torque in load_range.torque_Nm)
@@ -470,6 +470,6 @@ def _basis(spring: JointSpring) -> Basis:
     return "assumed" if spring.assumed else "published"
 
 
-def _sigma(percent: float | None) -> str:
+def _sigma_text(percent: float | None) -> str:
     """Return a relative standard deviation [%] in brackets with a leading space; empty for None."""
     return "" if percent is None else f" (σ {percent:g} %)"

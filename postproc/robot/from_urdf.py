@@ -38,8 +38,10 @@ _TOLERANCE = 1e-3
 _PERPENDICULAR = 1e-9
 """Added to the cosine of an axis before its sign is taken: an axis that is perpendicular, to rounding, is not turned
 round."""
-_ROUND = 7
+_LENGTH_DIGITS = 7
 """Decimals of lengths [m]; further ones are rounding of the file."""
+_CENTRE_DIGITS = 4
+"""Decimals of centres of mass [m]: they are known to no tenth of a millimetre."""
 _REFERENCE = "kuka_kr270"
 _REFERENCE_PAYLOAD = 270.0
 """Payload [kg] of the reference, in its name."""
@@ -153,20 +155,20 @@ def _to_kuka_form(arm: AnyArm, file: str) -> _KukaForm:
     axis = np.einsum("jab,jb->ja", frames[:, :3, :3], source.axis)  # root axes, as all vectors from here on
     sign = np.sign(np.einsum("ja,ja->j", axis, _AXES))
     _check_zero(axis, frames[:, :3, 3], flange, file)
-    origin = np.round(_origins(frames[:, :3, 3], flange[:3, 3]), _ROUND)
+    origin = np.round(_origins(frames[:, :3, 3], flange[:3, 3]), _LENGTH_DIGITS)
     centre = np.einsum("jab,jb->ja", frames[:, :3, :3], source.centre) + frames[:, :3, 3] - origin
     placement = np.tile(np.eye(4), (len(JOINTS), 1, 1))
-    placement[:, :3, 3] = np.round(np.diff(origin, axis=0, prepend=0.0), _ROUND)
+    placement[:, :3, 3] = np.round(np.diff(origin, axis=0, prepend=0.0), _LENGTH_DIGITS)
     old_frames = np.concatenate([first_link[None], frames])
     old_frames[1:, :3, 3] -= origin
     tip = np.eye(4)
-    tip[:3, :3], tip[:3, 3] = _FLANGE_AXES, np.round(flange[:3, 3] - origin[-1], _ROUND)
+    tip[:3, :3], tip[:3, 3] = _FLANGE_AXES, np.round(flange[:3, 3] - origin[-1], _LENGTH_DIGITS)
     chain = replace(
         source,
         placement=placement,
         axis=_AXES,
         flange=tip,
-        centre=np.where(source.mass[:, None] < _LIGHTEST, 0.0, np.round(centre, 4)),
+        centre=np.where(source.mass[:, None] < _LIGHTEST, 0.0, np.round(centre, _CENTRE_DIGITS)),
         mass=np.where(source.mass < _LIGHTEST, 0.0, source.mass),
         lower=np.where(sign > 0, source.lower, -source.upper),
         upper=np.where(sign > 0, source.upper, -source.lower),

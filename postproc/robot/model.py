@@ -36,7 +36,7 @@ from postproc.robot.urdf import Geometry
 
 GEAR_TERMS = ("sin", "cos", "sin2", "cos2")
 """Terms of a joint, in the order of `Transmission.amplitude`."""
-_ROUNDS = 60
+_MOST_ROUNDS = 60
 """Limit of the fixed point, which ends far before at some hundredths in each round."""
 _ANGLE_TOLERANCE = 1e-14
 """Change of angles [rad] by which the iteration ends: rounding of double numbers."""
@@ -198,7 +198,7 @@ class Transmission(Struct, frozen=True, eq=False):
         )
         return cls(amplitude) if amplitude.any() else None
 
-    def actual(self, q: Array) -> Array:
+    def actual_angles(self, q: Array) -> Array:
         """Return the actual angles (6, n) of joints for the angles (6, n) of the controller [rad]."""
         return np.asarray(q + np.einsum("jk,kjn->jn", self.amplitude, waves(q)))
 
@@ -208,8 +208,8 @@ class Transmission(Struct, frozen=True, eq=False):
         By a fixed point: each round multiplies the error by the amplitudes, which are some hundredths at most.
         """
         q = actual
-        for _ in range(_ROUNDS):
-            q, previous_q = actual - (self.actual(q) - q), q
+        for _ in range(_MOST_ROUNDS):
+            q, previous_q = actual - (self.actual_angles(q) - q), q
             if np.abs(q - previous_q).max(initial=0.0) <= _ANGLE_TOLERANCE:
                 break
         return q

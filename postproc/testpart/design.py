@@ -38,6 +38,8 @@ _DIRECTION_COUNT = 12
 """Number of directions of a feature that are tried: every 30°."""
 _MOST_PLACES = 60
 """Number of places of features that are tried in the block, over all its placements (assumed)."""
+_ROW_PITCH_DIAMETERS = 4.0
+"""Distance of neighbours in the simulated row of features, in diameters of the tool (assumed): they do not touch."""
 _DEPTH_SHARES = (1.0, 0.5)
 """Depths that are tried, as shares of the largest (assumed)."""
 _LEAST_FLOOR_THICKNESS = 2e-3
@@ -169,7 +171,7 @@ def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: 
 
     :raises ForceError: the process cannot be used.
     """
-    pitch = 4.0 * cutting.diameter
+    pitch = _ROW_PITCH_DIAMETERS * cutting.diameter
     row = [Feature(kind, 0.0, k * pitch, 0.0) for k, kind in enumerate(kinds)]
     part = features.program(row, cutting)
     motions = read_text(part.text, robot_in_cell)
@@ -197,7 +199,7 @@ def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: 
 
 def _source(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: RobotInCell) -> ProcessSource:
     """Return the process as a source of forces in a block around a row of features, one of each kind."""
-    half_length, pitch = features.half_length(cutting.diameter), 4.0 * cutting.diameter
+    half_length, pitch = features.half_length(cutting.diameter), _ROW_PITCH_DIAMETERS * cutting.diameter
     thickness = max(kind.depth for kind in kinds) + 5e-3  # 5 mm of material below the deepest feature
     x_span = -2.0 * half_length, 2.0 * half_length
     spans = x_span, (-pitch, len(kinds) * pitch), (cutting.top - thickness, cutting.top)
@@ -256,6 +258,7 @@ def _inside_block(kinds: list[Kind], cutting: Cutting, box: tuple[Array, Array],
     half_length = features.half_length(cutting.diameter)
     low, high = box
     size = high[:2] - low[:2]
+    # places closer than a quarter of a feature show the same (assumed)
     pitch = max(0.5 * half_length, float(np.sqrt(size[0] * size[1] / max_places)))
     counts = [max(1, int(size[k] / pitch)) for k in (0, 1)]
     x_positions, y_positions = (low[k] + size[k] * (np.arange(counts[k]) + 0.5) / counts[k] for k in (0, 1))
@@ -363,7 +366,7 @@ def _features_of_kind(
     cutting, count = survey.cutting, len(load.tip)
     tip = _in_base(features_of_kind, cutting, load.tip)
     wrench, by_lift = (_wrenches_in_base(features_of_kind, cutting, column) for column in (load.wrench, load.by_lift))
-    states, is_reached, rotation = _states(robot_in_cell, tip, (wrench, by_lift), cutting, count)
+    states, is_reached, rotation = _states(robot_in_cell, tip, wrench, by_lift, cutting=cutting, count=count)
     if not is_reached.any():
         return []
     points = _probed_points(features_of_kind, load, cutting, tip, rotation, np.repeat(is_reached, count))
@@ -437,7 +440,7 @@ def _probed_points(
         motion=no_wrench[:, 0].astype(np.int64),  # motions and their places count for the program of a part only
         t=no_wrench[:, 0],
         weight=weight[is_reached],
-        wall=(np.abs(normal[:, 2]) < 0.5).astype(float)[is_reached],
+        wall=(np.abs(normal[:, 2]) < 0.5).astype(float)[is_reached],  # normals are along Z or across it
         weight_wrench=no_wrench,
         point=point[is_reached],
     )
@@ -489,12 +492,12 @@ class _ReachedStates(NamedTuple):
 
 
 def _states(
-    robot_in_cell: RobotInCell, tip: Array, wrenches: tuple[Array, Array], cutting: Cutting, count: int
+    robot_in_cell: RobotInCell, tip: Array, wrench: Array, by_lift: Array, *, cutting: Cutting, count: int
 ) -> _ReachedStates:
     """Return the states at points of features that the robot reaches within its joint limits.
 
     :param tip: (n, 3) positions of the tip in `$BASE` [m], `count` for each feature.
-    :param wrenches: (n, 6) wrenches on the tool at its tip, and (n, 6) their derivatives by the lift, `$BASE` axes.
+    :param wrench: (n, 6) on the tool at its tip, and `by_lift` (n, 6) its derivative by the lift, `$BASE` axes.
     """
     # a program whose last move is with this tool at feed: it has the frames and the orientation of the tool
     text = f"G21 G90 G17 G94\nT{cutting.tool} M6\nG0 X0 Y0 Z0\nG1 X0 Y0 Z1 F100\n"
@@ -506,15 +509,17 @@ def _states(
     q, is_reached = _reached_angles(robot_in_cell, motions, motion, t, pose, count=count)
     rows = np.flatnonzero(np.repeat(is_reached, count))
     rotation = np.broadcast_to(toolpath.base_of(motions, motion)[..., :3, :3], (len(tip), 3, 3))
-    wrench, by_lift = (toolpath.wrench_in_root(motions, motion[rows], vectors[rows]) for vectors in wrenches)
+    wrench_in_root, by_lift_in_root = (
+        toolpath.wrench_in_root(motions, motion[rows], vectors[rows]) for vectors in (wrench, by_lift)
+    )
     states = States(
         q=q,
         tool=np.broadcast_to(toolpath.tool_of(motions, motion[rows]), (len(rows), 4, 4)),
         pose=toolpath.pose_in_root(motions, motion[rows], pose[rows], t[rows]),
-        wrench=wrench,
+        wrench=wrench_in_root,
         weight_wrench=np.zeros((len(rows), 6)),
         lift=np.zeros(len(rows)),
-        by_lift=by_lift,
+        by_lift=by_lift_in_root,
     )
     return _ReachedStates(states, is_reached, rotation)
 
@@ -670,7 +675,7 @@ def gauge_information(
     weight_wrench[:, 2] = -GRAVITY * mass
     for robot_in_cell in placements:
         no_wrench = np.zeros((len(places), 6))
-        states, reachable, rotation = _states(robot_in_cell, places, (no_wrench, no_wrench), cutting, 1)
+        states, reachable, rotation = _states(robot_in_cell, places, no_wrench, no_wrench, cutting=cutting, count=1)
         if not reachable.all():
             raise PlanError("the robot does not reach the places of the weight above the block", file="--weight")
         twist, by_parameter, _ = replace(states, weight_wrench=weight_wrench).derivatives(

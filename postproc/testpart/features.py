@@ -26,6 +26,8 @@ _HALF_LENGTH_DIAMETERS = 1.6
 """Length of each half of a groove, in tool diameters: probed points are more than a radius from the ends of a cut."""
 _PROBE_SHARE = 0.5
 """Distance of the probed points of a half from the middle of the groove, as a share of the length of the half."""
+_FLOOR_PROBE_SHARE = 0.6
+"""Distance of a probed floor from the middle line of its pass, over the radius (assumed), where there is a step."""
 _STEP_WIDTH_DIAMETERS = 0.4
 """Width of a step, in tool diameters (assumed)."""
 _LAST_SIDE, _LAST_FLOOR = 0.1e-3, 0.05e-3
@@ -36,6 +38,8 @@ LEAST_TRIM = 0.3e-3
 """Least value of `Cutting.trim` [m] (assumed)."""
 _CLEARANCE_HEIGHT = 5e-3
 """Height of rapid moves above the block [m] (assumed)."""
+_END_HEIGHT = 20e-3
+"""Height above the block at which the spindle stops after cutting [m] (assumed)."""
 _ENTRY_HEIGHT = 0.2e-3
 """Height above the block at which the tool begins to descend into it [m] (assumed)."""
 _WALL_DIAMETERS = 0.5
@@ -48,6 +52,8 @@ _TOUCH_EDGE_DISTANCE, _TOUCH_WALL_DISTANCE = 5e-3, 2e-3
 """Distance of touch-off points from the edge of the block, and from the walls of features [m] (assumed)."""
 _TOUCH_PITCH = 2e-3
 """Distance between the places that are tried for touch-off points [m] (assumed)."""
+_MOST_TOUCH_PLACES = 100.0
+"""Largest number of these places along a side of the block (assumed): the pitch grows with the block."""
 _FEWEST_TOUCHES = 3
 """Fewest touch-off points: three determine a plane, its height and two slopes."""
 RAPID = 0.1
@@ -207,10 +213,12 @@ def probes(kind: Kind, cutting: Cutting) -> list[Probe]:
         Probe("left", "step" if side > 0 else "groove", (loaded_u, max(step, 0.0) + radius, middle_w), left),
         Probe("right", "step" if side < 0 else "groove", (loaded_u, min(step, 0.0) - radius, middle_w), right),
         # not where the pass of the step cuts the floor of the groove once more
-        Probe("floor", "groove", (loaded_u, -0.6 * radius * side, floor_w), up),
+        Probe("floor", "groove", (loaded_u, -_FLOOR_PROBE_SHARE * radius * side, floor_w), up),
     ]
     if side:
-        loaded_probes.append(Probe("step_floor", "step", (loaded_u, step + 0.6 * radius * side, floor_w), up))
+        loaded_probes.append(
+            Probe("step_floor", "step", (loaded_u, step + _FLOOR_PROBE_SHARE * radius * side, floor_w), up)
+        )
     return [
         *loaded_probes,
         Probe("ref_left", "trim left", (trimmed_u, high + radius, middle_w), left),
@@ -290,7 +298,7 @@ def hanging_places(low: Array, high: Array, top: float) -> Array:
     :param low: (3,) lower corner of the block [m], and `high` (3,) upper corner.
     :param top: Z of its upper face [m].
     """
-    share = np.array([[0.1, 0.1], [0.5, 0.5], [0.9, 0.9]])
+    share = np.array([[0.1, 0.1], [0.5, 0.5], [0.9, 0.9]])  # near two corners and in the middle (assumed)
     return np.column_stack([low[:2] + share * (high - low)[:2], np.full(len(share), top + _HANG_HEIGHT)])
 
 
@@ -324,8 +332,8 @@ def touch_off_places(features: Sequence[Feature], cutting: Cutting, low: Array, 
     x, y = (
         np.arange(
             low[k] + _TOUCH_EDGE_DISTANCE,
-            high[k] - _TOUCH_EDGE_DISTANCE + 1e-9,
-            max(_TOUCH_PITCH, (high[k] - low[k]) / 100.0),
+            high[k] - _TOUCH_EDGE_DISTANCE + 1e-9,  # 1e-9: the end counts
+            max(_TOUCH_PITCH, (high[k] - low[k]) / _MOST_TOUCH_PLACES),
         )
         for k in (0, 1)
     )
@@ -340,7 +348,8 @@ def touch_off_places(features: Sequence[Feature], cutting: Cutting, low: Array, 
         corners = [(corner_x, corner_y) for corner_x in (low[0], high[0]) for corner_y in (low[1], high[1])]
         nearest_rows = [int(np.argmin(np.linalg.norm(uncut - corner, axis=1))) for corner in corners]
         places = uncut[list(dict.fromkeys(nearest_rows))]
-    # spread of the points across the line that fits them best: points on a line show no tilt about it
+    # spread of the points across the line that fits them best: points on a line show no tilt about it; the limit is
+    # twice the distance from an edge (assumed)
     spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) if len(places) > 1 else np.zeros(1)
     if len(places) < _FEWEST_TOUCHES or spread[-1] < 2.0 * _TOUCH_EDGE_DISTANCE:
         raise PlanError(
@@ -377,6 +386,17 @@ class _Block(Struct, frozen=True):
     points: list[_ProgramPoint]
 
 
+class FirstNumbers(NamedTuple):
+    """Numbers of the first feature, weight and touch-off point of a program."""
+
+    feature: int = 1
+    weight: int = 1
+    touch: int = 1
+
+
+_FROM_ONE = FirstNumbers()
+
+
 def program(
     features: Iterable[Feature],
     cutting: Cutting,
@@ -384,7 +404,7 @@ def program(
     weight_places: Array | None = None,
     *,
     touches: Array | None = None,
-    first: tuple[int, int, int] = (1, 1, 1),
+    first: FirstNumbers = _FROM_ONE,
     placement_title: str = "",
 ) -> Program:
     """Return the G-code of a part with some features, and the points to be probed.
@@ -392,17 +412,16 @@ def program(
     :param mass: mass of a weight that is hung on the tool after cutting [kg].
     :param weight_places: (n, 3) positions of the tip at which it is hung, `$BASE` [m]; None: there are none.
     :param touches: (k, 3) touch-off points on the uncut top, `$BASE` [m]; None: there are none.
-    :param first: numbers of the first feature, of the first of `weight_places` and of the first touch-off point.
+    :param first: numbers with which features, weights and touch-off points begin.
     :param placement_title: placement of the block, for the operator; empty: the block has one placement.
     """
-    first_feature, first_weight, first_touch = first
     no_points = np.zeros((0, 3))
-    blocks = [_head_lines(cutting, no_points if touches is None else touches, first_touch, placement_title)]
-    for number, feature in enumerate(features, start=first_feature):
-        blocks.append(_feature_lines(number, feature, cutting, has_height=number > first_feature))
+    blocks = [_head_lines(cutting, no_points if touches is None else touches, first.touch, placement_title)]
+    for number, feature in enumerate(features, start=first.feature):
+        blocks.append(_feature_lines(number, feature, cutting, has_height=number > first.feature))
     count = len(blocks) - 1
-    blocks.append(_Block([f"G0 Z{(cutting.top + 4.0 * _CLEARANCE_HEIGHT) * MM_PER_M:.4f}", "M5"], []))
-    blocks.append(_weight_stops(mass, no_points if weight_places is None else weight_places, first_weight))
+    blocks.append(_Block([f"G0 Z{(cutting.top + _END_HEIGHT) * MM_PER_M:.4f}", "M5"], []))
+    blocks.append(_weight_stops(mass, no_points if weight_places is None else weight_places, first.weight))
     lines: list[str] = []
     line_numbers: list[int] = []
     for block in blocks:

@@ -45,7 +45,7 @@ from postproc.testpart.prior import Prior
 from postproc.testpart.readings import Lift, Readings
 from postproc.under_load import RobotInCell
 
-_ROUNDS = 12
+_MOST_ROUNDS = 12
 """Limit of solving and cutting anew; each point left out takes a round (assumed)."""
 _CONVERGENCE_RMS, _LARGEST_RESIDUAL = 1.5e-6, 5e-6
 """RMS change by new forces of the deflected tool that ends the iteration [m], and the largest one that may remain:
@@ -63,6 +63,12 @@ UNMODELLED_SHARE = 0.10
 """Unmodelled error (95 %) at other places than those of the part, as a share of the deflection. Assumed: simulated
 robots whose gears bend and whose links are flexible are off there by 5 % (RMS), mostly along the force, which their
 parts do not show: 1.96 of these."""
+_LOADED_SHARE = 0.25
+"""Share of the largest load below which a point does not count in the unmodelled error (assumed)."""
+_MEDIAN_FACTOR = 0.1
+"""Median of the unmodelled error before any reading, over the share `GAMMA` of the displacement (assumed)."""
+_LEAST_VARIANCE_SHARE = 0.1
+"""Least share of the variance of a point that is not of the unmodelled error (assumed)."""
 _SWAP_DECREASE = 25.0
 """Decrease of χ², over the usual χ² of a point, by which two features were probed in each other's place (assumed)."""
 MOST_LIFT_SHARE = 0.5
@@ -157,22 +163,22 @@ class Fit(Struct, frozen=True, eq=False):
         """Return levels of load (m,) [N], and the 95 % bound (m,) of the unmodelled error at each level [m].
 
         The bound is computed from the part of the cross-validation errors that their noise does not explain. Points of
-        one feature count as one. Points with less than a quarter of the largest load are left out. The bound does not
-        fall with the load.
+        one feature count as one. Points with less than `_LOADED_SHARE` of the largest load are left out. The bound does
+        not fall with the load.
         """
-        loaded_rows = np.flatnonzero(self.load > 0.25 * self.load.max())
+        loaded_rows = np.flatnonzero(self.load > _LOADED_SHARE * self.load.max())
         level = levels(self.load[loaded_rows])
         group = self.readings.probed.group[loaded_rows]
         load, bound = [], []
         for index in range(int(level.max()) + 1):
             rows = loaded_rows[level == index]
             share = 1.0 / np.bincount(group)[group[level == index]]
-            prior_share = 0.1 * GAMMA * float(np.sqrt(np.mean(self.displacement[rows] ** 2)))
+            median = _MEDIAN_FACTOR * GAMMA * float(np.sqrt(np.mean(self.displacement[rows] ** 2)))
             # variance without the unmodelled error, at least a tenth of the whole
             noise = self.spread[rows] ** 2 - (self.gamma * self.displacement[rows]) ** 2
-            smallest_variance = 0.1 * self.spread[rows] ** 2
+            smallest_variance = _LEAST_VARIANCE_SHARE * self.spread[rows] ** 2
             variance = np.maximum(noise, smallest_variance)
-            level_bound = unmodelled_error(self.error[rows][:, None], variance[:, None, None], prior_share, share)
+            level_bound = unmodelled_error(self.error[rows][:, None], variance[:, None, None], median, share)
             bound.append(
                 float(np.hypot(level_bound, UNMODELLED_SHARE * np.sqrt(np.mean(self.displacement[rows] ** 2))))
             )
@@ -276,7 +282,7 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
     max_outliers = int(_MOST_OUTLIERS_SHARE * len(readings.probed))
     prior_prediction: _PriorPrediction | None = None
     change = np.inf
-    for _ in range(_ROUNDS):
+    for _ in range(_MOST_ROUNDS):
         estimate = _solve(prior, robot_in_cell, estimate)
         smaller_estimate = _without_outlier(estimate, whole, max_outliers) or _with_held_parameters(estimate, whole)
         if smaller_estimate is not None:

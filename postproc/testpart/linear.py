@@ -20,7 +20,7 @@ from postproc.testpart.prior import MIN_SHARE, Prior
 from postproc.testpart.readings import Readings
 from postproc.under_load import RobotInCell
 
-_ROUNDS = 12
+_MOST_ROUNDS = 12
 """Limit of Gauss-Newton rounds (assumed); they end when the step is small."""
 _STEP_TOLERANCE = 2e-8
 """Change of a predicted deviation that ends the iteration at fixed forces [m] (assumed)."""
@@ -132,7 +132,7 @@ def solve(
     gamma = 0.0
     if local is None:
         local = linearise(prior, readings, states, robot_in_cell, z=z, scale=scale)
-    for _ in range(_ROUNDS):
+    for _ in range(_MOST_ROUNDS):
         last_solution = np.append(z, scale - 1.0)
         target = readings.probed.deviation - local.value + local.slopes @ last_solution
         gamma = unmodelled_share(readings, local, prior_covariance, target)

@@ -552,6 +552,7 @@ def material(fit: Fit, process: Process, source: str) -> bytes:
 def _scaled_law(fit: Fit, process: Process, source: str) -> IdentifiedTable:
     """Return the cutting law with its forces multiplied by the fitted scale, as [material] of a process file."""
     law: CuttingLaw = process.law()
+    # the file has N/mm² and N/mm
     tangential, radial, axial, *edge = (fit.scale * value for value in (*law.cutting, *law.edge))
     table = IdentifiedTable(
         sigma_percent=round(100.0 * float(np.sqrt(fit.covariance[-1, -1])) / fit.scale, 3),

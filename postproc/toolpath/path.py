@@ -20,7 +20,7 @@ from postproc.frames import (
     sine_and_cosine,
 )
 from postproc.poses import Poses
-from postproc.program import CIRC, LIN, PTP, SPL, Bools, Ints, Program, Starts, constant
+from postproc.program import CIRC, LIN, PTP, SPL, Bools, FrameColumns, Ints, Program, Starts, constant
 
 _LEAST_TURN = 1e-6
 """Angle [rad] below which matrices of rotation may be interpolated entry by entry: its square is rounding."""
@@ -148,7 +148,9 @@ def starts(program: Program, end: Callable[[Ints], Array], start_flange_in_root:
     if program.carriage is not None:
         start_flange_in_root = start_flange_in_root.copy()
         start_flange_in_root[:3, 3] += program.carriage.begin[0] * program.carriage.direction
-    return Starts.of((m.base, m.tool, program.bases, program.tools), end, start_flange_in_root, program.after)
+    return Starts.of(
+        FrameColumns(m.base, m.tool, program.bases, program.tools), end, start_flange_in_root, program.after
+    )
 
 
 def segments(program: Program, start_flange_in_root: Array) -> Segments:

@@ -281,7 +281,7 @@ def validation_of(row: Row, true: simulator.TrueRobot, seed: int, folder: Path) 
     raw = raw + row.common * rng.normal(size=(*raw.shape[:2], 1, 1, 3))
     fresh = simulator.write(folder / "fresh", q, f, raw, SIGMA, levels=row.levels, more=row.more)
     result = validate(folder / "model", fresh / "measurements.csv", fresh / "experiment.toml")
-    if result.is_held:
+    if result.keeps_bound:
         return "holds"
     return "does not hold" if any(level.is_refuted for level in result.levels) else "not known"
 

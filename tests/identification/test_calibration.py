@@ -147,7 +147,7 @@ def test_derivatives_by_waves_of_gears_are_those_by_finite_differences():
             for sign in (1, -1):
                 amplitude = np.zeros((6, 4))
                 amplitude[joint, index] = sign * h
-                pose = nominal.joint_frames(robot.Transmission(amplitude).actual(q.T).T)[1]
+                pose = nominal.joint_frames(robot.Transmission(amplitude).actual_angles(q.T).T)[1]
                 moved.append(np.einsum("nij,pj->npi", pose[:, :3, :3], points) + pose[:, None, :3, 3])
             slope = (moved[0] - moved[1]).ravel() / (2 * h)
             parameter = calibration.GeometryParameter(robot.JOINTS[joint], term)

@@ -12,7 +12,7 @@ from postproc.errors import MeasurementError
 from postproc.robot import JointCompliance
 from postproc.testpart import cut, features, probing
 from postproc.testpart.cut import Surfaces
-from postproc.testpart.features import Cutting, Feature, Kind, Placement
+from postproc.testpart.features import Cutting, Feature, FirstNumbers, Kind, Placement
 from postproc.testpart.prior import Prior
 from tests.testpart import trial
 
@@ -329,7 +329,7 @@ def test_the_program_names_to_the_operator_what_is_touched_probed_and_hung():
     touches = np.array([[0.01, 0.02, -0.002], [0.19, 0.02, -0.002], [0.1, 0.1405, -0.002]])
     part = features.program(
         [Feature(DOWN, 0.05, 0.06, 0.3)], CUTTING, 80.0, np.array([[0.02, 0.03, 0.2], [0.1, 0.1, 0.2]]),
-        touches=touches, first=(4, 3, 2), placement_title="[base_data.2]",
+        touches=touches, first=FirstNumbers(4, 3, 2), placement_title="[base_data.2]",
     )  # fmt: skip
     lines = part.text.splitlines()
     assert lines[1:6] == [

@@ -72,7 +72,9 @@ def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, d
     made, programs = {}, {}
     for number, (placement, cell) in enumerate(cells.items()):
         own = [chosen.features[k] for k in np.flatnonzero(chosen.placement == number)]
-        first = 1 + int((chosen.placement < number).sum()), 1 + len(hung) * number, 1 + len(touches) * number
+        first = features.FirstNumbers(
+            1 + int((chosen.placement < number).sum()), 1 + len(hung) * number, 1 + len(touches) * number
+        )
         touched = touches if own else None
         made[placement] = features.program(own, cutting, mass, hung, touches=touched, first=first)
         if not made[placement].feature:

@@ -42,6 +42,7 @@ from postproc.program import (
     Bools,
     Document,
     ForceNote,
+    FrameColumns,
     Ints,
     Motions,
     Program,
@@ -276,7 +277,8 @@ class _Reader:
             pose[row] = inverse(bases[base[row]]) @ forward_kinematics(joints[row]) @ tools[tool[row]]
         if has_joints.any():
             numbers[has_joints] = xyzabc_from_pose(pose[has_joints])
-        starts = Starts.of((base, tool, bases, tools), pose.__getitem__, forward_kinematics(self.cell.start_joints))
+        frames = FrameColumns(base, tool, bases, tools)
+        starts = Starts.of(frames, pose.__getitem__, forward_kinematics(self.cell.start_joints))
         start = starts.at(np.arange(len(line)))
         arcs = self._arcs(moves, start, pose, line, kind == CIRC)
         is_wrist_led, turns_with_path = self._turning_modes(moves, kind, start, pose, line)

@@ -25,28 +25,13 @@ from postproc.frames import (
     xyzabc_from_pose,
 )
 from postproc.poses import Poses, poses_from_xyzabc
-from postproc.program import Bools, Carriage, Ints, Starts
+from postproc.program import Bools, Carriage, FrameColumns, Ints, Starts
 
 _ANGLE_TOLERANCE = 1e-9
 """Angles that differ by less [deg] count as equal."""
 _FRAME_ADVICE = "Write all of X, Y, Z, A, B, C in the first target after $BASE or $TOOL is changed."
 _ORIENTATION_TOLERANCE = 1e-3 * RAD_PER_DEG
 """Orientations closer than this [rad] are the same."""
-
-
-class FrameColumns(NamedTuple):
-    """Frames of M motions.
-
-    :ivar base: (M,) row of the `$BASE` of each motion in `bases`.
-    :ivar tool: (M,) row of the `$TOOL` of each motion in `tools`.
-    :ivar bases: (nb, 4, 4) in the robot root [m].
-    :ivar tools: (nt, 4, 4) in the flange frame [m].
-    """
-
-    base: Ints
-    tool: Ints
-    bases: Array
-    tools: Array
 
 
 class Arcs(NamedTuple):

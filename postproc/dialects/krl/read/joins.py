@@ -18,7 +18,7 @@ from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.unresolved import depends_on_start
 from postproc.errors import Issue, ProgramError
 from postproc.frames import MM_PER_M, Array, inverse
-from postproc.program import PTP, SPL, Carriage, ForceNote, Ints, Motions, Starts
+from postproc.program import PTP, SPL, Carriage, ForceNote, FrameColumns, Ints, Motions, Starts
 
 _POSE_TOLERANCE = 1e-6
 """Poses that differ by less [m, rad] count as equal."""
@@ -545,7 +545,7 @@ def endless_rounds(
     rows = np.append(np.arange(count), min(first, count - 1))
     all_predecessors = np.append(np.arange(count) - 1 if predecessors is None else predecessors, stop - 1)
     start = Starts.of(
-        (motions.base[rows], motions.tool[rows], path.bases, path.tools),
+        FrameColumns(motions.base[rows], motions.tool[rows], path.bases, path.tools),
         lambda indices: motions.target[rows[indices]],
         path.start_flange,
         all_predecessors,

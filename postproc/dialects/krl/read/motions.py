@@ -24,7 +24,6 @@ from postproc.dialects.krl.read.auxiliary_points import (
 )
 from postproc.dialects.krl.read.end_poses import (
     EndPoses,
-    FrameColumns,
     OrientationControl,
     TextTargets,
     circle_geometry,
@@ -41,7 +40,7 @@ from postproc.dialects.krl.read.spline_blocks import approximated_motions, check
 from postproc.dialects.krl.read.state import DEFAULT_SPEED, MotionStates, State, fields_used
 from postproc.errors import Issue, ProgramError, combined_error
 from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, angle_between, any_column, norm
-from postproc.program import CIRC, LIN, PTP, Bools, Carriage, Ints, Motions, Starts, constant, distinct
+from postproc.program import CIRC, LIN, PTP, Bools, Carriage, FrameColumns, Ints, Motions, Starts, constant, distinct
 
 _ONE_ROTATION_MODES = (FREE, CONSTANT)
 """Values of `$ORI_TYPE` under which the orientation changes by one rotation, or not at all."""
