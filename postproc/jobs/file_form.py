@@ -13,6 +13,7 @@ import tomlkit
 from msgspec import Struct
 from tomlkit.container import Container, OutOfOrderTableProxy
 from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import Table
 
 from postproc import files
 from postproc.errors import InputError, PostprocError
@@ -197,7 +198,9 @@ def _ensured_table(document: Any, table: str) -> Any:
     for key in table.split("."):
         if key not in content:
             # a section [a.b] goes into the document, a table in several parts or a table that has only sections
-            is_section = isinstance(content, (Container, OutOfOrderTableProxy)) or content.is_super_table()
+            is_section = isinstance(content, (Container, OutOfOrderTableProxy)) or (
+                isinstance(content, Table) and content.is_super_table()
+            )
             content[key] = tomlkit.table() if is_section else tomlkit.inline_table()
         content = content[key]
     return content
