@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -432,14 +432,21 @@ FIXED_M_CODES: Mapping[int, str] = {
 """M codes that `[m_codes]` cannot give another meaning, with what to do instead."""
 
 
-def m_code_fault(key: str) -> tuple[str, str] | None:
-    """Return problem and advice for a key that `[m_codes]` does not take; None: it takes the key."""
+class KeyFault(NamedTuple):
+    """Problem of a key, and advice."""
+
+    problem: str
+    advice: str
+
+
+def m_code_fault(key: str) -> KeyFault | None:
+    """Return the fault of a key that `[m_codes]` does not take; None: it takes the key."""
     if not (key[:1] == "M" and key[1:].isascii() and key[1:].isdecimal() and len(key) <= 5):
-        return key, "Valid names: M10, M111 …"
+        return KeyFault(key, "Valid names: M10, M111 …")
     number = int(key[1:])
     if number in FIXED_M_CODES:
-        return f"{key} has a meaning already", FIXED_M_CODES[number]
-    return None if key == f"M{number}" else (key, f"Write M{number}.")
+        return KeyFault(f"{key} has a meaning already", FIXED_M_CODES[number])
+    return None if key == f"M{number}" else KeyFault(key, f"Write M{number}.")
 
 
 _STRING = re.compile('"[^"]*"')
@@ -548,7 +555,7 @@ def _check_table_names(cell: CellFile, file: str) -> None:
             raise CellError(f"[work_offsets.{key}]", file=file, advice="Valid names: G54 … G59, G59.1 … G59.3.")
     for key in cell.m_codes:
         if fault := m_code_fault(key):
-            raise CellError(f"[m_codes] {fault[0]}", file=file, advice=fault[1])
+            raise CellError(f"[m_codes] {fault.problem}", file=file, advice=fault.advice)
 
 
 def _check_lines(cell: CellFile, file: str) -> None:

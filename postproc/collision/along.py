@@ -113,7 +113,7 @@ def hits(
     if len(q):
         for first, second in solids.pairs:
             search.search_pair(first, second, between_samples=between_samples)
-    is_hit[[row for row, _, _ in search.hits]] = True
+    is_hit[[row for row, _, _ in search.hits]] = True  # keys: sample, first body, second body
     return is_hit
 
 

@@ -72,6 +72,7 @@ def locate(robot: RobotModel, data: Measurements) -> Placement:
 
     :raises MeasurementError: fewer readings than unknowns, or points and configurations that do not determine the
         frames.
+    :raises NotConvergedError: the robot cannot carry its own weight.
     """
     flange = unloaded_flange(robot, data.q)
     mean, count = data.means()

@@ -538,6 +538,8 @@ _IMPLAUSIBLE_SIGMAS = 3.0
 three right robots in a thousand have as much)."""
 _MIN_NUMBERS_PER_PARAMETER = 2.0
 """Least numbers measured for each parameter of least squares."""
+_SAME_DIRECTION = 0.1
+"""Singular value of unit wrenches below which they count as dependent (assumed): some degrees between directions."""
 _MIN_BACKLASH = 1e-5
 """Smallest backlash [rad] that is reported (assumed)."""
 _KIND_NAMES: tuple[tuple[type[Parameter], str], ...] = (
@@ -704,9 +706,9 @@ def load_directions(data: Measurements) -> list[int]:
     Loads whose directions differ by a few degrees count as one.
     """
     wrench, config = data.wrench[data.loaded_states], data.state_config[data.loaded_states]
+    unit_wrench = wrench / norm(wrench)[:, None]
     return [
-        int(np.linalg.matrix_rank(wrench[config == index] / norm(wrench[config == index])[:, None], tol=0.1))
-        for index in range(len(data.q))
+        int(np.linalg.matrix_rank(unit_wrench[config == index], tol=_SAME_DIRECTION)) for index in range(len(data.q))
     ]
 
 

@@ -166,7 +166,7 @@ def m_codes(texts: Sequence[str]) -> list[str]:
             raise InputError(f"{text!r}: give an M code, such as M31")
         codes.append(f"M{int(name)}")
         if fault := m_code_fault(codes[-1]):
-            raise InputError(f"{text!r}: {fault[0]}. {fault[1]}")
+            raise InputError(f"{text!r}: {fault.problem}. {fault.advice}")
     return codes
 
 

@@ -219,7 +219,7 @@ def _assessment(request: PlaceRequest, cell: Cell, robot: RobotModel, place: Jud
     verdicts = []
     deflection = 0.0
     for job in find_jobs(list(request.programs), forces=request.forces or request.process, to=robot.language or None):
-        if job.callers:
+        if job.callers:  # it is converted with the programs that call it
             continue
         try:
             program, started_cell = read_with_start(job.program, robot, cell, job.dialect)

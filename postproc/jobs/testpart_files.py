@@ -506,7 +506,7 @@ def _read_part(request: PartRequest, model: str | None = None) -> _FitInput:
     _check_top(probe_data, process)
     rows, parts = [], []
     for path, base in programs_of(probe_data, request.programs).items():
-        placement_cell = cell_of_placement(cell, Placement("" if base < 0 else str(base)), probe_data.file)
+        placement_cell = cell_of_placement(cell, Placement.of_base(base), probe_data.file)
         program, robot_in_cell = read_program(path, robot, placement_cell), RobotInCell.of(robot, placement_cell)
         rows.append(np.flatnonzero(probe_data.base == base))  # probed points of this placement
         contact_surfaces = surfaces(

@@ -24,7 +24,7 @@ from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any
+from typing import Any, NamedTuple
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -261,6 +261,13 @@ class Cluster(Struct, frozen=True):
     key: Path | None = None
 
 
+class _Sign(NamedTuple):
+    """Last sign of life of a worker, by the clock of the scheduler and by that of this machine [s]."""
+
+    scheduler_s: float
+    machine_s: float
+
+
 class ClusterWorkers:
     """Workers of a Dask cluster, which do each task in a process of its own if they have the same code.
 
@@ -270,8 +277,8 @@ class ClusterWorkers:
 
     _futures: dict[Path, Any]
     """Program → future of its task."""
-    _signs: dict[str, tuple[float, float]]
-    """Address of a worker → last sign of life by the scheduler's clock, and by that of this machine [s]."""
+    _signs: dict[str, _Sign]
+    """Address of a worker → its last sign of life."""
     _worker_of_task: dict[str, str]
     """Key of a task → address of the worker that has it."""
 
@@ -323,7 +330,7 @@ class ClusterWorkers:
         if time.monotonic() > self._last_answer + PATIENCE:
             return self._loss_outcome(task)
         worker = self._worker_of_task.get(self._futures[task.job.program].key)
-        if worker is None or time.monotonic() < self._signs[worker][1] + _SIGN_TIMEOUT:
+        if worker is None or time.monotonic() < self._signs[worker].machine_s + _SIGN_TIMEOUT:
             return None
         message = (
             f"{task.job.program}: the worker {worker} of the Dask cluster has given no sign of life for "
@@ -344,8 +351,9 @@ class ClusterWorkers:
             workers = self._client.sync(self._client.scheduler.identity, callback_timeout=PATIENCE)["workers"]
             self._last_answer = time_s if workers else self._last_answer
             for address, worker in workers.items():
-                if self._signs.get(address, (None, time_s))[0] != worker["last_seen"]:
-                    self._signs[address] = worker["last_seen"], time_s
+                last_sign = self._signs.get(address)
+                if last_sign is None or last_sign.scheduler_s != worker["last_seen"]:
+                    self._signs[address] = _Sign(worker["last_seen"], time_s)
             tasks = self._client.sync(self._client.scheduler.processing, workers=None, callback_timeout=PATIENCE)
             self._worker_of_task = {
                 key: worker for worker, keys in tasks.items() if worker in self._signs for key in keys

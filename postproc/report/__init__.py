@@ -3,11 +3,12 @@
 from postproc.report.csv_files import FORCE_COLUMNS, TARGET_COLUMNS, forces_by_module, forces_csv, targets_csv
 from postproc.report.deviation import page
 from postproc.report.summary import Summary, issue_entry, summary
-from postproc.report.text import issue_line, program_text, programs_table
+from postproc.report.text import ProgramRow, issue_line, program_text, programs_table
 
 __all__ = [
     "FORCE_COLUMNS",
     "TARGET_COLUMNS",
+    "ProgramRow",
     "Summary",
     "forces_by_module",
     "forces_csv",

@@ -154,10 +154,22 @@ def issue_line(issue: IssueEntry, program: str) -> str:
     return f"{issue.level}: {place}: {issue.message}{count}"
 
 
-def programs_table(rows: Sequence[tuple[str, Summary | None, str]], display: Display = PLAIN) -> str:
+class ProgramRow(NamedTuple):
+    """A program in the table of many programs.
+
+    :param name: of the program.
+    :param content: its summary; None: the program was not written.
+    :param outcome: result in one word.
+    """
+
+    name: str
+    content: Summary | None
+    outcome: str
+
+
+def programs_table(rows: Sequence[ProgramRow], display: Display = PLAIN) -> str:
     """Return a table of many programs with expected errors (95 %); below, the first reason of each verdict not "ok".
 
-    :param rows: name, summary (None: the program was not written) and result in one word, of each program.
     :param display: output whose style the table has; plain by default.
     """
     head = ("program", "targets", "uncorrected [mm]", "corrected [mm]", "better", "tolerance", "verdict", "result")
@@ -235,12 +247,10 @@ def _verdict_word(content: Summary) -> str:
     return _NO_FORCES if state == "warning" and content.max_force_N == 0.0 else _VERDICT_WORDS[state]
 
 
-def _reason_lines(rows: Sequence[tuple[str, Summary | None, str]]) -> list[str]:
+def _reason_lines(rows: Sequence[ProgramRow]) -> list[str]:
     """Return a line for each distinct reason of verdicts that are not "ok", with the programs that it concerns.
 
     Only the first reason of each verdict counts. At most `_MOST_REASONS` have a line; a last line counts the others.
-
-    :param rows: name, summary (None: the program was not written) and result of each program.
     """
     programs: dict[str, list[str]] = {}
     for name, content, _ in rows:

@@ -258,6 +258,11 @@ class Placement(Struct, frozen=True):
 
     number: str = ""
 
+    @classmethod
+    def of_base(cls, base: int) -> Placement:
+        """Return the placement of probed points by its number in `ProbedSurfaces.base`; −1: `[base]`."""
+        return cls("" if base < 0 else str(base))
+
     @property
     def name(self) -> str:
         """The name of the program for this placement."""

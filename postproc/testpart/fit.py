@@ -363,6 +363,7 @@ def _with_held_parameters(estimate: _Estimate, whole: Array) -> _Estimate | None
 
     :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
     """
+    # as if all were free: the uncertainty of parameters that are held already would widen that of the others
     all_free = np.ones_like(estimate.free)
     sigma = np.sqrt(
         np.diag(posterior_covariance(estimate.readings, _linear_model(estimate), estimate.gamma, whole, all_free))

@@ -66,6 +66,7 @@ def linearise(
     slopes = np.column_stack([slopes, np.einsum("nk,nk->n", weight, by_scale)])
     by_lift = np.einsum("nk,nk->n", weight, states.twist_by_lift(robot_in_cell, robot, scale, twist))
     deflection = scale * np.linalg.norm(by_scale[:, :3], axis=1)
+    # a gauge reads the displacement by the weight, which the scale of the cutting forces does not change
     displacement = np.where(readings.probed.mass > 0.0, np.abs(value), deflection)
     return LinearPrediction(value - by_lift * states.lift, slopes, by_lift, displacement)
 

@@ -281,7 +281,7 @@ def _touch_off_errors(fit: Fit) -> list[TouchOffError]:
     """Return the touch-off error of each placement in which something was cut."""
     errors = []
     for top, lift in _cut_tops(fit):
-        frame = Placement("" if top.base < 0 else str(top.base)).title
+        frame = Placement.of_base(top.base).title
         height, half_width = float(lift.coefficients[0]), NORMAL_95 * float(np.sqrt(lift.covariance[0, 0]))
         tilt = float(np.linalg.norm(lift.coefficients[1:]))
         errors.append(
@@ -345,7 +345,7 @@ def _vague_tilt_fault(fit: Fit, top: Top, half_tilt: float) -> str:
     # points with a mass were probed under its weight: they are no cuts
     rows = np.flatnonzero((probe_data.base == top.base) & (probe_data.mass == 0.0))
     count = len({probe_data.name[row].partition(".")[0] for row in rows})  # a name is such as T01.wall
-    frame = Placement("" if top.base < 0 else str(top.base)).title  # below 0: [base] of the cell
+    frame = Placement.of_base(top.base).title
     features = "one feature is too few" if count == 1 else f"{count} features so close together are too few"
     return (
         f"{features} at {frame}: how the program is tilted against the uncut top is known to "

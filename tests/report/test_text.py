@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc.report import program_text, programs_table, summary
+from postproc.report import ProgramRow, program_text, programs_table, summary
 from tests import fabricated
 
 
@@ -77,7 +77,9 @@ def test_an_exceeded_tolerance_is_said_aloud():
 
 def test_many_programs_are_a_table_with_failures_in_it():
     content = summary(fabricated.with_changes(fabricated.result(), bound=np.full(100, 2e-4)))
-    lines = programs_table([("a/part.nc", content, "written"), ("b.nc", None, "FAILED")]).splitlines()
+    lines = programs_table(
+        [ProgramRow("a/part.nc", content, "written"), ProgramRow("b.nc", None, "FAILED")]
+    ).splitlines()
     assert lines[0].split("  ")[0] == "program"
     assert lines[1].startswith("a/part.nc")
     assert lines[1].endswith("written")
@@ -98,7 +100,7 @@ def test_many_programs_are_a_table_with_failures_in_it():
 
 def test_in_the_table_a_program_without_forces_does_not_look_like_a_success():
     none = fabricated.with_changes(fabricated.result(), wrench=np.zeros((100, 6)), before=np.zeros(100))
-    text = programs_table([("a.nc", summary(none, 1e-5), "written"), ("b.nc", summary(none, 1e-5), "written")])
+    text = programs_table([ProgramRow(name, summary(none, 1e-5), "written") for name in ("a.nc", "b.nc")])
     assert text.count("no forces") == 3  # one in each row, and their number in the last
     assert "2 no forces" in text
     assert "to be looked at" not in text

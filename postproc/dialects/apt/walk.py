@@ -211,7 +211,10 @@ class _Walk:
             course.remarks.append(Remark(len(statements) - 1, "warning", "program-end", message))
 
     def _run_plain_gotos(self, begin: int, end: int) -> None:
-        """Execute the plain GOTO statements from row `begin` to row `end` (exclusive); add an error to the faults."""
+        """Execute the plain GOTO statements from row `begin` to row `end` (exclusive); add an error to the faults.
+
+        Statements behind FINI or END are not executed.
+        """
         statements = self.statements
         # points are ascending rows: indices of the first one in the range, and behind the last
         first, last = np.searchsorted(statements.points, [begin, end]).tolist()

@@ -259,6 +259,7 @@ def _name(expression: Expression, scope: Scope) -> tuple[Value, str]:
     if variable.value is None and variable.declaration is not None and variable.literal:
         initial = variable.declaration.value
         if initial is not None:
+            # without local data, which may have the names of data of the module
             variable.value, _ = evaluate(initial, Scope(scope.outer))
     if variable.value is None:
         prefix = f"{expression.value} is not known: "
