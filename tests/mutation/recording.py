@@ -12,6 +12,7 @@ import functools
 import json
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -58,16 +59,18 @@ class Recorder(WithoutChance):
         _forget()
         self.lines = set()
         start = time.process_time()
+        threading.settrace(self._call)  # a server of a test answers in a thread
         sys.settrace(self._call)
         try:
             return (yield)
         finally:
             sys.settrace(None)
+            threading.settrace(None)
             for definitions in getattr(item, "_fixtureinfo").name2fixturedefs.values():  # noqa: B009
                 for definition in definitions:
                     self.lines |= self.of_fixture.get(id(definition), set())
             by_file: dict[str, list[int]] = {}
-            for name, line in sorted(self.lines):
+            for name, line in sorted(self.lines.copy()):  # a thread may still add lines
                 by_file.setdefault(name, []).append(line)
             self.tests[item.nodeid] = {"seconds": time.process_time() - start, "lines": by_file}
 

@@ -47,7 +47,14 @@ def _product(mass: float, number: float) -> float:
     return mass * (number - 1.0)
 '''
 KINDS = ("sign", "operator", "factor", "condition", "dropped", "index", "argument", "unit")
-IMPORTS = "import numpy as np\nimport pytest\nfrom postproc.lever import load, moment, weight\n\n\n"
+IMPORTS = """from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from postproc.lever import load, moment, weight
+
+
+"""
 WEAK = """def test_something_comes_out():
     assert moment(np.eye(3), np.ones((3, 3))).shape == (3, 3)
 
@@ -63,7 +70,8 @@ STRONG = """def test_moment_is_the_cross_product():
 def test_weight():
     assert np.isclose(weight(np.array([1.0, 0.0, 2.5])), 3.5 * 9.81, rtol=1e-12)
     assert np.isclose(weight(np.ones(2), 1000.0), 2e3 * 9.81, rtol=1e-12)
-    assert np.isclose(load(2.0, 0.5), 9810.0, rtol=1e-12)
+    with ThreadPoolExecutor() as pool:  # lines of threads count too
+        assert np.isclose(pool.submit(load, 2.0, 0.5).result(), 9810.0, rtol=1e-12)
     with pytest.raises(ValueError):
         weight(np.array([2.0, -1.0]))
 """
