@@ -130,6 +130,16 @@ def test_after_a_restart_nothing_is_converted_again_even_if_the_record_is_lost(w
     assert sorted(converted(watcher())) == ["a.nc", "b.nc"]
 
 
+def test_a_divided_program_is_known_after_a_restart_by_its_main_file(watcher, tmp_path):
+    moves = "\n".join(f"X{5 + 0.1 * (n % 2):.1f}" for n in range(60))
+    put(tmp_path, "a.nc", PART.format(x=5).replace("X5", moves))
+    assert converted(watcher(lines_per_file=40)) == ["a.nc"]
+    assert (tmp_path / "out" / "aMain.src").is_file()
+    assert not (tmp_path / "out" / "a.src").exists()
+    (tmp_path / "out" / watching.STATE).unlink()
+    assert converted(watcher(lines_per_file=40)) == []
+
+
 def test_one_that_fails_stops_no_other_and_is_tried_again_when_it_changes(watcher, tmp_path):
     known = watcher()
     for name in ("a.nc", "c.nc"):

@@ -10,7 +10,16 @@ import pytest
 
 from postproc import cell as cells
 from postproc.app.screens import posted_answers
-from postproc.jobs.cell_edit import edit, fields_of, frame_tables, missing_frames, robot_and_frames_text
+from postproc.errors import InputError
+from postproc.jobs.cell_edit import (
+    edit,
+    feed_rule,
+    fields_of,
+    frame_tables,
+    missing_frames,
+    robot_and_frames_text,
+    set_feed_rule,
+)
 from postproc.jobs.program_needs import ProgramNeeds, needs_of
 from postproc.jobs.setup_form import CHECKED_KEY, OFFERED_KEY, setup_form, start_arguments
 from tests.app.test_window import looked_at, opened
@@ -113,6 +122,24 @@ def test_tools_of_a_program_get_frames_of_their_own_in_the_cell(tmp_path):
     assert [field.text for field in fields_of(path) if field.name == "tools.5.Z"] == ["301.5"]
     assert (missing_frames(path, two), missing_frames(path, other)) == ((), ("tools.3",))
     assert "$TOOL of T5 X 0 Y 0 Z 301.5" in robot_and_frames_text(path, (1, 5))
+
+
+def test_the_rule_of_the_feed_is_written_into_the_cell_and_nothing_else(tmp_path):
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL_TEXT)
+    assert feed_rule(path) == ""  # without a tolerance there is nothing to hold
+    text = CELL_TEXT + "\n[part]\ntolerance_mm = 0.1\n"
+    path.write_text(text)
+    before = tomllib.loads(text)
+    assert feed_rule(path) == "program"
+    assert set_feed_rule(path, "hold")
+    assert feed_rule(path) == "hold"
+    after = tomllib.loads(path.read_text())
+    assert after == {**before, "output": {**before.get("output", {}), "feed": "hold"}}
+    assert not set_feed_rule(path, "hold")
+    with pytest.raises(InputError):
+        set_feed_rule(path, "fast")
+    assert feed_rule(path) == "hold"
 
 
 def test_frames_by_number_and_work_offsets_that_a_cell_lacks_are_named_and_can_be_given(tmp_path):

@@ -227,6 +227,14 @@ def test_a_map_shows_todays_place_only_where_it_is_on_it(tmp_path, base, is_on_m
     assert "Dot: the best place, X 1" in page
 
 
+def test_a_region_keeps_what_it_does_not_name_and_without_one_the_place_may_change_both_ways():
+    own = replace(in_line(), base=Frame(X=1000.0, Y=-200.0, Z=700.0, A=30.0))
+    assert region_of("X=900:1200, A=-10:10", own) == Region(
+        (900.0, -200.0, 700.0, -10.0, 0.0), (1200.0, -200.0, 700.0, 10.0, 0.0)
+    )
+    assert region_of(None, own) == Region((600.0, -600.0, 500.0, -15.0, 0.0), (1400.0, 200.0, 900.0, 75.0, 0.0))
+
+
 def test_a_region_that_cannot_be_read_is_refused():
     own = in_line()
     assert region_of("X=1000:1200,A=-10:10", own).free == [0, 3]
