@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc.report import ProgramRow, program_text, programs_table, summary
 from tests import fabricated
@@ -105,3 +106,35 @@ def test_in_the_table_a_program_without_forces_does_not_look_like_a_success():
     assert "2 no forces" in text
     assert "to be looked at" not in text
     assert "a.nc and 1 more: no cutting move carries a force: nothing is corrected" in text
+
+
+def _judged(content, state, *reasons):
+    return replace(content, verdict=replace(content.verdict, state=state, reasons=list(reasons)))
+
+
+@pytest.mark.parametrize(("count", "last"), [(8, None), (9, "1 more reason"), (11, "3 more reasons")])
+def test_of_many_reasons_eight_are_printed_and_the_others_counted(count, last):
+    content = summary(fabricated.result(), 1e-5)
+    reasons = [f"reason {k}" for k in range(count)]
+    lines = program_text(_judged(content, "warning", *reasons)).splitlines()
+    listed = [line for line in lines if line.startswith("  - ")]
+    assert listed == [f"  - {text}" for text in reasons[:8]] + ([] if last is None else [f"  - {last}: see the report"])
+    rows = [
+        ProgramRow(f"{k}.nc", _judged(content, "failed", text, "another"), "done") for k, text in enumerate(reasons)
+    ]
+    listed = [line for line in programs_table(rows).splitlines() if line.startswith("  - ")]
+    assert listed == [f"  - {k}.nc: {text}" for k, text in enumerate(reasons[:8])] + (
+        [] if last is None else [f"  - {last}: see the overview"]
+    )
+
+
+def test_programs_with_the_same_first_reason_share_a_line():
+    content = summary(fabricated.result(), 1e-5)
+    verdicts = {
+        "a.nc": ("failed", "blunt", "late"), "c.nc": ("ok", "all well"), "d.nc": ("failed", "late"),
+        "e.nc": ("warning", "blunt"), "f.nc": ("failed", "blunt"),
+    }  # fmt: skip
+    rows = [ProgramRow(name, _judged(content, *verdict), "") for name, verdict in verdicts.items()]
+    table = programs_table([*rows, ProgramRow("b.nc", None, "failed")])
+    listed = [line for line in table.splitlines() if line.startswith("  - ")]
+    assert listed == ["  - a.nc and 2 more: blunt", "  - d.nc: late"]

@@ -4,11 +4,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from postproc.chunks import Runs
 from postproc.correction import ExpectedErrors
 from postproc.errors import Issue
 from postproc.program import Document
 from postproc.report import page, program_text, summary
 from postproc.report.answers import COLOURS, EXIT_CODES, Remedy
+from postproc.report.summary import Clearance
+from postproc.report.verdict import clearance_text
 from postproc.robot import Covariance, JointCompliance
 from tests import fabricated
 from tests.commands import run
@@ -260,3 +263,27 @@ def test_a_stock_that_nobody_stated_is_something_to_look_at_first():
     assert verdict.headline.startswith("Look before you run it.")
     assert verdict.headline.endswith("The stock is assumed: check it first.")
     assert verdict.reasons[0] == "the stock is assumed"
+
+
+def test_the_smallest_clearance_is_said_or_why_it_is_unknown():
+    content = _content()
+    assert clearance_text(content) == "collisions are not checked: the cell has no [collision]"
+    none = replace(content, collision=Clearance(None, [], 0, []))
+    assert clearance_text(none) == "[collision] names no bodies that could touch"
+    near = replace(content, collision=Clearance(12.3456, ["hand", "table"], 42, []))
+    assert clearance_text(near) == "smallest clearance 12.3 mm, of hand and table at line 42; stock not counted"
+
+
+def test_the_numbers_rest_on_what_is_assumed():
+    rigid = "rigid; frames ($BASE, $TOOL) as the cell states them"
+    assert _verdict().assumes[1:] == [
+        "the cutting forces as given, constant in time: no chatter, no dynamics of drives",
+        f"holder, spindle and workpiece {rigid}",
+    ]
+    exact = "exact forces: the bound counts no error of theirs (columns sFx, sFy, sFz or sigma_percent)"
+    assert _verdict(exact_forces=True).assumes[2] == exact
+    soft = _verdict(deflection_by_tool=np.zeros((100, 3)), wrench=Runs.of(np.zeros((100, 6))))
+    assert soft.assumes[1:] == [f"workpiece {rigid}"]
+    result = _known(fabricated.result())
+    unknown = replace(result, robot=replace(result.robot, covariance=None))
+    assert "exact parameters: the model has no covariance" in summary(unknown, 1e-5).verdict.assumes
