@@ -38,6 +38,7 @@ from postproc.machining import Process, ProcessForces, ProcessSource, Shift, ide
 from postproc.machining.identification import IdentifiedMaterial
 from postproc.machining.remaining import Guard, Part
 from postproc.machining.stock import as_trimesh
+from postproc.machining.stock_mesh import MOST_FILE_CELLS, RemainingMesh
 from postproc.program import Bools, Program
 from postproc.report import process_forces
 from postproc.report.material import material_page
@@ -311,7 +312,20 @@ def _guard(table: Collision) -> Guard:
 
 def stock_glb(process: ProcessForces) -> bytes:
     """Return the remaining stock as GLB."""
-    return bytes(as_trimesh(*process.mesh()).export(file_type="glb"))
+    mesh = process.mesh()
+    return bytes(as_trimesh(mesh.vertices, mesh.faces).export(file_type="glb"))
+
+
+def _coarse_mesh_issues(mesh: RemainingMesh, process: ProcessForces) -> list[Issue]:
+    """Return a warning if the mesh of the remaining stock has wider cells than its map."""
+    if mesh.cell < 1.5 * process.stock.cell:
+        return []
+    message = (
+        f"the remaining stock has cells of {1e3 * mesh.cell:.2g} mm instead of {1e3 * process.stock.cell:.2g} mm, for "
+        "the size of its file: forces of a next program that cuts less than that are less accurate. Put both "
+        "operations in one program, or divide the stock"
+    )
+    return [Issue("warning", "coarse-stock", message)]
 
 
 def _real_cut_message(
@@ -559,14 +573,17 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     content = process_forces.summary(program, forces, int(knots.ramped.sum()))
     rows = machining.knots_by_line(program, path, robot_in_cell.spindle, knots)
     contents: dict[str, bytes | Iterable[bytes]] = {names[0]: process_forces.forces_csv(program, rows)}
+    mesh_issues: list[Issue] = []
     if request.stock_out is not None:
         if forces is None:
             raise InputError(
                 "--stock-out without [material]", advice="The remaining stock is known only where the tool is swept."
             )
-        mesh = as_trimesh(*forces.mesh())
-        contents[names[1]] = bytes(mesh.export(file_type=request.stock_out.suffix[1:].lower()))
-    issues = (*(() if forces is None else forces.issues), *knots.issues)
+        mesh = forces.mesh(MOST_FILE_CELLS)
+        mesh_issues = _coarse_mesh_issues(mesh, forces)
+        exported = as_trimesh(mesh.vertices, mesh.faces).export(file_type=request.stock_out.suffix[1:].lower())
+        contents[names[1]] = bytes(exported)
+    issues = (*(() if forces is None else forces.issues), *mesh_issues, *knots.issues)
     record = add_record(contents, names[-1], lambda entries: process_forces.forces_json(content, issues, entries))
     return ForcesFiles(content, issues, tuple(write_whole(folder, record)))
 

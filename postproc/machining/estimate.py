@@ -25,6 +25,7 @@ from postproc.machining.remaining import Ceiling, Guard, StockInTime
 from postproc.machining.resolution import FINE_ENOUGH_SHARE, ThinPasses, cell_divisors, thin_passes
 from postproc.machining.setups import Setup, divide_by_cells, setups
 from postproc.machining.stock import Stock
+from postproc.machining.stock_mesh import MOST_FILE_CELLS, RemainingMesh, mesh_of
 from postproc.machining.sweep import Cuts, Sweep
 from postproc.machining.tool_path import (
     AXIS_TOLERANCE,
@@ -105,13 +106,13 @@ class ProcessForces(Struct, frozen=True, eq=False):
     issues: tuple[Issue, ...]
     over_time: StockInTime | None
 
-    def mesh(self, most_cells: int = 250_000) -> tuple[Array, NDArray[np.int64]]:
-        """Return the remaining stock as a closed mesh in `$BASE`: vertices (V, 3) [m], faces (F, 3).
+    def mesh(self, most_cells: int = 250_000) -> RemainingMesh:
+        """Return the remaining stock as a closed mesh in `$BASE`.
 
-        :param most_cells: larger maps are made coarser.
+        :param most_cells: with more cells that are not in level regions, the mesh is made coarser.
         """
-        vertices, faces = stocks.mesh_of(self.stock, most_cells)
-        return vertices @ self.map_in_base[:3, :3].T + self.map_in_base[:3, 3], faces
+        mesh = mesh_of(self.stock, most_cells)
+        return mesh._replace(vertices=mesh.vertices @ self.map_in_base[:3, :3].T + self.map_in_base[:3, 3])
 
 
 class _OverhangError(ForceError):
@@ -591,9 +592,9 @@ def _next_map(material: Stock, last_setup: Setup, setup: Setup, cell: float) -> 
     if np.array_equal(last_setup.frame, setup.frame):
         ratio = -(-setup.factor // last_setup.factor)  # rounded up to a whole number
         return stocks.refine(material, ratio) if ratio > 1 else material
-    vertices, faces = stocks.mesh_of(material)
+    mesh = mesh_of(material, MOST_FILE_CELLS)
     to_map = inverse(setup.frame) @ last_setup.frame
-    return stocks.from_mesh(vertices @ to_map[:3, :3].T + to_map[:3, 3], faces, cell / setup.factor)
+    return stocks.from_mesh(mesh.vertices @ to_map[:3, :3].T + to_map[:3, 3], mesh.faces, cell / setup.factor)
 
 
 def _stock_map(process: Process, frame: Array, cell: float, path: Path | None) -> tuple[Stock, list[Issue]]:

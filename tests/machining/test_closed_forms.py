@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from postproc.machining import material, stock, table
+from postproc.machining import material, stock, stock_mesh, table
 from tests.machining.setting import AL7075, forces, gcode, line_of, on_line, process, tool
 
 BOX = ((0, 100), (-40, 40), (-20, 0))
@@ -138,7 +138,7 @@ def test_volume_of_a_mesh_is_that_of_trimesh():
 
 def test_the_mesh_of_a_box_has_its_corners():
     low, high = np.array([0.01, -0.02, -0.003]), np.array([0.03, 0.01, 0.004])
-    vertices, faces = stock.mesh_of(stock.from_box(low, high, 1e-3))
+    vertices, faces, _ = stock_mesh.mesh_of(stock.from_box(low, high, 1e-3))
     assert set(vertices[:, 2].round(9)) == {low[2], high[2]}
     np.testing.assert_allclose([vertices.min(axis=0), vertices.max(axis=0)], [low, high], atol=1e-9)
     assert stock.as_trimesh(vertices, faces).volume == pytest.approx(20 * 30 * 7, rel=1e-6)
@@ -149,7 +149,7 @@ def test_removed_volume_and_what_is_left_are_those_of_trimesh(tmp_path):
     text = gcode("G0 X30 Y0 Z5", "G1 Z-3 F300", "X70")
     _, found = forces(tmp_path, text, process(tool(10, 4), BOX))
     assert found.removed_volume == pytest.approx((math.pi * 25 + 400) * 3e-9, rel=2e-3)
-    vertices, faces = found.mesh()
+    vertices, faces, _ = found.mesh()
     mesh = trimesh.Trimesh(vertices * 1e3, faces)
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(100 * 80 * 20 - (math.pi * 25 + 400) * 3, rel=1e-3)
@@ -225,7 +225,7 @@ def test_the_volume_of_a_ramp_is_the_analytic_one(tmp_path, degrees, downhill):
 def test_a_slot_cut_through_leaves_two_closed_parts(tmp_path):
     text = gcode("G0 X-10 Y0 Z5", "G1 Z-21 F2400", "X110")
     _, found = forces(tmp_path, text, process(tool(10, 4), BOX, 0.5))
-    vertices, faces = found.mesh()
+    vertices, faces, _ = found.mesh()
     mesh = trimesh.Trimesh(vertices * 1e3, faces)
     assert mesh.is_watertight
     assert len(mesh.split()) == 2

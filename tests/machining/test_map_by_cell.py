@@ -294,36 +294,6 @@ def test_a_sloping_face_has_its_level_in_the_middle_of_each_cell():
     assert inner.sum() == 96
 
 
-@pytest.mark.parametrize("most_cells", [250_000, 150])
-def test_the_mesh_of_a_map_is_closed_and_has_its_volume(most_cells):
-    """Surfaces are means at the corners of cells, so a volume is kept to the steps at the sides."""
-    stock = replace(made_stock(4), share=np.zeros(SIZE, dtype=np.float32))
-    stock.high[:] = np.where(stock.high > stock.floor, -0.002, stock.floor)
-    vertices, faces = stocks.mesh_of(stock, most_cells)
-    mesh = stocks.as_trimesh(vertices, faces)
-    assert mesh.is_watertight
-    assert mesh.is_winding_consistent
-    assert mesh.volume * 1e-9 == pytest.approx(stock.volume(), rel=0.05)
-    low, high = mesh.bounds * 1e-3
-    assert low[2] == pytest.approx(-0.02, abs=1e-6)
-    assert high[2] <= -0.002 + 1e-6
-    assert (low[:2] >= np.array([stock.x, stock.y]) - 1e-9).all()
-
-
-def test_cells_that_touch_at_a_corner_only_are_separated():
-    rng = np.random.default_rng(12)
-    for _ in range(30):
-        filled = rng.random((6, 7)) < 0.5
-        before = filled.copy()
-        stocks._separate_diagonal_cells(filled)
-        assert not (filled & ~before).any()
-        for row, column in np.ndindex(5, 6):
-            block = filled[row : row + 2, column : column + 2]
-            assert block.sum() != 2 or block[0, 0] != block[1, 1]
-        if not (before & ~filled).any():
-            assert (filled == before).all()
-
-
 @pytest.mark.parametrize("factor", [2, 3])
 def test_finer_cells_have_the_surface_of_a_plane_and_the_walls_of_the_wider_ones(factor):
     """A plane with slopes is continued exactly; cells with a wall, or next to one, keep their level."""

@@ -78,7 +78,7 @@ def test_a_tool_that_is_turned_between_two_cuts_meets_what_is_left(tmp_path):
 
 def test_what_one_program_leaves_is_the_stock_of_the_next(tmp_path):
     _, first = forces(tmp_path, gcode(*FACE[:-2]), TWO)
-    vertices, faces = first.mesh()
+    vertices, faces, _ = first.mesh()
     trimesh.Trimesh(vertices * 1e3, faces).export(tmp_path / "rest.stl")
     text = gcode("G0 X-10 Y0 Z5", "G1 Z-3 F2400", "X70 (here)")
     program, found = forces(tmp_path, text, TWO, stock=tmp_path / "rest.stl")

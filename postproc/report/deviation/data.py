@@ -227,7 +227,7 @@ class Deviation(Struct, frozen=True, dict=True):
         """
         if self.process is None:
             return {}
-        points, faces = self.process.mesh(_STOCK_CELLS)
+        points, faces, _ = self.process.mesh(_STOCK_CELLS)
         height = points @ self.process.map_in_base[:3, 2]  # along the z axis of the map of the stock
         depth = height.max(initial=-np.inf) - height
         edge = _sharp_edges(points, faces)
