@@ -930,7 +930,10 @@ def _rapid_advice(program: Program, motion: Ints) -> str:
         )
     if (program.motions.kind[motion] == PTP).any():
         return "All axes move at once on a PTP, not the tip along a line: retract before it, or go there by LIN"
-    return "Retract, or cut here first"
+    return (
+        "Retract, or cut here first. If another program cuts here first, state the stock that it leaves: "
+        "[stock] file of the process"
+    )
 
 
 def _tool_length_advice(program: Program, motion: int) -> str:

@@ -559,6 +559,11 @@ def _assumptions(result: Result) -> list[str]:
             assumptions.append(
                 "exact forces: the bound counts no error of theirs (columns sFx, sFy, sFz or sigma_percent)"
             )
+    if result.is_stock_known:
+        assumptions.append(
+            "the stock of the process before the first cut: what other programs cut before is not removed from it. "
+            "State what they leave as [stock] file"
+        )
     if result.robot.covariance is None:
         assumptions.append("exact parameters: the model has no covariance")
     rigid = "holder, spindle and workpiece" if result.deflection_by_tool is None else "workpiece"

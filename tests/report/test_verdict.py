@@ -282,6 +282,7 @@ def test_the_numbers_rest_on_what_is_assumed():
     ]
     exact = "exact forces: the bound counts no error of theirs (columns sFx, sFy, sFz or sigma_percent)"
     assert _verdict(exact_forces=True).assumes[2] == exact
+    assert "the stock of the process before the first cut" in _verdict(is_stock_known=True).assumes[2]
     soft = _verdict(deflection_by_tool=np.zeros((100, 3)), wrench=Runs.of(np.zeros((100, 6))))
     assert soft.assumes[1:] == [f"workpiece {rigid}"]
     result = _known(fabricated.result())
