@@ -533,9 +533,10 @@ def _unloaded_poses(robot: RobotModel, q: Array) -> tuple[Array, Array]:
 
     :param q: (C, 6) joint angles that the controller holds [rad].
     :returns: (C, 4, 4) poses in the root [m]; (C, 6) actual angles [rad].
+    :raises NotConvergedError: the springs cannot carry the weight of the arm.
     """
     x, joints = elastostatics.coordinates(robot, q), list(robot.actuated)
-    # the geometry contains the sag
+    # a calibrated geometry contains the sag
     if robot.subtract_reference:
         pose, _ = kinematics.tcp(robot.actual, x, np.eye(4))
         return pose, x[:, joints]

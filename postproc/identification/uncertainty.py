@@ -489,6 +489,7 @@ def _main_cause(robot: RobotModel, q: Array, tool: Array, wrench: Array, bound: 
     The clause names the unmodelled error instead if that is more than half of the bound.
 
     :param q: (6,) joint angles [rad].
+    :param tool: (4, 4) in the flange frame [m].
     :param wrench: (6,) force [N] and moment [N·m] on the tool, root axes.
     :param bound: of the position of the tool [m].
     """

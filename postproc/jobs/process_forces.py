@@ -554,10 +554,12 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     program, cell = read_with_start(request.program, robot, cell, request.dialect)
     robot_in_cell = RobotInCell.of(robot, cell)
     path = segments_in_cell(program, robot_in_cell)
-    folder, names = _output_folder_and_names(request)
-    protect(filter(None, (request.program, request.cell, request.process, request.stock)), folder, names)
+    outputs = _outputs(request)
+    protect(
+        filter(None, (request.program, request.cell, request.process, request.stock)), outputs.folder, outputs.names
+    )
     if not request.overwrite:
-        refuse(find_foreign_files(folder, names, names[-1]))
+        refuse(find_foreign_files(outputs.folder, outputs.names, outputs.record))
     forces = None
     if process.material is not None:
         forces = machining.estimate(
@@ -572,7 +574,7 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
     knots = _knots(program, process, forces)
     content = process_forces.summary(program, forces, int(knots.ramped.sum()))
     rows = machining.knots_by_line(program, path, robot_in_cell.spindle, knots)
-    contents: dict[str, bytes | Iterable[bytes]] = {names[0]: process_forces.forces_csv(program, rows)}
+    contents: dict[str, bytes | Iterable[bytes]] = {outputs.table: process_forces.forces_csv(program, rows)}
     mesh_issues: list[Issue] = []
     if request.stock_out is not None:
         if forces is None:
@@ -582,18 +584,38 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
         mesh = forces.mesh(MOST_FILE_CELLS)
         mesh_issues = _coarse_mesh_issues(mesh, forces)
         exported = as_trimesh(mesh.vertices, mesh.faces).export(file_type=request.stock_out.suffix[1:].lower())
-        contents[names[1]] = bytes(exported)
+        contents[outputs.stock] = bytes(exported)
     issues = (*(() if forces is None else forces.issues), *mesh_issues, *knots.issues)
-    record = add_record(contents, names[-1], lambda entries: process_forces.forces_json(content, issues, entries))
-    return ForcesFiles(content, issues, tuple(write_whole(folder, record)))
+    record = add_record(contents, outputs.record, lambda entries: process_forces.forces_json(content, issues, entries))
+    return ForcesFiles(content, issues, tuple(write_whole(outputs.folder, record)))
 
 
-def _output_folder_and_names(request: ForcesRequest) -> tuple[Path, list[str]]:
-    """Return the output folder and the names of the files to write: table, remaining stock if any, and JSON.
+class _Outputs(NamedTuple):
+    """Files to be written.
+
+    :param folder: of all files.
+    :param table: name of the table of forces.
+    :param stock: name of the mesh of the remaining stock; empty if it is not written.
+    :param record: name of the JSON file.
+    """
+
+    folder: Path
+    table: str
+    stock: str
+    record: str
+
+    @property
+    def names(self) -> list[str]:
+        """The names of all files."""
+        return [name for name in (self.table, self.stock, self.record) if name]
+
+
+def _outputs(request: ForcesRequest) -> _Outputs:
+    """Return the files to be written.
 
     :raises InputError: table and stock are in different folders, or the stock is of an unknown kind of mesh.
     """
-    folder, names = request.output.parent, [request.output.name]
+    folder, stock = request.output.parent, ""
     if request.stock_out is not None:
         if request.stock_out.parent.resolve() != folder.resolve():
             raise InputError(
@@ -602,8 +624,8 @@ def _output_folder_and_names(request: ForcesRequest) -> tuple[Path, list[str]]:
         if request.stock_out.suffix.lower() not in _MESHES:
             advice = f"Known: {', '.join(_MESHES)}."
             raise InputError(f"--stock-out {request.stock_out.name}: not a kind of mesh file", advice=advice)
-        names.append(request.stock_out.name)
-    return folder, [*names, f"{request.output.stem}.json"]
+        stock = request.stock_out.name
+    return _Outputs(folder, request.output.name, stock, f"{request.output.stem}.json")
 
 
 def _knots(program: Program, process: Process, forces: ProcessForces | None) -> Knots:

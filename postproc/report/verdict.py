@@ -321,7 +321,10 @@ def _is_corrected_input(content: Summary) -> bool:
 
 
 def _passed_findings(result: Result, content: Summary) -> list[Finding]:
-    """Return findings on the expected error, the margins, the checks that passed, and assumed values of the model."""
+    """Return findings on the expected error, the margins, the checks that passed, and assumed values of the model.
+
+    Without targets there is no finding on errors, margins and surfaces.
+    """
     findings = list[Finding]()
     if content.targets:
         _, surface_findings = _surface_findings(content)

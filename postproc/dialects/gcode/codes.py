@@ -5,6 +5,8 @@ A code that is in none of these tables is refused, because an unknown code may m
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 MOTION = (0.0, 1.0, 2.0, 3.0)
 CYCLES = (73.0, 81.0, 82.0, 83.0, 84.0, 85.0, 86.0, 89.0)
 MOVING = (*MOTION, *CYCLES)
@@ -150,8 +152,15 @@ WORD_ADVICE = {
 """Advice for words that no code of the block uses."""
 
 
-def refusal(letter: str, code: float) -> tuple[str, str]:
-    """Return problem and advice for a G or M code that is not accepted.
+class Refusal(NamedTuple):
+    """Problem of a code that is not accepted, and advice."""
+
+    problem: str
+    advice: str
+
+
+def refusal(letter: str, code: float) -> Refusal:
+    """Return the refusal of a G or M code that is not accepted.
 
     :param letter: G or M; `code`: its number, such as 43.4.
     """
@@ -159,5 +168,5 @@ def refusal(letter: str, code: float) -> tuple[str, str]:
     if advice is None:
         unknown_advice = "An unknown code may move the machine. Remove it if it has no effect here"
         suffix = f", or give its KRL lines in the cell: [m_codes] M{code:g} = [] for none." if letter == "M" else "."
-        return f"{letter}{code:g} is not known", unknown_advice + suffix
-    return f"{letter}{code:g} is not supported", advice
+        return Refusal(f"{letter}{code:g} is not known", unknown_advice + suffix)
+    return Refusal(f"{letter}{code:g} is not supported", advice)

@@ -702,18 +702,18 @@ class _Reader:
         """Add a remark on a line for the user."""
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
-    def _offset_refusal(self, code: float) -> tuple[str, str] | None:
-        """Return problem and advice if a work offset cannot be used; None if it can.
+    def _offset_refusal(self, code: float) -> codes.Refusal | None:
+        """Return the refusal of a work offset that cannot be used; None if it can be used.
 
         :param code: number of its G code, such as 54.0.
         """
         if f"G{code:g}" not in self.frame_codes.offsets:
             name = f"G{code:g}" if code.is_integer() else f'"G{code:g}"'  # TOML: a name with a dot is in quotes
             advice = f"Give its frame in $BASE in the cell: [work_offsets.{name}]."
-            return f"work offset G{code:g} is not in the cell", advice
+            return codes.Refusal(f"work offset G{code:g} is not in the cell", advice)
         frame, rotary = self.cell.work_offsets.get(f"G{code:g}"), self.cell.rotary
         if frame is not None and frame.is_turned and rotary is not None and rotary.kind == "indexed":
-            return f"[work_offsets.G{code:g}] {TURNED_OFFSET}", TURNED_OFFSET_ADVICE
+            return codes.Refusal(f"[work_offsets.G{code:g}] {TURNED_OFFSET}", TURNED_OFFSET_ADVICE)
         return None
 
     def _warn_of_tapping(self, row: int) -> None:
@@ -742,7 +742,7 @@ class _Reader:
         :raises BlockError: a code is not supported, or a work offset is not in the cell.
         """
         row, g, values = block.row, block.g, block.values
-        first_refusal: tuple[str, str | None] | None = None
+        first_refusal: codes.Refusal | None = None
         for code in g:
             group = codes.GROUP_OF.get(code)
             if group == "offset" and (refusal := self._offset_refusal(code)) is not None:
