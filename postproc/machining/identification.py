@@ -254,7 +254,11 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
             sigma=system.sigma,
             chip=np.round(chip[system.reading], 6),  # equal feeds per tooth are equal numbers
         ),
-        sigma_percent=max(_LEAST_SIGMA, _percent_of_readout(system, fit.covariance, fit.error, file)),
+        sigma_percent=max(
+            _LEAST_SIGMA,
+            _percent_of_readout(system, fit.covariance, fit.error, file),
+            0.0 if is_excited.all() else _percent_of_forces(equations(readings, tool)[:, :3], fit),
+        ),
         warnings=tuple(warnings),
     )
 
@@ -455,6 +459,18 @@ def _percent_of_readout(system: _Equations, covariance: Array, error: Array, fil
             advice="Check mode, ap_mm, ae_mm, rpm and feed_mm_per_min, and flutes and diameter of the tool.",
         )
     return percent
+
+
+def _percent_of_forces(derivatives: Array, fit: _CoefficientFit) -> float:
+    """Return the RMS standard deviation of forces that follows from the coefficients, in % of the RMS of the forces.
+
+    Readings of power alone fit well, but say nothing of the radial and axial coefficients.
+
+    :param derivatives: (n, 3, 6) of the forces by the coefficients.
+    """
+    variance = float(np.einsum("nci,ij,ncj->", derivatives, fit.covariance, derivatives))
+    rms_force = float(np.linalg.norm(derivatives @ fit.value))
+    return min(100.0 * float(np.sqrt(variance)) / rms_force, _MOST_SIGMA)
 
 
 def _fit(predictor: Array, readout: Array, sigma: Array) -> tuple[Array, Array]:

@@ -171,6 +171,30 @@ def test_a_force_across_alone_leaves_some_coefficients_open():
         identification.identify(one, IDENTIFIED_TOOL, None, "measured.csv")
 
 
+def test_the_sigma_of_forces_from_power_counts_the_coefficients_that_power_does_not_depend_on():
+    """Mean forces of slots by coefficients drawn from the covariance, by hand: −N·a·(c/4·Krc + Kre/π) and so on."""
+    ktc, krc, kac, kte, kre, kae = TRUE
+    prior = machining.Entry(
+        Ktc_N_per_mm2=ktc, Krc_N_per_mm2=krc, Kac_N_per_mm2=kac, Kte_N_per_mm=kte, Kre_N_per_mm=kre, Kae_N_per_mm=kae,
+        sigma_percent=40.0,
+    )  # fmt: skip
+    found = identified(SLOTS, forces=False, power=True, prior=prior)
+    drawn = np.random.default_rng(5).multivariate_normal(found.value, found.covariance, 20_000)
+    chip = np.array(FEEDS)[:, None]
+
+    def slot_forces(coefficient):
+        """Fx, Fy, Fz (3, n, k) [N] of n feeds by k sets of coefficients (k, 6)."""
+        ktc, krc, kac, kte, kre, kae = coefficient.T
+        x, y = -(chip / 4 * krc + kre / np.pi), chip / 4 * ktc + kte / np.pi
+        return TEETH * DEPTH * np.array([x, y, chip / np.pi * kac + kae / 2])
+
+    force = slot_forces(found.value[None])
+    spread = np.sqrt(np.sum(np.mean((slot_forces(drawn) - force) ** 2, axis=2)) / np.sum(force**2))
+    assert found.sigma_percent == pytest.approx(100 * spread, rel=0.03)
+    assert found.sigma_percent > 8.0
+    assert identified(SLOTS).sigma_percent == 2.0
+
+
 def test_power_gives_the_tangential_coefficients_and_the_rest_is_from_the_process():
     prior = machining.table()["al_6082_t6_carbide"]
     found = identified(SLOTS, forces=False, power=True, prior=prior)
