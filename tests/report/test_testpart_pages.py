@@ -14,7 +14,7 @@ from postproc.identification.record import Parameter
 from postproc.report.testpart import agreement_lines, design_lines, design_page, part_lines, part_page
 from postproc.testpart import features
 from postproc.testpart.design import Candidates, Design
-from postproc.testpart.features import Cutting, Feature, Kind, Placement
+from postproc.testpart.features import Cutting, Feature, FirstNumbers, Kind, Placement
 from postproc.testpart.model import Agreement, PartIdentification, ProbedPoint, TouchOffError
 from tests.html_page import read_page
 from tests.testpart.test_tables_and_surfaces import motions_of
@@ -39,7 +39,7 @@ def programs(count=1, mass=0.0):
     if count == 1:
         return {BASE: features.program(FEATURES, CUTTING, mass, hung, touches=TOUCHES)}
     first = features.program(FEATURES[:2], CUTTING, touches=TOUCHES)
-    second = features.program(FEATURES[2:], CUTTING, mass, hung, touches=TOUCHES[:2], first=(3, 1, 4))
+    second = features.program(FEATURES[2:], CUTTING, mass, hung, touches=TOUCHES[:2], first=FirstNumbers(3, 1, 4))
     return {BASE: first, SECOND: second}
 
 
