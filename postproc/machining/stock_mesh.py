@@ -215,26 +215,37 @@ def _layout(columns: _Columns, width: float) -> _Layout:
     moves = [move / total for move in moves]
     is_filled = thickness > 0.0
     steps = _steps(columns.floor + thickness, is_filled, width)
-    x_shift = np.pad(moves[0], ((0, 0), (0, 1))) - np.pad(moves[1], ((0, 0), (1, 0)))
-    y_shift = np.pad(moves[2], ((0, 1), (0, 0))) - np.pad(moves[3], ((1, 0), (0, 0)))
     is_x_wall = steps.x | (np.diff(np.pad(is_filled, ((0, 0), (1, 1))).astype(int), axis=1) != 0)
     is_y_wall = steps.y | (np.diff(np.pad(is_filled, ((1, 1), (0, 0))).astype(int), axis=0) != 0)
-    return _Layout(thickness, _corner_shift(x_shift, is_x_wall, axis=0), _corner_shift(y_shift, is_y_wall, axis=1))
+    # 1 for a wall at 45° to the sides, 0 for one along them; ends of a side move by half a cell at most
+    largest_move = np.maximum.reduce(moves)
+    skew = 4.0 * weights[0] * weights[1] / (weights[0] + weights[1]) ** 2
+    skew = np.clip(np.minimum(skew, _LARGEST_SHIFT / np.maximum(largest_move, 1e-12) - 1.0), 0.0, 1.0)
+    x_skew, y_skew = (skew * np.sign(moves[k + 1] - moves[k]) for k in (2, 0))
+    x_shift = _corner_shift(moves[0], moves[1], x_skew, is_x_wall)
+    y_shift = _corner_shift(moves[2].T, moves[3].T, y_skew.T, is_y_wall.T).T
+    return _Layout(thickness, x_shift, y_shift)
 
 
-def _corner_shift(shift: Array, is_wall: Bools, axis: int) -> Array:
-    """Return the shift of each corner: the mean of those of the walls that meet there along an axis.
+def _corner_shift(before: Array, after: Array, skew: Array, is_wall: Bools) -> Array:
+    """Return the shift of each corner (ny + 1, nx + 1) along x: the mean of those of the walls that meet there.
 
-    :param shift: shifts of sides across themselves, in widths of a cell, and `is_wall` whether a side is a wall.
-    :param axis: the axis along which two sides meet at a corner.
+    Where two walls of a cell meet, their common corner moves farther than their other ends: of a stair of cells the
+    outer corners alone move, and it becomes a straight wall.
+
+    :param before: (ny, nx) move of the side before each cell into it, in widths of a cell, and `after` (ny, nx) of the
+        side after it.
+    :param skew: (ny, nx) share by which the ends of both sides in the next row move farther, and the others less.
+    :param is_wall: (ny, nx + 1) whether a side is a wall.
     """
-    pad = ((1, 1), (0, 0)) if axis == 0 else ((0, 0), (1, 1))
-    total, count = np.pad(np.where(is_wall, shift, 0.0), pad), np.pad(is_wall, pad).astype(float)
-    if axis == 0:
-        total, count = total[1:] + total[:-1], count[1:] + count[:-1]
-    else:
-        total, count = total[:, 1:] + total[:, :-1], count[:, 1:] + count[:, :-1]
-    return np.asarray(np.clip(total / np.maximum(count, 1.0), -_LARGEST_SHIFT, _LARGEST_SHIFT))
+    total = np.zeros((before.shape[0] + 1, before.shape[1] + 1))
+    total[:-1, :-1] += (1.0 - skew) * before
+    total[1:, :-1] += (1.0 + skew) * before
+    total[:-1, 1:] -= (1.0 - skew) * after
+    total[1:, 1:] -= (1.0 + skew) * after
+    walls = np.pad(is_wall, ((1, 1), (0, 0))).astype(float)
+    shift = total / np.maximum(walls[1:] + walls[:-1], 1.0)
+    return np.asarray(np.clip(shift, -_LARGEST_SHIFT, _LARGEST_SHIFT))
 
 
 def _around_corners(values: NDArray[Any]) -> list[NDArray[Any]]:
@@ -325,6 +336,21 @@ class _Surface(NamedTuple):
         vertices = np.column_stack([self.x.reshape(-1)[corner], self.y.reshape(-1)[corner], z])
         return RemainingMesh(vertices, faces.reshape(-1, 3).astype(np.int64), self.cell)
 
+    @property
+    def _turns_diagonal(self) -> Bools:
+        """True for cells (ny, nx) with larger triangles if the second and the fourth corner are joined."""
+        corner = np.stack([self.x, self.y])
+        a, b, c, d = corner[:, :-1, :-1], corner[:, :-1, 1:], corner[:, 1:, 1:], corner[:, 1:, :-1]
+
+        def area(first: Array, second: Array, third: Array) -> Array:
+            """Return twice the areas (ny, nx) of triangles [m²], positive if anticlockwise."""
+            u, v = second - first, third - first
+            return np.asarray(u[0] * v[1] - u[1] * v[0])
+
+        smallest = np.minimum(area(a, b, c), area(a, c, d))
+        # 1e-3: of unmoved cells only rounding differs
+        return np.asarray(np.minimum(area(a, b, d), area(b, c, d)) > smallest + 1e-3 * self.cell**2)
+
     def _key(self, height: Ints, row: Ints, column: Ints) -> Ints:
         """Return the keys of vertices: the corner, and the height in units of `_HEIGHT_STEP`."""
         return np.asarray((row * self.x.shape[1] + column) * _KEYS + height + _KEYS // 2)
@@ -341,8 +367,10 @@ class _Surface(NamedTuple):
         """Yield the triangles (F, 3) of cells that are not merged, by the keys of their vertices."""
         for side, is_merged in enumerate(self.is_merged):
             merged_cells = np.repeat(np.repeat(is_merged, _BLOCK, axis=0), _BLOCK, axis=1)
-            a, b, c, d = self._corner_keys(side, *np.nonzero(self.is_filled & ~merged_cells))
-            for first, second, third in ((a, b, c), (a, c, d)):
+            row, column = np.nonzero(self.is_filled & ~merged_cells)
+            a, b, c, d = self._corner_keys(side, row, column)
+            turns = self._turns_diagonal[row, column]
+            for first, second, third in ((a, b, np.where(turns, d, c)), (np.where(turns, b, a), c, d)):
                 yield np.column_stack([first, second, third] if side == 0 else [third, second, first])
 
     def _block_faces(self) -> Iterator[Ints]:

@@ -109,19 +109,22 @@ def test_walls_of_a_slot_are_vertical_and_in_their_place(tmp_path, offset):
             np.testing.assert_allclose(heights(lines, wall + inside), [-10.0, low], atol=1e-3)
 
 
-def test_a_wall_at_an_angle_has_its_place_within_a_third_of_a_cell(tmp_path):
-    """A slot at 20° to the cells, and the length of its wall at mid height."""
-    text = gcode("G0 X-40 Y-14.5588 Z5", "G1 Z-6 F2400", "X40 Y14.5588", "G0 Z20")
+@pytest.mark.parametrize("degrees", [20, 41])
+def test_a_wall_at_an_angle_has_its_place_within_a_quarter_of_a_cell(tmp_path, degrees):
+    """A slot at an angle to the cells: distances of a section's corners from the axis; no face is folded."""
+    tangent = math.tan(math.radians(degrees))
+    text = gcode(f"G0 X-40 Y{-40 * tangent:.5f} Z5", "G1 Z-6 F2400", f"X40 Y{40 * tangent:.5f}", "G0 Z20")
     _, found = forces(tmp_path, text, process(tool(10, 4), BLOCK))
-    mesh = found.mesh()
-    solid = in_mm(mesh)
+    solid = in_mm(found.mesh())
     lines = trimesh.intersections.mesh_plane(solid, [0.0, 0.0, 1.0], [0.0, 0.0, -2.999])[:, :, :2]
-    across = np.abs(lines @ [-math.sin(math.radians(20)), math.cos(math.radians(20))])
-    ends = np.abs(lines[..., 0]).max(axis=1) < 10.0
-    walls = across[ends & (across.max(axis=1) < 6.0)]
-    assert len(walls) > 100
-    assert np.abs(walls - 5.0).max() < 0.25 / 2
-    assert np.mean(walls) == pytest.approx(5.0, abs=0.01)
+    across = np.abs(lines @ [-math.sin(math.radians(degrees)), math.cos(math.radians(degrees))])
+    is_wall = (np.abs(lines[..., 0]).max(axis=1) < 5.0) & (across.max(axis=1) < 6.0)
+    assert is_wall.sum() > 60
+    assert np.abs(across[is_wall] - 5.0).max() < 0.25 / 4
+    assert np.mean(across[is_wall]) == pytest.approx(5.0, abs=0.01)
+    is_level = np.ptp(solid.triangles[:, :, 2], axis=1) == 0.0
+    upwards = solid.triangles_center[:, 2] > -9.0
+    assert (solid.triangles_cross[is_level & upwards, 2] > 0.0).all()
 
 
 def test_a_groove_of_a_ball_stays_smooth(tmp_path):
