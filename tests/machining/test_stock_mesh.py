@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
 from msgspec.structs import replace
 
+from postproc.jobs import process_forces
 from postproc.machining import stock as stocks
 from postproc.machining import stock_mesh
 from tests.machining import test_cells_by_loop, test_map_by_cell
@@ -177,3 +179,11 @@ def test_a_pass_along_the_wall_of_a_program_before_has_the_force_of_its_width(tm
     expected = np.array([x, y, share * axial.sum()])
     force = on_line(program, found, line_of(text, "X30 (here)"), 0.5)[:3]
     assert np.linalg.norm(force - expected) < 0.06 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize(("cell", "is_named"), [(0.25e-3, False), (0.5e-3, True)])
+def test_a_mesh_with_wider_cells_than_the_map_is_a_warning_with_both_widths(cell, is_named):
+    mesh = stock_mesh.RemainingMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), cell)
+    issues = process_forces._coarse_mesh_issues(mesh, SimpleNamespace(stock=SimpleNamespace(cell=0.25e-3)))
+    assert [(issue.level, issue.kind) for issue in issues] == [("warning", "coarse-stock")] * is_named
+    assert all("cells of 0.5 mm instead of 0.25 mm" in issue.message for issue in issues)
