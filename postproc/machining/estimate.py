@@ -239,7 +239,7 @@ class _Task(NamedTuple):
 
         :param stock: the map, which the sweep cuts in place.
         :param frame: (4, 4) of the map in the `$BASE` of the stock [m].
-        :param cell_error_sums: (M, 2) sums that the sweep increases in place, see `Sweep`.
+        :param cell_error_sums: (M, 3) sums that the sweep increases in place, see `Sweep`.
         """
         program, count = self.program, len(self.program.motions)
         leans = ~self.directions.is_within(frame[:3, 2], AXIS_TOLERANCE)  # the tool is not along Z of the map
@@ -286,7 +286,7 @@ class _SweptSetups(NamedTuple):
     :param removed_volume: [m³].
     :param issues: warnings about maps of the stock that hold more than the stock.
     :param is_compared: (M,) motions on which the parts of the tool were compared while the stock was swept.
-    :param cell_error_sums: (M, 2) sums over the stations of each motion [N²], see `Sweep`.
+    :param cell_error_sums: (M, 3) sums over the stations of each motion [N²], see `Sweep`.
     """
 
     sweeps: list[Sweep]
@@ -320,7 +320,8 @@ def _forces_up_to_tilt(task: _Task, max_tilt: float) -> ProcessForces:
     coarse = _swept_program(task, max_tilt, {})
     cell_factors: dict[int, int] = {}
     if task.process.stock.resolution_mm is None:
-        cell_factors = cell_divisors(coarse.thin_passes, coarse.swept_setups.stock.high.size)
+        setup_begins = [int(np.argmax(setup.motions)) for setup in coarse.setups]
+        cell_factors = cell_divisors(coarse.thin_passes, coarse.swept_setups.stock.high.size, setup_begins)
     return _process_forces(task, _swept_program(task, max_tilt, cell_factors) if cell_factors else coarse)
 
 
@@ -449,7 +450,7 @@ def _swept_setups(
     program, count = task.program, len(task.program.motions)
     start_volume, removed_volume, segment_count = material.volume(), 0.0, 0
     sweeps, cuts_of_setups, knots, issues = list[Sweep](), list[Cuts](), list[Knots](), list[Issue]()
-    is_compared, cell_error_sums = np.zeros(count, dtype=bool), np.zeros((count, 2))
+    is_compared, cell_error_sums = np.zeros(count, dtype=bool), np.zeros((count, 3))
     for number, setup in enumerate(ordered_setups):
         setup_segments = segments
         if number:

@@ -32,6 +32,9 @@ _STEEPEST_SLOPE = 3.0
 """and the steepest one: walls are located by the levels of their cells."""
 _SLOPE_STEP = 0.25
 """Distance from the middle of a cell of the two levels from which its slope is computed, in cells (assumed)."""
+_FLATNESS = 0.05
+"""Heights of a mesh in a cell are in a plane if they are at most this far from it, in cells (assumed): a round of three
+cells is within 0.04."""
 _SUBDIVISION = 4
 """Number of columns and of rows into which a cell is divided to find the share of it that a mesh covers (assumed)."""
 MOST_PAIRS = 4_000_000
@@ -148,7 +151,7 @@ def _surface_at(high: Floats, rise: Floats, has_slope: Bools, y_shift: float, x_
     has_all_slopes, border = np.ones(shape, dtype=bool), ((1, 1), (1, 1))
     padded_high, padded_has_slope = np.pad(high, border, mode="edge"), np.pad(has_slope, border, mode="edge")
     padded_rise = np.pad(rise, (*border, (0, 0)), mode="edge")
-    levels, planes, weights = list[Floats](), list[Floats](), list[Floats]()
+    levels, plane_rises, weights = list[Floats](), list[Floats](), list[Floats]()
     for row_step, column_step in steps:
         # the neighbour at this step of each cell; the map begins at 1 in its padded copies
         window = slice(1 + row_step, 1 + row_step + shape[0]), slice(1 + column_step, 1 + column_step + shape[1])
@@ -156,31 +159,40 @@ def _surface_at(high: Floats, rise: Floats, has_slope: Bools, y_shift: float, x_
         has_all_slopes &= padded_has_slope[window]
         levels.append(padded_high[window])
         plane_rise = np.float32(x_shift - column_step) * slope[..., 0] + np.float32(y_shift - row_step) * slope[..., 1]
-        planes.append(np.asarray(levels[-1] + plane_rise, dtype=np.float32))
+        plane_rises.append(np.asarray(plane_rise, dtype=np.float32))
         # bilinear: the nearer the neighbour, the larger its weight
         share = (distance[0] if row_step else 1.0 - distance[0]) * (distance[1] if column_step else 1.0 - distance[1])
         weights.append(np.full(shape, share, dtype=np.float32))
-    return np.where(has_all_slopes, surface_between_cells(levels, planes, weights), high)
+    surface = np.zeros_like(high)
+    for level, weight, rise in zip(levels, weights, surface_rises(levels, weights, plane_rises), strict=True):
+        surface += weight * (level + rise)
+    return np.where(has_all_slopes, surface, high)
 
 
-def surface_between_cells(levels: list[Floats], planes: list[Floats], weights: list[Floats]) -> Floats:
-    """Return the level of the surface at points between four cells [m], in the shape of the parameters.
+def surface_rises(levels: list[Floats], weights: list[Floats], plane_rises: list[Floats]) -> list[Floats]:
+    """Return the rise of the surface [m] from the level of each of four cells to points between them.
 
-    The mean of interpolated levels and interpolated tangent planes is exact on a paraboloid. Where all four planes are
-    above the interpolated levels, there is a ridge between them, and the lowest plane counts.
+    It is that of the tangent plane of the cell, corrected so that a paraboloid is interpolated exactly. Where all four
+    planes are above the interpolated levels, there is a ridge between the cells, and the lowest plane counts. All
+    arrays have the shape of the points.
 
     :param levels: four arrays, one for each cell around the points: the level in its middle [m].
-    :param planes: four arrays: the level at the points of the plane that is tangent to the surface in the middle of
-        the cell [m].
     :param weights: four arrays: the weights of bilinear interpolation; their sum is 1.
+    :param plane_rises: four arrays: the rise of the plane that touches the surface in the middle of the cell, from that
+        middle to the points [m].
     """
-    mean_level, mean_plane = np.zeros_like(levels[0]), np.zeros_like(levels[0])
-    for weight, level, plane in zip(weights, levels, planes, strict=True):
+    mean_level, half_mean_rise = np.zeros_like(levels[0]), np.zeros_like(levels[0])
+    lowest_plane = levels[0] + plane_rises[0]
+    for weight, level, rise in zip(weights, levels, plane_rises, strict=True):
         mean_level += weight * level
-        mean_plane += weight * plane
-    lowest_plane = np.minimum(np.minimum(planes[0], planes[1]), np.minimum(planes[2], planes[3]))
-    smooth_level = np.float32(0.5) * (mean_level + mean_plane)
-    return np.asarray(np.where(lowest_plane > mean_level, lowest_plane, smooth_level))
+        half_mean_rise += np.float32(0.5) * (weight * rise)
+        lowest_plane = np.minimum(lowest_plane, level + rise)
+    is_ridge = lowest_plane > mean_level
+    # the mean of interpolated levels and interpolated planes is exact on a paraboloid
+    return [
+        np.where(is_ridge, lowest_plane - level, rise - half_mean_rise)
+        for level, rise in zip(levels, plane_rises, strict=True)
+    ]
 
 
 def zero_slopes(high: Floats) -> NDArray[np.int16]:
@@ -255,6 +267,7 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
     """
     x, y, nx, ny = _map_extent(vertices.min(axis=0), vertices.max(axis=0), cell, file)
     high, low, share = (np.zeros((ny, nx), dtype=np.float32) for _ in range(3))
+    slope = zero_slopes(high)
     floor = np.full((ny, nx), np.inf, dtype=np.float32)
     rows_at_once = max(1, MOST_PAIRS // (nx * _SUBDIVISION * _SUBDIVISION))
     face_bottom, face_top = (np.asarray(edge(vertices[faces, 1], axis=1)) for edge in (np.min, np.max))
@@ -274,12 +287,33 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
         map_rows = slice(first, first + row_count)
         high[map_rows], floor[map_rows] = np.where(count > 0, mean, np.nan), np.where(count > 0, mean_floor, np.nan)
         share[map_rows] = np.where(count > 0, 1.0 - count / _SUBDIVISION**2, 0.0)
+        slope[map_rows] = _mean_slopes(np.where(is_solid, upper, np.nan).reshape(blocks), cell / _SUBDIVISION)
     is_empty = np.isnan(high)
     lowest_floor = float(np.nanmin(floor)) if not is_empty.all() else 0.0
     high[is_empty] = floor[is_empty] = lowest_floor  # no thickness
     low[:] = floor
     ground = float(floor.max()) + 1e-6
-    return Stock(x, y, cell, high, low, share, zero_slopes(high), floor, ground)
+    return Stock(x, y, cell, high, low, share, slope, floor, ground)
+
+
+def _mean_slopes(upper: Array, step: float) -> NDArray[np.int16]:
+    """Return the slopes along x and y (ny, nx, 2) of planes through the heights in each cell, in units of `SLOPE`.
+
+    The slope is 0 where the heights are not in a plane, the plane is steeper than `_STEEPEST_SLOPE`, or the mesh covers
+    the cell only in part: there may be a wall in the cell.
+
+    :param upper: (ny, s, nx, s) heights in the s × s squares of each cell [m]; NaN: not covered.
+    :param step: width of a square [m].
+    """
+    squares = upper.shape[1]
+    offset = (np.arange(squares) - 0.5 * (squares - 1)) * step  # of the middles of squares from that of the cell
+    scale = squares * np.square(offset).sum()  # least squares: Σ offset · height / Σ offset²
+    slope = np.stack([np.einsum("yixj,j->yx", upper, offset), np.einsum("yixj,i->yx", upper, offset)], axis=-1) / scale
+    plane = slope[:, None, :, None, 0] * offset + slope[:, None, :, None, 1] * offset[:, None, None]
+    residual = np.abs(upper - upper.mean(axis=(1, 3), keepdims=True) - plane).max(axis=(1, 3))
+    # False for NaN
+    is_plane = (np.abs(slope) <= _STEEPEST_SLOPE).all(axis=-1) & (residual <= _FLATNESS * squares * step)
+    return np.where(is_plane[..., None], slope / SLOPE, 0.0).astype(np.int16)
 
 
 def _surfaces_of_columns(
@@ -778,4 +812,4 @@ def _cut_in_part(stock: Stock, cell: Ints, coverage: Floats, level: Floats) -> N
     flat_low[cell] = np.where(is_cut, level_sum / np.maximum(union, np.float32(1e-6)), low)
     flat_share[cell] = np.where(is_cut, union, share)
     flat_high[cell] = np.where(is_cut & (coverage > _WHOLE_SHARE), level, high)
-    stock.slope.reshape(-1, 2)[cell[is_cut]] = 0
+    stock.slope.reshape(-1, 2)[cell[is_cut & (coverage > _WHOLE_SHARE)]] = 0  # else the slope is of the part not cut

@@ -110,8 +110,8 @@ class Sweep(Struct, eq=False):
     :ivar collisions: row of a rapid motion through material → its depth [m]; empty if `is_deflected`.
     :ivar stopped_motions: cutting motions through material with the spindle off.
     :ivar has_contact: whether any cutting move engaged material.
-    :ivar cell_error_sums: (M, 2) for each motion sums, over its stations, of the squares of the standard deviation of
-        the force by the cells of the map, and of the force [N²].
+    :ivar cell_error_sums: (M, 3) for each motion sums, over its stations, of three squares [N²]: of the standard
+        deviation of the force by the cells of the map, of what that would be without steep parts, and of the force.
     :ivar overhang: row of a motion of a tool that leans → volume above the tool that a map cannot keep [m³].
     :ivar tilted_volume: volume that tools that lean remove [m³].
     :ivar unpaced_motions: motions through material that only turn the tool, at a speed that is not known.
@@ -430,7 +430,7 @@ class Sweep(Struct, eq=False):
         engagement = self._engaged_edge(turn, cutter, position, (ux, uy, hand), descent)
         chip = cutting.chips(turn, feed, descent)
         descent_sine = np.maximum(-heading[:, 2], 0.0).astype(np.float32)
-        loads = cutting.mean_loads(turn, engagement, chip, descent_sine, self.stock.cell)
+        loads = cutting.mean_loads(turn, engagement, chip, descent_sine, self.stock.cell, turn.normal_down)
         hole_depth = self._hole_depth(position, cutter.radius) if cutter.drill else 0.0
         return self._cuts_of_loads(turn, (motion, t, is_axial), loads, engagement.length * chip.share, hole_depth)
 
@@ -469,7 +469,8 @@ class Sweep(Struct, eq=False):
             return Cuts(motion, t, wrench, loads.deviation, is_axial, zero, zero, no_angle, no_angle, zero, zero, zero)
         self.has_contact = True
         square = np.square(norm(wrench[:, :3]))
-        np.add.at(self.cell_error_sums, motion, np.stack([loads.cell_error_share**2 * square, square], axis=1))
+        error_squares = [np.square(share) * square for share in (loads.cell_error_share, loads.level_error_share)]
+        np.add.at(self.cell_error_sums, motion, np.stack([*error_squares, square], axis=1))
         enter, leave, depth, width = _engagement_sizes(turn, cuts)
         if turn.drill:
             depth = np.where(cuts.any(axis=1), hole_depth, 0.0)

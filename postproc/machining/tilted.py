@@ -188,8 +188,11 @@ def loads(stock: Stock, turn: Turn, path: TiltedPath, tooth_time: Array, hand: I
     chip = _tilted_chips(turn, path, edge_axes, edge_points, tooth_time)
     engagement = tilted_cut_edge(stock, turn, point, edge_axes)
     descent_sine = np.maximum(-np.einsum("ni,ni->n", path.heading, path.axis), 0.0).astype(np.float32)
-    # a cell of the map is cell² / cos(tilt) on a surface square to the tool: a square as large has this width
-    turn_loads = mean_loads(turn, engagement, chip, descent_sine, stock.cell / np.sqrt(path.axis[:, 2]))
+    cosine = np.abs(edge_axes[:, 2].astype(np.float32) @ _edge_normals(turn))
+    # a cell of the map is cell² / cos(tilt) on a surface square to the tool: a square as large has this width; where
+    # the slope of each piece counts by itself, it contains the tilt
+    cell = stock.cell / np.sqrt(path.axis[:, 2]) if turn.least_cosine == 1.0 else stock.cell
+    turn_loads = mean_loads(turn, engagement, chip, descent_sine, cell, cosine)
     return TiltedLoads(turn_loads, engagement.length * chip.share, is_axial)
 
 
@@ -198,6 +201,12 @@ def _edge_points(turn: Turn) -> Floats:
     rise = np.where(np.isfinite(turn.rise), turn.rise, 0.0)
     x, y = turn.radius * np.sin(turn.phi), turn.radius * np.cos(turn.phi)
     return np.stack([x, y, turn.low + 0.5 * rise]).astype(np.float32)
+
+
+def _edge_normals(turn: Turn) -> Floats:
+    """Return the normals (3, P) of the pieces of edge over a turn, into the material, in the axes of the tool."""
+    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.normal_down**2, 0.0))  # the normal points down by cos κ
+    return np.stack([turn.normal_x, sine_of_kappa * np.cos(turn.phi), -turn.normal_down]).astype(np.float32)
 
 
 def _tilted_chips(turn: Turn, path: TiltedPath, edge_axes: Array, edge_points: Floats, tooth_time: Array) -> Chips:
@@ -209,15 +218,16 @@ def _tilted_chips(turn: Turn, path: TiltedPath, edge_axes: Array, edge_points: F
     :param edge_points: (3, P) middles of the pieces of edge in these axes, from the tip [m].
     :param tooth_time: (S,) time from one tooth to the next [s].
     """
-    sine_of_kappa = np.sqrt(np.maximum(1.0 - turn.normal_down**2, 0.0))  # the normal points down by cos κ
-    normal = np.stack([turn.normal_x, sine_of_kappa * np.cos(turn.phi), -turn.normal_down]).astype(np.float32)
     travel = np.nan_to_num(path.pace * tooth_time)[:, None] * np.einsum("nik,ni->nk", edge_axes, path.heading)
     axis_step = tooth_time[:, None] * np.einsum("nik,ni->nk", edge_axes, path.swing)
     travel_row, axis_step_row = travel.astype(np.float32), axis_step[:, :2].astype(np.float32)
     # a point r of a tool with axis a, at height h = a·r, moves by e h − a (e·r) where the axis changes by e
     middle, change = (
         travel_row @ direction + axis_step_row @ (direction[:2] * point[2] - direction[2] * point[:2])
-        for direction, point in ((normal, edge_points), (turn.tangent[turn.round].T, edge_points[:, turn.round]))
+        for direction, point in (
+            (_edge_normals(turn), edge_points),
+            (turn.tangent[turn.round].T, edge_points[:, turn.round]),
+        )
     )
     return Chips.of(turn, middle, change)
 

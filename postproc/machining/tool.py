@@ -178,6 +178,9 @@ DRILL_THRUST = 0.65
 _SAMPLING = {"ball": 1.0, "flat": 1.7, "bull": 5.1}
 """Error of forces by the cells of the map, relative to that of a ball with a contact of the same area: RMS against
 exact fronts on random surfaces with cells of 0.25 mm. The contact of a bull-nose tool is a strip along its corner."""
+_LEAST_RIM_COSINE = 0.5
+"""Mean cosine of the slope of a ball within half a cell of its rim, over √(cell / radius): the middle of that strip is
+√(cell · radius) long, and cell / 2 wide seen from above."""
 _LEAST_POINTS, _LEAST_RIM_POINTS = 8, 24
 """Minimum number of sample points in half a turn: on a circle, and on the rim (assumed)."""
 _LEAST_COSINE = 1e-12
@@ -192,6 +195,7 @@ class Turn(Struct, frozen=True, eq=False):
     Points are about as far apart on small circles as on the rim; points of one kind of edge are contiguous.
 
     :param sampling: error of forces by the cells of the map, relative to that of a ball.
+    :param least_cosine: smallest cosine of the slope that counts for that error; 1: the slope does not count.
     :param phi: (P,) angle of the turn [rad]: the middle of a part of the turn that is `width` (P,) [rad] wide.
     :param radius: (P,) distance from the axis [m].
     :param low: (P,) height of the lower end of the piece of edge above the tip [m].
@@ -213,6 +217,7 @@ class Turn(Struct, frozen=True, eq=False):
     teeth: int
     drill: bool
     sampling: float
+    least_cosine: float
     phi: Array
     width: Array
     radius: Floats
@@ -263,6 +268,7 @@ class Turn(Struct, frozen=True, eq=False):
             teeth=cutter.teeth,
             drill=cutter.drill,
             sampling=_SAMPLING[cutter.shape],
+            least_cosine=_LEAST_RIM_COSINE * float(np.sqrt(step / cutter.radius)) if cutter.shape == "ball" else 1.0,
             phi=angle,
             width=width,
             radius=_as_single(edge.radius[row]),

@@ -136,7 +136,36 @@ def helix(rng, case, length):
     return Job([np.stack([12 + around * np.cos(turn), 6 + sense * around * np.sin(turn), z], axis=-1)], 0)
 
 
-PATHS = {"finish": finish, "rough": rough, "ramp": ramp, "corners": corners, "loops": loops, "helix": helix}
+def wall(rng, case, length):
+    """Level passes along a wall of 60 to 85°, from the top down, `depth` deep; its front was cleared before."""
+    angle, top = math.radians(rng.uniform(60.0, 85.0)), rng.uniform(9.0, 10.0)
+
+    def along(height, leave, length=100.0):
+        """The pass that touches the wall at a height, with `leave` left on it."""
+        away = case.radius + leave
+        y = top + height / math.tan(angle) - away * math.sin(angle)
+        ends = [(-case.radius - 1, y, height + away * math.cos(angle) - case.radius), (25 + case.radius, y)]
+        points = divided([ends[0][:2], ends[1]], length)
+        return np.column_stack([points, np.full(len(points), ends[0][2])])
+
+    rough = [along(height, case.depth) for height in -0.4 * np.arange(1, 14)]
+    clear = []
+    for points in rough[1::2]:
+        for aside in np.arange(1.2 * case.radius, points[0, 1] + case.radius, 1.2 * case.radius):
+            clear.append(points - (0.0, aside, 0.0))
+    step = rng.uniform(0.1, 0.2) * case.radius
+    return Job(clear + rough + [along(-step * k, 0.0, length) for k in range(1, 9)], len(clear) + len(rough) + 3)
+
+
+PATHS = {
+    "finish": finish,
+    "rough": rough,
+    "ramp": ramp,
+    "corners": corners,
+    "loops": loops,
+    "helix": helix,
+    "wall": wall,
+}
 
 
 def job(rng, case):
@@ -149,6 +178,8 @@ CASES = {
     "ball R3 finish 0.1": Case("ball", 3.0, 3.0, 2, "finish", 0.1),
     "ball R3 finish 0.35": Case("ball", 3.0, 3.0, 2, "finish", 0.35),
     "ball R8 finish 0.5": Case("ball", 8.0, 8.0, 2, "finish", 0.5),
+    "ball R3 wall 0.3": Case("ball", 3.0, 3.0, 2, "wall", 0.3),
+    "ball R5 wall 0.3": Case("ball", 5.0, 5.0, 2, "wall", 0.3),
     "ball R3 rough 1": Case("ball", 3.0, 3.0, 2, "rough", 1.0),
     "ball R8 rough 2.5": Case("ball", 8.0, 8.0, 2, "rough", 2.5),
     "bull R5 c1 finish 0.3": Case("bull", 5.0, 1.0, 3, "finish", 0.3),

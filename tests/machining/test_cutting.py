@@ -99,7 +99,9 @@ def test_mean_wrench_and_volume_are_the_integrals_of_the_formulas(law, cutter, f
     n = np.ones(1, dtype=np.float32)
     chip = cutting.chips(turn, n * np.float32(feed), n * np.float32(descent))
     rubbing = 0.3
-    found = cutting.mean_loads(turn, engaged_of(turn, begin, end), chip, np.float32(rubbing) * n, 2.5e-4)
+    found = cutting.mean_loads(
+        turn, engaged_of(turn, begin, end), chip, np.float32(rubbing) * n, 2.5e-4, turn.normal_down
+    )
     expected, volume = mean_by_sums(cutter, law, feed, descent, begin, end, rubbing)
     lever = np.linalg.norm(expected[:3]) * cutter.radius
     np.testing.assert_allclose(found.wrench[0, :3], expected[:3], atol=0.01 * np.linalg.norm(expected[:3]))

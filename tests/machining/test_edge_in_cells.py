@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from postproc.machining import cutting
-from postproc.machining.stock import Stock, surface_between_cells
+from postproc.machining import stock as stocks
+from postproc.machining.stock import Stock, surface_rises
 
 CELL_SIZE = 1e-3
 X, Y = 0.1, 0.2
@@ -71,34 +72,34 @@ SLOPES = {"left": [[[0.2, 0.1], [0, 0]], [[0, 0], [0, 0]]], "right": [[[0, 0], [
 
 
 @pytest.mark.parametrize(
-    ("values", "z", "is_near_floor", "level", "coverage"),
+    ("values", "z", "height"),
     [
-        ({"high": FOUR}, 5.0, False, 4.0, None),
-        ({"high": [[4, 8], [4, 8]]}, 2.0, False, 5.0, None),
-        ({"high": [[4, 4], [8, 8]]}, 2.0, False, 6.0, None),
-        ({"high": [[4, 1.99], [4, 1.99]]}, 5.0, False, 4.0, 0.75),  # beyond a wall: three cells lower
-        ({"high": [[4, 2.01], [4, 2.01]]}, 5.0, False, 0.75 * 4 + 0.25 * 2.01, None),
-        ({"high": FOUR, "low": 3.0, "share": [[0.4, 0], [0, 0]]}, 5.0, False, 0.375 * 3.6 + 0.625 * 4, None),
-        ({"high": FOUR, "low": 1.0, "share": [[0.4, 0], [0, 0]]}, 5.0, False, 4.0, 0.375 * 0.6 + 0.625),
-        ({"high": FOUR, "low": 9.0, "share": [[0.4, 0], [0, 0]]}, 5.0, False, 4.0, None),
-        ({"high": FOUR, "floor": [[0, 0], [0, 4]]}, 5.0, True, 4.0, 0.875),
-        ({"high": FOUR, "floor": [[0, 0], [0, 4]]}, 5.0, False, 4.0, None),
-        ({"high": FOUR, "slope": SLOPES["left"]}, 5.0, False, 4 + 0.5 * 0.375 * (0.05 + 0.05), None),
-        ({"high": FOUR, "slope": SLOPES["right"]}, 5.0, False, 4 + 0.5 * 0.125 * (-0.15 + 0.05), None),
-        ({"high": FOUR, "slope": SLOPES["upper"]}, 5.0, False, 4 + 0.5 * 0.125 * (-0.15 - 0.05), None),
-        ({"high": FOUR, "slope": SLOPES["ridge"]}, 5.0, False, 4.05, None),
+        ({"high": FOUR}, 3.0, 1.0),
+        ({"high": [[4, 8], [4, 8]]}, 2.0, 0.75 * 2 + 0.25 * 6),
+        ({"high": [[4, 4], [8, 8]]}, 2.0, 0.5 * 2 + 0.5 * 6),
+        ({"high": [[4, 1], [4, 1]]}, 3.0, 0.75),  # a wall: lower cells have no material at this height
+        ({"high": [[2, 6], [2, 6]], "slope": (1.0, 0.0)}, 4.0, 0.25 * 1.25),  # planes at 2.25 and 5.25
+        ({"high": FOUR, "low": 3.5, "share": [[0.4, 0], [0, 0]]}, 3.0, 0.375 * 0.8 + 0.625),
+        ({"high": FOUR, "low": 1.0, "share": [[0.4, 0], [0, 0]]}, 3.0, 0.375 * 0.6 + 0.625),
+        ({"high": FOUR, "low": 9.0, "share": [[0.4, 0], [0, 0]]}, 3.0, 1.0),
+        ({"high": FOUR, "floor": [[0, 0], [0, 3.4]]}, 3.0, 0.875 + 0.125 * 0.6),
+        ({"high": FOUR, "slope": SLOPES["left"]}, 3.0, 1 + 0.5 * 0.375 * (0.05 + 0.05)),
+        ({"high": FOUR, "slope": SLOPES["right"]}, 3.0, 1 + 0.5 * 0.125 * (-0.15 + 0.05)),
+        ({"high": FOUR, "slope": SLOPES["upper"]}, 3.0, 1 + 0.5 * 0.125 * (-0.15 - 0.05)),
+        ({"high": FOUR, "slope": SLOPES["ridge"]}, 3.0, 1.05),
+        ({"high": FOUR, "low": 3.5, "share": [[1, 0], [0, 0]], "slope": SLOPES["left"]}, 3.0,
+         0.375 * 0.5 + 0.625 * (1 - 0.5 * 0.375 * 0.1)),  # the slope is of the upper level
     ],
 )  # fmt: skip
-def test_the_surface_between_four_cells(values, z, is_near_floor, level, coverage):
+def test_the_height_of_a_piece_below_the_surface_between_four_cells(values, z, height):
     """The point is a quarter of a cell to the right of the left cells, and half way up: weights 3, 1, 3, 1 of 8."""
+    turn = SimpleNamespace(
+        low=np.zeros(1, np.float32), rise=np.ones(1, np.float32), length=np.ones(1, np.float32), round=slice(0, 1)
+    )
     stock = stock_of(**values)
     corners = cutting.nearby_cells(stock, *points((0.75, 1.0)))
-    heights = np.full((1, 1), z * 1e-3, np.float32)
-    levels, share = cutting._surface_levels(stock, corners, slice(0, 1), heights, True, is_near_floor)
-    assert float(levels[0, 0]) == pytest.approx(level * 1e-3, abs=1e-8)
-    assert (share is None) == (coverage is None)
-    if coverage is not None:
-        assert float(share[0, 0]) == pytest.approx(coverage, abs=1e-5)
+    lengths = cutting._round_lengths(stock, turn, corners, np.full((1, 1), z * 1e-3, np.float32), True)
+    assert float(lengths[0, 0]) == pytest.approx(height * 1e-3, abs=2e-8)
 
 
 def test_a_paraboloid_between_cells_is_exact():
@@ -108,11 +109,11 @@ def test_a_paraboloid_between_cells_is_exact():
     x, y = 0.3, 0.8
     cells = [(0, 0), (1, 0), (0, 1), (1, 1)]
     levels = [np.array([surface(a, b)], np.float32) for a, b in cells]
-    planes = [
-        np.array([surface(a, b) + (0.6 * a + 0.2) * (x - a) + (-0.4 * b + 0.5) * (y - b)], np.float32) for a, b in cells
-    ]
+    planes = [np.array([(0.6 * a + 0.2) * (x - a) + (-0.4 * b + 0.5) * (y - b)], np.float32) for a, b in cells]
     weights = [np.array([(x if a else 1 - x) * (y if b else 1 - y)], np.float32) for a, b in cells]
-    assert float(surface_between_cells(levels, planes, weights)[0]) == pytest.approx(surface(x, y), abs=1e-6)
+    rises = surface_rises(levels, weights, planes)
+    level = sum(w * (h + rise) for w, h, rise in zip(weights, levels, rises, strict=True))
+    assert float(level[0]) == pytest.approx(surface(x, y), abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -219,7 +220,7 @@ def test_loads_are_sums_over_the_points_of_a_turn(drill, covariance, cell):
     rng = np.random.default_rng(4)
     law = SimpleNamespace(chip_factor=np.sqrt, covariance=covariance)
     turn = SimpleNamespace(
-        law=law, drill=drill, sampling=1.5,
+        law=law, drill=drill, sampling=1.5, least_cosine=0.2,
         radius=np.array([1, 2, 3, 3], np.float32), width=np.array([0.1, 0.2, 0.3, 0.4]),
         bottom=slice(0, 1), round=slice(1, 2), side=slice(2, 4),
         cut_wrench=rng.normal(size=(4, 6)).astype(np.float32), rub_wrench=rng.normal(size=(4, 6)).astype(np.float32),
@@ -230,8 +231,9 @@ def test_loads_are_sums_over_the_points_of_a_turn(drill, covariance, cell):
     thickness[1, 3] = 0.0
     share = np.where(thickness > 0, 0.7, 0.0).astype(np.float32)
     sine = np.array([0.0, 0.4, 1.0])
+    cosine = np.array([0.9, 0.5, 0.1, 0.3], np.float32)
     loads = cutting.mean_loads(
-        turn, cutting.EngagedEdge(length.copy(), moment), cutting.Chips(thickness, share), sine, cell
+        turn, cutting.EngagedEdge(length.copy(), moment), cutting.Chips(thickness, share), sine, cell, cosine
     )
 
     def total(n, cut, rub):
@@ -250,7 +252,10 @@ def test_loads_are_sums_over_the_points_of_a_turn(drill, covariance, cell):
         wrench, edge = total(n, turn.cut_wrench, turn.rub_wrench), length[n] * share[n]
         np.testing.assert_allclose(loads.wrench[n], wrench, rtol=2e-5, atol=1e-6)
         assert loads.removal[n] == pytest.approx(float(edge @ (thickness[n] * arc)), rel=1e-5)
-        by_cells = 0.0 if drill else min(1.0, 0.2 * 1.5 * cell / np.sqrt(float(edge @ arc)))
+        level = 0.0 if drill else 0.2 * 1.5 * cell / np.sqrt(float(edge @ arc))
+        steepness = float(edge @ (arc * np.array([0.9, 0.5, 0.2, 0.3]) ** -1.5)) / float(edge @ arc)
+        by_cells = min(1.0, level * np.sqrt(steepness))
+        assert loads.level_error_share[n] == pytest.approx(min(1.0, level), rel=1e-5)
         assert loads.cell_error_share[n] == pytest.approx(by_cells, rel=1e-5)
         unknown = (1 - sine[n] if sine[n] > 0 else 0.0) * edge[0] * turn.rub_wrench[0]
         square = unknown**2 / 3
@@ -264,3 +269,22 @@ def test_loads_are_sums_over_the_points_of_a_turn(drill, covariance, cell):
         square[:3] += by_cells**2 * (wrench[:3] @ wrench[:3]) / 3
         square[3:] += by_cells**2 * (wrench[3:] @ wrench[3:]) / 3
         np.testing.assert_allclose(loads.deviation[n], np.sqrt(square), rtol=5e-5)
+
+
+def test_a_mesh_gives_the_slopes_of_planes_and_none_in_cells_with_a_step():
+    """A prism whose top rises by 0.5 per x and has a step of 2 mm in the middle of a cell."""
+    profile = [(0.0, 0.0), (10.0, 5.0), (10.0, 7.0), (20.0, 12.0), (20.0, -5.0), (0.0, -5.0)]
+    stock = stocks.from_mesh(*prism(profile, 10.0), 4e-3)
+    slopes = stock.slope[2:-2, 2:-2, 0] * stocks.SLOPE  # without the border; cells begin at 0, 4, 8, 12, 16 mm
+    np.testing.assert_allclose(slopes[0], [0.5, 0.5, 0.0, 0.5, 0.5], atol=1e-4)
+    assert not stock.slope[..., 1].any()
+
+
+def prism(profile, width):
+    """Return vertices [m] and faces of a prism along y, from a closed profile of points x, z [mm]."""
+    points = np.array(profile)
+    count = len(points)
+    ends = [np.column_stack([points[:, 0], np.full(count, y), points[:, 1]]) for y in (0.0, width)]
+    sides = [(k, (k + 1) % count) for k in range(count)]
+    faces = [face for a, b in sides for face in ((a, b, b + count), (a, b + count, a + count))]
+    return np.concatenate(ends) * 1e-3, np.array(faces)

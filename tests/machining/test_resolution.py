@@ -89,6 +89,15 @@ def test_a_map_that_would_have_too_many_cells_is_not_made_finer():
     from postproc.machining.resolution import ThinPasses, cell_divisors
 
     thin = [ThinPasses(7, 0, 0.12)]
-    assert cell_divisors(thin, 100_000) == {7: 3}
-    assert cell_divisors(thin, 2_500_000) == {7: 2}
-    assert cell_divisors(thin, 12_000_000) == {}
+    assert cell_divisors(thin, 100_000, [0]) == {7: 3}
+    assert cell_divisors(thin, 2_500_000, [0]) == {7: 2}
+    assert cell_divisors(thin, 12_000_000, [0]) == {}
+
+
+def test_on_steep_surfaces_cells_are_fine_from_the_start_of_the_set_up():
+    """A coarse map does not know where a steep surface was before the pass."""
+    from postproc.machining.resolution import ThinPasses, cell_divisors
+
+    thin = [ThinPasses(7, 0, 0.12), ThinPasses(9, 0, 0.22, is_steep=True), ThinPasses(30, 0, 0.12, is_steep=True)]
+    assert cell_divisors(thin, 100_000, [0, 20]) == {7: 3, 0: 5, 20: 3}
+    assert cell_divisors([*thin[1:], ThinPasses(12, 0, 0.32, is_steep=True)], 100_000, [0]) == {0: 7}

@@ -103,30 +103,25 @@ def by_loops(stock, turn, x, y, position, descent):
                 inside += weight * max((1 - share) * upper + share * lower - under, 0.0)
             length[n, p] = inside / deep * turn.length[p]
         elif p < turn.round.stop:
-            level, mean, coverage, planes = 0.0, 0.0, 0.0, []
-            for cell, weight in around:
-                high, floor, share = (float(one[cell]) for one in (stock.high, stock.floor, stock.share))
-                deepest = z + low - 3.0 * CELL_SIZE  # what is lower is beyond a wall
-                if high <= max(floor, deepest):
-                    continue
-                lower = min(float(stock.low[cell]), high)
-                mixed = (1 - share) * high + share * lower if lower > deepest else high
-                weight *= 1.0 if lower > deepest else 1.0 - share
+            share_x, share_y = around[1][1] + around[3][1], around[2][1] + around[3][1]
+            levels, rises, weights = [], [], [weight for _, weight in around]
+            for cell, _ in around:
                 steep = [1e-4 * float(each) for each in stock.slope[cell]]
-                share_x, share_y = around[1][1] + around[3][1], around[2][1] + around[3][1]
                 dx = (share_x - (cell[1] - around[0][0][1])) * CELL_SIZE
                 dy = (share_y - (cell[0] - around[0][0][0])) * CELL_SIZE
-                plane = mixed + steep[0] * dx + steep[1] * dy
-                level, mean, coverage = level + weight * mixed, mean + weight * plane, coverage + weight
-                planes.append(plane)
-            if coverage == 0.0:
-                continue
-            level, mean = level / coverage, mean / coverage
-            if stock.slope.any():  # a ridge between the planes, or a round that they touch
-                level = min(planes) if min(planes) > level else 0.5 * (level + mean)
-            floor = float(stock.floor[around[0][0]])
-            inside = min(max(level - z - low, 0.0), rise) - min(max(floor - z - low, 0.0), rise)
-            length[n, p] = coverage * max(inside, 0.0) / rise * turn.length[p]
+                levels.append(float(stock.high[cell]))
+                rises.append(steep[0] * dx + steep[1] * dy)
+            lowest = min(level + plane_rise for level, plane_rise in zip(levels, rises, strict=True))
+            is_ridge = stock.slope.any() and lowest > np.dot(weights, levels)
+            inside = 0.0
+            for (cell, weight), high, plane_rise in zip(around, levels, rises, strict=True):
+                surface = lowest if is_ridge else high + plane_rise - 0.5 * np.dot(weights, rises)
+                share, lower, floor = float(stock.share[cell]), min(float(stock.low[cell]), high), stock.floor[cell]
+                upper_part, lower_part, air = (
+                    min(max(level - z - low, 0.0), rise) for level in (surface, lower, floor)
+                )
+                inside += weight * max((1 - share) * upper_part + share * lower_part - air, 0.0)
+            length[n, p] = inside / rise * turn.length[p]
         else:
             cell = cell_of(stock, x[n, p], y[n, p])
             high, floor, share = (float(one[cell]) for one in (stock.high, stock.floor, stock.share))

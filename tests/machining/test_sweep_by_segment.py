@@ -58,7 +58,7 @@ def swept(seed=0):
         )
     )
     columns = dict.fromkeys(("process", "law", "feed", "swing"))
-    made = Sweep(stock=made_stock(), tools=tools, cell_error_sums=np.zeros((40, 2)), poses=poses, **columns)
+    made = Sweep(stock=made_stock(), tools=tools, cell_error_sums=np.zeros((40, 3)), poses=poses, **columns)
     made._cutters.update({number: Cutter(radius, 0.0, 2) for number, radius in enumerate(RADII)})
     return made, axes
 

@@ -35,7 +35,7 @@ def made_sweep(cutters, cell=CELL, **columns):
     )  # fmt: skip
     given = {
         "stock": stocks.from_box(*BOX, cell), "tools": tools, "law": LAW, "feed": np.full(count, 0.02),
-        "swing": np.full(count, 1.0), "cell_error_sums": np.zeros((count, 2)), "poses": None,
+        "swing": np.full(count, 1.0), "cell_error_sums": np.zeros((count, 3)), "poses": None,
         "process": SimpleNamespace(cutter=lambda key: cutters[int(key)]),
     }  # fmt: skip
     return Sweep(**(given | columns))
@@ -188,15 +188,15 @@ def test_stations_have_the_feed_and_the_descent_of_a_tooth(monkeypatch, drill):
         seen["feed"] = feed
         return SimpleNamespace(share=np.array([[0.5, 1.0]] * 4))
 
-    def loads(turn, edge_in_material, chip, descent_sine, cell):
-        seen["sine"], seen["cell"] = descent_sine, cell
+    def loads(turn, edge_in_material, chip, descent_sine, cell, cosine):
+        seen["sine"], seen["cell"], seen["cosine"] = descent_sine, cell, cosine
         return "loads"
 
     monkeypatch.setattr(Sweep, "_engaged_edge", engaged)
     monkeypatch.setattr(cutting, "chips", chips)
     monkeypatch.setattr(cutting, "mean_loads", loads)
     monkeypatch.setattr(Sweep, "_cuts_of_loads", lambda self, *given: given)
-    turn = SimpleNamespace()
+    turn = SimpleNamespace(normal_down=np.array([0.3, 0.7]))
     motion, t = np.arange(4), np.array([0.1, 0.2, 0.3, 0.4])
     result = made._cuts_at(turn, 3, position, heading, motion, t)
     per_tooth = np.array([1e-4, 2e-4, 2e-4, 1e-4])
@@ -206,7 +206,7 @@ def test_stations_have_the_feed_and_the_descent_of_a_tooth(monkeypatch, drill):
     ux, uy, hand = seen["axes"]
     np.testing.assert_allclose(np.column_stack([ux, uy]), [[0.6, 0.8]] * 3 + [[1, 0]])
     assert hand.tolist() == [1, -1, 1, 1]
-    assert seen["cell"] == CELL
+    assert (seen["cell"], seen["cosine"].tolist()) == (CELL, [0.3, 0.7])
     given_turn, stations, given_loads, cuts, hole_depth = result
     assert (given_turn, given_loads) == (turn, "loads")
     np.testing.assert_array_equal(stations[0], motion)
@@ -229,7 +229,7 @@ def test_loads_become_cuts_with_torque_power_and_the_error_by_cells(monkeypatch)
         sweep, "_engagement_sizes", lambda turn, cuts: tuple(np.arange(3) + k for k in (10, 20, 30, 40))
     )
     wrench = np.arange(1.0, 19.0).reshape(3, 6)
-    loads = Loads(wrench.copy(), wrench + 0.5, np.array([0.1, 0.2, 0.3]), np.array([1e-9, 2e-9, 3e-9]))
+    loads = Loads(wrench.copy(), wrench + 0.5, np.array([0.1, 0.2, 0.3]), np.zeros(3), np.array([1e-9, 2e-9, 3e-9]))
     turn, motion = SimpleNamespace(drill=False, teeth=2), np.array([0, 1, 1])
     stations = motion, np.array([0.2, 0.5, 0.7]), np.array([False, True, False])
     length = np.array([[1.0], [0.0], [2.0]])
@@ -243,9 +243,8 @@ def test_loads_become_cuts_with_torque_power_and_the_error_by_cells(monkeypatch)
     for name, first in (("enter", 10), ("leave", 20), ("depth", 30), ("width", 40)):
         assert getattr(cuts, name).tolist() == [first, first + 1, first + 2]
     force = (wrench[:, :3] ** 2).sum(axis=1)
-    np.testing.assert_allclose(
-        made.cell_error_sums, [[0.01 * force[0], force[0]], [0.04 * force[1] + 0.09 * force[2], force[1] + force[2]]]
-    )
+    squares = [0.01 * force[0], 0.04 * force[1] + 0.09 * force[2]]
+    np.testing.assert_allclose(made.cell_error_sums.T, [squares, [0.0, 0.0], [force[0], force[1] + force[2]]])
     assert made.has_contact
     hole = made._cuts_of_loads(SimpleNamespace(drill=True, teeth=2), stations, loads, length, 7.0)
     assert hole.depth.tolist() == [7.0, 0.0, 7.0]

@@ -429,29 +429,33 @@ def test_passes_are_thin_from_the_first_on_whose_rest_of_the_operation_is_thin_t
     share = rng.choice([0.02, 0.05, 0.06, 0.2], 9, p=[0.4, 0.2, 0.2, 0.2])
     by_cells = np.stack([(share[:, None] ** 2 * force), force], axis=2)
     by_cells[:, 0] = 0.0
-    found = resolution.thin_passes(made, tools, by_cells.reshape(-1, 2))
+    level_share = rng.choice([0.3, 1.0], 9)  # deviation without steep parts, over the one with them
+    columns = by_cells[..., 0], level_share[:, None] ** 2 * by_cells[..., 0], by_cells[..., 1]
+    found = resolution.thin_passes(made, tools, np.stack(columns, axis=2).reshape(-1, 3))
     limits = sorted({0, 9, *(begins // 3).tolist(), *(np.flatnonzero(np.diff(tool_of_pass)) + 1).tolist()})
     expected = []
     for low, high in itertools.pairwise(limits):
         for k in range(low, high):
             own, rest = (by_cells[rows, 1:].reshape(-1, 2).sum(axis=0) for rows in ([k], range(k, high)))
             if np.sqrt(own[0] / own[1]) > 0.055 and np.sqrt(rest[0] / rest[1]) > 0.055:
-                expected.append((3 * k + 1, int(tool_of_pass[k]), float(np.sqrt(rest[0] / rest[1]))))
+                level = (level_share[k:high, None] ** 2 * by_cells[k:high, 1:, 0]).sum()
+                is_steep = bool(np.sqrt(level / rest[1]) <= 0.055)
+                expected.append((3 * k + 1, int(tool_of_pass[k]), is_steep, float(np.sqrt(rest[0] / rest[1]))))
                 break
-    assert [(thin.first, thin.tool) for thin in found] == [entry[:2] for entry in expected]
-    np.testing.assert_allclose([thin.share for thin in found], [entry[2] for entry in expected])
+    assert [(thin.first, thin.tool, thin.is_steep) for thin in found] == [entry[:3] for entry in expected]
+    np.testing.assert_allclose([thin.share for thin in found], [entry[3] for entry in expected])
 
 
 def test_a_program_without_cuts_has_no_thin_passes():
     made = program([("RAPID", 0, 0, 0)] * 3)
-    assert resolution.thin_passes(made, SimpleNamespace(tool=np.zeros(3, dtype=int)), np.zeros((3, 2))) == []
+    assert resolution.thin_passes(made, SimpleNamespace(tool=np.zeros(3, dtype=int)), np.zeros((3, 3))) == []
 
 
 def swept(**fields):
     tools = SimpleNamespace(rpm=np.full(7, 6000.0), hand=np.array([1, 1, 1, -1, 1, 1, 1]), tool=np.zeros(7, dtype=int))
     columns = dict.fromkeys(("process", "law", "poses", "feed", "swing"))
     stock = SimpleNamespace(cell=0.01)
-    return Sweep(stock=stock, tools=tools, cell_error_sums=np.zeros((7, 2)), **(columns | fields))
+    return Sweep(stock=stock, tools=tools, cell_error_sums=np.zeros((7, 3)), **(columns | fields))
 
 
 def test_the_deepest_place_of_turning_rapid_moves_through_material_is_kept(monkeypatch):
@@ -498,8 +502,9 @@ def test_the_depth_of_a_hole_is_that_of_a_drill_and_power_is_torque_times_speed(
     monkeypatch.setattr(sweep_module, "_engagement_sizes", lambda turn, given: sizes)
     wrench = np.array([[3.0, 4.0, 0.0, 0.0, 0.0, 2.0], [0.0, 0.0, 12.0, 0.0, 0.0, -2.0]])
     loads = SimpleNamespace(
-        wrench=wrench, deviation=np.zeros((2, 6)), cell_error_share=np.array([0.1, 0.2]), removal=np.array([1e-9, 2e-9])
-    )
+        wrench=wrench, deviation=np.zeros((2, 6)), cell_error_share=np.array([0.1, 0.2]),
+        level_error_share=np.array([0.05, 0.1]), removal=np.array([1e-9, 2e-9]),
+    )  # fmt: skip
     stations = np.array([2, 3]), np.array([0.1, 0.2]), np.array([False, True])
     for is_drill in (False, True):
         sweep_ = swept()
@@ -512,7 +517,9 @@ def test_the_depth_of_a_hole_is_that_of_a_drill_and_power_is_torque_times_speed(
         assert found.torque.tolist() == [2.0, -2.0]
         np.testing.assert_allclose(found.power, [400 * np.pi, -400 * np.pi])
         np.testing.assert_allclose(found.rate, [3e-7, 6e-7])
-        np.testing.assert_allclose(sweep_.cell_error_sums[[2, 3]], [[0.01 * 25, 25], [0.04 * 144, 144]])
+        np.testing.assert_allclose(
+            sweep_.cell_error_sums[[2, 3]], [[0.01 * 25, 0.0025 * 25, 25], [0.04 * 144, 0.01 * 144, 144]]
+        )
 
 
 def replace_wrench(loads):
