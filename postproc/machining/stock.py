@@ -269,6 +269,7 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
     high, low, share = (np.zeros((ny, nx), dtype=np.float32) for _ in range(3))
     slope = zero_slopes(high)
     floor = np.full((ny, nx), np.inf, dtype=np.float32)
+    wall_low, wall_share = np.zeros_like(high), np.zeros_like(high)
     rows_at_once = max(1, MOST_PAIRS // (nx * _SUBDIVISION * _SUBDIVISION))
     face_bottom, face_top = (np.asarray(edge(vertices[faces, 1], axis=1)) for edge in (np.min, np.max))
     for first in range(0, ny, rows_at_once):
@@ -279,19 +280,21 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
             vertices, row_faces, (x, begin), cell / _SUBDIVISION, (nx * _SUBDIVISION, row_count * _SUBDIVISION)
         )
         is_solid = upper > lower
+        map_rows = slice(first, first + row_count)
+        upper, wall_low[map_rows], wall_share[map_rows] = _divided_at_walls(upper, is_solid, cell)
         # axes 1 and 3 are the squares within a cell
         blocks = (row_count, _SUBDIVISION, nx, _SUBDIVISION)
         count = is_solid.reshape(blocks).sum(axis=(1, 3))
         mean = np.where(is_solid, upper, 0.0).reshape(blocks).sum(axis=(1, 3)) / np.maximum(count, 1)
         mean_floor = np.where(is_solid, lower, 0.0).reshape(blocks).sum(axis=(1, 3)) / np.maximum(count, 1)
-        map_rows = slice(first, first + row_count)
         high[map_rows], floor[map_rows] = np.where(count > 0, mean, np.nan), np.where(count > 0, mean_floor, np.nan)
         share[map_rows] = np.where(count > 0, 1.0 - count / _SUBDIVISION**2, 0.0)
         slope[map_rows] = _mean_slopes(np.where(is_solid, upper, np.nan).reshape(blocks), cell / _SUBDIVISION)
     is_empty = np.isnan(high)
     lowest_floor = float(np.nanmin(floor)) if not is_empty.all() else 0.0
     high[is_empty] = floor[is_empty] = lowest_floor  # no thickness
-    low[:] = floor
+    low[:] = np.where(wall_share > 0.0, wall_low, floor)
+    share = np.where(wall_share > 0.0, wall_share, share)
     ground = float(floor.max()) + 1e-6
     return Stock(x, y, cell, high, low, share, slope, floor, ground)
 
@@ -314,6 +317,33 @@ def _mean_slopes(upper: Array, step: float) -> NDArray[np.int16]:
     # False for NaN
     is_plane = (np.abs(slope) <= _STEEPEST_SLOPE).all(axis=-1) & (residual <= _FLATNESS * squares * step)
     return np.where(is_plane[..., None], slope / SLOPE, 0.0).astype(np.int16)
+
+
+def _divided_at_walls(upper: Array, is_solid: Bools, cell: float) -> tuple[Array, Array, Array]:
+    """Return the heights of squares above walls in cells, and level and share of the lower part of each cell.
+
+    A cell has a wall if its squares are at two levels that differ by more than the width of the cell. Squares at the
+    lower level get the upper one. The share is 0 in cells without a wall.
+
+    :param upper: (ny · s, nx · s) heights of the surface in the s × s squares of each cell [m].
+    :param is_solid: (ny · s, nx · s) True for squares with material.
+    :param cell: width of a cell [m].
+    """
+    blocks = (upper.shape[0] // _SUBDIVISION, _SUBDIVISION, upper.shape[1] // _SUBDIVISION, _SUBDIVISION)
+    squares = upper.reshape(blocks)
+    is_whole: Bools = np.asarray(is_solid.reshape(blocks).all(axis=(1, 3)))
+    squares = np.where(is_whole[:, None, :, None], squares, 0.0)
+    highest, lowest = squares.max(axis=(1, 3)), squares.min(axis=(1, 3))
+    is_high: Bools = np.asarray(squares >= 0.5 * (highest + lowest)[:, None, :, None])
+    high_count = is_high.sum(axis=(1, 3))
+    low_count = _SUBDIVISION**2 - high_count
+    high = np.where(is_high, squares, 0.0).sum(axis=(1, 3)) / high_count
+    low = np.where(is_high, 0.0, squares).sum(axis=(1, 3)) / np.maximum(low_count, 1)
+    # a steep plane has no two levels
+    is_level = np.maximum(highest - high, low - lowest) < 0.25 * cell
+    is_wall = is_whole & (low_count > 0) & (high - low > cell) & is_level
+    above = np.where(is_wall[:, None, :, None], high[:, None, :, None], upper.reshape(blocks)).reshape(upper.shape)
+    return above, low, np.where(is_wall, low_count / _SUBDIVISION**2, 0.0)
 
 
 def _surfaces_of_columns(

@@ -187,3 +187,21 @@ def test_a_mesh_with_wider_cells_than_the_map_is_a_warning_with_both_widths(cell
     issues = process_forces._coarse_mesh_issues(mesh, SimpleNamespace(stock=SimpleNamespace(cell=0.25e-3)))
     assert [(issue.level, issue.kind) for issue in issues] == [("warning", "coarse-stock")] * is_named
     assert all("cells of 0.5 mm instead of 0.25 mm" in issue.message for issue in issues)
+
+
+@pytest.mark.parametrize("cell", [0.2e-3, 0.25e-3])
+def test_a_wall_that_is_read_back_is_in_its_place_within_its_cell(tmp_path, cell):
+    """Cells that a wall crosses have both levels, and the area below it to a quarter of a cell."""
+    text = gcode("G0 X-30 Y0.06 Z5", "G1 Z-6 F2400", "X30", "G0 Z20")
+    _, found = forces(tmp_path, text, process(tool(10, 4), BLOCK))
+    mesh = found.mesh()
+    stock = stocks.from_mesh(mesh.vertices, mesh.faces, cell)
+    column = stock.high.shape[1] // 2
+    y = stock.y + (np.arange(len(stock.high)) + 0.5) * cell
+    covered = np.clip(0.5 + (5e-3 - np.abs(y - 0.06e-3)) / cell, 0.0, 1.0)
+    inner = np.abs(y) < 10e-3
+    high, low, share = (values[inner, column] for values in (stock.high, stock.low, stock.share))
+    share = np.where(high < -5.9e-3, 1.0, share)
+    np.testing.assert_allclose(share, covered[inner], atol=0.126)
+    np.testing.assert_allclose(low[(share > 0.0) & (share < 1.0)], -6e-3, atol=1e-6)
+    np.testing.assert_allclose(high[share < 1.0], 0.0, atol=1e-6)
