@@ -356,10 +356,15 @@ CELL_ERROR_SHARE = 0.2
 """Standard deviation of a force by the cells of the map, as a share of it, times √n: n is the area of the front of the
 tool in material in cells. The RMS error of balls against exact fronts is 0.06 to 0.12 of 1/√n, for n from 4 to 590,
 cells of 0.15 to 0.4 mm, depths of 0.1 to 1 mm; some surfaces have more (`python -m tests.benchmarks.fronts`)."""
+_WALL_ERROR = 0.05
+"""Standard deviation of the place of a wall in the map, in cells: that of finishing passes of flat tools 0.05 to 0.2 mm
+wide and 1.5 to 24 mm deep against closed forms, with cells of 0.25 mm, is 0.026 to 0.054."""
 _STEEPNESS_POWER = -1.5
 """The variance of a force by the cells of the map grows with this power of the cosine of the slope: on a steep wall few
 cells are under the contact, and each of them covers a large part of it. Balls R3 that finish walls of 45 to 87°, .3 mm
 deep, are off by 0.3 to 1.0 of the deviation that follows, from the top down, and by 0.2 to 2.5, from the bottom up."""
+_GENTLE_COSINE = 0.5
+"""Cosine of the slope above which a surface is not steep (assumed)."""
 _ONE_THREAD = 200_000
 """Number of products below which OpenBLAS uses one thread (its limit is 2^18)."""
 
@@ -372,14 +377,14 @@ class Loads(Struct, frozen=True, eq=False):
         face and thrust of the chisel edge of a drill, and by the cells of the map.
     :param cell_error_share: (n,) standard deviation of the force by the cells of the map, as a share of the force; 0
         for drills, whose hole has no open side.
-    :param level_error_share: (n,) what that would be if no part of the surface were steep.
+    :param gentle_error_share: (n,) the part of that by surfaces that are not steep: finer cells can interpolate them.
     :param removal: (n,) volume removed in one turn by one tooth [m³].
     """
 
     wrench: Array
     deviation: Array
     cell_error_share: Array
-    level_error_share: Array
+    gentle_error_share: Array
     removal: Array
 
 
@@ -468,18 +473,39 @@ def mean_loads(
     steepness = np.maximum(cosine, np.float32(turn.least_cosine)) ** np.float32(_STEEPNESS_POWER)
     steep_area = product_in_blocks(rubbed_length * steepness, arc_length)[:, 0].astype(float)
     area = np.maximum(area, 1e-12)  # [m²]: no division by zero in air
-    level_error_share = 0.0 if turn.drill else CELL_ERROR_SHARE * turn.sampling * cell / np.sqrt(area)
-    cell_error_share = np.minimum(level_error_share * np.sqrt(steep_area / area), 1.0)
+    gentle_length = rubbed_length * np.asarray(cosine > _GENTLE_COSINE, dtype=np.float32)
+    gentle_area = product_in_blocks(gentle_length, arc_length)[:, 0].astype(float)
+    error_length = 0.0 if turn.drill else CELL_ERROR_SHARE * turn.sampling * cell  # its square is variance times area
+    cell_error_share = np.minimum(error_length * np.sqrt(steep_area) / area, 1.0)
+    error_share = np.minimum(np.hypot(cell_error_share, _wall_error_share(turn, rubbed_length, cell)), 1.0)
     # the error may have any direction: each of three components has a third of the variance
     for components in (slice(0, 3), slice(3, 6)):
-        variance[:, components] += (np.square(cell_error_share * norm(wrench[:, components])) / 3.0)[:, None]
+        variance[:, components] += (np.square(error_share * norm(wrench[:, components])) / 3.0)[:, None]
     return Loads(
         wrench=wrench,
         deviation=np.sqrt(np.maximum(variance, 0.0)),
         cell_error_share=cell_error_share,
-        level_error_share=np.minimum(level_error_share, 1.0) * np.ones(len(wrench)),
+        gentle_error_share=np.minimum(error_length * np.sqrt(gentle_area) / area, 1.0),
         removal=np.asarray(removal, dtype=float),
     )
+
+
+def _wall_error_share(turn: Turn, length: Floats, cell: float | Array) -> Array:
+    """Return the standard deviation of forces (n,) by the place of the wall that the cylinder cuts, as a share of them.
+
+    A wall is one row of columns of the map whatever its height, so that the error does not fall with the depth of cut:
+    a thin layer is `_WALL_ERROR` cells thicker or thinner. It is compared with the width of the whole cut.
+
+    :param length: (n, P) length of edge that cuts [m]; on the cylinder that is the depth.
+    :param cell: width of a cell of the map [m]; or (n,) the width that a cell has on the surface of the tool.
+    """
+    if turn.drill:
+        return np.zeros(len(length))
+    arc_length = turn.radius * turn.width.astype(np.float32)
+    # area of the cut seen along the feed: a layer of this width times depth is removed
+    front_area = product_in_blocks(length, (arc_length * turn.normal_x)[:, None])[:, 0].astype(float)
+    wall_height = length[:, turn.side].max(axis=1, initial=0.0).astype(float)
+    return np.asarray(_WALL_ERROR * cell * wall_height / np.maximum(front_area, 1e-12))
 
 
 def _add_moment_of_height(wrench: Array, force_moment: Floats) -> None:

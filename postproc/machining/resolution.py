@@ -2,8 +2,8 @@
 
 A first sweep gives for each motion the standard deviation of its force by the cells. A tool may rough and then finish
 in one operation: cells are made finer from the first pass on that needs it, if the rest of the operation needs it too.
-On a steep surface the cells must be fine from the start: a coarse map does not know where the surface was before the
-pass, and finer cells cannot tell.
+On steep surfaces and walls the cells must be fine from the start: a coarse map does not know where the surface was
+before the pass, and finer cells cannot tell.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class ThinPasses(Struct, frozen=True):
     :param first: row of their first motion.
     :param tool: index in `ToolStates.keys`.
     :param share: standard deviation of their forces by the cells of the map, RMS, as a share of the forces.
-    :param is_steep: they need finer cells because the surface is steep.
+    :param is_steep: they need finer cells because of steep surfaces or walls.
     """
 
     first: int
@@ -53,7 +53,7 @@ def thin_passes(program: Program, tools: ToolStates, cell_error_sums: Array) -> 
     pass_begins = np.flatnonzero(np.diff(cuts.astype(np.int8), prepend=0) > 0)
     if not len(pass_begins):
         return []
-    squares, level_squares, force_squares = np.add.reduceat(cell_error_sums, pass_begins, axis=0).T
+    squares, gentle_squares, force_squares = np.add.reduceat(cell_error_sums, pass_begins, axis=0).T
     operation_begins = [operation.first for operation in operations(program, at_retracts=True)]
     changes = np.flatnonzero(np.diff(tools.tool[pass_begins])) + 1
     # blocks of passes end where an operation begins or the tool changes; a motion in a pass counts for the next pass
@@ -63,15 +63,15 @@ def thin_passes(program: Program, tools: ToolStates, cell_error_sums: Array) -> 
         block = slice(begin, end)
         pass_share = _rms_shares(squares[block], force_squares[block])  # of each pass of the block
         # a finer map is used from a pass to the end of the block: that part as a whole must need it
-        share_to_end, level_share_to_end = (
+        share_to_end, gentle_share_to_end = (
             _rms_shares(_sums_to_end(values[block]), _sums_to_end(force_squares[block]))
-            for values in (squares, level_squares)
+            for values in (squares, gentle_squares)
         )
         is_thin = np.flatnonzero((pass_share > TOO_COARSE_SHARE) & (share_to_end > TOO_COARSE_SHARE))
         if len(is_thin):
             row = int(is_thin[0])
             first = int(pass_begins[begin + row])
-            is_steep = bool(level_share_to_end[row] <= TOO_COARSE_SHARE)
+            is_steep = bool(gentle_share_to_end[row] <= TOO_COARSE_SHARE)
             passes.append(ThinPasses(first, int(tools.tool[first]), float(share_to_end[row]), is_steep))
     return passes
 
@@ -91,7 +91,7 @@ def cell_divisors(passes: list[ThinPasses], cell_count: int, setup_begins: list[
     """Return row of a motion → whole number, at least 2, by which the width of cells must be divided from there on.
 
     :param passes: passes whose contact is few cells wide.
-    :param setup_begins: first motions of the set-ups, ascending; on steep surfaces cells are fine from there on.
+    :param setup_begins: first motions of the set-ups, ascending; for steep surfaces cells are fine from there on.
     :param cell_count: number of cells of the map; divided maps have at most `_MOST_FINE_CELLS`.
     """
     max_factor = int(np.sqrt(_MOST_FINE_CELLS / cell_count))

@@ -111,7 +111,8 @@ class Sweep(Struct, eq=False):
     :ivar stopped_motions: cutting motions through material with the spindle off.
     :ivar has_contact: whether any cutting move engaged material.
     :ivar cell_error_sums: (M, 3) for each motion sums, over its stations, of three squares [N²]: of the standard
-        deviation of the force by the cells of the map, of what that would be without steep parts, and of the force.
+        deviation of the force by the cells of the map, of the part of it by surfaces that are not steep, and of the
+        force.
     :ivar overhang: row of a motion of a tool that leans → volume above the tool that a map cannot keep [m³].
     :ivar tilted_volume: volume that tools that lean remove [m³].
     :ivar unpaced_motions: motions through material that only turn the tool, at a speed that is not known.
@@ -469,7 +470,7 @@ class Sweep(Struct, eq=False):
             return Cuts(motion, t, wrench, loads.deviation, is_axial, zero, zero, no_angle, no_angle, zero, zero, zero)
         self.has_contact = True
         square = np.square(norm(wrench[:, :3]))
-        error_squares = [np.square(share) * square for share in (loads.cell_error_share, loads.level_error_share)]
+        error_squares = [np.square(share) * square for share in (loads.cell_error_share, loads.gentle_error_share)]
         np.add.at(self.cell_error_sums, motion, np.stack([*error_squares, square], axis=1))
         enter, leave, depth, width = _engagement_sizes(turn, cuts)
         if turn.drill:

@@ -331,9 +331,9 @@ class _EdgeDirections(NamedTuple):
 def _half_turn_count(cutter: Cutter, step: float) -> int:
     """Return the number of sample points in half a turn of the rim, about `step` [m] apart.
 
-    It is a multiple of the number of teeth, so that a tooth pitch has a whole number of points.
+    It is a multiple of the number of teeth, so that half a tooth pitch has a whole number of points.
     """
-    least_count = -(-_LEAST_RIM_POINTS // cutter.teeth)  # of a tooth pitch, rounded up
+    least_count = -(-_LEAST_RIM_POINTS // cutter.teeth)  # of half a tooth pitch, rounded up
     return cutter.teeth * max(int(np.ceil(np.pi * cutter.radius / step / cutter.teeth)), least_count)
 
 

@@ -222,7 +222,7 @@ def test_loads_are_sums_over_the_points_of_a_turn(drill, covariance, cell):
     turn = SimpleNamespace(
         law=law, drill=drill, sampling=1.5, least_cosine=0.2,
         radius=np.array([1, 2, 3, 3], np.float32), width=np.array([0.1, 0.2, 0.3, 0.4]),
-        bottom=slice(0, 1), round=slice(1, 2), side=slice(2, 4),
+        normal_x=np.array([0.1, 0.4, 0.9, 0.5], np.float32), bottom=slice(0, 1), round=slice(1, 2), side=slice(2, 4),
         cut_wrench=rng.normal(size=(4, 6)).astype(np.float32), rub_wrench=rng.normal(size=(4, 6)).astype(np.float32),
         unit_wrench=rng.normal(size=(3, 4, 6)).astype(np.float32),
     )  # fmt: skip
@@ -231,7 +231,7 @@ def test_loads_are_sums_over_the_points_of_a_turn(drill, covariance, cell):
     thickness[1, 3] = 0.0
     share = np.where(thickness > 0, 0.7, 0.0).astype(np.float32)
     sine = np.array([0.0, 0.4, 1.0])
-    cosine = np.array([0.9, 0.5, 0.1, 0.3], np.float32)
+    cosine = np.array([0.9, 0.55, 0.1, 0.3], np.float32)
     loads = cutting.mean_loads(
         turn, cutting.EngagedEdge(length.copy(), moment), cutting.Chips(thickness, share), sine, cell, cosine
     )
@@ -253,9 +253,12 @@ def test_loads_are_sums_over_the_points_of_a_turn(drill, covariance, cell):
         np.testing.assert_allclose(loads.wrench[n], wrench, rtol=2e-5, atol=1e-6)
         assert loads.removal[n] == pytest.approx(float(edge @ (thickness[n] * arc)), rel=1e-5)
         level = 0.0 if drill else 0.2 * 1.5 * cell / np.sqrt(float(edge @ arc))
-        steepness = float(edge @ (arc * np.array([0.9, 0.5, 0.2, 0.3]) ** -1.5)) / float(edge @ arc)
+        steepness = float(edge @ (arc * np.array([0.9, 0.55, 0.2, 0.3]) ** -1.5)) / float(edge @ arc)
         by_cells = min(1.0, level * np.sqrt(steepness))
-        assert loads.level_error_share[n] == pytest.approx(min(1.0, level), rel=1e-5)
+        gentle = float(edge[:2] @ arc[:2]) / float(edge @ arc)
+        assert loads.gentle_error_share[n] == pytest.approx(min(1.0, level * np.sqrt(gentle)), rel=1e-5)
+        front = float(edge @ (arc * turn.normal_x))
+        by_wall = 0.0 if drill else 0.05 * cell * edge[2:].max() / front
         assert loads.cell_error_share[n] == pytest.approx(by_cells, rel=1e-5)
         unknown = (1 - sine[n] if sine[n] > 0 else 0.0) * edge[0] * turn.rub_wrench[0]
         square = unknown**2 / 3
@@ -266,8 +269,9 @@ def test_loads_are_sums_over_the_points_of_a_turn(drill, covariance, cell):
             units = [total(n, unit, none) for unit in turn.unit_wrench]
             units += [total(n, none, unit) for unit in turn.unit_wrench]
             square += np.einsum("ki,kl,li->i", np.array(units), covariance, np.array(units))
-        square[:3] += by_cells**2 * (wrench[:3] @ wrench[:3]) / 3
-        square[3:] += by_cells**2 * (wrench[3:] @ wrench[3:]) / 3
+        by_map = min(1.0, np.hypot(by_cells, by_wall))
+        square[:3] += by_map**2 * (wrench[:3] @ wrench[:3]) / 3
+        square[3:] += by_map**2 * (wrench[3:] @ wrench[3:]) / 3
         np.testing.assert_allclose(loads.deviation[n], np.sqrt(square), rtol=5e-5)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from postproc.machining import stock as stocks
 from postproc.machining.tool import Cutter
-from tests.machining.setting import forces, gcode, line_of, process, tool
+from tests.machining.setting import AL7075, forces, gcode, line_of, process, tool
 
 BOX = ((0, 20), (0, 12), (-20, 0))
 BALL = tool(6, 2, "ball")
@@ -101,3 +101,38 @@ def test_on_steep_surfaces_cells_are_fine_from_the_start_of_the_set_up():
     thin = [ThinPasses(7, 0, 0.12), ThinPasses(9, 0, 0.22, is_steep=True), ThinPasses(30, 0, 0.12, is_steep=True)]
     assert cell_divisors(thin, 100_000, [0, 20]) == {7: 3, 0: 5, 20: 3}
     assert cell_divisors([*thin[1:], ThinPasses(12, 0, 0.32, is_steep=True)], 100_000, [0]) == {0: 7}
+
+
+@pytest.mark.parametrize("depth", [2.0, 12.0])
+def test_the_stated_error_of_a_thin_layer_on_a_wall_does_not_fall_with_its_depth(tmp_path, depth):
+    """A wall is one row of cells, whatever its height. Layers of 0.1 mm beside slots, at angles to the cells."""
+    box = ((-40, 40), (-40, 40), (-20, 0))
+    errors, stated = [], []
+    for angle, offset in ((0.3, 0.1), (0.9, -0.4), (1.9, 0.7), (2.6, 0.3)):
+        along, left = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        blocks = []
+        for aside in (offset, offset + 0.1):
+            begin, end = (aside * left + side * 60.0 * along for side in (-1.0, 1.0))
+            blocks += ["G0 Z5", f"G0 X{begin[0]:.5f} Y{begin[1]:.5f}", f"G0 Z{-depth}"]
+            blocks.append(f"G1 X{end[0]:.5f} Y{end[1]:.5f} F1200")
+        material = 'name = "al_7075_t6_carbide"\nsigma_percent = 0.0'
+        _, found = forces(tmp_path, gcode("G0 Z5", *blocks), process(tool(12, 3), box, material=material))
+        cuts = found.cuts
+        inner = (cuts.motion == cuts.motion.max()) & (np.abs(cuts.t - 0.5) < 0.1)
+        errors.append(cuts.wrench[inner, :3] - layer_force(0.1, depth))
+        stated.append(cuts.deviation[inner, :3])
+    errors, stated = np.concatenate(errors), np.concatenate(stated)
+    assert np.sqrt(np.mean(errors**2)) < 1.3 * np.sqrt(np.mean(stated**2))
+    assert np.mean(np.abs(errors) < 1.96 * stated) > 0.9
+
+
+def layer_force(width, depth):
+    """Mean force (3,) [N] of up-milling with a D12 of 3 teeth at 1200 mm/min and 6000/min: x along the feed, z up."""
+    ktc, kte, krc, kre, kac, kae = AL7075
+    phi = (np.arange(4000) + 0.5) / 4000 * np.arccos(1.0 - width / 6.0)
+    chip = 1200.0 / 6000.0 / 3.0 * np.sin(phi)
+    tangential, radial, axial = ktc * chip + kte, krc * chip + kre, kac * chip + kae
+    force = np.stack([
+        -tangential * np.cos(phi) - radial * np.sin(phi), tangential * np.sin(phi) - radial * np.cos(phi), axial
+    ])  # fmt: skip
+    return 3.0 / (2.0 * np.pi) * depth * force.mean(axis=1) * (phi[-1] + 0.5 * (phi[1] - phi[0]))

@@ -503,7 +503,7 @@ def test_the_depth_of_a_hole_is_that_of_a_drill_and_power_is_torque_times_speed(
     wrench = np.array([[3.0, 4.0, 0.0, 0.0, 0.0, 2.0], [0.0, 0.0, 12.0, 0.0, 0.0, -2.0]])
     loads = SimpleNamespace(
         wrench=wrench, deviation=np.zeros((2, 6)), cell_error_share=np.array([0.1, 0.2]),
-        level_error_share=np.array([0.05, 0.1]), removal=np.array([1e-9, 2e-9]),
+        gentle_error_share=np.array([0.05, 0.1]), removal=np.array([1e-9, 2e-9]),
     )  # fmt: skip
     stations = np.array([2, 3]), np.array([0.1, 0.2]), np.array([False, True])
     for is_drill in (False, True):
