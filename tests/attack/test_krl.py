@@ -140,7 +140,7 @@ def test_damaged_programs_are_refused_with_a_message_or_read():
 
 FAULTS = {
     "calls are passed over": (Calls, "follow_call", lambda self, at, call, is_certain: NO_VALUE),
-    "what may happen is taken not to": (Calls, "_may_have_run", lambda self, at, name, effects: None),
+    "what may happen is taken not to": (Calls, "_forget_written_variables", lambda self, at, name, effects: None),
     "arguments keep their values": (Calls, "_forget_arguments", lambda self, at, call, routine: None),
     "branches keep values": (Variables, "forget", lambda self, name, where: None),
     "branches keep settings": (
@@ -148,7 +148,11 @@ FAULTS = {
         "may_become",
         lambda self, line, state, reason: self.change_state(line, state),
     ),
-    "points are corrected for all who read them": (NamedPoints, "_is_replaceable", lambda self, uses, aggregate: True),
+    "points are corrected for all who read them": (
+        NamedPoints,
+        "_is_correctable_in_declaration",
+        lambda self, uses, aggregate: True,
+    ),
 }
 RARE = {
     "what may happen is taken not to": 58,

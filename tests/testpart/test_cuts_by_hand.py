@@ -252,7 +252,7 @@ def test_the_states_of_places_are_those_of_the_robot_at_them_and_those_out_of_re
     tips = np.array([[0.05, 0.06, 0.01], [0.06, 0.06, 0.01], [9.0, 0.0, 0.0], [9.01, 0.0, 0.0]])
     rng = np.random.default_rng(4)
     wrench, by_lift = 100.0 * rng.normal(size=(4, 6)), rng.normal(size=(4, 6))
-    states, reachable, rotation = design._states(ROBOT_IN_CELL, tips, (wrench, by_lift), CUTTING, 2)
+    states, reachable, rotation = design._states(ROBOT_IN_CELL, tips, wrench, by_lift, cutting=CUTTING, count=2)
     assert reachable.tolist() == [True, False]
     base = ROBOT_IN_CELL.cell.base.pose()
     np.testing.assert_allclose(rotation, np.broadcast_to(base[:3, :3], (4, 3, 3)), atol=1e-12)
@@ -271,7 +271,7 @@ def test_features_with_a_place_beyond_a_joint_limit_are_left_out():
     """Two places a feature: the limit of one joint is between the places of the second feature."""
     tips = np.array([[0.05, 0.06, 0.01], [0.06, 0.06, 0.01], [0.05, 0.10, 0.01], [0.06, 0.12, 0.01]])
     none = np.zeros((4, 6))
-    states, reached, _ = design._states(ROBOT_IN_CELL, tips, (none, none), CUTTING, 2)
+    states, reached, _ = design._states(ROBOT_IN_CELL, tips, none, none, cutting=CUTTING, count=2)
     assert reached.tolist() == [True, True]
     q = states.q[:, 0]  # of the base joint
     order = np.argsort(q)
@@ -282,7 +282,7 @@ def test_features_with_a_place_beyond_a_joint_limit_are_left_out():
     else:
         lower[0] = 0.5 * (q[order[0]] + q[order[1]])
     robot = replace(ROBOT_IN_CELL.robot, lower=lower, upper=upper)
-    narrow, reached, _ = design._states(replace(ROBOT_IN_CELL, robot=robot), tips, (none, none), CUTTING, 2)
+    narrow, reached, _ = design._states(replace(ROBOT_IN_CELL, robot=robot), tips, none, none, cutting=CUTTING, count=2)
     assert reached.tolist() == [True, False]
     np.testing.assert_allclose(narrow.q, states.q[:2], atol=1e-12)
 
@@ -294,7 +294,7 @@ def test_the_information_of_a_gauge_is_that_of_the_sag_under_its_weight():
     size = len(PRIOR.parameters)
     assert found.shape == (size + 16, size + 16)
     none = np.zeros((2, 6))
-    states, _, _ = design._states(ROBOT_IN_CELL, places, (none, none), CUTTING, 1)
+    states, _, _ = design._states(ROBOT_IN_CELL, places, none, none, cutting=CUTTING, count=1)
     weight = np.zeros((2, 6))
     weight[:, 2] = -9.80665 * mass
     hanging = replace(states, weight_wrench=weight)
