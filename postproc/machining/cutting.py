@@ -356,7 +356,7 @@ CELL_ERROR_SHARE = 0.2
 """Standard deviation of a force by the cells of the map, as a share of it, times √n: n is the area of the front of the
 tool in material in cells. The RMS error of balls against exact fronts is 0.06 to 0.12 of 1/√n, for n from 4 to 590,
 cells of 0.15 to 0.4 mm, depths of 0.1 to 1 mm; some surfaces have more (`python -m tests.benchmarks.fronts`)."""
-_WALL_ERROR = 0.05
+WALL_ERROR = 0.05
 """Standard deviation of the place of a wall in the map, in cells: that of finishing passes of flat tools 0.05 to 0.2 mm
 wide and 1.5 to 24 mm deep against closed forms, with cells of 0.25 mm, is 0.026 to 0.054."""
 _STEEPNESS_POWER = -1.5
@@ -494,7 +494,7 @@ def _wall_error_share(turn: Turn, length: Floats, cell: float | Array) -> Array:
     """Return the standard deviation of forces (n,) by the place of the wall that the cylinder cuts, as a share of them.
 
     A wall is one row of columns of the map whatever its height, so that the error does not fall with the depth of cut:
-    a thin layer is `_WALL_ERROR` cells thicker or thinner. It is compared with the width of the whole cut.
+    a thin layer is `WALL_ERROR` cells thicker or thinner. It is compared with the width of the whole cut.
 
     :param length: (n, P) length of edge that cuts [m]; on the cylinder that is the depth.
     :param cell: width of a cell of the map [m]; or (n,) the width that a cell has on the surface of the tool.
@@ -505,7 +505,7 @@ def _wall_error_share(turn: Turn, length: Floats, cell: float | Array) -> Array:
     # area of the cut seen along the feed: a layer of this width times depth is removed
     front_area = product_in_blocks(length, (arc_length * turn.normal_x)[:, None])[:, 0].astype(float)
     wall_height = length[:, turn.side].max(axis=1, initial=0.0).astype(float)
-    return np.asarray(_WALL_ERROR * cell * wall_height / np.maximum(front_area, 1e-12))
+    return np.asarray(WALL_ERROR * cell * wall_height / np.maximum(front_area, 1e-12))
 
 
 def _add_moment_of_height(wrench: Array, force_moment: Floats) -> None:

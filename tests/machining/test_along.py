@@ -88,6 +88,7 @@ def test_standard_deviations_are_those_of_the_material(tmp_path, monkeypatch):
     95 % of tools drawn so are inside 1.96 standard deviations, though wear only adds.
     """
     monkeypatch.setattr(cutting, "CELL_ERROR_SHARE", 0.0)  # without that by the cells of the map
+    monkeypatch.setattr(cutting, "WALL_ERROR", 0.0)
     _, found = forces(tmp_path, gcode(*WAYS), process(tool(10, 4), BOX, 0.5))
     rng = np.random.default_rng(7)
     error = (1.0 + 0.33 * rng.normal(size=1_000_000)) * (1.0 + 0.25 * rng.uniform(size=1_000_000)) - 1.0

@@ -20,6 +20,7 @@ VALUES = np.array([AL7075[k] for k in (0, 2, 4, 1, 3, 5)])
 def exact_map(monkeypatch):
     """Standard deviations without that by the cells of the map."""
     monkeypatch.setattr(cutting, "CELL_ERROR_SHARE", 0.0)
+    monkeypatch.setattr(cutting, "WALL_ERROR", 0.0)
 
 
 def six(values):
