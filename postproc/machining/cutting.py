@@ -361,8 +361,9 @@ WALL_ERROR = 0.05
 wide and 1.5 to 24 mm deep against closed forms, with cells of 0.25 mm, is 0.026 to 0.054."""
 _STEEPNESS_POWER = -1.5
 """The variance of a force by the cells of the map grows with this power of the cosine of the slope: on a steep wall few
-cells are under the contact, and each of them covers a large part of it. Balls R3 that finish walls of 45 to 87°, .3 mm
-deep, are off by 0.3 to 1.0 of the deviation that follows, from the top down, and by 0.2 to 2.5, from the bottom up."""
+cells are under the contact, and each of them covers a large part of it. With cells of 0.25 mm, balls R3 that finish
+walls 0.3 mm deep are off by 0.3 to 0.9 of the deviation that follows (45 to 84° from the top down, 45 to 80° from the
+bottom up), and by 2 to 2.5 of it on steeper walls. With cells of 0.1 mm it is 0.3 to 1.5 of it, from 80 to 87°."""
 _GENTLE_COSINE = 0.5
 """Cosine of the slope above which a surface is not steep (assumed)."""
 _ONE_THREAD = 200_000

@@ -28,7 +28,7 @@ _MOST_CELLS = 60_000_000
 """Largest number of cells of a map: their upper levels take 240 MB."""
 SLOPE = 1e-4
 """Unit of slopes in the map,"""
-_STEEPEST_SLOPE = 3.0
+STEEPEST_SLOPE = 3.0
 """and the steepest one: walls are located by the levels of their cells."""
 _SLOPE_STEP = 0.25
 """Distance from the middle of a cell of the two levels from which its slope is computed, in cells (assumed)."""
@@ -302,7 +302,7 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
 def _mean_slopes(upper: Array, step: float) -> NDArray[np.int16]:
     """Return the slopes along x and y (ny, nx, 2) of planes through the heights in each cell, in units of `SLOPE`.
 
-    The slope is 0 where the heights are not in a plane, the plane is steeper than `_STEEPEST_SLOPE`, or the mesh covers
+    The slope is 0 where the heights are not in a plane, the plane is steeper than `STEEPEST_SLOPE`, or the mesh covers
     the cell only in part: there may be a wall in the cell.
 
     :param upper: (ny, s, nx, s) heights in the s × s squares of each cell [m]; NaN: not covered.
@@ -315,7 +315,7 @@ def _mean_slopes(upper: Array, step: float) -> NDArray[np.int16]:
     plane = slope[:, None, :, None, 0] * offset + slope[:, None, :, None, 1] * offset[:, None, None]
     residual = np.abs(upper - upper.mean(axis=(1, 3), keepdims=True) - plane).max(axis=(1, 3))
     # False for NaN
-    is_plane = (np.abs(slope) <= _STEEPEST_SLOPE).all(axis=-1) & (residual <= _FLATNESS * squares * step)
+    is_plane = (np.abs(slope) <= STEEPEST_SLOPE).all(axis=-1) & (residual <= _FLATNESS * squares * step)
     return np.where(is_plane[..., None], slope / SLOPE, 0.0).astype(np.int16)
 
 
@@ -555,7 +555,7 @@ def _slopes(stock: Stock, footprint: Footprint, rows: Ints) -> NDArray[np.int16]
         _, lower_level = tool_levels(cutter, begin, end, x - x_step, y - y_step)
         _, upper_level = tool_levels(cutter, begin, end, x + x_step, y + y_step)
         slope = (upper_level - lower_level)[:, 0, 0] / (2.0 * step)  # (k,)
-        slopes[:, axis] = np.clip(slope, -_STEEPEST_SLOPE, _STEEPEST_SLOPE) / SLOPE
+        slopes[:, axis] = np.clip(slope, -STEEPEST_SLOPE, STEEPEST_SLOPE) / SLOPE
     return slopes
 
 

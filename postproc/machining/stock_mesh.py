@@ -16,15 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from postproc.frames import Array
-from postproc.machining.stock import Stock
+from postproc.machining.stock import STEEPEST_SLOPE, Stock
 from postproc.program import Bools, Ints
 
 MOST_FILE_CELLS = 500_000
 """Largest number of cells beside level regions in a mesh from which another map is made: an STL file has 100 MB."""
 _MOST_MAP_CELLS = 4_000_000
 """Largest number of cells from which a mesh is made: it limits memory."""
-_STEEPEST_SLOPE = 3.0
-"""Two cells whose heights differ by a larger slope have a step between them (that of `Stock.slope`)."""
 _STEP_RATIO = 3.0
 """Differences of height this many times as large as those before and after them are steps (assumed),"""
 _LEAST_STEP = 0.02
@@ -160,7 +158,7 @@ def _steps(level: Array, is_filled: Bools, width: float) -> _Sides:
         padded = np.pad(difference, ((0, 0), (1, 1)))
         neighbour = np.maximum(padded[:, :-2], padded[:, 2:])
         is_step = (difference > _LEAST_STEP * width) & (
-            (difference > _STEEPEST_SLOPE * width) | (difference > _STEP_RATIO * neighbour)
+            (difference > STEEPEST_SLOPE * width) | (difference > _STEP_RATIO * neighbour)
         )
         steps.append(is_step)
     return _Sides(steps[0], steps[1].T)
