@@ -11,7 +11,7 @@ import trimesh
 
 from postproc.correction.process import process
 from postproc.errors import InputError
-from postproc.files import read_facets
+from postproc.files import read_facets, reading
 from postproc.jobs import Settings, load_setup, read_program
 from postproc.jobs.conversion import surface_of
 from tests.commands import run
@@ -40,8 +40,12 @@ def box(path, sides, middle=(30, 10, -1)):
     mesh.export(path)
 
 
+FINE = reading._SIDES_PER_PART
+
+
 @pytest.fixture(autouse=True)
-def input_files(work_folder):
+def input_files(work_folder, monkeypatch):
+    monkeypatch.setattr(reading, "_SIDES_PER_PART", FINE / 3)  # a ninth of the facets, and of the time
     Path("part.nc").write_text(PROGRAM)
     Path("process.toml").write_text(PROCESS)
     box("part.stl", SIDES)
@@ -185,7 +189,8 @@ def test_the_cut_of_a_process_is_shown_along_the_path():
     assert min(rate for rate in rates if rate is not None) > 0.0  # nothing is drawn in air
 
 
-def test_facets_are_divided_and_cover_the_same_area():
+def test_facets_are_divided_and_cover_the_same_area(monkeypatch):
+    monkeypatch.setattr(reading, "_SIDES_PER_PART", FINE)
     corners, _ = read_facets(Path("part.stl"))
     edges = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     x, y, z = SIDES

@@ -7,7 +7,7 @@ import pytest
 from postproc.dialects import krl
 from postproc.dialects.krl import write
 from postproc.dialects.krl.write import modules
-from tests.oracle.krl_grammar import check, takes, unknown_names
+from tests.oracle.krl_grammar import takes, unknown_names
 
 JOINED = "\x01"
 """Marks lines of a program in several files where it is one text inside, before it is taken apart."""
@@ -23,16 +23,12 @@ def checked(make, inputs):
         written = make(*arguments, **options)
         if any(issue.level == "error" for issue in written.issues) or any(JOINED in d.text for d in written.documents):
             return written
-        before = {document.name: document for document in inputs(*arguments, **options)}
-        fresh = [d for d in written.documents if before.get(d.name) != d and len(d.text) < LARGEST]
-        if all(len(d.text) < LARGEST and takes(d.name, d.text) for d in before.values()):
-            for document in fresh:
-                check(document.name, document.text)
-            unknown = unknown_names({d.name: d.text for d in before.values()}) if fresh else set()
-            if before and fresh:
-                after = {**before, **{d.name: d for d in written.documents}}
-                new = unknown_names({d.name: d.text for d in after.values()}) - unknown
-                assert not new, f"names that are declared nowhere: {new}"
+        before = {document.name: document.text for document in inputs(*arguments, **options)}
+        after = {d.name: d.text for d in written.documents if before.get(d.name) != d.text and len(d.text) < LARGEST}
+        if after and all(len(text) < LARGEST and takes(name, text) for name, text in before.items()):
+            names = unknown_names({**before, **after})  # raises if one of them is not KRL
+            new = names - unknown_names(before) if before else set()
+            assert not new, f"names that are declared nowhere: {new}"
         return written
 
     return checking

@@ -1,4 +1,4 @@
-"""Messages name lines of files: behind a loop of 100 rounds the same as behind one motion for each of its lines."""
+"""Messages name lines of files: behind a loop of ten rounds the same as behind one motion for each of its lines."""
 
 import pytest
 from msgspec.structs import replace
@@ -7,7 +7,7 @@ from postproc.cell import Krl
 from postproc.errors import PostprocError
 from tests.dialects.krl_programs import CELL, read
 
-LOOP = ("FOR ROUNDS=1 TO 100", "STEPPED(ROUNDS)", "LIN {X 1,Y 2,Z 3,A 4,B 5,C 6}", "ENDFOR")
+LOOP = ("FOR ROUNDS=1 TO 10", "STEPPED(ROUNDS)", "LIN {X 1,Y 2,Z 3,A 4,B 5,C 6}", "ENDFOR")
 PLAIN = (
     "LIN {X 1,Y 2,Z 3,A 4,B 5,C 6}",
     "STEPPED(1)",

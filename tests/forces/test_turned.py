@@ -110,20 +110,18 @@ def test_wrenches_and_deviations_anywhere(seed, spindle):
     t[::12] = 0.3 * RAMP / path.length[1:]
     sample = toolpath.at(made, path, motion, t)
     found, spread = load.at(sample), load.spread_at(sample)
-    sigma = knots.sigma.reshape(-1, 2, 3, 1) * np.eye(3)
-    by_factor = (knots.factor[:, None] * knots.wrench).reshape(-1, 2, 3, 1)
+    wrench, by_factor = (each.reshape(-1, 2, 3, 1) for each in (knots.wrench, knots.factor[:, None] * knots.wrench))
+    values = np.concatenate([wrench, knots.sigma.reshape(-1, 2, 3, 1) * np.eye(3), by_factor], axis=-1)
     in_root = load.spread_in_root(sample)
     for row, (k, place) in enumerate(zip(motion, t, strict=True)):
-        values = knots.wrench.reshape(-1, 2, 3, 1)
-        expected = columns_at(made, knots, path.length, k, place, values, spindle).reshape(6)
-        np.testing.assert_allclose(found[row], expected, atol=1e-4)
-        expected = columns_at(made, knots, path.length, k, place, sigma, spindle)
+        columns = columns_at(made, knots, path.length, k, place, values, spindle)
+        np.testing.assert_allclose(found[row], columns[..., 0].reshape(6), atol=1e-4)
+        expected = columns[..., 1:4]
         np.testing.assert_allclose(spread[row], expected, atol=1e-5)
         root = made.bases[made.motions.base[k], :3, :3]
         np.testing.assert_allclose(in_root[row, :3, :3], root @ expected[0], atol=1e-5)
         np.testing.assert_allclose(in_root[row, 3:, 3:6], root @ expected[1], atol=1e-5)
-        expected = columns_at(made, knots, path.length, k, place, by_factor, spindle)[..., 0] @ root.T
-        np.testing.assert_allclose(in_root[row, :, 12], expected.reshape(6), atol=1e-4)
+        np.testing.assert_allclose(in_root[row, :, 12], (columns[..., 4] @ root.T).reshape(6), atol=1e-4)
 
 
 def test_at_a_knot_and_beyond_the_last_the_wrench_is_its_own():

@@ -59,11 +59,11 @@ def test_noise_free_readings_give_the_true_geometry_in_any_tracker_frame(markers
 
 
 @pytest.mark.parametrize(("markers", "repeats"), [(4, 3), (2, 1)])
-def test_95_percent_intervals_cover_the_truth_in_95_percent_of_300_runs(markers, repeats):
-    results = [cg.identify(readings(seed=s, markers=markers, repeats=repeats)[0]) for s in range(300)]
+def test_95_percent_intervals_cover_the_truth_in_95_percent_of_120_runs(markers, repeats):
+    results = [cg.identify(readings(seed=s, markers=markers, repeats=repeats)[0]) for s in range(120)]
     inside = np.array([np.abs(r.value - TRUE) <= r.ci95 for r in results]).mean(axis=0)
-    assert np.all((inside > 0.92) & (inside < 0.985)), inside  # 300 runs: ±2.5 %
-    assert np.mean([r.sigma for r in results]) == pytest.approx(0.03e-3, rel=0.03)
+    assert np.all((inside > 0.89) & (inside < 0.995)), inside  # 120 runs: ±4 %
+    assert np.mean([r.sigma for r in results]) == pytest.approx(0.03e-3, rel=0.05)
 
 
 def with_errors_of_angles(seed, size=0.1e-3):
@@ -77,11 +77,11 @@ def with_errors_of_angles(seed, size=0.1e-3):
 
 
 def test_intervals_contain_errors_that_the_repeats_share():
-    results = [cg.identify(with_errors_of_angles(seed)) for seed in range(300)]
+    results = [cg.identify(with_errors_of_angles(seed)) for seed in range(120)]
     inside = np.array([np.abs(r.value - TRUE) <= r.ci95 for r in results]).mean(axis=0)
-    assert np.all((inside > 0.92) & (inside < 0.985)), inside  # 300 runs: ±2.5 %
+    assert np.all((inside > 0.89) & (inside < 0.995)), inside  # 120 runs: ±4 %
     # a reading: its own noise and, three times in three repeats, the error of its angle
-    assert np.mean([r.sigma for r in results]) == pytest.approx(np.hypot(0.03e-3, np.sqrt(3) * 0.1e-3), rel=0.03)
+    assert np.mean([r.sigma for r in results]) == pytest.approx(np.hypot(0.03e-3, np.sqrt(3) * 0.1e-3), rel=0.05)
 
 
 def test_a_tracker_that_was_moved_between_the_angles_is_a_warning_with_both_scatters():
@@ -92,8 +92,8 @@ def test_a_tracker_that_was_moved_between_the_angles_is_a_warning_with_both_scat
     scatter = float(warning.split("scatter by ")[1].split(" mm")[0])
     assert scatter == pytest.approx(0.02, rel=0.1)  # of some 90 degrees of freedom
     assert "Check that the tracker was not moved between the angles" in warning
-    false_alarms = sum(bool(cg.identify(readings(seed=seed)[0]).warnings) for seed in range(300))
-    assert false_alarms <= 3  # 0.3 are expected
+    false_alarms = sum(bool(cg.identify(readings(seed=seed)[0]).warnings) for seed in range(100))
+    assert false_alarms <= 1  # 0.1 are expected
 
 
 def test_a_single_marker_still_gives_an_estimate_and_says_how_poor_it_is():

@@ -47,18 +47,19 @@ def test_paper_like_robot_every_k_within_three_intervals_or_one_percent(tmp_path
 
 
 def test_95_percent_intervals_cover_the_truth_and_leave_no_bias(tmp_path):
-    """12 runs here; 500 in samples/paper_study."""
+    """6 runs here; 500 in samples/paper_study."""
     true, exact, data, _ = paper_experiment(tmp_path)
     expected = np.r_[1e6 / true.gear.k, true.comp[0], true.comp[1] * 1e3]
     rng = np.random.default_rng(0)
     scores = []
-    for _ in range(12):
+    for _ in range(6):
         noisy = harness.with_readings(data, simulator.readings(exact, rng, SIGMA, 3))
         _, values, covariance = to_file_units(identify(harness.PRIOR, noisy, depth="joints").fit)
         scores.append((values - expected) / np.sqrt(np.diag(covariance)))
     scores = np.array(scores)
-    assert 0.88 < np.mean(np.abs(scores) < 1.96) < 1.0  # 96 intervals
-    assert np.all(np.abs(scores.mean(axis=0)) < 1.16)  # 4 standard errors of a mean of 12
+    assert np.mean(np.abs(scores) < 1.96) > 0.88  # 48 intervals
+    assert 0.6 < np.sqrt(np.mean(scores**2)) < 1.4  # eight of each run, which are correlated
+    assert np.all(np.abs(scores.mean(axis=0)) < 1.63)  # 4 standard errors of a mean of 6
 
 
 def test_noise_free_readings_show_that_nothing_is_linearised(tmp_path):
@@ -70,15 +71,14 @@ def test_noise_free_readings_show_that_nothing_is_linearised(tmp_path):
 
 
 def test_milling_job_is_corrected_by_100_and_2_4_times_better_than_serial(tmp_path):
-    for seed in (21, 22):
-        true, _, data, _ = paper_experiment(tmp_path, seed)
-        jobs = simulator.milling_jobs(np.random.default_rng(seed))
-        factor = {
-            method: harness.job_factor(true, identify(harness.PRIOR, data, method).robot(), jobs)
-            for method in ("enhanced", "serial")
-        }
-        assert factor["enhanced"] > 100.0
-        assert factor["enhanced"] > 2.4 * factor["serial"] > 24.0
+    true, _, data, _ = paper_experiment(tmp_path, 21)
+    jobs = simulator.milling_jobs(np.random.default_rng(21))
+    factor = {
+        method: harness.job_factor(true, identify(harness.PRIOR, data, method).robot(), jobs)
+        for method in ("enhanced", "serial")
+    }
+    assert factor["enhanced"] > 100.0
+    assert factor["enhanced"] > 2.4 * factor["serial"] > 24.0
 
 
 def test_serial_chain_without_compensator_is_found_by_both_methods(tmp_path):
@@ -97,7 +97,6 @@ def test_serial_chain_without_compensator_is_found_by_both_methods(tmp_path):
     [
         ({"gear": "quadratic", "links": "begin"}, 40),
         ({"gear": "settling", "links": "end", "base": True}, 40),
-        ({"gear": "linear", "links": "begin"}, 100),
         ({"gear": "cubic", "links": "begin", "feel_rest": False}, 40),
     ],
 )

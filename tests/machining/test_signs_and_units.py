@@ -154,13 +154,12 @@ def test_no_material_of_the_table_is_refused_and_its_file_is_taken(tmp_path, nam
     (tmp_path / "process.toml").write_text(
         process(tool(10, 3), ((0, 100), (-40, 40), (-20, 0)), material='file = "m.toml"')
     )
-    for prior in (MaterialTable(name=name), None):
-        for seed in range(3):
-            found = identified(cuts(entry, modes, depth, noise=0.01, seed=seed), prior)
-            (tmp_path / "m.toml").write_bytes(identification.as_toml(found, TOOL_OF_3_FLUTES, "cuts.csv"))
-            assert machining.load(tmp_path / "process.toml").law().cutting[0] == pytest.approx(
-                1e6 * found.value[0], rel=1e-5
-            )
+    for seed, prior in enumerate((MaterialTable(name=name), None)):
+        found = identified(cuts(entry, modes, depth, noise=0.01, seed=seed), prior)
+        (tmp_path / "m.toml").write_bytes(identification.as_toml(found, TOOL_OF_3_FLUTES, "cuts.csv"))
+        assert machining.load(tmp_path / "process.toml").law().cutting[0] == pytest.approx(
+            1e6 * found.value[0], rel=1e-5
+        )
 
 
 def test_a_coefficient_that_is_negative_within_its_error_is_taken_as_zero():

@@ -55,11 +55,27 @@ def check(name, text):
 
 def takes(name, text):
     """Whether the text of a file is KRL; see `check`."""
+    return not isinstance(_names_or_refusal(name, text), Refused)
+
+
+@lru_cache(maxsize=1000)
+def _names_or_refusal(name, text):
+    """Names that the code of a file uses, and those that it declares or defines; or the refusal of `check`.
+
+    Tests write the same files again and again: their names are kept, not their trees.
+    """
     try:
-        check(name, text)
-    except Refused:
-        return False
-    return True
+        tree = check(name, text)
+    except Refused as refusal:
+        return refusal
+    used, declared = set(), set()
+    for subtree in tree.iter_subtrees():
+        names = [str(child) for child in subtree.children if isinstance(child, Token) and child.type == "NAME"]
+        if subtree.data in ("place", "call", "goto"):
+            used.update(names[:1])
+        else:
+            declared.update(names)
+    return used, declared
 
 
 @cache
@@ -181,15 +197,14 @@ def components(aggregate):
 def unknown_names(files):
     """Names that the code of files uses, and that none of them declares or defines; without those of the system.
 
-    :param files: name → text, all of them KRL.
+    :param files: name → text.
+    :raises Refused: a text is not KRL; see `check`.
     """
     used, declared = set(), set()
     for name, text in files.items():
-        tree = check(name, text)
-        for subtree in tree.iter_subtrees():
-            names = [str(child) for child in subtree.children if isinstance(child, Token) and child.type == "NAME"]
-            if subtree.data in ("place", "call", "goto"):
-                used.update(names[:1])
-            else:
-                declared.update(names)
+        names = _names_or_refusal(name, text)
+        if isinstance(names, Refused):
+            raise names
+        used |= names[0]
+        declared |= names[1]
     return {name for name in used - declared if name[0] != "$"}

@@ -105,7 +105,7 @@ def test_the_search_never_gets_worse_and_ends_better_than_it_began(tmp_path):
         if stage == "searching":
             values.append(best)
 
-    options = Options(configurations=10, levels=5, starts=3, test_poses=8, rounds=8, comparisons=False)
+    options = Options(configurations=10, levels=5, starts=3, test_poses=4, rounds=4, comparisons=False)
     plan_measurements(setting.site(tmp_path), setting.job(), options, progress=note)
     assert (np.diff(values) <= 0).all()
     assert values[-1] < 0.97 * values[2]
