@@ -15,7 +15,7 @@ What instructions do: ABB, Technical reference manual, RAPID Instructions, Funct
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Set
 from typing import Any, NoReturn, TypeGuard
 
 from msgspec import Struct, field
@@ -163,8 +163,9 @@ class Execution:
         loaded: LoadedModules,
     ) -> None:
         self.modules, self.entry, self.from_cell = tuple(modules), entry, cell_value
+        self.without_effect, self.loaded = tuple(without_effect), loaded
         all_modules = (*loaded.modules, *self.modules)
-        self.effects = Effects(all_modules, without_effect)
+        self.effects = Effects(all_modules, self.without_effect)
         self.routines = {routine.name: routine for module in self.modules for routine in module.routines}
         self.data: dict[str, Variable] = {
             name: Variable(type_, value) for name, (value, type_) in predefined_data().items()
@@ -191,6 +192,8 @@ class Execution:
             if not is_followed:  # changes by other files before the start of the program are not known in any case
                 for name in self.effects.changed_data_of(routine.name, includes_foreign_changes=False):
                     _forget_variable(self.data.get(name), f"{routine.name} may change it, which is not followed")
+        for variable in self.data.values():
+            variable.start_run()
 
     def run(self) -> ExecutedProgram:
         """Execute the program from its entry, and return the result.
@@ -205,6 +208,31 @@ class Execution:
         except RecursionError:
             raise RapidError("calls and loops are nested too deeply", self.entry.start, _KEEP) from None
         return self.result
+
+    def changed_names(self) -> list[str]:
+        """Return the names of data whose changes the next run may notice: it uses the value that this run leaves."""
+        return [
+            name
+            for name, variable in self.data.items()
+            if variable.is_used and (left := variable.at_next_run()).is_changed and left.value != left.start_value
+        ]
+
+    def next_run(self, unknown_names: Set[str]) -> Execution:
+        """Return an execution of the program that begins with the data that this one leaves.
+
+        Data that are unknown from the beginning, such as those of traps, remain unknown.
+
+        :param unknown_names: names of data that are unknown at its beginning.
+        """
+        execution = Execution(self.modules, self.entry, self.from_cell, self.without_effect, self.loaded)
+        for name, variable in self.data.items():
+            left = variable.at_next_run()
+            if left.is_changed and not execution.data[name].why:
+                if name in unknown_names:
+                    left.forget("an earlier run may have changed it")
+                left.start_run()
+                execution.data[name] = left
+        return execution
 
     # --- statements that are not followed
 
@@ -228,8 +256,7 @@ class Execution:
         for name in self.effects.changed_names(statements):
             _forget_variable(scope.find(name), reason)
         for name in called_names(statements):
-            for data_name in self.effects.changed_data_of(name):
-                _forget_variable(self.data.get(data_name), reason)
+            self._forget_data_of(name, reason)
 
     def _forget_results_of_functions(self, statement: Statement, scope: Scope) -> None:
         """Make data unknown that the functions called in a statement may change; count calls of other files.
@@ -244,7 +271,7 @@ class Execution:
                 self._list_foreign_call(call.value, statement)
             for name in self.effects.changed_arguments(call.value, call.items):
                 _forget_variable(scope.find(name), f"{call.value} may change it")
-            self._forget_data_of(call.value)
+            self._forget_data_of(call.value, self._change_reason(call.value))
 
     def _check_function(self, function: Routine, statement: Statement) -> None:
         """Check that a function does not move the robot and has no force comments; the result is stored.
@@ -278,11 +305,24 @@ class Execution:
             names |= new_names
             blocks += [self.routines[name].body for name in new_names]
 
-    def _forget_data_of(self, name: str) -> None:
-        """Make module data unknown that an instruction, function or routine may change by itself."""
+    def _change_reason(self, name: str) -> str:
+        """Return the reason why data are not known that an instruction, function or routine may change by itself."""
         place = ", which is in no module of this file," if self.effects.is_foreign(name) else ""
-        for data_name in self.effects.changed_data_of(name):
-            _forget_variable(self.data.get(data_name), f"{name}{place} may change it")
+        return f"{name}{place} may change it"
+
+    def _forget_data_of(self, name: str, reason: str) -> None:
+        """Make module data unknown that an instruction, function or routine may change by itself.
+
+        Routines of other files are assumed to leave data as they are from one run to the next.
+
+        :param reason: reason for the message if the data are used later.
+        """
+        data_names = self.effects.changed_data_of(name)
+        if not data_names:
+            return
+        changed_names = self.effects.changed_data_of(name, includes_foreign_changes=False)
+        for data_name in data_names:
+            _forget_variable(self.data.get(data_name), reason, by_foreign_call=data_name not in changed_names)
 
     def _list_foreign_call(self, name: str, statement: Statement) -> None:
         """Count a call of a routine that is in no module of the file."""
@@ -436,12 +476,14 @@ class Execution:
 
     def _execute_assignment(self, statement: Assignment, scope: Scope) -> None:
         """Assign a value to data; they become unknown if the value or the index of the element is not known."""
-        try:
-            value, _ = evaluate(statement.value, scope)
-            assign(statement.target, value, scope)
-        except (UnknownValueError, ValueError) as cause:
-            variable = scope.find(base_name(statement.target))
-            if variable is not None:
+        variable = scope.find(base_name(statement.target))
+        if variable is None:
+            return
+        with _change_of(variable):
+            try:
+                value, _ = evaluate(statement.value, scope)
+                assign(statement.target, value, scope)
+            except (UnknownValueError, ValueError) as cause:
                 variable.forget(cause.problem if isinstance(cause, UnknownValueError) else "its place is not known")
 
     def _execute_conditional(self, statement: Conditional, scope: Scope, routine: Routine, depth: int) -> None:
@@ -684,7 +726,7 @@ class Execution:
                 _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
             if self.effects.is_foreign(name):
                 self._list_foreign_call(name, statement)
-            self._forget_data_of(name)
+            self._forget_data_of(name, self._change_reason(name))
 
     def _refuse(self, statement: Statement, problem: str, advice: str) -> None:
         """Add an error at a statement to the errors, so that later errors are found too.
@@ -712,13 +754,14 @@ class Execution:
         variable = None if target is None else scope.find(base_name(target))
         if target is None or variable is None:
             return
-        try:
-            step = {"INCR": 1.0, "DECR": -1.0}.get(statement.name, 0.0)
-            if statement.name == "ADD" and statement.arguments[1].value is not None:
-                step = number(statement.arguments[1].value, scope)
-            assign(target, 0.0 if statement.name == "CLEAR" else number(target, scope) + step, scope)
-        except (UnknownValueError, ValueError, IndexError):
-            variable.forget(f"{statement.name} changes it")
+        with _change_of(variable):
+            try:
+                step = {"INCR": 1.0, "DECR": -1.0}.get(statement.name, 0.0)
+                if statement.name == "ADD" and statement.arguments[1].value is not None:
+                    step = number(statement.arguments[1].value, scope)
+                assign(target, 0.0 if statement.name == "CLEAR" else number(target, scope) + step, scope)
+            except (UnknownValueError, ValueError, IndexError):
+                variable.forget(f"{statement.name} changes it")
 
     def _execute_setting(self, statement: Instruction, scope: Scope) -> None:
         """Execute an instruction that changes how moves are executed: ConfJ, SingArea, CirPathMode, VelSet.
@@ -788,8 +831,7 @@ class Execution:
         reason = f"{routine.name} of another file may change it"
         for name in self.effects.changed_arguments(routine.name, statement.arguments):
             _forget_variable(scope.find(name), reason)
-        for name in self.effects.changed_data_of(routine.name):
-            _forget_variable(self.data.get(name), reason)
+        self._forget_data_of(routine.name, reason)
 
     def _may_change_array(self, routine: Routine, parameter: Parameter, bound: list[BoundArgument]) -> bool:
         """Return whether a routine may change the array whose element is the argument of a parameter.
@@ -869,13 +911,23 @@ def _loop_values(loop: Loop, scope: Scope) -> list[float]:
     return values
 
 
-def _forget_variable(variable: Variable | None, reason: str) -> None:
+@contextlib.contextmanager
+def _change_of(variable: Variable) -> Iterator[None]:
+    """Change data: the use of their own value for the next one is no use, but then the new value depends on it."""
+    was_used, variable.is_used = variable.is_used, False
+    yield
+    variable.is_set = variable.is_set or not variable.is_used
+    variable.is_used = was_used
+
+
+def _forget_variable(variable: Variable | None, reason: str, *, by_foreign_call: bool = False) -> None:
     """Make data unknown; None and constants are ignored.
 
     :param reason: reason for the message if the data are used later.
+    :param by_foreign_call: True if only routines of other files may change them.
     """
     if variable is not None and not _is_constant(variable):
-        variable.forget(reason)
+        (variable.forget_by_foreign_call if by_foreign_call else variable.forget)(reason)
 
 
 def _initial_variable(declaration: Declaration) -> Variable:

@@ -15,6 +15,7 @@ from msgspec import Struct
 
 from postproc.dialects.rapid.execution import ExecutedProgram, Execution, RapidError
 from postproc.dialects.rapid.loaded import LoadedModules
+from postproc.dialects.rapid.next_run import ChangedData, changed_data
 from postproc.dialects.rapid.syntax import Instruction, Loop, Module, Parser, Routine, modules
 from postproc.dialects.rapid.values import Value
 from postproc.dialects.text import line_spans
@@ -36,6 +37,8 @@ class ExpandedProgram(Struct, frozen=True, eq=False):
     :ivar line: (L,) 1-based line of the file from which each line of the text comes.
     :ivar loop_lines: lines, in the file, of loops that were written out.
     :ivar copied_names: names of routines that were copied.
+    :ivar changed_data: data with which the next run moves differently; offsets are those in the file. None without
+        such data.
     """
 
     text: str
@@ -44,6 +47,7 @@ class ExpandedProgram(Struct, frozen=True, eq=False):
     line: Ints
     loop_lines: tuple[int, ...]
     copied_names: tuple[str, ...]
+    changed_data: ChangedData | None
 
 
 def expand(
@@ -66,16 +70,22 @@ def expand(
     line = np.arange(len(line_spans(text)[0])) + 1
     loop_lines: list[int] = []
     copied_names: list[str] = []
-    for _ in range(_MOST_PASSES):
+    next_run_data: ChangedData | None = None
+    for pass_number in range(_MOST_PASSES):
         program_modules = modules(text)
         entry = entry_of(program_modules)
         try:
-            execution = Execution(program_modules, entry, cell_value, without_effect, loaded).run()
-            changes = _first_changes(text, program_modules, execution)
+            execution = Execution(program_modules, entry, cell_value, without_effect, loaded)
+            executed = execution.run()
+            if pass_number == 0 and not executed.errors:
+                next_run_data = changed_data(execution)
+            changes = _first_changes(text, program_modules, executed)
         except RapidError as cause:
             raise cause.set_line(_line_at(text, line, cause.start)) from None
         if not changes:
-            return ExpandedProgram(text, program_modules, execution, line, tuple(loop_lines), tuple(copied_names))
+            return ExpandedProgram(
+                text, program_modules, executed, line, tuple(loop_lines), tuple(copied_names), next_run_data
+            )
         for change in changes:
             if change.copied_name:
                 copied_names.append(change.copied_name)

@@ -21,6 +21,7 @@ from postproc import garbage
 from postproc.cell import Cell
 from postproc.chunks import Runs
 from postproc.dialects import circles
+from postproc.dialects.changed_data import changed_data_issue
 from postproc.dialects.circles import ArcColumns
 from postproc.dialects.rapid.execution import ExecutedProgram, RapidError
 from postproc.dialects.rapid.expansion import ExpandedProgram, expand
@@ -28,6 +29,7 @@ from postproc.dialects.rapid.language import joints_from_abb, poses, status_from
 from postproc.dialects.rapid.layout import Layout
 from postproc.dialects.rapid.loaded import load_modules
 from postproc.dialects.rapid.moves import Move
+from postproc.dialects.rapid.next_run import ChangedData
 from postproc.dialects.rapid.syntax import Comment, Module, RapidSyntaxError, Routine, Statement, all_statements
 from postproc.dialects.rapid.syntax import Instruction as RapidInstruction
 from postproc.dialects.rapid.values import NOT_CONNECTED, UnknownValueError, Value, record_numbers
@@ -530,6 +532,7 @@ class _Reader:
             line = int(self._file_lines(expanded_program, np.array([first_call_offset]))[0])
             yield Issue("warning", "external-call", message, line, subject=name.upper(), count=count)
         yield from self._cell_frame_issues(execution)
+        yield from self._changed_data_issues(expanded_program.changed_data)
         yield from self._uncalled_issues(expanded_program)
         if expanded_program.loop_lines:
             lines = line_names(sorted(set(expanded_program.loop_lines)), _MOST_NAMES)
@@ -539,6 +542,22 @@ class _Reader:
             names = first_of(list(dict.fromkeys(expanded_program.copied_names)), _MOST_NAMES)
             message = f"Routines with moves that are called more than once get a copy for each call: {names}."
             yield Issue("info", "routine-copied", message)
+
+    def _changed_data_issues(self, changed_data: ChangedData | None) -> Iterator[Issue]:
+        """Yield a warning if the next run of the program moves differently."""
+        if changed_data is None:
+            return
+
+        def file_line(start: int) -> int:
+            """Return the line of the file at an offset."""
+            return int(np.searchsorted(line_spans(self.document.text)[0], start, side="right"))
+
+        change_places: dict[str, str] = {}
+        for name, start in changed_data.changes.items():
+            place = "its line is not known" if start is None else f"line {file_line(start)}"
+            suffix = ", VAR: until PP to Main" if name in changed_data.variables else ""
+            change_places[name] = f"{place}{suffix}"
+        yield changed_data_issue(change_places, file_line(changed_data.start))
 
     def _uncalled_issues(self, expanded_program: ExpandedProgram) -> Iterator[Issue]:
         """Yield a warning for each routine that moves and is not called."""

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from postproc.dialects.rapid.language import quaternions, rotations
 from postproc.dialects.rapid.syntax import Argument, Declaration, Expression
@@ -150,6 +151,11 @@ class Variable(Struct, eq=False):
     :ivar declaration: its declaration; None for predefined data, parameters and variables of FOR.
     :ivar literal: True as long as the value is that of the declaration.
     :ivar interrupt: name of a trap or handler that may change it at any time, so that it is never known; else empty.
+    :ivar is_changed: True if the run has changed the value, or may have changed it.
+    :ivar is_set: True if the value no longer depends on that at the start of the run.
+    :ivar is_used: True if the run has used the value at its start, but for computing the next value of the same data.
+    :ivar start_value: value at the start of the run, if the run has changed and used it.
+    :ivar before_call: the data before calls of other files made them unknown; None if something else has changed them.
     """
 
     type: str
@@ -158,10 +164,38 @@ class Variable(Struct, eq=False):
     declaration: Declaration | None = None
     literal: bool = False
     interrupt: str = ""
+    is_changed: bool = False
+    is_set: bool = False
+    is_used: bool = False
+    start_value: Value = None
+    before_call: Variable | None = None
+
+    def change(self, value: Value) -> None:
+        """Change the value."""
+        if not self.is_changed:
+            self.is_changed, self.start_value = True, self.value
+        self.value, self.literal, self.before_call = value, False, None
 
     def forget(self, reason: str) -> None:
         """Make the value unknown, for a reason."""
-        self.value, self.literal, self.why = None, False, reason
+        self.change(None)
+        self.is_set, self.why = True, reason
+
+    def forget_by_foreign_call(self, reason: str) -> None:
+        """Make the value unknown in this run; the next run is assumed to begin with the value before the call."""
+        before_call = self.at_next_run()
+        self.forget(reason)
+        self.before_call = before_call
+
+    def at_next_run(self) -> Variable:
+        """Return the data as the next run finds them: unchanged and unused."""
+        left = self.before_call or self
+        return replace(left, is_set=False, is_used=False)
+
+    def start_run(self) -> None:
+        """Make the present value that at the start of a run."""
+        self.is_changed = self.is_set = self.is_used = False
+        self.start_value = self.before_call = None
 
 
 class Scope:
@@ -256,6 +290,8 @@ def _name(expression: Expression, scope: Scope) -> tuple[Value, str]:
     :raises UnknownValueError: the data are not declared, or have no known value.
     """
     variable = scope.variable(expression.value)
+    if not variable.is_set:
+        variable.is_used = True
     if variable.value is None and variable.declaration is not None and variable.literal:
         initial = variable.declaration.value
         if initial is not None:
@@ -616,7 +652,7 @@ def assign(target: Expression, value: Value, scope: Scope) -> None:
         variable.forget(f"{variable.interrupt} may change it")
         return
     if target.kind == "name":
-        variable.value, variable.literal = value, False
+        variable.change(value)
         return
     path: list[int] = []  # indices from outside to inside
     inner = target
@@ -628,7 +664,7 @@ def assign(target: Expression, value: Value, scope: Scope) -> None:
             path.insert(0, [name for name, _ in FIELDS.get(type_, ())].index(inner.value))
         inner = inner.items[0]
     whole, _ = evaluate(inner, scope)  # `inner` is the name of the data now
-    variable.value, variable.literal = _replace_component(whole, path, value), False
+    variable.change(_replace_component(whole, path, value))
 
 
 def _replace_component(whole: Value, path: list[int], value: Value) -> Value:

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from postproc.dialects.changed_data import changed_data_issue
 from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.read.main_routine import MainRoutine, Start, course_of
@@ -18,11 +19,8 @@ from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
 from postproc.dialects.krl.read.plain_lines import PlainLines
 from postproc.dialects.krl.read.rounds import Uses
 from postproc.dialects.krl.read.settings import Settings
-from postproc.errors import Issue, ProgramError, first_of
+from postproc.errors import Issue, ProgramError
 from postproc.frames import Array
-
-_MOST_NAMES = 10
-"""Most names in one message."""
 
 
 def changed_data_issues(
@@ -62,15 +60,8 @@ def changed_data_issues(
         line = None if line is None else main.course.trace.shown_line(line)
     except ProgramError as cause:  # the next run cannot be followed
         line = cause.line or main.run.routine.first
-    if line is None:
-        return
-    names = first_of([f"{name} ({place})" for name, place in change_places.items()], _MOST_NAMES)
-    message = (
-        f"The program changes data that stay changed: {names}. The next run begins with the changed "
-        "values and moves differently from this line on: the output holds for a run that begins with the values in "
-        "the files. Set them at the beginning of the program."
-    )
-    yield Issue("warning", "changed-data", message, line, subject=", ".join(list(change_places)[:_MOST_NAMES]))
+    if line is not None:
+        yield changed_data_issue(change_places, line)
 
 
 def kept_values(main: MainRoutine) -> dict[str, str]:

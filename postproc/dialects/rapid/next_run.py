@@ -1,0 +1,110 @@
+"""The next run of a program: whether it moves like the first run.
+
+PERS data keep their values from run to run, and VAR of a module until the program pointer is moved to main. A program
+that changes such data after it has used them is followed once more with the changed values. If they change again, it is
+followed a third time with unknown values: a counter may decide on a move in a later run only. If one of these runs
+moves differently or cannot be followed, the output holds only for runs that begin with the values in the files.
+"""
+
+from __future__ import annotations
+
+from itertools import zip_longest
+
+from msgspec import Struct
+
+from postproc.dialects.rapid.effects import called_names
+from postproc.dialects.rapid.execution import ExecutedProgram, Execution, RapidError
+from postproc.dialects.rapid.moves import are_equal
+from postproc.dialects.rapid.syntax import Conditional, Declaration, Loop, Statement, all_statements
+
+
+class ChangedData(Struct, frozen=True):
+    """Data with which the next run of a program moves differently.
+
+    :ivar changes: name as it is declared → offset of the first statement that changes the data; None if it is not
+        known.
+    :ivar variables: names, among these, of data that are reset when the program pointer is moved to main.
+    :ivar start: offset of the first statement that moves differently, or cannot be followed.
+    """
+
+    changes: dict[str, int | None]
+    variables: frozenset[str]
+    start: int
+
+
+def changed_data(first: Execution) -> ChangedData | None:
+    """Return the data with which the next run of a program moves differently; None if it moves like the first.
+
+    :param first: execution of the program, which has run.
+    """
+    names = first.changed_names()
+    if not names:
+        return None
+    second = first.next_run(set())
+    start = _first_difference(first.result, second)
+    if start is None:
+        names = second.changed_names()
+        start = _first_difference(first.result, second.next_run(set(names))) if names else None
+    if start is None:
+        return None
+    changes: dict[str, int | None] = {}
+    variables: set[str] = set()
+    for name in sorted(names):
+        declaration = first.data[name].declaration
+        spelling = name if declaration is None else declaration.spelling
+        changes[spelling] = _change_start(first, name)
+        if declaration is not None and declaration.kind == "VAR":
+            variables.add(spelling)
+    return ChangedData(changes, frozenset(variables), start)
+
+
+def _first_difference(first: ExecutedProgram, later_execution: Execution) -> int | None:
+    """Return the offset of the first statement at which a later run differs from the first; None if they are equal.
+
+    :param later_execution: execution of the later run, which has not run.
+    """
+    try:
+        later = later_execution.run()
+    except RapidError as cause:
+        return cause.start
+    if later.errors:
+        return later.errors[0].start
+    for move, later_move in zip_longest(first.moves, later.moves):
+        if move is None or later_move is None:
+            return int((move or later_move).statement.start)
+        if not are_equal(move, later_move):
+            return int(move.statement.start)
+    for note, later_note in zip_longest(first.notes, later.notes):
+        if note is None or later_note is None or (note[0].start, note[1]) != (later_note[0].start, later_note[1]):
+            return int((note or later_note)[0].start)
+    return None
+
+
+def _change_start(execution: Execution, name: str) -> int | None:
+    """Return the offset of the first statement in the followed routines that may change module data; None without one.
+
+    :param name: name of the data, upper case.
+    """
+    for routine_name in sorted(execution.result.followed_names, key=lambda key: execution.routines[key].start):
+        statements = tuple(all_statements(execution.routines[routine_name].body))
+        parameters = {parameter.name for parameter in execution.routines[routine_name].parameters}
+        if name in parameters or any(isinstance(item, Declaration) and item.name == name for item in statements):
+            continue  # local data of the same name
+        for statement in statements:
+            if _may_change(execution, statement, name):
+                return statement.start
+    return None
+
+
+def _may_change(execution: Execution, statement: Statement, name: str) -> bool:
+    """Return whether a statement may change module data, without statements inside it and without followed calls.
+
+    :param name: name of the data, upper case.
+    """
+    effects = execution.effects
+    if isinstance(statement, Conditional | Loop):
+        return False
+    if name in effects.changed_names((statement,)):
+        return True
+    outside = called_names((statement,)) - execution.result.followed_names
+    return any(name in effects.changed_data_of(called, includes_foreign_changes=False) for called in outside)
