@@ -6,7 +6,7 @@ A function that works on a chunk does not know that it is one.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Self, TypeVar, overload
+from typing import Any, Self, TypeVar, cast
 
 import numpy as np
 from msgspec import Struct
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from postproc.errors import NotConvergedError
 
-_Kind = TypeVar("_Kind", bound=np.generic)
+_Result = TypeVar("_Result", bound="NDArray[Any] | tuple[NDArray[Any], ...]")
 
 ROWS = 8192
 """Rows of a chunk: with their matrices they fit the cache. No result depends on it: tests set it to a few."""
@@ -173,42 +173,26 @@ def chunks(count: int) -> Iterator[slice]:
     return (slice(start, start + ROWS) for start in range(0, max(1, count), ROWS))
 
 
-@overload
-def in_chunks(
-    function: Callable[..., NDArray[_Kind]], first: NDArray[Any], *other_arrays: NDArray[Any]
-) -> NDArray[_Kind]: ...
-
-
-@overload
-def in_chunks(
-    function: Callable[..., tuple[NDArray[Any], ...]], first: NDArray[Any], *other_arrays: NDArray[Any]
-) -> tuple[NDArray[Any], ...]: ...
-
-
-def in_chunks(
-    function: Callable[..., NDArray[Any] | tuple[NDArray[Any], ...]],
-    first: NDArray[Any],
-    *other_arrays: NDArray[Any],
-) -> NDArray[Any] | tuple[NDArray[Any], ...]:
+def in_chunks(function: Callable[..., _Result], first: NDArray[Any], *other_arrays: NDArray[Any]) -> _Result:
     """Return `function(first, *others)`, computed for chunks of the rows of all arrays and joined.
 
-    :param function: takes arrays of n rows. Returns an array of n rows, or several in a tuple, each row made from the
-        same row only.
+    For functions whose intermediate arrays are many times larger than their result.
+
+    :param function: takes arrays of n rows. Returns an array of n rows, or several in a plain tuple, each row made from
+        the same row only.
     :raises NotConvergedError: of the function; `rows` are then those of the whole.
 
     >>> in_chunks(lambda a, b: a + b[:, 0], np.array([1, 2]), np.array([[10], [20]])).tolist()
     [11, 22]
     """
     whole: tuple[NDArray[Any], ...] = ()
-    is_single = True
     for part in chunks(len(first)):
         try:
             result = function(first[part], *(array[part] for array in other_arrays))
         except NotConvergedError as cause:
             raise NotConvergedError(str(cause), [part.start + row for row in cause.rows]) from None
-        is_single = isinstance(result, np.ndarray)
         pieces: tuple[NDArray[Any], ...] = (result,) if isinstance(result, np.ndarray) else result
         whole = whole or tuple(np.empty((len(first), *piece.shape[1:]), piece.dtype) for piece in pieces)
         for array, piece in zip(whole, pieces, strict=True):
             array[part] = piece
-    return whole[0] if is_single else whole
+    return cast("_Result", whole[0] if isinstance(result, np.ndarray) else whole)

@@ -71,7 +71,16 @@ def xyzabc_from_pose(pose: Array) -> Array:
     >>> xyzabc_from_pose(pose_from_xyzabc([10, 20, 30, 40, 90, 15])).round(6).tolist()
     [10.0, 20.0, 30.0, 0.0, 90.0, -25.0]
     """
-    r = pose[..., :3, :3]
+    angles = angles_from_rotation(pose[..., :3, :3])
+    return np.asarray(np.concatenate([pose[..., :3, 3], angles], axis=-1) / _TO_SI)
+
+
+def angles_from_rotation(rotation: Array) -> Array:
+    """Return a, b, c (..., 3) in (−π, π] [rad] of rotations Rz(a)·Ry(b)·Rx(c) (..., 3, 3).
+
+    The inverse of `rotation_from_angles`. At b = ±90°, a is 0, see `xyzabc_from_pose`.
+    """
+    r = rotation
     at_pole = r[..., 1, 0] ** 2 + r[..., 0, 0] ** 2 < _POLE**2
     a = np.where(at_pole, 0.0, np.arctan2(r[..., 1, 0], r[..., 0, 0]))
     sa, ca = sine_and_cosine(a)
@@ -80,8 +89,7 @@ def xyzabc_from_pose(pose: Array) -> Array:
         sa * r[..., 0, 2] - ca * r[..., 1, 2],
         ca * r[..., 1, 1] - sa * r[..., 0, 1],
     )
-    xyzabc: Array = np.concatenate([pose[..., :3, 3], np.stack([a, b, c], axis=-1)], axis=-1) / _TO_SI
-    return xyzabc
+    return np.stack([a, b, c], axis=-1)
 
 
 def inverse(pose: Array) -> Array:

@@ -13,9 +13,9 @@ from postproc.frames import (
     RAD_PER_DEG,
     Array,
     angle_between,
+    angles_from_rotation,
     largest,
     rotation_from_angles,
-    xyzabc_from_pose,
 )
 
 _FIRST_THREE = slice(None, 3)
@@ -61,15 +61,13 @@ class Poses(Columns, frozen=True, eq=False):
     @property
     def rotation(self) -> Array:
         """(N, 3, 3) orientations, to be read only."""
-        if self.orientation.ndim == 3:
-            return self.orientation
-        return in_chunks(lambda angles: rotation_from_angles(angles * RAD_PER_DEG), self.orientation)
+        return self._rotation(slice(None))
 
     def xyzabc(self, rows: NDArray[Any] | slice) -> Array:
         """Return X, Y, Z [mm], A, B, C [deg] (n, 6) of some of the poses."""
-        if self.orientation.ndim == 3:
-            return in_chunks(lambda indices: xyzabc_from_pose(self[indices]), np.arange(len(self))[rows])
-        return np.hstack([self.position[rows] / M_PER_MM, self.orientation[rows]])
+        orientation = self.orientation[rows]
+        angles_deg = orientation if orientation.ndim == 2 else angles_from_rotation(orientation) / RAD_PER_DEG
+        return np.hstack([self.position[rows] / M_PER_MM, angles_deg])
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -109,13 +107,18 @@ class Poses(Columns, frozen=True, eq=False):
 
 def largest_differences(first: Poses, second: Poses) -> Array:
     """Return by how much N poses differ from N others (N,): the larger of offset, by component [m], and angle [rad]."""
+    return np.maximum(largest(first.position - second.position), angles_between(first, second))
 
-    def differences(rows: NDArray[Any]) -> Array:
-        """Return the differences of some of the poses."""
-        one, other = first.take(rows), second.take(rows)
-        return np.maximum(largest(one.position - other.position), angle_between(one.rotation, other.rotation))
 
-    return in_chunks(differences, np.arange(len(first)))
+def angles_between(first: Poses, second: Poses) -> Array:
+    """Return the angles (N,) [rad] between the orientations of N poses and of N others."""
+
+    def angles(rows: NDArray[Any]) -> Array:
+        """Return the angles of some of the poses."""
+        return angle_between(first._rotation(rows), second._rotation(rows))
+
+    # in chunks: each pair of orientations is two matrices, three times the memory of its position
+    return in_chunks(angles, np.arange(len(first)))
 
 
 def as_poses(pose: Poses | Array) -> Poses:

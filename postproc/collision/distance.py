@@ -10,7 +10,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from postproc.chunks import in_chunks
 from postproc.collision.bodies import Body, Scene
 from postproc.frames import Array, inverse, norm, rotation_from_vector
 from postproc.program import Ints
@@ -60,18 +59,12 @@ def link_frames(chain: Chain, q: Array, shift: Array | None = None) -> Array:
     :param q: (n, 6) joint angles [rad].
     :param shift: (n, 3) displacement of the robot from the root by E1 [m]; None: there is no E1.
     """
-
-    def unshifted_frames(q: Array) -> Array:
-        """Return the frames of the robot at the root."""
-        joint_frames, flange = chain.joint_frames(q)  # of joints before they turn
-        turn = rotation_from_vector(q[:, :, None] * chain.axis)
-        frames = np.empty((len(q), 8, 4, 4))
-        frames[:, 0], frames[:, 7] = np.eye(4), flange
-        frames[:, 1:7] = joint_frames
-        frames[:, 1:7, :3, :3] = joint_frames[:, :, :3, :3] @ turn
-        return frames
-
-    frames = in_chunks(unshifted_frames, q)
+    joint_frames, flange = chain.joint_frames(q)  # of joints before they turn
+    turn = rotation_from_vector(q[:, :, None] * chain.axis)
+    frames = np.empty((len(q), 8, 4, 4))
+    frames[:, 0], frames[:, 7] = np.eye(4), flange
+    frames[:, 1:7] = joint_frames
+    frames[:, 1:7, :3, :3] = joint_frames[:, :, :3, :3] @ turn
     if shift is not None:
         frames[..., :3, 3] += shift[:, None]
     return frames

@@ -5,7 +5,6 @@ Both are simulated by `simulation.DrivenProgram`, under the force that acts wher
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc import toolpath
-from postproc.chunks import Columns, in_chunks
+from postproc.chunks import Columns, chunks
 from postproc.comparison.paths import NO_DISTANCE, PlacedProgram, file_and_line, stretch_limits
 from postproc.comparison.result import Comparison, Cuts, wrench_in_nominal_base
 from postproc.errors import ForceError, NotConvergedError
@@ -56,17 +55,11 @@ def deviation(path: PlacedProgram, motion: Ints, q: Array, wrench: Array, displa
     :param displacement: (n, 3) of the robot by E1 [m].
     :raises ForceError: the arm has no equilibrium under the force.
     """
-    program = path.program
-
-    def tip_offset(motion: Ints, q: Array, wrench: Array, displacement: Array) -> Array:
-        """Return the offsets of some of the motions."""
-        tip = path.loaded_tip(motion, q, wrench, displacement)
-        return path.to_base(motion, tip) - program.motions.target.position[motion]
-
     try:
-        return in_chunks(tip_offset, motion, q, wrench, displacement)
+        tip = path.loaded_tip(motion, q, wrench, displacement)
     except NotConvergedError as cause:
-        raise no_equilibrium(program, motion, cause) from None
+        raise no_equilibrium(path.program, motion, cause) from None
+    return path.to_base(motion, tip) - path.program.motions.target.position[motion]
 
 
 def no_equilibrium(program: Program, motion: Ints, cause: NotConvergedError) -> ForceError:
@@ -114,21 +107,15 @@ def _orientation_errors(comparison: Comparison, nominal_path: PlacedProgram, wre
     :param wrench: (P, 6) at the tip at the pairs, root axes [N, N·m].
     :raises ForceError: the arm has no equilibrium under a force.
     """
-    program = comparison.nominal
-
-    def angle(motion: Ints, wrench: Array, pose: Array) -> Array:
-        """Return the angles at some of the pairs."""
-        target = toolpath.pose_in_root(program, motion, program.motions.target[motion])
-        compensated_pose = nominal_path.robot_in_cell.compensate(
-            target, nominal_path.joints[motion], toolpath.tool_of(program, motion), wrench
-        ).pose
-        compensated_pose = toolpath.pose_in_base(program, motion, compensated_pose)
-        return angle_between(compensated_pose[:, :3, :3], pose[:, :3, :3])
-
+    program, motion = comparison.nominal, comparison.pair[:, 0]
+    target = toolpath.pose_in_root(program, motion, program.motions.target[motion])
+    tool, q = toolpath.tool_of(program, motion), nominal_path.joints[motion]
     try:
-        return in_chunks(angle, comparison.pair[:, 0], wrench, comparison.pose)
+        compensated_pose = nominal_path.robot_in_cell.compensate(target, q, tool, wrench).pose
     except NotConvergedError as cause:
-        raise no_equilibrium(program, comparison.pair[:, 0], cause) from None
+        raise no_equilibrium(program, motion, cause) from None
+    compensated_pose = toolpath.pose_in_base(program, motion, compensated_pose)
+    return angle_between(compensated_pose[:, :3, :3], comparison.pose[:, :3, :3])
 
 
 def cuts_between_pairs(
@@ -155,9 +142,7 @@ def cuts_between_pairs(
     end_length[at_ends.row] = at_ends.length
     places = _NearestPlaces.join([at_ends, _places_inside_pieces(search, end_length)])
     angles = np.zeros(len(places.row))  # targets come first; inside of pieces orientations are not checked
-    angles[: len(at_ends.row)] = in_chunks(
-        partial(_orientation_errors_at, nominal_path, corrected_path, load), at_ends.length, at_ends.row
-    )
+    angles[: len(at_ends.row)] = _orientation_errors_at(nominal_path, corrected_path, load, at_ends.length, at_ends.row)
     order = np.lexsort((places.t, places.row))
     places = places.take(order)
     return replace(
@@ -194,7 +179,15 @@ class _NearestPlaces(Columns, frozen=True, eq=False):
         :param guess: (n,) approximate arc lengths on the nominal path [m].
         :param sufficient_distance: a deviation that is small enough: no nearer place is sought [m].
         """
-        joints = in_chunks(search.corrected_path.joints_at, row, t)
+        # in chunks: of places that are hard to find, each has a row of tried ones
+        return cls.join(
+            [cls._of_chunk(search, row[part], t[part], guess[part], sufficient_distance) for part in chunks(len(row))]
+        )
+
+    @classmethod
+    def _of_chunk(cls, search: Search, row: Ints, t: Array, guess: Array, sufficient_distance: float) -> _NearestPlaces:
+        """Return the nearest places as `of`, computed for all places at once."""
+        joints = search.corrected_path.joints_at(row, t)
         is_reachable = np.isfinite(joints).all(axis=1)
         row, t, guess = row[is_reachable], t[is_reachable], guess[is_reachable]
         deviations = search.deviations(row, t, joints[is_reachable], guess, sufficient_distance=sufficient_distance)
@@ -425,16 +418,11 @@ class Search(Struct, frozen=True, eq=False):
         :param sufficient_distance: a distance that is small enough: no nearer place is sought [m].
         :raises ForceError: the arm has no equilibrium under a force.
         """
-
-        def deviations_in_chunk(row: Ints, t: Array, q: Array, guess: Array) -> _Deviations:
-            """Return the deviations of some of the places."""
-            length, distance = self._nearest_places(row, t, q, guess, sufficient_distance)
-            motion, nominal_t = self.nominal_path.at(length)
-            nominal_q = self.nominal_path.joints_at(motion, nominal_t)
-            displacement = self.nominal_path.carriage_displacement(motion, nominal_t)
-            return _Deviations(length, norm(self._tip_offset(nominal_q, displacement, length)), distance)
-
-        return _Deviations(*in_chunks(deviations_in_chunk, row, t, q, guess))
+        length, distance = self._nearest_places(row, t, q, guess, sufficient_distance)
+        motion, nominal_t = self.nominal_path.at(length)
+        nominal_q = self.nominal_path.joints_at(motion, nominal_t)
+        displacement = self.nominal_path.carriage_displacement(motion, nominal_t)
+        return _Deviations(length, norm(self._tip_offset(nominal_q, displacement, length)), distance)
 
     def _nearest_places(
         self, row: Ints, t: Array, q: Array, guess: Array, sufficient_distance: float

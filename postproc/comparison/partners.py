@@ -8,7 +8,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc import toolpath
-from postproc.chunks import in_chunks
 from postproc.comparison.loaded_path import deviation, no_equilibrium
 from postproc.comparison.paths import (
     NO_DISTANCE,
@@ -408,22 +407,14 @@ def missing_distances(
     next_pair = np.searchsorted(pair[:, 0], motion)
     begin, end = pair_ends[next_pair], pair_ends[next_pair + 1]
 
-    def distances_in_chunk(motion: Ints, positions: Array, wrench: Array, begin: Array, end: Array) -> Array:
-        """Return the distances (k,) of the second path from some of the positions (k, 3) [m]."""
+    def second_tips(target: Ints, length: Array) -> Array:
+        """Return the tips (m, s, 3) of the second program at arc lengths (m, s), with the loads of targets (m,)."""
+        target = np.repeat(target, length.shape[1])
+        load_wrench = None if load is None else wrench[target]
+        tips = _second_tips(nominal_path, corrected_path, motion[target], length.ravel(), load_wrench)
+        return tips.reshape(*length.shape, 3)
 
-        def second_tips(length: Array) -> Array:
-            """Return the tips (k, s, 3) of the second program at arc lengths (k, s), with the loads of the targets."""
-            index = np.repeat(np.arange(len(length)), length.shape[1])
-            load_wrench = None if load is None else wrench[index]
-            tips = _second_tips(nominal_path, corrected_path, motion[index], length.ravel(), load_wrench)
-            return tips.reshape(*length.shape, 3)
-
-        try:
-            return nearest(second_tips, positions, begin, end)[1]
-        except NotConvergedError as cause:
-            raise no_equilibrium(nominal_path.program, motion[:1], NotConvergedError(str(cause), [0])) from None
-
-    distances[indices] = in_chunks(distances_in_chunk, motion, positions, wrench, begin, end)
+    _, distances[indices] = nearest(second_tips, positions, begin, end)
     return distances
 
 
@@ -437,7 +428,7 @@ def _second_tips(
     :param motion: (n,) nominal motions whose tool and load count.
     :param length: (n,) arc lengths on the second path [m].
     :param wrench: (n, 6) at the tip, root axes [N, N·m]; None: without deflection.
-    :raises NotConvergedError: the arm has no equilibrium under a force.
+    :raises ForceError: the arm has no equilibrium under a force.
     """
     row, t = corrected_path.at(length)
     if wrench is None:
@@ -448,7 +439,9 @@ def _second_tips(
     tips = np.full((len(q), 3), np.inf)
     is_reachable = np.isfinite(q).all(axis=1)
     displacement = corrected_path.carriage_displacement(row, t)[is_reachable]
-    tips[is_reachable] = nominal_path.loaded_tip(
-        motion[is_reachable], q[is_reachable], wrench[is_reachable], displacement
-    )
+    motion, q, wrench = motion[is_reachable], q[is_reachable], wrench[is_reachable]
+    try:
+        tips[is_reachable] = nominal_path.loaded_tip(motion, q, wrench, displacement)
+    except NotConvergedError as cause:
+        raise no_equilibrium(nominal_path.program, motion, cause) from None
     return tips

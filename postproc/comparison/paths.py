@@ -7,7 +7,7 @@ that both programs share are in the robot root where that is at E1 = 0, here cal
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -167,28 +167,35 @@ def stretch_limits(path: PlacedProgram, paired_rows: Ints, pair: Ints) -> tuple[
     return path.arc_length[previous_rows + 1], path.arc_length[paired_rows[pair] + 1]
 
 
-def nearest(points: Callable[[Array], Array], positions: Array, begin: Array, end: Array) -> tuple[Array, Array]:
+def nearest(
+    path_points: Callable[[Ints, Array], Array], positions: Array, begin: Array, end: Array
+) -> tuple[Array, Array]:
     """Return the arc length (n,) at which a path is nearest to each of n points, and the distances (n,) [m].
 
     Samples the path evenly, then again between the neighbours of the nearest sample.
 
-    :param points: returns positions (n, k, 3) of the path at arc lengths (n, k).
+    :param path_points: returns the positions (m, s, 3) of the path at s arc lengths for each of m points: takes the
+        rows (m,) of these points, and the arc lengths (m, s). The path may be another one for each point.
     :param positions: (n, 3) the points.
     :param begin: (n,) arc length from which places count, `end` (n,) to which [m].
     """
-    rows = np.arange(len(positions))
-    low, high, count = begin, end, _PLACES  # of the samples
-    for _ in range(1 + _REFINEMENTS):
-        lengths = low[:, None] + (high - low)[:, None] * np.linspace(SMALLEST_SHARE, 1.0, count)
-        distances = norm((points(lengths) - positions[:, None]).reshape(-1, 3)).reshape(lengths.shape)
-        nearest_sample = np.argmin(distances, axis=1)
-        low, high = (
-            lengths[rows, np.maximum(nearest_sample - 1, 0)],
-            lengths[rows, np.minimum(nearest_sample + 1, count - 1)],
-        )
-        nearest_length, distance = lengths[rows, nearest_sample], distances[rows, nearest_sample]
-        count = _FINE_SAMPLES
-    return nearest_length, distance
+
+    def nearest_to(point: Ints) -> tuple[Array, Array]:
+        """Return the arc lengths (m,) and distances (m,) of some of the points, rows (m,)."""
+        row = np.arange(len(point))
+        low, high, count = begin[point], end[point], _PLACES  # of the samples
+        for _ in range(1 + _REFINEMENTS):
+            lengths = low[:, None] + (high - low)[:, None] * np.linspace(SMALLEST_SHARE, 1.0, count)
+            offsets = path_points(point, lengths) - positions[point, None]
+            distances = norm(offsets.reshape(-1, 3)).reshape(lengths.shape)
+            sample = np.argmin(distances, axis=1)
+            low, high = lengths[row, np.maximum(sample - 1, 0)], lengths[row, np.minimum(sample + 1, count - 1)]
+            nearest_length, distance = lengths[row, sample], distances[row, sample]
+            count = _FINE_SAMPLES
+        return nearest_length, distance
+
+    # in chunks: each point has a row of samples
+    return in_chunks(nearest_to, np.arange(len(positions)))
 
 
 def nearest_lengths(path: PlacedProgram, positions: Array, begin: Array, end: Array) -> tuple[Array, Array]:
@@ -198,12 +205,11 @@ def nearest_lengths(path: PlacedProgram, positions: Array, begin: Array, end: Ar
     :param begin: (n,) arc length from which the path counts, `end` (n,) to which [m].
     """
 
-    def path_points(lengths: Array) -> Array:
-        """Return the positions (k, s, 3) of the path at arc lengths (k, s) [m]."""
+    def path_points(_: Ints, lengths: Array) -> Array:
+        """Return the positions (m, s, 3) of the path at arc lengths (m, s) [m]."""
         return path.points(lengths.ravel()).reshape(*lengths.shape, 3)
 
-    length, distance = in_chunks(partial(nearest, path_points), positions, begin, end)
-    return length, distance
+    return nearest(path_points, positions, begin, end)
 
 
 def distances_from_path(path: PlacedProgram, positions: Array, begin: Array, end: Array) -> Array:
@@ -316,9 +322,9 @@ class Curves(Struct, frozen=True, eq=False):
         largest = np.maximum(self._distance(begin + SMALLEST_SHARE * (end - begin)), self._distance(end))
         curve_indices = np.flatnonzero(~unknown[pair] & self._is_curved(end))
         if len(curve_indices):
-            largest[curve_indices] = np.maximum(
-                largest[curve_indices], in_chunks(self._largest, begin[curve_indices], end[curve_indices])
-            )
+            # in chunks: each curve has a row of samples
+            inside = in_chunks(self._largest, begin[curve_indices], end[curve_indices])
+            largest[curve_indices] = np.maximum(largest[curve_indices], inside)
         np.fmax.at(distances, pair, largest)
         distances[unknown] = np.nan
         return distances

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from postproc import elastostatics, forces, kinematics, placement, toolpath
 from postproc.cell import Cell
-from postproc.chunks import in_chunks
+from postproc.chunks import chunks, in_chunks
 from postproc.correction import checks, collisions, inspection, plausibility
 from postproc.correction.result import ExpectedErrors, Mode, Result
 from postproc.correction.targets import CommandedPath, Commands, TargetSelection, arc_pieces, choose_targets
@@ -131,8 +131,9 @@ def uncorrected_deviations(path: PathUnderLoad, rows: Ints, theta: Array) -> Unc
 def _solve_in_chunks(
     path: PathUnderLoad, function: Callable[[Ints], tuple[Array, ...]], rows: Ints
 ) -> tuple[Array, ...]:
-    """Return the results of a function of samples (n,), in chunks.
+    """Return the results of a function of samples (n,), computed in chunks: matrices of all samples are never kept.
 
+    :param function: takes the samples (k,) of a chunk; returns arrays of k rows.
     :raises ImpossiblePathError: there is no equilibrium somewhere; it lists the motions.
     """
     try:
@@ -481,60 +482,50 @@ def _expected_errors(
             return _Expectation(None, None, [Issue("info", "no-bound", _NO_BOUND)])
         return _Expectation(None, None, list(checks.torque_warnings(program, robot, motion, *_loads(draft))))
     issues = list(checks.torque_warnings(program, robot, motion, *_loads(draft)))
-    is_scaled = path.robot_in_cell.has_model_factor(path.motions.forces, path.sample.motion[row])
-    reverses = _joints_near_reversal(reversals, len(row))
-    part_errors = _PartErrors(task, draft, deviation, cut_length)
-    bound, uncorrected_error, corrected_error = in_chunks(
-        part_errors.at_targets, np.arange(len(row)), reverses, is_scaled
-    )
+    part_errors = _PartErrors(task, draft, deviation, cut_length, reversals)
+    for part in chunks(len(row)):  # the displacement of a target by each parameter takes hundreds of bytes
+        part_errors.add(part)
+    bound = part_errors.bound
     if not np.isfinite(bound).all():
         issues.append(program.motions.issue("error", "no-bound", _NOT_FINITE, motion[~np.isfinite(bound)]))
         return _Expectation(None, None, issues)
-    return _Expectation(bound, part_errors.expected(uncorrected_error, corrected_error), issues)
-
-
-class _TargetErrors(NamedTuple):
-    """Errors of the position at n targets [m].
-
-    :param bound: (n,) bound of the prediction (95 %).
-    :param uncorrected: (n,) expected error without correction.
-    :param corrected: (n,) the same with correction.
-    """
-
-    bound: Array
-    uncorrected: Array
-    corrected: Array
+    return _Expectation(bound, part_errors.expected(), issues)
 
 
 class _PartErrors:
-    """Errors on the part at the K targets of a draft, by chunks of targets, and their sums over all chunks.
+    """Errors on the part at the K targets of a draft, which are added part by part, and their sums over all.
 
+    :ivar bound: (K,) bound of the prediction (95 %) at the targets [m].
+    :ivar uncorrected_error: (K,) expected error of the position without correction [m]; `corrected_error` (K,) with it.
     :ivar deviation: (K, 3) of the uncorrected tip from nominal, `$BASE` [m]; `remaining_deviation` (K, 3) with
         correction.
     :ivar path_distance: (K,) largest distance from the path on the way to each target, with correction [m].
     :ivar path_excess: (K,) its excess over the distance at the target [m].
     :ivar extra_rounding: (K,) rounding by approximate positioning beyond that of the program as read [m].
     :ivar cut_length: (K,) length of the cutting path for which each target stands [m]; 0 on rapid moves.
+    :ivar reverses: (K, 6) joints that may be on either flank of their gear.
+    :ivar is_scaled: (K,) forces that the force factor of the robot model scales.
     :ivar gain: sums for the chance that correction lowers the errors.
     :ivar largest_errors: (2,) largest error with correction, if the robot or if the forces were known [m].
     """
 
-    def __init__(self, task: Task, draft: Draft, deviation: Array, cut_length: Array) -> None:
+    def __init__(self, task: Task, draft: Draft, deviation: Array, cut_length: Array, reversals: Reversals) -> None:
+        path, count = draft.path, len(cut_length)
+        self.bound, self.uncorrected_error, self.corrected_error = np.zeros((3, count))
+        self.reverses = _joints_near_reversal(reversals, count)
+        self.is_scaled = path.robot_in_cell.has_model_factor(
+            path.motions.forces, path.sample.motion[draft.selection.row]
+        )
         self.draft, self.deviation, self.cut_length = draft, deviation, cut_length
         self.remaining_deviation, self.path_distance = _remaining_errors(task, draft)
         self.path_excess = np.maximum(self.path_distance - norm(self.remaining_deviation), 0.0)
         self.extra_rounding = _extra_rounding(draft)
         self.gain, self.largest_errors = elastostatics.ChanceOfGain(), np.zeros(2)
 
-    def at_targets(self, target: Ints, reverses: Bools, is_scaled: Bools) -> _TargetErrors:
-        """Return the errors at targets; add them to the sums over all, `gain` and `largest_errors`.
-
-        :param target: (n,) rows of targets.
-        :param reverses: (n, 6) joints that may be on either flank of their gear.
-        :param is_scaled: (n,) forces that the force factor of the robot model scales.
-        """
+    def add(self, targets: slice) -> None:
+        """Compute the errors at some of the targets, and add them to the sums over all."""
         draft, path = self.draft, self.draft.path
-        sample, motion = draft.selection.row[target], draft.selection.targets.motion[target]
+        sample, motion = draft.selection.row[targets], draft.selection.targets.motion[targets]
         spread, tool_compliance = _load_uncertainty(path, sample)
         places = elastostatics.LoadedPlaces.of(
             draft.q[sample],
@@ -542,8 +533,8 @@ class _PartErrors:
             path.wrench_in_root(sample),
             force_spread=spread,
             in_series=tool_compliance,
-            turning=reverses,
-            is_proportional=is_scaled,
+            turning=self.reverses[targets],
+            is_proportional=self.is_scaled[targets],
         )
         sources = elastostatics.sources_of_error(path.robot_in_cell.robot, places)
         frames = path.robot_in_cell.touched_frames
@@ -551,31 +542,28 @@ class _PartErrors:
             slopes = frames.slopes(path.pose_in_root(sample)[:, :3, 3])
             sources = sources.with_parameters(slopes, frames.covariance)
         uncorrected, corrected = (
-            toolpath.directions_in_root(path.program, motion, offset[target])
+            toolpath.directions_in_root(path.program, motion, offset[targets])
             for offset in (self.deviation, self.remaining_deviation)
         )
-        cut_length = self.cut_length[target]
-        self.gain.add(sources, uncorrected, corrected, self.path_distance[target], cut_length)
+        cut_length = self.cut_length[targets]
+        self.gain.add(sources, uncorrected, corrected, self.path_distance[targets], cut_length)
         expectation = elastostatics.expected_errors(sources, uncorrected, corrected)
         for k, error in enumerate((expectation.with_known_robot, expectation.with_known_forces)):
-            total = error + self.extra_rounding[target] + self.path_excess[target]
+            total = error + self.extra_rounding[targets] + self.path_excess[targets]
             largest_error = np.max(total, initial=0.0, where=cut_length > 0.0)
             self.largest_errors[k] = max(self.largest_errors[k], largest_error)
-        return _TargetErrors(expectation.bound, expectation.before, expectation.after)
+        self.bound[targets] = expectation.bound
+        self.uncorrected_error[targets], self.corrected_error[targets] = expectation.before, expectation.after
 
-    def expected(self, uncorrected_error: Array, corrected_error: Array) -> ExpectedErrors:
-        """Return the expected errors on the part, after all targets were added.
-
-        :param uncorrected_error: (K,) expected error of the position at targets without correction [m].
-        :param corrected_error: (K,) the same with correction [m].
-        """
+    def expected(self) -> ExpectedErrors:
+        """Return the expected errors on the part, after all targets were added."""
         # a robot program is rounded as read without correction too: its own rounding is no error
         uncorrected_rounding = 0.0 if self.draft.path.program.keeps_text else self.extra_rounding
         is_cut = self.cut_length > 0.0
         has_deviation = float(norm(self.deviation).max(initial=0.0)) > _NO_DEVIATION
         return ExpectedErrors(
-            np.where(is_cut, uncorrected_error + uncorrected_rounding, 0.0),
-            np.where(is_cut, corrected_error + self.extra_rounding + self.path_excess, 0.0),
+            np.where(is_cut, self.uncorrected_error + uncorrected_rounding, 0.0),
+            np.where(is_cut, self.corrected_error + self.extra_rounding + self.path_excess, 0.0),
             self.gain.chance if has_deviation else None,
             *self.largest_errors.tolist(),
         )

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from postproc import toolpath
-from postproc.chunks import in_chunks
+from postproc.chunks import Columns, chunks
 from postproc.correction import checks, inspection
 from postproc.correction.targets import TargetSelection, corners_of_motions
 from postproc.dialects import registry
@@ -243,7 +243,7 @@ class SimulatedPath(Struct, frozen=True, eq=False):
         return float(self.path_distance.max(initial=0.0))
 
 
-class _Probes(Struct, frozen=True, eq=False):
+class _Probes(Columns, frozen=True, eq=False):
     """The n places of the written program at which its path error is computed.
 
     :param target: (n,) row of the target at the end of the piece.
@@ -351,40 +351,45 @@ def _deviation(
     :param theta: (N, nv) approximate deflections of the springs at the samples of the path.
     :raises UnusableTextError: a commanded pose is out of reach, or there is no equilibrium.
     """
-    errors = _ProbeErrors(path, selection, theta, readback)
-    try:
-        distance, is_fast = in_chunks(errors.at_probes, probes.target, probes.motion, probes.t, probes.share)
-    except NotConvergedError as cause:
-        line = int(path.program.motions.line[probes.motion[cause.rows[0]]])
-        message = f"the written program cannot be simulated: {cause}"
-        raise UnusableTextError(Issue("error", "read-back", message, source_line=line)) from None
-    return _Deviation(errors.at_targets, distance, bool(is_fast.any()))
+    errors = _ProbeErrors(path, selection, theta, readback, len(probes.t))
+    for part in chunks(len(probes.t)):  # the commanded poses of all probes would be hundreds of megabytes
+        chunk = probes.take(part)
+        try:
+            errors.add(part, chunk)
+        except NotConvergedError as cause:
+            line = int(path.program.motions.line[chunk.motion[cause.rows[0]]])
+            message = f"the written program cannot be simulated: {cause}"
+            raise UnusableTextError(Issue("error", "read-back", message, source_line=line)) from None
+    return _Deviation(errors.at_targets, errors.distance, errors.near_limit)
 
 
 class _ProbeErrors:
-    """Path errors at the probes of a written program, by chunks of probes in order.
+    """Path errors at the n probes of a written program, which are added part by part, in order.
 
-    :ivar at_targets: (K, 3) deviation from nominal at the targets of the chunks so far, `$BASE` [m].
+    :ivar at_targets: (K, 3) deviation from nominal at the targets, `$BASE` [m].
+    :ivar distance: (n,) of the loaded tip from nominal at the probes [m].
+    :ivar near_limit: True if a joint is near its largest speed on the way to a probe.
     """
 
     def __init__(
-        self, path: PathUnderLoad, selection: TargetSelection, theta: Array, readback: ReadBackProgram
+        self, path: PathUnderLoad, selection: TargetSelection, theta: Array, readback: ReadBackProgram, count: int
     ) -> None:
         self._path, self._selection, self._theta, self._readback = path, selection, theta, readback
         self._sample_place = path.sample.motion + path.sample.t
         self._driven_program = DrivenProgram(readback.program, path.robot_in_cell, readback.segments)
         self._last_state: tuple[Array, Array] | None = None  # joint angles and position at the last probe so far
-        self.at_targets = np.zeros((len(selection.targets), 3))
+        self.at_targets, self.distance = np.zeros((len(selection.targets), 3)), np.zeros(count)
+        self.near_limit = False
 
-    def at_probes(self, target: Ints, motion: Ints, t: Array, share: Array) -> tuple[Array, Bools]:
-        """Return distances (n,) of the loaded tip from nominal at probes [m], and which (n,) are near a joint speed.
+    def add(self, rows: slice, probes: _Probes) -> None:
+        """Compute the errors at the next probes.
 
-        Sets the rows of `at_targets` of these probes. The parameters are those of `_Probes`.
-
-        :raises NotConvergedError: a commanded pose is out of reach, or there is no equilibrium.
+        :param rows: those of these probes among all.
+        :raises NotConvergedError: a commanded pose is out of reach, or there is no equilibrium; `rows` are of `probes`.
         """
         path, readback, driven_program = self._path, self._readback, self._driven_program
-        output_motion, is_inside = readback.row[target], share < 1.0
+        target, motion, t, share = probes.target, probes.motion, probes.t, probes.share
+        output_motion, is_inside = readback.row[target], probes.is_inside
         sample = self._nominal_samples(target, motion + t, is_inside)
         nominal = toolpath.at(path.program, path.motions.segments, motion, t)
         wrench = toolpath.wrench_in_root(readback.program, output_motion, path.motions.forces.at(nominal))
@@ -395,9 +400,11 @@ class _ProbeErrors:
         tip = driven_program.loaded_tip(output_motion, q, wrench, displacement, self._theta[sample])
         error = driven_program.to_base(output_motion, tip) - nominal.pose.position
         self.at_targets[target[~is_inside]] = error[~is_inside]
-        return norm(error), self._is_fast(q, pose[:, :3, 3], readback.program.motions.feed[output_motion])
+        self.distance[rows] = norm(error)
+        is_fast = self._is_fast(q, pose[:, :3, 3], readback.program.motions.feed[output_motion])
+        self.near_limit |= bool(is_fast.any())
 
-    def _nominal_samples(self, target: Ints, place: Array, is_inside: Bools) -> Ints:
+    def _nominal_samples(self, target: NDArray[np.int32], place: Array, is_inside: Bools) -> Ints:
         """Return the sample (n,) of the nominal path at each probe: that of its target, inside a piece the next one.
 
         :param place: (n,) motion + t of the probes.

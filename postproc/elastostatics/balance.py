@@ -8,17 +8,22 @@ start from here. Arrays of this module are (nv, n), the sample index last; `coor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from postproc import kinematics
+from postproc.chunks import in_chunks
 from postproc.errors import ModelError
 from postproc.frames import Array
 from postproc.kinematics import Posture
 from postproc.robot import Chain, CompensatorTorque, LinkMass, Parameter, RobotModel, Spring
+
+_Result = TypeVar("_Result", bound="NDArray[Any] | tuple[NDArray[Any], ...]")
 
 A2 = 1
 """Index of joint A2 among the actuated coordinates: the compensator acts on it."""
@@ -207,6 +212,23 @@ def undeflected_balance(robot: RobotModel, q: Array, tool: Array, wrench: Array)
     """
     x = elastic_coordinates(robot, q.T)
     return Balance.at(robot, x, balanced_torque(robot, x), kinematics.components(tool), wrench.T)
+
+
+def in_chunks_of_states(
+    function: Callable[..., _Result], q: Array, tool: Array, wrench: Array, *columns: Array
+) -> _Result:
+    """Return `function(q, tool, wrench, *columns)` of N states under load, computed in chunks that fit the cache.
+
+    By it, public functions of this package take any number of states: one state needs some kilobytes of intermediate
+    results.
+
+    :param function: takes arrays of n states; see `chunks.in_chunks`.
+    :param q: (N, 6) joint angles [rad].
+    :param tool: (4, 4) or (N, 4, 4) tool in the flange frame [m].
+    :param wrench: (N, 6) at the TCP, root axes [N, N·m].
+    :param columns: further arrays of N rows.
+    """
+    return in_chunks(function, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench, *columns)
 
 
 def static_torque(robot: RobotModel, x: Array, state: Posture | None = None) -> Array:

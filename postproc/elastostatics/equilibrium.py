@@ -16,12 +16,12 @@ problem. Otherwise Newton's steps move the joints to the target, and coordinates
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from msgspec import Struct
 
 from postproc import kinematics
-from postproc.chunks import in_chunks
 from postproc.elastostatics.balance import (
     A2,
     Balance,
@@ -29,6 +29,7 @@ from postproc.elastostatics.balance import (
     compensator_factor,
     coordinates,
     elastic_coordinates,
+    in_chunks_of_states,
     joint_angles,
     load_torque,
     preload,
@@ -129,9 +130,15 @@ def loaded_tip(robot: RobotModel, q: Array, tool: Array, wrench: Array, guess: A
         zero.
     :raises NotConvergedError: the load is too large for the springs, or the numbers are not finite.
     """
-    x0, start = elastic_coordinates(robot, q.T), None if guess is None else guess.T
-    _, tip = solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T, start)
-    return tip.T
+
+    def tips(q: Array, tool: Array, wrench: Array, guess: Array) -> Array:
+        """Return the positions in some of the states."""
+        x0 = elastic_coordinates(robot, q.T)
+        _, tip = solve_equilibrium(robot, x0, kinematics.components(tool), wrench.T, guess.T)
+        return tip.T
+
+    guess = np.broadcast_to(0.0, (len(q), robot.actual.nv)) if guess is None else guess
+    return in_chunks_of_states(tips, q, tool, wrench, guess)
 
 
 def deflection_by_parameter(
@@ -309,7 +316,7 @@ def load_torques(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Arr
         _, jacobian = kinematics.tcp(robot.actual, coordinates(robot, q), tool)
         return np.asarray(np.einsum("kij,ki->kj", jacobian, wrench)[:, list(robot.actuated)])
 
-    return in_chunks(torques, q, np.broadcast_to(tool, (len(q), 4, 4)), wrench)
+    return in_chunks_of_states(torques, q, tool, wrench)
 
 
 def cartesian_stiffness(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:
@@ -343,6 +350,11 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
     :raises NotConvergedError: a target has no converged command; `rows` says which.
     """
+    return Compensation(*in_chunks_of_states(partial(_commands, robot), q_nominal, tool, wrench, target))
+
+
+def _commands(robot: RobotModel, q_nominal: Array, tool: Array, wrench: Array, target: Array) -> tuple[Array, ...]:
+    """Return the fields of `Compensation` for n targets that are solved at once; parameters as of `compensate`."""
     tools, goal, wrench = kinematics.components(tool), kinematics.components(target), np.ascontiguousarray(wrench.T)
     joints, passive = np.array(robot.actuated), np.array(robot.passive, dtype=np.int64)
     x = elastic_coordinates(robot, q_nominal.T)
@@ -362,7 +374,7 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
         if len(rows) == 0:
             q = joint_angles(robot, x - theta)
             pose = kinematics.posture(robot.nominal, q, tools).pose
-            return Compensation(q.T, kinematics.matrices(pose), theta.T)
+            return q.T, kinematics.matrices(pose), theta.T
         step = _newton_step(jacobian[:, joints][..., rows], missing_twist[:, rows])
         x[np.ix_(joints, rows)] += np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
         x[np.ix_(passive, rows)] = theta[np.ix_(passive, rows)]

@@ -13,8 +13,8 @@ from functools import partial
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import Columns, in_chunks
-from postproc.elastostatics.balance import Balance, undeflected_balance
+from postproc.chunks import Columns
+from postproc.elastostatics.balance import Balance, in_chunks_of_states, undeflected_balance
 from postproc.frames import Array, norm
 from postproc.program import Bools, Ints
 from postproc.robot import Backlash, RobotModel
@@ -53,7 +53,7 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
     """
     tools = np.broadcast_to(tool, (len(q), 4, 4))
     signals = _signals(robot)
-    torque = in_chunks(partial(_torques, robot, signals), q, tools, wrench)
+    torque = in_chunks_of_states(partial(_torques, robot, signals), q, tools, wrench)
     parts = []
     for signal, signal_torque in zip(signals, torque.T, strict=True):
         largest = float(np.abs(signal_torque).max(initial=0.0))

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.chunks import Runs, compact, in_chunks
+from postproc.chunks import Runs, compact
 from postproc.errors import MAX_ERRORS, ForceError, Issue, combined_error
 from postproc.forces.axes import LEAST_TURN, Axes, is_arc_across, is_line_across, last_travel, predecessors
 from postproc.forces.precedence import combine, comment_knots, small_force_issues, unused_comment_issues
@@ -74,11 +74,7 @@ class PathForces(Struct, frozen=True, eq=False):
             """Return force and moment (k, 2, 3, 1) at knots (k,), in their frames."""
             return self.wrench.take(knots).reshape(-1, 2, 3, 1)
 
-        def wrench_at(rows: Ints) -> Array:
-            """Return the wrenches (n, 6) at some samples."""
-            return self._columns_in_base(wrench_columns, sample.take(rows)).reshape(-1, 6)
-
-        return in_chunks(wrench_at, np.arange(len(sample)))
+        return self._columns_in_base(wrench_columns, sample).reshape(-1, 6)
 
     def spread_at(self, sample: Toolpath) -> Array | None:
         """Return L (N, 2, 3, 3) of the covariances L·Lᵀ of force [N²] and moment [(N·m)²] at samples, `$BASE` axes.

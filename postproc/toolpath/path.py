@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from msgspec import Struct
 
-from postproc.chunks import Columns, in_chunks
+from postproc.chunks import Columns
 from postproc.frames import (
     Array,
     angle_between,
@@ -19,7 +19,7 @@ from postproc.frames import (
     rotation_from_vector,
     sine_and_cosine,
 )
-from postproc.poses import Poses
+from postproc.poses import Poses, angles_between
 from postproc.program import CIRC, LIN, PTP, SPL, Bools, FrameColumns, Ints, Program, Starts, constant
 
 _LEAST_TURN = 1e-6
@@ -160,13 +160,11 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
     """
     m = program.motions
     start = starts(program, m.target.__getitem__, start_flange_in_root)
-
-    def chord(rows: Ints) -> tuple[Array, Array]:
-        """Return distance (n,) [m] and angle (n,) [rad] between the poses at start and end of motions (n,)."""
-        begin, end = start.at(rows), m.target.take(rows)
-        return norm(end.position - begin[:, :3, 3]), angle_between(begin[:, :3, :3], end.rotation)
-
-    length, shortest_turn = in_chunks(chord, np.arange(len(m)))
+    # as if each motion began where the one before ends; those that begin elsewhere are replaced
+    previous_end, changed = m.target.take(np.arange(len(m)) - 1), start.changed
+    length, shortest_turn = norm(m.target.position - previous_end.position), angles_between(previous_end, m.target)
+    length[changed] = norm(m.target.position[changed] - start.pose[:, :3, 3])
+    shortest_turn[changed] = angle_between(start.pose[:, :3, :3], m.target[changed, :3, :3])
     arcs = _arcs(program, start)
     length[arcs.motion] = np.hypot(norm(arcs.radial) * arcs.sweep, norm(arcs.climb))
     length[m.kind == PTP] = 0.0

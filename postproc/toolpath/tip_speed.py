@@ -7,13 +7,13 @@ The tool direction of KUKA is X of the tool, as `$TOOL_DIRECTION` is delivered.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
-from postproc.chunks import in_chunks
 from postproc.frames import Array, norm, rotation_vector
-from postproc.program import CIRC, LIN, Ints, Program
+from postproc.program import CIRC, LIN, Program
 from postproc.toolpath.path import Segments, at
-from postproc.toolpath.sampling import even_places
 
 _PARTS = 8
 """Parts of a motion whose turns are added: none is half a turn, after which another rotation would be shorter."""
@@ -37,16 +37,10 @@ def tip_speeds(program: Program, path: Segments) -> Array:
     seconds = path.length / np.where(has_feed, feed, 1.0)
     least_limit = limits.values.min(axis=1)[limits.run]
     rows = np.flatnonzero(has_feed & (path.turn / least_limit > seconds))  # `turn` is an upper bound
-
-    def turning_seconds(motion: Ints) -> Array:
-        """Return how long the tool turns on motions (n,) [s]."""
-        places, t = even_places(motion, np.full(len(motion), _PARTS), "both ends")
-        inner_rotation = np.asarray(at(program, path, places, t).pose.rotation)
-        rotation = inner_rotation.reshape(len(motion), _PARTS + 1, 3, 3)
-        part_limits = np.repeat(limits.take(motion)[:, None], _PARTS, axis=1)
-        return np.asarray(turn_seconds(rotation[:, :-1], rotation[:, 1:], part_limits).sum(axis=1))
-
-    turning = in_chunks(turning_seconds, rows)
+    # orientations where the parts begin and end, made as they are needed: those of two places are kept at a time
+    rotations = (at(program, path, rows, np.full(len(rows), part / _PARTS)).pose.rotation for part in range(_PARTS + 1))
+    part_seconds = [turn_seconds(start, end, limits.take(rows)) for start, end in pairwise(rotations)]
+    turning = np.stack(part_seconds, axis=1).sum(axis=1)
     is_slowed = turning > seconds[rows] * (1.0 + _SAME_TIME)
     speed = feed.copy()
     speed[rows[is_slowed]] = path.length[rows[is_slowed]] / turning[is_slowed]

@@ -255,7 +255,7 @@ def test_the_nearest_place_of_a_curve_is_that_of_many():
 
     begin, end = random.uniform(0, 2, 30), random.uniform(2.5, 5, 30)
     wanted = helix(random.uniform(0, 6, 30)) * random.uniform(0.3, 1.7, (30, 1)) + random.normal(size=(30, 3)) * 0.1
-    place, distance = nearest(helix, wanted, begin, end)
+    place, distance = nearest(lambda _, length: helix(length), wanted, begin, end)
     tried = begin[:, None] + (end - begin)[:, None] * np.linspace(0, 1, 4001)
     apart = np.linalg.norm(helix(tried) - wanted[:, None], axis=2)
     np.testing.assert_allclose(distance, apart.min(axis=1), atol=1e-6)

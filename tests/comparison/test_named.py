@@ -454,10 +454,12 @@ def test_the_nearest_place_of_a_metre_of_path_is_found_to_four_micrometres():
         return np.stack([0.1 * np.cos(8.0 * at), 0.1 * np.sin(8.0 * at), 0.6 * at], axis=-1)
 
     wanted = np.random.default_rng(1).uniform(0.01, 0.99, 200)
-    place, distance = nearest(helix, helix(wanted), np.zeros(200), np.ones(200))
+    place, distance = nearest(lambda _, length: helix(length), helix(wanted), np.zeros(200), np.ones(200))
     np.testing.assert_allclose(place, wanted, rtol=0, atol=4e-6)
     np.testing.assert_allclose(distance, np.abs(place - wanted), rtol=1e-3, atol=1e-9)  # at unit speed
-    place, _ = nearest(helix, helix(np.array([0.2, 0.9])), np.array([0.3, 0.3]), np.array([0.7, 0.7]))
+    place, _ = nearest(
+        lambda _, length: helix(length), helix(np.array([0.2, 0.9])), np.array([0.3, 0.3]), np.array([0.7, 0.7])
+    )
     np.testing.assert_allclose(place, [0.3, 0.7], rtol=0, atol=1e-6)
 
 

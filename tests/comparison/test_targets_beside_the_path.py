@@ -8,6 +8,7 @@ from msgspec.structs import replace
 
 from postproc.comparison import partners
 from postproc.comparison.paths import PlacedProgram, in_cell
+from postproc.errors import ForceError, NotConvergedError
 from postproc.program import LIN, PTP
 from postproc.under_load import RobotInCell
 from tests.comparison.test_named import CELL, ROBOT
@@ -135,6 +136,20 @@ def test_a_missing_target_is_missed_by_its_distance_from_the_way_between_its_pai
         way = second.points(np.maximum(begin + DENSE * (end - begin), 1e-12))
         assert found[n] == pytest.approx(np.linalg.norm(way - moved, axis=1).min(), abs=3e-5)
     assert np.isnan(partners.missing_distances(nominal, second, pairs[:0], missing, None, offset[:0])).all()
+
+
+def test_a_missing_target_whose_force_the_arm_does_not_hold_is_named_by_its_line(monkeypatch):
+    points = np.array([[0.0, 0, 50], [0, 0, 0], [40, 0, 0], [80, 0, 0], [120, 0, 0]])
+    nominal, second = placed(points, [PTP, *[LIN] * 4]), placed(points[[0, 1, 4]], [PTP, LIN, LIN])
+
+    def loaded_tip(path, motion, q, wrench, displacement):
+        raise NotConvergedError("too large", np.flatnonzero(motion == 3))
+
+    monkeypatch.setattr(PlacedProgram, "loaded_tip", loaded_tip)
+    pairs, missing = np.array([[0, 0], [1, 1], [4, 2]]), np.array([2, 3])
+    with pytest.raises(ForceError) as refused:
+        partners.missing_distances(nominal, second, pairs, missing, nominal.forces(None), np.zeros((3, 3)))
+    assert refused.value.line == nominal.program.motions.line[3]
 
 
 @pytest.mark.parametrize("seed", range(8))
