@@ -141,8 +141,8 @@ def load_parts(site: Site, state: State) -> list[Capsule]:
 
 
 def torques(site: Site, state: State) -> Array:
-    """Return the static torques (N, 6) [N·m] of the joints that balance weights, load and compensator."""
-    torque = kinematics.gravity_torque(site.robot.nominal, state.q)
+    """Return the static torques (N, 6) [N·m] of the joints that balance weights, payload, load and compensator."""
+    torque = kinematics.gravity_torque(site.loaded_chain, state.q)
     if site.robot.compensator is not None:
         torque[:, 1] += site.robot.compensator.gradient(state.q[:, 1])
     if state.load_direction is not None:

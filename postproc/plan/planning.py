@@ -59,7 +59,7 @@ NO_TORQUES = (
     "the robot may carry the load"
 )
 OVER_RATING = (
-    "the load of {load:.0f} N is more than the {kg:g} kg ({rated:.0f} N) that the robot is rated for: take a lighter "
+    "{subject} more than the {kg:g} kg ({rated:.0f} N) that the robot is rated for: take a lighter "
     "weight, or give [rig] max_torque_Nm as the manufacturer allows it"
 )
 NO_TRACKER = "line of sight is not checked: the experiment has no [tracker]"
@@ -79,9 +79,12 @@ def unchecked_warnings(site: Site) -> list[str]:
     warnings = []
     if site.torque_limit is None:
         warnings.append(NO_TORQUES)
-        rating = exceeded_rating(site.rig.force / GRAVITY, site.robot.title, site.robot.name)
+        weight = site.rig.force + site.payload_mass * GRAVITY
+        rating = exceeded_rating(weight / GRAVITY, site.robot.title, site.robot.name)
         if rating is not None:
-            warnings.append(OVER_RATING.format(load=site.rig.force, kg=rating, rated=rating * GRAVITY))
+            subject = f"load and [payload] of {weight:.0f} N together are"
+            subject = subject if site.payload_mass else f"the load of {weight:.0f} N is"
+            warnings.append(OVER_RATING.format(subject=subject, kg=rating, rated=rating * GRAVITY))
     if site.tracker is None:
         warnings.append(NO_TRACKER)
     return warnings

@@ -13,11 +13,11 @@ from msgspec import Struct
 from postproc import files
 from postproc.errors import PlanError
 from postproc.frames import DEG_PER_RAD, M_PER_MM, RAD_PER_DEG, Array, inverse
-from postproc.identification.readings import Box, Experiment, MeshFile
+from postproc.identification.readings import Box, Experiment, MeshFile, Payload
 from postproc.kinematics.forward import GRAVITY
 from postproc.plan.sensitivity import Arm
 from postproc.program import Bools
-from postproc.robot import RobotModel
+from postproc.robot import Chain, RobotModel
 
 _POINT_SPACING = 0.04
 """Spacing [m] of points on capsules and meshes; errors stay below 10 mm and are part of the clearance."""
@@ -194,6 +194,8 @@ class Site(Struct, frozen=True, eq=False):
     """Limits on poses that can be measured. Root frame unless stated otherwise.
 
     :param robot: with masses and compensator.
+    :param loaded_chain: nominal chain of the robot with the payload of the experiment.
+    :param payload_mass: of the experiment [kg].
     :param arm: geometry of the robot.
     :param rig: with the load.
     :param start: (6,) joint angles at the start [rad].
@@ -215,6 +217,8 @@ class Site(Struct, frozen=True, eq=False):
     """
 
     robot: RobotModel
+    loaded_chain: Chain
+    payload_mass: float
     arm: Arm
     rig: Rig
     start: Array
@@ -256,6 +260,8 @@ def site_of(robot: RobotModel, experiment: Experiment, folder: Path, start: Arra
     arm = Arm.of(robot)
     return Site(
         robot=robot,
+        loaded_chain=_loaded_chain(robot.nominal, experiment.payload),
+        payload_mass=0.0 if experiment.payload is None else experiment.payload.mass_kg,
         arm=arm,
         rig=Rig(
             force=rig.mass_kg * GRAVITY,
@@ -305,6 +311,13 @@ def _normals(experiment: Experiment) -> Array:
                 raise PlanError(f"[points.{name}] normal is zero", advice="Give a direction in the flange frame.")
             normals[row] = np.array(point.normal) / size
     return normals
+
+
+def _loaded_chain(chain: Chain, payload: Payload | None) -> Chain:
+    """Return a chain with the payload of an experiment; None: it carries nothing."""
+    if payload is None:
+        return chain
+    return chain.with_payload(payload.mass_kg, np.array([payload.X, payload.Y, payload.Z]) * M_PER_MM)
 
 
 def _torque_limit(robot: RobotModel, stated_limit: tuple[float, ...] | None) -> Array | None:

@@ -92,19 +92,22 @@ def test_a_marker_is_seen_only_within_its_acceptance_angle(tmp_path):
     assert name in failed(site, aside)
 
 
-def test_static_torques_are_those_of_the_energy_of_weights_spring_and_load(tmp_path):
+@pytest.mark.parametrize("payload_mass", [0.0, 90.0])
+def test_static_torques_are_those_of_the_energy_of_weights_payload_spring_and_load(payload_mass, tmp_path):
     limits = "max_torque_Nm = [1e4, 1e4, 1e4, 1e4, 1e4, 600]\n"
-    site = setting.site(tmp_path, BASIC + RIG.rstrip() + "\n" + limits)
+    payload = f"[payload]\nmass_kg = {payload_mass}\nX = 40\nY = 30\nZ = 150\n" if payload_mass else ""
+    site = setting.site(tmp_path, BASIC + RIG.rstrip() + "\n" + limits + payload)
     q = np.random.default_rng(4).uniform(-1.5, 1.5, (5, 6))
     tilt = np.full((5, 2), 0.2)
     state = constraints.State.of(site, q, tilt)
     force = site.rig.force * direction(tilt)
-    tool = setting.in_flange(setting.LOAD_POINT)
+    tool, payload_centre = setting.in_flange(setting.LOAD_POINT), setting.in_flange([0.04, 0.03, 0.15])
     for row in range(5):
 
         def energy(x, row=row):
             arm = setting.ORACLE
-            return arm.weight_energy(x) + arm.spring_energy(x[1]) - force[row] @ arm.tcp(x, tool)[:3, 3]
+            weight_energy = arm.weight_energy(x) + payload_mass * 9.81 * arm.tcp(x, payload_centre)[2, 3]
+            return weight_energy + arm.spring_energy(x[1]) - force[row] @ arm.tcp(x, tool)[:3, 3]
 
         expected = setting.differences(energy, q[row])
         assert np.abs(constraints.torques(site, state)[row] - expected).max() < 1e-3

@@ -333,6 +333,17 @@ def test_a_load_beyond_the_rating_is_asked_about_unless_torques_are_checked(mass
     assert any("more than the 270 kg (2649 N) that the robot is rated for" in text for text in warnings) == is_asked
 
 
+def test_the_payload_counts_towards_the_rating(tmp_path):
+    rig = RIG.replace("mass_kg = 275", "mass_kg = 250")
+    assert not any("rated" in text for text in planning.unchecked_warnings(setting.site(tmp_path, BASIC + rig)))
+    (warning,) = (
+        text
+        for text in planning.unchecked_warnings(setting.site(tmp_path, BASIC + rig + "[payload]\nmass_kg = 80\n"))
+        if "rated" in text
+    )
+    assert warning.startswith("load and [payload] of 3237 N together are more than the 270 kg")
+
+
 def test_earlier_readings_inform_the_compliances_that_the_rig_can_show(tmp_path):
     """A weight that hangs shows nothing of A1: neither does the plan count it in the readings that are there."""
     data, *_ = measured_so_far(tmp_path)
