@@ -1,7 +1,9 @@
 """What holds for all tests."""
 
 import gc
+import itertools
 import os
+import re
 import signal
 
 import pytest
@@ -16,6 +18,7 @@ settings.register_profile(
     derandomize="CI" in os.environ,
 )
 settings.load_profile("postproc")
+_FOLDER_NUMBERS = itertools.count()
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -59,6 +62,18 @@ def signals_are_heard():
     yield
     for number in ignored:
         signal.signal(number, signal.SIG_IGN)
+
+
+@pytest.fixture
+def tmp_path(tmp_path_factory, request):
+    """Folder of the test, with a number of its own.
+
+    pytest looks for a free number among the folders of all tests before it: half a minute for 5000 tests.
+    """
+    name = re.sub(r"\W", "_", request.node.name)[:30]
+    folder = tmp_path_factory.getbasetemp() / f"{next(_FOLDER_NUMBERS)}_{name}"
+    folder.mkdir(mode=0o700)
+    return folder
 
 
 @pytest.fixture

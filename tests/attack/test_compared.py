@@ -14,9 +14,9 @@ module = import_module("postproc.comparison.compare")
 
 
 def test_every_difference_planted_is_told_and_nothing_else():
-    outcomes = Counter(attack(seed) for seed in range(20))
+    outcomes = Counter(attack(seed) for seed in range(12))
     planted = {name: number for name, number in outcomes.items() if name not in ("refused", "nothing to plant")}
-    assert sum(planted.values()) > 10
+    assert sum(planted.values()) > 6
     assert len(planted) >= 6
 
 

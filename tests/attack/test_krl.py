@@ -17,38 +17,38 @@ from tests.attack.krl_interpreter import Controller, abc
 
 
 def test_random_programs_do_what_is_read_and_what_is_written():
-    outcomes = Counter(attack(seed) for seed in range(40))
-    assert outcomes["accepted"] > 10
+    outcomes = Counter(attack(seed) for seed in range(16))
+    assert outcomes["accepted"] > 3
 
 
 def test_what_enters_variables_of_other_types_is_what_the_controller_makes_of_it():
-    outcomes = Counter(attack(seed) for seed in range(1_000_000, 1_000_025))
-    assert outcomes["accepted"] > 8
+    outcomes = Counter(attack(seed) for seed in range(1_000_000, 1_000_012))
+    assert outcomes["accepted"] > 3
 
 
 def test_nested_loops_splines_and_synchronised_robots_are_what_the_controller_makes_of_them():
-    outcomes = Counter(attack(seed) for seed in range(MIXED, MIXED + 30))
-    assert outcomes["accepted"] > 8
+    outcomes = Counter(attack(seed) for seed in range(MIXED, MIXED + 12))
+    assert outcomes["accepted"] > 2
 
 
 def test_routines_that_save_change_and_restore_what_the_controller_keeps_do_what_is_read_and_written():
-    outcomes = Counter(attack(seed) for seed in range(MIXED + STATES, MIXED + STATES + 25))
-    assert outcomes["accepted"] > 4
+    outcomes = Counter(attack(seed) for seed in range(MIXED + STATES, MIXED + STATES + 12))
+    assert outcomes["accepted"] > 1
 
 
 def test_programs_with_one_value_in_doubt_at_most_do_what_is_read_and_written():
     first = MIXED + STATES + SNIPPETS
-    outcomes = Counter(attack(seed) for seed in range(first, first + 40))
-    assert outcomes["accepted"] > 11
-    assert outcomes["refused"] > 7
+    outcomes = Counter(attack(seed) for seed in range(first, first + 16))
+    assert outcomes["accepted"] > 3
+    assert outcomes["refused"] > 2
 
 
 def test_pieces_that_are_understood_are_accepted_and_most_others_refused():
     first = MIXED + STATES + DECK
-    settled = Counter(attack(seed) for seed in range(first, first + 100, 4))
-    assert settled["accepted"] + settled["branches"] > 18
-    doubtful = Counter(attack(seed) for seed in range(first + 1, first + 26))
-    assert doubtful["refused"] > 12
+    settled = Counter(attack(seed) for seed in range(first, first + 48, 4))
+    assert settled["accepted"] + settled["branches"] > 8
+    doubtful = Counter(attack(seed) for seed in range(first + 1, first + 13))
+    assert doubtful["refused"] > 5
 
 
 def test_pieces_are_dealt_in_turn():
@@ -119,8 +119,8 @@ def test_the_attack_finds_a_reader_that_reads_the_frame_before(monkeypatch):
 
 
 def test_motions_that_stay_are_those_of_the_program():
-    outcomes = Counter(attack(seed) for seed in range(KEPT, KEPT + 30))
-    assert outcomes["kept"] > 3
+    outcomes = Counter(attack(seed) for seed in range(KEPT, KEPT + 15))
+    assert outcomes["kept"] > 1
 
 
 def test_programs_that_were_refused_when_they_were_read_back():
@@ -132,9 +132,9 @@ def test_programs_that_call_one_routine_both_followed_and_not_followed():
 
 
 def test_damaged_programs_are_refused_with_a_message_or_read():
-    outcomes = Counter(damaged(seed) for seed in range(60))
-    assert outcomes["read"] > 2
-    assert outcomes["refused: True"] > 24
+    outcomes = Counter(damaged(seed) for seed in range(24))
+    assert outcomes["read"] > 0
+    assert outcomes["refused: True"] > 9
     assert outcomes["refused: False"] == 0
 
 

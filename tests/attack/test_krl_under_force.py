@@ -15,10 +15,10 @@ from tests.attack.krl_under_force import Wrong, attack
 
 
 def test_the_loaded_tool_goes_where_the_job_said_whatever_inputs_say():
-    outcomes = Counter(attack(seed).partition(":")[0] for seed in (*range(19), 30))  # the last is kept
-    assert sum(number for name, number in outcomes.items() if "straight" in name) > 9
-    assert sum(number for name, number in outcomes.items() if "branches" in name) > 1
-    assert sum(number for name, number in outcomes.items() if "in files" in name) > 2
+    outcomes = Counter(attack(seed).partition(":")[0] for seed in (*range(11), 30))  # the last is kept
+    assert sum(number for name, number in outcomes.items() if "straight" in name) > 5
+    assert sum(number for name, number in outcomes.items() if "branches" in name) > 0
+    assert sum(number for name, number in outcomes.items() if "in files" in name) > 1
     assert sum(number for name, number in outcomes.items() if "no forces" in name) >= 1
     assert outcomes["kept"] >= 1
 

@@ -35,12 +35,14 @@ def main() -> None:
     given = options.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         if given.drift:
-            part = trial.part(Path(folder), box=((0, 150), (0, 120), (-40, 0)), count=8, mass=given.weight)
+            part = trial.part(
+                Path(folder), box=((0, 150), (0, 120), (-40, 0)), count=8, resolution=0.5, mass=given.weight
+            )
             for line in design_lines(part.chosen, part.prior, part.cutting, part.made):
                 print(line, flush=True)
             drift(part, given.first, given.drift)
             return
-        part = trial.part(Path(folder))
+        part = trial.part(Path(folder), resolution=0.5)
         chosen = part.chosen
         print(
             f"{len(chosen.features)} features, {chosen.seconds / 60:.1f} min; expected error before "

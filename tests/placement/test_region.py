@@ -208,6 +208,13 @@ def test_the_best_place_is_one_that_a_person_sets():
     )
 
 
+@pytest.fixture
+def coarse_slice(monkeypatch):
+    """The slice through the best place has 5 by 5 places instead of 15 by 15: a fifth of the time of a search."""
+    monkeypatch.setattr(region, "_SLICE_COUNT", 5)
+
+
+@pytest.mark.usefixtures("coarse_slice")
 @pytest.mark.parametrize(
     ("base", "is_on_map"), [((1400.0, 0.0, 600.0), True), ((1400.0, 0.0, 640.0), False), ((2000.0, 0.0, 600.0), False)]
 )
@@ -276,7 +283,7 @@ END
 
 
 @pytest.fixture
-def numbered(work_folder):
+def numbered(work_folder, coarse_slice):
     """Folder with a program in BASE_DATA[3], and the text of a cell whose [base_data.3] is its [base]."""
     (work_folder / "part.src").write_text(NUMBERED)
     return CELL_TEXT

@@ -46,7 +46,7 @@ def test_a_turn_of_all_motions_is_the_turn_that_the_cell_could_state(axes):
 @pytest.mark.parametrize("name", ["kuka_kr270", "abb_irb6700_200_260"])
 def test_a_program_that_no_constant_turn_can_drive_is_driven_along_the_path(name):
     text, own = around(1900, 150), cell(name)
-    for turn in range(-180, 180, 30 if name == "kuka_kr270" else 90):
+    for turn in range(-180, 180, 60 if name == "kuka_kr270" else 120):
         assert process_text(text, replace(own, gcode=replace(own.gcode, redundancy_deg=float(turn)))).failed
     best = process_text(text, replace(own, gcode=replace(own.gcode, redundancy="best")))
     assert [issue.kind for issue in best.issues if issue.level == "error"] == ["redundancy"]

@@ -48,7 +48,7 @@ resolution_mm = {resolution}
 """
 
 
-def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.5, depth=3e-3, mass=0.0, further=()):
+def part(folder, box=((0, 300), (0, 200), (-40, 0)), count=12, resolution=0.8, depth=3e-3, mass=0.0, further=()):
     """Design a part; return all that is needed to cut and to identify.
 
     `further`: X, Y, Z [mm] and A [deg] of `$BASE` for further placements of the block.
