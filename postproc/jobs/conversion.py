@@ -210,12 +210,16 @@ def convert(
     is_computed = False  # True: only the staging of the files can fail, and the files of an earlier run stay
     try:
         check_utf8(job.program)
-        name = None if job.keeps_text else job.stem
+        name, setup_cell = None if job.keeps_text else job.stem, cell
         origin = origin_of((), settings.cell, cell, job.forces, "corrected")
         program, cell = read_with_start(job.program, robot, cell, job.dialect, name)
         result, process = convert_program(job, settings, cell, robot, program, progress)
         if result.failed:
             return Outcome(str(job.program), FAILED, issues=result.issues)
+        if job.same_stock:
+            from postproc.jobs.shared_stock import shared_stock_issues  # late: it loads the models of cutting
+
+            result = replace(result, issues=(*result.issues, *shared_stock_issues(job, robot, setup_cell)))
         output = _output_of(job, settings, cell, _add_subprograms(task, settings, cell, robot, result), process)
         _check_unchanged(origin, output.summary)
         is_computed = True

@@ -40,6 +40,7 @@ class Job(Struct, frozen=True):
     :param to: name of the format to write; None: `dialect` if postproc writes it, else KRL.
     :param is_named_by_user: True if the user named the file itself; False if only its folder or a pattern.
     :param callers: programs of the run that call this program; it is then corrected with them, not by itself.
+    :param same_stock: other programs of the run with the same process: each is computed from the whole stock.
     """
 
     program: Path
@@ -50,6 +51,7 @@ class Job(Struct, frozen=True):
     to: str | None = None
     is_named_by_user: bool = True
     callers: tuple[Path, ...] = ()
+    same_stock: tuple[Job, ...] = ()
 
     @property
     def keeps_text(self) -> bool:

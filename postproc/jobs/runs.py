@@ -10,6 +10,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
+from msgspec.structs import replace
 
 from postproc import files, interrupts
 from postproc.cell import Cell
@@ -72,6 +73,7 @@ def convert_all(
     :param progress: called during sweeps of a stock in this process, see `process_forces.read`; None: not reported.
     :raises PostprocError: the cell or the robot is unusable, an output must not be written, or there is no cluster.
     """
+    jobs = _with_same_stock(jobs)
     with interrupts.defer(), contextlib.ExitStack() as folder_lock:
         with interrupts.allow():
             folder_lock.enter_context(files.lock({job.output for job in jobs}, waiting))
@@ -92,6 +94,17 @@ def convert_all(
             outcomes += subprogram_outcomes
             yield from subprogram_outcomes
             _write_overviews(plan.overviews, jobs, outcomes)
+
+
+def _with_same_stock(jobs: Sequence[Job]) -> list[Job]:
+    """Return jobs that know the other programs of the run with the same process."""
+    converted_jobs = [job for job in jobs if not job.callers]
+    partners = {
+        id(job): tuple(other for other in converted_jobs if other is not job and other.process == job.process)
+        for job in converted_jobs
+        if job.process is not None
+    }
+    return [replace(job, same_stock=partners.get(id(job), ())) for job in jobs]
 
 
 def _outcomes(

@@ -355,7 +355,7 @@ def _swept_program(task: _Task, max_tilt: float, cell_factors: dict[int, int]) -
         task.guard.close_distances.clear()  # an earlier sweep may have recorded distances
     ordered_setups = divide_by_cells(setups(program, task.directions, max_tilt), cell_factors, task.directions.cuts)
     frame, cell = ordered_setups[0].frame, process.stock.cell
-    material, stock_issues = _stock_map(process, frame, cell / ordered_setups[0].factor, task.stock)
+    material, stock_issues = stock_map(process, frame, cell / ordered_setups[0].factor, task.stock)
     bounds = (*material.material_bounds, material.top)
     segments = task.segments(frame, cell)
     _check_spindle_speed(program, segments, task.tools)
@@ -598,7 +598,7 @@ def _next_map(material: Stock, last_setup: Setup, setup: Setup, cell: float) -> 
     return stocks.from_mesh(mesh.vertices @ to_map[:3, :3].T + to_map[:3, 3], mesh.faces, cell / setup.factor)
 
 
-def _stock_map(process: Process, frame: Array, cell: float, path: Path | None) -> tuple[Stock, list[Issue]]:
+def stock_map(process: Process, frame: Array, cell: float, path: Path | None) -> tuple[Stock, list[Issue]]:
     """Return the map of the stock before the program, and warnings and notes about it.
 
     :param frame: (4, 4) frame of the map in the `$BASE` of the stock; `cell`: width of a cell [m].

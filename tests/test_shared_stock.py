@@ -1,0 +1,53 @@
+"""Programs of one run that cut the same material of one stock."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.commands import run
+from tests.machining.setting import gcode, process, tool
+from tests.places import SAMPLES
+
+BOX = ((0, 100), (-40, 40), (-20, 0))
+
+
+def converted(tmp_path, programs):
+    """Convert G-code programs with one process; return the warnings of each about shared material."""
+    (tmp_path / "ops").mkdir()
+    (tmp_path / "process.toml").write_text(process(tool(12, 3), BOX, 1.0))
+    for name, text in programs.items():
+        (tmp_path / "ops" / name).write_text(text)
+    given = ["--cell", str(SAMPLES / "cell_kr270.toml"), "--process", str(tmp_path / "process.toml")]
+    run("convert", tmp_path / "ops", *given, "-o", tmp_path / "out", code=(0, 3))
+    reports = {path.name.partition(".")[0]: json.loads(path.read_text()) for path in (tmp_path / "out").glob("*.json")}
+    return {
+        name: [issue for issue in report["issues"] if issue["kind"] == "shared-stock"]
+        for name, report in reports.items()
+    }
+
+
+def slot(y, depth=6.0, end=115):
+    return gcode(f"G0 X-15 Y{y} Z5", f"G1 Z-{depth} F1200", f"X{end}", "G0 Z5")
+
+
+def test_programs_that_cut_the_same_material_name_each_other(tmp_path):
+    found = converted(tmp_path, {"op1.nc": slot(0), "op2.nc": slot(0.4), "op3.nc": slot(30)})
+    assert [len(found[name]) for name in ("op1", "op2", "op3")] == [1, 1, 0]
+    (issue,) = found["op2"]
+    assert issue["level"] == "warning"
+    assert "op1.nc (" in issue["message"]
+    assert '[stock] file = "op1.stock.glb"' in issue["message"]
+
+
+@pytest.mark.parametrize(("shift", "is_shared"), [(12.5, False), (12.0, False), (9.0, True)])
+def test_slots_side_by_side_share_no_material(tmp_path, shift, is_shared):
+    """Slots that only touch have a few cells in common."""
+    found = converted(tmp_path, {"op1.nc": slot(0.3), "op2.nc": slot(0.3 + shift)})
+    assert [bool(issues) for issues in found.values()] == [is_shared, is_shared]
+
+
+def test_a_deeper_level_of_a_pocket_counts_as_the_material_above_it(tmp_path):
+    found = converted(tmp_path, {"op1.nc": slot(0, 3), "op2.nc": slot(0, 6)})
+    assert "op1.nc (100 %)" in found["op2"][0]["message"]
