@@ -179,7 +179,7 @@ class _NearestPlaces(Columns, frozen=True, eq=False):
         :param guess: (n,) approximate arc lengths on the nominal path [m].
         :param sufficient_distance: a deviation that is small enough: no nearer place is sought [m].
         """
-        # in chunks: of places that are hard to find, each has a row of tried ones
+        # in chunks: the search for a place far from its guess tries more than a hundred arc lengths
         return cls.join(
             [cls._of_chunk(search, row[part], t[part], guess[part], sufficient_distance) for part in chunks(len(row))]
         )
@@ -307,6 +307,7 @@ def _covers_step(nominal_path: PlacedProgram, load: PathForces, end_length: Arra
 
     :param end_length: (n,) arc lengths on the nominal path at which the pieces end [m]; NaN where unknown.
     """
+    # pieces whose end is unknown (NaN) are not checked anyway: any place may stand for it
     return load.is_behind_step(*nominal_path.at(np.nan_to_num(end_length)))
 
 
@@ -550,7 +551,10 @@ class Search(Struct, frozen=True, eq=False):
         return np.asarray(np.stack(deflections, axis=2) / _PROBE_WRENCH)
 
     def _start_lengths(self, low: Array, high: Array) -> Array:
-        """Return the arc lengths (n, s) at which the search begins, ascending [m]: most are where the force may change.
+        """Return the arc lengths (n, s) at which the search begins, ascending [m].
+
+        They are evenly spaced on the whole stretch, closer on the ramp at its begin, where the force changes, and
+        closest just behind the begin, where it may have a step.
 
         :param low: (n,) smallest arc lengths, `high` (n,) largest ones [m].
         """

@@ -311,23 +311,23 @@ class Curves(Struct, frozen=True, eq=False):
 
         NaN for the first pair, and where a PTP is between.
         """
-        distances = np.full(int(self.nominal_chain.end[-1]) + 1, np.nan)
+        gaps = np.full(int(self.nominal_chain.end[-1]) + 1, np.nan)  # for each pair
         # between knots, the ends of motions of either program, both paths are smooth
         knots = np.unique(np.concatenate([[0.0], self.nominal_chain.end, self.corrected_chain.end]))
         knots = knots[np.diff(knots, prepend=-1.0) > NO_DISTANCE]
-        begin, end = knots[:-1], knots[1:]
+        begin, end = knots[:-1], knots[1:]  # of each piece
         pair = _pair_at_end(end)
         is_nominal_ptp, is_corrected_ptp = self.nominal_chain.program.motions.kind == PTP, self._kind == PTP
-        unknown = self.nominal_chain.any_between(is_nominal_ptp) | self.corrected_chain.any_between(is_corrected_ptp)
+        has_ptp = self.nominal_chain.any_between(is_nominal_ptp) | self.corrected_chain.any_between(is_corrected_ptp)
         largest = np.maximum(self._distance(begin + SMALLEST_SHARE * (end - begin)), self._distance(end))
-        curve_indices = np.flatnonzero(~unknown[pair] & self._is_curved(end))
+        curve_indices = np.flatnonzero(~has_ptp[pair] & self._is_curved(end))
         if len(curve_indices):
-            # in chunks: each curve has a row of samples
+            # at arcs the gap may be largest between the knots; in chunks, since each piece has a row of samples
             inside = in_chunks(self._largest, begin[curve_indices], end[curve_indices])
             largest[curve_indices] = np.maximum(largest[curve_indices], inside)
-        np.fmax.at(distances, pair, largest)
-        distances[unknown] = np.nan
-        return distances
+        np.fmax.at(gaps, pair, largest)  # the largest of the pieces that lead to each pair; NaN does not count
+        gaps[has_ptp] = np.nan
+        return gaps
 
     def parts(self, angle: float) -> Ints:
         """Return the number of chords (P,) that draw the path to each pair; at least 1.

@@ -358,6 +358,7 @@ def _line_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
         change[_ELBOW] = _ELBOW_PER_M * length + _ELBOW_PER_TURN * turn
         return np.asarray((np.minimum(start_margin, margin) < change).any(axis=0))
 
+    # in chunks: nine quantities of a million long lines, at both ends, would exceed 1 GiB with the program
     is_examined = in_chunks(is_near_limit, rows, length, turn) | is_fast[rows]
     rows, length, turn = rows[is_examined], length[is_examined], turn[is_examined]
     return Stretches(

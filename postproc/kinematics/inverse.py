@@ -248,8 +248,8 @@ class ByWrist(Struct, frozen=True, eq=False):
     :param tip: (W, 2, 3) tip in the root at their start and end [m].
     :param base: (W, 3, 3) orientation of `$BASE` in the root.
     :param tool: (W, 4, 4) `$TOOL` in the flange frame [m].
-    :param active: (M,) True for them.
-    :param travel: (M,) largest rotation of the tool on them [rad], 0 elsewhere.
+    :param active: (M,) True for the W motions.
+    :param travel: (M,) upper bound on the rotation of the tool along each of the W motions [rad]; 0 for the others.
     """
 
     robot: RobotModel
@@ -323,16 +323,19 @@ class ByWrist(Struct, frozen=True, eq=False):
         return np.asarray(np.swapaxes(self.base[row], 1, 2) @ pose[:, :3, :3])
 
     def _tip(self, row: Ints, t: Array) -> Array:
-        """Return the tip (n, 3) on its line, root frame [m]; `row` (n,) of the fields, `t` (n,) in [0, 1]."""
+        """Return the tip (n, 3) on its line, root frame [m].
+
+        :param row: (n,) motions, as rows 0…W − 1 of the fields; `t` (n,) places on them, in [0, 1].
+        """
         return np.asarray(self.tip[row, 0] + t[:, None] * (self.tip[row, 1] - self.tip[row, 0]))
 
     def _solution(self, row: Ints, t: Array) -> tuple[Array, Array]:
         """Return the joint angles (n, 6) [rad] and the tool poses (n, 4, 4) in the root [m] at places on motions.
 
         A4 to A6 move in proportion to t. A1 to A3 keep the tip on its line: they are found by Newton's method, from the
-        line between their values at start and end.
+        line between their values at start and end. Where that fails, the tip is not on its line: `at` checks it.
 
-        :param row: (n,) of the fields, and `t` (n,) in [0, 1].
+        :param row: (n,) motions, as rows 0…W − 1 of the fields; `t` (n,) places on them, in [0, 1].
         """
         q = (self.begin[row] + t[:, None] * (self.end[row] - self.begin[row])).T.copy()
         tip, tool = self._tip(row, t).T, components(self.tool[row])
