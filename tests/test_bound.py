@@ -1,4 +1,4 @@
-"""The bound u95 against 1000 random runs of the loaded equilibrium."""
+"""The bound u95 against 500 random runs of the loaded equilibrium."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.kr270 import ROBOT, SIDE_TOOL
 
 
 def test_95_percent_of_random_parameters_forces_and_discrepancies_stay_within_the_bound():
-    found, bound = against_chance(1000)
+    found, bound = against_chance(500)
     assert np.abs(bound / found - 1.0).max() < 0.1
 
 

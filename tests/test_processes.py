@@ -320,9 +320,16 @@ main()
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(
-    "module", ["click", "postproc.cli.convert", "numpy", "postproc.jobs.conversion", "postproc.kinematics"]
+    ("module", "number"),
+    [
+        ("click", signal.SIGINT),
+        ("click", signal.SIGTERM),
+        ("postproc.cli.convert", signal.SIGINT),
+        ("numpy", signal.SIGINT),
+        ("postproc.jobs.conversion", signal.SIGTERM),
+        ("postproc.kinematics", signal.SIGINT),
+    ],
 )
 def test_a_signal_while_it_starts_is_a_word_and_no_traceback(module, number):
     programs(1)
