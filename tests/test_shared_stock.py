@@ -51,3 +51,22 @@ def test_slots_side_by_side_share_no_material(tmp_path, shift, is_shared):
 def test_a_deeper_level_of_a_pocket_counts_as_the_material_above_it(tmp_path):
     found = converted(tmp_path, {"op1.nc": slot(0, 3), "op2.nc": slot(0, 6)})
     assert "op1.nc (100 %)" in found["op2"][0]["message"]
+
+
+def test_forces_that_fail_leave_no_files_of_an_earlier_run_as_new(tmp_path):
+    program, process_file = tmp_path / "op1.nc", tmp_path / "process.toml"
+    program.write_text(slot(0))
+    process_file.write_text(process(tool(12, 3), BOX, 1.0))
+    given = [program, "--cell", str(SAMPLES / "cell_kr270.toml"), "--process", str(process_file)]
+    outputs = ["-o", tmp_path / "f.csv", "--stock-out", tmp_path / "left.stl"]
+    run("forces", *given, *outputs)
+    program.write_text(slot(500))
+    run("forces", *given, *outputs, code=1)
+    assert {path.name for path in tmp_path.iterdir()} >= {"f.csv.old", "f.json.old", "left.stl.old"}
+    assert not (tmp_path / "left.stl").exists()
+    program.write_text(slot(0))
+    run("forces", *given, *outputs)
+    (tmp_path / "f.csv").write_text("edited")
+    program.write_text(slot(500))
+    run("forces", *given, *outputs, code=1)
+    assert (tmp_path / "f.csv").read_text() == "edited"

@@ -547,7 +547,7 @@ class OutputPlan:
             return leftover_note([job], mode)
         try:
             for path in (job.output / name for name in own_names):
-                path.rename(_backup_path(path))
+                path.rename(backup_path(path))
         except OSError:
             return leftover_note([job], mode)
         suffix = ", and its reports likewise" if len(own_names) > 1 else ""
@@ -850,7 +850,7 @@ def _file_digest(path: Path) -> str:
         return ""
 
 
-def _backup_path(path: Path) -> Path:
+def backup_path(path: Path) -> Path:
     """Return a path that does not exist yet: the path with ``.old`` appended, or ``.old2``, ``.old3`` …"""
     number = 2
     target = path.with_name(f"{path.name}.old")

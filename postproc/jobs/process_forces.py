@@ -27,11 +27,11 @@ from postproc.cell import Cell, Collision
 from postproc.chunks import Runs
 from postproc.collision import cylinders
 from postproc.correction import HeldFeed, Result
-from postproc.errors import ForceError, InputError, Issue
+from postproc.errors import ForceError, InputError, Issue, PostprocError
 from postproc.files import add_record, find_foreign_file, find_foreign_files, refuse, write_whole
 from postproc.forces import Knots
 from postproc.frames import M_PER_MM, MM_PER_MIN, Array, norm
-from postproc.jobs.output_plan import protect
+from postproc.jobs.output_plan import backup_path, protect
 from postproc.jobs.programs import load_robot
 from postproc.jobs.started_program import read_with_start
 from postproc.machining import Process, ProcessForces, ProcessSource, Shift, identification
@@ -545,21 +545,43 @@ class ForcesFiles(Struct, frozen=True, eq=False):
 def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | None = None) -> ForcesFiles:
     """Compute the forces of a program and write them: all files or none.
 
+    Where that fails, files of an earlier run are renamed to NAME.old, because they look like new ones.
+
     :param progress: see `read`.
     :raises PostprocError: an input is unusable, or an output must not be written.
     """
-    process = machining.load(request.process)
-    cell = cells.load(request.cell)
-    robot = load_robot(cell.robot, cell.folder)
-    program, cell = read_with_start(request.program, robot, cell, request.dialect)
-    robot_in_cell = RobotInCell.of(robot, cell)
-    path = segments_in_cell(program, robot_in_cell)
     outputs = _outputs(request)
     protect(
         filter(None, (request.program, request.cell, request.process, request.stock)), outputs.folder, outputs.names
     )
     if not request.overwrite:
         refuse(find_foreign_files(outputs.folder, outputs.names, outputs.record))
+    try:
+        return _computed_forces(request, outputs, progress)
+    except PostprocError:
+        _retire_outputs(outputs)
+        raise
+
+
+def _retire_outputs(outputs: _Outputs) -> None:
+    """Rename the files of an earlier run to NAME.old; nothing is renamed if postproc did not write one of them."""
+    if find_foreign_files(outputs.folder, outputs.names, outputs.record):
+        return
+    for path in (outputs.folder / name for name in outputs.names):
+        if path.exists():
+            path.rename(backup_path(path))
+
+
+def _computed_forces(
+    request: ForcesRequest, outputs: _Outputs, progress: Callable[[int, int], None] | None
+) -> ForcesFiles:
+    """Compute the forces of a program and write them; see `make_forces`."""
+    process = machining.load(request.process)
+    cell = cells.load(request.cell)
+    robot = load_robot(cell.robot, cell.folder)
+    program, cell = read_with_start(request.program, robot, cell, request.dialect)
+    robot_in_cell = RobotInCell.of(robot, cell)
+    path = segments_in_cell(program, robot_in_cell)
     forces = None
     if process.material is not None:
         forces = machining.estimate(
