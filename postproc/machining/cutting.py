@@ -99,7 +99,7 @@ def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, d
         cylinder.
     :param x: (n, P) and `y` (n, P): coordinates of these points in the map [m].
     :param position: (n, 3) positions of the tip [m].
-    :param descent: (n,) descent of the tool in one turn [m], > 0: the end face cuts material within it.
+    :param descent: (n,) descent from one tooth to the next [m], > 0: the end face cuts material within it.
     """
     length = np.zeros(x.shape, dtype=np.float32)
     tip = position[:, 2]
@@ -378,7 +378,8 @@ class Loads(Struct, frozen=True, eq=False):
         face and thrust of the chisel edge of a drill, and by the cells of the map.
     :param cell_error_share: (n,) standard deviation of the force by the cells of the map, as a share of the force; 0
         for drills, whose hole has no open side.
-    :param gentle_error_share: (n,) the part of that by surfaces that are not steep: finer cells can interpolate them.
+    :param gentle_error_share: (n,) the part of that by surfaces that are neither steep nor walls: finer cells can
+        interpolate them.
     :param removal: (n,) volume removed in one turn by one tooth [m³].
     """
 
@@ -477,11 +478,11 @@ def mean_loads(
     gentle_length = rubbed_length * np.asarray(cosine > _GENTLE_COSINE, dtype=np.float32)
     gentle_area = product_in_blocks(gentle_length, arc_length)[:, 0].astype(float)
     error_length = 0.0 if turn.drill else CELL_ERROR_SHARE * turn.sampling * cell  # its square is variance times area
-    cell_error_share = np.minimum(error_length * np.sqrt(steep_area) / area, 1.0)
-    error_share = np.minimum(np.hypot(cell_error_share, _wall_error_share(turn, rubbed_length, cell)), 1.0)
+    surface_error_share = error_length * np.sqrt(steep_area) / area
+    cell_error_share = np.minimum(np.hypot(surface_error_share, _wall_error_share(turn, rubbed_length, cell)), 1.0)
     # the error may have any direction: each of three components has a third of the variance
     for components in (slice(0, 3), slice(3, 6)):
-        variance[:, components] += (np.square(error_share * norm(wrench[:, components])) / 3.0)[:, None]
+        variance[:, components] += (np.square(cell_error_share * norm(wrench[:, components])) / 3.0)[:, None]
     return Loads(
         wrench=wrench,
         deviation=np.sqrt(np.maximum(variance, 0.0)),

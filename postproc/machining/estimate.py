@@ -19,10 +19,10 @@ from postproc.machining import stock as stocks
 from postproc.machining.branches import check_branches, near_stock
 from postproc.machining.material import CuttingLaw
 from postproc.machining.override import override_issues, slow_turn_issues
-from postproc.machining.process import Process, box_corners
+from postproc.machining.process import Process, StockTable, box_corners
 from postproc.machining.profiles import Stations, smooth_steps, thin_out
 from postproc.machining.remaining import Ceiling, Guard, StockInTime
-from postproc.machining.resolution import FINE_ENOUGH_SHARE, ThinPasses, cell_divisors, thin_passes
+from postproc.machining.resolution import CellErrors, ThinPasses, cell_divisors, thin_passes
 from postproc.machining.setups import Setup, divide_by_cells, setups
 from postproc.machining.stock import Stock
 from postproc.machining.stock_mesh import MOST_FILE_CELLS, RemainingMesh, mesh_of
@@ -234,12 +234,12 @@ class _Task(NamedTuple):
             self.program, self.path, self.tools, frame, cell, shift=self.shift, directions=self.directions
         )
 
-    def sweep(self, stock: Stock, frame: Array, cell_error_sums: Array) -> Sweep:
+    def sweep(self, stock: Stock, frame: Array, cell_error_sums: CellErrors) -> Sweep:
         """Return the sweep of the tools through a map of the stock, before any motion.
 
         :param stock: the map, which the sweep cuts in place.
         :param frame: (4, 4) of the map in the `$BASE` of the stock [m].
-        :param cell_error_sums: (M, 3) sums that the sweep increases in place, see `Sweep`.
+        :param cell_error_sums: sums that the sweep increases in place.
         """
         program, count = self.program, len(self.program.motions)
         leans = ~self.directions.is_within(frame[:3, 2], AXIS_TOLERANCE)  # the tool is not along Z of the map
@@ -286,7 +286,7 @@ class _SweptSetups(NamedTuple):
     :param removed_volume: [m³].
     :param issues: warnings about maps of the stock that hold more than the stock.
     :param is_compared: (M,) motions on which the parts of the tool were compared while the stock was swept.
-    :param cell_error_sums: (M, 3) sums over the stations of each motion [N²], see `Sweep`.
+    :param cell_error_sums: sums (M,) over the stations of each motion.
     """
 
     sweeps: list[Sweep]
@@ -296,7 +296,7 @@ class _SweptSetups(NamedTuple):
     removed_volume: float
     issues: list[Issue]
     is_compared: Bools
-    cell_error_sums: Array
+    cell_error_sums: CellErrors
 
     @property
     def collisions(self) -> dict[int, float]:
@@ -411,7 +411,7 @@ def _program_issues(task: _Task, swept_program: _SweptProgram) -> list[Issue]:
         *shared_cutter_issues(program, tools, engaged_motions),
         *_scale_issues(segments, bounds),
         *_cut_issues(program, task.law, swept_setups.cuts, tools, process),
-        *_coarse_contact_warnings(program, tools, swept_program.thin_passes, swept_program.setups, process.stock.cell),
+        *_coarse_contact_warnings(program, tools, swept_program.thin_passes, swept_program.setups, process.stock),
         *_collision_issues(program, swept_setups.collisions, guard),
         *_cutter_mismatch_issues(program, tools, process, guard),
     ]
@@ -450,7 +450,7 @@ def _swept_setups(
     program, count = task.program, len(task.program.motions)
     start_volume, removed_volume, segment_count = material.volume(), 0.0, 0
     sweeps, cuts_of_setups, knots, issues = list[Sweep](), list[Cuts](), list[Knots](), list[Issue]()
-    is_compared, cell_error_sums = np.zeros(count, dtype=bool), np.zeros((count, 3))
+    is_compared, cell_error_sums = np.zeros(count, dtype=bool), CellErrors(*np.zeros((4, count)))
     for number, setup in enumerate(ordered_setups):
         setup_segments = segments
         if number:
@@ -817,23 +817,24 @@ def _chip_load_issues(program: Program, cuts: Cuts, tools: ToolStates, process: 
 
 
 def _coarse_contact_warnings(
-    program: Program, tools: ToolStates, passes: list[ThinPasses], ordered_setups: list[Setup], cell: float
+    program: Program, tools: ToolStates, passes: list[ThinPasses], ordered_setups: list[Setup], stock: StockTable
 ) -> Iterator[Issue]:
     """Yield a warning for each tool whose forces are uncertain because its contact is few cells of the map wide.
 
     :param passes: passes with such a contact; the worst of each tool is named.
     :param ordered_setups: set-ups in their order, which divide the width of cells.
-    :param cell: width of a cell that is not divided [m].
+    :param stock: `[stock]` of the process.
     """
+    alternative = "" if stock.resolution_mm is None else ", or no resolution_mm"
     for number in sorted({thin_pass.tool for thin_pass in passes}):
-        worst = max((thin_pass for thin_pass in passes if thin_pass.tool == number), key=lambda item: item.share)
+        worst = max((thin_pass for thin_pass in passes if thin_pass.tool == number), key=lambda item: item.excess)
         factor = next(setup.factor for setup in ordered_setups if setup.motions[worst.first])
-        needed_cell_mm = cell / factor * MM_PER_M * FINE_ENOUGH_SHARE / worst.share
+        needed_cell_mm = stock.cell / factor * MM_PER_M / worst.excess
         key, line = tools.keys[number], int(program.motions.line[worst.first])
         message = (
             f"the contact of [tools.{key}] is few cells of the stock wide from here on: the standard deviation of its "
-            f"forces by that is {100 * worst.share:.0f} % RMS. Give [stock] resolution_mm = {needed_cell_mm:.2g} for "
-            f"{100 * FINE_ENOUGH_SHARE:.0f} %, or no resolution_mm"
+            f"forces by that is {100 * worst.force_share:.0f} % RMS. Give [stock] resolution_mm = {needed_cell_mm:.2g}"
+            f", with which it is {100 * worst.force_share / worst.excess:.0f} %{alternative}"
         )
         yield Issue("warning", "coarse-stock", message, line, subject=key)
 

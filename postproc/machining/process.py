@@ -55,7 +55,7 @@ class SpindleTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 class StockTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """The stock before the program: a box, or a closed mesh in mm, which `place` puts into `$BASE`.
 
-    :param resolution_mm: cell of the map; None: `CELL_MM`, and finer from the first pass on whose contact needs it.
+    :param resolution_mm: cell of the map; None: `CELL_MM`, and finer where contacts need it.
     :param assumed: nobody has stated it: it is taken from what the tools sweep, and results say so.
     """
 

@@ -15,13 +15,14 @@ import numpy as np
 from msgspec import Struct, field
 
 from postproc.chunks import Columns
-from postproc.frames import Array, norm
+from postproc.frames import Array
 from postproc.machining import cutting, tilted
 from postproc.machining.cutting import EngagedEdge, Loads, cut_edge
 from postproc.machining.leaning import depth_inside
 from postproc.machining.material import CuttingLaw, Floats
 from postproc.machining.process import Process
 from postproc.machining.remaining import Ceiling, Guard
+from postproc.machining.resolution import CellErrors
 from postproc.machining.stock import Footprint, Stock, cut, depth_of_cut, remove
 from postproc.machining.tilted import TiltedPath
 from postproc.machining.tool import BOTTOM, SIDE, Cutter, Edge, Turn, edge, slice_cylinder, take_pieces
@@ -110,9 +111,7 @@ class Sweep(Struct, eq=False):
     :ivar collisions: row of a rapid motion through material → its depth [m]; empty if `is_deflected`.
     :ivar stopped_motions: cutting motions through material with the spindle off.
     :ivar has_contact: whether any cutting move engaged material.
-    :ivar cell_error_sums: (M, 3) for each motion sums, over its stations, of three squares [N²]: of the standard
-        deviation of the force by the cells of the map, of the part of it by surfaces that are not steep, and of the
-        force.
+    :ivar cell_error_sums: sums (M,) over the stations of each motion, increased in place.
     :ivar overhang: row of a motion of a tool that leans → volume above the tool that a map cannot keep [m³].
     :ivar tilted_volume: volume that tools that lean remove [m³].
     :ivar unpaced_motions: motions through material that only turn the tool, at a speed that is not known.
@@ -126,7 +125,7 @@ class Sweep(Struct, eq=False):
     law: CuttingLaw
     poses: ToolPoses
     swing: Array
-    cell_error_sums: Array
+    cell_error_sums: CellErrors
     is_deflected: bool = False
     guard: Guard | None = None
     ceiling: Ceiling | None = None
@@ -359,14 +358,16 @@ class Sweep(Struct, eq=False):
         )  # fmt: skip
 
     def _upright_cuts(self, segments: StraightSegments, begin: int, end: int, number: int) -> Iterator[Cuts]:
-        """Yield the loads at stations one cell apart along segments of tool `number`, in chunks that limit memory.
+        """Yield the loads at stations along segments of tool `number`, in chunks that limit memory.
+
+        Stations are as far apart as the process states for cells, also where the map has finer ones: these are for the
+        contact at a station, not for changes along the path.
 
         :param begin: first segment, and `end` the one after the last.
         :param number: number of the tool, an index in `ToolStates.keys`.
         """
-        cell = self.stock.cell
         length = np.linalg.norm(segments.end[begin:end] - segments.begin[begin:end], axis=1)
-        count = np.maximum(1, np.ceil(length / cell - 1e-6)).astype(np.int64)
+        count = np.maximum(1, np.ceil(length / self.process.stock.cell - 1e-6)).astype(np.int64)
         segment, share = even_places(np.arange(begin, end), count, "middle")
         position = segments.begin[segment] + share[:, None] * (segments.end[segment] - segments.begin[segment])
         heading = segments.leave[segment] + share[:, None] * (segments.arrive[segment] - segments.leave[segment])
@@ -428,7 +429,7 @@ class Sweep(Struct, eq=False):
         per_tooth = self.feed[motion] * 60.0 / (rpm * cutter.teeth)
         feed = np.where(is_axial, 0.0, per_tooth * axis_sine).astype(np.float32)
         descent = (-per_tooth * heading[:, 2]).astype(np.float32)
-        engagement = self._engaged_edge(turn, cutter, position, (ux, uy, hand), descent)
+        engagement = self._engaged_edge(turn, position, (ux, uy, hand), descent)
         chip = cutting.chips(turn, feed, descent)
         descent_sine = np.maximum(-heading[:, 2], 0.0).astype(np.float32)
         loads = cutting.mean_loads(turn, engagement, chip, descent_sine, self.stock.cell, turn.normal_down)
@@ -469,9 +470,9 @@ class Sweep(Struct, eq=False):
             no_angle, zero = np.full(len(t), np.nan), np.zeros(len(t))
             return Cuts(motion, t, wrench, loads.deviation, is_axial, zero, zero, no_angle, no_angle, zero, zero, zero)
         self.has_contact = True
-        square = np.square(norm(wrench[:, :3]))
-        error_squares = [np.square(share) * square for share in (loads.cell_error_share, loads.gentle_error_share)]
-        np.add.at(self.cell_error_sums, motion, np.stack([*error_squares, square], axis=1))
+        material_sigma = self.law.sigma if self.law.covariance is None else 0.0
+        for sums, squares in zip(self.cell_error_sums, CellErrors.of(loads, material_sigma), strict=True):
+            np.add.at(sums, motion, squares)
         enter, leave, depth, width = _engagement_sizes(turn, cuts)
         if turn.drill:
             depth = np.where(cuts.any(axis=1), hole_depth, 0.0)
@@ -482,7 +483,7 @@ class Sweep(Struct, eq=False):
         )  # fmt: skip
 
     def _engaged_edge(
-        self, turn: Turn, cutter: Cutter, position: Array, axes: tuple[Array, Array, Ints], descent: Floats
+        self, turn: Turn, position: Array, axes: tuple[Array, Array, Ints], descent: Floats
     ) -> EngagedEdge:
         """Return the cutting edge in material at n stations.
 
@@ -495,7 +496,7 @@ class Sweep(Struct, eq=False):
         side_offset = np.cos(turn.phi).astype(np.float32) * turn.radius
         x = position[:, 0].astype(np.float32)[:, None] + (ux * feed_offset - (uy * hand) * side_offset)
         y = position[:, 1].astype(np.float32)[:, None] + (uy * feed_offset + (ux * hand) * side_offset)
-        return cut_edge(self.stock, turn, x, y, position.astype(np.float32), descent * cutter.teeth)
+        return cut_edge(self.stock, turn, x, y, position.astype(np.float32), descent)
 
     def _tilted_cuts(self, path: TiltedPath, number: int, top: float) -> Iterator[Cuts]:
         """Yield engagement and loads of a tool that leans or turns, in chunks that limit memory.

@@ -222,6 +222,38 @@ def test_the_volume_of_a_ramp_is_the_analytic_one(tmp_path, degrees, downhill):
     assert found.removed_volume * 1e9 == pytest.approx(expected, rel=0.005)
 
 
+@pytest.mark.parametrize(
+    ("degrees", "width", "least", "largest"), [(20, 0.5, 0.93, 1.03), (20, 1, 0.97, 1.03), (45, 2, 0.96, 1.03)]
+)
+def test_the_rear_of_an_end_face_on_a_way_down_has_the_force_of_its_segment(tmp_path, degrees, width, least, largest):
+    """Down a plane, all of the end face but a segment at its rear is in air: ∫ over it of Ktc h + Kte, … (Altintas).
+
+    A tooth meets the last half of a layer only, so that the force may be a little smaller than that of the segment.
+    """
+    slope, radius, teeth, per_tooth = math.tan(math.radians(degrees)), 5.0, 3, 0.2 / 3
+    x = np.array([-25.0, 25.0])
+    corners = [(a, b, c) for a in x for b in (-12.0, 12.0) for c in (-slope * a, -60.0)]
+    trimesh.convex.convex_hull(np.array(corners)).export(tmp_path / "plane.stl")
+    (z_begin, z_end) = (-slope * (place - radius + width) for place in (-12.0, 12.0))
+    text = gcode("G0 X-12 Y0 Z60", f"G0 Z{z_begin:.6f}", f"G1 X12 Z{z_end:.6f} F1200")
+    program, found = forces(tmp_path, text, process(tool(2 * radius, teeth), SHORT), stock=tmp_path / "plane.stl")
+    number = 2000
+    angle, rings = ((np.arange(number) + 0.5) * size / number for size in (2.0 * math.pi, radius))
+    # length of edge in the segment at each angle from the feed, counted against the turn of the spindle
+    length = (rings[:, None] * np.cos(angle) < width - radius).sum(axis=0) * radius / number
+    down = math.sin(math.radians(degrees))
+    tangential, radial, axial = (AL7075[k] * per_tooth * down + AL7075[k + 1] * down for k in (0, 2, 4))
+    expected = teeth / number * np.array([
+        length @ (axial * np.cos(angle) - tangential * np.sin(angle)),
+        length @ (axial * np.sin(angle) + tangential * np.cos(angle)),
+        length.sum() * radial,
+    ])  # fmt: skip
+    wrench = on_line(program, found, line_of(text, f"G1 X12 Z{z_end:.6f} F1200"), 0.5)
+    direction = expected / np.linalg.norm(expected)
+    assert least <= wrench[:3] @ direction / np.linalg.norm(expected) <= largest
+    assert np.linalg.norm(wrench[:3] - (wrench[:3] @ direction) * direction) < 0.03 * np.linalg.norm(expected)
+
+
 def test_a_slot_cut_through_leaves_two_closed_parts(tmp_path):
     text = gcode("G0 X-10 Y0 Z5", "G1 Z-21 F2400", "X110")
     _, found = forces(tmp_path, text, process(tool(10, 4), BOX, 0.5))

@@ -212,8 +212,8 @@ def test_the_shank_of_a_lying_tool_is_in_the_block_that_its_end_has_passed():
     assert depth_inside(BLOCK, Cutter(0.01, 0.0, 4), away, -axis) == 0.0
 
 
-def test_cells_are_divided_by_the_share_over_what_is_enough_up_to_the_largest_map():
-    passes = [ThinPasses(3, 0, 0.056), ThinPasses(9, 0, 0.11), ThinPasses(12, 1, 0.5), ThinPasses(20, 1, 0.054)]
+def test_cells_are_divided_by_the_excess_up_to_the_largest_map():
+    passes = [ThinPasses(*row) for row in ((3, 0, 0.3, 1.12), (9, 0, 0.3, 2.2), (12, 1, 0.3, 10.0), (20, 1, 0.3, 1.08))]
     assert resolution.cell_divisors(passes, 10_000, [0]) == {3: 2, 9: 3, 12: 10}
     assert resolution.cell_divisors(passes, 3_000_000, [0]) == {3: 2, 9: 2, 12: 2}
     assert resolution.cell_divisors(passes, 12_000_000, [0]) == {}

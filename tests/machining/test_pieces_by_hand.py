@@ -157,9 +157,10 @@ def thin(monkeypatch, rapid, tool, shares, begins=(0,)):
     )
     program = SimpleNamespace(motions=SimpleNamespace(rapid=np.array(rapid, dtype=bool)))
     squares = (100.0 * np.array(shares)) ** 2
-    sums = np.column_stack([squares, squares, 1e4 * (1.0 - np.array(rapid))])
+    force = 1e4 * (1.0 - np.array(rapid))
+    sums = resolution.CellErrors(squares, squares, 0.05**2 * force, force)
     return [
-        (p.first, p.tool, pytest.approx(p.share))
+        (p.first, p.tool, pytest.approx(p.force_share))
         for p in resolution.thin_passes(program, SimpleNamespace(tool=np.array(tool)), sums)
     ]
 
@@ -182,8 +183,8 @@ def test_finer_cells_are_needed_from_the_first_pass_on_of_which_the_rest_needs_t
 
 
 def test_cells_are_divided_until_a_tenth_more_than_enough():
-    """By 0.05 a part, rounded up beyond a tenth; no more than twelve million cells; a factor of one is none."""
-    passes = [resolution.ThinPasses(row, 0, share) for row, share in ((3, 0.1049), (5, 0.1051), (7, 0.0549), (9, 1.0))]
+    """By the excess, rounded up beyond a tenth; no more than twelve million cells; a factor of one is none."""
+    passes = [resolution.ThinPasses(row, 0, 0.3, excess) for row, excess in ((3, 2.09), (5, 2.11), (7, 1.09), (9, 20))]
     assert resolution.cell_divisors(passes, 120_000, [0]) == {3: 2, 5: 3, 9: 10}
     assert resolution.cell_divisors(passes, 1_000_000, [0]) == {3: 2, 5: 3, 9: 3}
 

@@ -19,9 +19,13 @@ def without_resolution(text):
     return "".join(line for line in text.splitlines(keepends=True) if "resolution_mm" not in line)
 
 
-def cell_of(folder, *blocks):
+HARD = "Ktc_N_per_mm2 = 40e3\nKrc_N_per_mm2 = 1e4\nKac_N_per_mm2 = 1e4\nsigma_percent = 5.0"
+"""A material so hard that the error of thin passes by the cells is more than 2 N."""
+
+
+def cell_of(folder, *blocks, material=HARD):
     text = gcode("G0 Z5", *(line for block in blocks for line in block.splitlines()))
-    _, found = forces(folder, text, without_resolution(process(BALL, BOX)))
+    _, found = forces(folder, text, without_resolution(process(BALL, BOX, material=material)))
     assert "coarse-stock" not in {issue.kind for issue in found.issues}
     return found.stock.cell
 
@@ -47,9 +51,23 @@ def test_a_program_of_thin_passes_alone_has_one_fine_map(tmp_path):
     assert cell_of(tmp_path, *skin) < 0.2e-3
 
 
+def test_passes_whose_force_hardly_moves_a_robot_keep_their_cells(tmp_path):
+    """Aluminium, 0.1 mm deep: the force is known to 10 %, which is less than 2 N."""
+    skin = [block.replace("Z-3", "Z-0.1") for block in FINISH]
+    aluminium = 'name = "al_7075_t6_carbide"\nsigma_percent = 5.0'
+    assert cell_of(tmp_path, *skin, material=aluminium) == pytest.approx(0.25e-3)
+
+
+def test_a_force_whose_material_is_not_known_keeps_its_cells(tmp_path):
+    """The error by the cells is 10 %, that by the material 100 %."""
+    skin = [block.replace("Z-3", "Z-0.1") for block in FINISH]
+    unknown = HARD.replace("sigma_percent = 5.0", "sigma_percent = 100.0")
+    assert cell_of(tmp_path, *skin, material=unknown) == pytest.approx(0.25e-3)
+
+
 def test_a_resolution_that_is_given_is_kept_and_the_warning_names_the_first_thin_pass(tmp_path):
     text = gcode("G0 Z5", *(line for block in (*ROUGH, *FINISH) for line in block.splitlines()))
-    _, found = forces(tmp_path, text, process(BALL, BOX, 0.25))
+    _, found = forces(tmp_path, text, process(BALL, BOX, 0.25, HARD))
     assert found.stock.cell == pytest.approx(0.25e-3)
     (issue,) = [issue for issue in found.issues if issue.kind == "coarse-stock"]
     assert issue.source_line is not None
@@ -61,7 +79,7 @@ def test_forces_of_roughing_passes_are_not_changed_by_finishing_passes_after_the
     wrenches = []
     for blocks in (ROUGH, (*ROUGH, *FINISH)):
         text = gcode("G0 Z5", *(line for block in blocks for line in block.splitlines()))
-        program, found = forces(tmp_path, text, without_resolution(process(BALL, BOX)))
+        program, found = forces(tmp_path, text, without_resolution(process(BALL, BOX, material=HARD)))
         rows = np.flatnonzero(~program.motions.rapid)[: len(ROUGH)]
         wrenches.append(found.cuts.wrench[np.isin(found.cuts.motion, rows)])
     np.testing.assert_array_equal(*wrenches)
@@ -88,7 +106,7 @@ def test_a_finer_map_has_the_volume_and_the_surface_of_the_grooves(tmp_path):
 def test_a_map_that_would_have_too_many_cells_is_not_made_finer():
     from postproc.machining.resolution import ThinPasses, cell_divisors
 
-    thin = [ThinPasses(7, 0, 0.12)]
+    thin = [ThinPasses(7, 0, 0.12, 2.4)]
     assert cell_divisors(thin, 100_000, [0]) == {7: 3}
     assert cell_divisors(thin, 2_500_000, [0]) == {7: 2}
     assert cell_divisors(thin, 12_000_000, [0]) == {}
@@ -98,9 +116,10 @@ def test_on_steep_surfaces_cells_are_fine_from_the_start_of_the_set_up():
     """A coarse map does not know where a steep surface was before the pass."""
     from postproc.machining.resolution import ThinPasses, cell_divisors
 
-    thin = [ThinPasses(7, 0, 0.12), ThinPasses(9, 0, 0.22, is_steep=True), ThinPasses(30, 0, 0.12, is_steep=True)]
+    passes = ((7, 2.4, False), (9, 4.4, True), (30, 2.4, True))
+    thin = [ThinPasses(first, 0, 0.3, excess, is_steep=is_steep) for first, excess, is_steep in passes]
     assert cell_divisors(thin, 100_000, [0, 20]) == {7: 3, 0: 5, 20: 3}
-    assert cell_divisors([*thin[1:], ThinPasses(12, 0, 0.32, is_steep=True)], 100_000, [0]) == {0: 7}
+    assert cell_divisors([*thin[1:], ThinPasses(12, 0, 0.3, 6.4, is_steep=True)], 100_000, [0]) == {0: 7}
 
 
 @pytest.mark.parametrize("depth", [2.0, 12.0])

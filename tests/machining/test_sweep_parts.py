@@ -13,6 +13,7 @@ from postproc.machining import cutting, leaning, sweep, tilted
 from postproc.machining import stock as stocks
 from postproc.machining.cutting import EngagedEdge, Loads
 from postproc.machining.material import CuttingLaw
+from postproc.machining.resolution import CellErrors
 from postproc.machining.stock import Footprint
 from postproc.machining.sweep import Sweep
 from postproc.machining.tool import BOTTOM, CORNER, SIDE, Cutter, Turn, edge
@@ -35,8 +36,8 @@ def made_sweep(cutters, cell=CELL, **columns):
     )  # fmt: skip
     given = {
         "stock": stocks.from_box(*BOX, cell), "tools": tools, "law": LAW, "feed": np.full(count, 0.02),
-        "swing": np.full(count, 1.0), "cell_error_sums": np.zeros((count, 3)), "poses": None,
-        "process": SimpleNamespace(cutter=lambda key: cutters[int(key)]),
+        "swing": np.full(count, 1.0), "cell_error_sums": CellErrors(*np.zeros((4, count))), "poses": None,
+        "process": SimpleNamespace(cutter=lambda key: cutters[int(key)], stock=SimpleNamespace(cell=CELL)),
     }  # fmt: skip
     return Sweep(**(given | columns))
 
@@ -52,12 +53,12 @@ def segments_of(begin, end, motion, cutting=True, leans=False, leave=None, arriv
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("most", [100, 1, 200_000])
-def test_stations_of_cuts_are_a_cell_apart_in_the_middle_of_their_parts(monkeypatch, most):
-    """Directions change evenly along a segment; chunks are limited, and none is left out."""
+@pytest.mark.parametrize(("most", "cell"), [(100, CELL), (1, 0.2 * CELL), (200_000, CELL)])
+def test_stations_of_cuts_are_a_cell_apart_in_the_middle_of_their_parts(monkeypatch, most, cell):
+    """Directions change evenly along a segment; chunks are limited, and none is left out. A finer map has no more."""
     monkeypatch.setattr(sweep, "_MOST_POINTS", most)
     seen = []
-    made = made_sweep([CUTTERS["flat"]] * 3)
+    made = made_sweep([CUTTERS["flat"]] * 3, cell)
     turn = SimpleNamespace(phi=np.zeros(30))
     monkeypatch.setattr(Sweep, "_turn_points", lambda self, number, position, heading: turn)
     monkeypatch.setattr(Sweep, "_cuts_at", lambda self, *given: seen.append(given) or len(given[2]))
@@ -154,12 +155,12 @@ def test_the_edge_is_at_its_angles_from_the_feed_to_the_side_of_the_hand(monkeyp
     position = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
     ux, uy = np.array([0.6, 0.0]), np.array([0.8, -1.0])
     descent = np.array([1e-4, 2e-4], np.float32)
-    found = made._engaged_edge(turn, CUTTERS["ball"], position, (ux, uy, np.array([hand, hand])), descent)
-    ((stock, given_turn, x, y, places, per_turn),) = seen
+    found = made._engaged_edge(turn, position, (ux, uy, np.array([hand, hand])), descent)
+    ((stock, given_turn, x, y, places, per_tooth),) = seen
     assert found == "edge"
     assert stock is made.stock
     assert given_turn is turn
-    np.testing.assert_allclose(per_turn, 2 * descent)  # two teeth
+    np.testing.assert_allclose(per_tooth, descent)
     np.testing.assert_allclose(places, position, rtol=1e-6)
     for n in range(2):
         feed, left = np.array([ux[n], uy[n]]), hand * np.array([-uy[n], ux[n]])
@@ -180,7 +181,7 @@ def test_stations_have_the_feed_and_the_descent_of_a_tooth(monkeypatch, drill):
     heading[2, 2] = 0.6
     position = np.array([[0.02, 0.02, -1e-3], [0.02, 0.02, -2e-3], [0.02, 0.02, -3e-3], [0.02, 0.02, -5e-3]])
 
-    def engaged(self, turn, cutter, places, axes, descent):
+    def engaged(self, turn, places, axes, descent):
         seen["axes"], seen["descent"] = axes, descent
         return EngagedEdge(np.ones((4, 2), np.float32), np.zeros((4, 0), np.float32))
 
@@ -244,11 +245,13 @@ def test_loads_become_cuts_with_torque_power_and_the_error_by_cells(monkeypatch)
         assert getattr(cuts, name).tolist() == [first, first + 1, first + 2]
     force = (wrench[:, :3] ** 2).sum(axis=1)
     squares = [0.01 * force[0], 0.04 * force[1] + 0.09 * force[2]]
-    np.testing.assert_allclose(made.cell_error_sums.T, [squares, [0.0, 0.0], [force[0], force[1] + force[2]]])
+    sums = made.cell_error_sums
+    np.testing.assert_allclose([sums.error, sums.force], [squares, [force[0], force[1] + force[2]]])
+    assert not sums.gentle_error.any()
     assert made.has_contact
     hole = made._cuts_of_loads(SimpleNamespace(drill=True, teeth=2), stations, loads, length, 7.0)
     assert hole.depth.tolist() == [7.0, 0.0, 7.0]
-    made.has_contact, before = False, made.cell_error_sums.copy()
+    made.has_contact, before = False, np.stack(made.cell_error_sums)
     air = made._cuts_of_loads(turn, stations, loads, 0.0 * length, 7.0)
     assert not made.has_contact
     np.testing.assert_array_equal(made.cell_error_sums, before)

@@ -431,7 +431,9 @@ def test_passes_are_thin_from_the_first_on_whose_rest_of_the_operation_is_thin_t
     by_cells[:, 0] = 0.0
     level_share = rng.choice([0.3, 1.0], 9)  # deviation without steep parts, over the one with them
     columns = by_cells[..., 0], level_share[:, None] ** 2 * by_cells[..., 0], by_cells[..., 1]
-    found = resolution.thin_passes(made, tools, np.stack(columns, axis=2).reshape(-1, 3))
+    error, gentle_error, squares = (column.reshape(-1) for column in columns)
+    sums = resolution.CellErrors(error, gentle_error, 0.05**2 * squares, squares)
+    found = resolution.thin_passes(made, tools, sums)
     limits = sorted({0, 9, *(begins // 3).tolist(), *(np.flatnonzero(np.diff(tool_of_pass)) + 1).tolist()})
     expected = []
     for low, high in itertools.pairwise(limits):
@@ -443,19 +445,25 @@ def test_passes_are_thin_from_the_first_on_whose_rest_of_the_operation_is_thin_t
                 expected.append((3 * k + 1, int(tool_of_pass[k]), is_steep, float(np.sqrt(rest[0] / rest[1]))))
                 break
     assert [(thin.first, thin.tool, thin.is_steep) for thin in found] == [entry[:3] for entry in expected]
-    np.testing.assert_allclose([thin.share for thin in found], [entry[3] for entry in expected])
+    np.testing.assert_allclose([thin.force_share for thin in found], [entry[3] for entry in expected])
+    np.testing.assert_allclose([thin.excess for thin in found], [entry[3] / 0.05 for entry in expected])
 
 
 def test_a_program_without_cuts_has_no_thin_passes():
     made = program([("RAPID", 0, 0, 0)] * 3)
-    assert resolution.thin_passes(made, SimpleNamespace(tool=np.zeros(3, dtype=int)), np.zeros((3, 3))) == []
+    assert resolution.thin_passes(made, SimpleNamespace(tool=np.zeros(3, dtype=int)), no_errors(3)) == []
+
+
+def no_errors(count):
+    return resolution.CellErrors(*np.zeros((4, count)))
 
 
 def swept(**fields):
     tools = SimpleNamespace(rpm=np.full(7, 6000.0), hand=np.array([1, 1, 1, -1, 1, 1, 1]), tool=np.zeros(7, dtype=int))
-    columns = dict.fromkeys(("process", "law", "poses", "feed", "swing"))
+    columns = dict.fromkeys(("process", "poses", "feed", "swing"))
+    columns["law"] = SimpleNamespace(sigma=0.4, covariance=None)
     stock = SimpleNamespace(cell=0.01)
-    return Sweep(stock=stock, tools=tools, cell_error_sums=np.zeros((7, 3)), **(columns | fields))
+    return Sweep(stock=stock, tools=tools, cell_error_sums=no_errors(7), **(columns | fields))
 
 
 def test_the_deepest_place_of_turning_rapid_moves_through_material_is_kept(monkeypatch):
@@ -517,9 +525,10 @@ def test_the_depth_of_a_hole_is_that_of_a_drill_and_power_is_torque_times_speed(
         assert found.torque.tolist() == [2.0, -2.0]
         np.testing.assert_allclose(found.power, [400 * np.pi, -400 * np.pi])
         np.testing.assert_allclose(found.rate, [3e-7, 6e-7])
-        np.testing.assert_allclose(
-            sweep_.cell_error_sums[[2, 3]], [[0.01 * 25, 0.0025 * 25, 25], [0.04 * 144, 0.01 * 144, 144]]
-        )
+        sums = sweep_.cell_error_sums
+        np.testing.assert_allclose(sums.error[[2, 3]], [0.01 * 25, 0.04 * 144])
+        np.testing.assert_allclose(sums.gentle_error[[2, 3]], [0.0025 * 25, 0.01 * 144])
+        np.testing.assert_allclose(sums.force[[2, 3]], [25, 144])
 
 
 def replace_wrench(loads):
