@@ -329,6 +329,7 @@ def report_data(result: Identification) -> record.IdentificationRecord:
         from_levels=_spring_records(result.spring),
         residual=_residual_record(result),
         discrepancy=_unexplained_records(result.discrepancy),
+        return_u95_mm=None if result.discrepancy.returned is None else result.discrepancy.returned * MM_PER_M,
         workspace=_workspace_records(result.workspace),
         workspace_line=result.workspace.line,
         structure=None
@@ -706,7 +707,7 @@ def summary(data: record.IdentificationRecord) -> str:
         lines += _parameter_lines(data.parameters)
     if data.structure is not None:
         lines.append(data.structure.reason)
-    lines += [level.line for level in data.discrepancy or ()]
+    lines += data.error_lines
     if data.workspace_line is not None:
         lines.append(data.workspace_line)
     if data.torque_Nm is not None:

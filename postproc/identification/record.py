@@ -205,6 +205,7 @@ class IdentificationRecord(Record, frozen=True, omit_defaults=True, kw_only=True
     from_levels: dict[str, FromLevels] | None = None
     residual: Residual | None = None
     discrepancy: list[CrossValidation] | None = None
+    return_u95_mm: float | None = None
     workspace: list[InWorkspace] | None = None
     workspace_line: str | None = None
     structure: Structure | None = None
@@ -223,6 +224,17 @@ class IdentificationRecord(Record, frozen=True, omit_defaults=True, kw_only=True
     torque_Nm: list[float] | None = None
     torques: list[TorqueRange] | None = None
     files: list[FileEntry] | None = None
+
+    @property
+    def error_lines(self) -> list[str]:
+        """The cross-validation error at each load, and how well the unloaded tool returns, as sentences."""
+        lines = [level.line for level in self.discrepancy or ()]
+        if self.return_u95_mm is not None:
+            lines.append(
+                f"after loads the unloaded tool comes back to its place within {self.return_u95_mm:.3f} mm (95 %); the "
+                "unmodelled error is at least that"
+            )
+        return lines
 
 
 class MeasuredStates(Struct, frozen=True):

@@ -6,7 +6,8 @@ not their noise, so the mean of the points of a state is judged. Its error is no
 of noise and parameters. δ is estimated from the errors, each configuration weighted by its precision. Before any
 reading δ is log-normal about a thousandth of the displacements at its level, and one standard deviation is a
 factor of 4.5; so it is never zero, and few configurations leave it wide. The result is the 95 % quantile of the errors,
-integrated over the distribution of δ: a smooth function of the readings, without a threshold.
+integrated over the distribution of δ: a smooth function of the readings, without a threshold. Hysteresis of gears shows
+in the states without load too (`return_error`): the unmodelled error is at least how far the tool does not return.
 
 **Errors of the set-up** (`add_stated_errors`) that no reading shows, as the experiment states them: of all loads, and
 of the load point. A load cell that is wrong by 2 % makes every spring look 2 % softer without any residual; an error of
@@ -57,6 +58,7 @@ from postproc.identification.measurement_model import (
 )
 from postproc.identification.readings import Measurements
 from postproc.identification.record import RESERVATION
+from postproc.identification.return_error import return_errors
 from postproc.program import Ints
 from postproc.robot import (
     JOINT_COMPLIANCES,
@@ -99,7 +101,9 @@ class Discrepancy(Struct, frozen=True, eq=False):
     :param held_out: (m,) RMS distance of the mean of the points from its prediction [m].
     :param noise: (m,) part of `held_out` that the noise of the readings makes, RMS [m].
     :param own: (m,) part of `held_out` that the uncertainty of the parameters makes, RMS [m].
-    :param u95: (m,) bound of 95 % on the unmodelled error [m].
+    :param u95: (m,) bound of 95 % on the unmodelled error [m], at least `returned`.
+    :param returned: bound of 95 % on the distance of the unloaded tool from its place after loads [m]; None: it was not
+        measured in three repeats.
     """
 
     load: Array
@@ -107,6 +111,7 @@ class Discrepancy(Struct, frozen=True, eq=False):
     noise: Array
     own: Array
     u95: Array
+    returned: float | None
 
 
 def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residual: Array) -> Discrepancy:
@@ -125,10 +130,12 @@ def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residua
         np.flatnonzero((level == index) & is_visible.any(axis=1)) for index in range(int(level.max()) + 1)
     ]  # rows of the loaded states with readings, for each level
     at_level = [rows for rows in at_level if len(rows) > 0]
-    u95 = []
-    for rows in at_level:
-        usual_displacement = float(np.sqrt(np.mean(displacement[rows][is_visible[rows]] ** 2)))
-        u95.append(unmodelled_error(errors.error[rows], errors.covariance[rows], _MEDIAN_SHARE * usual_displacement))
+    medians = [_MEDIAN_SHARE * float(np.sqrt(np.mean(displacement[rows][is_visible[rows]] ** 2))) for rows in at_level]
+    returned = _return_bound(data, medians[0])
+    u95 = [
+        max(unmodelled_error(errors.error[rows], errors.covariance[rows], median), returned or 0.0)
+        for rows, median in zip(at_level, medians, strict=True)
+    ]
     mean_squares = (np.sum(errors.error**2, axis=1), errors.noise, errors.fit_variance)
     fold_rms, noise_rms, fit_rms = np.sqrt([[values[rows].mean() for rows in at_level] for values in mean_squares])
     return Discrepancy(
@@ -137,7 +144,19 @@ def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residua
         noise=noise_rms,
         own=fit_rms,
         u95=np.maximum.accumulate(u95),  # an error under a load also exists under a larger one
+        returned=returned,
     )
+
+
+def _return_bound(data: Measurements, median: float) -> float | None:
+    """Return the bound of 95 % on the distance of the unloaded tool from its place after loads [m]; None: not known.
+
+    :param median: median of its standard deviation before any reading [m].
+    """
+    errors = return_errors(data)
+    if errors is None:
+        return None
+    return unmodelled_error(errors.error, np.tile(errors.variance * np.eye(3), (len(errors.error), 1, 1)), median)
 
 
 class _MeanPointErrors(NamedTuple):

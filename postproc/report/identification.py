@@ -61,7 +61,7 @@ def verdict_section(data: IdentificationRecord) -> Section | None:
         part = Verdict("warning", "May be used,", f"within its bound{RESERVATION}{reservation.rstrip('.')}.")
     else:
         part = Verdict("ok", "May be used,", "within its bound.")
-    notes = [Note(f"{level.line[:1].upper()}{level.line[1:]}.") for level in data.discrepancy or ()]
+    notes = [Note(f"{line[:1].upper()}{line[1:]}.") for line in data.error_lines]
     if data.torque_Nm is not None:
         torques = ", ".join(f"{torque:.0f}" for torque in data.torque_Nm)
         notes.append(Note(f"The loads put up to {torques} N·m on A1 … A6: work that puts more is extrapolated."))
