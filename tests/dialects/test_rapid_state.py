@@ -137,3 +137,13 @@ def test_a_function_of_another_file_is_listed():
     program = read(module(["nDeep:=Foreign(3);", MOVE], DECLARATIONS).replace("PERS", "CONST"))
     (message,) = [issue.message for issue in program.issues if issue.kind == "external-call"]
     assert message.startswith("FOREIGN is")
+
+
+def test_an_array_without_initial_value_has_the_elements_that_the_program_gives_it():
+    data = DECLARATIONS + "\n  VAR robtarget tgt{2};\n  VAR num n{2,2};"
+    fill = ["FOR i FROM 1 TO 2 DO", "tgt{i}:=Offs(p,i,0,0);", "n{2,i}:=n{1,i}+10*i;", "ENDFOR"]
+    moves = [f"MoveL Offs(tgt{{2}},0,n{{2,1}},n{{1,1}}){tail()}"]
+    np.testing.assert_allclose(read(module([*fill, *moves], data)).motions.target[-1, :3, 3], [0.002, 0.01, 0.02])
+    assert [issue.kind for issue in read(module([*fill, *moves], data)).issues if issue.kind == "changed-data"] == []
+    with pytest.raises(PostprocError, match="an element of TGT has no value yet"):
+        read(module(["tgt{1}:=p;", *moves], data))

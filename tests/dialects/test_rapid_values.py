@@ -273,11 +273,11 @@ def test_counters_and_data_without_an_initial_value(code, expected):
     assert heights(code, "  VAR num x;\n  VAR bool b;\n  VAR string s;") == expected
 
 
-@pytest.mark.parametrize("type_", ["pos p", "num x{3}"])
+@pytest.mark.parametrize("type_", ["pos p", "pos x{3}"])
 def test_records_and_arrays_without_an_initial_value_are_not_known(type_):
     name = type_.split()[1].partition("{")[0]
-    used = "p.z" if name == "p" else "x{2}"
-    with pytest.raises(PostprocError, match="it has no value yet"):
+    used = "p.z" if name == "p" else "x{2}.z"
+    with pytest.raises(PostprocError, match="has no value yet"):
         heights([move(used)], f"  VAR {type_};")
 
 

@@ -15,6 +15,7 @@ What instructions do: ABB, Technical reference manual, RAPID Instructions, Funct
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterable, Iterator, Set
 from typing import Any, NoReturn, TypeGuard
 
@@ -68,6 +69,8 @@ from postproc.program import FORCE_COMMENT, PTP
 
 MOST_STATEMENTS = 3_000_000
 """Largest number of executed statements: three times those of 10⁶ motions; more count as an endless program."""
+_MOST_ELEMENTS = 100_000
+"""Most elements of an array without initial value that is followed (assumed)."""
 _MAX_CALL_DEPTH = 60
 """Largest number of nested calls; more count as endless recursion. Each call needs several frames of Python."""
 
@@ -933,11 +936,17 @@ def _forget_variable(variable: Variable | None, reason: str, *, by_foreign_call:
 def _initial_variable(declaration: Declaration) -> Variable:
     """Return data as they are declared, with the default value of their type if they have no initial value.
 
-    Initial values are evaluated later, when they are first used.
+    Initial values are evaluated later, when they are first used. Elements of an array of another type are None, unknown
+    until they are assigned; so is an array whose dimensions are no numbers.
     """
     variable = Variable(declaration.type, declaration=declaration, literal=declaration.value is not None)
-    if declaration.value is None and not declaration.dimensions:
-        variable.value = {"NUM": 0.0, "BOOL": False, "STRING": ""}.get(declaration.type)
+    sizes = [item.value for item in declaration.dimensions if item.kind == "number"]
+    if declaration.value is None and len(sizes) == len(declaration.dimensions):
+        value: Value = {"NUM": 0.0, "BOOL": False, "STRING": ""}.get(declaration.type)
+        if math.prod(sizes) <= _MOST_ELEMENTS:
+            for size in reversed(sizes):
+                value = [value] * int(size)  # values are replaced, never changed in place
+            variable.value = value
     return variable
 
 

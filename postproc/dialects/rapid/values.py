@@ -321,6 +321,8 @@ def _index(expression: Expression, scope: Scope) -> tuple[Value, str]:
         if not isinstance(value, list) or not 0 <= index < len(value):
             raise UnknownValueError(f"the index {index + 1} is outside of the array")
         value = value[index]
+    if value is None:
+        raise UnknownValueError(f"an element of {base_name(expression)} has no value yet")
     return value, type_
 
 
