@@ -92,14 +92,15 @@ class Corners(Struct, frozen=True, eq=False):
     weight: tuple[Floats, ...]
 
 
-def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, descent: Floats) -> EngagedEdge:
+def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, layer: Floats) -> EngagedEdge:
     """Return the cutting edge in material of a tool along z of the map, at n stations.
 
     :param turn: P sample points of the edge within a turn: first on the end face, then on the round, then on the
         cylinder.
     :param x: (n, P) and `y` (n, P): coordinates of these points in the map [m].
     :param position: (n, 3) positions of the tip [m].
-    :param descent: (n,) descent from one tooth to the next [m], > 0: the end face cuts material within it.
+    :param layer: (n,) thickness of the layer above the tip that the end face cuts [m], the descent from one tooth to
+        the next. Material that is thinner counts for its share: teeth pass at any height within the layer.
     """
     length = np.zeros(x.shape, dtype=np.float32)
     tip = position[:, 2]
@@ -111,7 +112,7 @@ def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, d
         if turn.round.start < end_count:
             length[:, turn.round] = _round_lengths(stock, turn, corners, z, has_partly_cut)
         if turn.bottom.start < turn.bottom.stop:
-            depth = np.maximum(descent, np.float32(1e-7))[:, None]  # no division by zero on level paths
+            depth = np.maximum(layer, np.float32(1e-7))[:, None]  # no division by zero on level paths
             bottom_height = _interpolated_difference(
                 stock, corners, turn.bottom, lambda level: np.minimum(np.maximum(level - z, 0.0), depth), has_partly_cut
             )

@@ -429,7 +429,9 @@ class Sweep(Struct, eq=False):
         per_tooth = self.feed[motion] * 60.0 / (rpm * cutter.teeth)
         feed = np.where(is_axial, 0.0, per_tooth * axis_sine).astype(np.float32)
         descent = (-per_tooth * heading[:, 2]).astype(np.float32)
-        engagement = self._engaged_edge(turn, position, (ux, uy, hand), descent)
+        # the point of a drill is a cone: it does not enter within one tooth, as a flat end face does
+        layer = descent * np.float32(cutter.teeth) if cutter.drill else descent
+        engagement = self._engaged_edge(turn, position, (ux, uy, hand), layer)
         chip = cutting.chips(turn, feed, descent)
         descent_sine = np.maximum(-heading[:, 2], 0.0).astype(np.float32)
         loads = cutting.mean_loads(turn, engagement, chip, descent_sine, self.stock.cell, turn.normal_down)
@@ -482,21 +484,19 @@ class Sweep(Struct, eq=False):
             depth, width, loads.removal * turn.teeth * rpm / 60.0,
         )  # fmt: skip
 
-    def _engaged_edge(
-        self, turn: Turn, position: Array, axes: tuple[Array, Array, Ints], descent: Floats
-    ) -> EngagedEdge:
+    def _engaged_edge(self, turn: Turn, position: Array, axes: tuple[Array, Array, Ints], layer: Floats) -> EngagedEdge:
         """Return the cutting edge in material at n stations.
 
         :param position: (n, 3) of the tip [m], frame of the map.
         :param axes: x (n,) and y (n,) of the unit direction of the feed, and hand (n,) of the tool, see `ToolStates`.
-        :param descent: (n,) descent from one tooth to the next [m].
+        :param layer: (n,) thickness of the layer that the end face cuts [m], see `cut_edge`.
         """
         ux, uy, hand = (component.astype(np.float32)[:, None] for component in axes)
         feed_offset = np.sin(turn.phi).astype(np.float32) * turn.radius
         side_offset = np.cos(turn.phi).astype(np.float32) * turn.radius
         x = position[:, 0].astype(np.float32)[:, None] + (ux * feed_offset - (uy * hand) * side_offset)
         y = position[:, 1].astype(np.float32)[:, None] + (uy * feed_offset + (ux * hand) * side_offset)
-        return cut_edge(self.stock, turn, x, y, position.astype(np.float32), descent)
+        return cut_edge(self.stock, turn, x, y, position.astype(np.float32), layer)
 
     def _tilted_cuts(self, path: TiltedPath, number: int, top: float) -> Iterator[Cuts]:
         """Yield engagement and loads of a tool that leans or turns, in chunks that limit memory.

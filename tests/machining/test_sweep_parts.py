@@ -154,13 +154,13 @@ def test_the_edge_is_at_its_angles_from_the_feed_to_the_side_of_the_hand(monkeyp
     turn = SimpleNamespace(phi=np.array([0.0, 0.5 * np.pi, 2.0]), radius=np.array([1e-3, 2e-3, 5e-3], np.float32))
     position = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
     ux, uy = np.array([0.6, 0.0]), np.array([0.8, -1.0])
-    descent = np.array([1e-4, 2e-4], np.float32)
-    found = made._engaged_edge(turn, position, (ux, uy, np.array([hand, hand])), descent)
-    ((stock, given_turn, x, y, places, per_tooth),) = seen
+    layer = np.array([1e-4, 2e-4], np.float32)
+    found = made._engaged_edge(turn, position, (ux, uy, np.array([hand, hand])), layer)
+    ((stock, given_turn, x, y, places, given_layer),) = seen
     assert found == "edge"
     assert stock is made.stock
     assert given_turn is turn
-    np.testing.assert_allclose(per_tooth, descent)
+    np.testing.assert_array_equal(given_layer, layer)
     np.testing.assert_allclose(places, position, rtol=1e-6)
     for n in range(2):
         feed, left = np.array([ux[n], uy[n]]), hand * np.array([-uy[n], ux[n]])
@@ -181,8 +181,8 @@ def test_stations_have_the_feed_and_the_descent_of_a_tooth(monkeypatch, drill):
     heading[2, 2] = 0.6
     position = np.array([[0.02, 0.02, -1e-3], [0.02, 0.02, -2e-3], [0.02, 0.02, -3e-3], [0.02, 0.02, -5e-3]])
 
-    def engaged(self, turn, places, axes, descent):
-        seen["axes"], seen["descent"] = axes, descent
+    def engaged(self, turn, places, axes, layer):
+        seen["axes"], seen["layer"] = axes, layer
         return EngagedEdge(np.ones((4, 2), np.float32), np.zeros((4, 0), np.float32))
 
     def chips(turn, feed, descent):
@@ -202,7 +202,8 @@ def test_stations_have_the_feed_and_the_descent_of_a_tooth(monkeypatch, drill):
     result = made._cuts_at(turn, 3, position, heading, motion, t)
     per_tooth = np.array([1e-4, 2e-4, 2e-4, 1e-4])
     np.testing.assert_allclose(seen["feed"], per_tooth * [1, 0.8, 0.8, 0], rtol=1e-6)
-    np.testing.assert_allclose(seen["descent"], per_tooth * [0, 0.6, -0.6, 1], rtol=1e-6)
+    teeth_of_layer = 2 if drill else 1  # a cone enters over a turn
+    np.testing.assert_allclose(seen["layer"], teeth_of_layer * per_tooth * [0, 0.6, -0.6, 1], rtol=1e-6)
     np.testing.assert_allclose(seen["sine"], [0, 0.6, 0, 1], rtol=1e-6)
     ux, uy, hand = seen["axes"]
     np.testing.assert_allclose(np.column_stack([ux, uy]), [[0.6, 0.8]] * 3 + [[1, 0]])
