@@ -64,6 +64,13 @@ def test_a_subprogram_that_was_corrected_for_another_program_is_written_under_a_
     assert two == {path.name: path.read_bytes() for path in Path("out").glob("*two*")}
 
 
+def test_a_program_of_the_same_run_is_not_said_to_move_by_the_correction_of_another():
+    told = " ".join(run("convert", "one.src", "two.src", "-o", "out").stdout.split())
+    assert Path("out/sub_two.src").exists()
+    assert "would move by the correction made here" not in told
+    assert "two.src of its folders calls it too" in " ".join(run("convert", "one.src", "-o", "alone").stdout.split())
+
+
 GLOBAL = "DEF sub()\nLIN {X 20,Y 20,Z 0,A 0,B 0,C 180}\nEND\nGLOBAL DEF other()\nEND\n"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
@@ -563,7 +563,7 @@ def _add_subprograms(task: Task, settings: Settings, cell: Cell, robot: RobotMod
         conflicts = differing_files(task, texts | copies, subprogram_files, copies, read)
         if not conflicts:
             warnings = needed_warnings(task, result.program.needed, copies, texts | copies)
-            issues = (*marked_result.issues, *warnings)
+            issues = (*_without_callers_of_run(marked_result.issues, task), *warnings)
             return _MarkedResult(replace(marked_result, issues=issues), subprogram_files, copies)
         documents, new_names = copy_subprograms(task, result.documents, conflicts, subprogram_files, copies)
         _check_same_motions(result, documents, robot, cell)
@@ -581,12 +581,28 @@ def _issues_of_copies(
     :param new_names: new file name → old file name.
     :param conflicts: file name → program for which it was written differently.
     """
-    kept_issues = [issue for issue in issues if issue.kind != "shared-file" or issue.subject not in new_names.values()]
+    kept_issues = [
+        issue
+        for issue in issues
+        if issue.kind != "shared-file" or issue.subject.partition(", ")[0] not in new_names.values()
+    ]
     for new, old in sorted(new_names.items()):
         if old in conflicts:
             note = f"{old} is written as {new}: it differs from the one written for {conflicts[old]}."
             kept_issues.append(Issue("info", "own-copy", note))
     return tuple(kept_issues)
+
+
+def _without_callers_of_run(issues: Sequence[Issue], task: Task) -> list[Issue]:
+    """Return issues without those that a file is shared with a program which the run converts too.
+
+    That program gets the same file, or one of its own if its corrections differ.
+    """
+    return [
+        issue
+        for issue in issues
+        if issue.kind != "shared-file" or PurePath(issue.subject.partition(", ")[2]).stem.lower() not in task.names
+    ]
 
 
 def _check_same_motions(result: Result, new_documents: Sequence[Document], robot: RobotModel, cell: Cell) -> None:

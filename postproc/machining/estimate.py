@@ -1000,7 +1000,8 @@ def _scale_issues(segments: StraightSegments, bounds: tuple[float, ...]) -> list
     if ratio < _LARGE_RATIO:
         return []
     message = (
-        f"the path is {ratio:.0f} times as large as the stock in X and Y: check the units of both (an inch is 25.4 mm)"
+        f"the path is {ratio:.0f} times as large as the stock in X and Y: check the units of both (an inch is 25.4 mm, "
+        "a metre 1000)"
     )
     return [Issue("warning", "stock-scale", message)]
 
@@ -1064,7 +1065,8 @@ def _no_contact_error(
     advice = "Give stock and program in the same frame ($BASE)."
     stock_size, path_size = np.array([x_high - x_low, y_high - y_low]), high[:2] - low[:2]
     ratio = float(np.max(path_size) / max(float(np.max(stock_size)), 1e-9))
-    for factor in (MM_PER_INCH, 1.0 / MM_PER_INCH):
-        if 0.3 < ratio / factor < 3.0:  # about an inch over a millimetre: path and stock differ somewhat in size
-            advice += f" The stock is {'smaller' if factor > 1 else 'larger'} by about 25.4: is one of them in inches?"
+    for factor, unit in ((MM_PER_INCH, "inches"), (MM_PER_M, "metres")):
+        for size, share in (("smaller", ratio / factor), ("larger", ratio * factor)):
+            if 0.3 < share < 3.0:  # about a unit over a millimetre: path and stock differ somewhat in size
+                advice += f" The stock is {size} by about {factor:g}: is one of them in {unit}?"
     return ForceError(problem, file=str(stock or process.path), advice=advice)

@@ -224,6 +224,8 @@ ORIGINS = {
     "G52": "G52 X3 Y4\nG0 X1 Y1\nG52 X0 Y0\nG1 X1 Y1\nG52 Z2\nZ3",
     "G92": "G92 X0 Y1\nG0 X1 Y1\nG92 Z0\nG1 Z-1\nG92.2\nG1 X1 Z1\nG92.3\nG1 X1 Z1\nG92.1\nX2 Z2",
     "G92 in other offsets": "G10 L2 P2 X9\nG92 X4\nG0 X1\nG55 G0 X1 Y1 Z1\nG92.1\nX5",
+    "G10 while G92 is off": "G92 X4 Y1\nG92.2\nG0 X1 Y1\nG10 L2 P1 X3 Y-2\nG0 X1\nG92.3\nG1 X1 Y1\nG92.2\nG10 L20 P1 X0\nG92.3\nG1 X2",
+    "G52 while G92 is off": "G92 X4\nG92.2\nG52 Y3\nG0 X1 Y1\nG92.3\nG1 X1 Y1\nG52 X0 Y0\nX5",
     "a turned frame": "G10 L2 P1 X1 R90\nG0 X1 Y2\nG52 X2\nG1 X5\nG3 Y6 J2\nG92 X0\nG1 X1",
     "inverse time": "G93\nG1 X10 F2\nG3 X20 I5 F4\nX30 I5 F1\nG0 X0\nG1 Z1 F60\nG94 F100\nG1 X5",
 }

@@ -426,7 +426,8 @@ def test_other_programs_that_call_a_corrected_file_are_named_and_their_names_not
     out = krl.rewrite(program, targets(program, np.arange(9.0).reshape(3, 3) * 1e-3))
     assert "GLOBAL DEF cut_3()" in out.documents[2].text
     [told] = [issue for issue in out.issues if issue.kind == "shared-file"]
-    assert "next.src of its folders call it too" in told.message
+    assert "next.src of its folders calls it too" in told.message
+    assert told.subject == "cut.src, next.src"
 
 
 # --- branches chosen at run time --------------------------------------------------------------------------------------

@@ -728,11 +728,11 @@ class _Walk:
     def _set_origin(self, origin: Origin, current: float) -> None:
         """Apply G10, G52, G92 or G92.1 to G92.3, and express the position in the new frame.
 
-        - G10 (`STORE`) sets a work offset, and leaves the shift.
+        - G10 (`STORE`) sets a work offset, and leaves the shift. Faults: see `_set_work_offset`.
         - G52 (`LOCAL`): the words are the shift.
         - G92 (`SHIFT`): the position gets the words as coordinates. If the position is not known, that is a fault.
         - G92.1 (`SHIFT_CLEARED`): no shift.
-        - G92.2 (`SHIFT_OFF`): no shift, until G92.3 (`SHIFT_ON`) restores it.
+        - G92.2 (`SHIFT_OFF`): no shift, until G92.3 (`SHIFT_ON`) restores it; G10 in between leaves what it restores.
 
         :param current: code of the active work offset.
         """
@@ -751,7 +751,7 @@ class _Walk:
                 self._check_position(origin, "G92", [axis])
                 shift[axis] = shift[axis] + self.position[axis] - word
         self.shift = shift
-        if origin.code != codes.SHIFT_OFF:
+        if origin.code not in (codes.STORE, codes.SHIFT_OFF):
             self.kept_shift = shift.copy()
         self._change_frame(current)
 

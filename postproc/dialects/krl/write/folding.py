@@ -144,14 +144,17 @@ class _Folder(Struct, eq=False):
         return line, is_in_main
 
     def _warn_of_other_callers(self, source: Source) -> None:
-        """Add a warning if other programs of the folders call routines of a changed file."""
+        """Add a warning for each other program of the folders that calls routines of a changed file.
+
+        Their subject is the file and the program, with a comma between them.
+        """
         name = source.document.name
-        if callers := self.course.other_callers.get(name, ()):
+        for caller in self.course.other_callers.get(name, ()):
             message = (
-                f"{name} is corrected for this program. {', '.join(callers)} of its folders call it too, and would "
-                f"move by the correction made here: give them a {name} of their own."
+                f"{name} is corrected for this program. {caller} of its folders calls it too, and would move by the "
+                f"correction made here: give it a {name} of its own."
             )
-            self.issues.append(Issue("warning", "shared-file", message, subject=name))
+            self.issues.append(Issue("warning", "shared-file", message, subject=f"{name}, {caller}"))
 
     # --- keys --------------------------------------------------------------------------------------------------------
 
