@@ -328,6 +328,41 @@ def _coarse_mesh_issues(mesh: RemainingMesh, process: ProcessForces) -> list[Iss
     return [Issue("warning", "coarse-stock", message)]
 
 
+_ASIDE_SINE = 0.2
+"""Sine of the angle between command and deflected tool from which on their difference is named: 12° (assumed)."""
+
+
+def _aside_notes(path: PathUnderLoad, deviation: Array) -> list[Issue]:
+    """Return a note if the deflected tool moves aside of the command, along which chips and forces are computed.
+
+    So it is where the force comes or goes within a short way; the command of a corrected program steps aside there, and
+    the tool goes straight.
+
+    :param path: N samples of the path.
+    :param deviation: (N, 3) deviation of the tip, `$BASE` [m].
+    """
+    sample, weight = path.sample, _weights(path)
+    step, change = np.diff(sample.pose.position, axis=0), np.diff(deviation, axis=0)
+    # the component of the change across the command
+    length = np.maximum(norm(step), 1e-12)
+    aside = norm(change - (np.einsum("ni,ni->n", change, step) / length**2)[:, None] * step)
+    sine = aside / np.maximum(norm(step + change), 1e-12)
+    is_cut = (weight[1:] > 0.0) & (weight[:-1] > 0.0) & (sample.motion[1:] == sample.motion[:-1])
+    is_aside = is_cut & (sine > _ASIDE_SINE) & (aside > _CONVERGENCE)
+    if not is_aside.any():
+        return []
+    worst = int(np.argmax(np.where(is_aside, aside, 0.0))) + 1
+    share = float(weight[1:][is_aside].sum() / weight.sum())
+    message = (
+        f"along {100 * share:.2g} % of the cutting path the deflected tool moves aside of the command by more than "
+        f"{np.degrees(np.arcsin(_ASIDE_SINE)):.0f}°, as the force comes or goes. Forces are computed along the "
+        "command: force and deviation are uncertain there. For a corrected program see the report of convert, which "
+        "has no such error, since its tool stays on the nominal path."
+    )
+    line = int(path.program.motions.line[sample.motion[worst]])
+    return [Issue("info", "aside-of-command", message, line)]
+
+
 def _real_cut_message(
     nominal_wrench: Runs, real_wrench: Runs, nominal: ProcessSource, real: ProcessSource, rounds: int
 ) -> str:
@@ -378,7 +413,8 @@ def predict_in_material(
     note = Issue("info" if cut.is_settled else "warning", "real-cut", message)
     hits = [issue for issue in source.process_forces.issues if issue.kind in ("rapid-in-material", "collision")]
     engagement_result = correction.process(program, robot, cell, source, "predict")
-    return replace(result, issues=(*result.issues, *hits, note), engagement_result=engagement_result), cut.source
+    issues = (*result.issues, *hits, note, *_aside_notes(path, cut.deviation))
+    return replace(result, issues=issues, engagement_result=engagement_result), cut.source
 
 
 class _RealCut(NamedTuple):
@@ -387,11 +423,13 @@ class _RealCut(NamedTuple):
     :param source: source of the forces of the cut.
     :param rounds: number of sweeps with a displaced tip.
     :param is_settled: whether force and deflection agree.
+    :param deviation: (N, 3) deviation of the tip under its forces, `$BASE` [m].
     """
 
     source: ProcessSource
     rounds: int
     is_settled: bool
+    deviation: Array
 
 
 def _real_cut(path: PathUnderLoad, source: ProcessSource, deviation: Array) -> _RealCut:
@@ -422,7 +460,7 @@ def _real_cut(path: PathUnderLoad, source: ProcessSource, deviation: Array) -> _
         if rounds > 1 and not is_settled:
             is_settled = _next_change(change, last_shift, shift, _contact_weights(weight, residual)) < limit
         last_shift, offset = shift, offset + shift
-    return _RealCut(cut, rounds, is_settled)
+    return _RealCut(cut, rounds, is_settled, deviation)
 
 
 def _deviation(path: PathUnderLoad) -> Array:

@@ -78,6 +78,17 @@ def test_it_is_told_and_the_corrected_program_is_that_of_the_nominal_cut(tmp_pat
     }  # fmt: skip
 
 
+@pytest.mark.parametrize(("y", "is_named"), [(-20, True), (3, False)])
+def test_it_is_said_where_the_tool_moves_aside_of_the_command(tmp_path, y, is_named):
+    """At the exit of a slot the force goes within a millimetre; that of a narrow cut goes slowly."""
+    program = read(tmp_path, gcode(f"G0 X-15 Y{y} Z5", "G1 Z-4 F1800", "X215 (here)", "G0 Z5"))
+    (tmp_path / "process.toml").write_text(process(tool(12, 3), BOX, 0.5))
+    source = process_forces.read(tmp_path / "process.toml", CELL)
+    result, _ = process_forces.predict_in_material(program, ROBOT, CELL, source)
+    asides = [issue for issue in result.issues if issue.kind == "aside-of-command"]
+    assert [(issue.level, issue.source_line) for issue in asides] == [("info", 6)] * is_named
+
+
 def test_process_and_forces_exclude_each_other(tmp_path):
     given = ["--cell", "cell.toml", "--process", "p.toml", "--forces", "f.csv"]
     made = invoke("convert", "part.nc", *given)
