@@ -106,7 +106,7 @@ FAULTS = {
     "module data hide local data": (8, Scope, "find", module_data_first),
     "the variable of FOR outlives it": (129, Execution, "_follow_rounds", rounds_that_keep_the_counter),
     "CASE has one value": (450, Execution, "_holds", first_case_only),
-    "local data are data of the module": (73, Execution, "_declare", data_of_all_routines),
+    "local data are data of the module": (172, Execution, "_declare", data_of_all_routines),
     "forces in branches count for nothing": (1092, Execution, "_check_forces", nothing),
     "loops without moves are passed over": (6, Execution, "_execute_loop_without_moves", nothing),
 }

@@ -21,7 +21,7 @@ PARAMETERS = {
 ROWS = [Record(config=3, before_mm=0.5, after_mm=0.0125), Record(config=7, before_mm=0.25, after_mm=0.0)]
 RESIDUAL = Record(before_rms_mm=0.4, rms_mm=0.01, per_configuration=ROWS)
 DATA = Record(
-    verdict=Record(line="usable", refused=False), discrepancy=[Record(line="the model misses 0.01 mm")],
+    verdict=Record(line="usable", refused=False), error_lines=["the model misses 0.01 mm"],
     torque_Nm=[100.4, 2000.0, 900.0, 30.0, 40.0, 5.0], residual=RESIDUAL, parameters=PARAMETERS, not_observable=[],
     warnings=[], assumptions=None, sigma_mm=0.02,
 )  # fmt: skip
@@ -49,7 +49,7 @@ def test_the_verdict_is_its_line_with_the_largest_torques(line, refused, shown):
         "The loads put up to 100, 2000, 900, 30, 40, 5 N·m on A1 … A6: work that puts more is extrapolated.",
     ]
     assert page.verdict_section(changed(verdict=None)) is None
-    assert len(page.verdict_section(changed(discrepancy=None, torque_Nm=None)).parts) == 1
+    assert len(page.verdict_section(changed(error_lines=[], torque_Nm=None)).parts) == 1
 
 
 def test_parameters_are_counted_by_how_well_they_are_known():
