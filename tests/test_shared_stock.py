@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
+from postproc.jobs import runs
+from postproc.jobs.programs import Job
 from tests.commands import run
 from tests.machining.setting import gcode, process, tool
 from tests.places import SAMPLES
@@ -46,6 +50,16 @@ def test_slots_side_by_side_share_no_material(tmp_path, shift, is_shared):
     """Slots that only touch have a few cells in common."""
     found = converted(tmp_path, {"op1.nc": slot(0.3), "op2.nc": slot(0.3 + shift)})
     assert [bool(issues) for issues in found.values()] == [is_shared, is_shared]
+
+
+def test_of_many_programs_with_one_process_none_is_compared():
+    """Each process of a run sweeps all that are compared."""
+    base = Job(Path("p.nc"), "gcode", Path("out"), forces=Path("process.toml"))
+    alone = Job(Path("q.nc"), "gcode", Path("out"))
+    for count, partners in ((2, 1), (40, 39), (41, 0)):
+        jobs = [replace(base, program=Path(f"p{n}.nc")) for n in range(count)]
+        marked = runs._with_same_stock([*jobs, alone])
+        assert [len(job.same_stock) for job in marked] == [partners] * count + [0]
 
 
 def test_a_deeper_level_of_a_pocket_counts_as_the_material_above_it(tmp_path):

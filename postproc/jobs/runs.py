@@ -96,13 +96,21 @@ def convert_all(
             _write_overviews(plan.overviews, jobs, outcomes)
 
 
+_MOST_COMPARED = 40
+"""Most programs with one process whose cuts are compared: each process of a run sweeps all of them."""
+
+
 def _with_same_stock(jobs: Sequence[Job]) -> list[Job]:
-    """Return jobs that know the other programs of the run with the same process."""
-    converted_jobs = [job for job in jobs if not job.callers]
+    """Return jobs that know the other programs of the run with the same process, if these are not too many."""
+    jobs_of_process: dict[Path, list[Job]] = {}
+    for job in jobs:
+        if job.process is not None and not job.callers:
+            jobs_of_process.setdefault(job.process, []).append(job)
     partners = {
-        id(job): tuple(other for other in converted_jobs if other is not job and other.process == job.process)
-        for job in converted_jobs
-        if job.process is not None
+        id(job): tuple(other for other in group if other is not job)
+        for group in jobs_of_process.values()
+        if len(group) <= _MOST_COMPARED
+        for job in group
     }
     return [replace(job, same_stock=partners.get(id(job), ())) for job in jobs]
 
