@@ -231,7 +231,7 @@ class IdentificationRecord(Record, frozen=True, omit_defaults=True, kw_only=True
         lines = [level.line for level in self.discrepancy or ()]
         if self.return_u95_mm is not None:
             lines.append(
-                f"after loads the unloaded tool comes back to its place within {self.return_u95_mm:.3f} mm (95 %); the "
+                f"from repeat to repeat the unloaded tool comes back to within {self.return_u95_mm:.3f} mm (95 %): the "
                 "unmodelled error is at least that"
             )
         return lines

@@ -18,7 +18,6 @@ import numpy as np
 
 from postproc.frames import Array
 from postproc.identification.readings import Measurements
-from postproc.program import Bools, Ints
 
 _FEWEST_CONFIGURATIONS = 4
 """Fewest configurations with three repeats of the unloaded state from which return errors are judged (assumed)."""
@@ -39,11 +38,13 @@ def return_errors(data: Measurements) -> ReturnErrors | None:
     """Return the return errors of the configurations whose unloaded state was measured three times.
 
     None if there are fewer than `_FEWEST_CONFIGURATIONS`: with two repeats a drift cannot be told from a return error.
+    If the robot was not loaded between the repeats, there is no return error in them, and nothing in the file says so.
     """
-    triples = [places for state in data.unloaded_states for places in _first_three_places(data, int(state))]
-    if data.are_displacements or len(triples) < _FEWEST_CONFIGURATIONS:
+    places = [_first_three_places(data, state) for state in data.unloaded_states.tolist()]
+    measured_places = [three for three in places if three is not None]
+    if data.are_displacements or len(measured_places) < _FEWEST_CONFIGURATIONS:
         return None
-    first, second, third = np.moveaxis(np.array(triples), 1, 0)
+    first, second, third = np.moveaxis(np.array(measured_places), 1, 0)
     step = third - second
     step -= step.mean(axis=0)  # the even drift
     step_variance = float(np.sum(step**2)) / (3 * (len(step) - 1))
@@ -51,23 +52,18 @@ def return_errors(data: Measurements) -> ReturnErrors | None:
     return ReturnErrors(first - 2.0 * second + third, 3.0 * step_variance)
 
 
-def _first_three_places(data: Measurements, state: int) -> list[Array]:
-    """Return the mean of the points (3, 3) [m] in the first three repeats of a state; empty without three repeats.
+def _first_three_places(data: Measurements, state: int) -> Array | None:
+    """Return the mean of the points (3, 3) [m] in the first three repeats of a state; None without three repeats.
 
     Only points that were read in all three count.
     """
     is_read = data.used & (data.state == state)
     repeats = np.unique(data.repeat[is_read])[:3]
-    points = _points_in_all(data, is_read, repeats)
+    rows_of_repeat = [is_read & (data.repeat == repeat) for repeat in repeats]
+    points = np.arange(len(data.points))
+    for rows in rows_of_repeat:
+        points = np.intersect1d(points, data.point[rows])
     if len(repeats) < 3 or not len(points):
-        return []
-    is_counted = is_read & np.isin(data.point, points)
-    return [np.array([data.position[is_counted & (data.repeat == repeat)].mean(axis=0) for repeat in repeats])]
-
-
-def _points_in_all(data: Measurements, is_read: Bools, repeats: Array) -> Ints:
-    """Return the points that were read in each of some repeats; `is_read` (n,) selects readings."""
-    points = np.unique(data.point[is_read])
-    for repeat in repeats:
-        points = np.intersect1d(points, data.point[is_read & (data.repeat == repeat)])
-    return points
+        return None
+    is_counted = np.isin(data.point, points)
+    return np.array([data.position[rows & is_counted].mean(axis=0) for rows in rows_of_repeat])
