@@ -335,7 +335,7 @@ _ASIDE_SINE = 0.2
 def _aside_notes(path: PathUnderLoad, deviation: Array) -> list[Issue]:
     """Return a note if the deflected tool moves aside of the command, along which chips and forces are computed.
 
-    So it is where the force comes or goes within a short way; the command of a corrected program steps aside there, and
+    So it is where the force changes within a short way, as at the end of a slot or in a corner; the command of a corrected program steps aside there, and
     the tool goes straight.
 
     :param path: N samples of the path.
@@ -355,7 +355,7 @@ def _aside_notes(path: PathUnderLoad, deviation: Array) -> list[Issue]:
     share = float(weight[1:][is_aside].sum() / weight.sum())
     message = (
         f"along {100 * share:.2g} % of the cutting path the deflected tool moves aside of the command by more than "
-        f"{np.degrees(np.arcsin(_ASIDE_SINE)):.0f}°, as the force comes or goes. Forces are computed along the "
+        f"{np.degrees(np.arcsin(_ASIDE_SINE)):.0f}°, as the force changes there. Forces are computed along the "
         "command: force and deviation are uncertain there. For a corrected program see the report of convert, which "
         "has no such error, since its tool stays on the nominal path."
     )
