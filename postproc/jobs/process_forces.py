@@ -335,8 +335,8 @@ _ASIDE_SINE = 0.2
 def _aside_notes(path: PathUnderLoad, deviation: Array) -> list[Issue]:
     """Return a note if the deflected tool moves aside of the command, along which chips and forces are computed.
 
-    So it is where the force changes within a short way, as at the end of a slot or in a corner; the command of a corrected program steps aside there, and
-    the tool goes straight.
+    So it is where the force changes within a short way, as at the end of a slot or in a corner. The command of a
+    corrected program steps aside there, and the tool goes straight.
 
     :param path: N samples of the path.
     :param deviation: (N, 3) deviation of the tip, `$BASE` [m].
