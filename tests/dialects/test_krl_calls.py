@@ -534,6 +534,53 @@ def test_changed_values_that_do_not_change_the_next_run_are_not_told(lines):
     assert about(read_lines(*lines), "changed-data") == []
 
 
+SHOW_PART = "DEF SHOWPART(N:IN)\nINT N\n$OUT[N]=TRUE\nEND\n"
+
+
+@pytest.mark.parametrize(
+    ("lines", "names", "line"),
+    [
+        (["LIN XP1", "IF I==3 THEN", "LIN XP3", "ENDIF", "I=I+1"], "I", 5),
+        (["LIN XP1", "I=I+1", "IF I==4 THEN", "LIN XP3", "ENDIF"], "I", 6),
+        (["LIN XP1", "SWITCH I", "CASE 4", "LIN XP3", "ENDSWITCH", "I=I+1"], "I", 5),
+        (["LIN XP1", "IF I==3 THEN", ";FORCE FX=100", "ENDIF", "LIN XP1", "I=I+1"], "I", 5),
+        (["IF I==3 THEN", "$VEL.CP=0.1", "ENDIF", "LIN XP1", "I=I+1"], "I", 5),
+        (["IF I==3 THEN", "XP1.Z=5", "ENDIF", "LIN XP1", "I=I+1"], "I", 7),
+        (["LIN XP1", "WHILE I==3", "LIN XP3", "I=I+1", "ENDWHILE", "I=I+1"], "I", 5),
+        # a change that a later run makes only
+        (["LIN P[2]", "I=I+1", "IF I==4 THEN", "P[2].Z=50", "ENDIF"], "I, P", 4),
+    ],
+)
+def test_a_counter_that_decides_in_a_later_run_is_warned_of(lines, names, line):
+    found = read_lines(*lines)
+    (issue,) = (issue for issue in found.issues if issue.kind == "changed-data")
+    assert (issue.subject, issue.source_line) == (names, line)
+    assert "a later run may move differently from this line on" in issue.message
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["LIN XP1", "I=I+1", "IF I>9 THEN", "I=0", "ENDIF"],
+        ["LIN XP1", "I=I+1", "IF I==4 THEN", "MSG(I)", "$OUT[3]=TRUE", "ENDIF"],
+        ["LIN XP1", "SHOWPART(I)", "I=I+1"],
+        ["LIN XP1", "I=I+1", "P[1].Z=I", "LIN P[2]"],  # another element
+        ["LIN P[I]", "I=2", "LIN XP1", "I=1"],
+        ["IF OK THEN", "I=7", "ENDIF", "LIN XP1", "OK=TRUE", "I=I+1"],
+    ],
+)
+def test_a_counter_that_no_motion_depends_on_is_not_warned_of(lines):
+    assert about(read_lines(*lines, subs=SHOW_PART), "changed-data") == []
+
+
+def test_the_first_line_that_the_next_run_skips_or_runs_is_named():
+    lines = ["LIN XP1", "IF OK THEN", "LIN XP3", "ENDIF", "LIN XP1", "OK=FALSE"]
+    data = POINTS_DAT.replace("BOOL OK", "BOOL OK=TRUE")
+    (issue,) = (issue for issue in read_lines(*lines, data=data).issues if issue.kind == "changed-data")
+    assert (issue.subject, issue.source_line) == ("OK", 6)
+    assert "The next run begins with the changed values and moves differently from this line on" in issue.message
+
+
 def test_a_counter_that_the_program_sets_first_needs_no_second_run(monkeypatch):
     def followed(*_):
         raise AssertionError

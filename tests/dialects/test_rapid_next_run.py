@@ -69,6 +69,27 @@ def test_a_program_whose_next_run_begins_with_other_values_is_warned_of(lines, n
     assert (message, found_line) == (f"{name} (line {offset + change_line})", line)
 
 
+@pytest.mark.parametrize(
+    ("lines", "names"),
+    [
+        # a change that a later run makes only
+        ([move("Offs(pStart,a{2},0,0)"), "nPart:=nPart+1;", "IF nPart=3 THEN", "a{2}:=20;", "ENDIF"], "a, nPart"),
+        # the second run begins with bFirst = FALSE, and so does the third
+        (
+            [
+                *("IF bFirst THEN", "nPart:=0;", "bFirst:=FALSE;", "ENDIF"),
+                *("IF nPart=4 THEN", move(at(0, 10, 20)), "ENDIF", move("pStart"), "nPart:=nPart+1;"),
+            ],
+            "nPart",
+        ),
+    ],
+)
+def test_a_change_that_decides_in_a_later_run_is_warned_of(lines, names):
+    (issue,) = (issue for issue in read(module(lines, DATA, COUNT_UP)).issues if issue.kind == "changed-data")
+    assert issue.subject == names
+    assert "a later run may move differently" in issue.message
+
+
 def test_changes_of_called_routines_are_named_by_their_line():
     text = module(["pass;", "count;"], DATA, ROUTINES)
     (issue,) = (issue for issue in read(text).issues if issue.kind == "changed-data")

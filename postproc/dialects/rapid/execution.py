@@ -230,7 +230,8 @@ class Execution:
         execution = Execution(self.modules, self.entry, self.from_cell, self.without_effect, self.loaded)
         for name, variable in self.data.items():
             left = variable.at_next_run()
-            if left.is_changed and not execution.data[name].why:
+            # also what an earlier run has changed, and this one has not
+            if name in execution.data and not left.literal and not execution.data[name].why:
                 if name in unknown_names:
                     left.forget("an earlier run may have changed it")
                 left.start_run()

@@ -1,9 +1,6 @@
-"""The next run of a program: whether it moves like the first run.
+"""Later runs of a program: whether they move like the first run, see `postproc.dialects.changed_data`.
 
-PERS data keep their values from run to run, and VAR of a module until the program pointer is moved to main. A program
-that changes such data after it has used them is followed once more with the changed values. If they change again, it is
-followed a third time with unknown values: a counter may decide on a move in a later run only. If one of these runs
-moves differently or cannot be followed, the output holds only for runs that begin with the values in the files.
+PERS data keep their values from run to run, and VAR of a module until the program pointer is moved to main.
 """
 
 from __future__ import annotations
@@ -12,6 +9,7 @@ from itertools import zip_longest
 
 from msgspec import Struct
 
+from postproc.dialects.changed_data import FollowedRun, later_difference
 from postproc.dialects.rapid.effects import called_names
 from postproc.dialects.rapid.execution import ExecutedProgram, Execution, RapidError
 from postproc.dialects.rapid.moves import are_equal
@@ -19,43 +17,47 @@ from postproc.dialects.rapid.syntax import Conditional, Declaration, Loop, State
 
 
 class ChangedData(Struct, frozen=True):
-    """Data with which the next run of a program moves differently.
+    """Data with which a later run of a program moves differently.
 
     :ivar changes: name as it is declared → offset of the first statement that changes the data; None if it is not
         known.
     :ivar variables: names, among these, of data that are reset when the program pointer is moved to main.
     :ivar start: offset of the first statement that moves differently, or cannot be followed.
+    :ivar is_certain: see `Difference`.
     """
 
     changes: dict[str, int | None]
     variables: frozenset[str]
     start: int
+    is_certain: bool
 
 
 def changed_data(first: Execution) -> ChangedData | None:
-    """Return the data with which the next run of a program moves differently; None if it moves like the first.
+    """Return the data with which a later run of a program moves differently; None if all runs move like the first.
 
     :param first: execution of the program, which has run.
     """
-    names = first.changed_names()
-    if not names:
-        return None
-    second = first.next_run(set())
-    start = _first_difference(first.result, second)
-    if start is None:
-        names = second.changed_names()
-        start = _first_difference(first.result, second.next_run(set(names))) if names else None
-    if start is None:
+    last_run = first
+
+    def follow_next_run(unknown_names: frozenset[str]) -> FollowedRun:
+        """Follow the program with the data that the run before has left, and compare it with the first run."""
+        nonlocal last_run
+        last_run = last_run.next_run(unknown_names)
+        start = _first_difference(first.result, last_run)
+        return FollowedRun(start, frozenset(last_run.changed_names()))
+
+    difference = later_difference(frozenset(first.changed_names()), follow_next_run)
+    if difference is None:
         return None
     changes: dict[str, int | None] = {}
     variables: set[str] = set()
-    for name in sorted(names):
+    for name in sorted(difference.names):
         declaration = first.data[name].declaration
         spelling = name if declaration is None else declaration.spelling
         changes[spelling] = _change_start(first, name)
         if declaration is not None and declaration.kind == "VAR":
             variables.add(spelling)
-    return ChangedData(changes, frozenset(variables), start)
+    return ChangedData(changes, frozenset(variables), difference.place, difference.is_certain)
 
 
 def _first_difference(first: ExecutedProgram, later_execution: Execution) -> int | None:

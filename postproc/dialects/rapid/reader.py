@@ -544,7 +544,7 @@ class _Reader:
             yield Issue("info", "routine-copied", message)
 
     def _changed_data_issues(self, changed_data: ChangedData | None) -> Iterator[Issue]:
-        """Yield a warning if the next run of the program moves differently."""
+        """Yield a warning if a later run of the program moves differently."""
         if changed_data is None:
             return
 
@@ -557,7 +557,8 @@ class _Reader:
             place = "its line is not known" if start is None else f"line {file_line(start)}"
             suffix = ", VAR: until PP to Main" if name in changed_data.variables else ""
             change_places[name] = f"{place}{suffix}"
-        yield changed_data_issue(change_places, file_line(changed_data.start))
+        line = file_line(changed_data.start)
+        yield changed_data_issue(change_places, line, is_certain=changed_data.is_certain)
 
     def _uncalled_issues(self, expanded_program: ExpandedProgram) -> Iterator[Issue]:
         """Yield a warning for each routine that moves and is not called."""

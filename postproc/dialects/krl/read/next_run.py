@@ -1,24 +1,26 @@
-"""The next run of a program: whether it moves like the first run.
+"""Later runs of a program: whether they move like the first run, see `postproc.dialects.changed_data`.
 
-Values of a `.dat`, BASE_DATA and TOOL_DATA stay as a run leaves them. A program that changes some of them is followed
-once more with the changed values. If it then moves differently, the output holds only for runs that begin with the
-values in the files.
+Values of a `.dat`, BASE_DATA and TOOL_DATA stay as a run leaves them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import zip_longest
 
 import numpy as np
+from msgspec.structs import replace
 
-from postproc.dialects.changed_data import changed_data_issue
-from postproc.dialects.krl.course import Course
+from postproc.dialects.changed_data import FollowedRun, changed_data_issue, later_difference
+from postproc.dialects.krl.course import Course, Lines, RoutineExit, Step, UnresolvedStructure
 from postproc.dialects.krl.language.positions import Position
+from postproc.dialects.krl.read.known import UnknownValue
 from postproc.dialects.krl.read.main_routine import MainRoutine, Start, course_of
 from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
 from postproc.dialects.krl.read.plain_lines import PlainLines
 from postproc.dialects.krl.read.rounds import Uses
 from postproc.dialects.krl.read.settings import Settings
+from postproc.dialects.krl.read.variables import variable_of
 from postproc.errors import Issue, ProgramError
 from postproc.frames import Array
 
@@ -30,38 +32,23 @@ def changed_data_issues(
     plain_lines: PlainLines,
     start_joints: tuple[float, ...],
 ) -> Iterator[Issue]:
-    """Yield a warning if the next run of the program moves differently, or cannot be followed.
+    """Yield a warning if a later run of the program moves differently, or cannot be followed.
 
-    The next run begins with the data that the first run leaves.
+    Each run begins with the data that the one before leaves.
 
     :param main: has followed the first run.
     :param change_places: variables whose values the first run leaves to the next, see `kept_values`; nothing is yielded
         if there are none.
     :param first: motions of the first run.
-    :param plain_lines: plain lines of the trace; its `motions` are emptied.
+    :param plain_lines: plain lines of the trace.
     :param start_joints: (6,) joint angles at the start [deg].
     """
-    if not change_places:
-        return
-    cell, library, routine = main.run.settings.cell, main.run.library, main.run.routine
-    variables = main.run.settings.variables.next_run()
-    start = Start(library, routine, main.run.obstacles, variables=variables, cell=cell, joints=start_joints)
-    try:
-        course, collected_motions = course_of(start)
-        line = _first_differing_row(main.course, course)
-        if line is None:
-            second_run = MainRoutine(
-                collected_motions or start.new_collection(main.course.trace), main.course, plain_lines
-            )
-            if collected_motions is None:
-                second_run.follow([])
-            second = ordered_motions(second_run, plain_lines.motions)
-            line = _first_difference(main.run.settings, first, second_run.run.settings, second)
-        line = None if line is None else main.course.trace.shown_line(line)
-    except ProgramError as cause:  # the next run cannot be followed
-        line = cause.line or main.run.routine.first
-    if line is not None:
-        yield changed_data_issue(change_places, line)
+    later_runs = _LaterRuns(main, change_places, first, plain_lines, start_joints)
+    difference = later_difference(change_places.keys(), later_runs.follow_next)
+    if difference is not None:
+        names = sorted(set(map(variable_of, difference.names)))
+        places = {name: later_runs.change_places[name] for name in names}
+        yield changed_data_issue(places, difference.place, is_certain=difference.is_certain)
 
 
 def kept_values(main: MainRoutine) -> dict[str, str]:
@@ -80,20 +67,105 @@ def kept_values(main: MainRoutine) -> dict[str, str]:
     }
 
 
-def _first_differing_row(first: Course, second: Course) -> int | None:
-    """Return the first row, from 1, at which the traces of two runs differ; None if they are equal.
+class _LaterRuns:
+    """The runs of a program after the first, one after the other; for the parameters see `changed_data_issues`.
 
-    It is 1 if they differ in their steps or their length alone.
+    :ivar change_places: variable whose value a run leaves to the next → first place that changes it, of all runs.
     """
+
+    def __init__(
+        self,
+        main: MainRoutine,
+        change_places: Mapping[str, str],
+        first: OrderedMotions,
+        plain_lines: PlainLines,
+        start_joints: tuple[float, ...],
+    ) -> None:
+        """Begin behind the first run."""
+        self.change_places = dict(change_places)
+        self._main, self._first, self._plain_lines, self._start_joints = main, first, plain_lines, start_joints
+        self._last_variables = main.run.settings.variables
+
+    def follow_next(self, unknown_keys: frozenset[str]) -> FollowedRun:
+        """Follow the program with the data that the run before has left, and compare it with the first run.
+
+        :param unknown_keys: variables and elements of arrays that are unknown when the run begins.
+        :returns: the run; its difference is a line of the file. Changed data are given by their keys.
+        """
+        main, first_run = self._main, self._main.run
+        variables = self._last_variables.next_run()
+        for key in unknown_keys:
+            variables.put(key, UnknownValue(self.change_places[variable_of(key)]))
+        start = Start(
+            first_run.library,
+            first_run.routine,
+            first_run.obstacles,
+            variables=variables,
+            cell=first_run.settings.cell,
+            joints=self._start_joints,
+        )
+        # `ordered_motions` empties the list
+        plain_lines = replace(self._plain_lines, motions=[*self._plain_lines.motions])
+        try:
+            course, collected_motions = course_of(start)
+            row = _first_differing_row(main.course, course)
+            if row is None:
+                later = MainRoutine(
+                    collected_motions or start.new_collection(main.course.trace), main.course, plain_lines
+                )
+                if collected_motions is None:
+                    later.follow([])
+                motions = ordered_motions(later, plain_lines.motions)
+                row = _first_difference(first_run.settings, self._first, later.run.settings, motions)
+            if row is not None:
+                return FollowedRun(main.course.trace.shown_line(row))
+        except ProgramError as cause:  # the run cannot be followed
+            return FollowedRun(cause.line or first_run.routine.first)
+        self._last_variables = later.run.settings.variables
+        places = kept_values(later)
+        self.change_places = places | self.change_places
+        keys = self._last_variables.differing_keys(variables.snapshot())
+        return FollowedRun(None, frozenset(key for key in keys if variable_of(key) in places))
+
+
+def _first_differing_row(first: Course, second: Course) -> int | None:
+    """Return the first row, from 1, at which the traces of two runs differ; None if they are equal."""
     row_count = min(len(first.trace), len(second.trace))  # rows of both traces
     columns = [(*_file_and_line_columns(course), course.counter_values()) for course in (first, second)]
     differs = np.zeros(row_count, dtype=np.bool_)
     for first_column, second_column in zip(*columns, strict=True):
         a, b = first_column[:row_count], second_column[:row_count]
         differs |= (a != b) & ~(np.isnan(a) & np.isnan(b))  # NaN equals NaN
-    if differs.any():
-        return int(np.argmax(differs)) + 1
-    return None if first.steps == second.steps and len(first.trace) == len(second.trace) else 1
+    row = int(np.argmax(differs)) + 1 if differs.any() else None
+    step_row = _first_differing_step(first, second)
+    if row is None and step_row is None and len(first.trace) != len(second.trace):
+        return row_count
+    return min((found for found in (row, step_row) if found is not None), default=None)
+
+
+def _first_differing_step(first: Course, second: Course) -> int | None:
+    """Return the row of the trace at which the first step differs between two runs; None if all steps are equal."""
+    row = 1  # of the last step with a row
+    for step, other_step in zip_longest(first.steps, second.steps):
+        if _compared(step) == _compared(other_step):
+            row = _step_row(step) or row
+        elif isinstance(step, Lines) and isinstance(other_step, Lines) and step.first == other_step.first:
+            return min(step.last, other_step.last) + 1
+        else:
+            return min((found for found in map(_step_row, (step, other_step)) if found is not None), default=row)
+    return None
+
+
+def _compared(step: Step | None) -> object:
+    """Return what is compared of a step of two runs: not the reason why a structure is not followed."""
+    return (step.first, step.last) if isinstance(step, UnresolvedStructure) else step
+
+
+def _step_row(step: Step | None) -> int | None:
+    """Return the first row of the trace of a step; None if it has none."""
+    if isinstance(step, Lines | UnresolvedStructure):
+        return step.first
+    return None if step is None or isinstance(step, RoutineExit) else step.row
 
 
 def _file_and_line_columns(course: Course) -> tuple[Array, Array]:

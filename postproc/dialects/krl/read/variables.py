@@ -402,14 +402,17 @@ class Variables:
 
         A variable also differs if it is volatile, which means that it may change at any time, in one of the two only.
         """
+        volatile_in_one = self.volatile_values.keys() ^ snapshot.volatile_values.keys()
+        return frozenset({variable_of(key) for key in self.differing_keys(snapshot)} | volatile_in_one)
+
+    def differing_keys(self, snapshot: Snapshot) -> frozenset[str]:
+        """Return the keys of variables and elements with other values than in a snapshot."""
         # data lists that were read after the snapshot: their values have held since the program began
         snapshot_values = self.late_values | snapshot.values
         keys = self._values.keys() | snapshot_values.keys()
-        differing_keys = (
+        return frozenset(
             key for key in keys if not self._have_same_value(self._values.get(key), snapshot_values.get(key))
         )
-        volatile_in_one = self.volatile_values.keys() ^ snapshot.volatile_values.keys()
-        return frozenset({variable_of(key) for key in differing_keys} | volatile_in_one)
 
     def _have_same_value(self, first: object, second: object) -> bool:
         """Return whether two stored values are equal.
