@@ -32,6 +32,7 @@ from postproc.identification.measurement_model import (
 from postproc.identification.moved_device import moved_device
 from postproc.identification.procedure import Depth, Identification, Method, identify, rms_distances
 from postproc.identification.readings import Experiment, Measurements, Payload, read, read_experiment
+from postproc.identification.return_error import GEARS_RETURN
 from postproc.identification.stated_points import displaced_points
 from postproc.identification.uncertainty import Discrepancy, Workspace
 from postproc.robot import (
@@ -341,6 +342,7 @@ def report_data(result: Identification) -> record.IdentificationRecord:
         held_by_prior=None if result.choice is None else [parameter.name for parameter in result.choice.held_by_prior],
         outliers=list(result.left_out),
         warnings=list(result.warnings),
+        assumptions=[GEARS_RETURN] if result.discrepancy.returned is None else [],
         correlation=record.Correlation(
             [parameter.name for parameter in in_file.parameters],
             [[round(value, 4) for value in row] for row in correlations(in_file.covariance).tolist()],
@@ -631,7 +633,8 @@ def identify_folder(
         _require_positions(readings, measurements)
     result = identify(prior, readings, choices.method, choices.structure, progress)
     result = replace(result, judgement=result.judgement.reserved(pivot_doubt))
-    data = msgspec.structs.replace(report_data(result), assumptions=setup.assumptions)
+    data = report_data(result)
+    data = msgspec.structs.replace(data, assumptions=[*setup.assumptions, *(data.assumptions or ())])
     source = f"identified from {measurements.name}, {choices.method}"
     content = model_file(result, prior_content, source, geometry_source)
     if choices.geometry:

@@ -21,6 +21,11 @@ from postproc.identification.readings import Measurements
 
 _FEWEST_CONFIGURATIONS = 4
 """Fewest configurations with three repeats of the unloaded state from which return errors are judged (assumed)."""
+GEARS_RETURN = (
+    "the gears have no hysteresis: only readings without load before, between and after loads show it. Measure three "
+    "repeats of each configuration, each from the state without load through all loads and back"
+)
+"""What is assumed where readings show no return errors, and how to measure them."""
 
 
 class ReturnErrors(NamedTuple):

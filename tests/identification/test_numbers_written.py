@@ -77,6 +77,15 @@ def test_states_torques_and_unmodelled_errors_are_those_of_the_readings(result):
         assert astuple(row) == pytest.approx((space.load, *lengths, space.bound_ratio, space.chance))
 
 
+def test_what_readings_do_not_show_of_gears_is_named_as_assumed(result):
+    shown = replace(result, discrepancy=replace(result.discrepancy, returned=2e-5))
+    written = model_folder.report_data(shown)
+    assert (written.return_u95_mm, written.assumptions) == (pytest.approx(0.02), [])
+    written = model_folder.report_data(replace(result, discrepancy=replace(result.discrepancy, returned=None)))
+    assert written.return_u95_mm is None
+    assert written.assumptions[0].startswith("the gears have no hysteresis: only readings without load before, between")
+
+
 def test_parameters_have_values_two_sided_intervals_and_those_of_the_prior(result):
     written = model_folder.report_data(result)
     sigma = np.sqrt(np.diag(result.fit.covariance))
