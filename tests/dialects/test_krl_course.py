@@ -306,6 +306,7 @@ def test_statements_that_stay_in_each_round_count_in_loops_that_do_not_end(withi
 ENDLESS = {
     "ends where it began": ([FULL, "LOOP", AWAY, FULL, "ENDLOOP"], 3),
     "begins at joint angles": ([FULL, "LOOP", HOME, FULL, AWAY, "ENDLOOP", FULL], 4),
+    "force of its own": ([FULL, "LOOP", HOME, ";FORCE FX=9", FULL, AWAY, "ENDLOOP"], 4),
     "counts": ([FULL, "LOOP", "K=K+1", AWAY, FULL, "ENDLOOP"], 3),
     "waits for the start key": ([FULL, "LOOP", AWAY, FULL, "IF $IN[1] THEN", "HALT", "ENDIF", "ENDLOOP"], 3),
     "counter of its own": ([FULL, "LOOP", "FOR I=1 TO 2", AWAY, FULL, "ENDFOR", "ENDLOOP"], 5),
@@ -344,6 +345,7 @@ def test_a_loop_without_exit_is_one_round_that_repeats(what):
         ([FULL, "LOOP", AWAY, "$VEL.CP=0.1", FULL, "ENDLOOP"], "leaves other frames, speeds or modes"),
         ([FULL, "LOOP", AWAY, FULL, "$BASE={X 1,Y 2,Z 3,A 0,B 0,C 0}", "ENDLOOP"], "leaves other frames"),
         ([FULL, "LOOP", AWAY, "; FORCE FX=9", FULL, "ENDLOOP"], "ends under another force than it began with"),
+        ([FULL, "LOOP", HOME, AWAY, "; FORCE FX=9", FULL, "ENDLOOP"], "ends under another force than it began with"),
         ([FULL, "IF $IN[1] THEN", "LOOP", AWAY, FULL, "ENDLOOP", "ENDIF"], "LOOP never ends"),
         ([FULL, "SUB()"], "LOOP never ends"),
         ([FULL, "LOOP", "GO()", "K=2", FULL, "ENDLOOP"], "each one changes K for the next"),

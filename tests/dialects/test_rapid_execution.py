@@ -205,16 +205,32 @@ REFUSED = {
         for function in ("Offs", "RelTool", "CalcRobT", "CalcJointT", "CRobT", "CJointT", "MirPos", "ORobT")
     },
     "a second round that differs by its speeds": (
-        ["WHILE TRUE DO", MOVE_HOME, move("x"), "VelSet 50,800;", "ENDWHILE"], "loop without end differ", 0,
+        ["WHILE TRUE DO", MOVE_HOME, move("x"), "VelSet 50,800;", "ENDWHILE"],
+        "loop without end moves differently here: each round changes the settings of moves", 1,
     ),
     "a second round that differs by its data": (
-        ["WHILE TRUE DO", MOVE_HOME, "Incr y;", "ENDWHILE"], "the rounds of this loop without end differ", 0,
+        ["WHILE TRUE DO", MOVE_HOME, move("y"), "Incr y;", "ENDWHILE"],
+        "loop without end moves differently here: each round changes y for the next", 2,
     ),
     "a second round that differs by local data": (
-        ["VAR num n:=3;", "WHILE TRUE DO", MOVE_HOME, "n:=n+1;", "ENDWHILE"], "loop without end differ", 1,
+        ["VAR num n:=3;", "WHILE TRUE DO", MOVE_HOME, move("n"), "n:=n+1;", "ENDWHILE"],
+        "loop without end moves differently here: each round changes n for the next", 3,
     ),
     "a second round that has other moves": (
-        ["WHILE TRUE DO", MOVE_HOME, "IF x=1 THEN", MOVE_HOME, "ENDIF", "x:=3;", "ENDWHILE"], "without end differ", 0,
+        ["WHILE TRUE DO", MOVE_HOME, "IF x=1 THEN", MOVE_HOME, "ENDIF", "x:=3;", "ENDWHILE"],
+        "loop without end moves differently here: each round changes x for the next", 3,
+    ),
+    "a later round that has other moves": (
+        ["WHILE TRUE DO", MOVE_HOME, "IF x=5 THEN", move("x"), "ENDIF", "x:=x+1;", "ENDWHILE"],
+        "loop without end may move differently here: each round changes x for the next", 3,
+    ),
+    "a second round that has another force": (
+        ["WHILE TRUE DO", MOVE_HOME, "IF NOT b THEN", "! FORCE FX=5", "ENDIF", move("x"), "b:=TRUE;", "ENDWHILE"],
+        "loop without end moves differently here: each round changes b for the next", 3,
+    ),
+    "a second round that is the last": (
+        ["WHILE TRUE DO", MOVE_HOME, "IF x=2 RETURN;", "x:=2;", "ENDWHILE"],
+        "loop without end moves differently here: each round changes x for the next", 0,
     ),
     "a second round that begins at another place": (
         ["WHILE TRUE DO", move("x"), move("y"), "ENDWHILE"], "a loop without end begins with a straight move", 0,
@@ -346,5 +362,8 @@ def test_a_parameter_that_changes_from_round_to_round_of_a_loop_without_end_is_a
         ["PROC work(num n)", "WHILE TRUE DO", MOVE_HOME, "n:=n+1;", f"IF n>2 THEN\n{MOVE_HOME}\nENDIF", "ENDWHILE"]
     )
     error = refusal(["work 0;"], f"{text}\nENDPROC")
-    assert error.problem == "the rounds of this loop without end differ"
+    assert (
+        error.problem
+        == "a later round of this loop without end may move differently here: each round changes N for the next"
+    )
     assert len(read_code(["work 0;"], f"{text}\nENDPROC".replace("n:=n+1;", "")).motions) == 2

@@ -233,14 +233,15 @@ def test_loops_and_calls_in_a_loop_without_end_are_expanded_in_its_one_round():
         "ENDFOR",
         "cut;",
         "cut;",
+        "! FORCE OFF",
         "ENDWHILE",
         move(9),
     ]
     program, line, x = expanded(code, CUT.format(f"{move(3)} ! FORCE FX=50"))
     np.testing.assert_allclose(x[1:], [1, 2, 3, 3])
     assert line == [12, 14, 14, 6, 6]
-    assert [(note.before, note.line) for note in program.notes] == [(4, 6), (5, 6)]
-    assert {issue.kind for issue in program.issues} == {"loop-expanded", "routine-copied"}
+    assert [(note.before, note.line) for note in program.notes] == [(4, 6), (5, 6), (6, 18)]
+    assert {issue.kind for issue in program.issues} == {"loop-expanded", "routine-copied", "endless-loop"}
 
 
 def test_the_variable_of_a_loop_hides_data_of_its_name_until_the_end():

@@ -26,6 +26,7 @@ def move(expression, speed="v50"):
 
 
 PART = move("Offs(pStart,nPart*30,0,0)")
+HOME = f"MoveAbsJ [[0,10,20,0,60,0],[9E9,9E9,9E9,9E9,9E9,9E9]]{tail('v200')}"
 FORCE = "! FORCE FX=200 FY=-150 FZ=120"
 
 
@@ -59,6 +60,7 @@ def changed_data(lines):
         ([move("pStart").replace("wPart", "wShift"), "wShift.oframe.trans.x:=30;"], "wShift", 1, 2),
         ([move("pStart"), "IF bFirst THEN", move(at(0, 10, 20)), "ENDIF", "bFirst:=FALSE;"], "bFirst", 3, 5),
         (["IF nPart=0 THEN", FORCE, "ENDIF", move("pStart"), "nPart:=nPart+1;"], "nPart", 2, 5),
+        ([PART, "WHILE TRUE DO", HOME, "nPart:=nPart+1;", "ENDWHILE"], "nPart", 1, 4),
         # the fifth part only
         (["IF nPart=4 THEN", move(at(0, 10, 20)), "ENDIF", move("pStart"), "nPart:=nPart+1;"], "nPart", 2, 5),
     ],

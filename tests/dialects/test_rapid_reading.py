@@ -195,8 +195,46 @@ def test_a_loop_without_end_is_followed_once():
     assert len(read(module(code)).motions) == 3
     with pytest.raises(PostprocError, match="begins with a straight move"):
         read(module([code[0], code[2], code[3]]))
-    with pytest.raises(PostprocError, match="rounds of this loop without end differ"):
-        read(module(["WHILE TRUE DO", "n:=n+1;", MOVE_HOME, "ENDWHILE"], "  VAR num n:=0;"))
+    (issue,) = (issue for issue in read(module(code)).issues if issue.kind == "endless-loop")
+    assert issue.level == "info"
+    assert "WHILE TRUE DO" in module(code).split("\n")[issue.source_line - 1]
+
+
+@pytest.mark.parametrize(
+    "counting",
+    [
+        ["n:=n+1;"],
+        ["Incr n;", 'TPWrite "parts "\\Num:=n;', "IF n>=10 THEN", "n:=0;", "Stop;", "ENDIF"],
+        ["nLocal:=nLocal+1;", "SetGO goPart,nLocal;"],
+        ["count n;"],
+    ],
+)
+def test_a_loop_without_end_that_counts_its_rounds_is_corrected_as_one_round(tmp_path, counting):
+    """The counter stays in the loop, and has the value of the first round when the next run is followed."""
+    lines = ["VAR num nLocal:=0;", "WHILE TRUE DO", MOVE_HOME, f"MoveL {at(0, 0, 20)}{tail()}", *counting, "ENDWHILE"]
+    text = module(lines, "  PERS num n:=0;", "  PROC count(INOUT num k)\n    k:=k+1;\n  ENDPROC\n")
+    program = read(text)
+    assert len(program.motions) == 3
+    assert [issue.kind for issue in program.issues if issue.level == "warning"] == []
+    written = correct_module(tmp_path, text)
+    assert all(line in written for line in ["WHILE TRUE DO", *counting])
+
+
+def test_the_first_cut_of_a_loop_without_end_has_one_force_in_all_rounds():
+    lines = [f"MoveL {at(x, 0, 20)}{tail()}" for x in (0, 9)]
+    for before, inside in (
+        ([], [lines[0], "! FORCE FX=50", lines[1]]),
+        (["! FORCE FX=70"], [lines[0], "! FORCE FX=50", lines[1]]),
+    ):
+        with pytest.raises(PostprocError, match="never ends, and its round ends under another force") as caught:
+            read(module([*before, "WHILE TRUE DO", MOVE_HOME, *inside, "ENDWHILE"]))
+        assert "WHILE TRUE DO" in str(caught.value)
+    for before, inside in (
+        ([], ["! FORCE FX=50", lines[0], "! FORCE FX=70", lines[1]]),  # MoveAbsJ has no force
+        (["! FORCE FX=50"], [lines[0], "! FORCE FX=50", lines[1]]),
+        ([], [lines[0], "! FORCE FX=50", lines[1], "! FORCE OFF"]),
+    ):
+        assert len(read(module([*before, "WHILE TRUE DO", MOVE_HOME, *inside, "ENDWHILE"])).motions) == 4
 
 
 def test_branches_are_followed_where_their_conditions_are_known():

@@ -17,11 +17,13 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Set
-from typing import Any, NoReturn, TypeGuard
+from itertools import zip_longest
+from typing import NoReturn, TypeGuard
 
 from msgspec import Struct, field
 from msgspec.structs import replace
 
+from postproc.dialects.changed_data import FollowedRun, later_difference
 from postproc.dialects.rapid.effects import BoundArgument, Effects, bound_arguments, called_names, results
 from postproc.dialects.rapid.instructions import (
     CONSTANT,
@@ -64,7 +66,7 @@ from postproc.dialects.rapid.values import (
     predefined_data,
     truth,
 )
-from postproc.errors import MAX_ERRORS, PostprocError
+from postproc.errors import MAX_ERRORS, PostprocError, first_of
 from postproc.program import FORCE_COMMENT, PTP
 
 MOST_STATEMENTS = 3_000_000
@@ -95,6 +97,10 @@ class RapidError(PostprocError):
 
 _LATE_CALLS = ("%", "CALLBYVAR")
 """Instructions that call a routine whose name is computed at run time."""
+_MOVE_SETTINGS = "the settings of moves"
+"""Stands for the settings among the names of data that a round changes."""
+_MOST_NAMES = 5
+"""Most names in one message."""
 MOST_ROUNDS = 10_000
 """Largest number of rounds of a loop without moves that are followed (assumed)."""
 _KEEP = "Leave it out, or convert the G-code or APT of this part."
@@ -109,6 +115,19 @@ _TARGET_FUNCTIONS = ("OFFS", "RELTOOL", "CALCROBT", "CALCJOINTT", "CROBT", "CJOI
 """Functions that return a target."""
 
 
+class EndlessLoop(Struct, frozen=True):
+    """A loop without end, of which one round is executed.
+
+    :ivar start: offset of the loop.
+    :ivar move_count: number of moves before it.
+    :ivar note_count: number of comments before it.
+    """
+
+    start: int
+    move_count: int
+    note_count: int
+
+
 class ExecutedProgram(Struct, eq=False):
     """Result of the execution of a program.
 
@@ -121,6 +140,7 @@ class ExecutedProgram(Struct, eq=False):
     :ivar errors: statements that cannot be followed.
     :ivar followed_names: names of the routines that run.
     :ivar cell_data: tools and work objects that are taken from the cell: name → type.
+    :ivar endless_loop: the loop without end in which the program stays; None if it ends.
     """
 
     moves: list[Move] = field(default_factory=list)
@@ -131,6 +151,25 @@ class ExecutedProgram(Struct, eq=False):
     errors: list[RapidError] = field(default_factory=list)
     followed_names: set[str] = field(default_factory=set)
     cell_data: dict[str, str] = field(default_factory=dict)
+    endless_loop: EndlessLoop | None = None
+
+
+def first_difference(first: ExecutedProgram, later: ExecutedProgram) -> int | None:
+    """Return the offset of the first statement at which a later run differs from the first; None if they are equal.
+
+    An error of the later run counts as a difference.
+    """
+    if later.errors:
+        return later.errors[0].start
+    for move, later_move in zip_longest(first.moves, later.moves):
+        if move is None or later_move is None:
+            return int((move or later_move).statement.start)
+        if not are_equal(move, later_move):
+            return int(move.statement.start)
+    for note, later_note in zip_longest(first.notes, later.notes):
+        if note is None or later_note is None or (note[0].start, note[1]) != (later_note[0].start, later_note[1]):
+            return int((note or later_note)[0].start)
+    return None
 
 
 class _Return(Exception):  # noqa: N818 - no error: the end of a routine
@@ -652,40 +691,117 @@ class Execution:
                 self._forget_results_of_functions(loop, scope)
 
     def _follow_endless(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
-        """Execute two rounds of a loop that does not end, check that they are equal, and keep the first.
+        """Execute one round of a loop that does not end, and check that all further rounds are equal to it.
 
         Statements behind the loop never run.
 
         :param routine: the routine that contains it.
         :param depth: number of calls around the routine.
-        :raises RapidError: the second round differs, or the loop begins with a straight move, whose start differs.
+        :raises RapidError: a later round differs, or the loop begins with a straight move, whose start differs.
         :raises _End: in all other cases.
         """
-        move_count = len(self.result.moves)
+        move_count, note_count = len(self.result.moves), len(self.result.notes)
+        values = {name: variable.value for name, variable in self._data_by_name(scope).items()}
+        setting = self.setting
         self._execute_block(loop.body, scope, routine, depth)
-        state_after_first = self._state(scope)
-        first_end, note_count = len(self.result.moves), len(self.result.notes)
-        setting_after_first = self.setting
-        calls_after_first = {name: list(calls) for name, calls in self.result.calls.items()}
-        rounds_after_first = {start: list(runs) for start, runs in self.result.rounds.items()}
-        self._execute_block(loop.body, scope, routine, depth)
-        first, second = self.result.moves[move_count:first_end], self.result.moves[first_end:]
-        is_same = len(first) == len(second) and all(map(are_equal, first, second))
-        if not is_same or self._state(scope) != state_after_first or self.setting != setting_after_first:
-            problem = "the rounds of this loop without end differ"
-            raise RapidError(problem, loop.start, "Put the moves of the part into a routine of its own.")
-        if first and first[0].kind != PTP:
+        first_round = ExecutedProgram(
+            moves=self.result.moves[move_count:],
+            notes=[(note, max(index - move_count, 0)) for note, index in self.result.notes[note_count:]],
+        )
+        if first_round.moves and first_round.moves[0].kind != PTP:
             problem = "a loop without end begins with a straight move, from another place in its second round"
             advice = "Begin its body with MoveAbsJ or MoveJ, or put the moves of the part into a routine of its own."
             raise RapidError(problem, loop.start, advice)
-        del self.result.moves[first_end:], self.result.notes[note_count:]
-        self.result.calls, self.result.rounds = calls_after_first, rounds_after_first
+        if not self.result.errors:
+            data = self._data_by_name(scope)
+            changed_names = {
+                name for name, item in data.items() if not item.literal and item.value != values.get(name, item.value)
+            }
+            if self.setting != setting:
+                changed_names.add(_MOVE_SETTINGS)
+            self._check_later_rounds(loop, scope, routine, depth, first_round, changed_names)
+        self.result.endless_loop = EndlessLoop(loop.start, move_count, note_count)
         raise _End
 
-    def _state(self, scope: Scope) -> list[tuple[str, Any]]:
-        """Return names and values of all data, except those that still have the value of their declaration."""
-        variables = (*self.data.items(), *scope.inner.items())
-        return [(name, variable.value) for name, variable in variables if not variable.literal]
+    def _check_later_rounds(
+        self,
+        loop: Loop,
+        scope: Scope,
+        routine: Routine,
+        depth: int,
+        first_round: ExecutedProgram,
+        changed_names: Set[str],
+    ) -> None:
+        """Check that all rounds of a loop without end are equal to the first; result and data stay as they are.
+
+        :param routine: the routine that contains it.
+        :param depth: number of calls around the routine.
+        :param first_round: moves and notes of the first round, counted from its beginning.
+        :param changed_names: names of data that the first round has changed, see `_data_by_name`.
+        :raises RapidError: a later round differs, or cannot be followed.
+        """
+        data = self._data_by_name(scope)
+        result, setting, inner = self.result, self.setting, dict(scope.inner)
+        saved = [(variable, replace(variable)) for variable in data.values()]
+
+        def follow_next_round(unknown_names: frozenset[str]) -> FollowedRun:
+            """Execute one more round, and compare it with the first; an error of the second round is raised."""
+            for name in unknown_names & data.keys():
+                data[name].forget("an earlier round may have changed it")
+            for variable in data.values():
+                variable.start_run()
+            self.result = ExecutedProgram(unknown_calls=dict(result.unknown_calls))
+            try:
+                self._execute_block(loop.body, scope, routine, depth)
+            except _Return:
+                return FollowedRun(loop.start)
+            except RapidError as cause:
+                if not unknown_names:
+                    raise
+                return FollowedRun(cause.start)
+            if self.result.errors and not unknown_names:
+                raise self.result.errors[0]
+            start = first_difference(first_round, self.result)
+            if start is None and self.setting != setting:
+                start = loop.start
+            return FollowedRun(
+                start,
+                frozenset(
+                    name
+                    for name, variable in data.items()
+                    if variable.is_used and variable.is_changed and variable.value != variable.start_value
+                ),
+            )
+
+        difference = later_difference(changed_names, follow_next_round)
+        used_names = {name for name, variable in data.items() if variable.is_used}
+        self.result, self.setting, scope.inner = result, setting, inner
+        for variable, copy in saved:
+            variable.copy_from(copy)
+        if difference is not None:
+            spellings = {
+                name: name if variable.declaration is None else variable.declaration.spelling
+                for name, variable in data.items()
+            }
+            changed = difference.names & used_names or difference.names
+            names = first_of(sorted(spellings.get(name, name) for name in changed), _MOST_NAMES)
+            moves = "moves" if difference.is_certain else "may move"
+            raise RapidError(
+                f"a later round of this loop without end {moves} differently here: each round changes {names} for the "
+                "next",
+                difference.place,
+                f"Set {names} at the beginning of the round. Or put the moves of the part into a procedure of its own, "
+                "without the loop, and name the file like it.",
+            )
+
+    def _data_by_name(self, scope: Scope) -> dict[str, Variable]:
+        """Return all data that a routine, or routines that it calls, may use.
+
+        Module data that are hidden by local data have another name than these.
+        """
+        hidden_names = self.data.keys() & scope.inner.keys()
+        data = {f"{name} of the module" if name in hidden_names else name: item for name, item in self.data.items()}
+        return data | scope.inner
 
     # --- instructions
 

@@ -5,14 +5,11 @@ PERS data keep their values from run to run, and VAR of a module until the progr
 
 from __future__ import annotations
 
-from itertools import zip_longest
-
 from msgspec import Struct
 
 from postproc.dialects.changed_data import FollowedRun, later_difference
 from postproc.dialects.rapid.effects import called_names
-from postproc.dialects.rapid.execution import ExecutedProgram, Execution, RapidError
-from postproc.dialects.rapid.moves import are_equal
+from postproc.dialects.rapid.execution import ExecutedProgram, Execution, RapidError, first_difference
 from postproc.dialects.rapid.syntax import Conditional, Declaration, Loop, Statement, all_statements
 
 
@@ -43,7 +40,7 @@ def changed_data(first: Execution) -> ChangedData | None:
         """Follow the program with the data that the run before has left, and compare it with the first run."""
         nonlocal last_run
         last_run = last_run.next_run(unknown_names)
-        start = _first_difference(first.result, last_run)
+        start = _difference_of_run(first.result, last_run)
         return FollowedRun(start, frozenset(last_run.changed_names()))
 
     difference = later_difference(frozenset(first.changed_names()), follow_next_run)
@@ -60,7 +57,7 @@ def changed_data(first: Execution) -> ChangedData | None:
     return ChangedData(changes, frozenset(variables), difference.place, difference.is_certain)
 
 
-def _first_difference(first: ExecutedProgram, later_execution: Execution) -> int | None:
+def _difference_of_run(first: ExecutedProgram, later_execution: Execution) -> int | None:
     """Return the offset of the first statement at which a later run differs from the first; None if they are equal.
 
     :param later_execution: execution of the later run, which has not run.
@@ -69,17 +66,7 @@ def _first_difference(first: ExecutedProgram, later_execution: Execution) -> int
         later = later_execution.run()
     except RapidError as cause:
         return cause.start
-    if later.errors:
-        return later.errors[0].start
-    for move, later_move in zip_longest(first.moves, later.moves):
-        if move is None or later_move is None:
-            return int((move or later_move).statement.start)
-        if not are_equal(move, later_move):
-            return int(move.statement.start)
-    for note, later_note in zip_longest(first.notes, later.notes):
-        if note is None or later_note is None or (note[0].start, note[1]) != (later_note[0].start, later_note[1]):
-            return int((note or later_note)[0].start)
-    return None
+    return first_difference(first, later)
 
 
 def _change_start(execution: Execution, name: str) -> int | None:

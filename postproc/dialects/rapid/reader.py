@@ -23,7 +23,7 @@ from postproc.chunks import Runs
 from postproc.dialects import circles
 from postproc.dialects.changed_data import changed_data_issue
 from postproc.dialects.circles import ArcColumns
-from postproc.dialects.rapid.execution import ExecutedProgram, RapidError
+from postproc.dialects.rapid.execution import EndlessLoop, ExecutedProgram, RapidError
 from postproc.dialects.rapid.expansion import ExpandedProgram, expand
 from postproc.dialects.rapid.language import joints_from_abb, poses, status_from_cfx
 from postproc.dialects.rapid.layout import Layout
@@ -39,6 +39,7 @@ from postproc.frames import M_PER_MM, RAD_PER_DEG, Array, inverse, norm, xyzabc_
 from postproc.poses import Poses
 from postproc.program import (
     CIRC,
+    FORCE_COMMENT,
     LIN,
     PTP,
     Bools,
@@ -132,6 +133,7 @@ class _Reader:
                 "there are no motions", file=self.document.name, advice="Check that this is the program."
             )
         comments, notes = self._notes(expanded_program)
+        self._check_force_of_rounds(expanded_program, notes)
         path = self._motions(execution.moves, line, forward_kinematics)
         is_plain = not expanded_program.loop_lines and not expanded_program.copied_names
         all_modules = (*self.loaded.modules, *expanded_program.modules)
@@ -257,6 +259,36 @@ class _Reader:
         if errors:
             raise combined_error(errors)
         return tuple(comments), tuple(notes)
+
+    def _check_force_of_rounds(self, expanded_program: ExpandedProgram, notes: Sequence[ForceNote]) -> None:
+        """Refuse a loop without end whose first straight or circular move has another force in the second round.
+
+        A force comment before that move, in the loop, makes the two forces equal. Other moves have no force.
+
+        :param notes: the force comments, in order.
+        :raises ProgramError: the force differs.
+        """
+        executed = expanded_program.executed
+        loop = executed.endless_loop
+        if loop is None:
+            return
+        comments_before = executed.notes[: loop.note_count]
+        count = sum(FORCE_COMMENT.match(comment.text) is not None for comment, _ in comments_before)
+        first = next((k for k, move in enumerate(executed.moves) if k >= loop.move_count and move.kind != PTP), None)
+        if first is None or any(note.before <= first for note in notes[count:]):
+            return
+        # zero forces are equal in all axes
+        begin, end = (
+            [(note.wrench, note.frame) for note in acting[-1:] if any(note.wrench)] for acting in (notes[:count], notes)
+        )
+        if begin != end:
+            problem = "this loop never ends, and its round ends under another force than it began with"
+            advice = "Write a force comment, such as FORCE OFF, before the first move of the loop."
+            raise self._error(problem, self._loop_line(expanded_program, loop), advice)
+
+    def _loop_line(self, expanded_program: ExpandedProgram, loop: EndlessLoop) -> int:
+        """Return the line of a loop without end in the file."""
+        return int(self._file_lines(expanded_program, np.array([loop.start]))[0])
 
     # --- motions
 
@@ -534,6 +566,11 @@ class _Reader:
         yield from self._cell_frame_issues(execution)
         yield from self._changed_data_issues(expanded_program.changed_data)
         yield from self._uncalled_issues(expanded_program)
+        if execution.endless_loop is not None:
+            message = (
+                "WHILE TRUE never ends: one round is corrected, and is what all rounds do. What follows it never runs."
+            )
+            yield Issue("info", "endless-loop", message, self._loop_line(expanded_program, execution.endless_loop))
         if expanded_program.loop_lines:
             lines = line_names(sorted(set(expanded_program.loop_lines)), _MOST_NAMES)
             message = f"Loops with moves are written out, round by round ({lines}): each round has its own targets."

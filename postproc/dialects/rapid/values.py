@@ -192,6 +192,11 @@ class Variable(Struct, eq=False):
         left = self.before_call or self
         return replace(left, is_set=False, is_used=False)
 
+    def copy_from(self, other: Variable) -> None:
+        """Take all that other data are: value and history."""
+        for name in self.__struct_fields__:
+            setattr(self, name, getattr(other, name))
+
     def start_run(self) -> None:
         """Make the present value that at the start of a run."""
         self.is_changed = self.is_set = self.is_used = False

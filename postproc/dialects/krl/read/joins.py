@@ -35,7 +35,7 @@ _START_ADVICE = (
 )
 _LOOP_ADVICE = "Begin and end each round of the LOOP in one pose, for example with a PTP to all of A1 … A6."
 _SETTING_ADVICE = "Set before the LOOP what its rounds set."
-_FORCE_ADVICE = "Write a force comment before the first motion of the LOOP."
+_FORCE_ADVICE = "Write a force comment, such as FORCE OFF, before the first motion of the LOOP."
 
 
 class BranchError(ProgramError):
@@ -553,17 +553,20 @@ def endless_rounds(
     return EndlessRounds(loop, first, stop, motions=motions, start=start, carriage=layout.carriage)
 
 
-def check_force(course: Course, loop: UnrolledLoop, line: Ints, notes: Sequence[tuple[int, ForceNote]]) -> None:
-    """Refuse a LOOP without EXIT whose first motion has another force in the second iteration.
+def check_force(
+    course: Course, loop: UnrolledLoop, line: Ints, kind: Ints, notes: Sequence[tuple[int, ForceNote]]
+) -> None:
+    """Refuse a LOOP without EXIT whose first motion other than PTP has another force in the second iteration.
 
-    A force comment before that motion, in the LOOP, makes the two forces equal.
+    A force comment before that motion, in the LOOP, makes the two forces equal. PTPs have no force.
 
     :param line: (M,) lines of the motions in the trace.
+    :param kind: (M,) their kinds.
     :param notes: force comments, each with its line of the trace, in order.
     :raises ProgramError: the force differs.
     """
-    first, stop = np.searchsorted(line, [loop.first, loop.stop]).tolist()
-    if first == stop or any(loop.first <= note_line <= line[first] for note_line, _ in notes):
+    lines_with_force = line[(line >= loop.first) & (line < loop.stop) & (kind != PTP)]
+    if not len(lines_with_force) or any(loop.first <= note_line <= lines_with_force[0] for note_line, _ in notes):
         return
     # the last comment before the first and before the second round; none if there is none
     acting_notes = [[note for note_line, note in notes if note_line < limit][-1:] for limit in (loop.first, loop.stop)]

@@ -375,7 +375,7 @@ def _checked_ends(
         return ends
     rounds = endless_rounds(loop, layout, motions, path, order.predecessors)
     check_endless_loop(course, rounds, main.run.settings)
-    check_force(course, loop, layout.line, order.notes)
+    check_force(course, loop, layout.line, motions.kind, order.notes)
     return (*ends, *rounds.joined_ends())
 
 
